@@ -168,7 +168,7 @@ def test_the_document_is_json_and_the_plots_are_pictures(good: Calibration, tmp_
         assert picture.std() > 10
 
 
-def flat(spec: BoardSpec, px_per_square: int = 24) -> np.ndarray:
+def flat(spec: BoardSpec, px_per_square: int = 40) -> np.ndarray:
     return cv2.GaussianBlur(board_picture(spec, px_per_square), (0, 0), 0.8)
 
 
@@ -176,7 +176,7 @@ def test_no_board_says_what_is_there_instead() -> None:
     with pytest.raises(NothingToDoError, match=r"none of 1 pictures.*chessboard with 7x5 inner corners"):
         find_board([("a", flat(BoardSpec.parse("chessboard:7x5:20mm")))], CHESS)
     with pytest.raises(NothingToDoError, match=r"a\.png: 17 markers of 5X5_1000"):
-        find_board([("a.png", flat(BoardSpec.parse("charuco:7x5:25mm:18mm:5X5_100"), 40))], CHESS)
+        find_board([("a.png", flat(BoardSpec.parse("charuco:7x5:25mm:18mm:5X5_100")))], CHESS)
     with pytest.raises(NothingToDoError, match="no other board or marker"):
         find_board([("a", np.full((200, 300), 128, np.uint8))], CHARUCO)
     with pytest.raises(NothingToDoError, match="fits charuco:10x7:25mm:18mm:5X5_50"):
@@ -189,7 +189,7 @@ def test_no_board_says_what_is_there_instead() -> None:
 
 def test_the_other_charuco_pattern_is_tried_and_told() -> None:
     old = BoardSpec.parse("charuco:9x6:25mm:18mm:5X5_100:legacy")
-    got = find_board([("a", flat(old, 40)), ("b", flat(old, 40))], replace(old, legacy=not old.legacy))
+    got = find_board([("a", flat(old)), ("b", flat(old))], replace(old, legacy=not old.legacy))
     assert got.spec == old
     assert len(got.views) == 2
     assert "legacy pattern" in got.notices[0]

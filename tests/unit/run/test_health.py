@@ -10,6 +10,7 @@ import pytest
 
 from arfx.analyse.pose.fold import _deviation
 from arfx.core.cube import face_directions
+from arfx.core.pixels import Pixels
 from arfx.core.stage import Check, JobView
 from arfx.run.summary import calibration_claims, picture
 from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio, seams
@@ -43,7 +44,13 @@ def test_the_white_furnace_of_a_box_vanishes_and_lost_light_is_seen(monkeypatch:
     run = Gi.run
 
     def darker(self, window, *rest):  # type: ignore[no-untyped-def]
-        return {layer: 0.9 * a for layer, a in run(self, window, *rest).items()}
+        made = dict(run(self, window, *rest))
+        for layer, a in made.items():
+            if isinstance(a, Pixels):
+                a.array = 0.9 * a.array
+            else:
+                made[layer] = 0.9 * a
+        return made
 
     monkeypatch.setattr(Gi, "run", darker)
     assert abs(furnace_mean(job, "draft") - 1) > LIMIT
