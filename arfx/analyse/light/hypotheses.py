@@ -6,7 +6,7 @@ brighter from one side, ((n.d + 1) / 2)^2. Source: docs/methods/light.md#lamps."
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -15,21 +15,19 @@ import numpy as np
 from scipy.special import fdtri
 
 from arfx.analyse.light import search
-from arfx.analyse.light.search import DOME, NO_CONE_DEG, Model, Samples
+from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, Model, Samples
 from arfx.core.numerics import angle_between
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
 LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
-LEAST_LIGHT = 0.015  # share of the light seen below which a directional light counts as none
-MOST_OFF_DEG = 45.0  # of a likely light: another place of it that explains the data as well
-MOST_SPREAD_DEG = 75.0  # of a likely light: others in its place, whose middle it is
+MOST_OFF_DEG = 60.0  # cone of a likely light: half of it still comes from where it is thought to be
 LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth the name
 SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
 _WORSE, _WORSE_BY, _MOST_MODELS = 3.0, 50.0, 5  # other minima that are kept: chi squared, times the best's and more; number
 _GAMMA_STEPS = (-0.08, 0.08, -0.16, 0.16)  # of ln gamma
 # where others in its place are tried
-_RINGS_DEG = (1.5, 2.5, 3.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, MOST_SPREAD_DEG, NO_CONE_DEG)  # fmt: skip
+_RINGS_DEG = (1.5, 2.5, 3.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, NO_CONE_DEG)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,10 +42,12 @@ class Params:
 
 
 class Assessment(NamedTuple):
-    """cone_deg : half-angle that holds all that explains the data as well;  doubt : the widest of it in words, "" if measured"""
+    """cone_deg : half-angle that holds the lamps, or if merely likely the light vectors, of all that explains the data as well
+    spread_deg : how far lamps in its place may be;  doubt : the widest of it in words, "" if measured"""
 
     verdict: str
     cone_deg: float
+    spread_deg: float
     doubt: str
 
 
@@ -138,39 +138,69 @@ class LightHypotheses:
                 out = max(out, min(float(off[near]) + search.cone_deg(model, near, bound - prior), NO_CONE_DEG))
         return out
 
-    def assess(self, light: int) -> Assessment:
-        """Of one light of the chosen model. light : its row in best.dirs"""
+    def assess(self, light: int, slack_deg: float = 0.0) -> Assessment:
+        """Of one light of the chosen model. light : its row in best.dirs;  slack_deg : what no fit shows, systematic errors
+
+        What looks the same has nearly the same light vector (Gershun 1939: sum of the lights' rgb times directions): the shadow
+        of the simplest explanation falls the right way under all of it, and is as sharp as the lamp is known."""
         best = self.best[self.count]
         if best.soft[light] >= DOME:
-            return Assessment(REFUSED, NO_CONE_DEG, "it is a sky")
+            return Assessment(REFUSED, NO_CONE_DEG, NO_CONE_DEG, "it is a sky")
         cone, off = max(self.cone(light), LEAST_CONE_DEG), self._farthest_minimum(light)
+        uncertain = min(cone + slack_deg, NO_CONE_DEG)
         doubts = [
-            (cone, f"the direction is uncertain by {cone:.3g} degrees"),
+            (uncertain, f"the direction is uncertain by {uncertain:.3g} degrees"),
             (off, f"another direction, {off:.0f} degrees off, explains the data as well"),
         ]
-        sound = max(cone, off) <= MOST_OFF_DEG
-        if sound and self.params.most_lights >= 2:
-            ring, apart = self._farthest_beside(lambda s, at_deg, bound: search.two_in_place(best, s, light, at_deg, bound))
+        vector = max(off, search.vector_off_deg(best, light) if self.count == 2 else 0.0)
+        if max(cone, vector) <= MOST_OFF_DEG and self.params.most_lights >= 2:
+            ring, apart = self._farthest_pair(light)
             doubts.append((ring, f"two lamps {_up_to(apart, ring)} apart would look the same to this print"))
             if self.count == 1:
-                doubts.append(self._sky(best))
-            sound = max(d[0] for d in doubts) <= MOST_SPREAD_DEG
-        widest, doubt = max(doubts, key=lambda d: d[0])
-        if widest <= self.params.limit_deg:
-            return Assessment(MEASURED, widest, "")
-        return Assessment(LIKELY if sound and self.params.likely else REFUSED, widest, doubt)
+                *doubt, sky_vector = self._sky()
+                doubts.append((doubt[0], doubt[1]))
+                vector = max(vector, sky_vector)
+        spread, doubt_words = max(doubts, key=lambda d: d[0])
+        if spread <= self.params.limit_deg:
+            return Assessment(MEASURED, spread, spread, "")
+        wide = min(float(np.hypot(cone, vector)) + slack_deg, NO_CONE_DEG)
+        sound = wide <= MOST_OFF_DEG and self.params.likely
+        return Assessment(LIKELY if sound else REFUSED, wide, spread, doubt_words)
 
-    def _sky(self, best: Model) -> tuple[float, str]:
-        """(degrees, words) of ambient light that is brighter from one side, beside the lamp or in its place."""
+    def _two_lights(self) -> Iterator[tuple[Samples, float]]:
+        """(samples, chi squared that is no worse) of the exponents under which two free lights may do in place of one."""
+        bound = self.bound()
+        for prior, models in self.nodes:
+            if self.count == 2 or prior + min(m.chi2 for m in models[2]) <= bound:
+                yield models[self.count][0].at, bound - prior
 
-        def farthest(share: float) -> tuple[float, float]:
-            return self._farthest_beside(lambda s, at_deg, _: (search.dome_beside(best, s, at_deg, share), at_deg))
+    def _farthest_pair(self, light: int) -> tuple[float, float]:
+        """(ring beyond the farthest on which two lamps in its place explain the data as well, degrees between them)"""
+        out, apart = 0.0, 0.0
+        for s, bound in self._two_lights():
+            for beyond, ring in pairwise(_RINGS_DEG[::-1]):
+                if beyond <= out:
+                    break
+                chi2, between = search.two_in_place(self.best[self.count], s, light, ring, bound)
+                if chi2 <= bound:
+                    out, apart = beyond, between
+                    break
+        return out, apart
 
-        sky, _ = farthest(0.0)
-        ring, shift = farthest(LEAST_SHADOW) if sky else (0.0, 0.0)
+    def _sky(self) -> tuple[float, str, float]:
+        """(degrees, words, degrees of the light vector) of ambient light that is brighter from one side, beside the lamp or in
+        its place."""
+        best, ring, shift, sky, vector = self.best[1], 0.0, 0.0, 0.0, 0.0
+        for s, bound in self._two_lights():
+            for radius, beyond in pairwise(_RINGS_DEG):
+                for m in search.domes_beside(best, s, radius, bound):
+                    sky, vector = max(sky, beyond), max(vector, search.vector_off_deg(m, 0, best.dirs[0]))
+                    if m.fractions[0] >= LEAST_SHADOW and beyond > ring:
+                        ring, shift = beyond, radius
         if ring < min(sky, SKY_DEG):  # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
-            return min(sky, SKY_DEG), "ambient light that is brighter from one side, without a lamp, would look the same"
-        return ring, f"ambient light that is brighter from one side may shift it by {_up_to(shift, ring)}"
+            words = "ambient light that is brighter from one side, without a lamp, would look the same"
+            return min(sky, SKY_DEG), words, vector
+        return ring, f"ambient light that is brighter from one side may shift it by {_up_to(shift, ring)}", vector
 
     def _farthest_minimum(self, light: int) -> float:
         """Degrees from the light to the farthest minimum that is no worse."""
@@ -182,23 +212,6 @@ class LightHypotheses:
                     off = float(np.degrees(angle_between(points, best.dirs[light]).min())) if len(points) else NO_CONE_DEG
                     out = max(out, off)
         return out
-
-    def _farthest_beside(self, tried: Callable[[Samples, float, float], tuple[float, float]]) -> tuple[float, float]:
-        """(ring beyond the farthest on which others explain the data as well, 0 = none does; what `tried` says of that one).
-
-        tried : (samples, ring in degrees, chi squared that is no worse) to (chi squared, degrees to be said)"""
-        out, said, bound = 0.0, 0.0, self.bound()
-        for prior, models in self.nodes:
-            if self.count == 1 and prior + min(m.chi2 for m in models[2]) > bound:
-                continue  # not even two free lights
-            for beyond, ring in pairwise(_RINGS_DEG[::-1]):
-                if beyond <= out:
-                    break
-                chi2, degrees = tried(models[self.count][0].at, ring, bound - prior)
-                if chi2 <= bound - prior:
-                    out, said = beyond, degrees
-                    break
-        return out, said
 
 
 def _up_to(degrees: float, ring_deg: float) -> str:

@@ -25,6 +25,7 @@ DOME = 1.0
 RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lights that pose as one
 PAIR_DEG = 10.0  # that the other of two lights stays from the one that they replace, at least
 FINE_GAIN, FOLLOWED_GAIN, ROUGH_GAIN = 1e-6, 1e-4, 1e-3  # of chi squared: a pass that gains less is the last
+LEAST_LIGHT = 0.015  # share of the light seen below which a directional light counts as none
 _SAME_DEG = 1.0  # minima nearer to each other than that are one
 _APART_DEG = 20.0  # starts nearer to each other than that lead to one minimum
 
@@ -243,16 +244,25 @@ def cone_deg(model: Model, light: int, bound: float) -> float:
     return NO_CONE_DEG
 
 
-def dome_beside(model: Model, s: Samples, radius_deg: float, least_share: float = 0.0) -> float:
-    """Lowest chi squared of the single light of `model`, moved by radius_deg, beside a dome wherever that helps most.
-
-    least_share : of the light that the lamp gives, else inf"""
+def domes_beside(model: Model, s: Samples, radius_deg: float, bound: float) -> list[Model]:
+    """The single light of `model`, moved by radius_deg, beside a dome: what is not above the chi squared `bound`."""
     d, soft = cone_directions(model.dirs[0], radius_deg), np.append(model.soft, DOME)
     starts = np.concatenate([cone_directions(model.dirs[0], 60.0, np.pi), -d])
     many = np.stack([np.concatenate([d, d]), starts], 1)
     best = np.argsort(_scan(s, many, _each(soft)), kind="stable")[:4]
-    moved = [refine(s, many[i], soft, 0, 12) for i in best]
-    return min((m.chi2 for m in moved if m.fractions[0] >= least_share), default=np.inf)
+    return [m for m in (refine(s, many[i], soft, 0, 12) for i in best) if m.chi2 <= bound]
+
+
+def vector_off_deg(model: Model, light: int, direction: np.ndarray | None = None) -> float:
+    """Degrees between the light vector, sum of rgb times direction, and a direction, else that of one light; 0 if none is seen.
+
+    Of domes only those that the middle normal faces: what lies behind all that was seen says nothing."""
+    size = model.amplitudes()[0].sum((0, 1))[1:]
+    faced = np.where(model.soft < DOME, model.fractions >= LEAST_LIGHT, model.dirs @ model.at.normals.mean(0) > 0)
+    vector = (size * faced) @ model.dirs
+    length = float(np.linalg.norm(vector))
+    towards = model.dirs[light] if direction is None else direction
+    return float(np.degrees(angle_between(vector / length, towards))) if length > 0 else 0.0
 
 
 def two_in_place(model: Model, s: Samples, light: int, radius_deg: float, bound: float) -> tuple[float, float]:
