@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Assessment, LightHypotheses, Params
+from arfx.analyse.light.hypotheses import LEAST_SHADOW, LIKELY, MEASURED, REFUSED, Assessment, LightHypotheses, Params
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import condition, divide
 
 MODEL_ERROR, MOST_ERROR = 0.002, 0.03  # of irradiance, over its bright level: at least, and beyond which the model is wrong
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
-SYSTEMATIC_ERROR = 0.001  # of readings and normals, slow over a clip: times the condition it turns the direction, radians
 MOST_SIZE_DEG = 30.0  # disc of a likely light: beyond, no shadow is seen
 MOST_BESIDE_DEG = 60.0  # spread of a light beside which another one's direction says anything
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
+NARROW_DEG, MOST_CONDITION = 30.0, 700.0  # of normals within so few degrees: beyond, errors of their poses pass for light
 # Shares of degree 0, 1, 2 of max(c, 0) and of ((c + 1) / 2)^2: their Legendre coefficients times 4 pi / (2 l + 1)
 _COSINE, _DOME = np.pi * np.array([1, 2 / 3, 1 / 4]), np.pi * np.array([4 / 3, 2 / 3, 2 / 15])
 _SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
@@ -148,7 +148,7 @@ def fit(
     about: dict[str, Any] = {"condition": min(condition(design), 1e12), "span_deg": span_deg, "ignored": s.ignored}
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
     seen = np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups]) * s.scale  # (g, 3)
-    if span_deg < LEAST_SPAN_DEG:
+    if span_deg < LEAST_SPAN_DEG or (span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION):
         return LightFit(REFUSED, f"one normal only: all lie within {span_deg:.2g} degrees", seen, seen, **about)
     if len(s.normals) < 4:
         return LightFit(REFUSED, f"{len(s.normals)} normals only: a direction beside ambient light takes 4", seen, seen, **about)
@@ -176,14 +176,14 @@ def fit(
     amp = replace(model, at=found.plain).amplitudes()[0] * s.scale[:, None]  # (g, 3, q + 1)
     domes = model.soft >= DOME
     order = np.lexsort([-model.fractions, domes])
-    slack_deg = float(np.degrees(SYSTEMATIC_ERROR * about["condition"]))
-    known = [found.assess(int(i), slack_deg) for i in order]
+    known = [found.assess(int(i)) for i in order]
     first = known[0]
     if first.verdict == REFUSED:
         return LightFit(REFUSED, first.doubt, seen, seen, **about)
     if count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED:  # it is so only beside the first
         _, cone, spread, doubt = known[1]
-        verdict = LIKELY if first.spread_deg <= MOST_BESIDE_DEG else REFUSED
+        sound = first.spread_deg <= MOST_BESIDE_DEG and model.fractions[order[1]] >= LEAST_SHADOW
+        verdict = LIKELY if sound else REFUSED
         doubt = doubt or "there may be another pair of lights"
         known[1] = Assessment(verdict, max(cone, params.limit_deg), max(spread, params.limit_deg), doubt)
     size_deg = _size_deg(found, domes)

@@ -16,13 +16,14 @@ from scipy.special import fdtri
 
 from arfx.analyse.light import search
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, Model, Samples
-from arfx.core.numerics import angle_between
+from arfx.core.numerics import angle_between, condition, divide
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
 LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
 MOST_OFF_DEG = 60.0  # cone of a likely light: half of it still comes from where it is thought to be
 LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth the name
+SYSTEMATIC_ERROR = 0.0005  # of readings and normals, slow over a clip: times the condition it turns the direction, radians
 SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
 _WORSE, _WORSE_BY, _MOST_MODELS = 3.0, 50.0, 5  # other minima that are kept: chi squared, times the best's and more; number
 _GAMMA_STEPS = (-0.08, 0.08, -0.16, 0.16)  # of ln gamma
@@ -138,8 +139,15 @@ class LightHypotheses:
                 out = max(out, min(float(off[near]) + search.cone_deg(model, near, bound - prior), NO_CONE_DEG))
         return out
 
-    def assess(self, light: int, slack_deg: float = 0.0) -> Assessment:
-        """Of one light of the chosen model. light : its row in best.dirs;  slack_deg : what no fit shows, systematic errors
+    def _condition(self, light: int) -> float:
+        """Of [1, n of what the light reaches], columns of length 1: how systematic errors of what was seen turn the light."""
+        best = self.best[self.count]
+        n, weight = best.at.normals, best.at.weight
+        rows = np.sqrt(weight)[:, None] * np.column_stack([np.ones(len(n)), n * (n @ best.dirs[light] > 0)[:, None]])
+        return condition(divide(rows, np.linalg.norm(rows, axis=0)))
+
+    def assess(self, light: int) -> Assessment:
+        """Of one light of the chosen model. light : its row in best.dirs
 
         What looks the same has nearly the same light vector (Gershun 1939: sum of the lights' rgb times directions): the shadow
         of the simplest explanation falls the right way under all of it, and is as sharp as the lamp is known."""
@@ -147,25 +155,28 @@ class LightHypotheses:
         if best.soft[light] >= DOME:
             return Assessment(REFUSED, NO_CONE_DEG, NO_CONE_DEG, "it is a sky")
         cone, off = max(self.cone(light), LEAST_CONE_DEG), self._farthest_minimum(light)
-        uncertain = min(cone + slack_deg, NO_CONE_DEG)
+        slack = float(np.degrees(SYSTEMATIC_ERROR * self._condition(light)))
+        uncertain = min(cone + slack, NO_CONE_DEG)
         doubts = [
             (uncertain, f"the direction is uncertain by {uncertain:.3g} degrees"),
             (off, f"another direction, {off:.0f} degrees off, explains the data as well"),
         ]
-        vector = max(off, search.vector_off_deg(best, light) if self.count == 2 else 0.0)
-        if max(cone, vector) <= MOST_OFF_DEG and self.params.most_lights >= 2:
+        vector = off
+        if max(cone, off) <= MOST_OFF_DEG and self.params.most_lights >= 2:
             ring, apart = self._farthest_pair(light)
             doubts.append((ring, f"two lamps {_up_to(apart, ring)} apart would look the same to this print"))
             if self.count == 1:
-                *doubt, sky_vector = self._sky()
-                doubts.append((doubt[0], doubt[1]))
-                vector = max(vector, sky_vector)
-        spread, doubt_words = max(doubts, key=lambda d: d[0])
+                ring, words, sky_vector = self._sky()
+                doubts.append((ring, words))
+                vector = max(off, sky_vector)
+        spread, doubt = max(doubts, key=lambda d: d[0])
         if spread <= self.params.limit_deg:
             return Assessment(MEASURED, spread, spread, "")
-        wide = min(float(np.hypot(cone, vector)) + slack_deg, NO_CONE_DEG)
-        sound = wide <= MOST_OFF_DEG and self.params.likely
-        return Assessment(LIKELY if sound else REFUSED, wide, spread, doubt_words)
+        if self.count == 2:  # one that is hardly a light is what the model lacks
+            weak = best.fractions.min() < LEAST_SHADOW
+            vector = max(off, spread if weak else search.vector_off_deg(best, best.dirs[light]))
+        cone = min(float(np.hypot(cone, vector)) + slack, NO_CONE_DEG)
+        return Assessment(LIKELY if self.params.likely and cone <= MOST_OFF_DEG else REFUSED, cone, spread, doubt)
 
     def _two_lights(self) -> Iterator[tuple[Samples, float]]:
         """(samples, chi squared that is no worse) of the exponents under which two free lights may do in place of one."""
@@ -194,7 +205,9 @@ class LightHypotheses:
         for s, bound in self._two_lights():
             for radius, beyond in pairwise(_RINGS_DEG):
                 for m in search.domes_beside(best, s, radius, bound):
-                    sky, vector = max(sky, beyond), max(vector, search.vector_off_deg(m, 0, best.dirs[0]))
+                    sky = max(sky, beyond)
+                    if m.dirs[1] @ s.normals.mean(0) > 0:  # what lies behind all that was seen says nothing of its vector
+                        vector = max(vector, search.vector_off_deg(m, best.dirs[0]))
                     if m.fractions[0] >= LEAST_SHADOW and beyond > ring:
                         ring, shift = beyond, radius
         if ring < min(sky, SKY_DEG):  # what casts no shadow is nowhere, but its middle is where the lamp is thought to be

@@ -253,16 +253,9 @@ def domes_beside(model: Model, s: Samples, radius_deg: float, bound: float) -> l
     return [m for m in (refine(s, many[i], soft, 0, 12) for i in best) if m.chi2 <= bound]
 
 
-def vector_off_deg(model: Model, light: int, direction: np.ndarray | None = None) -> float:
-    """Degrees between the light vector, sum of rgb times direction, and a direction, else that of one light; 0 if none is seen.
-
-    Of domes only those that the middle normal faces: what lies behind all that was seen says nothing."""
-    size = model.amplitudes()[0].sum((0, 1))[1:]
-    faced = np.where(model.soft < DOME, model.fractions >= LEAST_LIGHT, model.dirs @ model.at.normals.mean(0) > 0)
-    vector = (size * faced) @ model.dirs
-    length = float(np.linalg.norm(vector))
-    towards = model.dirs[light] if direction is None else direction
-    return float(np.degrees(angle_between(vector / length, towards))) if length > 0 else 0.0
+def vector_off_deg(model: Model, direction: np.ndarray) -> float:
+    """Degrees between a direction and the light vector, the sum of rgb times direction, of all lights."""
+    return float(np.degrees(angle_between(model.amplitudes()[0].sum((0, 1))[1:] @ model.dirs, direction)))
 
 
 def two_in_place(model: Model, s: Samples, light: int, radius_deg: float, bound: float) -> tuple[float, float]:
