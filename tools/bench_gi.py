@@ -47,7 +47,8 @@ def layers_of(at: BenchScene) -> Layers:
 
 
 def affected(before: Layers, made: Any, size: tuple[int, int]) -> float:
-    change = np.abs(made[Layer.SHADOW] - before[Layer.SHADOW]).max(-1) >= SHOWS
+    shadow = Layers(before.rect, {Layer.SHADOW: made[Layer.SHADOW]})[Layer.SHADOW]
+    change = np.abs(shadow - before[Layer.SHADOW]).max(-1) >= SHOWS
     return float(((before[Layer.COVERAGE] > 0) | change).sum() / (size[0] * size[1]))
 
 

@@ -185,7 +185,7 @@ def real_surfels(view: View, prepared: PrintedPrepared, within: Rect) -> tuple[t
     seen = d.reshape(-1, 3) @ anchor_from_camera.rotation.T
     hit = prepared.real.first(np.broadcast_to(anchor_from_camera.translation_m, seen.shape), seen)
     on = hit.met & ((hit.normal * seen).sum(-1) < 0) & (view[Layer.COVERAGE][within.slices_in(view.rect)].ravel() < 1)
-    if (real := measured(view[Layer.REAL_DEPTH])).size:
+    if (real := measured(view.layers)).size:
         depth = real[within.slices_in(view.rect)].ravel()
         with np.errstate(invalid="ignore"):
             on &= ~(np.isfinite(depth) & (np.abs(depth - hit.distance) > LIFT * hit.distance))

@@ -214,8 +214,11 @@ def _luminance() -> Iterator[Item]:
 def _disc_rows(radius_px: int) -> np.ndarray:
     """What fraction of a pixel's light each row of a blur circle gets."""
     table, q = shape(radius_px + 1), radius_px * STEPS
-    run = table.fractions[q, :, 1] + table.fractions[q, :, 2] + table.ends[q, :, 1] - table.ends[q, :, 0] - 1
-    return (run * table.fractions[q, :, 0])[: 2 * table.half_rows[q] + 1] * table.unit[q]
+    row = np.zeros((2 * int(table.half_rows[q]) + 1, 2 * radius_px + 5))
+    for j, pixels in enumerate(row):
+        for place, change in zip(table.places[q, j], table.changes[q, j], strict=True):
+            pixels[place + radius_px + 1 : place + radius_px + 3] += change
+    return np.cumsum(row, 1).sum(1) * table.unit[q]
 
 
 def _blocks() -> Iterator[Item]:

@@ -7,7 +7,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.reproduce.work import Clip, Shot
-from arfx.synth.tracer import Lens, Room, render_rows
+from arfx.synth.tracer import Lens, Room, Samples, render_rows
 from arfx.synth.world import World
 
 FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors
@@ -46,5 +46,6 @@ def radiance(room: Room, origin: np.ndarray, direction: np.ndarray) -> np.ndarra
     rotation = np.ascontiguousarray(np.stack([aside, np.cross(forward, aside), forward], 1))
     rays = FOOTPRINT_RAD * np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0]), -1)
     out = np.zeros((2, 2, 3))
-    render_rows(0, 1, Lens(rays, rotation, np.ascontiguousarray(origin), 0.0, 1.0), 1.0, room, 0, 1.0, out)
+    lens, every = Lens(rays, rotation, np.ascontiguousarray(origin), 0.0, 1.0), Samples(np.ones((2, 2), bool), 1.0, 1.0, 0)
+    render_rows(0, 1, lens, room, every, out, np.zeros((2, 2), np.uint16))
     return np.asarray(out[0, 0])

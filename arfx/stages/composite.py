@@ -4,7 +4,7 @@ IMAGE = (b + (PLATE - b) x SHADOW) x (1 - COVERAGE) + VIRTUAL, faded by the fact
 where no light falls (the facts' bias): a shadow takes light, not that.
 
 Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio, docs/methods/light.md#shadow. Cost: O(pixels), memory
-bound. Leaves out: depth order against real objects (stage `hide`)."""
+bound. One level: arithmetic, exact to rounding, so that its error is 0. Leaves out: depth order against real objects (`hide`)."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations

@@ -4,6 +4,7 @@
 scene's depth, what is nearer (a thing that stands on the plane) or farther (the floor beyond a table's edge) keeps its light.
 How far off counts follows from the depth's own noise on the prints; holes were filled along the picture's edges before. Depth
 maps end some pixels beside the things that they show, so beside such an edge a guided filter moves it to the picture's own.
+`draft` leaves the depth's edges as they are; no level is above `standard`, as in `hide`.
 `gi` asks the depth itself, plane by plane, and adds to what is left. Cost: O(pixels of the shadow). Leaves out: the shadow
 that such a thing would really take, and cast on the object.
 Source: guided filter (`guided`)."""
@@ -49,6 +50,7 @@ class Holdout(Stage):
     name = "holdout"
     reads = frozenset({Layer.PLATE, Layer.SHADOW, Layer.REAL_DEPTH})
     writes = frozenset({Layer.SHADOW})
+    levels = ("draft", "standard")
     Params = HoldoutParams
     always, requires = True, frozenset({"depth"})
 
@@ -58,7 +60,7 @@ class Holdout(Stage):
         return Demand(frame, "measured depth shows which pixels are the plane", within_earlier=True)
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
-        return out.pad(reach_px(scene)).clip(scene.camera.rect)
+        return out if level == "draft" else out.pad(reach_px(scene)).clip(scene.camera.rect)
 
     def prepare(self, scene: Scene, level: str) -> np.ndarray:
         return direction_grid(scene.camera)
@@ -68,12 +70,12 @@ class Holdout(Stage):
         inside = now.extent(Layer.SHADOW)
         if inside.empty:
             return {Layer.SHADOW: Pixels(inside, np.empty((0, 0, 3), np.float32))}
-        around = inside.pad(reach_px(scene)).clip(now.rect)
+        around = inside if view.level == "draft" else inside.pad(reach_px(scene)).clip(now.rect)
         part, depth = now.crop(around), view.facts.real_depth
         tolerance = max(self.params.tolerance, 0.0 if depth is None else _SIGMAS * depth.noise)
         dioptres = plane_dioptres(prepared, view.pose @ scene.world_from_anchor, around)
         fraction = on_plane(part[Layer.REAL_DEPTH], dioptres, tolerance)
-        if (fraction < 1).any():
+        if view.level != "draft" and (fraction < 1).any():
             fraction = refined(fraction, np.ones_like(fraction), part[Layer.PLATE], window_px(scene))
         fraction = fraction[inside.slices_in(around)]
         shadow = now.crop(inside).one_channel(Layer.SHADOW)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from arfx.core.numerics import divide
+from arfx.core.parallel import parallel_map
 from arfx.core.scene import Scene
 
 _BATCH = 1 << 19  # rays in flight: bounds memory to about 40 MB
@@ -32,34 +33,44 @@ class Triangles:
         o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
         return np.asarray(self._scene.run(o, d, query="OCCLUDED")) >= 0
 
-    def visible_fraction(self, points: np.ndarray, directions: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+    def visible_fraction(
+        self, points: np.ndarray, directions: np.ndarray, normals: np.ndarray | None = None, first: int = 1
+    ) -> np.ndarray:
         """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met from each point (n, 3).
 
-        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface"""
-        out = np.empty(len(points))
-        for part, seen in self._unblocked(points, directions):
+        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface
+        first : every so manieth direction is asked first, the others where those do not agree"""
+        if first > 1:
+            out = self.visible_fraction(points, directions[first // 2 :: first], normals)
+            mixed = (out > 0) & (out < 1)
+            out[mixed] = self.visible_fraction(points[mixed], directions, None if normals is None else normals[mixed])
+            return out
+
+        def of(part: slice, seen: np.ndarray) -> np.ndarray:
             if normals is None:
-                out[part] = seen.mean(1)
-            else:
-                weight = np.clip(normals[part] @ directions.T, 0, None)
-                out[part] = divide((weight * seen).sum(1), weight.sum(1), where_zero=1.0)
-        return out
+                return np.asarray(seen.mean(1))
+            weight = np.clip(normals[part] @ directions.T, 0, None)
+            return divide((weight * seen).sum(1), weight.sum(1), where_zero=1.0)
+
+        return self._by_parts(points, directions, of, np.zeros(0))
 
     def visible_sum(self, points: np.ndarray, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """(n, c) float64: sum of the weights (k, c) of those `directions` in which nothing is met from each point."""
-        out = np.empty((len(points), weights.shape[1]))
-        for part, seen in self._unblocked(points, directions):
-            out[part] = seen @ weights
-        return out
+        return self._by_parts(points, directions, lambda _, seen: seen @ weights, np.zeros((0, weights.shape[1])))
 
-    def _unblocked(self, points: np.ndarray, directions: np.ndarray) -> Iterator[tuple[slice, np.ndarray]]:
-        """Points in turn, and for each (m, k) bool whether nothing is met."""
-        k, d32 = len(directions), directions.astype(np.float32)
+    def _by_parts(
+        self, points: np.ndarray, directions: np.ndarray, of: Callable[[slice, np.ndarray], np.ndarray], none: np.ndarray
+    ) -> np.ndarray:
+        """What `of` makes of points and of (m, k) bool, whether nothing is met, part by part. none : of no points"""
+        k, towards = len(directions), directions.astype(np.float32)
+
+        def one(part: slice) -> np.ndarray:
+            p = points[part].astype(np.float32)
+            met = self.blocked(np.repeat(p, k, axis=0), np.tile(towards, (len(p), 1)))
+            return of(part, ~met.reshape(len(p), k))
+
         step = max(_BATCH // k, 1)
-        for a in range(0, len(points), step):
-            p = points[a : a + step].astype(np.float32)
-            met = self.blocked(np.repeat(p, k, axis=0), np.tile(d32, (len(p), 1)))
-            yield slice(a, a + len(p)), ~met.reshape(len(p), k)
+        return np.concatenate([none, *parallel_map(one, [slice(a, a + step) for a in range(0, len(points), step)])])
 
 
 def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -10,11 +10,12 @@ from arfx.core.rect import Rect
 GRID_PX = 8  # pitch of the table: error below 1e-3 px for usual lenses
 
 
-def direction_grid(camera: Camera) -> np.ndarray:
-    """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step beyond the picture."""
-    x = np.arange(0, camera.width + GRID_PX, GRID_PX)
-    y = np.arange(0, camera.height + GRID_PX, GRID_PX)
-    return camera.directions(np.stack(np.meshgrid(x, y), -1).astype(float))
+def direction_grid(camera: Camera, pixel: int = 1) -> np.ndarray:
+    """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step beyond the picture.
+
+    pixel : side, px, of the squares that count as pixels"""
+    x, y = (pixel * np.arange(0, -(-n // pixel) + GRID_PX, GRID_PX) + (pixel - 1) / 2 for n in (camera.width, camera.height))
+    return camera.directions(np.stack(np.meshgrid(x, y), -1))
 
 
 def seen_rect(camera: Camera, points: np.ndarray, pad_px: float) -> Rect:

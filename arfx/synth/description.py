@@ -253,7 +253,7 @@ class SceneFile(Part):
 
     description: str = ""
     seed: int = Field(default=0, ge=0)
-    samples: int = Field(default=2, ge=1, le=16, description="n × n picture samples per pixel")
+    samples: int = Field(default=2, ge=1, le=16, description="n × n samples in a pixel in which something ends, moves or blurs")
     truth: tuple[Literal["depth", "mask", "flow"], ...] = ("depth", "mask", "flow")
     clip: Clip = Clip()
     lens: Lens = Lens()

@@ -12,7 +12,7 @@ import numpy as np
 from arfx.core.colour import Transfer
 from arfx.core.machine import usable_cores
 from arfx.synth.description import SceneFile
-from arfx.synth.tracer import Lens, Room, probe, render_rows
+from arfx.synth.tracer import Lens, Room, Samples, probe, render_rows
 from arfx.synth.world import World
 
 _BAND_ROWS = 24  # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
@@ -43,24 +43,27 @@ class Picture:
         return made
 
     def radiance(self, frame: int) -> np.ndarray:
-        """(h, w, 3) float64 linear radiance of a frame, before exposure."""
+        """(h, w, 3) float64 linear radiance of a frame, before exposure.
+        Where neither a surface nor a shadow ends and nothing moves or blurs, one sample of a whole pixel stands for all."""
         world, scene = self.world, self.world.scene
-        out = np.zeros((world.camera.height, world.camera.width, 3))
-        n = self.side
+        shape, n, time_s = (world.camera.height, world.camera.width), self.side, float(self.world.frame_times_s[frame])
+        out, met, chosen = np.zeros((*shape, 3)), np.zeros(shape, np.uint16), np.ones(shape, bool)
+        if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
+            self._sample(frame, time_s, self.rays(0.0, 0.0), Samples(chosen, 1.0, 1.0, frame * 4096), out, met)
+            box = np.ones((3, 3), np.uint8)
+            chosen = ((met == 0) | (cv2.erode(met, box) != cv2.dilate(met, box))) & (n > 1)
+            out[chosen] = 0
         order = np.random.default_rng([scene.seed, 11]).permutation(n * n)  # which moment of the shutter a position gets
-        time_s = float(world.frame_times_s[frame])
-        for k in range(n * n):
+        for k in range(n * n) if chosen.any() else ():
             dx, dy = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
             moment = time_s + scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
-            self._sample(frame, moment, self.rays(dx, dy), 1 / n, frame * 4096 + k, 1 / (n * n), out)
+            self._sample(frame, moment, self.rays(dx, dy), Samples(chosen, 1 / n, 1 / (n * n), frame * 4096 + k), out, met)
         if (sigma := scene.lens.softness_px) > 0:
             kernel = cv2.getGaussianKernel(2 * int(np.ceil(4 * sigma)) + 1, sigma, cv2.CV_64F)
             return np.asarray(cv2.sepFilter2D(out, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REPLICATE), np.float64)
         return out
 
-    def _sample(
-        self, frame: int, time_s: float, rays: np.ndarray, footprint: float, seed: int, weight: float, out: np.ndarray
-    ) -> None:
+    def _sample(self, frame: int, time_s: float, rays: np.ndarray, samples: Samples, out: np.ndarray, met: np.ndarray) -> None:
         world = self.world
         rows, lens = world.camera.height, world.scene.lens
         roll = world.scene.hidden.rolling_shutter_s
@@ -72,7 +75,7 @@ class Picture:
             moment, pose = shared or (world.at(when), world.camera_at(frame, when).inverse())
             room = Room(moment.rects, moment.spheres, moment.lights, world.ambient, world.textures, world.table, world.sky)
             seen = Lens(rays, np.ascontiguousarray(pose.rotation), pose.translation_m, lens.aperture_m, lens.focus_m or 1.0)
-            render_rows(*band, seen, footprint, room, seed, weight, out)
+            render_rows(*band, seen, room, samples, out, met)
 
         list(self._pool.map(one, bands))
 

@@ -169,11 +169,14 @@ def visible(px, py, pz, lights, k, rows, used, spheres, turn):
             if visible_rays == 0 or visible_rays == 5:
                 return visible_rays / 5.0
             visible_rays = 0
-        if j < 5:
-            radius, angle = 0.0 if j == 4 else disc, j * math.pi / 2
-        else:
+        c, s = 0.0, 0.0
+        if j >= 5:
             radius, angle = disc * math.sqrt((j - 4.5) / _DISC_SAMPLES), turn + (j - 5) * _GOLDEN_ANGLE
-        c, s = math.cos(angle) * radius, math.sin(angle) * radius
+            c, s = math.cos(angle) * radius, math.sin(angle) * radius
+        elif j < 2:  # four on the edge, then the middle
+            c = disc * (1 - 2 * j)
+        elif j < 4:
+            s = disc * (5 - 2 * j)
         towards = lx + c * ax + s * bx, ly + c * ay + s * by, lz + c * az + s * bz
         if not _blocked(point, towards, rows, k, first, used, spheres):
             visible_rays += 1

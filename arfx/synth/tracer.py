@@ -23,6 +23,7 @@ from arfx.core.compiled import line_kernel
 from arfx.synth.shadows import occluders, visible
 
 _FAR = 1e30
+_NUMBERS = 65521  # below 2^16, prime: of two surfaces under many lights few get the same
 _LIFT_M = 2e-5  # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie 2e-4 m apart
 
 
@@ -48,6 +49,15 @@ class Room(NamedTuple):
     textures: np.ndarray
     table: np.ndarray
     sky: np.ndarray
+
+
+class Samples(NamedTuple):
+    """One sample in every chosen (h, w) bool pixel, of this weight.  footprint: width in pixels that it stands for"""
+
+    chosen: np.ndarray
+    footprint: float
+    weight: float
+    seed: int
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -158,22 +168,26 @@ def _span(centre, half, size):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def render_rows(y0, y1, lens: Lens, footprint, room: Room, seed, weight, out):
-    """Add `weight` times one sample per pixel of rows y0..y1 to `out` (h, w, 3).
-    footprint: width in pixels that a sample stands for"""
+def render_rows(y0, y1, lens: Lens, room: Room, samples: Samples, out, met):
+    """Add samples of rows y0..y1 to `out` (h, w, 3).
+    met (h, w) uint16 gets a number for the surface and the lights that it sees; 0 where it sees a part of one, and on a print"""
     views, shadows = _views(lens.origin, room.rects, room.textures), occluders(room.rects, room.spheres, room.lights)
-    _render(y0, y1, lens, footprint, room, (views, shadows), seed, weight, out)
+    _render(y0, y1, lens, room, (views, shadows), samples, out, met)
 
 
 @line_kernel(error_model="numpy")
-def _render(y0, y1, lens: Lens, footprint, room: Room, tables, seed, weight, out):
+def _render(y0, y1, lens: Lens, room: Room, tables, samples: Samples, out, met):
     """As `render_rows`, with the tables of `_views` and `occluders`."""
     rays, rotation, origin, lens_m, focus_m = lens
     rects, spheres, lights, ambient, textures, table, sky = room
     width = rays.shape[1]
     views, (occluder_rows, used) = tables
+    chosen, footprint, weight, seed = samples
     for y in range(y0, y1):
         for x in range(width):
+            if not chosen[y, x]:
+                continue
+            met[y, x] = 1
             cx, cy = rays[y, x, 0], rays[y, x, 1]
             if not (math.isfinite(cx) and math.isfinite(cy)):
                 continue
@@ -252,13 +266,18 @@ def _render(y0, y1, lens: Lens, footprint, room: Room, tables, seed, weight, out
             shine0, shine1, shine2 = 0.0, 0.0, 0.0
             px, py, pz = hx + _LIFT_M * nx, hy + _LIFT_M * ny, hz + _LIFT_M * nz
             turn = 2 * math.pi * _noise(seed + 7, number)
+            whole = kind == 2 or textures[int(rects[index, 14]), 3] > 0.0  # hard edges of a print are in its texture
+            number_met = (index if kind == 1 else rects.shape[0] + index) + 1
             for k in range(lights.shape[0]):
                 facing = nx * lights[k, 0] + ny * lights[k, 1] + nz * lights[k, 2]
+                number_met *= 2
                 if facing <= 0.0:
                     continue
                 seen = visible(px, py, pz, lights, k, occluder_rows, used[k], spheres, turn)
+                whole = whole and (seen == 0.0 or seen == 1.0)
                 if seen == 0.0:
                     continue
+                number_met += 1
                 light0 += seen * facing * lights[k, 3]
                 light1 += seen * facing * lights[k, 4]
                 light2 += seen * facing * lights[k, 5]
@@ -275,6 +294,7 @@ def _render(y0, y1, lens: Lens, footprint, room: Room, tables, seed, weight, out
             out[y, x, 0] += weight * (colour[0] * light0 + shine0)
             out[y, x, 1] += weight * (colour[1] * light1 + shine1)
             out[y, x, 2] += weight * (colour[2] * light2 + shine2)
+            met[y, x] = 2 + number_met % _NUMBERS if whole else 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

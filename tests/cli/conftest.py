@@ -16,6 +16,8 @@ import pytest
 from arfx_cli.main import main
 from tests.clips import MARKER, write_camera, write_clip, write_model
 
+FRAMES = 66  # in three chunks
+
 
 @dataclass
 class Material:
@@ -34,7 +36,9 @@ class Material:
 @pytest.fixture(scope="session")
 def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
     d = tmp_path_factory.mktemp("material")
-    return Material(d, write_clip(d / "clip.mp4", 96, audio=True), write_camera(d / "camera.yaml"), write_model(d / "model.glb"))
+    return Material(
+        d, write_clip(d / "clip.mp4", FRAMES, audio=True), write_camera(d / "camera.yaml"), write_model(d / "model.glb")
+    )
 
 
 @dataclass

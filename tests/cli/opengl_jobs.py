@@ -52,7 +52,10 @@ def jobs(folder: Path) -> Iterator[tuple[str, list[str]]]:
     yield "resumed", job(clip, "--set", BACKEND, "--resume", "-o", str(folder / "resumed.mkv"))
     for name in OTHERS:
         yield name, job(folder / name, "--set", BACKEND, "-o", str(folder / f"{name}.mkv"))
-    yield "tradeoff", ["tradeoff", "--config", str(folder / OTHERS[0] / "job.toml"), "--set", BACKEND, "--frames", "1"]
+    yield (
+        "tradeoff",
+        ["tradeoff", "--config", str(folder / OTHERS[0] / "job.toml"), "--set", BACKEND, "--frames", "1", "--formula", "paper"],
+    )
     # now `auto`, as where a graphics card runs OpenGL
     backends._graphics_card = lambda: True
     gl_context.open_context().software = False

@@ -25,14 +25,14 @@ DOWN_DEG, HEIGHT_M = 35.0, 0.5
 
 
 def depth_map(floor: bool = True) -> np.ndarray:
-    """(h, w) uint16 mm: a floor 0.5 m under a camera that looks down, or a wall before it; a third of it not measured."""
-    camera = clip_camera()
-    d = camera.directions(np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).astype(float))
+    """(h, w) uint16 mm, half the clip's size: a floor 0.5 m under a camera that looks down, or a wall; a third not measured."""
+    w, h = SIZE[0] // 2, SIZE[1] // 2
+    d = clip_camera(w, h).directions(np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(float))
     a = np.radians(DOWN_DEG)
     up = np.array([0, -np.cos(a), -np.sin(a)])
     z = -HEIGHT_M / np.minimum(d @ up, -0.1) if floor else np.full(d.shape[:2], 1.0)
     gone = np.random.default_rng(0).random((12, 16)) < 0.32
-    return np.where(np.kron(gone, np.ones((20, 20), bool)), 0, np.round(1000 * z)).astype(np.uint16)
+    return np.where(np.kron(gone, np.ones((10, 10), bool)), 0, np.round(1000 * z)).astype(np.uint16)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from tests.unit.calibrate.boards import CHESS, SIZE, TRUE, poses, render
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     d = tmp_path_factory.mktemp("board")
-    for i, pose in enumerate(poses(12)):
+    for i, pose in enumerate(poses(9)):
         cv2.imwrite(str(d / f"p{i:02d}.png"), render(CHESS, pose, seed=i))
     return d
 
@@ -35,7 +35,7 @@ def test_pictures_to_a_camera_file(arfx: Run, folder: Path, tmp_path: Path) -> N
     sd = d["standard_deviations"]
     for name, value, truth in (("fx", d["camera_matrix"][0][0], TRUE.fx), ("cy", d["camera_matrix"][1][2], TRUE.cy)):
         assert abs(value - truth) < 4 * sd[name] + 0.3, name
-    assert d["pictures"]["searched"] == d["pictures"]["with_board"] == 12
+    assert d["pictures"]["searched"] == d["pictures"]["with_board"] == 9
     assert sorted(p.name for p in (tmp_path / "rep").iterdir()) == ["coverage.png", "residuals.png"]
     camera = load_camera(out)
     assert (camera.width, camera.height) == SIZE

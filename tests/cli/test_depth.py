@@ -8,11 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.cli.conftest import Material, Run
+from tests.cli.conftest import FRAMES, Material, Run
 from tests.cli.test_process import frames
 from tests.clips import SIZE, clip_camera, pose_at
-
-FRAMES = 96
 
 
 def depth_of(pose_index: int, near: bool) -> np.ndarray:

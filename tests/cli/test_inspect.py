@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import Material, Run
+from tests.cli.conftest import FRAMES, Material, Run
 from tests.clips import MARKER, clip_camera, pose_at, write_clip
 
 
@@ -18,15 +18,15 @@ def test_the_marker_is_found_measured_and_suggested(material: Material, arfx: Ru
     (m,) = d["markers"]
     assert m["marker"] == MARKER.key and m["frames"] == m["looked"] == len(d["samples"]) == 24
     assert d["marker_coverage"] == 1.0
-    camera, pose = clip_camera(), pose_at(48, 96)
+    camera, pose = clip_camera(), pose_at(FRAMES // 2, FRAMES)
     corners = camera.project(pose.apply(MARKER.corners_m))
     side = float(sum(((corners[i] - corners[i - 1]) ** 2).sum() ** 0.5 for i in range(4)) / 4)
     assert m["side_px"]["median"] == pytest.approx(side, abs=3.5)  # the finder's corners, 1 px each
     assert m["tilt_deg"]["median"] == pytest.approx(35, abs=6)
     assert f"--marker {MARKER.key}:SIZE" in d["suggestion"] and str(material.camera) in d["suggestion"]
     clip = d["clip"]
-    assert (clip["width"], clip["height"], clip["frames"], clip["vfr"], clip["gaps"]) == (320, 240, 96, False, 0)
-    assert clip["seconds"] == pytest.approx(3.2, abs=1e-6)
+    assert (clip["width"], clip["height"], clip["frames"], clip["vfr"], clip["gaps"]) == (320, 240, FRAMES, False, 0)
+    assert clip["seconds"] == pytest.approx(FRAMES / 30, abs=1e-6)
     assert any(s["kind"] == "audio" for s in clip["streams"])
     assert d["cuts"] == []
 
@@ -65,7 +65,7 @@ def test_a_long_clip_is_sampled_by_seeking(arfx: Run, material: Material, monkey
     whole = inspection.inspect(probe(material.clip), samples=5)
     monkeypatch.setattr(inspection, "READ_WHOLE", 10)
     sampled = inspection.inspect(probe(material.clip), samples=5)
-    assert sampled["samples"] == whole["samples"] == [0, 24, 48, 71, 95]
+    assert sampled["samples"] == whole["samples"] == [0, 16, 32, 49, 65]
     assert sampled["markers"] == whole["markers"] and sampled["light"] == whole["light"]
     assert whole["cuts"] == [] and sampled["cuts"] is None
 

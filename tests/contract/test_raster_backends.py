@@ -52,13 +52,14 @@ def hold_against(model: Model, pose_name: str, lens: str) -> None:
     a, b = gl[Layer.COVERAGE], rays[Layer.COVERAGE]
     assert (b > 0).sum() > 300, "the case shows nothing"
     rim = (((a > 0) & (a < 1)) | ((b > 0) & (b < 1)) | ((a > 0) != (b > 0))).sum()
-    # 9 samples against 16: half a sample of each, .06 to .1 of an edge pixel, more where the lens bends the grid
+    # 9 samples against 64: half a sample, .06 to .1 of an edge pixel, more where the lens bends the grid
     assert np.abs(a - b).sum() < (0.12 if lens == "ideal" else 0.16) * rim + 1
     # .04 px all along the rim: nine samples a pixel, and the next texel instead of the exact one under a lens
     assert abs((a - b).sum()) < 0.04 * rim + 1, "one silhouette is larger than the other"
     assert np.abs(a - b).max() < 0.6
     same = (gl[Layer.OBJECT_ID] == rays[Layer.OBJECT_ID]) & (rays[Layer.OBJECT_ID] > 0)
-    assert (rays[Layer.OBJECT_ID] > 0).sum() - same.sum() < 0.15 * rim + 1
+    # more samples meet more of the rim's slivers
+    assert (rays[Layer.OBJECT_ID] > 0).sum() - same.sum() < 0.18 * rim + 1
     inner = cv2.erode((same & (a > 0) & (b > 0)).astype(np.uint8), np.ones((3, 3))) > 0
     z, w = gl[Layer.DEPTH][inner], rays[Layer.DEPTH][inner]
     assert np.median(np.abs(z - w) / w) < 2e-5 and np.percentile(np.abs(z - w) / w, 98) < 3e-3

@@ -25,7 +25,9 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def source_clip(folder: Path) -> Path:
-    make_clip(load_scene(SCENE / "scene.toml"), folder, SCENE, lambda *_: None, overwrite=True, truth_pictures=False)
+    whole = load_scene(SCENE / "scene.toml")
+    short = whole.model_copy(update={"shot": (whole.shot[0].model_copy(update={"frames": 4}),)})
+    make_clip(short, folder, SCENE, lambda *_: None, overwrite=True, truth_pictures=False)
     return folder
 
 

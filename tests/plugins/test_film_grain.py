@@ -24,8 +24,10 @@ FRAMES = 31  # two chunks, so that two processes render
 JOB = ("clip.mp4", "--camera", "camera.yaml", "--marker", str(MARKER), "--model", "model.glb", "--fit", "8cm")
 SEVERAL = """
 import contextlib, io, json, sys
+from arfx.measure import costs
 from arfx_cli.main import main
 
+costs.SCENES = costs.SCENES[1:3]  # the small ones
 for arguments in json.loads(sys.argv[1]):
     out, err, code = io.StringIO(), io.StringIO(), 0
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -69,7 +71,7 @@ def environment(site: Path, folder: Path) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def arfx(site: Path, folder: Path) -> Run:
     def run(command: str, *more: str, at: Path = site) -> Result:
-        given = [*JOB, *more] if command in ("plan", "process", "tradeoff") else more
+        given = [*JOB, *more] if command == "process" else more
         p = subprocess.run(
             [sys.executable, "-m", "arfx_cli", command, *given], cwd=folder, env=environment(at, folder), capture_output=True,
             text=True, check=False, timeout=300,
@@ -90,15 +92,38 @@ def rendered(arfx: Run, folder: Path) -> Path:
     return folder / "grain.job"
 
 
+@pytest.fixture(scope="module")
+def told(site: Path, folder: Path, rendered: Path) -> dict[str, Result]:
+    """What commands say that run, in this order and after `rendered`, in one process: each of its own takes seconds to start."""
+    plan = ["plan", *JOB, "--pipeline", "film_grain"]
+    costs = ["--pipeline", "film_grain", "--formula", "paper", "--frames", "1", "--report", "tradeoff", "--json"]
+    commands = {
+        "plan": plan,
+        "in budget": [*plan, "--budget", "60s"],
+        "stages": ["stages", "film_grain"],
+        "measure": ["bench", "--calibrate", "--stage", "film_grain", "--json"],
+        "in budget again": [*plan, "--budget", "60s", "--json"],
+        "tradeoff": ["tradeoff", *JOB, *costs],
+        "without": ["process", *JOB, "--set", "film_grain.strength=0", *GRAINY[2:], "--workers", "1", "-o", "bare.mkv"],
+    }
+    p = subprocess.run(
+        [sys.executable, "-c", SEVERAL, json.dumps(list(commands.values()))], cwd=folder, env=environment(site, folder),
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+    assert p.returncode == 0, p.stderr
+    return dict(zip(commands, (Result(*json.loads(line)) for line in p.stdout.splitlines()), strict=True))
+
+
 def pictures(path: Path) -> np.ndarray:
     """(n, h, w, 3) 0..1, as displayed."""
     with ClipReader(probe(path)) as reader:
         return np.stack([frame.rgb8() for frame in reader.frames()]) / 255.0
 
 
-def test_it_lies_on_every_frame_as_strong_as_asked_for_and_new_in_each(arfx: Run, rendered: Path, folder: Path) -> None:
-    r = arfx("process", "--set", "film_grain.strength=0", *GRAINY[2:], "--workers", "1", "-o", "bare.mkv")
-    assert r.code == 0, r.err
+def test_it_lies_on_every_frame_as_strong_as_asked_for_and_new_in_each(
+    told: dict[str, Result], rendered: Path, folder: Path
+) -> None:
+    assert told["without"].code == 0, told["without"].err
     grain, bare = pictures(folder / "grain.mkv"), pictures(folder / "bare.mkv")
     noise, middle = (grain - bare)[..., 1], abs(bare[..., 1] - 0.5) < 0.1
     assert len(noise) == FRAMES and noise[middle].std() == pytest.approx(0.05, rel=0.15)
@@ -126,17 +151,8 @@ def test_what_another_version_of_it_rendered_is_not_used_again(arfx: Run, render
     assert arfx(*again, at=tmp_path / "other").code == 0 and key() != first
 
 
-def test_without_a_price_a_plan_says_so_and_a_budget_is_refused_until_it_is_measured(site: Path, folder: Path) -> None:
-    """In one process: each of its own takes seconds to import everything."""
-    plan = ["plan", *JOB, "--pipeline", "film_grain"]
-    in_budget, measure = [*plan, "--budget", "60s"], ["bench", "--calibrate", "--stage", "film_grain", "--json"]
-    commands = [plan, in_budget, ["stages", "film_grain"], measure, [*in_budget, "--json"]]
-    p = subprocess.run(
-        [sys.executable, "-c", SEVERAL, json.dumps(commands)], cwd=folder, env=environment(site, folder), capture_output=True,
-        text=True, check=False, timeout=300,
-    )  # fmt: skip
-    assert p.returncode == 0, p.stderr
-    planned, refused, listed, r, again = (Result(*json.loads(line)) for line in p.stdout.splitlines())
+def test_without_a_price_a_plan_says_so_and_a_budget_is_refused_until_it_is_measured(told: dict[str, Result]) -> None:
+    planned, refused, listed, r, again = (told[k] for k in ("plan", "in budget", "stages", "measure", "in budget again"))
     assert planned.code == 0 and f"unknown: film_grain has no price here; `{MEASURE}` measures it" in planned.err + planned.out
     assert "film_grain.strength = 0.02" in listed.out and "price unknown" in listed.out
     assert refused.code == 2 and "film_grain has no price here" in refused.err and MEASURE in refused.err
@@ -147,9 +163,8 @@ def test_without_a_price_a_plan_says_so_and_a_budget_is_refused_until_it_is_meas
     assert again.json["predicted"]["calibrated"] is False, "the others' prices are still another machine's"
 
 
-def test_what_accuracy_costs_is_measured_with_it(arfx: Run, folder: Path) -> None:
-    r = arfx("tradeoff", "--pipeline", "film_grain", "--frames", "1", "--report", "tradeoff", "--json")
-    assert r.code == 0, r.err
+def test_what_accuracy_costs_is_measured_with_it(told: dict[str, Result], folder: Path) -> None:
+    assert told["tradeoff"].code == 0, told["tradeoff"].err
     found = json.loads((folder / "tradeoff" / "tradeoff.json").read_text())
     assert all("film_grain" in row["levels"] for row in found["pipelines"])
 

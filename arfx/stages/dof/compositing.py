@@ -10,10 +10,10 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.stages.dof.pyramid import ALIGN_PX, SHARP_PX
+from arfx.stages.dof.pyramid import ALIGN_PX
 from arfx.stages.dof.real_pixels import RealPixels
 from arfx.stages.dof.splat import OccluderPixels
-from arfx.stages.dof.spread import BlurredRows, light_of_row
+from arfx.stages.dof.spread import BlurredRows, light_of_row, staying
 
 _FLAGS = {"contract", "nsz", "arcp"}
 # State of a pixel of the result: the composite's bits; covered by something sharp alone; reached by blurred light.
@@ -22,34 +22,56 @@ UNTOUCHED, SHARP, BLURRED = np.uint8(0), np.uint8(1), np.uint8(2)
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_real(
-    out, state, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility
+    out, state, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility, stays
 ):  # fmt: skip  # pragma: no cover - compiled
     """Columns begin..end of out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w)
-    = BLURRED; else the composite's own bits, from its row `top`. The columns of `shed` lie within begin..end."""
+    = BLURRED; else the composite's own bits, from its row `top`. The columns of `shed` lie within begin..end.
+
+    stays : of the `Pyramid`"""
     image, patch, box = real
     lo, hi = shed.lo, shed.hi
-    whole = visibility.shape[0] == 0
     light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * (out.shape[1] + ALIGN_PX), np.float32)
     for j in range(out.shape[0]):
         y = top + j
         light_of_row(light, y, shed, lo, hi, between)
-        from_x, until_x = (box[0], box[2]) if box[1] <= y < box[3] else (0, 0)  # columns of the patch
-        for x in range(begin, end):
-            w = light[4 * x + 3] if lo <= x < hi else np.float32(0)
-            if not w > 0:
-                out[j, x, 0], out[j, x, 1], out[j, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
-                continue
-            state[j, x] = BLURRED
-            if radius[y, x] > SHARP_PX:
-                inverse = np.float32(1) / w
-                for c in range(3):
-                    out[j, x, c] = light[4 * x + c] * inverse
-            else:
-                fraction = np.float32(1) if whole else visibility[y, x]
-                inverse = np.float32(1) / (w + fraction)
-                for c in range(3):
-                    own = patch[y - box[1], x - from_x, c] if from_x <= x < until_x else image[y, x, c]
-                    out[j, x, c] = (light[4 * x + c] + fraction * own) * inverse
+        line, sharp, r = out[j].reshape(-1), image[y].reshape(-1), radius[y]
+        whole = visibility.shape[0] == 0
+        visible = r if whole else visibility[y]
+        for a, b in ((begin, lo), (hi, end)):
+            line[3 * a : 3 * b] = sharp[3 * a : 3 * b]
+        a, b = (max(box[0], lo), min(box[2], hi)) if box[1] <= y < box[3] else (hi, hi)  # columns of the patch
+        if a >= b:
+            a, b = hi, hi
+        _add_sharp(line, state[j], light, r, sharp, sharp, (lo, a, 0), visible, whole, stays)
+        if a < b:
+            behind = patch[y - box[1]].reshape(-1)
+            _add_sharp(line, state[j], light, r, behind, sharp, (a, b, box[0]), visible, whole, stays)
+        _add_sharp(line, state[j], light, r, sharp, sharp, (b, hi, 0), visible, whole, stays)
+
+
+@line_kernel(fastmath=_FLAGS)
+def _add_sharp(
+    out, state, light, radius, sharp, image, columns, visible, whole, stays
+):  # fmt: skip  # pragma: no cover - compiled
+    """Where there is light (4 w,): that and what stays of sharp (3 n,), together 1; elsewhere image (3 w,); to out (3 w,).
+
+    columns : first, behind the last, and that at which `sharp` begins;  visible : (w,) fraction of what is sharp, unless whole"""
+    first = 3 * columns[2]
+    for x in range(columns[0], columns[1]):
+        i, j, k, n = np.uintp(4 * x), np.uintp(3 * x), np.uintp(3 * x - first), np.uintp(x)
+        w = light[i + np.uintp(3)]
+        if not w > 0:
+            out[j], out[j + np.uintp(1)], out[j + np.uintp(2)] = image[j], image[j + np.uintp(1)], image[j + np.uintp(2)]
+            continue
+        state[n] = BLURRED
+        fraction = staying(radius[n], stays)
+        if not whole:
+            fraction *= visible[n]
+        inverse = np.float32(1) / (w + fraction)
+        a, b, c = light[i], light[i + np.uintp(1)], light[i + np.uintp(2)]
+        d, e, f = sharp[k], sharp[k + np.uintp(1)], sharp[k + np.uintp(2)]
+        a, b, c = (a + fraction * d) * inverse, (b + fraction * e) * inverse, (c + fraction * f) * inverse
+        out[j], out[j + np.uintp(1)], out[j + np.uintp(2)] = a, b, c
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
@@ -62,7 +84,7 @@ def composite_occluder(
     state : set BLURRED where any of it is spread, else SHARP; returns whether any is set SHARP
     real : the real scene, from row `top`, for pixels that are UNTOUCHED"""
     begin, end = columns
-    radius, colour, coverage, opacity = pixels
+    radius, colour, coverage, opacity, stays = pixels
     image, patch, box = real
     width, any_sharp = radius.shape[1], False
     light, through = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
@@ -74,10 +96,9 @@ def composite_occluder(
         for x in range(begin, end):
             w = light[4 * x + 3]
             c = coverage[y, x] * opacity
-            sharp = radius[y, x] <= SHARP_PX
-            if not (w > 0 or (sharp and c > 0)):
+            sharp_weight = staying(radius[y, x], stays)
+            if not (w > 0 or sharp_weight * c > 0):
                 continue
-            sharp_weight = np.float32(1) if sharp else np.float32(0)
             total = w + through[4 * x + 3] + sharp_weight
             if state[y, left + x] == UNTOUCHED:
                 i = left + x
@@ -93,7 +114,7 @@ def composite_occluder(
             for k in range(3):
                 v = light[4 * x + k]
                 if sharp_weight * c > 0:
-                    v += colour[y, x, k] * opacity
+                    v += colour[y, x, k] * opacity * sharp_weight
                 out[y, left + x, k] = out[y, left + x, k] * background + v * inverse
     return any_sharp
 

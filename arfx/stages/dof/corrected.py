@@ -9,7 +9,7 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
-from arfx.core.numerics import EPS_DEPTH_M
+from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.parallel import parallel_map
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
@@ -22,7 +22,7 @@ from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.pyramid import SHARP_PX, Pyramid
 from arfx.stages.dof.real_pixels import RealPixels
 from arfx.stages.dof.spread import TILE_PX
-from arfx.stages.dof.surfaces import GRID_PX, Real, plane_radius, square_radius
+from arfx.stages.dof.surfaces import GRID_PX, Real, move_light, plane_radius, square_radius
 
 Optics = tuple[np.float32, np.float32, np.float32]  # px per dioptre, focus dioptre, limit px
 Blurred = tuple[Rect, BlurredRows, BlurredRows]  # part of the frame that a layer covers; on its rows its light, occluded weight
@@ -44,7 +44,7 @@ class OccluderLayer:
     sharp: Rect
 
     def splat(self, strip: tuple[int, int]) -> None:
-        pixels = splat.OccluderPixels(self.own.radius, self.colour, self.coverage, self.opacity)
+        pixels = splat.OccluderPixels(self.own.radius, self.colour, self.coverage, self.opacity, self.own.pyramid.stays)
         self.own.record(strip, splat.splat_occluder(*strip, pixels, self.own.buffers))
         self.occluded.record(strip, splat.splat_occluded(*strip, pixels, self.occluded.buffers))
 
@@ -66,7 +66,7 @@ class OccluderLayer:
         part, own, occluded = blurred
         top, bottom, down, left = part.y0 - self.rect.y0, part.y1 - self.rect.y0, part.y0 - rows.y0, self.rect.x0
         radius, colour, coverage = (a[top:bottom] for a in (self.own.radius, self.colour, self.coverage))
-        pixels = splat.OccluderPixels(radius, colour, coverage, self.opacity)
+        pixels = splat.OccluderPixels(radius, colour, coverage, self.opacity, self.own.pyramid.stays)
         columns, to = (part.x0 - left, part.x1 - left), slice(down, part.y1 - rows.y0)
         args = out[to], state[to], first + down, columns, left - rows.x0, top, own, occluded, pixels, real
         return not part.empty and bool(compositing.composite_occluder(*args))
@@ -109,6 +109,8 @@ def render(
     sharp = RealPixels.of(now, facts, parts)
     measured = None
     occluders, visibility = _real_occluders(rect, sharp, real, grid, optics, pyramid, params) if real_blurs else ([], _NONE)
+    if boxed is not None and real_blurs and real.base is not None and not occluders and pyramid.hides:
+        visibility = _seen_behind(now, facts, real, nodes, coc)
     if real_blurs and real.tiles is not None:
         measured = depth_layers(sharp.crop(Rect.of(rect.width, rect.height)), dioptre_of(now[Layer.REAL_DEPTH]), coc)
         sharp = sharp.with_all(measured.base)
@@ -116,19 +118,25 @@ def render(
             colour_of = lambda part: front.colour[part.slices]  # noqa: B023, E731
             occluders.append(_real_occluder(rect, front.radius, front.coverage, colour_of, pyramid, params))
     occluders += [boxed] if boxed else []
-    image, background = sharp.image, np.float32(real.background)
+    image, background, spread = sharp.image, np.float32(real.background), sharp
+    if pyramid.slanted and real.base is not None and min(rect.width, rect.height) > 1:
+        whole, moved = sharp.crop(Rect.of(rect.width, rect.height)), np.empty(image.shape, np.float32)
+        corner, todo = (rect.x0, rect.y0), [k for k, (a, b) in enumerate(blurred) if a < b]
+        parallel_map(lambda k: move_light(moved, whole, rows[k], blurred[k], corner, nodes, background, optics), todo)
+        spread = sharp.with_all(moved)
 
     def start(k: int) -> None:
         (top, bottom), (a, b), (left, right) = rows[k], blurred[k], reached[k]
-        base.radius[top:bottom, left:right] = 0
         if a >= b:
+            base.radius[top:bottom, left:right] = 0
             return
         if measured is not None:
             base.radius[top:bottom] = measured.radius[top:bottom]
         else:
+            base.radius[top:bottom, left:a], base.radius[top:bottom, b:right] = 0, 0
             plane_radius(base.radius, top, bottom, a, b, rect.x0, rect.y0, nodes, background, optics)
         boost = np.float32(params.highlight_boost)
-        base.record(rows[k], splat.splat_real(top, bottom, a, b, base.radius, sharp.flat, visibility, boost, base.buffers))
+        base.record(rows[k], splat.splat_real(top, bottom, a, b, base.radius, spread.flat, visibility, boost, base.buffers))
 
     parallel_map(start, [k for k, (a, b) in enumerate(reached) if a < b])
     parallel_map(lambda job: job[0].splat(job[1]), [(c, s) for c in occluders for s in strips(c.rect)])
@@ -146,7 +154,7 @@ def render(
             return EMPTY
         out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
         if base_rows.lo < base_rows.hi:
-            compositing.composite_real(out, state, top, a, b, base_rows, base.radius, sharp, visibility)
+            compositing.composite_real(out, state, top, a, b, base_rows, base.radius, sharp, visibility, pyramid.stays)
         else:
             out[:, a:b] = image[top:bottom, a:b]
         if any([layer.composite(light, out, state, here, top, sharp) for layer, light in layers]):
@@ -229,6 +237,25 @@ def _object(
     colour[box.slices_in(rect)] = part[Layer.VIRTUAL]
     opacity, sharp = np.float32(facts.opacity), box if least <= SHARP_PX else EMPTY
     return _occluder(rect, padded, colour, coverage, opacity, pyramid, max(float(largest), SHARP_PX), params, box, sharp)
+
+
+def _seen_behind(now: Layers, facts: FrameFacts, real: Real, nodes: np.ndarray, coc: CircleOfConfusion) -> np.ndarray:
+    """(h, w) fraction of the light of each pixel of the real plane that comes past the object.
+
+    Through the place o of the lens a pixel p sees the plane at p + s o, the object at p + s' o: with s = s' what the pinhole
+    sees. Where either is sharp every point of the plane comes past from somewhere."""
+    box = facts.raster_box.clip(now.rect)
+    part, (near, far) = now.crop(box), depth_range(facts)
+    plane, one = np.empty((box.height, box.width), np.float32), np.float32(1)
+    itself = one, np.float32(0), np.float32(np.inf)  # a radius of 1 px a dioptre from a focus at infinity
+    plane_radius(plane, 0, box.height, 0, box.width, box.x0, box.y0, nodes, np.float32(real.background), itself)
+    plane -= np.float32(coc.focus)
+    own = one / np.clip(part[Layer.DEPTH], np.float32(near), np.float32(far)) - np.float32(coc.focus)
+    smaller, larger = np.minimum(np.abs(own), np.abs(plane)), np.maximum(np.abs(own), np.abs(plane))
+    alike = np.where(own * plane > 0, divide(smaller, larger), 0).astype(np.float32)
+    out = np.ones((now.rect.height, now.rect.width), np.float32)
+    out[box.slices_in(now.rect)] -= alike * part[Layer.COVERAGE] * np.float32(facts.opacity)
+    return out
 
 
 def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:

@@ -79,7 +79,8 @@ class BlurLayer:
 
     @property
     def buffers(self) -> SplatBuffers:
-        return SplatBuffers(self.pyramid.fade, self.cells, self.meta, self.offset_y, self.offset_x, self.finest, self.occupied)
+        at, to = (self.offset_y, self.offset_x), (self.finest, self.occupied)
+        return SplatBuffers(self.pyramid.fade, self.cells, self.meta, *at, *to, self.pyramid.stays)
 
     def record(self, strip: tuple[int, int], any_light: bool) -> None:
         """What a splat kernel returned for a strip."""

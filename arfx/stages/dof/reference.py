@@ -1,13 +1,14 @@
-"""The reference level: what a thin lens sees, by brute force. Shares no kernel with the other levels.
+"""The reference level: what a thin lens sees, as an integral over its aperture. Shares no kernel with the other levels.
 
-The real scene: every pixel's light onto every pixel that its circle covers, circles as exact areas (sampled 12 x 12 a
-pixel), sums in float64. The virtual object: rays from SAMPLES places of the lens through every pixel onto the model
-(embree); the fraction of rays that meet it is its coverage, and a point met has the colour that the pinhole picture has
-there. Cost: O(pixels x radius^2) and O(pixels of the object x SAMPLES). Leaves out: colours of points that the pinhole
-picture does not show (they take the mean of those met beside them), partly transparent materials."""
+The real scene: every pixel's light onto every pixel that its circle covers, circles as exact areas, sums in float64. A pixel p
+sees the point x of a plane through the place o = (x - p) / s of the lens, s the blur radius with its sign; s is affine on a
+plane, so a pixel's disc is weighted by |do/dx| = (1 - o . grad s) / s^2. The virtual object: rays through the lens
+(lens_rays.py). Cost: O(pixels x radius). Leaves out: as the other levels, what measured depth does not show."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numba
 import numpy as np
@@ -17,62 +18,35 @@ from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
-from arfx.core.rect import Rect
+from arfx.core.parallel import parallel_rows
 from arfx.core.scene import Scene
-from arfx.stages.dof.corrected import depth_range
+from arfx.stages.dof.aperture import chords, circumradius
 from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
+from arfx.stages.dof.lens_rays import RayScene, lens_points, seen_object
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
+from arfx.stages.dof.pyramid import SHARP_PX
 from arfx.stages.dof.surfaces import Plane, Real
-from arfx.stages.raster.lens import LensTable
-from arfx.stages.raster.mesh import Mesh, build_mesh
-from arfx.stages.triangles import Triangles
 
-SAMPLES = 192
-_FINE = 12  # points a pixel's side by which the area of a circle in it is found
-_RADII = 32  # circles a pixel of radius
-_BATCH_PX = 2048
-
-
-Prepared = tuple[Mesh, Triangles, LensTable]  # of the camera
-
-
-def prepare(scene: Scene) -> Prepared:
-    mesh = build_mesh(scene)
-    return mesh, Triangles(mesh.corners_m, robust=True), LensTable(scene.camera)
+_SIZES = 128  # circles of a radius of n^2 px: n times as many, a hundredth of a radius apart and less
+_PLANE_POINTS = 256  # of the lens, for what it sees of a plane of limited size
 
 
 def render(
-    now: Layers, facts: FrameFacts, scene: Scene, real: Real, coc: CircleOfConfusion, params: DofParams, prepared: Prepared
+    now: Layers, facts: FrameFacts, scene: Scene, real: Real, coc: CircleOfConfusion, params: DofParams, prepared: RayScene
 ) -> np.ndarray:
     """IMAGE (h, w, 3) of a frame with a pose."""
     rect, opacity = now.rect, float(facts.opacity)
     plate, shadow = now[Layer.PLATE].astype(float), now[Layer.SHADOW].astype(float)
-    behind = plate + opacity * (plate * (shadow - 1) + np.asarray(facts.bias_rgb) * (1 - shadow))
-    pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
-    ideal = scene.camera.normalised(np.stack(pixels, -1).astype(float))
-    directions = np.concatenate([np.where(np.isfinite(ideal), ideal, 0.0), np.ones((*ideal.shape[:2], 1))], -1)
-    out = behind
+    out = behind = plate + opacity * (plate * (shadow - 1) + np.asarray(facts.bias_rgb) * (1 - shadow))
     if params.scope == "all":
+        pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
+        ideal = scene.camera.normalised(np.stack(pixels, -1).astype(float))
+        directions = np.concatenate([np.where(np.isfinite(ideal), ideal, 0.0), np.ones((*ideal.shape[:2], 1))], -1)
         depth = now[Layer.REAL_DEPTH] if real.tiles is not None else None
         out = _real(behind, directions, real, coc, params, scene.camera, depth)
-    fraction, colour = _object(now, facts, scene, coc, params, prepared)
+    fraction, colour = seen_object(now, facts, scene.camera, coc, params, prepared, behind, out, real)
     return (out * (1 - opacity * fraction[..., None]) + opacity * colour).astype(np.float32)
-
-
-def lens_points(blades: int, turn_deg: float, count: int = SAMPLES) -> np.ndarray:
-    """(count, 2) places on a lens of the area of the unit disc, evenly (sunflower spiral; folded into the polygon)."""
-    k = np.arange(count)
-    radius, angle = np.sqrt((k + 0.5) / count), k * np.pi * (3 - np.sqrt(5))
-    if blades >= 3:  # stretch every ray from the centre to the polygon's edge, at the same fraction of the area
-        wedge = 2 * np.pi / blades
-        edge = np.sqrt(2 * np.pi / (blades * np.sin(wedge))) * np.cos(wedge / 2)
-        number, part = np.divmod(angle, wedge)
-        # angles whose density follows the polygon's squared edge distance, as its area does
-        angle = number * wedge + wedge / 2 + np.arctan((2 * part / wedge - 1) * np.tan(wedge / 2))
-        radius = radius * edge / np.cos(angle % wedge - wedge / 2)
-        angle = angle + np.radians(turn_deg)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], 1)
 
 
 def _real(
@@ -88,176 +62,123 @@ def _real(
     free = np.ones(behind.shape[:2])
     layers = []
     for plane in reversed(real.finite_planes):  # nearest first
-        shown = free * _shown(plane, directions)
+        shown = free * _shown(plane, directions, np.zeros((1, 2)), 0.0)
         free = free - shown
         layers.append((plane, shown))
-    out = _normal(_scattered(behind, free, coc.radius_px(dioptre), params), behind)
+    out = _normal(_scattered(behind, free, *_circles(dioptre, coc), params), behind)
+    lens = lens_points(_PLANE_POINTS, params.blades, params.blade_turn_deg)[:, :2] * coc.px_per_dioptre / camera.fx
     for plane, shown in reversed(layers):
-        radius = coc.radius_px(np.maximum(directions @ plane.forms[2], 0))
-        front = _normal(_scattered(behind, shown, radius, params), behind)
-        fraction = np.zeros(free.shape)
-        for point in lens_points(params.blades, params.blade_turn_deg):
-            fraction += _shown(plane, directions, point * coc.px_per_dioptre / camera.fx, coc.focus)
-        out = out + (front - out) * (fraction / SAMPLES)[..., None]
+        circles = _circles(np.maximum(directions @ plane.forms[2], 0), coc)
+        front = _normal(_scattered(behind, shown, *circles, params), behind)
+        out = out + (front - out) * _shown(plane, directions, lens, coc.focus)[..., None]
     return out
+
+
+def _circles(dioptre: np.ndarray, coc: CircleOfConfusion) -> tuple[np.ndarray, np.ndarray]:
+    """Blur radius (h, w) px, and its gradient with its sign, as a fraction of it, (h, w, 2) along y and x, 1/px."""
+    signed = coc.px_per_dioptre * (dioptre - coc.focus)
+    radius = coc.radius_px(dioptre)
+    slope = np.stack([*np.gradient(signed)], -1) if min(signed.shape) > 1 else np.zeros((*signed.shape, 2))
+    free = (np.abs(signed) <= radius) & (radius > SHARP_PX)
+    return radius, np.where(free[..., None], divide(slope, signed[..., None]), 0.0)
 
 
 def _measured(behind: np.ndarray, depth_m: np.ndarray, coc: CircleOfConfusion, params: DofParams) -> np.ndarray:
     """By measured depth: layers as in `depth_layers`, each spread by exact discs."""
     prepared = depth_layers(behind.astype(np.float32), dioptre_of(depth_m), coc)
-    whole = np.ones(behind.shape[:2])
-    out = _normal(_scattered(prepared.base.astype(float), whole, prepared.radius.astype(float), params), behind)
+    whole, level = np.ones(behind.shape[:2]), np.zeros((*behind.shape[:2], 2))
+    out = _normal(_scattered(prepared.base.astype(float), whole, prepared.radius.astype(float), level, params), behind)
     for front in prepared.fronts:
         _, nearest = distance_transform_edt(front.radius < 0, return_indices=True)  # of the nearest pixel that has one
         radius = front.radius[tuple(nearest)].astype(float)
         coverage = front.coverage.astype(float)
-        light = _scattered(divide(front.colour, coverage[..., None]), coverage, radius, params)
-        through = _scattered(np.zeros_like(behind), 1 - coverage, radius, params)[..., 3]
+        light = _scattered(divide(front.colour, coverage[..., None]), coverage, radius, level, params)
+        through = _scattered(np.zeros_like(behind), 1 - coverage, radius, level, params)[..., 3]
         fraction = divide(light[..., 3], light[..., 3] + through)[..., None]
         out = out + (_normal(light, out) - out) * fraction
     return out
 
 
-def _shown(plane: Plane, directions: np.ndarray, lens_m: np.ndarray | None = None, focus: float = 0.0) -> np.ndarray:
-    """1 where the ray from a place on the lens that meets the pixel's direction in the focus meets the plane's square."""
-    if lens_m is None:
-        p = directions @ plane.forms.T
-    else:
-        # from o = (a, b, 0) along d - focus x o: at depth z, o + z (d - focus o) = z (d + (1/z - focus) o)
-        shift = np.array([*lens_m, 0.0])
-        d = directions - focus * shift
-        along, from_lens = d @ plane.forms.T, plane.forms @ shift
-        dioptre = divide(along[..., 2], 1 - from_lens[2])  # 1/z of a point z (d + o/z) on the plane
-        p = np.stack([along[..., 0] + from_lens[0] * dioptre, along[..., 1] + from_lens[1] * dioptre, dioptre], -1)
-    return ((p[..., 2] > 0) & (np.abs(p[..., :2]).max(-1) <= plane.half_m * p[..., 2])).astype(float)
+def _shown(plane: Plane, directions: np.ndarray, lens_m: np.ndarray, focus: float) -> np.ndarray:
+    """(h, w) fraction of the places on the lens (n, 2) from which the plane's square is met in the pixel's direction.
 
-
-def _scattered(colour: np.ndarray, weight: np.ndarray, radius: np.ndarray, params: DofParams) -> np.ndarray:
-    """(h, w, 4) sums of light and weight."""
-    boost = params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
-    light = np.concatenate([colour * (1 + boost[..., None]), np.ones_like(colour[..., :1])], -1) * weight[..., None]
-    index = np.round(radius * _RADII).astype(np.int64)
-    used = np.unique(index)
-    kernels = [_disc(int(q) / _RADII, params.blades, params.blade_turn_deg) for q in used]
-    start = np.cumsum([0] + [k.size for k in kernels])[:-1]
-    half = np.array([k.shape[0] // 2 for k in kernels])
-    which = np.searchsorted(used, index)
-    return _scatter(light, which, np.concatenate([k.ravel() for k in kernels]), start, half)
-
-
-def _disc(radius: float, blades: int, turn_deg: float) -> np.ndarray:
-    """(n, n) fraction of the shape's area in every pixel, sum 1."""
-    corner = 1.0 if blades < 3 else np.sqrt(2 * np.pi / (blades * np.sin(2 * np.pi / blades)))
-    half = max(int(np.ceil(radius * corner - 0.5)), 0)
-    if radius <= 0.5 and blades < 3:
-        return np.ones((1, 1))
-    p = (np.arange((2 * half + 1) * _FINE) + 0.5) / _FINE - half - 0.5
-    x, y = np.meshgrid(p, p)
-    if blades < 3:
-        inside = x * x + y * y <= radius * radius
-    else:
-        wedge = 2 * np.pi / blades
-        angle = (np.arctan2(y, x) - np.radians(turn_deg)) % wedge - wedge / 2
-        inside = np.hypot(x, y) * np.cos(angle) <= radius * corner * np.cos(wedge / 2)
-    area = inside.reshape(2 * half + 1, _FINE, 2 * half + 1, _FINE).sum((1, 3)).astype(float)
-    total = area.sum()
-    return area / total if total > 0 else np.ones((1, 1))
-
-
-@numba.njit(cache=True, nogil=True)
-def _scatter(light, which, kernels, start, half):  # pragma: no cover - compiled
-    h, w = which.shape
-    out = np.zeros((h, w, 4))
-    for y in range(h):
-        for x in range(w):
-            if light[y, x, 3] <= 0:
-                continue
-            k = which[y, x]
-            n, s = half[k], start[k]
-            side = 2 * n + 1
-            for j in range(max(y - n, 0), min(y + n + 1, h)):
-                for i in range(max(x - n, 0), min(x + n + 1, w)):
-                    fraction = kernels[s + (j - y + n) * side + i - x + n]
-                    if fraction > 0:
-                        for c in range(4):
-                            out[j, i, c] += fraction * light[y, x, c]
+    focus : 1/m, where rays of one pixel meet"""
+    out, along = np.empty(directions.shape[:2]), directions @ plane.forms.T
+    shift = lens_m @ plane.forms[:, :2].T
+    parallel_rows(lambda a, b: _square(out[a:b], along[a:b], shift, focus, plane.half_m), len(out))
     return out
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _square(out, along, shift, focus, half_m):  # pragma: no cover - compiled
+    """From o = (a, b, 0) along d - focus o: the point of dioptre v on the plane lies in the direction d - focus o + v o.
+
+    along (h, w, 3), shift (n, 3) : the plane's forms of d and of o"""
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            met = 0
+            for k in range(len(shift)):
+                v = (along[y, x, 2] - focus * shift[k, 2]) / (1 - shift[k, 2])
+                right = along[y, x, 0] + (v - focus) * shift[k, 0]
+                down = along[y, x, 1] + (v - focus) * shift[k, 1]
+                if v > 0 and max(abs(right), abs(down)) <= half_m * v:
+                    met += 1
+            out[y, x] = met / len(shift)
+
+
+def _scattered(
+    colour: np.ndarray, weight: np.ndarray, radius: np.ndarray, slope: np.ndarray, params: DofParams
+) -> np.ndarray:  # fmt: skip
+    """(h, w, 4) sums of light and weight. radius, slope : of `_circles`"""
+    boost = params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
+    light = np.concatenate([colour * (1 + boost[..., None]), np.ones_like(colour[..., :1])], -1) * weight[..., None]
+    sizes, which = np.unique(np.round(np.sqrt(radius) * _SIZES).astype(np.int64), return_inverse=True)
+    ends = [_disc_ends((q / _SIZES) ** 2, params.blades, params.blade_turn_deg) for q in sizes]
+    first, reach = np.cumsum([0, *(len(e) for e in ends)]), max(int(np.abs(e[:, :2]).max()) for e in ends) + 2
+    (h, w), table = radius.shape, np.concatenate(ends)
+
+    def rows(top: int, bottom: int) -> np.ndarray:
+        marks = np.zeros((bottom - top, w + 2 * reach, 4))
+        _scatter(marks, top, light, slope, which.reshape(h, w), table, first, reach)
+        return np.cumsum(np.cumsum(marks, 1), 1)[:, reach : reach + w]
+
+    return np.concatenate(parallel_rows(rows, h))
+
+
+@lru_cache(maxsize=4096)
+def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
+    """(n, 4), each dy, dx, f, m: f summed twice along a row is the fraction of the shape in a pixel, m that times dx."""
+    if radius <= SHARP_PX:
+        return np.array([[0.0, 0, 1, 0], [0, 1, -2, 0], [0, 2, 1, 0]])
+    half = int(np.ceil(radius * circumradius(blades) - 0.5))
+    px = np.arange(-half, half + 1.0)
+    left, right = chords(radius, half, blades, turn_deg)
+    within = np.minimum(right[..., None], px + 0.5) - np.maximum(left[..., None], px - 0.5)
+    area = within.clip(0).mean(1)
+    area /= area.sum()
+    ends = [np.diff(np.pad(a, ((0, 0), (2, 2))), 2, axis=1) for a in (area, area * px)]
+    j, i = np.nonzero((ends[0] != 0) | (np.abs(ends[1]) > 1e-15))
+    return np.column_stack([px[j], i - half, ends[0][j, i], ends[1][j, i]])
+
+
+@numba.njit(cache=True, nogil=True)
+def _scatter(marks, top, light, slope, which, table, first, reach):  # pragma: no cover - compiled
+    """Light (h, w, 4) onto rows of marks from row `top`, column -reach on. table, first : rows of `_disc_ends` of each size"""
+    h, w = which.shape
+    for y in range(max(top - reach, 0), min(top + len(marks) + reach, h)):
+        for x in range(w):
+            if light[y, x, 3] <= 0:
+                continue
+            a, b = slope[y, x, 0], slope[y, x, 1]
+            for e in range(first[which[y, x]], first[which[y, x] + 1]):
+                dy, i = table[e, 0], x + reach + int(table[e, 1])
+                j = y + int(dy) - top
+                if 0 <= j < len(marks):
+                    fraction = table[e, 2] * (1 + a * dy) + table[e, 3] * b
+                    for c in range(4):
+                        marks[j, i, c] += fraction * light[y, x, c]
+
+
 def _normal(sums: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    known = sums[..., 3:] > 1e-9
+    known = sums[..., 3:] > 1e-6
     return np.where(known, divide(sums[..., :3], sums[..., 3:]), otherwise)
-
-
-def _object(
-    now: Layers, facts: FrameFacts, scene: Scene, coc: CircleOfConfusion, params: DofParams, prepared: Prepared
-) -> tuple[np.ndarray, np.ndarray]:
-    """Share of the lens that sees the object (h, w), and its premultiplied colour (h, w, 3)."""
-    fraction, colour = np.zeros((now.rect.height, now.rect.width)), np.zeros((now.rect.height, now.rect.width, 3))
-    (mesh, rays, directions), pose = prepared, facts.pose
-    near, far = depth_range(facts)
-    reach = coc.largest_px((1 / near, 1 / far))
-    corner = 1.0 if params.blades < 3 else 1.3
-    box = facts.raster_box.pad(int(np.ceil(corner * reach)) + 1).clip(now.rect)
-    if facts.model_box.empty or box.empty:
-        return fraction, colour
-    radius_m = coc.px_per_dioptre / scene.camera.fx
-    lens = lens_points(params.blades, params.blade_turn_deg) * radius_m
-    step = np.array([0.7548776662466927, 0.5698402909980532])  # R2 sequence (Roberts 2018): places within the pixel
-    inner = (0.5 + np.arange(1, SAMPLES + 1)[:, None] * step) % 1.0 - 0.5
-    eye = pose.inverse().translation_m - mesh.centre_m
-    rows = max(_BATCH_PX // box.width, 1)
-    for top in range(box.y0, box.y1, rows):
-        part = Rect(box.x0, top, box.x1, min(top + rows, box.y1))
-        sums = np.zeros((part.height, part.width, 5))
-        y, x = np.arange(part.y0, part.y1, dtype=float), np.arange(part.x0, part.x1, dtype=float)
-        d = np.stack([directions.at(y + dy, x + dx) for dx, dy in inner], 2)  # (h, w, s, 2)
-        ok = np.isfinite(d).all(-1)
-        d = np.where(ok[..., None], d, 0.0)
-        origin = np.concatenate([lens, np.zeros((SAMPLES, 1))], 1)
-        along = np.concatenate([d - coc.focus * lens, np.ones((*d.shape[:3], 1))], -1)
-        start = np.broadcast_to(eye + origin @ pose.rotation, along.shape).reshape(-1, 3)
-        hit = rays.first_hits(
-            np.ascontiguousarray(start, np.float32), np.ascontiguousarray((along @ pose.rotation).reshape(-1, 3), np.float32)
-        )
-        met = (hit["primID"] >= 0) & ok.reshape(-1)
-        z = np.asarray(hit["tfar"], float)[met]
-        pixel = np.repeat(np.arange(part.area), SAMPLES)[met]
-        points = np.broadcast_to(origin, along.shape).reshape(-1, 3)[met] + z[:, None] * along.reshape(-1, 3)[met]
-        _look_up(sums.reshape(-1, 5), pixel, points, now, scene.camera)
-        s = sums / SAMPLES
-        known = divide(sums[..., 0:3], sums[..., 3:4])
-        at_part = part.slices_in(now.rect)
-        fraction[at_part] = s[..., 4]
-        colour[at_part] = known * s[..., 4:5]
-    return fraction, colour
-
-
-def _look_up(sums: np.ndarray, pixel: np.ndarray, points: np.ndarray, now: Layers, camera: Camera) -> None:
-    """Add to sums (n, 5): colour and number of the points that the pinhole picture shows, number of all that are opaque."""
-    place = camera.project(points) - [now.rect.x0, now.rect.y0]
-    h, w = now.rect.height, now.rect.width
-    known = np.isfinite(place).all(1)
-    place = np.where(known[:, None], place, 0.0)
-    low = np.floor(place).astype(int)
-    part = place - low
-    total, opaque = np.zeros((len(points), 4)), np.zeros(len(points))
-    for dy in (0, 1):
-        for dx in (0, 1):
-            y, x = np.clip(low[:, 1] + dy, 0, h - 1), np.clip(low[:, 0] + dx, 0, w - 1)
-            cover = now[Layer.COVERAGE][y, x].astype(float)
-            depth = now[Layer.DEPTH][y, x].astype(float)
-            same = (cover > 0) & (np.abs(depth - points[:, 2]) < 0.02 * points[:, 2])
-            fraction = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1]) * same
-            total[:, :3] += fraction[:, None] * now[Layer.VIRTUAL][y, x]
-            total[:, 3] += fraction * cover
-            opaque = np.maximum(opaque, cover)
-    # a point inside the picture where nothing is drawn is a hole that its material is cut out of
-    inside = known & (place >= 0).all(1) & (place[:, 0] <= w - 1) & (place[:, 1] <= h - 1)
-    solid = (opaque > 0) | ~inside
-    shown = known & (total[:, 3] > 1e-3)
-    colour = divide(total[:, :3], total[:, 3:])
-    for c in range(3):
-        sums[:, c] += np.bincount(pixel[shown], colour[shown, c], len(sums))
-    sums[:, 3] += np.bincount(pixel[shown], minlength=len(sums))
-    sums[:, 4] += np.bincount(pixel[solid], minlength=len(sums))

@@ -1,6 +1,6 @@
 """Compiled: light of the layers onto the pyramid, tile by tile."""
 
-# mypy: disable-error-code="no-untyped-def"
+# mypy: disable-error-code="no-untyped-def, assignment"
 from __future__ import annotations
 
 from typing import NamedTuple
@@ -18,12 +18,15 @@ CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; 
 
 
 class OccluderPixels(NamedTuple):
-    """Of an occluder: blur radius (h, w) px, premultiplied colour (h, w, 3), which is read-only, and coverage (h, w)."""
+    """Of an occluder: blur radius (h, w) px, premultiplied colour (h, w, 3), which is read-only, and coverage (h, w).
+
+    stays : of the `Pyramid`"""
 
     radius: np.ndarray
     colour: np.ndarray
     coverage: np.ndarray
     opacity: np.float32
+    stays: tuple[np.float32, np.float32]
 
 
 @line_kernel(fastmath=_FLAGS)
@@ -53,8 +56,7 @@ def splat_real(
     image, patch, box = real
     fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
     whole = visibility.shape[0] == 0
-    plain = whole and boost <= 0
-    width, bits = end, radius.view(np.int32)
+    width, bits, seen = end, radius.view(np.int32), visibility.view(np.int32)
     source, ends = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
     work = np.empty(15 * width, np.float32)
@@ -62,7 +64,7 @@ def splat_real(
     blurred = False
     tiles = (width - left + TILE_PX - 1) // TILE_PX
     lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # levels of each tile; -1 = nothing blurred
-    patched = np.empty(tiles, np.bool_)
+    patched, plain = np.empty(tiles, np.bool_), np.empty(tiles, np.bool_)
     for y0 in range(top - ((top + offset_y) & (TILE_PX - 1)), bottom, TILE_PX):
         ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
         for i in range(tiles):
@@ -74,16 +76,23 @@ def splat_real(
                 continue
             blurred = True
             lowest[i], highest[i] = levels_of(extreme[0], extreme[1], fade, levels)
+            plain[i] = boost <= 0
+            if not whole:
+                ends[0], ends[1] = _extremes(seen, ya, xa, yb, xb)
+                plain[i] = plain[i] and extreme[0] >= 1
         after = 0
         for i in range(tiles):
             if i < after or highest[i] < 0:
                 continue
             xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
             light, up, along = (patch, box[1], box[0]) if patched[i] else (image, 0, 0)
-            if plain and lowest[i] > 0 and highest[i] <= lowest[i] + 1:
+            if plain[i] and _alike(lowest[i], highest[i], buffers):
                 after = i + 1  # as many tiles as there are alike: memory is read along the rows
                 while (
-                    after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]) and patched[after] == patched[i]
+                    after < tiles
+                    and (lowest[after], highest[after]) == (lowest[i], highest[i])
+                    and patched[after] == patched[i]
+                    and plain[after]
                 ):
                     after += 1
                 xb = min(left + after * TILE_PX, width)
@@ -95,7 +104,7 @@ def splat_real(
                     weight, k = np.float32(1), np.float32(1)
                     first = 3 * (x - along)
                     red, green, blue = light[y - up, first], light[y - up, first + 1], light[y - up, first + 2]
-                    if not plain:
+                    if not plain[i]:
                         if not whole:
                             weight = visibility[y, x]
                             k = weight
@@ -108,9 +117,19 @@ def splat_real(
 
 
 @line_kernel(fastmath=_FLAGS)
+def _alike(low, high, buffers: SplatBuffers):  # pragma: no cover - compiled
+    """Whether `_to_cells` takes a tile of these levels."""
+    return high <= low + 1 and (low > 0 or (high > 0 and buffers.stays[0] > 0))
+
+
+@line_kernel(fastmath=_FLAGS)
 def _to_cells(low, high, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
-    """Tiles of weight 1 to level low, or to low and low + 1 = high. part : (rows, 3 columns) light from row ya, column xa"""
-    if high == low:
+    """Tiles of weight 1 to level low, or to low and low + 1 = high; to none below 1.
+
+    part : (rows, 3 columns) light from row ya, column xa"""
+    if low == 0:
+        _share_cells(ya, xa, radius, part, work, buffers)
+    elif high == low:
         _sum_cells(low, ya, xa, radius, part, work, buffers)
     else:
         _split_cells(low, ya, xa, radius, part, work, buffers)
@@ -153,6 +172,31 @@ def _sum_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma:
                         sums[n] -= r
                         weight[n] -= np.float32(1)
         _columns_to_cells(k, cy, xa, line, weight, sums, buffers)
+
+
+@line_kernel(fastmath=_FLAGS)
+def _share_cells(ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
+    """As `_sum_cells`, of tiles of which a part goes to level 1 and the rest stays in its pixels."""
+    count, end, one, zero = part.shape[1] // 3, ya + part.shape[0], np.float32(1), np.float32(0)
+    offset_y, offset_x, (a, b), meta, cells = buffers.offset_y, buffers.offset_x, buffers.stays, buffers.meta, buffers.cells
+    upper, lower = work[:count], work[count : 2 * count]  # fractions that go, of both rows of the cells
+    for cy in range((ya + offset_y) >> 1, ((end - 1 + offset_y) >> 1) + 1):
+        y, z = max(2 * cy - offset_y, ya), min(2 * cy + 1 - offset_y, end - 1)
+        p, q, r, s = part[y - ya], part[z - ya], radius[y, xa : xa + count], radius[z, xa : xa + count]
+        for n in range(count):
+            upper[n] = min(max(one - a + b * r[n] * r[n], zero), one)
+            lower[n] = min(max(one - a + b * s[n] * s[n], zero), one) if z > y else zero
+        row = meta[1, 0] + cy * meta[1, 1]
+        for cx in range((xa + offset_x) >> 1, ((xa + count - 1 + offset_x) >> 1) + 1):
+            first = max(2 * cx - offset_x - xa, 0)
+            at, n = np.uintp(row + cx), np.uintp(first)
+            for k in range(min(2 * cx + 2 - offset_x - xa, count) - first):
+                m = n + np.uintp(k)
+                i, t, u = np.uintp(3) * m, upper[m], lower[m]
+                for c in range(3):
+                    cells[at, c] += t * p[i + np.uintp(c)] + u * q[i + np.uintp(c)]
+                cells[at, 3] += t + u
+                cells[at, 4] += t * r[m] + u * s[m]
 
 
 @line_kernel(fastmath=_FLAGS)
@@ -218,15 +262,17 @@ def _columns_to_cells(k, cy, xa, line, weight, sums, buffers: SplatBuffers):  # 
     """Add columns, light line (3 n,), weight and weight x radius (n,), the first at xa, to row cy of level k."""
     side, end, offset_x = 1 << k, xa + len(weight), buffers.offset_x
     meta, cells = buffers.meta, buffers.cells
+    row = meta[k, 0] + cy * meta[k, 1]
     for cx in range((xa + offset_x) >> k, ((end - 1 + offset_x) >> k) + 1):
         a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
         for n in range(max(cx * side - offset_x, xa) - xa, min((cx + 1) * side - offset_x, end) - xa):
-            a += line[3 * n]
-            b += line[3 * n + 1]
-            c += line[3 * n + 2]
-            d += weight[n]
-            e += sums[n]
-        at = np.uintp(meta[k, 0] + cy * meta[k, 1] + cx)
+            m = np.uintp(3 * n)
+            a += line[m]
+            b += line[m + np.uintp(1)]
+            c += line[m + np.uintp(2)]
+            d += weight[np.uintp(n)]
+            e += sums[np.uintp(n)]
+        at = np.uintp(row + cx)
         cells[at, 0] += a
         cells[at, 1] += b
         cells[at, 2] += c
@@ -237,7 +283,7 @@ def _columns_to_cells(k, cy, xa, line, weight, sums, buffers: SplatBuffers):  # 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Rows top..bottom. Returns whether there is any light."""
-    radius, colour, coverage, opacity = occluder
+    radius, colour, coverage, opacity, _ = occluder
     fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
     width, found = radius.shape[1], False
     bits, covered, ends = radius.view(np.int32), coverage.view(np.int32), np.empty(2, np.int32)
@@ -256,7 +302,7 @@ def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
             if extreme[1] * opacity <= 0:
                 continue
             found = True
-            lowest[i], highest[i] = 0, 0
+            lowest[i], highest[i] = 0, levels + 1  # one by one
             if extreme[0] * opacity >= 1:
                 ends[0], ends[1] = _extremes(bits, ya, xa, yb, xb)
                 lowest[i], highest[i] = levels_of(extreme[0], extreme[1], fade, levels)
@@ -265,7 +311,7 @@ def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
             if i < after or highest[i] < 0:
                 continue
             xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
-            if lowest[i] > 0 and highest[i] <= lowest[i] + 1:  # as of the real scene
+            if _alike(lowest[i], highest[i], buffers):  # as of the real scene
                 after = i + 1
                 while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]):
                     after += 1
@@ -285,7 +331,7 @@ def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def splat_occluded(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Rows top..bottom of what a layer lets through: weight only, in the last channel. Returns whether there is any."""
-    radius, _, coverage, opacity = occluder
+    radius, _, coverage, opacity, _ = occluder
     offset_y, offset_x = buffers.offset_y, buffers.offset_x
     width, found = radius.shape[1], False
     source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)

@@ -1,6 +1,6 @@
-"""Compiled: each pixel's light spread over its disc. Row ends are marked and summed along the rows, O(radius) a pixel.
+"""Compiled: each pixel's light spread over its disc. Changes are marked and summed along the rows, O(radius) a pixel.
 
-What is marked is a multiple of 2^-23 (light of 2^-17, fractions of a row in eighths): sums below 2 are exact in float32. So a
+What is marked is a multiple of 2^-23 (light of 2^-17, area in 64ths of a pixel): sums below 2 are exact in float32. So a
 row's running sum is exactly 0 behind the last disc, and neither the order nor the rectangle changes a bit of it."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg, assignment"
@@ -23,7 +23,7 @@ MIN_RUN = 4  # discs of one size side by side that are worth marking together
 
 
 class SplatBuffers(NamedTuple):
-    """Where a layer's light goes. fade : of the `Pyramid`
+    """Where a layer's light goes. fade, stays : of the `Pyramid`
 
     finest : (h, w, 4) light of level 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `occupied` (th, tw) uint8
     cells : (n, 5) red, green, blue, weight, weight x radius of all further levels;  meta : (levels, 3) first cell, width,
@@ -36,6 +36,7 @@ class SplatBuffers(NamedTuple):
     offset_x: int
     finest: np.ndarray
     occupied: np.ndarray
+    stays: tuple[np.float32, np.float32]
 
 
 class BlurredRows(NamedTuple):
@@ -81,6 +82,12 @@ def highlight(level):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=_FLAGS)
+def staying(r, stays):  # pragma: no cover - compiled
+    """Fraction of the light of a radius that stays in its pixel. stays : of the `Pyramid`"""
+    return np.float32(1) if r <= SHARP_PX else max(stays[0] - stays[1] * r * r, np.float32(0))
+
+
+@line_kernel(fastmath=_FLAGS)
 def to_cell(buffers: SplatBuffers, level, y, x, a, b, c, d, r):  # pragma: no cover - compiled
     """Light a, b, c, d (weight) of one pixel with radius r to the level's cell that holds it."""
     meta, cells = buffers.meta, buffers.cells
@@ -97,7 +104,7 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
     """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two levels that their radii ask for.
 
     source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none"""
-    fade, cells, meta, offset_y, offset_x, finest, occupied = buffers
+    fade, cells, meta, offset_y, offset_x, finest, occupied, stays = buffers
     levels = meta.shape[0]
     smallest, largest = extremes(radius, y0, x0, y1, x1)
     if largest <= SHARP_PX:
@@ -128,7 +135,8 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
                 cells[at, 3] += d
                 cells[at, 4] += e
         return
-    if k == 0:
+    any_finest = stays[0] <= 0
+    if k == 0 and any_finest:
         occupied[(y0 + offset_y) // TILE_PX - offset_y // TILE_PX, (x0 + offset_x) // TILE_PX - offset_x // TILE_PX] = 1
     if alone:
         for y in range(y0, y1):
@@ -148,6 +156,8 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
             onward = np.float32(0)
             if k < levels - 1 and r > fade[k, 0]:
                 onward = (r - fade[k, 0]) / (fade[k, 1] - fade[k, 0])
+            if k == 0 and not any_finest:
+                onward = np.float32(1) - staying(r, stays)
             j, i = np.uintp(y - y0), np.uintp(x - x0)
             if k > 0 and max(source[j, i, 0], max(source[j, i, 1], source[j, i, 2])) > highlight(k + 1):
                 k, onward = max(k - 1, 1), onward if k > 1 else np.float32(0)
@@ -156,48 +166,32 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
                 level = k + step
                 if fraction <= 0:
                     continue
-                if level == 0:
+                if level == 0 and any_finest:
                     for n in range(4):
                         finest[np.uintp(y), np.uintp(x), n] = source[j, i, n] * fraction
-                else:
+                elif level > 0:
                     s = source[j, i]
                     to_cell(buffers, level, y, x, s[0] * fraction, s[1] * fraction, s[2] * fraction, s[3] * fraction, r)
 
 
-@numba.njit(nogil=True)
-def _mark_ends(marks, at, light, fraction, first, last):  # pragma: no cover - compiled
-    """Ends of one row of a disc, in cells of four: with v = light share and at = a, b, c, d, marks[a] += v first,
-    marks[b] += v - v first, marks[c] -= v - v last, marks[d] -= v last. marks : flat;  light : red, green, blue, weight"""
-    a, b, c, d = at
-    red, green, blue, weight = light[0] * fraction, light[1] * fraction, light[2] * fraction, light[3] * fraction
-    begin = red * first, green * first, blue * first, weight * first
-    end = red * last, green * last, blue * last, weight * last
-    add_four(marks, a, begin[0], begin[1], begin[2], begin[3])
-    add_four(marks, b, red - begin[0], green - begin[1], blue - begin[2], weight - begin[3])
-    add_four(marks, c, end[0] - red, end[1] - green, end[2] - blue, end[3] - weight)
-    add_four(marks, d, -end[0], -end[1], -end[2], -end[3])
-
-
 @line_kernel(fastmath=_FLAGS)
 def _mark(marks, q, y, x, low, high, width, line, unit, shape: Shape):  # pragma: no cover - compiled
-    """Mark the row ends of one disc, row q of `shape`, in rows low..high. marks : flat, (rows, width + 1, 4), from row low
+    """Mark the rows of one disc, row q of `shape`, in rows low..high. marks : flat, (rows, width + 1, 4), from row low
 
     line : (4 width,) light of the disc's row of cells;  unit : fraction of it that a pixel gets"""
-    ends, fractions, n = shape.ends, shape.fractions, shape.half_rows[q]
+    places, changes, n = shape.places, shape.changes, shape.half_rows[q]
     red, green, blue, weight = line[4 * x] * unit, line[4 * x + 1] * unit, line[4 * x + 2] * unit, line[4 * x + 3] * unit
     red, green, blue, weight = red + _SNAP, green + _SNAP, blue + _SNAP, weight + _SNAP
     red, green, blue, weight = red - _SNAP, green - _SNAP, blue - _SNAP, weight - _SNAP
-    stride = width + 1
-    inside = x >= n and x + n + 2 <= width
     for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
-        i = np.uintp(j + n)
-        first, last = x + ends[q, i, 0], x + ends[q, i, 1]
-        a, b, c, d = first, first + 1, last, last + 1
-        if not inside:
-            a, b, c, d = min(max(a, 0), width), min(max(b, 0), width), min(max(c, 0), width), min(max(d, 0), width)
-        row = (y + j - low) * stride
-        fraction, begin, end = fractions[q, i, 0], fractions[q, i, 1], fractions[q, i, 2]
-        _mark_ends(marks, (row + a, row + b, row + c, row + d), (red, green, blue, weight), fraction, begin, end)
+        i, row = np.uintp(j + n), (y + j - low) * (width + 1)
+        for pair in range(places.shape[2]):
+            a, b = changes[q, i, pair, 0], changes[q, i, pair, 1]
+            if a == 0:
+                break
+            at = x + places[q, i, pair]
+            add_four(marks, row + min(max(at, 0), width), red * a, green * a, blue * a, weight * a)
+            add_four(marks, row + min(max(at + 1, 0), width), red * b, green * b, blue * b, weight * b)
 
 
 @line_kernel(fastmath=_FLAGS)
@@ -216,7 +210,7 @@ def _mark_line(marks, y, low, high, width, size, line, area, run_light, shape: S
     size : (width,) row of the shape table, -1 = no light;  line : (4 width,) light;  area : 1 / pixels of a cell
     run_light : scratch, 4 (width + 2)
     Neighbours of one size are marked together, row by row of their disc, which the compiler makes vectors of."""
-    ends, fractions, unit, half_rows = shape
+    places, changes, unit, half_rows = shape
     stride = width + 1
     lo, hi = width, 0
     x = 0
@@ -247,10 +241,12 @@ def _mark_line(marks, y, low, high, width, size, line, area, run_light, shape: S
             run_light[4 + k] = (line[4 * begin + k] * u + _SNAP) - _SNAP
         for j in range(max(-n, low - y), min(n, high - 1 - y) + 1):
             i = np.uintp(j + n)
-            row, fraction = (y + j - low) * stride + begin, fractions[q, i, 0]
-            before, after = fractions[q, i, 1] * fraction, fractions[q, i, 2] * fraction
-            _add_shifted(marks, row + ends[q, i, 0], run_light, count, before, fraction - before)
-            _add_shifted(marks, row + ends[q, i, 1], run_light, count, after - fraction, -after)
+            row = (y + j - low) * stride + begin
+            for pair in range(places.shape[2]):
+                a, b = changes[q, i, pair, 0], changes[q, i, pair, 1]
+                if a == 0:
+                    break
+                _add_shifted(marks, row + places[q, i, pair], run_light, count, a, b)
     return lo, hi
 
 
@@ -304,10 +300,11 @@ def spread_cells(
             size[x] = -1
             if cells[k, 3] <= 0:
                 continue
-            r = cells[k, 4] / cells[k, 3]
-            r = np.sqrt(max(r * r - filter_px2, np.float32(0))) / side
-            size[x] = int(min(r * STEPS + np.float32(0.5), top))
-            any_light = True
+            size[x], any_light = 0, True
+            if cells[k, 4] * cells[k, 4] > filter_px2 * cells[k, 3] * cells[k, 3]:
+                r = cells[k, 4] / cells[k, 3]
+                r = np.sqrt(r * r - filter_px2) / side
+                size[x] = int(min(r * STEPS + np.float32(0.5), top))
             for c in range(4):
                 line[4 * x + c] = cells[k, c]
         if any_light:
@@ -338,8 +335,7 @@ def light_of_row(line, y, light: BlurredRows, lo, hi, between):  # pragma: no co
 
     between : scratch, 4 (w + ALIGN_PX): cells count from lead_x on"""
     values, table, offset_y, offset_x, _, _ = light
-    for n in range(4 * lo, 4 * hi):
-        line[n] = 0
+    line[4 * lo : 4 * hi] = 0
     for part in range(table.shape[0]):
         level, first, first_row, height, width, left, right = table[part]
         left, right = max(left, lo), min(right, hi)

@@ -136,6 +136,36 @@ def plane_radius(out, top, bottom, begin, end, x0, y0, nodes, background, optics
                 out[j, x] = min(px_per_dioptre * abs(focus - v), limit)
 
 
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
+def move_light(out, image, rows, columns, corner, nodes, background, optics):  # pragma: no cover - compiled
+    """Rows and columns (first, behind the last) of out (h, w, 3) = image (h, w, 3) moved so that discs around its pixels lie
+    where the light of a slanted plane goes.
+
+    s being the blur radius with its sign, a pixel at x sends light to x - s o through the place o of the lens, with the weight
+    1 - o . grad s: on average to x + s grad s / 4. corner, nodes, background, optics : of `plane_radius`"""
+    px_per_dioptre, focus, limit = optics
+    h, w = out.shape[:2]
+    step = np.float32(1.0 / GRID_PX)
+    for j in range(rows[0], rows[1]):
+        iy, fy = (corner[1] + j) // GRID_PX, np.float32((corner[1] + j) % GRID_PX) * step
+        for i in range(columns[0], columns[1]):
+            ix, fx = (corner[0] + i) // GRID_PX, np.float32((corner[0] + i) % GRID_PX) * step
+            a, b, c, d = nodes[iy, ix], nodes[iy, ix + 1], nodes[iy + 1, ix], nodes[iy + 1, ix + 1]
+            left, right = a + (c - a) * fy, b + (d - b) * fy
+            v = left + (right - left) * fx
+            s = px_per_dioptre * (v - focus)
+            by = s * px_per_dioptre * step * np.float32(0.25) if v > background and abs(s) < limit else np.float32(0)
+            y = min(max(np.float32(j) - by * (c - a + (d - b - c + a) * fx), np.float32(0)), np.float32(h - 1))
+            x = min(max(np.float32(i) - by * (right - left), np.float32(0)), np.float32(w - 1))
+            top, beside = np.uintp(min(int(y), h - 2)), np.uintp(min(int(x), w - 2))
+            t, u = y - np.float32(top), x - np.float32(beside)
+            below, after = top + np.uintp(1), beside + np.uintp(1)
+            for k in range(3):
+                upper = image[top, beside, k] + (image[top, after, k] - image[top, beside, k]) * u
+                lower = image[below, beside, k] + (image[below, after, k] - image[below, beside, k]) * u
+                out[j, i, k] = upper + (lower - upper) * t
+
+
 @numba.njit(cache=True, nogil=True)
 def square_radius(radius, inside, x0, y0, positions, half, optics):  # pragma: no cover - compiled
     """Of a plane of limited size: radius (h, w) px and inside (h, w) float32, 1 where the pixel shows it.

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
 from arfx.stages.triangles import hemisphere
 
 START = np.float32(np.sqrt(3.0))
@@ -23,6 +24,7 @@ START = np.float32(np.sqrt(3.0))
 # with cones of 30 degrees this tilt leaves .667 and .247. At 60 degrees it would be .583 and .126: light from above is lost.
 _TILT_COSINE = 0.619
 LOBES = 12  # widths of mirror cones
+SCRATCH = 32  # floats: values of six directions, and weights of eight corners
 _FAST = {"contract", "nsz", "arcp"}
 _DARK = np.float32(0.005)  # less of the background than this is none
 
@@ -33,6 +35,14 @@ class Bricks(NamedTuple):
     values: np.ndarray
     brick_of: np.ndarray
     meta: np.ndarray
+
+
+class Placed(NamedTuple):
+    """bricks, and where they are: low (3,), corner of the voxels, and size, side of one, metres, anchor axes"""
+
+    bricks: Bricks
+    low: np.ndarray
+    size: np.float32
 
 
 class DiffuseCones(NamedTuple):
@@ -113,12 +123,26 @@ def lobes(n: int) -> Lobes:
     return Lobes(steps, tangents.astype(np.float32), np.array([len(r) for r in rows]))
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def trace(bricks: Bricks, steps, start, direction, point, normal, clip):  # pragma: no cover - compiled
+@line_kernel(fastmath=_FAST, inline="always")
+def blend(values, at, width, scratch):  # pragma: no cover - compiled
+    """scratch[:width] : sum of the eight values from `at` on, with the weights scratch[24:]. All unsigned: nothing counts from
+    the end, so that it is done for several directions at once."""
+    w0, w1, w2, w3 = scratch[24], scratch[25], scratch[26], scratch[27]
+    w4, w5, w6, w7 = scratch[28], scratch[29], scratch[30], scratch[31]
+    b, c, e = at + width, at + np.uintp(5) * width, at + np.uintp(25) * width
+    d, f, g, h = c + width, e + width, e + np.uintp(5) * width, e + np.uintp(6) * width
+    for k in range(width):
+        q = np.uintp(k)
+        near = w0 * values[at + q] + w1 * values[b + q] + w2 * values[c + q] + w3 * values[d + q]
+        scratch[q] = near + w4 * values[e + q] + w5 * values[f + q] + w6 * values[g + q] + w7 * values[h + q]
+
+
+@line_kernel(fastmath=_FAST, error_model="numpy")
+def trace(bricks: Bricks, steps, start, direction, point, normal, clip, scratch):  # pragma: no cover - compiled
     """(r, g, b, share of the background that is left).
 
     start, unit direction, point and normal of the surface it starts on : x, y, z in voxels of level 0
-    clip : leave the surface's own voxels out"""
+    clip : leave the surface's own voxels out;  scratch (SCRATCH,)"""
     values, brick_of, meta = bricks
     (ox, oy, oz), (dx, dy, dz), (px, py, pz), (nx, ny, nz) = start, direction, point, normal
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
@@ -161,27 +185,28 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip):  # prag
         # height of the cell centre of sample (ix, iy, iz) over the tangent plane, voxels of this level
         h0 = (np.float32(ix) - half - px * inv) * nx + (np.float32(iy) - half - py * inv) * ny
         h0 = h0 + (np.float32(iz) - half - pz * inv) * nz - half_extent
-        cr, cg, cb, ca = zero, zero, zero, zero
+        any_weight = zero
         for corner in range(8):
             cx, cy, cz = corner & 1, (corner >> 1) & 1, corner >> 2
             w = (fx if cx else one - fx) * (fy if cy else one - fy) * (fz if cz else one - fz)
             if clip:
                 h = h0 + (nx if cx else zero) + (ny if cy else zero) + (nz if cz else zero)
                 w = w * min(max(h + h, zero), one)
-            if w <= 0:
-                continue
-            i = at + ((cz * 5 + cy) * 5 + cx) * width
-            if level == 0:
-                cr += w * values[i]
-                cg += w * values[i + 1]
-                cb += w * values[i + 2]
-                ca += w * values[i + 3]
-            else:
-                a, e, f = i + fx0, i + fy0, i + fz0
-                cr += w * (wx * values[a] + wy * values[e] + wz * values[f])
-                cg += w * (wx * values[a + 1] + wy * values[e + 1] + wz * values[f + 1])
-                cb += w * (wx * values[a + 2] + wy * values[e + 2] + wz * values[f + 2])
-                ca += w * (wx * values[a + 3] + wy * values[e + 3] + wz * values[f + 3])
+            scratch[24 + corner] = w
+            any_weight += w
+        if any_weight <= zero:
+            continue
+        if level == 0:
+            blend(values, np.uintp(at), np.uintp(4), scratch)
+        else:
+            blend(values, np.uintp(at), np.uintp(24), scratch)
+        if level == 0:
+            cr, cg, cb, ca = scratch[0], scratch[1], scratch[2], scratch[3]
+        else:
+            cr = wx * scratch[fx0] + wy * scratch[fy0] + wz * scratch[fz0]
+            cg = wx * scratch[fx0 + 1] + wy * scratch[fy0 + 1] + wz * scratch[fz0 + 1]
+            cb = wx * scratch[fx0 + 2] + wy * scratch[fy0 + 2] + wz * scratch[fz0 + 2]
+            ca = wx * scratch[fx0 + 3] + wy * scratch[fy0 + 3] + wz * scratch[fz0 + 3]
         if ca <= np.float32(1e-6):
             continue
         absorbed = one - (one - min(ca, one)) ** steps[k, 2]
@@ -196,7 +221,7 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip):  # prag
     return r, g, b, transmittance
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
+@line_kernel(fastmath=_FAST)
 def tangent_frame(nx, ny, nz):  # pragma: no cover - compiled
     """Two unit vectors that make a right-handed frame with the unit normal; continuous but at (0, 0, -1) (Frisvad 2012)."""
     if nz < np.float32(-0.99999):
@@ -227,6 +252,7 @@ def _tangent_frames(normals):  # pragma: no cover - compiled
 def trace_many(bricks: Bricks, steps, origins, directions, normals, start, clip):  # pragma: no cover - compiled
     """(m x k, 4) of cones from origins (m, 3), voxels, in directions (m, k, 3); they begin `start` voxels along normals."""
     count = directions.shape[1]
+    scratch = np.empty(SCRATCH, np.float32)
     out = np.empty((origins.shape[0] * count, 4), np.float32)
     for i in range(origins.shape[0]):
         x, y, z = origins[i, 0], origins[i, 1], origins[i, 2]
@@ -234,7 +260,7 @@ def trace_many(bricks: Bricks, steps, origins, directions, normals, start, clip)
         for c in range(count):
             d = directions[i, c, 0], directions[i, c, 1], directions[i, c, 2]
             from_ = x + start * nx, y + start * ny, z + start * nz
-            r, g, b, transmittance = trace(bricks, steps, from_, d, (x, y, z), (nx, ny, nz), clip)
+            r, g, b, transmittance = trace(bricks, steps, from_, d, (x, y, z), (nx, ny, nz), clip, scratch)
             k = i * count + c
             out[k, 0], out[k, 1], out[k, 2], out[k, 3] = r, g, b, transmittance
     return out

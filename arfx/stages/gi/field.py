@@ -16,7 +16,7 @@ import numpy as np
 from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
-from arfx.stages.gi.cones import START, Bricks, around_normals, cosine_cones, six_cones, steps_of, trace_many
+from arfx.stages.gi.cones import START, Bricks, Placed, around_normals, cosine_cones, six_cones, steps_of, trace_many
 from arfx.stages.gi.form_factors import Factors, factors_of, gather, solid
 from arfx.stages.gi.pyramid import Structure, atlas_of, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texel_positions
@@ -78,10 +78,9 @@ class VoxelModel:
     weights: np.ndarray
     coarse: np.ndarray
 
-    def traced(self, atlas: Bricks) -> tuple[Bricks, np.ndarray, np.float32]:
-        """As kernels take the voxels: bricks, their corner (3,) and side, metres."""
+    def placed(self, atlas: Bricks) -> Placed:
         volume = self.voxels.volume
-        return atlas, np.array(volume.low_m, np.float32), np.float32(volume.voxel_m)
+        return Placed(atlas, np.array(volume.low_m, np.float32), np.float32(volume.voxel_m))
 
 
 @dataclass(frozen=True, eq=False)

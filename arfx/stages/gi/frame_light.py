@@ -194,7 +194,7 @@ def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray
     facts, scene, light = view.facts, view.scene, view.light
     picture, known = picture_on_planes(
         view[Layer.PLATE], view.rect, seen, scene.camera, view.pose @ scene.world_from_anchor,
-        positions, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(view[Layer.REAL_DEPTH]),
+        positions, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(view.layers),
     )  # fmt: skip
     up = scene.world_from_anchor.rotation[:, 2]
     mean = plane_mean(picture, known, positions, planes, scene, 0.4 * light.radiance(up))

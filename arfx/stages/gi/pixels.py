@@ -13,13 +13,12 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.core.parallel import parallel_rows
-from arfx.stages.gi.cones import LOBES, START, Bricks, DiffuseCones, Lobes, tangent_frame, trace
-from arfx.stages.gi.surroundings import Background, background_radiance
+from arfx.stages.gi.cones import LOBES, SCRATCH, START, DiffuseCones, Lobes, Placed, tangent_frame, trace
+from arfx.stages.gi.surroundings import Background, background_radiance, wide_share
 from arfx.stages.lightmap.shading import Surface
 
 _FAST = {"contract", "nsz", "arcp"}
@@ -50,23 +49,40 @@ class Limits(NamedTuple):
     table: np.ndarray
 
 
+class Blocks(NamedTuple):
+    """What was gathered. block : pixels a side, 0 = none was;  voxel_m : distance from a plane that counts
+    points (n, 8), light (n, 6), numbers (rows, columns) : of them, as of `select_points`"""
+
+    block: int
+    voxel_m: np.float32
+    points: np.ndarray
+    light: np.ndarray
+    numbers: np.ndarray
+
+
 def gather_points(points: np.ndarray, gather: np.ndarray, eye: np.ndarray, *scene: Any) -> np.ndarray:
     """(m, 6) float32: radiance of a white diffuse surface, and what comes from about the mirrored direction.
 
-    points (m, 7) : unit normal, position (metres), anchor axes, `widened_roughness`;  gather (m,) : DIFFUSE and GLOSS, added
+    points (m, 8) : unit normal, position (metres), anchor axes, `widened_roughness`, roughness
+    gather (m,) : DIFFUSE and GLOSS, added
     scene : the other arguments of `_gather_points`"""
-    parts = parallel_rows(lambda a, b: _gather_points(points[a:b], gather[a:b], eye, *scene), len(points), least=_FEW)
-    return np.concatenate([np.zeros((0, 6), np.float32), *parts])
+    out = np.zeros((len(points), 6), np.float32)
+
+    def rows(a: int, b: int) -> None:
+        _gather_points(points[a:b], gather[a:b], out[a:b], eye, *scene, np.empty(SCRATCH, np.float32))
+
+    parallel_rows(rows, len(points), least=_FEW)
+    return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=_FAST, error_model="numpy")
 def _gather_points(
-    points, gather, eye, bricks: Bricks, low, size, diffuse_cones: DiffuseCones, mirror: Lobes, background: Background
+    points, gather, out, eye, placed: Placed, diffuse_cones: DiffuseCones, mirror: Lobes, background: Background, scratch
 ):  # fmt: skip  # pragma: no cover - compiled
-    """`gather_points` of some. low (3,), size : corner and side of the voxels, metres"""
+    """`gather_points` of some, added to out. scratch (SCRATCH,)"""
+    bricks, low, size = placed
     directions, weights, tan_half, half_deg, steps = diffuse_cones
     lobes, tangents, counts = mirror
-    out = np.zeros((points.shape[0], 6), np.float32)
     cones = directions.shape[0]
     for i in range(points.shape[0]):
         nx, ny, nz, x, y, z = points[i, 0], points[i, 1], points[i, 2], points[i, 3], points[i, 4], points[i, 5]
@@ -79,7 +95,7 @@ def _gather_points(
             if c < cones:
                 c0, c1, c2 = directions[c, 0], directions[c, 1], directions[c, 2]
                 dx, dy, dz = c0 * ux + c1 * vx + c2 * nx, c0 * uy + c1 * vy + c2 * ny, c0 * uz + c1 * vz + c2 * nz
-                w, to, tan_here, deg_here, walk = weights[c], 0, tan_half, half_deg, steps
+                w, to, tan_here, deg_here, walk, share = weights[c], 0, tan_half, half_deg, steps, np.float32(1)
             else:
                 ex, ey, ez = eye[0] - x, eye[1] - y, eye[2] - z
                 s = np.float32(1) / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
@@ -90,17 +106,18 @@ def _gather_points(
                 k = min(max(int(points[i, 6] * np.float32(LOBES - 1) + np.float32(0.5)), 0), LOBES - 1)
                 w, to, tan_here, walk = np.float32(1), 3, tangents[k], lobes[k, : counts[k]]
                 deg_here = np.float32(np.arctan(tan_here) * np.float32(57.29578))
+                k = min(max(int(points[i, 7] * np.float32(LOBES - 1) + np.float32(0.5)), 0), LOBES - 1)
+                share = wide_share(np.arctan(tangents[k]) * np.float32(57.29578))
             d = dx, dy, dz
-            r, g, b, transmittance = trace(bricks, walk, (ox, oy, oz), d, (px, py, pz), (nx, ny, nz), True)
+            r, g, b, transmittance = trace(bricks, walk, (ox, oy, oz), d, (px, py, pz), (nx, ny, nz), True, scratch)
             if transmittance > 0:
-                er, eg, eb = background_radiance(background, -1, (x, y, z), d, tan_here, deg_here)
+                er, eg, eb = background_radiance(background, -1, (x, y, z), d, tan_here, deg_here, share)
                 r += transmittance * er
                 g += transmittance * eg
                 b += transmittance * eb
             out[i, to] += w * r
             out[i, to + 1] += w * g
             out[i, to + 2] += w * b
-    return out
 
 
 @line_kernel(fastmath=_FAST)
@@ -115,20 +132,30 @@ def off_specular_peak(roughness, nx, ny, nz, dx, dy, dz):  # pragma: no cover - 
     return x * s, y * s, z * s
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
-def select_points(surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits):  # pragma: no cover - compiled
-    """A point for each block: (points (m, 7), gather (m,), index (rows, columns) of blocks, -1 = none).
+def select_points(
+    surface: Surface, x0: int, y0: int, block: int, anchor: Anchor, limits: Limits
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A point for each block: (points (m, 8), gather (m,), index (rows, columns) of blocks, -1 = none).
 
     x0, y0 : position of the arrays in the picture, with which blocks are aligned. The point is the most covered pixel's."""
+    rows, columns = surface.coverage.shape
+    index = np.full(((y0 + rows - 1) // block - y0 // block + 1, (x0 + columns - 1) // block - x0 // block + 1), -1, np.int32)
+    points, gather = np.empty((index.size, 8), np.float32), np.zeros(index.size, np.int8)
+    m = _select_points(surface, x0, y0, block, anchor, limits, points, gather, index)
+    return points[:m], gather[:m], index
+
+
+@line_kernel(fastmath=_FAST)
+def _select_points(
+    surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits, points, gather, index
+):  # fmt: skip  # pragma: no cover - compiled
+    """How many there are."""
     coverage, normal, position, _, material, _ = surface
     rows, columns = coverage.shape
     by0, bx0 = y0 // block, x0 // block
-    brows, bcolumns = (y0 + rows - 1) // block - by0 + 1, (x0 + columns - 1) // block - bx0 + 1
-    index = np.full((brows, bcolumns), -1, np.int32)
-    points, gather = np.empty((brows * bcolumns, 7), np.float32), np.zeros(brows * bcolumns, np.int8)
     m = 0
-    for j in range(brows):
-        for i in range(bcolumns):
+    for j in range(index.shape[0]):
+        for i in range(index.shape[1]):
             best, at_y, at_x = np.float32(0), -1, -1
             for y in range(max((j + by0) * block - y0, 0), min((j + by0 + 1) * block - y0, rows)):
                 for x in range(max((i + bx0) * block - x0, 0), min((i + bx0 + 1) * block - x0, columns)):
@@ -137,30 +164,39 @@ def select_points(surface: Surface, x0, y0, block, anchor: Anchor, limits: Limit
             if at_y < 0 or not _surface_point(normal, position, at_y, at_x, anchor, points[m]):
                 continue
             rough = material[at_y, at_x, 1]
-            points[m, 6] = widened_roughness(rough, coverage, normal, at_y, at_x)
+            points[m, 6], points[m, 7] = widened_roughness(rough, coverage, normal, at_y, at_x), rough
             shines = rough >= limits.sharp and shows_specular(surface, at_y, at_x, points[m], anchor.eye, limits)
             gather[m] = DIFFUSE + GLOSS if shines else DIFFUSE
             index[j, i] = m
             m += 1
-    return points[:m], gather[:m], index
+    return m
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def interpolate(
-    surface: Surface, x0, y0, block, anchor: Anchor, limits: Limits, size, points, light, index
+    surface: Surface, x0: int, y0: int, blocks: Blocks, anchor: Anchor, limits: Limits
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 8), gather (m,), pixels (m, 2)) of those that
+    still have to be gathered."""
+    rows, columns = surface.coverage.shape
+    out, most = np.zeros((rows, columns, 6), np.float32), rows * columns + 1
+    points, gather, pixels = np.empty((most, 8), np.float32), np.empty(most, np.int8), np.empty((most, 2), np.int32)
+    m = _interpolate(surface, x0, y0, blocks, anchor, limits, out, points, gather, pixels)
+    return out, points[:m], gather[:m], pixels[:m]
+
+
+@line_kernel(fastmath=_FAST)
+def _interpolate(
+    surface: Surface, x0, y0, blocks: Blocks, anchor: Anchor, limits: Limits, out, remaining, gather, pixels
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Every pixel's light from the blocks around: (light (h, w, 6), points (m, 7), gather (m,), pixels (m, 2)) of those that
-    still have to be gathered. light (n, 6), index : of the blocks;  block 0 : there are none"""
+    """How many remain."""
     coverage, normal, position, _, material, _ = surface
     rows, columns = coverage.shape
-    out = np.zeros((rows, columns, 6), np.float32)
-    remaining, gather = np.empty((rows * columns, 7), np.float32), np.empty(rows * columns, np.int8)
-    pixels = np.empty((rows * columns, 2), np.int32)
-    here = np.zeros(7, np.float32)
+    block, size, points, light, index = blocks
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     m = 0
     for y in range(rows):
         for x in range(columns):
+            here = remaining[m]
             if coverage[y, x] <= 0 or not _surface_point(normal, position, y, x, anchor, here):
                 continue
             total = zero
@@ -175,7 +211,8 @@ def interpolate(
                     i, j = iu + cu - bx0, iv + cv - by0
                     if i < 0 or j < 0 or i >= index.shape[1] or j >= index.shape[0] or index[j, i] < 0:
                         continue
-                    k = points[index[j, i]]
+                    at = index[j, i]
+                    k = points[at]
                     agree = max(here[0] * k[0] + here[1] * k[1] + here[2] * k[2], zero)
                     agree = agree * agree
                     agree = agree * agree
@@ -185,7 +222,7 @@ def interpolate(
                     w = (fu if cu else one - fu) * (fv if cv else one - fv) * agree * agree / (one + off * off)
                     total += w
                     for c in range(6):
-                        out[y, x, c] += w * light[index[j, i], c]
+                        out[y, x, c] += w * light[at, c]
             shines = shows_specular(surface, y, x, here, anchor.eye, limits)
             need = 0
             if total < _AGREE:
@@ -196,21 +233,29 @@ def interpolate(
                 if shines and material[y, x, 1] < limits.sharp:
                     need = GLOSS
             if need:
-                remaining[m] = here
-                remaining[m, 6] = widened_roughness(material[y, x, 1], coverage, normal, y, x)
+                here[6], here[7] = widened_roughness(material[y, x, 1], coverage, normal, y, x), material[y, x, 1]
                 gather[m] = need
                 pixels[m, 0], pixels[m, 1] = y, x
                 m += 1
-    return out, remaining[:m], gather[:m], pixels[:m]
+    return m
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST)
 def reflected_light(
-    surface: Surface, anchor: Anchor, limits: Limits, light, gathered, gather, pixels
-):  # fmt: skip  # pragma: no cover - compiled
+    surface: Surface, anchor: Anchor, limits: Limits, light: np.ndarray, gathered: np.ndarray, gather: np.ndarray,
+    pixels: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage. gathered (m, 6) : of the pixels (m, 2)
 
     Where too little is mirrored to be gathered, what is mirrored is the light that falls on the surface."""
+    out = np.zeros((*surface.coverage.shape, 3), np.float32)
+    _reflected_light(surface, anchor, limits, light, gathered, gather, pixels, out, np.zeros(7, np.float32))
+    return out
+
+
+@line_kernel(fastmath=_FAST)
+def _reflected_light(
+    surface: Surface, anchor: Anchor, limits: Limits, light, gathered, gather, pixels, out, here
+):  # fmt: skip  # pragma: no cover - compiled
     coverage, normal, position, albedo, material, _ = surface
     eye, table = anchor.eye, limits.table
     for i in range(pixels.shape[0]):
@@ -219,8 +264,6 @@ def reflected_light(
             if gather[i] & (DIFFUSE if c < 3 else GLOSS):
                 to[c] = gathered[i, c]
     rows, columns = coverage.shape
-    out = np.zeros((rows, columns, 3), np.float32)
-    here = np.zeros(7, np.float32)
     one, zero = np.float32(1), np.float32(0)
     for y in range(rows):
         for x in range(columns):
@@ -239,7 +282,6 @@ def reflected_light(
                 diffuse = a * (one - metal) * (one - min(f0 * ga + gb, one))
                 gloss = (f0 + a * metal) * ga + gb
                 out[y, x, c] = coverage[y, x] * (diffuse * light[y, x, c] + gloss * light[y, x, shines + c])
-    return out
 
 
 @line_kernel(fastmath=_FAST)

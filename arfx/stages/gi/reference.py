@@ -1,34 +1,52 @@
 """Level `reference`: Monte Carlo rays (embree) on the same scenes, two bounces; shares no kernel with the cones.
 
-Object pixels: cosine-weighted rays for diffuse light, microfacet normals (GGX) for gloss. Plane pixels: cosine-weighted
-rays; only those that meet the object count, as what it sends less what it hides. Bright parts of the environment and what
-glows are sampled as well (reference_sampling.py). Random numbers are keyed by pixel, sample and dimension, so that a part of
-the picture gets the same as the whole. Not denoised: the error of a plane pixel falls with the root of the samples.
-Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators)."""
+Object pixels: cosine-weighted rays for diffuse light, microfacet normals (GGX) for gloss. Plane pixels: rays towards the ball
+around the object, as only those that meet it count, as what it sends less what it hides. Bright parts of the environment and
+what glows are sampled as well (reference_sampling.py). What the clip never saw is as bright as the width of a ray's lobe asks:
+a mirror looks through between lamps that a matt surface sees. Samples end where the noise is below what shows
+(reference_noise.py). Random numbers are keyed by pixel, sample and dimension, so that a part of the picture gets the same as
+the whole. Not denoised. Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
+from functools import partial
 
 import numpy as np
 
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
+from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
+from arfx.stages.gi.cones import mirror_tangent
 from arfx.stages.gi.frame_light import surroundings_of
 from arfx.stages.gi.plane_pixels import DARKEST, depth_agreement, measured
 from arfx.stages.gi.real_planes import bounding_ball
-from arfx.stages.gi.reference_sampling import Gloss, Lights, Sampler, balance_weight, cosine_directions, in_frame_of
+from arfx.stages.gi.reference_noise import NOISE, grey_slope, settled
+from arfx.stages.gi.reference_sampling import (
+    Gloss,
+    Lights,
+    Reflectance,
+    Sampler,
+    balance_weight,
+    cosine_density,
+    cosine_directions,
+    in_disc,
+    lambertian,
+    towards_ball,
+)
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
-from arfx.stages.gi.surroundings import Planes
+from arfx.stages.gi.surroundings import NARROW_DEG, WIDE_DEG, Planes
 
 BOUNCES = 2
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
-Reflectance = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-_BATCH = 1 << 17  # pixels at once: bounds memory
+SPREAD = 0.4  # of the largest change of a plane, by which rays towards the object differ
+ASKED = 4.0  # times the share of the hemisphere that the object fills: how many places on planes are asked
+DIM, DIM_F0 = 4, 0.1  # what mirrors less than this is asked for it in one of so many samples
+_BATCH = 1 << 15  # pixels at once: bounds memory
 
 
 class Tracer:
@@ -38,11 +56,13 @@ class Tracer:
         self.rays, self.surroundings, self.sampled = rays, surroundings, Lights(rays, surroundings)
         turn = scene.world_from_anchor.rotation
         self.lights = [(turn.T @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
-        self.plane_light = [light.radiance(turn @ axes[3]) for axes in surroundings.axes]
+        self.plane_light = np.array([light.radiance(turn @ axes[3]) for axes in surroundings.axes])
+        self.ball = bounding_ball(scene)
 
     def along(
-        self, origins: np.ndarray, directions: np.ndarray, draw: Sampler, bounces: int, density: np.ndarray | None = None
-    ) -> np.ndarray:
+        self, origins: np.ndarray, directions: np.ndarray, draw: Sampler, bounces: int, wide: np.ndarray,
+        density: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
         """(n, 3) radiance that comes from `directions`. density (n,) : with which they were drawn, where lights are
         sampled as well; None = they are not"""
         hit = self.rays.first(origins, directions)
@@ -51,7 +71,7 @@ class Tracer:
         on_plane = (plane >= 0) & ~on_object
         out = np.zeros((len(origins), 3))
         sky = ~on_object & ~on_plane
-        out[sky] = self.sampled.environment(directions, density, sky)
+        out[sky] = self.sampled.environment(directions, density, np.flatnonzero(sky), wide)
         rows = np.flatnonzero(on_object)
         if len(rows):
             met = hit.of(rows)
@@ -64,7 +84,9 @@ class Tracer:
             out[rows] = self.surroundings.picture(positions, plane[rows]) * shadow_ratio
         return out
 
-    def sampled_lights(self, start: np.ndarray, draw: Sampler, value: Reflectance, change: bool = False) -> np.ndarray:
+    def sampled_lights(
+        self, start: np.ndarray, draw: Sampler, value: Reflectance, wide: np.ndarray, change: bool = False
+    ) -> np.ndarray:
         """(n, 3) light that samples of lights bring to positions (n, 3), weighed against the surface's own directions.
 
         value : reflectance times cosine (n, 3) or (n, 1), and the surface's density (n,), of unit directions (n, 3)
@@ -77,7 +99,7 @@ class Tracer:
             plane, _ = self.surroundings.first_plane(start[rows], d[rows])
             hidden = self.rays.blocked(start[rows], d[rows])
             rows = rows[(plane < 0) & (hidden == change)]
-            light = self.surroundings.environment(d[rows]) * (-1.0 if change else 1.0)
+            light = self.surroundings.environment(d[rows], wide[rows]) * (-1.0 if change else 1.0)
             out[rows] += light * reflected[rows] / (density + own)[rows, None]
         if self.sampled.glows:
             d, distance = self.sampled.to_emitters(start, draw)
@@ -103,14 +125,14 @@ class Tracer:
         arriving = self.direct(start, normal, draw)
         if bounces > 0:
             d = cosine_directions(normal, draw)
-            arriving = arriving + self.along(start, d, draw, bounces - 1, cosine_density(normal, d))
-            arriving = arriving + self.sampled_lights(start, draw, lambertian(normal))
+            arriving = arriving + self.along(start, d, draw, bounces - 1, np.ones(len(d)), cosine_density(normal, d))
+            arriving = arriving + self.sampled_lights(start, draw, lambertian(normal), np.ones(len(d)))
         else:
             arriving = arriving + self.surroundings.unoccluded_irradiance(normal)
         out = glow * hit.emission + hit.diffuse * arriving
         if bounces > 0 and hit.specular.any():
             d = 2 * (normal * towards).sum(1, keepdims=True) * normal - towards
-            out = out + hit.specular * self.along(start, d, draw, bounces - 1)
+            out = out + hit.specular * self.along(start, d, draw, bounces - 1, np.zeros(len(d)))
         elif hit.specular.any():
             out = out + hit.specular * self.surroundings.unoccluded_irradiance(normal)
         return out
@@ -119,7 +141,7 @@ class Tracer:
         """(n, 3) of white surfaces, by one ray to each light's disc."""
         out = np.zeros((len(points), 3))
         for d, rgb, size_deg in self.lights:
-            towards = _in_disc(d, size_deg, draw)
+            towards = in_disc(d, size_deg, draw)
             facing = np.clip((normals * towards).sum(1), 0, None)
             rows = np.flatnonzero(facing > 0)
             if len(rows):
@@ -132,20 +154,37 @@ class Tracer:
         """(n, 3) share of a plane's light that is there with the object: what the picture on it is multiplied by."""
         normals = self.surroundings.axes[plane, 3]
         start = positions + self.rays.lift * normals
-        plane_light = np.array(self.plane_light)[plane]
+        plane_light = self.plane_light[plane]
         hidden_light = np.zeros((len(positions), 3))
         for d, rgb, size_deg in self.lights:
-            towards = _in_disc(d, size_deg, draw)
+            towards = in_disc(d, size_deg, draw)
             rows = np.flatnonzero(normals @ d > 0)
             if len(rows):
                 hidden_light[rows] += ((normals[rows] @ d) * self.rays.blocked(start[rows], towards[rows]))[:, None] * rgb
-        return np.asarray(1 + divide(self.change(start, normals, draw, bounces) - hidden_light, plane_light))
+        # Russian roulette: the less of the hemisphere the object may fill, the fewer are asked
+        away = np.linalg.norm(start - self.ball[0], axis=1)
+        asked = np.clip(ASKED * divide(self.ball[1], away, where_zero=1.0) ** 2, 0.05, 1)
+        rows = np.flatnonzero(draw.single() < asked)
+        change = np.zeros((len(start), 3))
+        change[rows] = self.change(start[rows], normals[rows], draw.of(rows), bounces) / asked[rows, None]
+        return np.asarray(1 + divide(change - hidden_light, plane_light))
 
     def change(self, start: np.ndarray, normals: np.ndarray, draw: Sampler, bounces: int) -> np.ndarray:
-        """(n, 3) indirect light of a white plane with the object less without it, by one ray."""
-        d = cosine_directions(normals, draw)
-        sampled_lights = self.sampled_lights(start, draw, lambertian(normals), change=True)
-        return sampled_lights + self.change_along(start, d, draw, bounces, cosine_density(normals, d))
+        """(n, 3) indirect light of a white plane with the object less without it, by one ray towards the object, and where
+        there are other planes, which it changes too, one towards those."""
+        d, density, near = towards_ball(start, normals, *self.ball, draw)
+        wide = np.ones(len(start))
+
+        def value(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            cosine = cosine_density(normals, directions)
+            return cosine[:, None], np.where(near, cosine, density)
+
+        weight = divide(cosine_density(normals, d), density)[:, None]
+        out = self.sampled_lights(start, draw, value, wide, change=True)
+        out = out + weight * self.change_along(start, d, draw, bounces, wide, density)
+        if bounces > 0 and len(self.surroundings.axes) > 1:
+            out = out + self.change_of_planes(start, cosine_directions(normals, draw), draw)
+        return np.asarray(out)
 
     def from_other_planes(self, start: np.ndarray, normals: np.ndarray, draw: Sampler) -> np.ndarray:
         """(n, 3) light of a white plane that other planes give it less what they hide, without the object, by one ray."""
@@ -155,11 +194,12 @@ class Tracer:
             plane, distance = self.surroundings.first_plane(start, d)
             rows = np.flatnonzero(plane >= 0)
             positions = start[rows] + distance[rows, None] * d[rows]
-            out[rows] = self.surroundings.picture(positions, plane[rows]) - self.surroundings.environment(d[rows])
+            sky = self.surroundings.environment(d[rows], np.ones(len(rows)))
+            out[rows] = self.surroundings.picture(positions, plane[rows]) - sky
         return out
 
     def change_along(
-        self, start: np.ndarray, d: np.ndarray, draw: Sampler, bounces: int, density: np.ndarray | None = None
+        self, start: np.ndarray, d: np.ndarray, draw: Sampler, bounces: int, wide: np.ndarray, density: np.ndarray | None = None
     ) -> np.ndarray:
         """(n, 3) radiance from directions d with the object less without it. density : as for `along`"""
         hit = self.rays.first(start, d)
@@ -170,7 +210,7 @@ class Tracer:
             nearer = hit.distance[rows] < distance
             rows, plane, distance = rows[nearer], plane[nearer], distance[nearer]
         if len(rows):
-            background = self.sampled.environment(d, density, rows)
+            background = self.sampled.environment(d, density, rows, wide)
             other = np.flatnonzero(plane >= 0)
             positions = start[rows[other]] + distance[other, None] * d[rows[other]]
             background[other] = self.surroundings.picture(positions, plane[other])
@@ -179,13 +219,18 @@ class Tracer:
             glow = balance_weight(density, rows, self.sampled.emitter_density(met, d[rows]))
             sent = self.outgoing_radiance(met, -d[rows], draw.of(rows), max(bounces - 1, 0), glow)
             out[rows] = sent - background
-        if bounces > 0 and len(self.surroundings.axes) > 1:  # rays that pass the object meet planes that it changes
-            plane, distance = self.surroundings.first_plane(start, d)
-            rows = np.flatnonzero((plane >= 0) & ~(hit.distance < distance))
-            if len(rows):
-                positions = start[rows] + distance[rows, None] * d[rows]
-                shadow_ratio = self.shadow_ratio(positions, plane[rows], draw.of(rows), 0)
-                out[rows] += self.surroundings.picture(positions, plane[rows]) * (shadow_ratio - 1)
+        return out
+
+    def change_of_planes(self, start: np.ndarray, d: np.ndarray, draw: Sampler) -> np.ndarray:
+        """(n, 3) radiance from directions d of planes that the object changes, with it less without it, where it hides none."""
+        out = np.zeros((len(start), 3))
+        plane, distance = self.surroundings.first_plane(start, d)
+        rows = np.flatnonzero(plane >= 0)
+        rows = rows[~(self.rays.first_distance(start[rows], d[rows]) < distance[rows])]
+        if len(rows):
+            positions = start[rows] + distance[rows, None] * d[rows]
+            shadow_ratio = self.shadow_ratio(positions, plane[rows], draw.of(rows), 0)
+            out[rows] = self.surroundings.picture(positions, plane[rows]) * (shadow_ratio - 1)
         return out
 
 
@@ -197,8 +242,8 @@ def trace_frame(
     gloss : of the planes, share mirrored seen from above, and roughness;  mirror : pixels that can mirror the object"""
     now, scene, facts, light, pose, seed = view.layers, view.scene, view.facts, view.light, view.pose, view.key
     rays = RayScene(scene)
-    _, cube = surroundings_of(facts, scene, light)
-    surroundings = Surroundings(now, visible_rect, scene, facts, cube, planes, bounding_ball(scene)[1])
+    cubes = surroundings_of(facts, scene, light)
+    surroundings = Surroundings(now, visible_rect, scene, facts, cubes, planes, bounding_ball(scene)[1])
     tracer = Tracer(rays, surroundings, light, scene)
     anchor = scene.world_from_anchor.inverse()
     eye = anchor.apply(pose.inverse().translation_m)
@@ -209,75 +254,79 @@ def trace_frame(
     lengths = np.linalg.norm(now[Layer.NORMAL], axis=-1)
     requested = np.zeros((rect.height, rect.width), bool)
     requested[view.out.clip(rect).slices_in(rect)] = True
-    for rows in _batches(np.argwhere((now[Layer.COVERAGE] > 0) & (lengths > 1e-3) & requested)):
+    layers = {name: now[name] for name in (Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.COVERAGE)}
+
+    def object_pixels(rows: np.ndarray) -> None:
         at = rows[:, 0], rows[:, 1]
-        normals = normalise(now[Layer.NORMAL][at].astype(float)) @ anchor.rotation.T
-        positions = anchor.apply(now[Layer.POSITION][at].astype(float))
+        part = {name: layer[at].astype(float) for name, layer in layers.items()}
+        normals = normalise(part[Layer.NORMAL]) @ anchor.rotation.T
+        positions = anchor.apply(part[Layer.POSITION])
         indirect = _object_light(
-            tracer, positions, normals, normalise(eye - positions), now[Layer.ALBEDO][at].astype(float),
-            now[Layer.MATERIAL][at].astype(float), key[at], samples, seed,
+            tracer, positions, normals, normalise(eye - positions), part[Layer.ALBEDO], part[Layer.MATERIAL], key[at],
+            samples, seed,
         )  # fmt: skip
-        virtual[at] += (indirect * now[Layer.COVERAGE][at][:, None]).astype(np.float32)
-    real = measured(now[Layer.REAL_DEPTH])
+        virtual[at] += (indirect * part[Layer.COVERAGE][:, None]).astype(np.float32)
+
+    parallel_map(object_pixels, _batches(np.argwhere((now[Layer.COVERAGE] > 0) & (lengths > 1e-3) & requested)))
+    real = measured(now)
     if not disc.union(mirror).clip(rect).empty and strength > 0:
         wanted, glossy = np.zeros(shadow.shape[:2], bool), np.zeros(shadow.shape[:2], bool)
         for inside, mask in ((disc.clip(rect), wanted), (mirror.clip(rect), glossy)):
             if not inside.empty:
                 mask[inside.slices_in(rect)] = True
         directions = scene.camera.directions(np.stack([x, y], -1).astype(float)) @ (anchor.rotation @ pose.rotation.T).T
-        for rows in _batches(np.argwhere((wanted | glossy) & requested & np.isfinite(directions).all(-1))):
+        several, picture = len(planes.axes) > 1, now[Layer.PLATE]
+
+        def plane_pixels(rows: np.ndarray) -> None:
             at = rows[:, 0], rows[:, 1]
             d = normalise(directions[at])
             plane, distance = surroundings.first_plane(np.broadcast_to(eye, d.shape), d)
             keep = np.flatnonzero(plane >= 0)
-            at = at[0][keep], at[1][keep]
-            n = surroundings.axes[plane[keep], 3]
-            start = eye + distance[keep, None] * d[keep] + rays.lift * n
-            changed, shiny = np.flatnonzero(wanted[at]), np.flatnonzero(glossy[at])
-            total, mirrored, others = (np.zeros((len(keep), 3)) for _ in range(3))
-            for s in range(samples):
-                surface = start[changed], n[changed]
-                total[changed] += tracer.change(*surface, Sampler(key[at][changed], s, samples, seed), BOUNCES)
-                others[changed] += tracer.from_other_planes(*surface, Sampler(key[at][changed], s, samples, seed))
+            at, d, distance, plane = (at[0][keep], at[1][keep]), d[keep], distance[keep], plane[keep]
+            n = surroundings.axes[plane, 3]
+            start = eye + distance[:, None] * d + rays.lift * n
+            alone, plate = tracer.plane_light[plane], np.maximum(picture[at] - np.array(facts.bias_rgb), DARKEST)
+
+            def draw(rows: np.ndarray, s: int) -> np.ndarray:
+                """(n, 9) change, light of other planes, and what is mirrored, by one sample."""
+                out = np.zeros((len(rows), 9))
+                changed, shiny = np.flatnonzero(wanted[at][rows]), np.flatnonzero(glossy[at][rows])
+                subset = rows[changed]
+                out[changed, :3] = tracer.change(start[subset], n[subset], Sampler(key[at][subset], s, seed), BOUNCES)
+                if several:
+                    out[changed, 3:6] = tracer.from_other_planes(start[subset], n[subset], Sampler(key[at][subset], s, seed))
                 if len(shiny):
-                    draw = Sampler(key[at][shiny], s, samples, seed ^ 0x27D4EB2F)
-                    towards = -d[keep][shiny]
-                    lobes = Gloss(n[shiny], towards, np.full((len(shiny), 3), gloss[0]), gloss[1])
-                    rows, lobe, weight, _ = lobes.directions(draw)
-                    subset = shiny[rows]
-                    mirrored[subset] += weight * tracer.change_along(start[subset], lobe, draw.of(rows), BOUNCES)
-            alone = np.array(tracer.plane_light)[plane[keep]]
-            plane_light = np.maximum(alone + others / samples, LEAST_LEFT * alone)
-            change = divide(total / samples, plane_light) - (1 - shadow[at]) * (divide(alone, plane_light, where_zero=1.0) - 1)
-            base = np.maximum(now[Layer.PLATE][at] - np.array(facts.bias_rgb), DARKEST)
-            change += np.maximum(mirrored / samples, -base) / base
+                    subset = rows[shiny]
+                    sampler = Sampler(key[at][subset], s, seed ^ 0x27D4EB2F)
+                    lobes = Gloss(n[subset], -d[subset], np.full((len(subset), 3), gloss[0]), gloss[1])
+                    left, lobe, weight, _ = lobes.directions(sampler)
+                    inner, wide = start[subset[left]], np.full(len(left), _width(gloss[1]))
+                    change = tracer.change_along(inner, lobe, sampler.of(left), BOUNCES, wide)
+                    if several:
+                        change = change + tracer.change_of_planes(inner, lobe, sampler.of(left))
+                    out[shiny[left], 6:] = weight * change
+                return out
+
+            def noticed(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+                return strength * grey_slope(plate[rows]) * (values[:, :3] / alone[rows] * plate[rows] + values[:, 6:])
+
+            # what rays towards the ball bring differs by SPREAD of the largest change that the object can make
+            away = np.maximum(np.linalg.norm(start - tracer.ball[0], axis=1), tracer.ball[1])
+            facing = ((tracer.ball[0] - start) * n).sum(1) / away + tracer.ball[1] / away
+            largest = (grey_slope(plate) * plate).max(1) * (tracer.ball[1] / away) ** 2 * np.clip(facing, 0, 1)
+            few = np.ceil((SPREAD * largest / NOISE) ** 2).clip(1, samples).astype(int)
+            most = np.where(several | tracer.sampled.glows | tracer.sampled.bright | glossy[at], samples, few)
+            total, others, mirrored = np.split(settled(draw, noticed, most, 9), 3, axis=1)
+            plane_light = np.maximum(alone + others, LEAST_LEFT * alone)
+            change = divide(total, plane_light) - (1 - shadow[at]) * (divide(alone, plane_light, where_zero=1.0) - 1)
+            change += np.maximum(mirrored, -plate) / plate
             if real.size:
-                depth = distance[keep] * (d[keep] @ (anchor.rotation @ pose.rotation.T)[:, 2])
+                depth = distance * (d @ (anchor.rotation @ pose.rotation.T)[:, 2])
                 change *= np.array([depth_agreement(real, j, i, z) for j, i, z in zip(*at, depth, strict=True)]).reshape(-1, 1)
             shadow[at] += (strength * change).astype(np.float32)
+
+        parallel_map(plane_pixels, _batches(np.argwhere((wanted | glossy) & requested & np.isfinite(directions).all(-1))))
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.clip(shadow, 0, None)}
-
-
-def _in_disc(d: np.ndarray, size_deg: float, draw: Sampler) -> np.ndarray:
-    """(n, 3) unit directions to points of a light's disc around d (3,)."""
-    u, v = draw.pair()
-    r, phi = np.tan(np.radians(size_deg / 2)) * np.sqrt(u), 2 * np.pi * v
-    return normalise(in_frame_of(np.broadcast_to(d, (len(u), 3)), r * np.cos(phi), r * np.sin(phi), np.ones(len(u))))
-
-
-def cosine_density(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(n,) per steradian of `cosine_directions`."""
-    return np.asarray(np.clip((normals * directions).sum(1), 0, None) / np.pi)
-
-
-def lambertian(normals: np.ndarray) -> Reflectance:
-    """What `Tracer.found` asks of a white diffuse surface: cosine over pi, both times."""
-
-    def value(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        density = cosine_density(normals, directions)
-        return density[:, None], density
-
-    return value
 
 
 def _object_light(
@@ -287,35 +336,57 @@ def _object_light(
     """(k, 3) indirect light that surfaces send along v (k, 3)."""
     start = positions + tracer.rays.lift * n
     metal = material[:, :1]
-    f0 = 0.08 * material[:, 2:3] * (1 - metal) + albedo * metal
-    shiny = f0.max(1) > 0
+    matt_f0 = 0.08 * material[:, 2:3] * (1 - metal)
+    f0 = matt_f0 + albedo * metal
     diffuse_albedo = albedo * (1 - metal)
-    matte, lobes = np.flatnonzero(diffuse_albedo.max(1) > 0), np.flatnonzero(shiny)
+    matte, lobes = np.flatnonzero(diffuse_albedo.max(1) > 0), np.flatnonzero(f0.max(1) > 0)
     gloss = Gloss(n[lobes], v[lobes], f0[lobes], material[lobes, 1])
-    total = np.zeros_like(positions)
+    width = _width(material[lobes, 1])
 
-    def diffuse_fraction(d: np.ndarray) -> np.ndarray:
+    def diffuse_fraction(d: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Of what arrives along d, reflected by what lies under the gloss."""
-        half = normalise(d + v[matte])
-        fresnel = f0[matte] + (1 - f0[matte]) * (1 - np.clip((half * v[matte]).sum(1, keepdims=True), 0, 1)) ** 5
-        return np.asarray(diffuse_albedo[matte] * (1 - np.where(shiny[matte][:, None], fresnel, 0)))
+        grazing = (1 - np.clip((normalise(d + v[rows]) * v[rows]).sum(1, keepdims=True), 0, 1)) ** 5
+        fresnel = matt_f0[rows] + (matt_f0[rows] > 0) * (1 - matt_f0[rows]) * grazing
+        return np.asarray(diffuse_albedo[rows] * (1 - fresnel))
 
-    def diffuse_value(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        density = cosine_density(n[matte], d)
-        return diffuse_fraction(d) * density[:, None], density
+    def diffuse_value(d: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        density = cosine_density(n[rows], d)
+        return diffuse_fraction(d, rows) * density[:, None], density
 
-    for s in range(samples):
-        if len(matte):
-            draw = Sampler(key[matte], s, samples, seed)
-            d = cosine_directions(n[matte], draw)
-            incoming = tracer.along(start[matte], d, draw.of(np.arange(len(matte))), BOUNCES, cosine_density(n[matte], d))
-            total[matte] += diffuse_fraction(d) * incoming + tracer.sampled_lights(start[matte], draw, diffuse_value)
-        if len(lobes):
-            draw = Sampler(key[lobes], s, samples, seed ^ 0x5BD1E995)
-            subset, d, weight, density = gloss.directions(draw)
-            total[lobes[subset]] += weight * tracer.along(start[lobes[subset]], d, draw.of(subset), BOUNCES, density)
-            total[lobes] += tracer.sampled_lights(start[lobes], draw, lambda d: gloss.at(np.arange(len(lobes)), d))
-    return total / samples
+    # what hardly shines is asked for its gloss in one of DIM samples
+    shines = (f0[lobes].max(1) > DIM_F0) | (samples < 4 * DIM)
+    bright, dim = np.flatnonzero(shines), np.flatnonzero(~shines)
+
+    def draw_sample(rows: np.ndarray, s: int) -> np.ndarray:
+        inside = np.zeros(len(positions), bool)
+        inside[rows] = True
+        out = np.zeros_like(positions)
+        of = np.flatnonzero(inside[matte])
+        if len(of):
+            m = matte[of]
+            draw = Sampler(key[m], s, seed)
+            d = cosine_directions(n[m], draw)
+            ones = np.ones(len(m))
+            incoming = tracer.along(start[m], d, draw.of(np.arange(len(m))), BOUNCES, ones, cosine_density(n[m], d))
+            lights = tracer.sampled_lights(start[m], draw, lambda d: diffuse_value(d, m), ones)
+            out[m] += diffuse_fraction(d, m) * incoming + lights
+        for of, share in ((bright, 1), (dim, DIM)):
+            of = of[inside[lobes[of]]]
+            if s % share == 0 and len(of):
+                at, part = lobes[of], gloss.of(of)
+                draw = Sampler(key[at], s // share, seed ^ 0x5BD1E995)
+                left, d, weight, density = part.directions(draw)
+                from_lobe = tracer.along(start[at[left]], d, draw.of(left), BOUNCES, width[of[left]], density)
+                out[at[left]] += share * weight * from_lobe
+                out[at] += share * tracer.sampled_lights(start[at], draw, partial(part.at, ...), width[of])
+        return out[rows]
+
+    return settled(draw_sample, lambda values, rows: grey_slope(values) * values, np.full(len(positions), samples))
+
+
+def _width(roughness: np.ndarray | float) -> np.ndarray:
+    """What `Surroundings.environment` takes as `wide`, of a lobe."""
+    return np.asarray(np.interp(np.degrees(np.arctan(mirror_tangent(roughness))), (NARROW_DEG, WIDE_DEG), (0, 1)))
 
 
 def _batches(rows: np.ndarray) -> Iterator[np.ndarray]:

@@ -5,10 +5,15 @@ exceeds 1, unlike those of all normals, which now and then weigh hundreds. A ray
 reflection suggests meets a small lamp once in hundreds, and then counts hundredfold: single pixels far too bright. So bright
 parts of the environment and what glows are sampled as well, each sample weighted by its density over the sum of both (balance
 heuristic), which leaves the mean as it is.
-Source: O'Neill 2014 (PCG); Cranley and Patterson 1976; Heitz 2014 (Smith's G), 2018 (visible normals); Veach and Guibas 1995
-(multiple importance sampling)."""
+Source: O'Neill 2014 (PCG); Burley 2020 (scrambled Sobol sequence); Heitz 2014 (Smith's G), 2018 (visible normals); Veach and
+Guibas 1995 (multiple importance sampling)."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from types import EllipsisType
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +21,8 @@ from arfx.core.cube import on_cube, solid_angles
 from arfx.core.numerics import divide, normalise
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
 
+NEAR = 1.3  # radii: from nearer a ball fills so much that the plane's own directions are better
+Reflectance = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 _DEEPER = 100  # dimensions that a place on a path may use
 SMOOTHEST = 0.02  # roughness: what is smoother is as good as a mirror
 EVEN = 3.0  # an environment whose brightest texel is less than so many times its mean needs no samples of its own
@@ -36,33 +43,63 @@ def uniform(pixel: np.ndarray, sample: int, dimension: int, seed: int) -> np.nda
     return np.asarray(s / 4294967296.0)
 
 
-class Sampler:
-    """Random numbers of some pixels for one sample; every call takes new dimensions. strata : of the first pair"""
+def _reversed_bits(x: Any) -> Any:
+    """Of 32 bits: an int, or (n,) uint32."""
+    for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)):
+        x = (x >> shift & mask) | (x & mask) << shift
+    return (x >> 16 | x << 16) & 0xFFFFFFFF
 
-    def __init__(self, pixel: np.ndarray, sample: int, samples: int, seed: int, dimension: int = 0) -> None:
-        self.pixel, self.sample, self.samples, self.seed, self.dimension = pixel, sample, samples, seed, dimension
+
+def _scrambled(bits: int, pixel: np.ndarray, dimension: int, seed: int) -> np.ndarray:
+    """(n,) in [0, 1) : a number whose bits are given, lowest first, with each bit flipped by those before it (Owen), as a hash of
+    the pixel says (Laine and Karras 2011, constants of Burley 2020)."""
+    with np.errstate(over="ignore"):
+        x = (uniform(pixel, 0, dimension, seed) * 4294967296.0).astype(np.uint32) + np.uint32(bits)
+        for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
+            x ^= x * np.uint32(factor)
+    return np.asarray(_reversed_bits(x) / 4294967296.0)
+
+
+_SECOND = [1 << 31]  # direction numbers of Sobol's second dimension
+for _ in range(31):
+    _SECOND.append(_SECOND[-1] ^ _SECOND[-1] >> 1)
+
+
+class Sampler:
+    """Random numbers of some pixels for one sample; every call takes new dimensions."""
+
+    def __init__(self, pixel: np.ndarray, sample: int, seed: int, dimension: int = 0) -> None:
+        self.pixel, self.sample, self.seed, self.dimension = pixel, sample, seed, dimension
 
     def pair(self) -> tuple[np.ndarray, np.ndarray]:
         d = self.dimension
         self.dimension += 2
-        if d:
-            return uniform(self.pixel, self.sample, d, self.seed), uniform(self.pixel, self.sample, d + 1, self.seed)
-        return self._lattice(1000)
+        return self._sequence(1000) if d == 0 else (self._number(d), self._number(d + 1))
+
+    def single(self) -> np.ndarray:
+        self.dimension += 1
+        return self._number(self.dimension - 1)
 
     def pair_for_lights(self) -> tuple[np.ndarray, np.ndarray]:
         """As the first pair of numbers is: spread evenly over the samples of a pixel's own place; later ones are `pair`s."""
-        if self.dimension >= _DEEPER:
-            return self.pair()
-        return self._lattice(1002)
+        return self.pair() if self.dimension >= _DEEPER else self._sequence(1002)
 
-    def _lattice(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
-        # Fibonacci lattice, shifted by a number of the pixel's own (Cranley and Patterson)
-        u = (self.sample + 0.5) / self.samples + uniform(self.pixel, 0, shift, self.seed)
-        v = self.sample * 0.6180339887498949 + uniform(self.pixel, 0, shift + 1, self.seed)
-        return u % 1, v % 1
+    def _number(self, dimension: int) -> np.ndarray:
+        return uniform(self.pixel, self.sample, dimension, self.seed)
+
+    def _sequence(self, shift: int) -> tuple[np.ndarray, np.ndarray]:
+        """Sobol's first two dimensions, scrambled by numbers of the pixel's own: every 2^k samples from a multiple of that on
+        are even."""
+        first, second = self.sample & 0xFFFFFFFF, 0
+        for k in range(32):
+            if self.sample >> k & 1:
+                second ^= _SECOND[k]
+        return _scrambled(first, self.pixel, shift, self.seed), _scrambled(
+            _reversed_bits(second), self.pixel, shift + 1, self.seed
+        )
 
     def of(self, rows: np.ndarray) -> Sampler:
-        return Sampler(self.pixel[rows], self.sample, self.samples, self.seed, self.dimension + _DEEPER)
+        return Sampler(self.pixel[rows], self.sample, self.seed, self.dimension + _DEEPER)
 
 
 def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,11 +114,50 @@ def in_frame_of(normals: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray
     return x[:, None] * u + y[:, None] * v + z[:, None] * normals
 
 
+def in_disc(d: np.ndarray, size_deg: float, draw: Sampler) -> np.ndarray:
+    """(n, 3) unit directions to points of a light's disc around d (3,)."""
+    u, v = draw.pair()
+    r, phi = np.tan(np.radians(size_deg / 2)) * np.sqrt(u), 2 * np.pi * v
+    return normalise(in_frame_of(np.broadcast_to(d, (len(u), 3)), r * np.cos(phi), r * np.sin(phi), np.ones(len(u))))
+
+
 def cosine_directions(normals: np.ndarray, draw: Sampler) -> np.ndarray:
     """(n, 3) unit, with a density as their cosine to the normals (n, 3)."""
     u, v = draw.pair()
     r, phi = np.sqrt(u), 2 * np.pi * v
     return in_frame_of(normals, r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u))
+
+
+def cosine_density(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(n,) per steradian of `cosine_directions`."""
+    return np.asarray(np.clip((normals * directions).sum(1), 0, None) / np.pi)
+
+
+def lambertian(normals: np.ndarray) -> Reflectance:
+    """What `Tracer.sampled_lights` asks of a white diffuse surface: cosine over pi, both times."""
+
+    def value(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        density = cosine_density(normals, directions)
+        return density[:, None], density
+
+    return value
+
+
+def towards_ball(
+    points: np.ndarray, normals: np.ndarray, centre: np.ndarray, radius: float, draw: Sampler
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(unit directions (n, 3), their density (n,), whether near (n,)) from points (n, 3): even over the cone that holds a ball;
+    about the normals (n, 3) as `cosine_directions` where the ball is so near that the cone is wide."""
+    to = centre - points
+    away = np.linalg.norm(to, axis=1)
+    near = away < NEAR * radius
+    cosine = np.sqrt(1 - np.minimum(radius / np.maximum(away, radius), 1 / NEAR) ** 2)
+    u, v = draw.pair()
+    z = np.where(near, np.sqrt(1 - u), 1 - u * (1 - cosine))
+    r, phi = np.sqrt(np.clip(1 - z * z, 0, None)), 2 * np.pi * v
+    d = in_frame_of(np.where(near[:, None], normals, divide(to, away[:, None])), r * np.cos(phi), r * np.sin(phi), z)
+    density = np.where(near, np.clip((normals * d).sum(1), 1e-9, None) / np.pi, 1 / (2 * np.pi * (1 - cosine)))
+    return d, density, near
 
 
 class Gloss:
@@ -94,6 +170,13 @@ class Gloss:
         local = np.stack([(v * self._u).sum(1), (v * self._w).sum(1), (v * n).sum(1)], -1)
         local[:, 2] = np.clip(local[:, 2], 1e-4, None)  # normals of a mesh may look away from what sees it
         self._v = normalise(local)
+
+    def of(self, rows: np.ndarray) -> Gloss:
+        """Some of the lobes."""
+        part = copy(self)
+        for name, value in vars(self).items():
+            setattr(part, name, value[rows])
+        return part
 
     def directions(self, draw: Sampler) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """(rows (m,) that leave the surface, unit directions (m, 3), weights (m, 3), densities (m,))."""
@@ -116,15 +199,15 @@ class Gloss:
         value, density = self._at(rows, d[rows], h[rows])
         return rows, in_frame_of(self.n[rows], *d[rows].T), divide(value, density[:, None]), density
 
-    def at(self, rows: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(reflected share times cosine (m, 3), density (m,)) for lobes `rows` (m,) and unit directions (m, 3); 0 from below."""
+    def at(self, rows: np.ndarray | EllipsisType, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(reflected share times cosine (m, 3), density (m,)) of unit directions (m, 3); 0 from below. rows (m,), or all"""
         u, w, n = self._u[rows], self._w[rows], self.n[rows]
         d = np.stack([(directions * u).sum(1), (directions * w).sum(1), (directions * n).sum(1)], -1)
         value, density = self._at(rows, d, normalise(d + self._v[rows]))
         above = d[:, 2] > 1e-5
         return value * above[:, None], density * above
 
-    def _at(self, rows: np.ndarray, d: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _at(self, rows: np.ndarray | EllipsisType, d: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         v, a2 = self._v[rows], self.a[rows] ** 2
         nl, nv, nh = np.clip(d[:, 2], 1e-5, None), v[:, 2], h[:, 2]
         vh = np.clip((v * h).sum(1), 0, 1)
@@ -164,10 +247,10 @@ class Lights:
         column, row = (np.clip(((t + 1) / 2 * n).astype(int), 0, n - 1) for t in (u, v))
         return np.asarray(self._chance[(face * n + row) * n + column] * n**2 / 4 * (1 + u**2 + v**2) ** 1.5)
 
-    def environment(self, directions: np.ndarray, density: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
+    def environment(self, directions: np.ndarray, density: np.ndarray | None, rows: np.ndarray, wide: np.ndarray) -> np.ndarray:
         """(m, 3) radiance from directions[rows], weighted as `balance_weight`."""
         weight = balance_weight(density, rows, self.environment_density(directions[rows]))
-        return self._surroundings.environment(directions[rows]) * weight
+        return self._surroundings.environment(directions[rows], wide[rows]) * weight
 
     def to_environment(self, count: int, draw: Sampler) -> tuple[np.ndarray, np.ndarray]:
         """(unit directions (n, 3), density (n,))."""

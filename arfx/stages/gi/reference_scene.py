@@ -55,10 +55,33 @@ class RayScene:
         self._light_density = divide(strength, self.emits)
         self._triangles = Triangles(corners)
         self.blocked = self._triangles.blocked
+        materials = [p.material for p in self.parts]
+        metal, f0 = (
+            np.array(v, float) for v in zip(*((m.metallic, 0.08 * m.specular * (1 - m.metallic)) for m in materials), strict=True)
+        )
+        of = self.part_of
+        self._matt, self._f0, self._metal = ((1 - metal) * (1 - f0))[of, None], f0[of, None], metal[of, None]
+        self._emission = np.array([m.emissive for m in materials], float)[of]
+        self._colours = np.broadcast_to(
+            np.array([m.base_colour[:3] for m in materials], float)[of][:, None], (len(of), 3, 3)
+        ).copy()
+        for k, part in enumerate(self.parts):
+            if part.colours is not None:
+                rows = np.flatnonzero(of == k)
+                self._colours[rows] *= part.colours[part.faces[self.face_of[rows]]][..., :3]
+        self._textured = [
+            k for k, p in enumerate(self.parts)
+            if p.uv is not None and (p.material.base_texture is not None or p.material.emissive_texture is not None)
+        ]  # fmt: skip
 
     def corners_of(self, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         c = self._corners[triangle]
         return c[:, 0], c[:, 1], c[:, 2]
+
+    def first_distance(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(n,) metres; inf where nothing is."""
+        result = self._triangles.first_hits(origins, directions)
+        return np.where(np.asarray(result["primID"]).astype(np.int64) >= 0, np.asarray(result["tfar"], float), np.inf)
 
     def first(self, origins: np.ndarray, directions: np.ndarray) -> Hit:
         result = self._triangles.first_hits(origins, directions)
@@ -68,29 +91,23 @@ class RayScene:
         distance = np.where(met, np.asarray(result["tfar"], float), np.inf)
         z = np.zeros((6, n, 3))
         hit = Hit(met, distance, z[0], z[1], z[2], z[3], z[4], z[5], np.zeros(n))
-        hit.face_normal[met], hit.light_density[met] = self._face_normal[prim[met]], self._light_density[prim[met]]
-        hit.position[met] = origins[met] + distance[met, None] * directions[met]
-        u, v = np.asarray(result["u"], float), np.asarray(result["v"], float)
-        for k, part in enumerate(self.parts):
-            rows = np.flatnonzero(met & (self.part_of[np.where(met, prim, 0)] == k))
-            if not len(rows):
-                continue
-            corner = part.faces[self.face_of[prim[rows]]]
-            w = np.stack([1 - u[rows] - v[rows], u[rows], v[rows]], -1)[..., None]
-            hit.normal[rows] = normalise((self._normals[prim[rows]] * w).sum(1))
-            m = part.material
-            base = np.broadcast_to(np.asarray(m.base_colour[:3], float), (len(rows), 3))
-            if part.colours is not None:
-                base = base * (part.colours[corner][..., :3] * w).sum(1)
-            glow = np.broadcast_to(np.asarray(m.emissive, float), (len(rows), 3))
-            if part.uv is not None:
-                uv = (part.uv[corner] * w).sum(1) % 1
-                base = base * _texel(m.base_texture, uv)
-                glow = glow * _texel(m.emissive_texture, uv)
-            f0 = 0.08 * m.specular * (1 - m.metallic)
-            hit.diffuse[rows] = base * (1 - m.metallic) * (1 - f0)
-            hit.specular[rows] = f0 + base * m.metallic
-            hit.emission[rows] = glow
+        rows = np.flatnonzero(met)
+        at = prim[rows]
+        u, v = np.asarray(result["u"], float)[rows], np.asarray(result["v"], float)[rows]
+        w = np.stack([1 - u - v, u, v], -1)[..., None]
+        base, glow = (self._colours[at] * w).sum(1), self._emission[at]
+        for k in self._textured:
+            mine = np.flatnonzero(self.part_of[at] == k)
+            part, m = self.parts[k], self.parts[k].material
+            assert part.uv is not None
+            uv = (part.uv[part.faces[self.face_of[at[mine]]]] * w[mine]).sum(1) % 1
+            base[mine] *= _texel(m.base_texture, uv)
+            glow[mine] *= _texel(m.emissive_texture, uv)
+        hit.face_normal[rows], hit.light_density[rows] = self._face_normal[at], self._light_density[at]
+        hit.position[rows] = origins[rows] + distance[rows, None] * directions[rows]
+        hit.normal[rows] = normalise((self._normals[at] * w).sum(1))
+        hit.diffuse[rows], hit.specular[rows] = base * self._matt[at], self._f0[at] + base * self._metal[at]
+        hit.emission[rows] = glow
         return hit
 
 
@@ -106,10 +123,12 @@ class Surroundings:
     """Planes and environment, anchor axes."""
 
     def __init__(
-        self, now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, cube: np.ndarray, planes: Planes, radius_m: float
-    ) -> None:
+        self, now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, cubes: tuple[np.ndarray, np.ndarray], planes: Planes,
+        radius_m: float,
+    ) -> None:  # fmt: skip
         self.axes, self._bounds = planes.axes.astype(float), planes.bounds.astype(float)
-        self.cube, self.turn = cube, scene.world_from_anchor.rotation
+        (self.narrow, cube), self.turn = cubes, scene.world_from_anchor.rotation
+        self.cube = cube
         self._camera, self._pose = scene.camera, facts.pose @ scene.world_from_anchor
         self._eye = self._pose.inverse().translation_m
         inside = seen.clip(now.rect)
@@ -127,7 +146,10 @@ class Surroundings:
         d, solid = face_directions(size).reshape(-1, 3), np.tile(solid_angles(size).ravel(), 6)
         below = (d @ self.turn[:, 2] < 0)[:, None]
         flat = np.where(below, self._means[0], coarse.reshape(-1, 3))
-        self._flat = flat * solid[:, None], d @ self.turn, solid
+        facing = np.clip(face_directions(IRRADIANCE_PX).reshape(-1, 3) @ d.T, 0, None)
+        self._irradiance = divide(facing @ (flat * solid[:, None]), (facing @ solid)[:, None]).reshape(
+            6, IRRADIANCE_PX, IRRADIANCE_PX, 3
+        )
 
     def first_plane(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(plane (n,), -1 = none; distance (n,), inf) of the nearest plane met from its front."""
@@ -165,15 +187,15 @@ class Surroundings:
             out[known] = (p[j, i] * (1 - fx) + p[j, i1] * fx) * (1 - fy) + (p[j1, i] * (1 - fx) + p[j1, i1] * fx) * fy
         return out, known
 
-    def environment(self, directions: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance of the cube in directions (n, 3), anchor axes."""
-        return look_up(self.cube, directions @ self.turn.T)
+    def environment(self, directions: np.ndarray, wide: np.ndarray) -> np.ndarray:
+        """(n, 3) radiance in directions (n, 3), anchor axes. wide (n,) : 0 as a mirror sees it, 1 as a matt surface does"""
+        d = directions @ self.turn.T
+        far = look_up(self.cube, d)
+        if self.narrow is self.cube:
+            return far
+        near = look_up(self.narrow, d)
+        return np.asarray(near + wide[:, None] * (far - near))
 
     def unoccluded_irradiance(self, normals: np.ndarray) -> np.ndarray:
         """(n, 3) what a white surface gets from all around with nothing in the way: the end of a path."""
-        flat, d, solid = self._flat
-        out = np.empty((len(normals), 3))
-        for a in range(0, len(normals), 20000):
-            c = np.clip(normals[a : a + 20000] @ d.T, 0, None)
-            out[a : a + 20000] = divide(c @ flat, (c @ solid)[:, None])
-        return out
+        return look_up(self._irradiance, normals @ self.turn.T)

@@ -19,9 +19,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
+from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import Light
 from arfx.core.numerics import divide
+from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, Demand, JobView, Stage, View
@@ -30,8 +31,17 @@ from arfx.stages.gi.cones import DiffuseCones, Lobes, diffuse_cones, lobes, mirr
 from arfx.stages.gi.field import Field, VoxelModel, make_voxel_model
 from arfx.stages.gi.frame_light import LevelSettings, frame_field, incoming_light, rounded
 from arfx.stages.gi.health import furnace, seams
-from arfx.stages.gi.pixels import Anchor, Limits, gather_points, interpolate, reflected_light, select_points, split_sum
-from arfx.stages.gi.plane_pixels import DARKEST, PlaneChange, add_delta, gloss_of, measured, mirror_in_planes, visible_radius_m
+from arfx.stages.gi.pixels import Anchor, Blocks, Limits, gather_points, interpolate, reflected_light, select_points, split_sum
+from arfx.stages.gi.plane_pixels import (
+    DARKEST,
+    PlaneChange,
+    add_delta,
+    cell_px,
+    gloss_of,
+    measured,
+    mirror_in_planes,
+    visible_radius_m,
+)
 from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, mirror_rect, planes_of, texel_positions
 from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.surroundings import Background, Planes
@@ -40,9 +50,9 @@ from arfx.stages.viewing import direction_grid, viewing
 
 SMALL_PX = 6  # a grey matt object that changes no more than this lies within edge pixels with all of it
 LEVELS = {
-    "draft": LevelSettings(32, 64, 6, 128, 4, True, 2.0, 2.0),
-    "standard": LevelSettings(64, 128, 16, 256, 3, True, 0.35, 0.0, 256),
-    "high": LevelSettings(128, 256, 16, 512, 1, True, 1.1, 0.0, 384),
+    "draft": LevelSettings(32, 64, 6, 128, 5, True, 0.0, 0.0, 128),
+    "standard": LevelSettings(128, 128, 16, 256, 3, True, 0.35, 0.0, 256),
+    "high": LevelSettings(128, 256, 16, 512, 2, True, 1.1, 0.0, 384),
 }
 
 
@@ -52,7 +62,7 @@ class GiParams:
     strength : strength of the indirect light on the real planes: 0 = none, 1 = as computed
     plane_gloss : fraction of light that the real plane reflects like a mirror, seen from above: 0 = matt, .04 = varnish or glass
     plane_roughness : roughness of the plane's reflection, 0 (a mirror) to 1
-    samples : rays per pixel at level reference"""
+    samples : most rays per pixel at level reference; fewer where the noise that is left does not show"""
 
     formula: str = field(default="corrected", init=False)
     strength: float = 1.0
@@ -128,7 +138,7 @@ class Gi(Stage):
             texel_positions(planes, _texture_side(scene, at)),
         )  # fmt: skip
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         facts, now, scene, pose, frame = view.facts, view.layers, view.scene, view.pose, view.scene.camera.rect
         if self._imperceptible_px(facts, scene):  # the light's soft part on the object as if nothing were in its way
             soft = view.light.soft_radiance(now[Layer.NORMAL]) * now[Layer.ALBEDO] * now[Layer.COVERAGE][..., None]
@@ -144,46 +154,47 @@ class Gi(Stage):
         indirect = frame_field(view, prepared.model, planes, incoming, at)
         background = incoming.background_with(indirect, prepared.model.visibility)
         virtual = self._virtual(view, prepared, indirect, background, incoming.soft)
-        shadow, real = now[Layer.SHADOW], measured(now[Layer.REAL_DEPTH])
         radius = visible_radius_m(indirect.delta, prepared.model.positions, planes.axes, SHOWS, self._radius_m(view.light, scene))
+        disc = disc_rect(scene, planes, radius, pose, frame) if radius > 0 and not disc.empty else EMPTY
+        part = now.extent(Layer.SHADOW).union(disc).union(mirror).clip(view.out).clip(now.rect)
+        shadow, here = _written(now, Layer.SHADOW, part), now.crop(part)
+        real = measured(here)
         anchor_from_camera = (pose @ scene.world_from_anchor).inverse()
-        if not disc.empty and radius > 0:
-            disc = disc_rect(scene, planes, radius, pose, frame)
+        eye = anchor_from_camera.translation_m.astype(f32)
+        if not disc.clip(part).empty:
             nodes = (prepared.grid @ anchor_from_camera.rotation.T).astype(f32)
-
+            px_per_m = scene.camera.matrix[0, 0] / max(float(np.linalg.norm(eye - planes.axes[0, 0])), 1e-9)
+            cell = np.int64(cell_px(px_per_m, planes.half_m, at.plane_side))
             change = PlaneChange(
-                indirect.delta, indirect.extra_occlusion, f32(planes.half_m), f32(radius), f32(self.params.strength)
+                indirect.delta, indirect.extra_occlusion, f32(planes.half_m), f32(radius), f32(self.params.strength), cell
             )  # fmt: skip
-            shadow = add_delta(
-                shadow, now.rect.x0, now.rect.y0, np.array(disc.to_json()), nodes,
-                anchor_from_camera.translation_m.astype(f32), planes.axes, change, real,
-            )  # fmt: skip
-        if not (mirror := mirror.clip(view.rect)).empty:
+            add_delta(shadow, part.x0, part.y0, np.array(disc.to_json()), nodes, eye, planes.axes, change, real)
+        if not (mirror := mirror.clip(part)).empty:
             plate, bias = np.ascontiguousarray(now.crop(mirror)[Layer.PLATE]), np.array(facts.bias_rgb, f32)
-            bricks, low_m, voxel_m = prepared.model.traced(indirect.atlas)
             gloss = gloss_of(self.params.plane_gloss, self.params.plane_roughness, prepared.lobes, SHOWS)
-            rays = viewing(prepared.grid @ anchor_from_camera.rotation.T, mirror)
+            rays, at_mirror = viewing(prepared.grid @ anchor_from_camera.rotation.T, mirror), mirror.slices_in(part)
             mirrored = self.params.strength * mirror_in_planes(
-                plate, rays, anchor_from_camera.translation_m.astype(f32), bias, gloss, bricks, low_m,
-                voxel_m, background, np.ascontiguousarray(real[mirror.slices_in(view.rect)]) if real.size else real,
+                plate, rays, eye, bias, gloss, prepared.model.placed(indirect.atlas), background,
+                np.ascontiguousarray(real[at_mirror]) if real.size else real,
             )  # fmt: skip
-            shadow, at_mirror = shadow.copy(), mirror.slices_in(view.rect)
             shadow[at_mirror] = np.clip(shadow[at_mirror] + mirrored / np.maximum(plate - bias, DARKEST), 0, None)
-        return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow.copy() if shadow is now[Layer.SHADOW] else shadow}
+        return {Layer.VIRTUAL: virtual, Layer.SHADOW: Pixels(now.rect, shadow, part=part)}
 
-    def _virtual(self, view: View, prepared: Prepared, field: Field, background: Background, soft: float) -> np.ndarray:
+    def _virtual(self, view: View, prepared: Prepared, field: Field, background: Background, soft: float) -> Pixels:
         """soft : least channel of the light without a direction, of a white surface on the plane"""
-        now, out, at = view.layers, view[Layer.VIRTUAL].copy(), self.settings[view.level]
-        block = at.block
-        box = view.facts.raster_box.align(block, block).clip(now.rect)
-        if box.empty:
-            return out
-        part = now.crop(box)
+        now, at = view.layers, self.settings[view.level]
+        block, shown = at.block, view.facts.raster_box.clip(view.out)
+        part = now.extent(Layer.VIRTUAL).clip(view.out).union(shown).clip(now.rect)
+        out = _written(now, Layer.VIRTUAL, part)
+        box = EMPTY if shown.empty else shown.pad(block).align(block, block).clip(view.facts.raster_box.align(block, block))
+        if (box := box.clip(now.rect)).empty:
+            return Pixels(now.rect, out, part=part)
+        here = now.crop(box)
         anchor, f32 = view.scene.world_from_anchor.inverse(), np.float32
-        surface = Surface(*(part[Layer(name)] for name in Surface._fields))
+        surface = Surface(*(here[Layer(name)] for name in Surface._fields))
         eye = anchor.apply(view.pose.inverse().translation_m).astype(f32)
         axes = Anchor(anchor.rotation.astype(f32), anchor.translation_m.astype(f32), eye)
-        cones = *prepared.model.traced(field.atlas), prepared.cones, prepared.lobes, background
+        cones = prepared.model.placed(field.atlas), prepared.cones, prepared.lobes, background
         brightest = max(float(background.maps.max()), float(background.textures.max()), field.brightest)
         limits = Limits(f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(soft, brightest)), split_sum())
         points, light, index = np.zeros((0, 7), f32), np.zeros((0, 6), f32), np.zeros((0, 0), np.int32)
@@ -191,12 +202,13 @@ class Gi(Stage):
             points, gather, index = select_points(surface, box.x0, box.y0, block, axes, limits)
             light = gather_points(points, gather, eye, *cones)
         voxel_m = f32(prepared.model.voxels.volume.voxel_m)
-        interpolated, points, gather, pixels = interpolate(
-            surface, box.x0, box.y0, block if block > 1 else 0, axes, limits, voxel_m, points, light, index
-        )
+        blocks = Blocks(block if block > 1 else 0, voxel_m, points, light, index)
+        interpolated, points, gather, pixels = interpolate(surface, box.x0, box.y0, blocks, axes, limits)
         gathered = gather_points(points, gather, eye, *cones)
-        out[box.slices_in(now.rect)] += reflected_light(surface, axes, limits, interpolated, gathered, gather, pixels)
-        return out
+        both = box.clip(part)
+        added = reflected_light(surface, axes, limits, interpolated, gathered, gather, pixels)
+        out[both.slices_in(part)] += added[both.slices_in(box)]
+        return Pixels(now.rect, out, part=part)
 
     def _mirror_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
         """Pixels in which glossy planes can mirror the object."""
@@ -237,6 +249,17 @@ class Gi(Stage):
         wide = facts.model_box.union(disc_rect(scene, planes_of(scene), radius, facts.pose, scene.camera.rect))
         size = max(wide.width, wide.height)
         return size if size <= SMALL_PX else 0
+
+
+def _written(layers: Layers, name: Layer, part: Rect) -> np.ndarray:
+    """A copy of a layer over a part of it, to be written to."""
+    written = layers.extent(name).clip(part)
+    if written == part:
+        return layers.crop(part)[name].copy()
+    out = neutral(name, part)
+    if not written.empty:
+        out[written.slices_in(part)] = layers.crop(written)[name]
+    return out
 
 
 def _reflected_rect(facts: FrameFacts, scene: Scene) -> Rect:

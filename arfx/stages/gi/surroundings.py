@@ -89,27 +89,28 @@ def _kernels(size: int) -> csr_array:
 
 
 def octahedral(cube: np.ndarray, wide: np.ndarray | None = None) -> np.ndarray:
-    """(widths, side + 2, side + 2, 3) float32 of a cube (6, n, n, 3): mean radiance in a cone about every direction.
+    """(1 or 2, widths, side + 2, side + 2, 3) float32 of a cube (6, n, n, 3): mean radiance in a cone about every direction.
 
-    wide : another cube, seen instead by cones of WIDE_DEG and more, and in part by those between that and NARROW_DEG
+    wide : another cube, for the second of two: what matt surfaces see instead
     side : SIDE, and FINE_SIDE where the cube has more than COARSE_PX texels a face: its first map then shows each of them"""
-    fine = cube.shape[1] > COARSE_PX
-    cubes = [cube] if wide is None else [cube, wide]
+    fine, cubes = cube.shape[1] > COARSE_PX, [cube] if wide is None else [cube, wide]
+    small = cubes
     if fine:
-        cubes = [np.stack([cv2.resize(f, (COARSE_PX, COARSE_PX), interpolation=cv2.INTER_AREA) for f in c]) for c in cubes]
-    flat = np.concatenate([c.reshape(-1, 3).astype(np.float32) for c in cubes], 1)
-    both = (_kernels(cubes[0].shape[1]) @ flat).reshape(len(HALF_ANGLES_DEG), SIDE + 2, SIDE + 2, -1)
-    share = np.interp(HALF_ANGLES_DEG, (NARROW_DEG, WIDE_DEG), (0, 1)).astype(np.float32)[:, None, None, None]
-    maps: np.ndarray = both[..., :3] + share * (both[..., -3:] - both[..., :3])
+        small = [np.stack([cv2.resize(f, (COARSE_PX, COARSE_PX), interpolation=cv2.INTER_AREA) for f in c]) for c in cubes]
+    flat = np.concatenate([c.reshape(-1, 3).astype(np.float32) for c in small], 1)
+    both = (_kernels(small[0].shape[1]) @ flat).reshape(len(HALF_ANGLES_DEG), SIDE + 2, SIDE + 2, len(cubes), 3)
+    maps = np.ascontiguousarray(np.moveaxis(both, 3, 0))
     if not fine:
         return maps
-    maps = maps[1:]
     up = _finer()
-    wide = up @ (up @ maps.reshape(len(maps), SIDE + 2, -1)).reshape(-1, SIDE + 2, 3)
+    out = np.empty((*maps.shape[:2], FINE_SIDE + 2, FINE_SIDE + 2, 3), np.float32)
+    rows = up @ maps[:, 1:].reshape(-1, SIDE + 2, 3 * (SIDE + 2))
+    out[:, 1:] = (up @ rows.reshape(-1, SIDE + 2, 3)).reshape(out[:, 1:].shape)
     at, share = _places(cube.shape[1])
-    texels = bordered(np.asarray(cube, np.float32)).reshape(-1, 3)
-    sharp = sum(s * texels[k] for k, s in zip(at, share, strict=True))
-    return np.concatenate([np.ravel(sharp), np.ravel(wide)]).reshape(-1, FINE_SIDE + 2, FINE_SIDE + 2, 3)
+    for k, c in enumerate(cubes):
+        texels = bordered(np.asarray(c, np.float32)).reshape(-1, 3)
+        out[k, 0] = np.reshape(sum(s * texels[i] for i, s in zip(at, share, strict=True)), out.shape[2:])
+    return out
 
 
 @lru_cache(maxsize=1)
@@ -155,8 +156,9 @@ def _facing(size: int, *normal: float) -> np.ndarray:
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def environment_radiance(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: no cover - compiled
-    """(r, g, b) of the environment. maps : of `octahedral`;  turn (3, 3) : axes of the maps from those of d (any length)."""
+def environment_radiance(maps, widths, turn, dx, dy, dz, half_deg, wide):  # pragma: no cover - compiled
+    """(r, g, b) of the environment. maps : of `octahedral`;  turn (3, 3) : axes of the maps from those of d (any length)
+    wide : how much of the second of two maps is seen, the less of the first"""
     x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
     y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
     z = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
@@ -172,21 +174,33 @@ def environment_radiance(maps, widths, turn, dx, dy, dz, half_deg):  # pragma: n
     while k < last - 1 and half_deg > widths[k + 1]:
         k += 1
     m = min(max((half_deg - widths[k]) / (widths[k + 1] - widths[k]), zero), one)
-    side = np.float32(maps.shape[1] - 2)
+    side = np.float32(maps.shape[2] - 2)
     s, t = (u + one) * half * side + half, (v + one) * half * side + half
-    i, j = min(max(int(s), 0), maps.shape[1] - 2), min(max(int(t), 0), maps.shape[1] - 2)
+    i, j = min(max(int(s), 0), maps.shape[2] - 2), min(max(int(t), 0), maps.shape[2] - 2)
     fs, ft = s - np.float32(i), t - np.float32(j)
     w00, w01, w10, w11 = (one - fs) * (one - ft), fs * (one - ft), (one - fs) * ft, fs * ft
     r, g, b = zero, zero, zero
-    for q in range(2):
+    for both in range(4):
+        q, which = both & 1, (both >> 1) if maps.shape[0] > 1 else 0
         weight = m if q else one - m
+        if maps.shape[0] > 1:
+            weight *= wide if which else one - wide
+        elif both > 1:
+            break
         if weight <= 0:
             continue
-        p = maps[k + q]
+        p = maps[which, k + q]
         r += weight * (w00 * p[j, i, 0] + w01 * p[j, i + 1, 0] + w10 * p[j + 1, i, 0] + w11 * p[j + 1, i + 1, 0])
         g += weight * (w00 * p[j, i, 1] + w01 * p[j, i + 1, 1] + w10 * p[j + 1, i, 1] + w11 * p[j + 1, i + 1, 1])
         b += weight * (w00 * p[j, i, 2] + w01 * p[j, i + 1, 2] + w10 * p[j + 1, i, 2] + w11 * p[j + 1, i + 1, 2])
     return r, g, b
+
+
+@line_kernel(fastmath=_FAST, error_model="numpy")
+def wide_share(half_deg):  # pragma: no cover - compiled
+    """How much a surface sees the guess as a matt one does; half_deg : half-angle of the cone that it sees."""
+    zero, one = np.float32(0), np.float32(1)
+    return min(max((half_deg - np.float32(NARROW_DEG)) / np.float32(WIDE_DEG - NARROW_DEG), zero), one)
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
@@ -249,16 +263,19 @@ def plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compil
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def background_radiance(background: Background, skip, point, direction, tan_half, half_deg):  # pragma: no cover - compiled
+def background_radiance(
+    background: Background, skip, point, direction, tan_half, half_deg, wide
+):  # fmt: skip  # pragma: no cover - compiled
     """(r, g, b) of what lies behind the voxels from a point (metres) on: planes nearest first, then the environment.
 
     A cone that lies across a plane's horizon sees it with the part of its width that is under it, and the environment with
     the rest, about the middle of that and narrower.
-    Beyond a plane's end the next one shows. point, direction : x, y, z;  skip : a plane not to be met"""
+    Beyond a plane's end the next one shows. point, direction : x, y, z;  skip : a plane not to be met
+    wide : as `environment_radiance` takes it"""
     axes, extents, textures, mips, maps, widths, turn = background
     (x, y, z), (dx, dy, dz) = point, direction
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
-    wide = tan_half / np.sqrt(one + tan_half * tan_half)
+    reach = tan_half / np.sqrt(one + tan_half * tan_half)
     r, g, b, transmittance = zero, zero, zero, one
     nearer_than = np.float32(-1)
     ux, uy, uz, over = dx, dy, dz, one  # direction of what is over the horizon, and how much of the cone's width
@@ -266,10 +283,10 @@ def background_radiance(background: Background, skip, point, direction, tan_half
         best, p, sine_below = np.float32(1e30), -1, zero
         for k in range(axes.shape[0]):
             down = -(dx * axes[k, 3, 0] + dy * axes[k, 3, 1] + dz * axes[k, 3, 2])
-            if k == skip or down <= -wide:
+            if k == skip or down <= -reach:
                 continue
             # middle of the part of the cone that is under the horizon
-            low = max(down, half * (down + wide))
+            low = max(down, half * (down + reach))
             h = (x - axes[k, 0, 0]) * axes[k, 3, 0] + (y - axes[k, 0, 1]) * axes[k, 3, 1] + (z - axes[k, 0, 2]) * axes[k, 3, 2]
             t = max(h, zero) / max(low, np.float32(1e-4))
             if t > nearer_than and t < best:
@@ -278,8 +295,8 @@ def background_radiance(background: Background, skip, point, direction, tan_half
             break
         nearer_than = best
         half_m = extents[p, 0]
-        weight = transmittance * min(max(half + half * sine_below / wide, zero), one)
-        sink = max(half * (sine_below + wide) - sine_below, zero)
+        weight = transmittance * min(max(half + half * sine_below / reach, zero), one)
+        sink = max(half * (sine_below + reach) - sine_below, zero)
         ex, ey, ez = dx - sink * axes[p, 3, 0], dy - sink * axes[p, 3, 1], dz - sink * axes[p, 3, 2]
         qx, qy, qz = x + best * ex - axes[p, 0, 0], y + best * ey - axes[p, 0, 1], z + best * ez - axes[p, 0, 2]
         a = qx * axes[p, 1, 0] + qy * axes[p, 1, 1] + qz * axes[p, 1, 2]
@@ -297,14 +314,14 @@ def background_radiance(background: Background, skip, point, direction, tan_half
         g += weight * pg
         b += weight * pb
         transmittance -= weight
-        if abs(sine_below) < wide:
-            rise = half * inside_weight * (sine_below + wide)
+        if abs(sine_below) < reach:
+            rise = half * inside_weight * (sine_below + reach)
             ux, uy, uz = ux + rise * axes[p, 3, 0], uy + rise * axes[p, 3, 1], uz + rise * axes[p, 3, 2]
-            over *= one - half * rise / wide
+            over *= one - half * rise / reach
         if transmittance <= np.float32(1e-3):
             break
     if transmittance > np.float32(1e-3):
-        er, eg, eb = environment_radiance(maps, widths, turn, ux, uy, uz, half_deg * over)
+        er, eg, eb = environment_radiance(maps, widths, turn, ux, uy, uz, half_deg * over, wide)
         r += transmittance * er
         g += transmittance * eg
         b += transmittance * eb
@@ -317,5 +334,5 @@ def background_radiances(points, directions, skip, tan_half, half_deg, backgroun
     out = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):
         p, d = (points[i, 0], points[i, 1], points[i, 2]), (directions[i, 0], directions[i, 1], directions[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = background_radiance(background, skip, p, d, tan_half, half_deg)
+        out[i, 0], out[i, 1], out[i, 2] = background_radiance(background, skip, p, d, tan_half, half_deg, np.float32(1))
     return out

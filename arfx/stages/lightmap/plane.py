@@ -20,26 +20,28 @@ from arfx.stages.lightmap.silhouette import covered_fraction, smoothed
 from arfx.stages.triangles import Triangles, disc, hemisphere
 
 _LIFT = 1e-4  # of the extent, off the plane: a base that lies in it would hide every ray or none, by rounding
+_SETS = 4
 _MARGIN = 3  # texels without shadow around it
 
 
 @dataclass(frozen=True)
 class PlaneLevel:
     """texels : of a light's picture, about;  silhouettes : directions over the light's disc, 1 = its middle, antialiased
-    rays : per texel of the penumbra, 0 = the silhouettes are enough;  ambient_texels a side, ambient_rays"""
+    ambient_texels : a side;  ambient_rays : of each
+    coarse : looked up for every 2 x 2 pixels"""
 
     texels: int
     silhouettes: int
-    rays: int
     ambient_texels: int
     ambient_rays: int
+    coarse: bool = False
 
 
 PLANE_LEVELS = {
-    "draft": PlaneLevel(256 * 256, 1, 0, 96, 48),
-    "standard": PlaneLevel(400 * 400, 16, 0, 192, 96),
-    "high": PlaneLevel(512 * 512, 16, 64, 256, 144),
-    "reference": PlaneLevel(640 * 640, 32, 400, 384, 400),
+    "draft": PlaneLevel(256 * 256, 1, 96, 16, coarse=True),
+    "standard": PlaneLevel(400 * 400, 16, 192, 64),
+    "high": PlaneLevel(640 * 640, 64, 256, 320),
+    "reference": PlaneLevel(1024 * 1024, 511, 384, 512),
 }
 
 
@@ -75,18 +77,23 @@ class SoftPicture:
 def soft_picture(
     caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, texels: int, directions: int
 ) -> SoftPicture:  # fmt: skip
-    """Of a box of the plane. centre, half (2,) : metres"""
+    """Of a box of the plane. centre, half (2,) : metres
+
+    Each of _SETS x _SETS neighbours turns the rays differently: what few rays leave, bands otherwise, is noise."""
     t = (np.arange(texels) + 0.5) / texels * 2 - 1
     x, y = np.meshgrid(centre[0] + half[0] * t, centre[1] + half[1] * t)
-    points = np.stack([x.ravel(), y.ravel(), np.full(x.size, _LIFT * caster.extent_m)], -1)
-    towards = hemisphere(directions)
-    weights = np.column_stack([np.ones(directions), towards]) / directions
-    hidden = weights.sum(0) - rays.visible_sum(points, towards, weights)
+    points = np.stack([x, y, np.full(x.shape, _LIFT * caster.extent_m)], -1)
+    spiral, hidden, count = hemisphere(directions), np.empty((4, texels, texels), np.float32), _SETS**2
+    for k in range(count):
+        v, u = (k * 5 % count) // _SETS, k % _SETS  # neighbours are far from each other in k
+        c, s = np.cos(2 * np.pi * k / count), np.sin(2 * np.pi * k / count)
+        towards = spiral @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        weights = np.column_stack([np.ones(directions), towards]) / directions
+        part = points[v::_SETS, u::_SETS]
+        taken = weights.sum(0) - rays.visible_sum(part.reshape(-1, 3), towards, weights)
+        hidden[:, v::_SETS, u::_SETS] = taken.T.reshape(4, *part.shape[:2])
     scale, low = texels / (2 * half), centre - half
-    return SoftPicture(
-        hidden.T.reshape(4, texels, texels).astype(np.float32),
-        np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]]),
-    )
+    return SoftPicture(hidden, np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]]))
 
 
 def ambient_picture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> SoftPicture:
@@ -111,7 +118,7 @@ def plane_shadow_texture(shadow: PlaneShadow, ambient_fraction: np.ndarray) -> P
     return PlaneTexture(np.pad(darkening, 1).astype(np.float32), np.array([[sx, 0, 0.5 - x0 * sx], [0, sy, 0.5 - y0 * sy]]))
 
 
-def beam_texture(caster: Caster, rays: Triangles, beam: Beam, level: PlaneLevel, hard: bool) -> PlaneTexture:
+def beam_texture(caster: Caster, beam: Beam, level: PlaneLevel, hard: bool) -> PlaneTexture:
     """The share of a directional light's disc that is hidden. hard : by its middle alone."""
     middle = disc_directions(beam, np.zeros((1, 2)))[0]
     away = normalise(-middle[:2])
@@ -120,7 +127,7 @@ def beam_texture(caster: Caster, rays: Triangles, beam: Beam, level: PlaneLevel,
     axes = np.stack([away, [-away[1], away[0]]])  # column axis falls away from the light
     soft = level.silhouettes > 1 and not hard
     rim = disc_directions(beam, np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4]))
-    outer = np.concatenate([middle[None], rim]) if soft or level.rays else middle[None]
+    outer = np.concatenate([middle[None], rim]) if soft else middle[None]
     slopes = -(outer[:, :2] @ axes.T) / outer[:, 2:]
     footprint = caster.outline[:, :2] @ axes.T
     spread = (footprint[None] + slopes[:, None] * caster.outline[None, :, 2:]).reshape(-1, 2)
@@ -137,12 +144,9 @@ def beam_texture(caster: Caster, rays: Triangles, beam: Beam, level: PlaneLevel,
     towards = disc_directions(beam, disc(level.silhouettes)) if soft else np.repeat(middle[None], 8, 0)
     displaced = -(towards[:, :2] @ axes.T) / towards[:, 2:]
     dark = covered_fraction(points, caster.edges, caster.across, towards, displaced, (rows, columns))
-    if level.rays and not hard:
-        dark = _traced(dark, rays, beam, level.rays, matrix, caster.extent_m)
     if soft:
         radii = np.abs(slopes[1:] - slopes[0]).max(0)
-        count = level.rays or level.silhouettes
-        dark = smoothed(dark, points, caster.above, slopes[0], (float(radii[0]), float(radii[1])), count)
+        dark = smoothed(dark, points, caster.above, slopes[0], (float(radii[0]), float(radii[1])), level.silhouettes)
     return PlaneTexture(_zero_border(dark), matrix)
 
 
@@ -160,19 +164,6 @@ def within_surface(texture: PlaneTexture, surface_m: tuple[float, float, float, 
     inside = np.minimum(np.minimum(x - x0, x1 - x), np.minimum(y - y0, y1 - y))
     pitch = float(np.sqrt(abs(np.linalg.det(inverse))))
     return PlaneTexture((texture.dark * np.clip(inside / pitch + 0.5, 0, 1)).astype(np.float32), texture.texel_from_m)
-
-
-def _traced(dark: np.ndarray, rays: Triangles, beam: Beam, count: int, matrix: np.ndarray, extent_m: float) -> np.ndarray:
-    """`dark` with the penumbra by rays: wherever the silhouettes do not agree, and two texels around."""
-    low, high = cv2.erode(dark, np.ones((5, 5))), cv2.dilate(dark, np.ones((5, 5)))
-    v, u = np.nonzero(high - low > 0)
-    if not len(u):
-        return dark
-    positions = np.linalg.solve(matrix[:, :2], np.stack([u, v]) - matrix[:, 2:]).T
-    out = dark.copy()
-    points = np.column_stack([positions, np.full(len(u), _LIFT * extent_m)])
-    out[v, u] = 1 - rays.visible_fraction(points, disc_directions(beam, disc(count)))
-    return out
 
 
 def _zero_border(dark: np.ndarray) -> np.ndarray:

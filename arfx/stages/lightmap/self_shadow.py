@@ -3,7 +3,8 @@
 The blockers found within the light's cone give the width of the penumbra there, and so the radius of a second filtering
 (Fernando 2005, "Percentage-closer soft shadows"). Every answer is compared with the depth of the receiver's own
 tangent plane at that very texel, from a place lifted off the surface by more than the texels and facets are coarse: no acne,
-and nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high` and `reference` send rays."""
+and nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high` sends rays
+where the map finds a penumbra, `reference` everywhere."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -31,8 +32,9 @@ _NARROWEST, _WIDEST = 1.7, 40.0  # texels, radius in which the map is sampled: u
 
 @dataclass(frozen=True)
 class SelfLevel:
-    """texels : of the depth map, a side;  search, taps : questions to it for blockers, and where some are found for light
-    rays : in place of the map, 0 = none; `search` of them first, the others where those do not agree
+    """texels : of the depth map, a side, 0 = none;  search : questions to it for blockers, or first rays where there is no map
+    taps : questions to it for light where some of these are hidden, 0 = the search is the answer
+    rays : sent where the map, or the first of them, do not agree, 0 = none
     soft : penumbrae as wide as the light's disc makes them"""
 
     texels: int
@@ -43,10 +45,10 @@ class SelfLevel:
 
 
 SELF_LEVELS = {
-    "draft": SelfLevel(256, 6, 16, 0, False),
+    "draft": SelfLevel(256, 5, 0, 0, False),
     "standard": SelfLevel(384, 14, 64, 0),
-    "high": SelfLevel(0, 16, 0, 96),
-    "reference": SelfLevel(0, 0, 0, 400),
+    "high": SelfLevel(768, 32, 128, 0),
+    "reference": SelfLevel(0, 50, 0, 400),
 }
 
 
@@ -94,31 +96,29 @@ def visibility_by_map(
     shift = shadow_map.matrix[:, :3] @ anchor_from_world.translation_m + shadow_map.matrix[:, 3]
     matrix = np.column_stack([turn, shift]).astype(np.float32)
     seen = shadow_map._replace(matrix=matrix, unit=(turn / np.linalg.norm(turn[0])).astype(np.float32))
-    search, taps = disc(level.search).astype(np.float32), disc(level.taps).astype(np.float32)
+    search, taps = disc(level.search).astype(np.float32), disc(level.taps).astype(np.float32)  # of none: (0, 2)
     return _percentage_closer(coverage, normal, position, seen, search, taps)
 
 
 def visibility_by_rays(
     coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, rays: Triangles, caster: Caster, beam: Beam,
-    anchor_from_world: Pose, level: SelfLevel, eye: np.ndarray,
+    anchor_from_world: Pose, level: SelfLevel, eye: np.ndarray, by_map: np.ndarray | None,
 ) -> np.ndarray:  # fmt: skip
-    """The same with rays over the light's disc, weighted by their cosine to the normal. eye (3,) : the camera, WORLD frame"""
-    out = np.ones(coverage.shape, np.float32)
+    """The same with rays over the light's disc, weighted by their cosine to the normal. eye (3,) : the camera, WORLD frame
+
+    by_map : (h, w), kept where it is 0 or 1;  None = rays decide everywhere, `level.search` of them first"""
+    mixed = coverage > 0 if by_map is None else (by_map > 0) & (by_map < 1)
+    out = np.ones(coverage.shape, np.float32) if by_map is None else by_map.copy()
     directions = disc_directions(beam, disc(level.rays if beam.size_deg > 0 else 1), over_plane=False)
     n = normal.astype(float) @ anchor_from_world.rotation.T
-    y, x = np.nonzero((coverage > 0) & (n @ np.array(beam.direction) > 0))
+    y, x = np.nonzero(mixed & (n @ np.array(beam.direction) > 0))
     n, seen = n[y, x], position[y, x].astype(float)
     lift = np.maximum(
         max(_LIFT_SAGS * caster.sag_m, _LIFT_RAYS * caster.extent_m), _LIFT_FAR * np.linalg.norm(seen - eye, axis=1)
     )
     points = anchor_from_world.apply(seen) + lift[:, None] * n
-    if not level.search or len(directions) <= level.search:
-        out[y, x] = rays.visible_fraction(points, directions, n)
-        return out
-    fraction = rays.visible_fraction(points, directions[:: len(directions) // level.search], n)
-    mixed = (fraction > 0) & (fraction < 1)
-    fraction[mixed] = rays.visible_fraction(points[mixed], directions, n[mixed])
-    out[y, x] = fraction
+    first = len(directions) // level.search if by_map is None else 1
+    out[y, x] = rays.visible_fraction(points, directions, n, first)
     return out
 
 
@@ -176,9 +176,8 @@ def _percentage_closer(coverage, normal, position, seen: DepthMap, search, taps)
         # only where some of them are hidden is there more to ask
         every, m = np.float32(search.shape[0]), 0
         for i in range(n):
-            if blockers[i] > zero:
-                out[y, at[i]] = zero
-            if (blockers[i] > zero) & (blockers[i] < every):
+            out[y, at[i]] = one - blockers[i] / every
+            if (taps.shape[0] > 0) & (blockers[i] > zero) & (blockers[i] < every):
                 mean = total[i] / blockers[i]
                 radius[m] = min(max(spread * (mean - z[i]), least), radius[i])
                 s[m], t[m], z[m], gs[m], gt[m], at[m], total[m] = s[i], t[i], z[i], gs[i], gt[i], at[i], zero

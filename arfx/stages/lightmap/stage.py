@@ -24,7 +24,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
 from arfx.stages.lightmap.beams import FrameLight, frame_light
-from arfx.stages.lightmap.lookup import shadow_ratio
+from arfx.stages.lightmap.lookup import coarse_shadow_ratio, shadow_ratio
 from arfx.stages.lightmap.plane import PLANE_LEVELS, SoftPicture, beam_texture, plane_shadow_texture, within_surface
 from arfx.stages.lightmap.region import SHAPED, ShadowRegion, shadow_region
 from arfx.stages.lightmap.self_occlusion import (
@@ -101,7 +101,7 @@ class Lightmap(Stage):
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
         region = shadow_region(scene)
-        grid = direction_grid(scene.camera).astype(np.float32)
+        grid = direction_grid(scene.camera, 2 if PLANE_LEVELS[level].coarse else 1).astype(np.float32)
         ambient = region.ambient_picture(self.params.faint, PLANE_LEVELS[level])
         by_grid = self._soft_occluded and OCCLUSION_LEVELS[level].cells > 0
         return Prepared(region, ambient, region.occlusion_grid(OCCLUSION_LEVELS[level]) if by_grid else None, grid)
@@ -127,13 +127,14 @@ class Lightmap(Stage):
             level, caster = SELF_LEVELS[view.level], prepared.region.caster
             for i, k in enumerate(reaching):
                 beam = light.beams[k]
+                by_map = None
+                if level.texels:
+                    depths = view.memo.of_light.get(("depth", beam), partial(depth_map, caster, beam, level))
+                    by_map = visibility[i] = visibility_by_map(coverage, normal, position, depths, anchor_from_world, level)
                 if level.rays:
                     visibility[i] = visibility_by_rays(
-                        coverage, normal, position, prepared.region.rays, caster, beam, anchor_from_world, level, eye
+                        coverage, normal, position, prepared.region.rays, caster, beam, anchor_from_world, level, eye, by_map
                     )
-                else:
-                    depths = view.memo.of_light.get(("depth", beam), partial(depth_map, caster, beam, level))
-                    visibility[i] = visibility_by_map(coverage, normal, position, depths, anchor_from_world, level)
             if self.params.self_shadow < 1:
                 visibility = 1 + np.float32(self.params.self_shadow) * (visibility - 1)
         soft = self._soft_visibility(now, view, prepared, light)
@@ -186,16 +187,17 @@ class Lightmap(Stage):
         for beam, fraction in zip(light.beams, light.direct_fractions, strict=True):
             if beam.direction[2] > 0 and fraction.max() > 0:
                 make = lambda b=beam: within_surface(  # noqa: E731
-                    beam_texture(prepared.region.caster, prepared.region.rays, b, PLANE_LEVELS[view.level], self.hard),
+                    beam_texture(prepared.region.caster, b, PLANE_LEVELS[view.level], self.hard),
                     scene.surface_m,
                 )
                 textures.append(view.memo.of_light.get(("plane", beam), make))
                 fractions.append(fraction)
         real = view.facts.plane_shadow
         blocked = None if real is None else plane_shadow_texture(real, light.ambient_fraction)
-        return shadow_ratio(
-            view.rect, prepared.grid, anchor_from_camera, textures, np.array(fractions), blocked, self.params.faint, strength
-        )
+        what = anchor_from_camera, textures, np.array(fractions), blocked, self.params.faint, strength
+        if PLANE_LEVELS[view.level].coarse:
+            return coarse_shadow_ratio(view.rect, scene.camera.rect, prepared.grid, *what)
+        return shadow_ratio(view.rect, prepared.grid, *what)
 
     def _shadow_rect(self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight) -> tuple[Rect, str]:
         """Pixels in which the shadow may show, and why those or none."""

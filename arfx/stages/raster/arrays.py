@@ -26,7 +26,8 @@ class Surfaces(NamedTuple):
     normals: np.ndarray
     uv: np.ndarray
     colours: np.ndarray
-    uv_per_m: np.ndarray
+    texels_per_m: np.ndarray
+    uv_slopes: np.ndarray
     floats: np.ndarray
     ints: np.ndarray
     slots: int
@@ -62,18 +63,20 @@ class Hits(NamedTuple):
 class View(NamedTuple):
     """How pixels look into the world. lens : (h + 4, w + 4, 2) float32, directions of the pixels with two pixels of margin
 
-    rotation : (3, 3) float64, camera from world;  eye : (3,) float64, world;  pixel : footprint of a sample at depth 1"""
+    rotation : (3, 3) float64, camera from world;  eye : (3,) float64, world;  pixel : side of a sample at depth 1
+    taps : of a texture along each side of a sample, at most"""
 
     lens: np.ndarray
     rotation: np.ndarray
     eye: np.ndarray
     pixel: np.float32
+    taps: int
 
 
-def view(lens: np.ndarray, camera_from_world: Pose, pixel: float = 0.0) -> View:
+def view(lens: np.ndarray, camera_from_world: Pose, pixel: float = 0.0, taps: int = 1) -> View:
     """lens : a part of a lens's table or not, the same type comes of it"""
     rotation, eye = np.ascontiguousarray(camera_from_world.rotation), camera_from_world.inverse().translation_m
-    return View(np.ascontiguousarray(lens), rotation, eye, np.float32(pixel))
+    return View(np.ascontiguousarray(lens), rotation, eye, np.float32(pixel), taps)
 
 
 class Samples(NamedTuple):
@@ -89,6 +92,18 @@ def no_samples(n: int) -> Samples:
     sums = np.zeros((n, COLUMNS), np.float32)
     sums[:, 0] = 1
     return Samples(sums, np.full(n, np.inf, np.float32), np.zeros(n, np.int32))
+
+
+class Fragments(NamedTuple):
+    """Scratch of one pixel of s samples: face (s + 1,) int32, each once; sums (s + 1, 6) float32 over the samples that meet it:
+    their number, barycentric u, v, depth, direction in the camera x, y."""
+
+    face: np.ndarray
+    sums: np.ndarray
+
+
+def fragments(samples: int) -> Fragments:
+    return Fragments(np.empty(samples + 1, np.int32), np.empty((samples + 1, 6), np.float32))
 
 
 class Buffers(NamedTuple):

@@ -13,9 +13,9 @@ from typing import Any
 from arfx.errors import ConfigError, RenderError
 
 BACKENDS = ("pyrender", "rays")
-# Rays are added at edges only, OpenGL takes its samples in every pixel.
-RAY_SAMPLES = {"draft": 4, "standard": 16, "high": 64}
-GL_SAMPLES = {"draft": 4, "standard": 9, "high": 16}
+# Rays are added at edges and fine textures only, OpenGL takes its samples in every pixel.
+RAY_SAMPLES = {"draft": 4, "standard": 64}
+GL_SAMPLES = {"draft": 4, "standard": 9}
 
 
 @dataclass(frozen=True)

@@ -132,10 +132,13 @@ def add_differences(edge, prim, depth, part, face_normal, lens, height, width, r
             for x in range(n):
                 k = y * width + x
                 m = k + across
-                if not maybe[x] or before[k] or before[m]:
+                if not maybe[x] or (before[k] and before[m]):
                     continue
-                differ = prim[k] < 0 or prim[m] < 0 or part[prim[k]] != part[prim[m]]
-                if not differ and abs(depth[m] - depth[k]) > depth[k] * (8.0 * pixel):  # else no slope makes it one
+                nothing = prim[k] < 0 or prim[m] < 0
+                differ = nothing or part[prim[k]] != part[prim[m]]
+                if before[k] or before[m]:
+                    differ = differ and not nothing
+                elif not differ and abs(depth[m] - depth[k]) > depth[k] * (8.0 * pixel):  # else no slope makes it one
                     # depth that the plane of k's face has at m
                     f = prim[k]
                     here, there = 0.0, 0.0

@@ -148,7 +148,7 @@ def resolve_edges(
 
     centre_depth, centre_ident : (pixels,) of the pixels' own centres;  order : (s,) sample numbers from the centre outwards"""
     acc, depth, ident = samples
-    lens, rotation, eye, _ = view
+    lens, rotation, eye, _, _ = view
     count, width = order.shape[0], lens.shape[1] - 2
     sums, direction = np.zeros(12, np.float32), np.empty(3, np.float32)
     for a in range(pixels.shape[0]):

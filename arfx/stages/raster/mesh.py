@@ -25,7 +25,8 @@ class Mesh:
     """All parts together; coordinates are world metres relative to `centre_m`, so that float32 is enough.
 
     vertices (n, 3) float64; normals (n, 3), uv (n, 2), colours (n, 4) float32; faces (m, 3), part (m,) int32
-    face_normal (m, 3) float32; uv_per_m (m,) float32, side of the unit square of texture coordinates on a metre
+    face_normal (m, 3) float32; uv_slopes (m, 2, 3) float32, how each texture coordinate grows along the
+    world's axes on the face; texels_per_m (m,) float32, of the finest of a face's textures, at most
     floats (p, 11) float32, ints (p, 5) int32 : material tables;  edges (e, 4) int32 : vertex, vertex, face, face or -1
     sharp (e,) bool : an edge that shows whatever side it is seen from"""
 
@@ -37,7 +38,8 @@ class Mesh:
     faces: np.ndarray
     part: np.ndarray
     face_normal: np.ndarray
-    uv_per_m: np.ndarray
+    texels_per_m: np.ndarray
+    uv_slopes: np.ndarray
     floats: np.ndarray
     ints: np.ndarray
     textures: TextureStack
@@ -54,8 +56,8 @@ class Mesh:
         """What the compiled loops read."""
         slots = 1 + int(np.flatnonzero((self.ints[:, : EMISSIVE_TEXTURE + 1] >= 0).any(0)).max(initial=-1))
         return Surfaces(
-            self.faces, self.part, self.face_normal, self.normals, self.uv, self.colours, self.uv_per_m, self.floats, self.ints,
-            slots, self.textures.linear, self.textures.table,
+            self.faces, self.part, self.face_normal, self.normals, self.uv, self.colours, self.texels_per_m, self.uv_slopes,
+            self.floats, self.ints, slots, self.textures.linear, self.textures.table,
         )  # fmt: skip
 
     @property
@@ -97,17 +99,22 @@ def build_mesh(scene: Scene) -> Mesh:
     part = np.concatenate(parts).astype(np.int32)
     face_normal = normalise(cross)
     edges, sharp = _edges(v, f, part, face_normal)
+    slopes, stack, kinds = _uv_slopes(uv[f], v[f], cross), textures.build(), np.array(ints, np.int32)
+    sizes = np.append(stack.table[:, :2], [[0, 0]], 0)[kinds[:, :MODE]].max(1)  # -1, none, finds the zeros
     return Mesh(
         centre, v, np.concatenate(normals).astype(np.float32), uv.astype(np.float32),
         np.concatenate(colours).astype(np.float32), f, part, face_normal.astype(np.float32),
-        _uv_per_m(uv[f], cross), np.array(floats, np.float32), np.array(ints, np.int32), textures.build(), edges, sharp,
+        (np.linalg.norm(slopes, axis=2) * sizes[part]).max(1).astype(np.float32), slopes, np.array(floats, np.float32), kinds,
+        stack, edges, sharp,
     )  # fmt: skip
 
 
-def _uv_per_m(uv: np.ndarray, cross: np.ndarray) -> np.ndarray:
-    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    return np.sqrt(divide(area, np.linalg.norm(cross, axis=1))).astype(np.float32)
+def _uv_slopes(uv: np.ndarray, corners: np.ndarray, cross: np.ndarray) -> np.ndarray:
+    # a place on the face is a + s e1 + t e2: s grows along e2 x n, t along n x e1, both over the square of n
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    square = (cross**2).sum(1)[:, None]
+    s, t = divide(np.cross(e2, cross), square), divide(np.cross(cross, e1), square)
+    return ((uv[:, 1] - uv[:, 0])[:, :, None] * s[:, None] + (uv[:, 2] - uv[:, 0])[:, :, None] * t[:, None]).astype(np.float32)
 
 
 def _edges(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, face_normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

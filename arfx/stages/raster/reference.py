@@ -1,5 +1,8 @@
-"""The reference level: many rays in every pixel, plain numpy, no filter but the average. Slow on purpose.
+"""The reference level: rays in every pixel until little noise is left, plain numpy, no filter but the average.
 
+A pixel's rays are doubled until what their spread leaves of noise is under TOLERANCE, or there are MOST. Noise in the mean:
+spread x rays^-3/4, as their points are of low discrepancy. Left on a sample scene: .004 of coverage and .002 of colour (rms over
+the object), half of what 64 rays everywhere leave.
 Shares no kernel with the other levels: its own sample pattern (R2 sequence, Roberts 2018), interpolation, texture lookup
 (bilinear in the full picture) and means. What it shares is embree, the lens table and the mesh arrays."""
 
@@ -10,6 +13,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.layers import Layer, neutral
 from arfx.core.numerics import divide, normalise
+from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.raster import mesh as columns
@@ -19,72 +23,93 @@ from arfx.stages.raster.rays import MAX_LAYERS, OUTPUTS
 from arfx.stages.raster.textures import CODE
 from arfx.stages.triangles import Triangles
 
-SAMPLES = 64
-_STRIP_PX = 4096
+LEAST, MOST = 16, 512
+TOLERANCE = 0.004  # of coverage, and of each attribute times coverage
+_STRIP_PX = 1024
+_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]])
 
 
 def r2_sequence(count: int) -> np.ndarray:
-    """(count, 2) offsets in px, -0.5..0.5, the one nearest the centre first and moved there: a pixel's depth is that sample's,
-    its position lies on the ray through the centre, and both have to agree for rays to start on the surface."""
+    """(count, 2) offsets in px, -0.5..0.5, the first one the centre: a pixel's depth is that sample's, its position lies on the
+    ray through the centre, and both have to agree for rays to start on the surface."""
     g = 1.32471795724474602596  # the real root of x^3 = x + 1
-    p = (0.5 + np.arange(1, count + 1)[:, None] * [1 / g, 1 / g**2]) % 1.0 - 0.5
-    p = p[np.argsort((p**2).sum(1), kind="stable")]
-    p[0] = 0.0
-    return p
+    return (0.5 + np.arange(count)[:, None] * [1 / g, 1 / g**2]) % 1.0 - 0.5
 
 
 class ReferenceRenderer:
     any_rectangle = True
 
-    def __init__(self, mesh: Mesh, camera: Camera, samples: int = SAMPLES) -> None:
+    def __init__(self, mesh: Mesh, camera: Camera, most: int = MOST) -> None:
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
         self.scene = Triangles(mesh.corners_m, robust=True)
-        self.offsets = r2_sequence(samples)
+        self.offsets = r2_sequence(most)
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers over `rect`, which lies in the frame."""
         out = {name: neutral(name, rect) for name in OUTPUTS}
         rows = max(_STRIP_PX // max(rect.width, 1), 1)
-        for top in range(rect.y0, rect.y1, rows):
-            strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))
-            for name, array in self._strip(strip, camera_from_world).items():
+        strips = [Rect(rect.x0, y, rect.x1, min(y + rows, rect.y1)) for y in range(rect.y0, rect.y1, rows)]
+        for strip, made in zip(strips, parallel_map(lambda s: self._strip(s, camera_from_world), strips), strict=True):
+            for name, array in made.items():
                 out[name][strip.slices_in(rect)] = array
         return out
 
     def _strip(self, rect: Rect, pose: Pose) -> dict[Layer, np.ndarray]:
-        h, w, s = rect.height, rect.width, len(self.offsets)
-        y, x = np.arange(rect.y0, rect.y1, dtype=float), np.arange(rect.x0, rect.x1, dtype=float)
-        d = np.stack([self.lens.at(y + dy, x + dx) for dx, dy in self.offsets], 2).reshape(-1, 2)
-        ok = np.isfinite(d).all(1)
-        d = np.concatenate([np.where(ok[:, None], d, 0.0), np.ones((len(d), 1))], 1) @ pose.rotation
-        eye = pose.inverse().translation_m
-        sums, depth, ident = self._trace(eye - self.mesh.centre_m, d, ok)
-        # from here by pixel: (h * w, s, ...)
-        sums = sums.reshape(h * w, s, -1)
-        depth, ident = depth.reshape(h * w, s), ident.reshape(h * w, s)
-        weight = sums[..., 0]
-        total = weight.sum(1)
-        mean = divide(sums[..., 1:].sum(1), total[:, None])
-        hit = ident > 0
-        first = hit.argmax(1)  # the covering sample next to the centre
-        pixel = np.arange(h * w)
-        z = np.where(hit.any(1), depth[pixel, first], np.inf)
-        centre = self.lens.at(y, x).reshape(-1, 2)
-        centre = np.concatenate([centre, np.ones((h * w, 1))], 1) @ pose.rotation
-        covered = (hit.any(1) & np.isfinite(centre).all(1)).reshape(-1, 1)
+        y, x = (a.ravel() for a in np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float))
+        n, eye = len(y), pose.inverse().translation_m
+        sums, hits = np.zeros((n, 13)), np.zeros(n)  # over the samples taken so far
+        depth, ident, nearest = np.full(n, np.inf), np.zeros(n, np.int32), np.full(n, np.inf)
+        squares, taken = np.zeros((n, 13)), np.zeros(n)
+        active, start, end = np.arange(n), 0, LEAST
+        while len(active) and start < len(self.offsets):
+            offsets = self.offsets[start:end]
+            own, z, number = self._samples(x[active], y[active], offsets, pose)
+            sums[active] += own.sum(1)
+            squares[active] += (own * own).sum(1)
+            hits[active] += (number > 0).sum(1)
+            away = np.where(number > 0, (offsets**2).sum(1), np.inf)
+            first, row = away.argmin(1), np.arange(len(active))  # the covering sample next to the centre
+            closer = away[row, first] < nearest[active]
+            at, first, row = active[closer], first[closer], row[closer]
+            nearest[at], depth[at], ident[at] = away[row, first], z[row, first], number[row, first]
+            taken[active] = end
+            low, high = sums[active] / end, squares[active] / end
+            if start == 0:  # what passes through a corner alone is seen there
+                corners = self._samples(x, y, _CORNERS, pose)[0]
+                low, high = (4 * low + corners.mean(1)) / 5, (4 * high + (corners * corners).mean(1)) / 5
+            active = active[(high - low * low).max(1) > TOLERANCE**2 * end**1.5]
+            start, end = end, 2 * end
+        weight = sums[:, 0]
+        shown = divide(sums[:, 1:], weight[:, None])
+        centre, inside = self._rays(x, y, pose)
+        covered = ((hits > 0) & inside)[:, None]
         centre = np.where(covered, centre, 0.0)
-        position = np.where(covered, eye + np.where(np.isfinite(z), z, 0)[:, None] * centre, 0.0)
-        normal = normalise(mean[:, 3:6])
+        position = np.where(covered, eye + np.where(np.isfinite(depth), depth, 0)[:, None] * centre, 0.0)
+        normal = normalise(shown[:, 3:6])
         normal = np.where(covered & (np.abs(normal).sum(1, keepdims=True) == 0), -normalise(centre), normal)
-        alpha = divide(total, hit.sum(1))
+        alpha = divide(weight, hits)
         values = {
-            Layer.COVERAGE: np.minimum(total / s, 1.0), Layer.DEPTH: z, Layer.NORMAL: normal, Layer.POSITION: position,
-            Layer.ALBEDO: mean[:, :3], Layer.MATERIAL: np.concatenate([mean[:, 6:9], alpha[:, None]], 1),
-            Layer.EMISSIVE: mean[:, 9:12],
+            Layer.COVERAGE: np.minimum(weight / taken, 1.0), Layer.DEPTH: depth, Layer.NORMAL: normal, Layer.POSITION: position,
+            Layer.ALBEDO: shown[:, :3], Layer.MATERIAL: np.concatenate([shown[:, 6:9], alpha[:, None]], 1),
+            Layer.EMISSIVE: shown[:, 9:12],
         }  # fmt: skip
-        arrays = {k: v.reshape(h, w, *v.shape[1:]).astype(np.float32) for k, v in values.items()}
-        arrays[Layer.OBJECT_ID] = ident[pixel, first].reshape(h, w).astype(np.int32)
+        arrays: dict[Layer, np.ndarray] = {
+            k: v.reshape(rect.height, rect.width, *v.shape[1:]).astype(np.float32) for k, v in values.items()
+        }
+        arrays[Layer.OBJECT_ID] = ident.reshape(rect.height, rect.width)
         return arrays
+
+    def _samples(self, x: np.ndarray, y: np.ndarray, offsets: np.ndarray, pose: Pose) -> tuple[np.ndarray, ...]:
+        """What `_trace` gives, (n, k, ...), for pixels x, y (n,) at `offsets` (k, 2)."""
+        across, down = (x[:, None] + offsets[:, 0]).ravel(), (y[:, None] + offsets[:, 1]).ravel()
+        sums, z, number = self._trace(pose.inverse().translation_m - self.mesh.centre_m, *self._rays(across, down, pose))
+        return sums.reshape(len(x), len(offsets), -1), z.reshape(len(x), -1), number.reshape(len(x), -1)
+
+    def _rays(self, x: np.ndarray, y: np.ndarray, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (n, 3), camera z = 1, in world axes through places (n,) px, and which are any."""
+        d = self.lens.along(y, x)
+        ok = np.isfinite(d).all(1)
+        return np.concatenate([np.where(ok[:, None], d, 0.0), np.ones((len(d), 1))], 1) @ pose.rotation, ok
 
     def _trace(self, eye: np.ndarray, d: np.ndarray, ok: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sums (n, 13): weight, then weighted albedo, normal, material, emissive; depth; 1 + part."""

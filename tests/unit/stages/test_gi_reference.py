@@ -70,7 +70,7 @@ def test_gloss_never_weighs_more_than_one_and_keeps_its_mean(roughness: float, v
     n = np.tile([0.0, 0.6, 0.8], (k, 1))
     v = np.tile(np.cos(t) * np.array([0, 0.6, 0.8]) + np.sin(t) * np.array([1.0, 0, 0]), (k, 1))
     gloss = Gloss(n, v, np.ones((k, 3)), roughness)
-    draw = Sampler(np.arange(k, dtype=np.uint32), 0, 1, 5)
+    draw = Sampler(np.arange(k, dtype=np.uint32), 0, 5)
     rows, d, weight, density = gloss.directions(draw)
     assert weight.max() <= 1 + 1e-6 and np.isfinite(density).all()
     again, same = gloss.at(rows, d)

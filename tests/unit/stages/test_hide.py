@@ -82,6 +82,15 @@ def test_the_edge_is_the_pictures_not_the_depth_maps() -> None:
     assert ((coverage > 0.05) & (coverage < 0.95))[rows][:, BAR.start - 8 : BAR.stop + 8].any()
 
 
+def test_draft_keeps_the_edge_of_the_depth_map() -> None:
+    at = scene_with_bar(0.2, off_px=2)
+    made = laws.run(ReadyStage.of(Hide(), at.scene, "draft"), at.layers, at.facts)[Layer.COVERAGE]
+    rows = (at.layers[Layer.COVERAGE][:, BAR.start - 8 : BAR.stop + 8] == 1).all(1)
+    hidden_columns = np.flatnonzero(made[rows][0, BAR.start - 8 : BAR.stop + 8] == 0)
+    assert hidden_columns.tolist() == list(range(10, 10 + BAR.stop - BAR.start))
+    assert Hide().needs(Rect(140, 90, 181, 131), at.facts, at.scene, "draft") == Rect(140, 90, 181, 131)
+
+
 def test_the_objects_outline_stays_as_it_is() -> None:
     """Where all of the object is nearer than a bar that begins at its edge, its edge pixels keep their bits."""
     g = np.random.default_rng(0)
@@ -96,7 +105,7 @@ def test_the_objects_outline_stays_as_it_is() -> None:
 def test_a_part_gives_what_the_whole_gives() -> None:
     at = scene_with_bar(0.2, off_px=1)
     out = Rect(140, 90, 181, 131)
-    need = Hide().needs(out, at.facts, at.scene, Hide.levels[0])
+    need = Hide().needs(out, at.facts, at.scene, "standard")
     assert need.area < at.scene.camera.rect.area
     for part, whole in zip(hidden(at, need), hidden(at), strict=True):
         np.testing.assert_allclose(part[out.slices_in(need)], whole[out.slices], rtol=0, atol=1e-5)

@@ -9,7 +9,7 @@ import pytest
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
-from arfx.stages.lightmap.lookup import _UNSEEN, _shows_from, shadow_ratio
+from arfx.stages.lightmap.lookup import _UNSEEN, _shows_from, coarse_shadow_ratio, shadow_ratio
 from arfx.stages.lightmap.plane import PlaneTexture
 from arfx.stages.viewing import direction_grid, viewing
 
@@ -108,6 +108,20 @@ def test_what_is_not_looked_up_could_not_be_seen(faint: float, strength: float) 
     want = strength * t * t * (3 - 2 * t) * taken
     assert np.abs((1 - got[..., 0]) - want).max() <= _UNSEEN + 1e-4
     assert (got < 1).any() and (got[want < _UNSEEN / 2] == 1).mean() > 0.9
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_every_second_pixel_looked_up_is_near_and_the_same_over_any_rectangle(coloured: bool) -> None:
+    cam, above = camera(True), Pose(rotation_from_euler_deg(160, 0, 10), np.array([0, 0, 0.4])).inverse()
+    texture = spot(np.random.default_rng(0), 80, 100, 30.0, (0.05, 0.1))
+    shares = np.array([[1.0, 0.8, 0.6]]) if coloured else np.ones((1, 3))
+    fine, coarse = (direction_grid(cam, pixel).astype(np.float32) for pixel in (1, 2))
+    what = above, [texture], shares, None, FAINT, 1.0
+    want = shadow_ratio(cam.rect, fine, *what)
+    got = coarse_shadow_ratio(cam.rect, cam.rect, coarse, *what)
+    assert want.min() < 0.5 and np.abs(got - want).max() < 0.06 and np.abs(got - want)[want < 1].mean() < 0.005
+    for rect in (Rect(61, 40, 200, 181), Rect(0, 0, 75, 240), Rect(150, 101, 320, 102)):
+        np.testing.assert_array_equal(coarse_shadow_ratio(rect, cam.rect, coarse, *what), got[rect.slices])
 
 
 def plainly_of(texture: PlaneTexture, cam: Camera, grid: np.ndarray, anchor_from_camera: Pose) -> np.ndarray:

@@ -22,7 +22,7 @@ from arfx.stages.lightmap.beams import QUANTUM, REACH, disc_directions, quantise
 from arfx.stages.lightmap.caster import make_caster
 from arfx.stages.lightmap.plane import PLANE_LEVELS, beam_texture
 from arfx.stages.lightmap.silhouette import covered_fraction, height_map
-from arfx.stages.triangles import Triangles, disc
+from arfx.stages.triangles import disc
 from tests.scenes import box_model, layers_of
 from tests.unit.stages.lightmap_scenes import (
     HIDES,
@@ -79,11 +79,11 @@ def errors(name: str, level: str, params: LightmapParams, azimuth: float, elevat
 def test_error_against_true_rays_falls_with_the_level(name: str, light: tuple[float, float, float]) -> None:
     got = {level: errors(name, level, PURE, *light) for level in ("draft", "standard", "high", "reference")}
     psnr, mean = ({k: v[i] for k, v in got.items()} for i in (0, 1))
-    assert psnr["standard"] > 37 and mean["standard"] < 1.3, got
-    assert psnr["high"] > 40 and mean["high"] < 0.9, got
-    assert psnr["reference"] > 45 and mean["reference"] < 0.6, got
-    assert psnr["draft"] < psnr["standard"] < psnr["high"] < psnr["reference"], got
-    assert mean["draft"] > mean["standard"] > mean["high"] > mean["reference"], got
+    assert psnr["standard"] > 38 and mean["standard"] < 1.0, got
+    assert psnr["high"] > 42 and mean["high"] < 0.6 * mean["standard"], got
+    assert mean["draft"] > 2 * mean["standard"], got
+    # what is left of these is the noise of the true rays
+    assert psnr["reference"] > 46 and mean["reference"] < mean["high"] + 0.03, got
 
 
 def test_soft_light_from_one_side_leaves_a_shadow_on_the_other() -> None:
@@ -376,8 +376,7 @@ def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str)
     """A box half a metre up under a vertical light of 10 degrees: its edge against the share of a disc beyond a chord."""
     s = on_plane(box_model(), lamp(0, 90, 10.0), height_m=0.5)
     caster = make_caster(s)
-    rays = Triangles(caster.vertices[caster.faces])
-    texture = beam_texture(caster, rays, quantised(np.array([0, 0, 1.0]), 10.0), PLANE_LEVELS[level], False)
+    texture = beam_texture(caster, quantised(np.array([0, 0, 1.0]), 10.0), PLANE_LEVELS[level], False)
     x = np.linspace(-0.12, 0.0, 61)
     places = np.column_stack([x, np.zeros(61), np.ones(61)]) @ texture.texel_from_m.T
     made = cv2.remap(texture.dark, *(places[:, i : i + 1].astype(np.float32) for i in (0, 1)), cv2.INTER_LINEAR)[:, 0]

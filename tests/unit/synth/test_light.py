@@ -152,3 +152,17 @@ def test_lamps_switch_fade_and_swing() -> None:
     azimuth = lambda t: np.degrees(np.arctan2(world.lights_at(t)[0, 1], world.lights_at(t)[0, 0]))  # noqa: E731
     assert azimuth(0) == pytest.approx(10) and azimuth(1.0) == pytest.approx(40) and azimuth(3.0) == pytest.approx(-20)
     assert np.degrees(np.arcsin(world.lights_at(1.0)[0, 2])) == pytest.approx(45)
+
+
+def test_one_sample_stands_for_all_only_where_nothing_ends() -> None:
+    """The same as with every sample in every pixel, which a shutter, however short, asks for."""
+    lamp = {"azimuth_deg": 20, "elevation_deg": 40, "rgb": [0.6] * 3, "angular_size_deg": 8}
+    parts = {
+        "plane": [FLOOR, {"size_m": [0.12, 0.08], "position_m": [0.05, 0.1, 0.12], "rotate_deg": [35, 20, 10], "texture": GREY}],
+        "marker": [{"spec": "36h11:3:200mm", "position_m": [-0.2, -0.1, 0.001], "rotate_deg": [0, 0, 30]}],
+        "light": {"ambient_rgb": [0.2] * 3, "lamps": [lamp]},
+    }
+    few, every = (
+        picture_of(little_scene(160, 120, path=from_above(), lens={"shutter_s": s}, **parts), 3)[1].radiance(0) for s in (0, 1e-9)
+    )
+    assert np.abs(few - every).max() < 1e-6
