@@ -1,8 +1,8 @@
 """Which lights make the irradiance that was seen: E(n) = a + sum_l Omega_l max(n.d_l, 0), with 0, 1 or 2 lights.
 
 All hypotheses are compared by a criterion (hypotheses.py). The simplest is `measured` where nothing else explains the data,
-`likely` where others do, with a cone that holds all of them, and `refused`, in words, where that cone says nothing: then the
-ambient light is the mean of what was seen.
+`likely` where others do, with a cone that holds the light vectors of all of them, and `refused`, in words, where that cone says
+nothing: then the ambient light is the mean of what was seen.
 Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 150 ms."""
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy as np
 from arfx.analyse.light.hypotheses import LEAST_SHADOW, LIKELY, MEASURED, REFUSED, Assessment, LightHypotheses, Params
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
-from arfx.core.numerics import condition, divide
 
 MODEL_ERROR, MOST_ERROR = 0.002, 0.03  # of irradiance, over its bright level: at least, and beyond which the model is wrong
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
@@ -143,13 +142,12 @@ def fit(
         return LightFit(REFUSED, "no usable observation", np.zeros((1, 3)), np.zeros((1, 3)), ignored=count)
     unit = s.normals / np.linalg.norm(s.normals, axis=1, keepdims=True)
     span_deg = float(np.degrees(np.arccos(np.clip((unit @ unit.T).min(), -1, 1))))
-    rows = np.sqrt(s.weight)[:, None] * np.column_stack([np.ones(len(s.normals)), s.normals])
-    design = divide(rows, np.linalg.norm(rows, axis=0))  # what separates ambient light from a direction
-    about: dict[str, Any] = {"condition": min(condition(design), 1e12), "span_deg": span_deg, "ignored": s.ignored}
+    about: dict[str, Any] = {"condition": min(s.condition(), 1e12), "span_deg": span_deg, "ignored": s.ignored}
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
     seen = np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups]) * s.scale  # (g, 3)
     if span_deg < LEAST_SPAN_DEG or (span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION):
-        return LightFit(REFUSED, f"one normal only: all lie within {span_deg:.2g} degrees", seen, seen, **about)
+        why = f"one normal only, as far as poses are known: all lie within {span_deg:.2g} degrees"
+        return LightFit(REFUSED, why, seen, seen, **about)
     if len(s.normals) < 4:
         return LightFit(REFUSED, f"{len(s.normals)} normals only: a direction beside ambient light takes 4", seen, seen, **about)
     error, found = MODEL_ERROR, LightHypotheses(s, params)

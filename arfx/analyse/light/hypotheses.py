@@ -16,7 +16,7 @@ from scipy.special import fdtri
 
 from arfx.analyse.light import search
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, Model, Samples
-from arfx.core.numerics import angle_between, condition, divide
+from arfx.core.numerics import angle_between
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
@@ -139,13 +139,6 @@ class LightHypotheses:
                 out = max(out, min(float(off[near]) + search.cone_deg(model, near, bound - prior), NO_CONE_DEG))
         return out
 
-    def _condition(self, light: int) -> float:
-        """Of [1, n of what the light reaches], columns of length 1: how systematic errors of what was seen turn the light."""
-        best = self.best[self.count]
-        n, weight = best.at.normals, best.at.weight
-        rows = np.sqrt(weight)[:, None] * np.column_stack([np.ones(len(n)), n * (n @ best.dirs[light] > 0)[:, None]])
-        return condition(divide(rows, np.linalg.norm(rows, axis=0)))
-
     def assess(self, light: int) -> Assessment:
         """Of one light of the chosen model. light : its row in best.dirs
 
@@ -155,7 +148,7 @@ class LightHypotheses:
         if best.soft[light] >= DOME:
             return Assessment(REFUSED, NO_CONE_DEG, NO_CONE_DEG, "it is a sky")
         cone, off = max(self.cone(light), LEAST_CONE_DEG), self._farthest_minimum(light)
-        slack = float(np.degrees(SYSTEMATIC_ERROR * self._condition(light)))
+        slack = float(np.degrees(SYSTEMATIC_ERROR * best.at.condition(best.dirs[light])))
         uncertain = min(cone + slack, NO_CONE_DEG)
         doubts = [
             (uncertain, f"the direction is uncertain by {uncertain:.3g} degrees"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from arfx.analyse.light import model as light_model
 from arfx.analyse.light.icosphere import icosphere
-from arfx.core.numerics import angle_between, divide
+from arfx.core.numerics import angle_between, condition, divide
 
 FINE, COARSE = 4, 2  # levels of the cells that are averaged (4 degrees), and that share one systematic error (16 degrees)
 _UNUSABLE = 1e11  # a variance from here on is UNKNOWN_VARIANCE of photometry.py
@@ -57,6 +57,12 @@ class Samples:
     @property
     def groups(self) -> int:
         return len(self.starts) - 1
+
+    def condition(self, lamp: np.ndarray | None = None) -> float:
+        """Of [1, n], columns of length 1: how well ambient light is told from a direction. lamp : n = 0 where it is not seen"""
+        n = self.normals if lamp is None else self.normals * (self.normals @ lamp > 0)[:, None]
+        rows = np.sqrt(self.weight)[:, None] * np.column_stack([np.ones(len(n)), n])
+        return condition(divide(rows, np.linalg.norm(rows, axis=0)))
 
     def without_gamma(self, gamma: float) -> Samples:
         """The same where the values are a power `gamma` of the irradiance (a wrong transfer function makes them that)."""
