@@ -211,7 +211,7 @@ POSES = (("facing the camera", _towards_facing), ("edge on", _towards_edge_on), 
 ESTIMATES: tuple[Sweep, ...] = (
     Sweep("photometry", "albedo contrast 0", "bias, of 1", _bias, informed(_bias_sigma, 5e-3, 0.2), WITH_CAMERA,
           formulas=("corrected", "paper"), unbounded=("paper",)),
-    Sweep("light direction", "one normal", "deg", _direction, informed(_direction_sigma, 0.9, 60.0), WITH_CAMERA),
+    Sweep("light direction", "one normal", "deg", _direction, informed(_direction_sigma, 2.0, 60.0), WITH_CAMERA),
     *(Sweep("marker pose", towards, "deg", _marker_pose(place), _pose_expected(place), WITH_CAMERA) for towards, place in POSES),
     Sweep("lens of the footage", "one distance", "dioptres", _footage_lens, _footage_lens_expected, WITH_CAMERA),
 )  # fmt: skip

@@ -1,8 +1,8 @@
 """Which lights make the irradiance that was seen: E(n) = a + sum_l Omega_l max(n.d_l, 0), with 0, 1 or 2 lights.
 
 All hypotheses are compared by a criterion (hypotheses.py). The simplest is `measured` where nothing else explains the data,
-`likely` where others do, with a cone that holds all of them, and `refused`, in words, where that cone says nothing: then the
-ambient light is the mean of what was seen.
+`likely` where others do, with a cone that holds the light vectors of all of them, and `refused`, in words, where that cone says
+nothing: then the ambient light is the mean of what was seen.
 Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 150 ms."""
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.light.hypotheses import LEAST_LIGHT, LIKELY, MEASURED, REFUSED, Assessment, LightHypotheses, Params
-from arfx.analyse.light.search import DOME, NO_CONE_DEG, gather, refine
+from arfx.analyse.light.hypotheses import LEAST_SHADOW, LIKELY, MEASURED, REFUSED, Assessment, LightHypotheses, Params
+from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
-from arfx.core.numerics import condition, divide
 
 MODEL_ERROR, MOST_ERROR = 0.002, 0.03  # of irradiance, over its bright level: at least, and beyond which the model is wrong
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
-SIZE_OF_DOUBT, MOST_SIZE_DEG = 1.0, 30.0  # disc of a likely light, over its cone; beyond that no shadow is seen
-MOST_BESIDE_DEG = 60.0  # cone of a light beside which another one's direction says anything
+MOST_SIZE_DEG = 30.0  # disc of a likely light: beyond, no shadow is seen
+MOST_BESIDE_DEG = 60.0  # spread of a light beside which another one's direction says anything
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
+NARROW_DEG, MOST_CONDITION = 30.0, 700.0  # of normals within so few degrees: beyond, errors of their poses pass for light
 # Shares of degree 0, 1, 2 of max(c, 0) and of ((c + 1) / 2)^2: their Legendre coefficients times 4 pi / (2 l + 1)
 _COSINE, _DOME = np.pi * np.array([1, 2 / 3, 1 / 4]), np.pi * np.array([4 / 3, 2 / 3, 2 / 15])
 _SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
@@ -33,8 +33,10 @@ _SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
 class FittedLight:
     """direction : (3,) unit, towards it, frame of the normals;  rgb : (g, 3) irradiance on a surface that faces it, per group
 
-    confidence_deg : half-angle of the cone of all that explains the data as well, at 95 % (180 = the direction is not known)
-    angular_size_deg : full angle of its disc, a default or what the data allow where they do not show it; as wide as the doubt
+    confidence_deg : half-angle of the 95 % cone of all that explains the data as well: of lamps, if merely likely of light
+        vectors (180 = the direction is not known)
+    angular_size_deg : full angle of its disc, a default or what the data allow where they do not show it; if merely likely as
+        wide as lamps in its place may be spread, up to 30
     doubt : what else explains the data, in words;  verdict : of its direction"""
 
     direction: np.ndarray
@@ -140,13 +142,12 @@ def fit(
         return LightFit(REFUSED, "no usable observation", np.zeros((1, 3)), np.zeros((1, 3)), ignored=count)
     unit = s.normals / np.linalg.norm(s.normals, axis=1, keepdims=True)
     span_deg = float(np.degrees(np.arccos(np.clip((unit @ unit.T).min(), -1, 1))))
-    rows = np.sqrt(s.weight)[:, None] * np.column_stack([np.ones(len(s.normals)), s.normals])
-    design = divide(rows, np.linalg.norm(rows, axis=0))  # what separates ambient light from a direction
-    about: dict[str, Any] = {"condition": min(condition(design), 1e12), "span_deg": span_deg, "ignored": s.ignored}
+    about: dict[str, Any] = {"condition": min(s.condition(), 1e12), "span_deg": span_deg, "ignored": s.ignored}
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
     seen = np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups]) * s.scale  # (g, 3)
-    if span_deg < LEAST_SPAN_DEG:
-        return LightFit(REFUSED, f"one normal only: all lie within {span_deg:.2g} degrees", seen, seen, **about)
+    if span_deg < LEAST_SPAN_DEG or (span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION):
+        why = f"one normal only, as far as poses are known: all lie within {span_deg:.2g} degrees"
+        return LightFit(REFUSED, why, seen, seen, **about)
     if len(s.normals) < 4:
         return LightFit(REFUSED, f"{len(s.normals)} normals only: a direction beside ambient light takes 4", seen, seen, **about)
     error, found = MODEL_ERROR, LightHypotheses(s, params)
@@ -178,15 +179,17 @@ def fit(
     if first.verdict == REFUSED:
         return LightFit(REFUSED, first.doubt, seen, seen, **about)
     if count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED:  # it is so only beside the first
-        cone = max(known[1].cone_deg, params.limit_deg)
-        verdict = LIKELY if first.cone_deg <= MOST_BESIDE_DEG else REFUSED
-        known[1] = Assessment(verdict, cone, known[1].doubt or "there may be another pair of lights")
+        _, cone, spread, doubt = known[1]
+        sound = first.spread_deg <= MOST_BESIDE_DEG and model.fractions[order[1]] >= LEAST_SHADOW
+        verdict = LIKELY if sound else REFUSED
+        doubt = doubt or "there may be another pair of lights"
+        known[1] = Assessment(verdict, max(cone, params.limit_deg), max(spread, params.limit_deg), doubt)
     size_deg = _size_deg(found, domes)
     lights = []
-    for i, (verdict, cone, doubt) in zip(order, known, strict=True):
+    for i, (verdict, cone, spread, doubt) in zip(order, known, strict=True):
         size = 180.0 if domes[i] else size_deg
         one = FittedLight(model.dirs[i], amp[:, :, 1 + i], NO_CONE_DEG if verdict == REFUSED else cone, size, verdict, doubt)
-        lights.append(doubted(one, cone, doubt) if verdict == LIKELY else one)
+        lights.append(doubted(one, cone, spread, doubt) if verdict == LIKELY else one)
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
         reason += f"; the second {_words(known[1])}"
@@ -194,9 +197,9 @@ def fit(
     return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
 
 
-def doubted(light: FittedLight, cone_deg: float, doubt: str) -> FittedLight:
-    """The light as a likely one, its disc as wide as the doubt."""
-    size_deg = max(light.angular_size_deg, min(SIZE_OF_DOUBT * cone_deg, MOST_SIZE_DEG))
+def doubted(light: FittedLight, cone_deg: float, spread_deg: float, doubt: str) -> FittedLight:
+    """The light as a likely one, its disc as wide as lamps in its place may be spread."""
+    size_deg = max(light.angular_size_deg, min(spread_deg, MOST_SIZE_DEG))
     return replace(light, confidence_deg=cone_deg, angular_size_deg=size_deg, verdict=LIKELY, doubt=doubt)
 
 

@@ -6,7 +6,7 @@ brighter from one side, ((n.d + 1) / 2)^2. Source: docs/methods/light.md#lamps."
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -15,21 +15,20 @@ import numpy as np
 from scipy.special import fdtri
 
 from arfx.analyse.light import search
-from arfx.analyse.light.search import DOME, NO_CONE_DEG, Model, Samples
+from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, Model, Samples
 from arfx.core.numerics import angle_between
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
 LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
-LEAST_LIGHT = 0.015  # share of the light seen below which a directional light counts as none
-MOST_OFF_DEG = 45.0  # of a likely light: another place of it that explains the data as well
-MOST_SPREAD_DEG = 75.0  # of a likely light: others in its place, whose middle it is
+MOST_OFF_DEG = 60.0  # cone of a likely light: half of it still comes from where it is thought to be
 LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth the name
+SYSTEMATIC_ERROR = 0.0005  # of readings and normals, slow over a clip: times the condition it turns the direction, radians
 SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
 _WORSE, _WORSE_BY, _MOST_MODELS = 3.0, 50.0, 5  # other minima that are kept: chi squared, times the best's and more; number
 _GAMMA_STEPS = (-0.08, 0.08, -0.16, 0.16)  # of ln gamma
 # where others in its place are tried
-_RINGS_DEG = (1.5, 2.5, 3.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, MOST_SPREAD_DEG, NO_CONE_DEG)  # fmt: skip
+_RINGS_DEG = (1.5, 2.5, 3.5, 5.0, 7.5, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, NO_CONE_DEG)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,10 +43,12 @@ class Params:
 
 
 class Assessment(NamedTuple):
-    """cone_deg : half-angle that holds all that explains the data as well;  doubt : the widest of it in words, "" if measured"""
+    """cone_deg : half-angle that holds the lamps, or if merely likely the light vectors, of all that explains the data as well
+    spread_deg : how far lamps in its place may be;  doubt : the widest of it in words, "" if measured"""
 
     verdict: str
     cone_deg: float
+    spread_deg: float
     doubt: str
 
 
@@ -139,38 +140,73 @@ class LightHypotheses:
         return out
 
     def assess(self, light: int) -> Assessment:
-        """Of one light of the chosen model. light : its row in best.dirs"""
+        """Of one light of the chosen model. light : its row in best.dirs
+
+        What looks the same has nearly the same light vector (Gershun 1939: sum of the lights' rgb times directions): the shadow
+        of the simplest explanation falls the right way under all of it, and is as sharp as the lamp is known."""
         best = self.best[self.count]
         if best.soft[light] >= DOME:
-            return Assessment(REFUSED, NO_CONE_DEG, "it is a sky")
+            return Assessment(REFUSED, NO_CONE_DEG, NO_CONE_DEG, "it is a sky")
         cone, off = max(self.cone(light), LEAST_CONE_DEG), self._farthest_minimum(light)
+        slack = float(np.degrees(SYSTEMATIC_ERROR * best.at.condition(best.dirs[light])))
+        uncertain = min(cone + slack, NO_CONE_DEG)
         doubts = [
-            (cone, f"the direction is uncertain by {cone:.3g} degrees"),
+            (uncertain, f"the direction is uncertain by {uncertain:.3g} degrees"),
             (off, f"another direction, {off:.0f} degrees off, explains the data as well"),
         ]
-        sound = max(cone, off) <= MOST_OFF_DEG
-        if sound and self.params.most_lights >= 2:
-            ring, apart = self._farthest_beside(lambda s, at_deg, bound: search.two_in_place(best, s, light, at_deg, bound))
+        vector = off
+        if max(cone, off) <= MOST_OFF_DEG and self.params.most_lights >= 2:
+            ring, apart = self._farthest_pair(light)
             doubts.append((ring, f"two lamps {_up_to(apart, ring)} apart would look the same to this print"))
             if self.count == 1:
-                doubts.append(self._sky(best))
-            sound = max(d[0] for d in doubts) <= MOST_SPREAD_DEG
-        widest, doubt = max(doubts, key=lambda d: d[0])
-        if widest <= self.params.limit_deg:
-            return Assessment(MEASURED, widest, "")
-        return Assessment(LIKELY if sound and self.params.likely else REFUSED, widest, doubt)
+                ring, words, sky_vector = self._sky()
+                doubts.append((ring, words))
+                vector = max(off, sky_vector)
+        spread, doubt = max(doubts, key=lambda d: d[0])
+        if spread <= self.params.limit_deg:
+            return Assessment(MEASURED, spread, spread, "")
+        if self.count == 2:  # one that is hardly a light is what the model lacks
+            weak = best.fractions.min() < LEAST_SHADOW
+            vector = max(off, spread if weak else search.vector_off_deg(best, best.dirs[light]))
+        cone = min(float(np.hypot(cone, vector)) + slack, NO_CONE_DEG)
+        return Assessment(LIKELY if self.params.likely and cone <= MOST_OFF_DEG else REFUSED, cone, spread, doubt)
 
-    def _sky(self, best: Model) -> tuple[float, str]:
-        """(degrees, words) of ambient light that is brighter from one side, beside the lamp or in its place."""
+    def _two_lights(self) -> Iterator[tuple[Samples, float]]:
+        """(samples, chi squared that is no worse) of the exponents under which two free lights may do in place of one."""
+        bound = self.bound()
+        for prior, models in self.nodes:
+            if self.count == 2 or prior + min(m.chi2 for m in models[2]) <= bound:
+                yield models[self.count][0].at, bound - prior
 
-        def farthest(share: float) -> tuple[float, float]:
-            return self._farthest_beside(lambda s, at_deg, _: (search.dome_beside(best, s, at_deg, share), at_deg))
+    def _farthest_pair(self, light: int) -> tuple[float, float]:
+        """(ring beyond the farthest on which two lamps in its place explain the data as well, degrees between them)"""
+        out, apart = 0.0, 0.0
+        for s, bound in self._two_lights():
+            for beyond, ring in pairwise(_RINGS_DEG[::-1]):
+                if beyond <= out:
+                    break
+                chi2, between = search.two_in_place(self.best[self.count], s, light, ring, bound)
+                if chi2 <= bound:
+                    out, apart = beyond, between
+                    break
+        return out, apart
 
-        sky, _ = farthest(0.0)
-        ring, shift = farthest(LEAST_SHADOW) if sky else (0.0, 0.0)
+    def _sky(self) -> tuple[float, str, float]:
+        """(degrees, words, degrees of the light vector) of ambient light that is brighter from one side, beside the lamp or in
+        its place."""
+        best, ring, shift, sky, vector = self.best[1], 0.0, 0.0, 0.0, 0.0
+        for s, bound in self._two_lights():
+            for radius, beyond in pairwise(_RINGS_DEG):
+                for m in search.domes_beside(best, s, radius, bound):
+                    sky = max(sky, beyond)
+                    if m.dirs[1] @ s.normals.mean(0) > 0:  # what lies behind all that was seen says nothing of its vector
+                        vector = max(vector, search.vector_off_deg(m, best.dirs[0]))
+                    if m.fractions[0] >= LEAST_SHADOW and beyond > ring:
+                        ring, shift = beyond, radius
         if ring < min(sky, SKY_DEG):  # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
-            return min(sky, SKY_DEG), "ambient light that is brighter from one side, without a lamp, would look the same"
-        return ring, f"ambient light that is brighter from one side may shift it by {_up_to(shift, ring)}"
+            words = "ambient light that is brighter from one side, without a lamp, would look the same"
+            return min(sky, SKY_DEG), words, vector
+        return ring, f"ambient light that is brighter from one side may shift it by {_up_to(shift, ring)}", vector
 
     def _farthest_minimum(self, light: int) -> float:
         """Degrees from the light to the farthest minimum that is no worse."""
@@ -182,23 +218,6 @@ class LightHypotheses:
                     off = float(np.degrees(angle_between(points, best.dirs[light]).min())) if len(points) else NO_CONE_DEG
                     out = max(out, off)
         return out
-
-    def _farthest_beside(self, tried: Callable[[Samples, float, float], tuple[float, float]]) -> tuple[float, float]:
-        """(ring beyond the farthest on which others explain the data as well, 0 = none does; what `tried` says of that one).
-
-        tried : (samples, ring in degrees, chi squared that is no worse) to (chi squared, degrees to be said)"""
-        out, said, bound = 0.0, 0.0, self.bound()
-        for prior, models in self.nodes:
-            if self.count == 1 and prior + min(m.chi2 for m in models[2]) > bound:
-                continue  # not even two free lights
-            for beyond, ring in pairwise(_RINGS_DEG[::-1]):
-                if beyond <= out:
-                    break
-                chi2, degrees = tried(models[self.count][0].at, ring, bound - prior)
-                if chi2 <= bound - prior:
-                    out, said = beyond, degrees
-                    break
-        return out, said
 
 
 def _up_to(degrees: float, ring_deg: float) -> str:

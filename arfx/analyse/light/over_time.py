@@ -238,7 +238,7 @@ def _confirmed(found: LightFit, halves: Sequence[LightFit], agree_deg: float, pa
         first = replace(first, confidence_deg=max(first.confidence_deg, off))
         return replace(found, lights=(first, *found.lights[1:]))
     doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
-    first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
+    first = doubted(first, max(first.confidence_deg, 2 * off), 2 * off, doubt)
     return replace(found, verdict=LIKELY, reason=f"{found.reason}; {doubt}", lights=(first, *found.lights[1:]))
 
 

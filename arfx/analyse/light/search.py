@@ -11,7 +11,7 @@ import numpy as np
 
 from arfx.analyse.light import model as light_model
 from arfx.analyse.light.icosphere import icosphere
-from arfx.core.numerics import angle_between, divide
+from arfx.core.numerics import angle_between, condition, divide
 
 FINE, COARSE = 4, 2  # levels of the cells that are averaged (4 degrees), and that share one systematic error (16 degrees)
 _UNUSABLE = 1e11  # a variance from here on is UNKNOWN_VARIANCE of photometry.py
@@ -25,6 +25,7 @@ DOME = 1.0
 RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lights that pose as one
 PAIR_DEG = 10.0  # that the other of two lights stays from the one that they replace, at least
 FINE_GAIN, FOLLOWED_GAIN, ROUGH_GAIN = 1e-6, 1e-4, 1e-3  # of chi squared: a pass that gains less is the last
+LEAST_LIGHT = 0.015  # share of the light seen below which a directional light counts as none
 _SAME_DEG = 1.0  # minima nearer to each other than that are one
 _APART_DEG = 20.0  # starts nearer to each other than that lead to one minimum
 
@@ -56,6 +57,12 @@ class Samples:
     @property
     def groups(self) -> int:
         return len(self.starts) - 1
+
+    def condition(self, lamp: np.ndarray | None = None) -> float:
+        """Of [1, n], columns of length 1: how well ambient light is told from a direction. lamp : n = 0 where it is not seen"""
+        n = self.normals if lamp is None else self.normals * (self.normals @ lamp > 0)[:, None]
+        rows = np.sqrt(self.weight)[:, None] * np.column_stack([np.ones(len(n)), n])
+        return condition(divide(rows, np.linalg.norm(rows, axis=0)))
 
     def without_gamma(self, gamma: float) -> Samples:
         """The same where the values are a power `gamma` of the irradiance (a wrong transfer function makes them that)."""
@@ -243,16 +250,18 @@ def cone_deg(model: Model, light: int, bound: float) -> float:
     return NO_CONE_DEG
 
 
-def dome_beside(model: Model, s: Samples, radius_deg: float, least_share: float = 0.0) -> float:
-    """Lowest chi squared of the single light of `model`, moved by radius_deg, beside a dome wherever that helps most.
-
-    least_share : of the light that the lamp gives, else inf"""
+def domes_beside(model: Model, s: Samples, radius_deg: float, bound: float) -> list[Model]:
+    """The single light of `model`, moved by radius_deg, beside a dome: what is not above the chi squared `bound`."""
     d, soft = cone_directions(model.dirs[0], radius_deg), np.append(model.soft, DOME)
     starts = np.concatenate([cone_directions(model.dirs[0], 60.0, np.pi), -d])
     many = np.stack([np.concatenate([d, d]), starts], 1)
     best = np.argsort(_scan(s, many, _each(soft)), kind="stable")[:4]
-    moved = [refine(s, many[i], soft, 0, 12) for i in best]
-    return min((m.chi2 for m in moved if m.fractions[0] >= least_share), default=np.inf)
+    return [m for m in (refine(s, many[i], soft, 0, 12) for i in best) if m.chi2 <= bound]
+
+
+def vector_off_deg(model: Model, direction: np.ndarray) -> float:
+    """Degrees between a direction and the light vector, the sum of rgb times direction, of all lights."""
+    return float(np.degrees(angle_between(model.amplitudes()[0].sum((0, 1))[1:] @ model.dirs, direction)))
 
 
 def two_in_place(model: Model, s: Samples, light: int, radius_deg: float, bound: float) -> tuple[float, float]:
