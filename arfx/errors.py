@@ -53,6 +53,16 @@ class JobInterruptedError(ArfxError):
     exit_code = 130
 
 
+def explained(e: BaseException) -> tuple[int, str]:
+    """Exit code and message of whatever ended a piece of work."""
+    if isinstance(e, ArfxError):
+        return e.exit_code, str(e)
+    if isinstance(e, OSError):
+        return 5, f"{e.strerror or e}{f': {e.filename}' if e.filename else ''}"
+    # a fault of arfx itself: one message all the same
+    return 5, f"arfx failed: {type(e).__name__}: {e}\nhelp: ARFX_DEBUG=1 shows where; please report it"
+
+
 def require_within(section: str, settings: object, **limits: tuple[float, float]) -> None:
     """Raises ConfigError for a setting outside its limits, which are (lowest, highest) by name."""
     for name, (low, high) in limits.items():

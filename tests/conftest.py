@@ -7,6 +7,7 @@ import inspect
 import os
 import re
 import signal
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,6 +17,9 @@ from arfx.errors import RenderError
 
 # As `arfx` does, before numpy reads it: two test processes with a pool of threads each get in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Where bytecode is not to be written every process that a test starts would compile that of arfx again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 gc.disable()  # until all tests are collected: what importing makes stays, and was looked over for a quarter of that time
 
@@ -23,8 +27,14 @@ STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|
     |raise_signal|os\.kill"""
 
 
+# Their tests share what takes long to make. Test processes take tests off the end of each other's lists: there it is made twice.
+TOGETHER = {"test_film_grain.py", "test_main_job.py", "test_markers.py", "test_opengl_jobs.py", "test_presets.py"}
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """`-m process` takes every test whose source starts a process or a thread or sends a signal, marked by hand or not."""
+    """Files in TOGETHER come first. `-m process` takes every test whose source starts a process or a thread or sends a signal,
+    marked by hand or not."""
+    items.sort(key=lambda item: item.path.name not in TOGETHER)
     if "process" in config.getoption("markexpr"):
         for item in items:
             if isinstance(item, pytest.Function) and re.search(STARTS, inspect.getsource(item.function), re.VERBOSE):

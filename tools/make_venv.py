@@ -197,14 +197,14 @@ def pip_install(*more: str) -> "tuple[int, str]":
 
 def install() -> None:
     """The project, editable, with its development tools, at the versions of constraints.txt where they exist here."""
-    status, said = pip_install("-c", str(CONSTRAINTS), "-e", ".[dev]")
+    status, said = pip_install("-c", str(CONSTRAINTS), "-e", ".[dev,cluster]")
     unresolved = re.search(r"ResolutionImpossible|No matching distribution|Could not find a version|Requires-Python", said)
     if status and unresolved and not re.search(r"NewConnectionError|Temporary failure|Network is unreachable", said):
         print(
             f"make_venv: constraints.txt does not fit Python {platform.python_version()} here; installing the newest versions "
             "that pyproject.toml allows instead", flush=True,
         )  # fmt: skip
-        status, said = pip_install("-e", ".[dev]")
+        status, said = pip_install("-e", ".[dev,cluster]")
     if status:
         sys.stderr.write(said[-3000:])
         raise fail(

@@ -3,7 +3,7 @@
     python tools/record_kernels.py
 
 Runs typical jobs one after the other, each in a process of its own, and notes every function that is compiled or loaded because
-Python calls it; one that an earlier job has noted is not noted again. Takes some minutes.
+Python calls it; one that an earlier job has noted is not noted again. The tests' come last. Takes some minutes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from arfx.run.kernels import DIMMING
+import pytest
+
+from arfx.run.kernels import DIMMING, SELDOM
 from arfx.stages import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -33,7 +35,9 @@ JOBS = {
     "hide": "verify sample_scenes/0022-before-and-behind",
     "gi": "verify sample_scenes/0041-indirect-light",
     "watercolor": "verify sample_scenes/0030-watercolor",
+    SELDOM: "tests tests/unit/media tests/unit/papers tests/unit/reproduce tests/unit/stages tests/contract",
 }
+SELDOM_S = 0.2  # what takes less is compiled where it is called
 
 
 def record(file: Path, arguments: list[str]) -> None:
@@ -59,6 +63,8 @@ def record(file: Path, arguments: list[str]) -> None:
 
     Dispatcher.compile = compile
     try:
+        if arguments[0] == "tests":
+            sys.exit(pytest.main(["-p", "no:cacheprovider", *arguments[1:]]))
         main(arguments)
     finally:
         file.write_text(json.dumps([[*key, seconds] for key, seconds in called.items()]))
@@ -68,8 +74,9 @@ def run_all() -> dict[str, list[list[Any]]]:
     parts: dict[str, list[list[Any]]] = {}
     noted: set[tuple[str, ...]] = set()
     with tempfile.TemporaryDirectory() as made:
-        for name in ("arfx", "cli", "configs", "sample_scenes"):  # without what was compiled before
+        for name in ("arfx", "cli", "configs", "sample_scenes", "tests"):  # without what was compiled before
             shutil.copytree(ROOT / name, Path(made) / "tree" / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copy(ROOT / "pyproject.toml", Path(made) / "tree")
         tree = Path(made) / "tree"
         (tree / "arfx" / "run" / "kernels.json").write_text("{}")  # compiled where it is called, so that it is seen
         environment = {**os.environ, "PYTHONPATH": f"{tree}{os.pathsep}{tree / 'cli'}", "OPENBLAS_NUM_THREADS": "1"}
@@ -78,9 +85,9 @@ def run_all() -> dict[str, list[list[Any]]]:
             command = [sys.executable, __file__, str(file), *job.replace("MADE", made).split()]
             subprocess.run(command, cwd=tree, env=environment, check=True)
             for row in sorted(json.loads(file.read_text())):
-                if tuple(row[:3]) not in noted:
+                if tuple(row[:3]) not in noted and (part != SELDOM or row[3] >= SELDOM_S):
                     noted.add(tuple(row[:3]))
-                    parts.setdefault(part_of(row[0]) or part, []).append(row)
+                    parts.setdefault((part != SELDOM and part_of(row[0])) or part, []).append(row)
     return parts
 
 

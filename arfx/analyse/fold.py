@@ -1,12 +1,12 @@
-"""What is learned of a clip, each thing by a fold: it is fed the frames in order, can be stopped after any of them, and says
-what it learned when the whole clip is known."""
+"""What is learned of a clip, each thing by a fold: it is fed the frames of a stretch of the clip in order. What the folds of all
+stretches learned is joined, in order, and says what it means when the whole clip is known."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Check
 
 MARKER, PLANE = "marker", "plane"  # what the object stands on
+T = TypeVar("T")
 PLANE_MARKER = MarkerSpec(PLANE, 0, 0.1)  # in place of a marker; its square is that beside which the plane's radiance is read
 
 
@@ -83,7 +84,8 @@ class AnalysisJob:
     depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of the camera, camera_from_given
     scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
     kinds : classes of folds in place of the usual ones, by name
-    prints : pictures of the markers that are patterns, by key, (h, w, 3) linear"""
+    prints : pictures of the markers that are patterns, by key, (h, w, 3) linear
+    length_s : about how long all frames last: what is kept of some of them is spread over that"""
 
     markers: tuple[Marker, ...]
     camera: Camera
@@ -99,6 +101,7 @@ class AnalysisJob:
     progress: Callable[[str, int, int | None], None] = lambda *_: None
     kinds: Mapping[str, Any] = field(default_factory=dict)
     prints: Mapping[str, np.ndarray] = field(default_factory=dict)
+    length_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -135,19 +138,23 @@ class Analysis:
 
 
 class Stateful:
-    """All attributes are the state, which `core.codec` must be able to write; parts that are Stateful have their own.
+    """Its state is what it learned: all attributes but these two kinds. `core.codec` must be able to write it; parts that are
+    Stateful have their own.
 
-    given : names of the attributes that the constructor's arguments make and no frame changes"""
+    given : names of the attributes that the constructor's arguments make and no frame changes
+    carried : of those that go from one frame to the next, and begin anew with every stretch"""
 
     given: ClassVar[frozenset[str]] = frozenset()
+    carried: ClassVar[frozenset[str]] = frozenset()
 
     def state(self) -> dict[str, Any]:
         """By attribute. It is shared with the object: to be written before the next frame."""
-        kept = {k: v for k, v in vars(self).items() if k not in self.given and not isinstance(v, Fold)}
+        left_out = self.given | self.carried
+        kept = {k: v for k, v in vars(self).items() if k not in left_out and not isinstance(v, Fold)}
         return {k: v.state() if isinstance(v, Stateful) else v for k, v in kept.items()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from `state` of an object that was made with the same arguments: to the same bits."""
+        """Take over `state` of an object that was made with the same arguments."""
         for k, v in state.items():
             mine = getattr(self, k)
             if isinstance(mine, Stateful):
@@ -172,6 +179,22 @@ class Fold(Stateful):
     def step(self, frame: AnalysisFrame) -> None:
         """Take the next frame."""
 
+    def end(self, frame: AnalysisFrame) -> dict[str, Any] | None:
+        """The stretch is over. frame : the first one of the next
+
+        Returns what a new start at that frame would lose, for `go_on` there; None = nothing."""
+        return None
+
+    def go_on(self, lost: dict[str, Any]) -> None:
+        """Before the first frame: begin with what `end` of the stretch before returned."""
+
+    def settle(self, later: Self) -> Mapping[str, Any]:
+        """Before `join`: settings of AnalyseParams that `later` has to be made again with, as the clip before it says."""
+        return {}
+
+    def join(self, later: Self, shift: int) -> None:
+        """Add what the next stretch learned. shift : to be added to its frames' numbers"""
+
     def finish(self, clip: Analysis) -> Analysis:
         """The clip with what was learned."""
         return clip
@@ -180,3 +203,18 @@ class Fold(Stateful):
     def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterable[Check]:
         """Its estimates, from what it left in the clip. Nothing where it was not asked for."""
         return ()
+
+
+def shifted(items: Sequence[T], shift: int) -> list[T]:
+    """Tuples and dataclasses whose first field is the number of a frame, with `shift` added to it."""
+    if not shift:
+        return list(items)
+    return [
+        (item[0] + shift, *item[1:]) if isinstance(item, tuple) else replace(item, **_shifted_first(item, shift))  # type: ignore
+        for item in items
+    ]
+
+
+def _shifted_first(item: Any, shift: int) -> dict[str, int]:
+    name = fields(item)[0].name
+    return {name: getattr(item, name) + shift}

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
 from arfx.analyse.markers.detect import cells_per_side
 from arfx.analyse.markers.fold import Markers
 from arfx.core.facts import MEASURED, FrameFacts
@@ -121,6 +122,9 @@ class FootageLens(Fold):
             blur = side_blurs(frame.luma, s.corners_px, cells_per_side(family), self._markers.table)
             if np.isfinite(blur).any():
                 self.readings.append((frame.index, s.key, blur, s.corners_px))
+
+    def join(self, later: Self, shift: int) -> None:
+        self.readings += shifted(later.readings, shift)
 
     def finish(self, clip: Analysis) -> Analysis:
         fit = footage_lens(clip.facts, self.readings, self.job.markers, clip.world_from_marker)

@@ -38,15 +38,23 @@ def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
         if value is None or value is False or value == ():
             continue
         if s.repeated:
-            yield (s.section,), [{s.key: v} for v in value], " ".join(f"{s.flags[0]} {v}" for v in value)
-        elif value is True:
-            yield (s.section, s.key), not s.default, s.flags[0]
+            yield *option_given(s, value), " ".join(f"{s.flags[0]} {v}" for v in value)
         elif value or list[str] not in s.kinds:  # an empty list of effects is not given
-            yield (s.section, s.key), _read(s, value), f"{s.flags[0]} {value}"
+            yield *option_given(s, value), s.flags[0] if value is True else f"{s.flags[0]} {value}"
+
+
+def option_given(s: Setting, value: Any) -> tuple[tuple[str, ...], Any]:
+    """Key path and value, in a job's tables, of what an option gives. value : a list where the option is repeatable
+    Raises ConfigError."""
+    if s.repeated:
+        return (s.section,), [{s.key: v} for v in value]
+    return (s.section, s.key), not s.default if value is True else _read(s, value)
 
 
 def _read(s: Setting, value: Any) -> Any:
     """Lists as they are written after an option."""
+    if not isinstance(value, str):
+        return value
     if list[str] in s.kinds:
         names = [n.strip() for n in value.split(",") if n.strip()]
         return "auto" if names == ["auto"] else names
@@ -72,12 +80,17 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
         raise ConfigError(f"--set {_short(text)!r} is not STAGE.KEY=VALUE", "for example --set output.crf=20")
     if len(parts) > _MOST_PARTS:
         raise ConfigError(f"--set {_short(text)!r}: a key of {len(parts)} parts", "STAGE.KEY=VALUE")
+    return parts, parse_value(value, f"--set {_short(text)}")
+
+
+def parse_value(text: str, words: str) -> Any:
+    """TOML where it parses as it, else text. words : that gave it. Raises ConfigError."""
     try:
-        return parts, parse_toml(f"x = {value.strip()}")["x"]
+        return parse_toml(f"x = {text.strip()}")["x"]
     except tomllib.TOMLDecodeError:
-        return parts, value.strip()
+        return text.strip()
     except ValueError as e:
-        raise ConfigError(f"--set {_short(text)}: {e}") from None
+        raise ConfigError(f"{words}: {e}") from None
 
 
 def _short(text: str) -> str:

@@ -9,6 +9,7 @@ import difflib
 import os
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
@@ -26,19 +27,33 @@ _TYPE_TAGS = ("constrained-str", "function-before")  # parts of pydantic's place
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
 
-class _JobFile(NamedTuple):
+class JobFile(NamedTuple):
+    """Settings that a file gives. document : the tables of a job file, with paths as they are from here
+    at : key path of these in the file's text;  names : of those that are written otherwise there
+    line : of a table's row, in which all of them stand; 0 = found by key"""
+
     path: Path
     text: str
     document: dict[str, Any]
+    at: KeyPath = ()
+    names: Mapping[KeyPath, KeyPath] = {}
+    line: int = 0
+
+    def located(self, message: str, path: KeyPath, hint: str = "") -> str:
+        """The message with file, line and key."""
+        path = next((name for n in (2, 1) if (name := self.names.get(path[:n])) is not None), path)
+        return with_location(message, str(self.path), self.text, (*self.at, *path), hint, self.line)
 
 
-def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], parameters: Parameters) -> JobConfig:
+def load(
+    files: Path | Sequence[Path | JobFile] | None, overrides: Mapping[str, Any], parameters: Parameters
+) -> JobConfig:  # fmt: skip
     """Read a job.
     files : job file or several; key by key the later wins;  overrides : nested mapping from the command line, which wins over all
     parameters : section name -> formula -> frozen dataclass, for every stage and for "analyse"; the usual formula first
     Raises ConfigError holding every problem found; InputError if a file cannot be read."""
-    paths = [files] if isinstance(files, Path) else files or ()
-    read = [_read(path, parameters) for path in paths]
+    named = [files] if isinstance(files, Path) else files or ()
+    read = [file if isinstance(file, JobFile) else read_job_file(file, parameters) for file in named]
     merged: dict[str, Any] = {}
     for tree in (*(file.document for file in read), overrides):
         merged = merge(merged, tree)
@@ -51,7 +66,7 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
         else:
             # the last file that holds the key, or else its nearest parent
             file = next(f for n in range(len(path), -1, -1) for f in reversed(read) if _contains(f.document, path[:n]))
-            problems.append(with_location(message, str(file.path), file.text, path, hint))
+            problems.append(file.located(message, path, hint))
 
     sections = {s.section for s in settings()}
     params: dict[str, Any] = {}
@@ -66,7 +81,7 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
         params[name] = _params(name, formulas, table, problem)
     job = None
     try:
-        own = {"params": params, "sources": tuple(paths)}
+        own = {"params": params, "sources": tuple(dict.fromkeys(file.path for file in read))}
         job = JobConfig.model_validate({**{k: merged[k] for k in sections if k in merged}, **own})
     except ValidationError as e:
         for error in e.errors(include_url=False):
@@ -82,19 +97,24 @@ def load(files: Path | Sequence[Path] | None, overrides: Mapping[str, Any], para
     return job
 
 
-def _read(file: Path, parameters: Parameters) -> _JobFile:
-    """A job file with its paths as they are from here."""
-    text = read_text(file, "job file")
+def read_job_file(file: Path, parameters: Parameters, kind: str = "job file") -> JobFile:
+    """kind : as in `opener.LIMITS`. Raises ConfigError, InputError."""
+    text = read_text(file, kind)
     try:
         document = parse_toml(text)
     except ValueError as e:
         raise ConfigError(f"{file}: not valid TOML: {e}") from None
+    locate_paths(document, file.parent, parameters)
+    return JobFile(file, text, document)
+
+
+def locate_paths(document: Mapping[str, Any], folder: Path, parameters: Parameters) -> None:
+    """Paths in a job file are relative to its folder: make them so from here."""
     for section, key in _paths(parameters):
         tables = document.get(section)
         for table in tables if isinstance(tables, list) else [tables]:
             if isinstance(table, dict) and isinstance(table.get(key), str):
-                table[key] = str(file.parent / table[key])
-    return _JobFile(file, text, document)
+                table[key] = str(folder / table[key])
 
 
 def _paths(parameters: Parameters) -> set[tuple[str, str]]:
@@ -102,8 +122,18 @@ def _paths(parameters: Parameters) -> set[tuple[str, str]]:
     out = {(s.section, s.key) for s in settings() if Path in s.kinds or PatternSpec in s.kinds}
     for name, formulas in parameters.items():
         for kind in formulas.values():
-            out |= {(name, key) for key, hint in get_type_hints(kind).items() if Path in kinds(hint)}
+            out |= {(name, key) for key in _path_fields(kind)}
     return out
+
+
+@cache
+def _path_fields(kind: type) -> frozenset[str]:
+    return frozenset(key for key, hint in get_type_hints(kind).items() if Path in kinds(hint))
+
+
+@cache
+def _adapter(kind: type) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
 
 
 def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], problem: Any) -> Any:
@@ -128,7 +158,7 @@ def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], prob
             good[key] = value
     try:
         # rebuilt even without settings: a dataclass may check itself in __post_init__
-        return TypeAdapter(kind).validate_python(good)
+        return _adapter(kind).validate_python(good)
     except ValidationError as e:
         for error in e.errors(include_url=False):
             key = str(error["loc"][0]) if error["loc"] else ""
@@ -190,10 +220,11 @@ def line_of(text: str, path: KeyPath) -> int:
             continue
         name = tuple(p.strip(" \"'") for p in (m[3] or m[4]).split("."))
         if m["array"]:
+            name = (*_numbered(name[:-1], seen), name[-1])
             seen[name] = seen.get(name, -1) + 1
             prefix = here = (*name, seen[name])
         elif m["table"]:
-            prefix = here = name
+            prefix = here = _numbered(name, seen)
         else:
             here = (*prefix, *name)
         if here == path[: len(here)] and len(here) > best_depth:
@@ -201,9 +232,18 @@ def line_of(text: str, path: KeyPath) -> int:
     return best_line
 
 
-def with_location(message: str, file: str, text: str, path: KeyPath, hint: str = "") -> str:
-    """The message with file:line, the line itself and carets under its key."""
-    number = line_of(text, path)
+def _numbered(name: KeyPath, seen: Mapping[KeyPath, int]) -> KeyPath:
+    """The key path of a table: within an array of tables it belongs to the last of them. seen : of each array, by its path"""
+    out: KeyPath = ()
+    for key in name:
+        out = (*out, key)
+        out = (*out, seen[out]) if out in seen else out
+    return out
+
+
+def with_location(message: str, file: str, text: str, path: KeyPath, hint: str = "", line: int = 0) -> str:
+    """The message with file:line, the line itself and carets under its key. line : 0 = where the key is found"""
+    number = line or line_of(text, path)
     shown = [message, f"  --> {file}"]
     if number:
         source = text.splitlines()[number - 1]

@@ -59,6 +59,13 @@ def uninitialised(name: Layer, rect: Rect) -> np.ndarray:
     return np.empty((rect.height, rect.width, channels)[: 3 if channels else 2], dtype)
 
 
+def packed(array: np.ndarray) -> np.ndarray:
+    """The array read-only and with its rows end to end, a copy where they are not: the form that kernels are compiled for."""
+    out = np.ascontiguousarray(array).view()
+    out.setflags(write=False)
+    return out
+
+
 UNWRITTEN = Pixels(EMPTY)
 
 

@@ -7,6 +7,9 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
+from weakref import WeakKeyDictionary
+
+from arfx.core.model import Model
 
 
 class Memo:
@@ -35,6 +38,15 @@ class Memo:
     def clear(self) -> None:
         with self._lock:
             self._kinds.clear()
+
+
+_OF_MODEL: WeakKeyDictionary[Model, Memo] = WeakKeyDictionary()
+
+
+def memo_of(model: Model) -> Memo:
+    """What is made of a model alone and of how it stands: found again by planner, renderer and later jobs of this process, which
+    have scenes of their own. It is gone with the model, to which it must not refer."""
+    return _OF_MODEL.setdefault(model, Memo())
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,7 @@ LIMITS: dict[str, tuple[float, str]] = {
     "pattern": (256, "a print's picture: a page scanned at 600 dpi, uncompressed"),
     "camera file": (0.25, "a hundred times a calibration; YAML takes seconds and 100 MB for that much"),
     "job file": (1, "thousands of settings"),
+    "manifest": (64, "a hundred thousand clips with settings of their own"),
     "scene": (1, "thousands of objects"),
     "marker map": (8, "tens of thousands of markers"),
     "poses": (256, "a million lines"),

@@ -112,13 +112,19 @@ class Pixels:
             self.part, self.array = self.rect, array
         for p in parts:
             for missing in made.grow(p.align(1, BAND_PX).clip(Rect(p.x0, self.part.y0, p.x1, self.part.y1))):
-                self.array[missing.slices_in(self.part)] = self._make(missing)
+                self._make(missing, self.array[missing.slices_in(self.part)])
         return self.array[rect.slices_in(self.part)]
 
-    def _make(self, part: Rect) -> np.ndarray:
+    def _make(self, part: Rect, out: np.ndarray | None = None) -> np.ndarray:
+        """out : to write it to, None = a new array"""
         assert self.rest is not None
         start = time.perf_counter()
-        pixels = self.rest(part)
+        if isinstance(self.rest, Attenuated):  # needs no array of its own
+            pixels = self.rest(part, out)
+        else:
+            pixels = self.rest(part)
+            if out is not None:
+                out[...] = pixels
         self.seconds += time.perf_counter() - start
         return pixels
 
@@ -141,9 +147,11 @@ class Attenuated:
     def painted(self) -> Rect:
         return self.rect
 
-    def __call__(self, rect: Rect) -> np.ndarray:
+    def __call__(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
         plate, both = self.plate(rect), self.rect.clip(rect)
-        out = np.empty_like(plate) if both == rect else plate.copy()
+        out = np.empty_like(plate) if out is None else out
+        if both != rect:
+            out[...] = plate
         if not both.empty:
             at = both.slices_in(rect)
             self.make(plate[at], self.transmittance[both.slices_in(self.rect)], self.opacity, self.bias, out[at])

@@ -85,6 +85,11 @@ class Scene:
         return self.light if facts.light is None else facts.light
 
     @cached_property
+    def placed_by(self) -> bytes:
+        """Equal where the model stands on its anchor in the same way."""
+        return np.concatenate([self.world_from_model, self.world_from_anchor.matrix]).tobytes()
+
+    @cached_property
     def model_points_m(self) -> np.ndarray:
         """(n, 3) all vertices in world coordinates, metres."""
         return self.model.vertices @ self.world_from_model[:3, :3].T + self.world_from_model[:3, 3]

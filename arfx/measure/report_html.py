@@ -28,11 +28,11 @@ def page(
 ) -> str:  # fmt: skip
     """The whole page. plots : "pose" and "timing", PNG bytes."""
     clip = Path(str(report["input"]["path"])).name
-    legend = " ".join(f'<i style="background:{c}"></i>{_e(s)}' for s, c in STATUS_COLOUR.items())
+    legend = " ".join(f'<i style="background:{c}"></i>{escaped(s)}' for s, c in STATUS_COLOUR.items())
     pose = plot_image(plots["pose"], "Trembling before and after smoothing, reprojection, status")
     pose += f'<p class="legend">{legend}</p>'
     time = plot_image(plots["timing"], "Predicted and measured seconds") + _predicted(report)
-    time += _facts_table(report["timing"])
+    time += _facts_table(report["timing"]) + _workers_table(report.get("workers") or [])
     ends = f'<div class="two">{_facts_table(report["input"])}{_facts_table(report["output"])}</div>'
     sections = [
         _tiles(report),
@@ -51,10 +51,11 @@ def page(
 def full_page(title: str, sections: Sequence[str]) -> str:
     """page.html (style, and the slider before and after) with a title and these sections of HTML, empty ones left out."""
     frame = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-    return frame.replace("@TITLE@", _e(title)).replace("@BODY@", "\n".join(s for s in sections if s))
+    return frame.replace("@TITLE@", escaped(title)).replace("@BODY@", "\n".join(s for s in sections if s))
 
 
-def _e(value: Any) -> str:
+def escaped(value: Any) -> str:
+    """Text for HTML."""
     return escape(str(value), quote=True)
 
 
@@ -74,11 +75,11 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def section(title: str, body: str) -> str:
-    return f"<section><h2>{_e(title)}</h2>{body}</section>"
+    return f"<section><h2>{escaped(title)}</h2>{body}</section>"
 
 
 def plot_image(png: bytes, alt: str) -> str:
-    return f'<img class="plot" alt="{_e(alt)}" src="{_uri(png, "image/png")}">'
+    return f'<img class="plot" alt="{escaped(alt)}" src="{_uri(png, "image/png")}">'
 
 
 def _uri(data: bytes, kind: str) -> str:
@@ -110,15 +111,15 @@ def _tiles(report: Mapping[str, Any]) -> str:
         (f"{jitter} px", "jitter before → after smoothing"),
         (f"{number(timing['wall_s'])} s", f"{number(timing['frames_per_s'])} frames/s, peak {number(timing['peak_rss_mb'])} MB"),
     ]
-    boxes = "".join(f'<div class="tile"><b>{_e(big)}</b><span>{_e(small)}</span></div>' for big, small in tiles)
-    path, result = _e(Path(str(report["input"]["path"])).name), _e(out["path"])
+    boxes = "".join(f'<div class="tile"><b>{escaped(big)}</b><span>{escaped(small)}</span></div>' for big, small in tiles)
+    path, result = escaped(Path(str(report["input"]["path"])).name), escaped(out["path"])
     return f'<header><h1>{path}</h1><p class="path">→ {result}</p><div class="tiles">{boxes}</div></header>'
 
 
 def _warnings(report: Mapping[str, Any]) -> str:
     bad = (h for h in report.get("health", []) if h["verdict"] != "ok")
     checks = (f"{h['check']}: {number(h['value'])} (limit {number(h['limit'])}); {h['action']}" for h in bad)
-    items = "".join(f"<li>{_e(s)}</li>" for s in dict.fromkeys([*report.get("notices", []), *checks]))
+    items = "".join(f"<li>{escaped(s)}</li>" for s in dict.fromkeys([*report.get("notices", []), *checks]))
     return items and f'<section class="warn"><h2>Worth knowing</h2><ul>{items}</ul></section>'
 
 
@@ -128,7 +129,7 @@ def _pictures(facts: Sequence[FrameFacts], pairs: Sequence[tuple[int, np.ndarray
     times = {f.index: f.time_s for f in facts}
     sheet = []
     for index, before, after in pairs:
-        caption = _e(f"frame {index}" + (f", {times[index]:.2f} s" if index in times else ""))
+        caption = escaped(f"frame {index}" + (f", {times[index]:.2f} s" if index in times else ""))
         sheet.append(
             f'<figure tabindex="0" data-said="{caption}"><img class="out" alt="{caption}, output" src="{jpeg(after)}">'
             f'<img class="in" hidden alt="{caption}, input" src="{jpeg(before)}"><figcaption>{caption}</figcaption></figure>'
@@ -150,12 +151,18 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], right: frozen
         return f"<tr>{inner}</tr>"
 
     body = "".join(cells(r, "td") for r in rows)
-    top = f"<thead>{cells([_e(h) for h in head], 'th')}</thead>" if any(head) else ""
+    top = f"<thead>{cells([escaped(h) for h in head], 'th')}</thead>" if any(head) else ""
     return f'<div class="scroll"><table>{top}<tbody>{body}</tbody></table></div>'
 
 
+def _workers_table(workers: Sequence[Mapping[str, Any]]) -> str:
+    """Nothing where there was only one."""
+    keys = ("name", "host", "chunks", "frames", "seconds")
+    return html_table(keys, [tuple(escaped(number(w[k])) for k in keys) for w in workers]) if len(workers) > 1 else ""
+
+
 def _facts_table(values: Mapping[str, Any]) -> str:
-    rows = [(_e(k.replace("_", " ")), _e(number(v))) for k, v in values.items() if k != "stream"]
+    rows = [(escaped(k.replace("_", " ")), escaped(number(v))) for k, v in values.items() if k != "stream"]
     return html_table(("", ""), rows)
 
 
@@ -169,11 +176,11 @@ VERDICTS = {
 
 def light_told(light: Mapping[str, Any]) -> str:
     """The verdict in words, what it was in each span where it changes, and all figures."""
-    said = f"<p><b>{_e(VERDICTS.get(light.get('verdict', ''), ''))}</b> {_e(light.get('reason', ''))}</p>"
+    said = f"<p><b>{escaped(VERDICTS.get(light.get('verdict', ''), ''))}</b> {escaped(light.get('reason', ''))}</p>"
     spans = light.get("spans") or []
     rows = [
-        (f"{s['start_s']:.2f} – {s['end_s']:.2f}", _e(s["verdict"]), _e(number([li["rgb"] for li in s["lights"]])),
-         _e(number(s["ambient_rgb"])), _e(s["reason"])) for s in spans
+        (f"{s['start_s']:.2f} – {s['end_s']:.2f}", escaped(s["verdict"]), escaped(number([li["rgb"] for li in s["lights"]])),
+         escaped(number(s["ambient_rgb"])), escaped(s["reason"])) for s in spans
     ]  # fmt: skip
     table = html_table(("seconds", "verdict", "lights, RGB", "ambient RGB", "reason"), rows) if len(spans) > 1 else ""
     return said + table + _facts_table({k: v for k, v in light.items() if k not in ("spans", "reason")})
@@ -182,11 +189,13 @@ def light_told(light: Mapping[str, Any]) -> str:
 def _stage_table(stages: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for s in stages:
-        why = "<br>".join(f"{n} × {_e(text)}" for text, n in s.get("reasons", {}).items())
-        levels = ", ".join(f"{_e(k)} {_e(v)}" for k, v in s.get("levels", {}).items())
+        why = "<br>".join(f"{n} × {escaped(text)}" for text, n in s.get("reasons", {}).items())
+        levels = ", ".join(f"{escaped(k)} {escaped(v)}" for k, v in s.get("levels", {}).items())
         predicted, measured = s.get("predicted_s"), s.get("measured_s")
-        rows.append((_e(s["name"]), levels, _e(s["frames_run"]), _e(s["frames_skipped"]), f"{100 * s['area_fraction']:.1f} %",
-                     _e(number(predicted)), _e(number(measured)), why))  # fmt: skip
+        rows.append((
+            escaped(s["name"]), levels, escaped(s["frames_run"]), escaped(s["frames_skipped"]),
+            f"{100 * s['area_fraction']:.1f} %", escaped(number(predicted)), escaped(number(measured)), why,
+        ))  # fmt: skip
     head = ("stage", "level: frames", "ran", "left out", "area", "predicted, s", "measured, s", "why left out")
     return html_table(head, rows, frozenset({2, 3, 4, 5, 6}))
 
@@ -207,8 +216,8 @@ def _predicted(report: Mapping[str, Any]) -> str:
 def _health_table(health: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for h in health:
-        mark = f'<b class="{"ok" if h["verdict"] == "ok" else "bad"}">{_e(h["verdict"])}</b>'
-        rows.append((_e(h["check"]), _e(number(h["value"])), _e(number(h["limit"])), mark, _e(h["action"])))
+        mark = f'<b class="{"ok" if h["verdict"] == "ok" else "bad"}">{escaped(h["verdict"])}</b>'
+        rows.append((escaped(h["check"]), escaped(number(h["value"])), escaped(number(h["limit"])), mark, escaped(h["action"])))
     return html_table(("check", "value", "limit", "verdict", "action"), rows)
 
 

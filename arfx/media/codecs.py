@@ -25,6 +25,11 @@ CONTAINERS = (
     "mov", "matroska", "webm", "avi", "mpegts", "mpeg", "flv", "ogg", "asf", "nut", "ivf", "mxf", "gxf", "dv", "wtv",
     "yuv4mpegpipe", "gif", "apng", "wav", "h264", "hevc", "vvc", "av1", "obu", "mpegvideo", "m4v", "mjpeg",
 )  # fmt: skip
+# Endings of files in a folder that are taken for clips; what such a file is, its content decides
+CLIP_SUFFIXES = frozenset((
+    ".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".vob", ".wmv", ".asf", ".flv",
+    ".f4v", ".ogv", ".3gp", ".3g2", ".mxf", ".gxf", ".dv", ".wtv", ".nut", ".ivf", ".y4m", ".mjpeg", ".h264", ".hevc",
+))  # fmt: skip
 _OPTIONS = {"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"}
 MAX_SIDE = 8192  # of a frame: a picture of this square in linear light takes 800 MB
 _PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"BM", b"v/1\x01", b"#?RADIANCE",

@@ -1,8 +1,10 @@
-"""Reading a clip's frames in order of presentation, from any time on, up to the last good one."""
+"""Reading a clip's frames in order of presentation, from any time on, up to the last good one; and their times alone."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import av
@@ -16,9 +18,26 @@ from arfx.media.planes import repacked
 _SHORT_S = 0.5  # a file that ends this much before its stated end was cut off; container durations are rounded, not this far
 
 
+class FrameTimesError(InputError):
+    """Times of frames go back, where only decoding from the start would tell how they are repaired."""
+
+
+@dataclass(frozen=True)
+class FrameTimes:
+    """What the packets of a clip say, without decoding: a frame that cannot be decoded is among these.
+
+    pts : of all frames, rising;  keys : of those that decoding can begin at, rising
+    truncated : as of ClipReader, as far as packets tell"""
+
+    pts: list[int]
+    keys: list[int]
+    truncated: str | None
+
+
 class ClipReader:
     """Context manager over one clip.
-    truncated : after iterating to the end, a message when the file ends in damage, else None"""
+    truncated : after iterating to the end, a message when the file ends in damage, else None
+    repaired : whether a frame had no time, or one that was not after the last one's, and was given another"""
 
     def __init__(self, info: ClipInfo, threads: int = 0) -> None:
         self.info = info
@@ -26,6 +45,7 @@ class ClipReader:
         self._threads = threads
         self._container: Any = None
         self.truncated: str | None = None
+        self.repaired = False
         self._stopped = ""
         self._packets = 0
         self._end = info.start_pts
@@ -59,6 +79,24 @@ class ClipReader:
             yield Frame(repacked(picture, self._format.layout), self._format, index, pts, bool(picture.key_frame))
             index += 1
 
+    def times(self) -> FrameTimes | None:
+        """None where packets do not tell: a time is missing or there twice."""
+        pts, keys, missing = list[int](), list[int](), False
+        for packet in self._demux(self._open()):
+            if packet.pts is None:
+                missing = True
+            elif not packet.is_discard and packet.pts >= self.info.start_pts:
+                pts.append(packet.pts)
+                if packet.is_keyframe:
+                    keys.append(packet.pts)
+        if missing or len(set(pts)) < len(pts):
+            return None
+        return FrameTimes(sorted(pts), sorted(keys), self._verdict(whole=True))
+
+    def seeks_to(self, pts: int) -> bool:
+        """Whether decoding can begin at the key frame of that time, or one before it."""
+        return next(self._from_key_frame(pts), None) is not None
+
     def _pictures(self, first_pts: int | None, last_pts: int | None) -> Iterator[tuple[av.VideoFrame, int]]:
         if first_pts is not None and first_pts > self.info.start_pts:
             started = False
@@ -89,7 +127,7 @@ class ClipReader:
             if picture.pts is None or (last is not None and picture.pts <= last):
                 if key_pts is None or last is None or last < first_pts:
                     return  # times need repair, which depends on every frame before
-                raise InputError(
+                raise FrameTimesError(
                     f"{self.info.path}: frame times go backwards at {picture.pts}", "process the clip from its start"
                 )
             last = picture.pts
@@ -123,30 +161,33 @@ class ClipReader:
             self._stopped = f"the last {len(held)} frames are damaged"
 
     def _raw(self, stream: Any) -> Iterator[av.VideoFrame]:
-        ended = False
+        for packet in itertools.chain(self._demux(stream), [None]):
+            try:
+                yield from stream.codec_context.decode(packet)
+            except av.error.EOFError:
+                return
+            except (av.error.FFmpegError, OSError) as e:
+                if packet is None:
+                    self._stopped = self._stopped or f"the last frame cannot be decoded: {getattr(e, 'strerror', None) or e}"
+
+    def _demux(self, stream: Any) -> Iterator[Any]:
+        """Packets until the end, or the first damage in the file."""
         packets = self._container.demux(stream)
-        while not ended:
+        while True:
             try:
                 packet = next(packets, None)
             except (av.error.FFmpegError, OSError) as e:
                 self._stopped = f"reading stopped: {getattr(e, 'strerror', None) or e}"
-                packet = None
-            if packet is None or packet.size == 0:
-                ended = True
-            elif packet.is_corrupt:
-                self._stopped = "the file ends in the middle of a frame"
-                ended = True
-            else:
-                self._packets += 1
-                if packet.pts is not None:
-                    self._end = max(self._end, packet.pts + (packet.duration or 0))
-            try:
-                yield from stream.codec_context.decode(None if ended else packet)
-            except av.error.EOFError:
                 return
-            except (av.error.FFmpegError, OSError) as e:
-                if ended:
-                    self._stopped = self._stopped or f"the last frame cannot be decoded: {getattr(e, 'strerror', None) or e}"
+            if packet is None or packet.size == 0:
+                return
+            if packet.is_corrupt:
+                self._stopped = "the file ends in the middle of a frame"
+                return
+            self._packets += 1
+            if packet.pts is not None:
+                self._end = max(self._end, packet.pts + (packet.duration or 0))
+            yield packet
 
     def _timed(self, pictures: Iterator[av.VideoFrame]) -> Iterator[tuple[av.VideoFrame, int]]:
         """Gives each picture a time above the one before: a missing or repeated one follows by one frame (or one tick)."""
@@ -158,6 +199,7 @@ class ClipReader:
                 pts = self.info.start_pts if last is None else last + step
             else:
                 pts = picture.pts if last is None or picture.pts > last else last + 1
+            self.repaired |= pts != picture.pts
             last = pts
             yield picture, pts
 

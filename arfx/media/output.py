@@ -98,6 +98,11 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
     )  # fmt: skip
 
 
+def check_format(path: Path, settings: OutputSettings) -> None:
+    """Raises ConfigError for an extension or a codec that does not exist, or images without a number in their name."""
+    _choose(path, settings)
+
+
 def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
     suffix = path.suffix.lower()
     name = settings.codec.lower() if settings.codec else None

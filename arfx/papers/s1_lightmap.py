@@ -19,12 +19,12 @@ import numpy as np
 
 from arfx.core.cube import CubeMap, look_up
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
 from arfx.core.light import harmonics
 from arfx.core.numerics import divide, normalise
 from arfx.errors import RenderError
 from arfx.stages.lightmap import Lightmap
 from arfx.stages.lightmap.beams import FrameLight
+from arfx.stages.lightmap.shading import Surface
 from arfx.stages.lightmap.stage import LightmapParams
 
 LEAST_ROUGHNESS, SHARPEST = 0.05, 500.0
@@ -63,13 +63,13 @@ class PrintedLightmap(Lightmap):
     hard = True
 
     def shaded(
-        self, now: Layers, soft_visibility: np.ndarray, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight,
+        self, surface: Surface, soft_visibility: np.ndarray, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight,
         eye: np.ndarray, facts: FrameFacts,
     ) -> np.ndarray:  # fmt: skip
         """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is not hidden."""
-        covered = now[Layer.COVERAGE] > 0
+        covered = surface.coverage > 0
         n, rho_v, position, glow, material = (
-            now[name][covered] for name in (Layer.NORMAL, Layer.ALBEDO, Layer.POSITION, Layer.EMISSIVE, Layer.MATERIAL)
+            a[covered] for a in (surface.normal, surface.albedo, surface.position, surface.emissive, surface.material)
         )
         metal, roughness, specular = material[:, 0, None], material[:, 1], material[:, 2, None]
         mirrored = 0.08 * specular * (1 - metal) + rho_v * metal
@@ -87,6 +87,6 @@ class PrintedLightmap(Lightmap):
             unhidden = even + np.maximum(n @ light.towards.T, 0) @ light.rgb
             received = M * divide(received, unhidden, where_zero=float(self.params.ambient))
         I_v = rho_v * received + mirrored * highlight
-        virtual = np.zeros(now[Layer.NORMAL].shape, np.float32)
-        virtual[covered] = now[Layer.COVERAGE][covered][:, None] * (I_v + glow + np.array(facts.bias_rgb))
+        virtual = np.zeros(surface.normal.shape, np.float32)
+        virtual[covered] = surface.coverage[covered][:, None] * (I_v + glow + np.array(facts.bias_rgb))
         return virtual

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from arfx.core.layers import Layer
+from arfx.core.layers import Layer, packed
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
@@ -167,7 +167,7 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1)[None].astype(np.float32)
     one, none = np.ones((1, n, 3), np.float32), np.zeros((1, n, 3), np.float32)
     hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
-    layers = ObjectLayers(none, one[..., 0], normal, one, none)
+    layers = ObjectLayers(*map(packed, (none, one[..., 0], normal, one, none)))
     soft = corrected_toon(none, layers, up, np.ones(3), np.zeros(3), c.toon_thresholds, c.toon_factors, 1.0, RAMP)[0, :, 0]
     (low, high), (low_soft, high_soft) = _thresholds(hard, cosine), _thresholds(soft, cosine)
     yield _not_stated("toon listing, first threshold", high, high_soft, "the line with the first `if` is missing")

@@ -12,7 +12,7 @@ import numpy as np
 
 from arfx.core.advection import AdvectionField, pack_positions
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer, Layers, packed
 from arfx.core.pixels import Pixels
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -44,7 +44,7 @@ def edge_of(left: Sequence[float], right: Sequence[float], beta: float) -> tuple
     ramp = np.clip((np.arange(width) - (width - n) / 2 + 0.5) / n, 0, 1)[:, None]
     coded = np.asarray(left) + ramp * (np.asarray(right, float) - np.asarray(left))
     slope = np.repeat((coded**2)[None], 16, axis=0).astype(np.float32)  # the measure is of square roots
-    made = edge_measure(Picture(slope), yuv_matrix(), 0.5, beta, 0.0)[0]
+    made = edge_measure(Picture(packed(slope)), yuv_matrix(), 0.5, beta, 0.0)[0]
     return float(paper.eq4_edges(step, 0.5, beta)[0, 0]), float(made[4, width // 4] * n / 2)
 
 
@@ -73,7 +73,7 @@ def flips(frames: int) -> tuple[float, float]:
         for _ in range(frames):
             coded = (base + g.normal(0, NOISE, base.shape)).astype(np.float32)
             ink[0].append(printed_edges(coded, p)[:, 31].astype(float))
-            made = edge_measure(Picture(coded**2), yuv_matrix(), c.alpha, c.beta, c.line_smooth_px)
+            made = edge_measure(Picture(packed(coded**2)), yuv_matrix(), c.alpha, c.beta, c.line_smooth_px)
             ink[1].append(trace_lines(made, c.line_low, c.line_high, c.line_width_px)[:, 12:20].max(1))
         for k, seen in enumerate(ink):
             worst[k] = max(worst[k], float(np.mean([np.mean(abs(a - b) > 0.5) for a, b in itertools.pairwise(seen)])))

@@ -1,166 +1,179 @@
-"""The sequential pass over the clip: decode once, in order, and fold every frame into facts. Checkpointed."""
+"""The analysis of a clip: its stretches, by any workers in any order, then one pass over what they found, in order."""
 
 from __future__ import annotations
 
-import itertools
-import math
+import contextlib
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from fractions import Fraction
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Stateful
+from arfx.analyse.fold import Analysis, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.core import codec
-from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo
-from arfx.media.frame import Frame
-from arfx.media.frames import ClipReader
-from arfx.run.background_io import Prefetch
-from arfx.run.folder import JobFolder, write
-from arfx.run.times import WorkLog
+from arfx.media.frames import FrameTimesError
+from arfx.run.executors import Results, Task, run_serial
+from arfx.run.folder import JobFolder, digest, write
+from arfx.run.source import release
+from arfx.run.stretches import Context, Span, Stretch, Stretches, analyse_stretch, cut, keep, made, whole
+from arfx.run.times import STRETCH, WorkLog
 
-CHECKPOINT_S = 20.0  # at most this much analysis is lost to a kill, or as many times what it takes to write it down
-_ROUNDING_S = 1e-9
+Progress = Callable[[str, int, int | None], None]
+# (tasks, how many there are at most, frames of the clip, progress, a worker can begin anywhere)
+Run = Callable[[Iterator[Task], int, int, Callable[[int], None]], Results]
 
 
 @dataclass(frozen=True)
 class AnalysisPass:
-    """span : the frames to render;  truncated : a message where the file ends in damage
+    """pts : presentation times of the frames to render, in the clip's time base;  keys : which of them decoding can begin at
+    truncated : a message where the file ends in damage
     seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)"""
 
     analysis: Analysis
-    span: Span
+    pts: list[int]
+    keys: list[int]
     truncated: str | None
     seconds: Mapping[str, float]
     walls: Mapping[str, float]
 
 
+def in_order(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
+    """The stretches one after the other, in this thread."""
+    return run_serial(tasks, progress, analyse_stretch)
+
+
 def analyse_clip(
-    info: ClipInfo, job: AnalysisJob, wanted: Collection[str], span_s: tuple[float | None, float | None],
-    progress: Callable[[str, int, int | None], None], folder: JobFolder, key: str, log: WorkLog | None = None,
+    info: ClipInfo, job: AnalysisJob, wanted: Collection[str], span_s: tuple[float | None, float | None], progress: Progress,
+    folder: JobFolder, key: str, log: WorkLog | None = None, run: Run = in_order,
 ) -> AnalysisPass:  # fmt: skip
     """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
 
-    wanted : folds, by name;  folder, key : where the state is checkpointed, and what it must match to be resumed from
-    After an interruption the whole clip is decoded again: a frame, and when it is shown, may depend on any frame before it.
-    Raises NothingToDoError if the span holds no frame, or nothing is seen to stand on."""
-    analyser, log = Analyser(job, wanted), log or WorkLog(folder.timings)
-    span, analyse_s, expected = Span(span_s, info.time_base), 0.0, info.frame_count_stated if span_s == (None, None) else None
-    checkpoint = Checkpoint(folder.checkpoint, [key, job.anchor, *analyser.folds])
-    before_s, walls, began = 0.0, {}, time.perf_counter()
-    if (state := checkpoint.read()) is not None:
-        span.restore(state["span"])
-        analyser.restore(state["folds"])
-        before_s, walls = state["seconds"], state["walls"]
-    with ClipReader(info) as reader, Prefetch(reader.frames()) as frames:
-        for frame, following in itertools.pairwise(itertools.chain(span.inside(frames), [None])):
-            assert frame is not None
-            start = time.perf_counter()
-            luma, after = np.ascontiguousarray(frame.luma()), None if following is None else following.luma
-            analyser.step(AnalysisFrame(len(span.pts), frame.time_s, luma, frame, after))
-            analyse_s += time.perf_counter() - start
-            span.take(frame)
-            progress("analyse", len(span.pts), expected)
-            if checkpoint.due():
-                spent = {"seconds": before_s + time.perf_counter() - began, "walls": log.walls(walls)}
-                checkpoint.write({"span": span.state(), "folds": analyser.state(), **spent})
-        truncated, decode_s = reader.truncated, frames.seconds
-    span.whole &= not truncated
-    span.require_any(info.path)
-    start = time.perf_counter()
-    analysis = analyser.finish(Analysis(frame_span=(span.from_start_s(), span.before, span.whole)))
-    analyse_s += time.perf_counter() - start
-    progress("analyse", len(span.pts), len(span.pts))
-    # the time up to a checkpoint is known as a whole: divided as the rest was
-    scale = 1 + before_s / max(decode_s + analyse_s, 1e-9)
-    return AnalysisPass(analysis, span, truncated, {"decode": decode_s * scale, "analyse": analyse_s * scale}, walls)
+    wanted : folds, by name;  folder, key : where the stretches are kept, and what they are of
+    run(tasks, most that there are, frames, progress) : has analyse_stretch called on tasks, whoever does it
+    Stretches that are there already are taken as they are. Raises NothingToDoError if the span holds no frame, or nothing is
+    seen to stand on."""
+    span, log = Span(info, *span_s), log or WorkLog(folder.timings)
+    stretches = cut(span)
+    try:
+        return _Pass(span, stretches, job, wanted, progress, folder, key, log).done(run if stretches.seeks else in_order)
+    except FrameTimesError:  # what the packets say of the times is not so
+        return _Pass(span, whole(span), job, wanted, progress, folder, key, log).done(in_order)
 
 
-class Checkpoint:
-    """A file with the state of an unfinished pass. of : what a state must be of to be resumed from"""
+class _Pass:
+    """The stretches of a clip, joined in order as far as they are there."""
 
-    def __init__(self, path: Path, of: list[str]) -> None:
-        self._path, self._of = path, of
-        self._last, self._cost_s = time.monotonic(), 0.0
+    def __init__(
+        self, span: Span, stretches: Stretches, job: AnalysisJob, wanted: Collection[str], progress: Progress,
+        folder: JobFolder, key: str, log: WorkLog,
+    ) -> None:  # fmt: skip
+        self.stretches, self.folder, self.key, self.log = stretches, folder, key, log
+        job = replace(job, length_s=stretches.length_s)
+        self.context = Context(job, wanted, span, stretches)
+        self.analyser = Analyser(job, wanted)
+        self.pts, self.keys = list[int](), list[int]()
+        self.before, self.ended, self.truncated = stretches.before, False, None
+        self.seconds, self.walls = dict[str, float](), dict[str, float]()
+        self._progress, self._shown = progress, 0
+        self._next, self._lost = 0, None  # the stretch that is joined next, and what the one before gives it
+        self._ready = {part.first for part in stretches.parts if self._path(part).exists()}
+        self._rows = {row["key"]: row for row in log.rows() if row["work"] == STRETCH}
 
-    def read(self) -> dict[str, Any] | None:
-        """None where there is none, or one of something else, of another version, or damaged: the pass starts over."""
-        try:
-            saved = codec.loads(self._path.read_bytes())
-        except (OSError, ValueError):
-            return None
-        matches = isinstance(saved, dict) and saved.get("of") == self._of and isinstance(saved.get("state"), dict)
-        return saved["state"] if matches else None
+    def done(self, run: Run) -> AnalysisPass:
+        folder, parts, frames = self.folder, self.stretches.parts, self.stretches.frames
+        folder.stretches.mkdir(exist_ok=True)
+        keep(folder, self.key, self.context)
+        waiting = {part.first: part.last + 1 - part.first for part in parts if part.first not in self._ready}
+        made_before = frames - sum(waiting.values())
 
-    def due(self) -> bool:
-        return time.monotonic() - self._last > CHECKPOINT_S * max(self._cost_s, 1.0)
+        def tasks() -> Iterator[Task]:
+            for k, part in enumerate(parts):
+                if part.first in waiting and k >= self._next:  # it may have been made otherwise meanwhile
+                    yield str(folder.path), self.key, part.first, part.last, str(self._path(part))
 
-    def write(self, state: dict[str, Any]) -> None:
-        """Raises RenderError where the disk is full."""
-        start = time.monotonic()
-        write(self._path, codec.dumps({"of": self._of, "state": state}))
-        self._last = time.monotonic()
-        self._cost_s = self._last - start
-
-
-class Span(Stateful):
-    """The frames between two times, seconds from the clip's first frame, ends included; None = no end.
-
-    pts : presentation times of the frames that were taken, in the clip's time base: who takes a frame calls `take`
-    keys : which of them decoding can begin at
-    origin : of the clip's first frame;  before : frames of the clip before the span;  whole : it reaches to the clip's end"""
-
-    given = frozenset({"_start_s", "_end_s", "_time_base"})
-
-    def __init__(self, span_s: tuple[float | None, float | None], time_base: Fraction) -> None:
-        self._start_s = -math.inf if span_s[0] is None else span_s[0]
-        self._end_s = math.inf if span_s[1] is None else span_s[1]
-        self._time_base = time_base
-        self.pts: list[int] = []
-        self.keys: list[int] = []
-        self.origin: int | None = None
-        self.before, self.whole = 0, True
-
-    def inside(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """Those of the clip's `frames`, in order, that lie in the span and after those that were taken before."""
-        last = self.pts[-1] if self.pts else -math.inf
-        for frame in frames:
-            if self.origin is None:
-                self.origin = frame.pts
-            if frame.pts <= last:
-                continue
-            since_s = self._since_s(frame.pts)
-            if since_s > self._end_s + _ROUNDING_S:
-                self.whole = False
-                return
-            if since_s < self._start_s - _ROUNDING_S:
-                self.before += 1
-            else:
-                last = frame.pts
-                yield frame
-
-    def take(self, frame: Frame) -> None:
-        if frame.key:
-            self.keys.append(len(self.pts))
-        self.pts.append(frame.pts)
-
-    def from_start_s(self) -> list[float]:
-        """Seconds of the frames that were taken, from the clip's first frame."""
-        return [self._since_s(t) for t in self.pts]
-
-    def _since_s(self, pts: int) -> float:
-        return float((pts - (self.origin or 0)) * self._time_base)
-
-    def require_any(self, path: Path) -> None:
-        """Raises NothingToDoError where no frame was taken."""
+        with contextlib.ExitStack() as stack:
+            stack.callback(release)
+            self._join_ready()
+            results = run(tasks(), len(waiting), frames, lambda n: self._tell(made_before + n))
+            for result in stack.enter_context(contextlib.closing(results)):
+                self._note(result["file"], result)
+                self._ready.add(result["first"])
+                self._join_ready()
+        start = time.perf_counter()
         if not self.pts:
-            end = "its end" if math.isinf(self._end_s) else f"{self._end_s:g} s"
-            raise NothingToDoError(
-                f"{path} has no frame between {max(self._start_s, 0):g} s and {end}",
-                "check --start and --end; `arfx inspect` shows the clip's length",
-            )
+            raise self.context.span.nothing()
+        times = [self.context.span.since_s(t) for t in self.pts]
+        truncated = (self.truncated or self.stretches.truncated) if self.ended else None
+        analysis = self.analyser.finish(Analysis(frame_span=(times, self.before, self.ended and not truncated)))
+        self._spent({"analyse": time.perf_counter() - start})
+        self._progress("analyse", len(self.pts), len(self.pts))
+        return AnalysisPass(analysis, self.pts, self.keys, truncated, self.seconds, self.walls)
+
+    def _join_ready(self) -> None:
+        """As far as the stretches are there. One that goes on with what would be lost is made here, with the next ones of its
+        kind: it has to wait for the one before."""
+        parts = self.stretches.parts
+        while self._next < len(parts) and (self._lost is not None or parts[self._next].first in self._ready):
+            part, lost = parts[self._next], self._lost
+            start = time.perf_counter()
+            found, name, own_s = self._found(part, lost)
+            later = self._analyser_of(found)
+            if changes := self.analyser.settle(later):
+                found, name, again_s = self._found(part, lost, changes)
+                later, own_s = self._analyser_of(found), own_s + again_s
+            self.analyser.join(later, len(self.pts) - part.first)
+            self.keys += [len(self.pts) + k for k in found["keys"]]
+            self.pts += found["pts"]
+            self.before += found["before"]
+            self.ended, self.truncated, self._lost = found["ended"], found["truncated"], found["lost"]
+            self._next += 1
+            if row := self._rows.get(name):
+                self._spent(row["seconds"])
+                for process, wall_s in row["walls"].items():
+                    if process != self.log.process:
+                        self.walls[process] = max(self.walls.get(process, 0.0), wall_s)
+            self._spent({"analyse": time.perf_counter() - start - own_s})
+
+    def _analyser_of(self, found: dict[str, Any]) -> Analyser:
+        later = Analyser(self.context.job, self.context.wanted)
+        later.restore(found["folds"])
+        return later
+
+    def _found(
+        self, part: Stretch, lost: dict[str, Any] | None, changes: Mapping[str, Any] = {},
+    ) -> tuple[dict[str, Any], str, float]:  # fmt: skip
+        """(what a stretch holds, name of its file, seconds that it took to make it now). From its file, if that is whole."""
+        path = self._path(part, *([codec.dumps([lost, dict(changes)]).hex()] if lost or changes else []))
+        with contextlib.suppress(OSError, ValueError):
+            found = codec.loads(path.read_bytes())
+            if isinstance(found, dict) and isinstance(found.get("folds"), dict):
+                return found, path.name, 0.0
+        start = time.perf_counter()
+        found, seconds = made(self.context, part, self._tick, True, lost, changes)
+        write(path, codec.dumps(found))
+        self._note(path.name, {"first": part.first, "last": part.last, "seconds": seconds})
+        return found, path.name, time.perf_counter() - start
+
+    def _path(self, part: Stretch, *more: str) -> Path:
+        name = digest(self.key, sorted(self.context.wanted), part.to_json(), self.stretches.length_s, *more)
+        path: Path = self.folder.stretches / f"{part.first:06d}-{part.last:06d}.{name}"
+        return path
+
+    def _note(self, name: str, result: Mapping[str, Any]) -> None:
+        self.log.note(STRETCH, name, **result)
+        self._rows[name] = {"seconds": result["seconds"], "walls": {}}
+
+    def _spent(self, seconds: Mapping[str, float]) -> None:
+        for name, s in seconds.items():
+            self.seconds[name] = self.seconds.get(name, 0.0) + s
+
+    def _tick(self) -> None:
+        self._tell(self._shown + 1)
+
+    def _tell(self, frames: int) -> None:
+        """frames : that were analysed, counted as often as that happened"""
+        self._shown = max(self._shown, frames)
+        expected = self.stretches.frames if self.stretches.parts[-1].last else None
+        self._progress("analyse", self._shown if expected is None else min(self._shown, expected), expected)

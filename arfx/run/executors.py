@@ -1,4 +1,5 @@
-"""Who renders the chunks: this thread, several threads of this process, or several spawned processes. The same bytes.
+"""Who does the work, chunks to render or stretches to analyse: this thread, several threads of this process, or several spawned
+processes. The same bytes.
 
 Threads share the model and what the stages prepared, and need no second start of Python: right for a few cores, as
 nearly all of a frame's time is spent in code that lets other threads run. With many they would wait for each other."""
@@ -10,7 +11,7 @@ import os
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from typing import Any
 
 from arfx.core import interrupt
@@ -19,14 +20,17 @@ from arfx.run.schedule import steal, work_queues
 from arfx.run.source import release
 from arfx.run.worker import render_chunk
 
-# one chunk's arguments: folder, job key, first, last, target
+# one chunk's or stretch's arguments: folder, key, first, last, target
 Task = tuple[str, str, int, int, str]
+Work = Callable[..., dict[str, Any]]  # work(*task, tick, alone=False): a function of a module; tick() after every frame
 Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
+# one software-rendering thread and one kernel thread for each of several processes; two processes scale better than two threads
+ONE_THREAD = ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
 _counter: Any = None
 
 
-def run_serial(tasks: Sequence[Task], progress: Callable[[int], None]) -> Results:
-    """Render in this process, in order. progress : called with the number of frames done."""
+def run_serial(tasks: Iterable[Task], progress: Callable[[int], None], work: Work = render_chunk) -> Results:
+    """Work in this process, in order. progress : called with the number of frames done."""
     done = 0
 
     def tick() -> None:
@@ -36,17 +40,17 @@ def run_serial(tasks: Sequence[Task], progress: Callable[[int], None]) -> Result
 
     try:
         for task in tasks:
-            yield render_chunk(*task, tick, alone=True)
+            yield work(*task, tick, alone=True)
     finally:
         release()
 
 
 class _StoppedError(Exception):
-    """Raised in a rendering thread to leave its chunk."""
+    """Raised in a working thread to leave its task."""
 
 
-def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Results:
-    """Render in `workers` threads of this process, in any order. Raises what a thread raises; on the way out all stop."""
+def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
+    """Work in `workers` threads of this process, in any order. Raises what a thread raises; on the way out all stop."""
     import concurrent.futures as futures
 
     ticks = itertools.count(1)  # one step of it is atomic
@@ -65,16 +69,16 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
         with choosing:
             return steal(own, queues)
 
-    def work(own: deque[Task]) -> None:
+    def run(own: deque[Task]) -> None:
         try:
             while (task := next_task(own)) is not None:
-                results.put(render_chunk(*task, tick))
+                results.put(work(*task, tick))
         finally:
             release()
 
-    pool = futures.ThreadPoolExecutor(len(queues), "render")
+    pool = futures.ThreadPoolExecutor(len(queues), "worker")
     try:
-        running = {pool.submit(work, own) for own in queues}
+        running = {pool.submit(run, own) for own in queues}
         while running:
             ready, running = futures.wait(running, timeout=0.2, return_when=futures.FIRST_COMPLETED)
             progress(done)
@@ -99,16 +103,16 @@ def _start(counter: Any) -> None:
     cv2.setNumThreads(1)
 
 
-def _render(task: Task) -> dict[str, Any]:
+def _run(work: Work, task: Task) -> dict[str, Any]:
     def tick() -> None:
         with _counter.get_lock():
             _counter.value += 1
 
-    return render_chunk(*task, tick)
+    return work(*task, tick)
 
 
-def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> Results:
-    """Render in `workers` spawned processes (never forked: an OpenGL context does not survive it), in any order.
+def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
+    """Work in `workers` spawned processes (never forked: an OpenGL context does not survive it), in any order.
 
     Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped."""
     import concurrent.futures as futures
@@ -118,15 +122,14 @@ def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int],
     try:
         counter = context.Value("L", 0)
     except OSError:  # no shared memory here (a bare container): the same bytes, one process
-        yield from run_serial(tasks, progress)
+        yield from run_serial(tasks, progress, work)
         return
-    # one software-rendering thread and one kernel thread per process; two processes scale better than two threads
-    for name in ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS"):
+    for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
     pool = futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(counter,))
     try:
         with interrupt.starting_workers():
-            waiting = {pool.submit(_render, task) for task in tasks}
+            waiting = {pool.submit(_run, work, task) for task in tasks}
         while waiting:
             ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
             progress(counter.value)

@@ -1,7 +1,7 @@
 """The job folder: what is written where, whole or not at all, what in it is arfx's own, and what is still good.
 
-job.toml (frozen) · inputs.json · frames.json · facts.jsonl · environment.maps · plan.jsonl · plan_summary.json · seal.json ·
-placed.json · chunks/ · timings.jsonl · previews/ · report.json"""
+job.toml (frozen) · inputs.json · stretches.json · stretches/ · frames.json · facts.jsonl · environment.maps · plan.jsonl ·
+plan_summary.json · seal.json · placed.json · chunks/ · timings.jsonl · previews/ · report.json"""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from arfx.run.lock import HOLDER, LOCK, MARKER
 MARK = "# A job of arfx. Its folder is arfx's own: --overwrite clears it.\n"  # job.toml begins with it
 _LOCKS = "|".join(map(re.escape, (LOCK, MARKER, HOLDER)))
 _IMAGE = rf"[^/]+\.(?:png|exr)|{re.escape(TIMES)}"
-_CHUNK = r"(?:\d+-\d+-)?\d{6,}-\d{6,}(?:\.[0-9a-f]{16}){1,2}(?:\.nut|\.mkv)?(?:\.part)?"
+_CHUNK = r"(?:(?:[0-9A-Za-z]+-)?\d+-\d+-)?\d{6,}-\d{6,}(?:\.[0-9a-f]{16}){1,2}(?:\.nut|\.mkv)?(?:\.part)?"
 # What arfx writes, by its path in the folder: without a job.toml of its own, and with one
-_FOLDERS = re.compile(rf"chunks|previews|joined\.part|chunks/{_CHUNK}")
+_FOLDERS = re.compile(rf"chunks|stretches|previews|joined\.part|chunks/{_CHUNK}")
 _UNMARKED = re.compile(rf"(?:{_LOCKS})|{PART}|joined\.part(?:/(?:{_IMAGE}))?")
 _MARKED = re.compile(
-    rf"job\.toml|environment\.maps|(?:inputs|frames|plan_summary|seal|placed|report)\.json|analysis\.checkpoint|(?:facts|plan|timings)\.jsonl"
-    rf"|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.(?:in|out)\.bmp"
+    rf"job\.toml|environment\.maps|(?:inputs|stretches|frames|plan_summary|seal|placed|report)\.json|(?:facts|plan|timings)\.jsonl"
+    rf"|stretches/(?:\d{{6,}}-\d{{6,}}\.[0-9a-f]{{16}}|{PART})|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.(?:in|out)\.bmp"
 )
 _SEALED = ("frames.json", "facts.jsonl", "environment.maps", "plan.jsonl", "plan_summary.json")
 _SOURCE = (".py", ".vert", ".frag")
@@ -56,13 +56,18 @@ class JobFolder:
     timings = property(lambda self: self.path / "timings.jsonl")
     previews = property(lambda self: self.path / "previews")
     report = property(lambda self: self.path / "report.json")
-    checkpoint = property(lambda self: self.path / "analysis.checkpoint")
+    stretch_list = property(lambda self: self.path / "stretches.json")  # where the analysis cuts the clip
+    stretches = property(lambda self: self.path / "stretches")  # what each was found to hold
     joined = property(lambda self: self.path / "joined.part")  # the output, until it is whole
     placed = property(lambda self: self.path / "placed.json")  # fingerprints of its files, from just before it is put in place
 
     def files(self) -> Iterator[Path]:
         """All that arfx wrote into it."""
         return (self.path / name for name, ours in self._entries() if ours)
+
+    def worker_files(self) -> Iterator[Path]:
+        """What workers read of it, and what says that it is whole."""
+        return (self.path / name for name in (*_SEALED, self.job.name, self.inputs.name, self._seal.name))
 
     def check_foreign_files(self) -> None:
         """Raises ConfigError where the folder holds anything that arfx did not write."""
@@ -82,6 +87,7 @@ class JobFolder:
             self.clear()
         try:
             self.chunks.mkdir(parents=True, exist_ok=True)
+            self.stretches.mkdir(exist_ok=True)
             self.previews.mkdir(exist_ok=True)
         except OSError as e:
             raise RenderError(f"job folder {self.path} cannot be made: {e.strerror}", "name another with --job") from None
@@ -97,7 +103,7 @@ class JobFolder:
     @property
     def resumable(self) -> bool:
         """Whether there is anything here that another process need not do again."""
-        return self._seal.exists() or self.checkpoint.exists()
+        return self._seal.exists() or any(self.stretches.glob("*-*.*"))
 
     def seal(self, job_key: str) -> None:
         """The analysis and the plan of this job are written, whole."""
@@ -112,6 +118,10 @@ class JobFolder:
             return bool(json.loads(self._seal.read_bytes()) == {"job_key": job_key, "files": self._digests()})
         except (OSError, ValueError, RecursionError):
             return False
+
+    def sealed_key(self) -> str:
+        """Of the job that is sealed here. Raises OSError, ValueError, KeyError where none is."""
+        return str(json.loads(self._seal.read_bytes())["job_key"])
 
     def record_outputs(self, part: Path) -> None:
         """The files of `part` are about to become the output."""
@@ -184,8 +194,10 @@ def digest(*parts: Any) -> str:
     return h.hexdigest()
 
 
-def file_digest(path: Path, whole_up_to: int = 256 << 20) -> str:
-    """Content digest of a file; of a larger one its size, time and three samples, so that an hour of 4K costs nothing."""
+def file_digest(path: Path, whole_up_to: int = 256 << 20, with_time: bool = True) -> str:
+    """Content digest of a file; of a larger one its size, time and three samples, so that an hour of 4K costs nothing.
+
+    with_time : a copy of a large file, which has another time, is another file"""
     stat = path.stat()
     h = hashlib.blake2b(digest_size=16)
     h.update(str(stat.st_size).encode())
@@ -193,7 +205,8 @@ def file_digest(path: Path, whole_up_to: int = 256 << 20) -> str:
         if stat.st_size <= whole_up_to:
             hashlib.file_digest(f, lambda: h)
         else:
-            h.update(str(stat.st_mtime_ns).encode())
+            if with_time:
+                h.update(str(stat.st_mtime_ns).encode())
             for at in (0, stat.st_size // 2, stat.st_size - (4 << 20)):
                 f.seek(at)
                 h.update(f.read(4 << 20))

@@ -52,11 +52,9 @@ class Inputs:
 
 def open_inputs(config: JobConfig) -> Inputs:
     """Probe, load and check. Raises ConfigError for what is missing, InputError for what cannot be read."""
+    check_complete(config)
     clip, camera, notices = open_clip(config)
-    if config.model.file is None:
-        raise ConfigError("no model is named", "--model FILE: glTF/GLB, OBJ, PLY, STL …")
-    if config.output.path is None:
-        raise ConfigError("no output is named", "-o out.mp4")
+    assert config.output.path is not None
     settings = OutputSettings(config.output.codec, config.output.crf, config.output.preset, config.output.pixel_format)
     output = plan_output(clip, config.output.path, settings)
     config, prints = job_prints(config)
@@ -70,6 +68,29 @@ def open_inputs(config: JobConfig) -> Inputs:
         (*notices, *model.notices, *output.notices), panorama(config), maps,
         None if config.input.poses is None else load_poses(config.input.poses), prints,
     )  # fmt: skip
+
+
+def check_complete(config: JobConfig) -> None:
+    """What has to be named is. Raises ConfigError; reads nothing."""
+    if config.input.clip is None:
+        raise ConfigError("no clip is named", "arfx process CLIP …")
+    if config.model.anchor == "plane":
+        if config.input.depth is None:
+            raise ConfigError("--anchor plane needs the depth that shows the plane", "--depth DIR|FILE")
+    elif not config.markers:
+        raise ConfigError(
+            "no marker is named",
+            "--marker FAMILY:ID:SIZE, or --pattern IMAGE:SIZE; `arfx inspect CLIP` finds out which marker is there",
+        )
+    keys = [m.key for m in config.markers]
+    if twice := [k for k in keys if keys.count(k) > 1]:
+        pattern = any(p.key == twice[0] for p in config.patterns)
+        once = "each picture once, and no two of one name" if pattern else "each family and id once"
+        raise ConfigError(f"{'pattern' if pattern else 'marker'} {twice[0]} is named twice", once)
+    if config.model.file is None:
+        raise ConfigError("no model is named", "--model FILE: glTF/GLB, OBJ, PLY, STL …")
+    if config.output.path is None:
+        raise ConfigError("no output is named", "-o out.mp4")
 
 
 def job_prints(config: JobConfig) -> tuple[JobConfig, dict[str, np.ndarray]]:
@@ -118,21 +139,7 @@ def _model_of(path: Path, up: str | None, time_ns: int, size: int) -> Model:
 
 def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
     """Clip and camera at the clip's size, with notices."""
-    if config.input.clip is None:
-        raise ConfigError("no clip is named", "arfx process CLIP …")
-    if config.model.anchor == "plane":
-        if config.input.depth is None:
-            raise ConfigError("--anchor plane needs the depth that shows the plane", "--depth DIR|FILE")
-    elif not config.markers:
-        raise ConfigError(
-            "no marker is named",
-            "--marker FAMILY:ID:SIZE, or --pattern IMAGE:SIZE; `arfx inspect CLIP` finds out which marker is there",
-        )
-    keys = [m.key for m in config.markers]
-    if twice := [k for k in keys if keys.count(k) > 1]:
-        pattern = any(p.key == twice[0] for p in config.patterns)
-        once = "each picture once, and no two of one name" if pattern else "each family and id once"
-        raise ConfigError(f"{'pattern' if pattern else 'marker'} {twice[0]} is named twice", once)
+    assert config.input.clip is not None
     info = probe(config.input.clip, Transfer(config.input.transfer))
     notices = list(info.notices)
     if config.input.camera is None:

@@ -26,16 +26,21 @@ from arfx.media.join import join_chunks
 from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
-from arfx.run.analysis import analyse_clip
-from arfx.run.executors import Task, run_processes, run_serial, run_threads
-from arfx.run.folder import MARK, JobFolder, code_digest, digest, disk_error, file_digest, pick_previews, read_lines, write
+from arfx.run.analysis import Run, analyse_clip, in_order
+from arfx.run.cluster.paths import PathMap
+from arfx.run.cluster.spec import ClusterSpec
+from arfx.run.cluster.start import Cluster, open_cluster
+from arfx.run.executors import Results, Task, run_processes, run_serial, run_threads
+from arfx.run.folder import MARK, JobFolder, digest, disk_error, pick_previews, read_lines, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlisted
+from arfx.run.keys import job_keys
 from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
 from arfx.run.place import Places
 from arfx.run.planned import ClipAnalysis, Job, JobPlan
 from arfx.run.predict import JobSize, choose, level_policy
 from arfx.run.schedule import Chunk, borders
+from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
 from arfx.run.worker import keep_memory, open_context
@@ -56,6 +61,7 @@ class Options:
     report : folder of the job's report, which `finish` writes: checked and locked as the other places are
     finish(job folder) : called when the output is there, before its folder is given back
     workers : processes, None = one for a short job, else one per core
+    executor : a cluster in place of processes;  map_path : where its workers see what this machine has
     progress(phase, frames done, frames in all or None);  notice(message) for warnings"""
 
     folder: Path | None = None
@@ -64,6 +70,8 @@ class Options:
     workers: int | None = 1
     report: Path | None = None
     finish: Callable[[Path], object] | None = None
+    executor: ClusterSpec | None = None
+    map_path: Sequence[PathMap] = ()
     progress: Progress = lambda phase, done, total: None
     notice: Callable[[str], None] = print
 
@@ -79,23 +87,26 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         options.notice(notice)
     places = Places(inputs, options.folder, options.report, options.overwrite)
     folder = places.folder
-    with places.held(options.resume), _interruptible(folder) as check, warn_if_unlisted(options.notice):
+    with (
+        places.held(options.resume), _interruptible(folder) as check, warn_if_unlisted(options.notice),
+        open_cluster(options.executor, options.map_path, options.notice) as cluster,
+    ):  # fmt: skip
 
         def progress(phase: str, done: int, total: int | None, report: Progress = options.progress) -> None:
             check()
             report(phase, done, total)
 
-        options = replace(options, progress=progress)
+        options = replace(options, progress=progress, workers=options.workers if cluster is None else cluster.workers)
         job = plan_job(inputs, folder, options, started)
         chunks = _chunks(job)
-        files = _render(job, chunks, options)
+        files = _render(job, chunks, options, cluster)
         start = time.perf_counter()
         if left_out := _join(job, files, places):
             options.notice(f"damaged packets of sound, subtitles or data that were left out: {left_out}")
         report = build_report(job, chunks, time.perf_counter() - start)
         write(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
-        folder.checkpoint.unlink(missing_ok=True)
+        folder.clear("stretches")
         if options.finish is not None:
             options.finish(folder.path)
         folder.placed.unlink(missing_ok=True)
@@ -122,24 +133,11 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     parts = (JOB, *names, *[DIMMING] * _written_once(names))
     log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
     _compile(parts, options, log)
-    assert config.input.clip is not None and config.model.file is not None
-    tree = frozen(config)
-    output = tree.pop("output")
-    model_key = sorted((str(path), file_digest(path)) for path in inputs.model.files)  # textures and buffers too
-    more = (config.input.marker_map, config.input.poses, config.params["light"].environment, *(p.image for p in config.patterns))
-    base = [
-        code_digest(), file_digest(config.input.clip), inputs.camera.to_json(),
-        *(tree[section] for section in ("input", "marker", "pattern", "analyse", "light")), config.model.anchor,
-        sorted(required_folds(config)), sorted(fold_classes(config)), *(file_digest(path) for path in more if path),
-    ]  # fmt: skip
-    analysis_key = digest(*base)
-    maps = [] if inputs.depth is None else [(p.name, file_digest(p)) for p in inputs.depth.files]
-    plugins = [code_digest(*STAGES.source(name)) for name in pipeline(config) if name in STAGES.plugins]
-    job_key = digest(*base, tree, model_key, inputs.output.to_json(), maps, plugins)
+    analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
     errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
-    write(folder.job, MARK + to_toml({**tree, "output": output}))
+    write(folder.job, MARK + to_toml(frozen(config)))
     write(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
     fresh = not folder.sealed(job_key)
     if fresh:
@@ -198,9 +196,10 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
         options.progress, fold_classes(config), inputs.prints,
     )  # fmt: skip
     span = (config.input.start, config.input.end)
-    done = analyse_clip(inputs.info, job, required_folds(config), span, options.progress, folder, analysis_key, log)
+    run = _in_parallel(inputs.camera.rect.area, options)
+    done = analyse_clip(inputs.info, job, required_folds(config), span, options.progress, folder, analysis_key, log, run)
     clip = done.analysis
-    check_times(inputs.output, done.span.pts, inputs.info.time_base)
+    check_times(inputs.output, done.pts, inputs.info.time_base)
     seen, notices = clip.summary["markers_seen"], list(clip.notices)
     if anchor == MARKER:
         notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
@@ -211,10 +210,36 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
     write_facts(folder.facts, clip.facts)
     write(folder.environment, codec.dumps(dict(clip.environment_maps)))
     ClipAnalysis(
-        done.span.pts, done.span.keys, clip.anchor.key, clip.world_from_marker, clip.static, clip.summary, done.truncated,
+        done.pts, done.keys, clip.anchor.key, clip.world_from_marker, clip.static, clip.summary, done.truncated,
         pick_previews(clip.facts), [*inputs.notices, *notices], clip.real_planes,
     ).write(folder)  # fmt: skip
     log.note(ANALYSIS, analysis_key, done.seconds, done.walls)
+
+
+def _in_parallel(area_px: int, options: Options) -> Run:
+    """How stretches are analysed by as many workers as chunks are rendered by."""
+
+    def run(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
+        workers, threads = worker_count(frames * area_px, options.workers)
+        workers = min(workers, usable_cores())  # a cluster's are not here
+        if min(workers, count) <= 1:
+            return in_order(tasks, count, frames, progress)
+        parallel = run_threads if threads else run_processes
+        return _without_opencv_threads(parallel([*tasks], min(workers, count), progress, analyse_stretch))
+
+    return run
+
+
+def _without_opencv_threads(results: Results) -> Results:
+    """OpenCV's own threads only get in the way of each other where all cores have work."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield from results
+    finally:
+        cv2.setNumThreads(before)
 
 
 def _chunks(job: Job) -> list[Chunk]:
@@ -230,7 +255,7 @@ def _chunks(job: Job) -> list[Chunk]:
     return [Chunk(first, last, key(first, last)) for first, last in borders(len(job.facts))]
 
 
-def _render(job: Job, chunks: list[Chunk], options: Options) -> list[Path]:
+def _render(job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | None = None) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
     files = {c.first: c.find(folder.chunks, suffix) for c in chunks}
@@ -244,14 +269,19 @@ def _render(job: Job, chunks: list[Chunk], options: Options) -> list[Path]:
     progress(0)
     workers, threads = worker_count(total * job.scene.camera.rect.area, options.workers) if tasks else (0, False)
     workers = min(workers, len(tasks))
-    if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
-        context = open_context(str(folder.path), job.key)
-        context.facts, context.plans = job.facts, job.plan.frames
-    run = partial(run_threads if threads else run_processes, workers=workers) if workers > 1 else run_serial
+    run: Callable[..., Results]
+    if cluster is not None:
+        run = partial(cluster.run, job=job)
+    else:
+        if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
+            context = open_context(str(folder.path), job.key, ())
+            context.facts, context.plans = job.facts, job.plan.frames
+        run = partial(run_threads if threads else run_processes, workers=workers) if workers > 1 else run_serial
     with contextlib.closing(run(tasks, progress=progress)) as results:  # an error here too stops the workers
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]
-            job.log.note(CHUNK, keys[result["first"]], **result)
+            if "seconds" in result:  # not of a chunk that was there already, though nobody had heard of it
+                job.log.note(CHUNK, keys[result["first"]], **result)
     progress(sum(c.frames for c in todo))
     return [path for path in files.values() if path is not None]
 

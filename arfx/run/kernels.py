@@ -29,7 +29,8 @@ from arfx.core.machine import usable_cores
 COMPILE = "compile"  # the phase that progress is reported for
 MANIFEST = Path(__file__).with_suffix(".json")
 # Parts of the list; the others are named by the stage that brings them. DIMMING: frames whose shadow no stage reads
-JOB, SYNTH, DIMMING = "job", "synth", "dimming"
+# SELDOM: what few jobs call, of 10 bits for instance; no job asks for it, the tests' start and wheels take all
+JOB, SYNTH, DIMMING, SELDOM = "job", "synth", "dimming", "seldom"
 PROCESS_S = 4.0  # of compiling, for each process: it takes one or two seconds to start
 Progress = Callable[[str, int, int | None], None]
 Notice = Callable[[str], None]
@@ -207,6 +208,8 @@ def warn_if_unlisted(notice: Notice) -> Iterator[None]:
     from numba.core import event
 
     local = threading.local()  # depth : of functions being compiled, one for the other
+    seldom = set(listed_kernels((SELDOM,)))
+    known = {(k.module, k.name, k.types) for k in listed_kernels() if k not in seldom}
 
     class Listener(event.Listener):
         warned = False
@@ -216,7 +219,7 @@ def warn_if_unlisted(notice: Notice) -> Iterator[None]:
             if local.depth > 1 or self.warned:
                 return
             function, types = started.data["dispatcher"].py_func, signature(started.data["args"])
-            if (function.__module__, function.__qualname__, types) not in {(k.module, k.name, k.types) for k in listed_kernels()}:
+            if (function.__module__, function.__qualname__, types) not in known:
                 self.warned = True
                 notice("compiling further kernels, once: this clip or its settings need them")
 

@@ -7,6 +7,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from arfx.config.sections import JobConfig
 from arfx.core.guard import Guard, check_file_name
 from arfx.errors import ConfigError, JobInterruptedError, NothingToDoError
 from arfx.media.output import image_names, names_sequence
@@ -29,18 +30,20 @@ def default_folder(output: Path) -> Path:
 
 def files_read(inputs: Inputs) -> Iterator[tuple[str, Path]]:
     """(what it is, path) of every file and folder that a job reads: all paths of its configuration, and what those pull in."""
-    config = inputs.config
+    yield from files_named(inputs.config)
+    yield from (("file of the model", path) for path in inputs.model.files)
+    yield from (("depth map", path) for path in (() if inputs.depth is None else inputs.depth.files))
+
+
+def files_named(config: JobConfig) -> Iterator[tuple[str, Path]]:
+    """(what it is, path) of every path of a configuration, and of the files that it was read from."""
     sections = [dict(s) for s in (config.input, config.model, config.pipeline)]
     sections += [vars(p) for p in config.params.values() if dataclasses.is_dataclass(p)]
     for key, value in (pair for section in sections for pair in section.items()):
         if isinstance(value, Path):
             yield "model" if key == "file" else key.replace("_", " "), value
-    many = {
-        "pattern": [p.image for p in config.patterns], "job file": config.sources, "file of the model": inputs.model.files,
-        "depth map": () if inputs.depth is None else inputs.depth.files,
-    }  # fmt: skip
-    for kind, paths in many.items():
-        yield from ((kind, path) for path in paths)
+    yield from (("pattern", p.image) for p in config.patterns)
+    yield from (("job file", path) for path in config.sources)
 
 
 @contextlib.contextmanager
@@ -112,7 +115,7 @@ class Places:
                 raise
             except BaseException as e:
                 if isinstance(e, NothingToDoError):
-                    self.folder.checkpoint.unlink(missing_ok=True)  # it leads to the same end
+                    self.folder.clear("stretches/")  # they lead to the same end
                 if not self.folder.resumable:
                     self.folder.clear()
                 raise

@@ -6,9 +6,10 @@ one there is (run/executors.py). A worker that does not read on from its last ch
 from __future__ import annotations
 
 import contextlib
+import itertools
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -35,15 +36,20 @@ class Chunk:
 
     def find(self, folder: Path, suffix: str) -> Path | None:
         """Its file, if there is one that is as it was written."""
-        for path in folder.glob(f"{self.name}.*{suffix}"):
-            with contextlib.suppress(OSError):
-                if path.name == f"{self.name}.{content_digest(path)}{suffix}":
-                    return path
-        return None
+        return find_chunk(folder, self.name, suffix)
 
     @property
     def frames(self) -> int:
         return self.last - self.first + 1
+
+
+def find_chunk(folder: Path, name: str, suffix: str) -> Path | None:
+    """The whole file of the chunk with this name (`Chunk.name`)."""
+    for path in folder.glob(f"{name}.*{suffix}"):
+        with contextlib.suppress(OSError):
+            if path.name == f"{name}.{content_digest(path)}{suffix}":
+                return path
+    return None
 
 
 def borders(frames: int) -> list[tuple[int, int]]:
@@ -64,6 +70,18 @@ def steal(own: deque[T], queues: Sequence[deque[T]]) -> T | None:
     if not longest:
         return None
     return own.popleft() if own else longest.pop()
+
+
+def next_chunk(waiting: Sequence[int], own: int, others: Collection[int]) -> int:
+    """The number of the chunk that a worker is to take of those that wait, which are in order and at least one.
+
+    own, others : the numbers that it, and that others would read on to. It reads on; else it begins the longest run of chunks,
+    where another will come to its beginning in its middle."""
+    if own in waiting:
+        return own
+    runs = [[chunk for _, chunk in run] for _, run in itertools.groupby(enumerate(waiting), lambda pair: pair[1] - pair[0])]
+    longest = max(runs, key=len)
+    return longest[len(longest) // 2] if longest[0] in others else longest[0]
 
 
 @dataclass(frozen=True)

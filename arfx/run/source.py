@@ -1,11 +1,12 @@
-"""Decoded frames, and their real depth, for the chunks that a thread renders.
+"""Decoded frames, for the stretches that a thread analyses, and, with their real depth, for the chunks that it renders.
 
-A chunk that follows the thread's last one is read on from where that ended: a new reader decodes from the key frame before, which
-may lie hundreds of frames back."""
+What follows the thread's last one is read on from where that ended: a new reader decodes from the key frame before, which may lie
+hundreds of frames back."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,6 +18,7 @@ from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
 from arfx.media.depth_maps import DepthMaps, fill_holes
 from arfx.media.frames import ClipReader, Frame
+from arfx.run.background_io import Prefetch
 
 
 class Source:
@@ -45,7 +47,49 @@ class Source:
         self._frames = iter(())
 
 
-_of_thread = threading.local()  # source : what the thread read from last
+class StretchFrames:
+    """Iterator over a clip's frames from a time on (None = from its start, whatever the times are), in order.
+
+    alone : decoding gets threads of its own, and runs ahead
+    frontier : where the last stretch ended: the next frame is the first at or after that time"""
+
+    def __init__(self, info: ClipInfo, first_pts: int | None, alone: bool) -> None:
+        self.info, self.alone, self.frontier, self._seconds = info, alone, first_pts, 0.0
+        self.reader = ClipReader(info, threads=0 if alone else 1)
+        frames = self.reader.frames(first_pts)
+        self._ahead = Prefetch(frames) if alone else None
+        self._frames: Iterator[Frame] = frames if self._ahead is None else self._ahead
+        self._back: Frame | None = None
+
+    def __iter__(self) -> StretchFrames:
+        return self
+
+    def __next__(self) -> Frame:
+        if self._back is not None:
+            frame, self._back = self._back, None
+            return frame
+        start = time.perf_counter()
+        try:
+            return next(self._frames)
+        finally:
+            self._seconds += time.perf_counter() - start
+
+    @property
+    def seconds(self) -> float:
+        """Of decoding so far."""
+        return self._seconds if self._ahead is None else self._ahead.seconds
+
+    def put_back(self, frame: Frame, frontier: int) -> None:
+        """It belongs to the next stretch, which begins at that time."""
+        self._back, self.frontier = frame, frontier
+
+    def close(self) -> None:
+        if self._ahead is not None:
+            self._ahead.__exit__()
+        self.reader.close()
+
+
+_of_thread = threading.local()  # source, stretch : what the thread read from last
 
 
 def source_at(info: ClipInfo, pts: list[int], index: int, threads: int = 0) -> Source:
@@ -58,8 +102,21 @@ def source_at(info: ClipInfo, pts: list[int], index: int, threads: int = 0) -> S
     return source
 
 
+def stretch_at(info: ClipInfo, first_pts: int | None, alone: bool) -> StretchFrames:
+    """The frames that this thread read last, if they go on at that time of the same clip; else new ones."""
+    last: StretchFrames | None = getattr(_of_thread, "stretch", None)
+    if last is not None and first_pts is not None and (last.info, last.alone, last.frontier) == (info, alone, first_pts):
+        return last
+    release()
+    _of_thread.stretch = source = StretchFrames(info, first_pts, alone)
+    return source
+
+
 def release() -> None:
-    """Close this thread's source."""
+    """Close what this thread reads from."""
+    if (stretch := getattr(_of_thread, "stretch", None)) is not None:
+        stretch.close()
+        _of_thread.stretch = None
     if (source := getattr(_of_thread, "source", None)) is not None:
         source.close()
         _of_thread.source = None

@@ -71,6 +71,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
         "predicted": job.plan.predicted,
         "health": [check.to_json() for check in health(job)],
         "timing": _timing(spent, job.plan.seconds, join_s, chunks),
+        "workers": list(spent.workers),
         "notices": analysed.notices,
     }  # fmt: skip
 

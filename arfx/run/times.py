@@ -1,7 +1,7 @@
 """What each piece of a job's work took, recorded in timings.jsonl when it is done: a resumed job reports the time of all of it.
 
-A row is {"work": "analysis" | "chunk", "key", "seconds", "walls", "rss_mb", …}. key : of what was made, so that the time of work
-that is not in the output is left out;  walls : process of the job -> how long it had run by then, seconds."""
+A row is {"work": "analysis" | "stretch" | "chunk", "key", "seconds", "walls", "rss_mb", …}. key : of what was made, so that the
+time of work that is not in the output is left out;  walls : process of the job -> how long it had run by then, seconds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from typing import Any
 
 from arfx.run.memory import peak_mb
 
-ANALYSIS, CHUNK = "analysis", "chunk"
+ANALYSIS, STRETCH, CHUNK = "analysis", "stretch", "chunk"  # the analysis: with all of its stretches
+_WHO = {"worker": str, "host": str, "first": int, "last": int}  # of a chunk's row
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class TimeSpent:
 
     seconds, stages : by phase and by stage, over all chunks and the analysis
     untimed : keys of chunks that a process finished, but was killed before it recorded their time
-    wall_s : of all processes, each up to the last of its work that is in the output;  processes : how many of them"""
+    wall_s : of all processes, each up to the last of its work that is in the output;  processes : how many of them
+    workers : {name, host, chunks, frames, seconds} of each thread or process that rendered;  seconds : of its chunks' work"""
 
     seconds: Mapping[str, float]
     stages: Mapping[str, float]
@@ -32,6 +34,7 @@ class TimeSpent:
     wall_s: float
     processes: int
     peak_rss_mb: float
+    workers: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass
@@ -88,8 +91,20 @@ class WorkLog:
                 walls[process] = max(walls.get(process, 0.0), s)
         return TimeSpent(
             seconds, stages, tuple(key for work, key in wanted if work == CHUNK and (work, key) not in last),
-            sum(walls.values()), len(walls), max(peak_mb(), *(row["rss_mb"] for row in used), 0.0),
+            sum(walls.values()), len(walls), max(peak_mb(), *(row["rss_mb"] for row in used), 0.0), _workers(used),
         )  # fmt: skip
+
+
+def _workers(rows: Iterable[Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for row in rows:
+        if row["work"] == CHUNK and "worker" in row:
+            name, host = row["worker"], row["host"]
+            worker = found.setdefault((name, host), {"name": name, "host": host, "chunks": 0, "frames": 0, "seconds": 0.0})
+            worker["chunks"] += 1
+            worker["frames"] += row["last"] - row["first"] + 1
+            worker["seconds"] += sum(row["seconds"].values()) + sum(row.get("stages", {}).values())
+    return tuple(found.values())
 
 
 def _valid(row: dict[str, Any]) -> bool:
@@ -98,4 +113,5 @@ def _valid(row: dict[str, Any]) -> bool:
 
     texts = all(isinstance(row.get(name), str) for name in ("work", "key"))
     tables = all(numbers(row.get(name)) for name in ("seconds", "walls")) and numbers(row.get("stages", {}))
-    return texts and tables and numbers({"rss_mb": row.get("rss_mb", 0)})
+    who = "worker" not in row or all(isinstance(row.get(name), kind) for name, kind in _WHO.items())
+    return texts and tables and who and numbers({name: row.get(name, 0) for name in ("rss_mb", "first", "last")})

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import socket
 import threading
 import time
 from collections import deque
@@ -88,11 +90,24 @@ def keep_memory() -> None:
         mallopt(arena_max, 1)
 
 
+# (section, key, path) of settings whose files this process sees elsewhere than the job file says
+Paths = tuple[tuple[str, str, str], ...]
+
+
+@cache
+def process_name() -> str:
+    """Of this machine and process, in names of files that several machines write into one folder."""
+    return f"{re.sub('[^0-9A-Za-z]', '', socket.gethostname())[:32] or 'host'}-{os.getpid()}"
+
+
 @lru_cache(maxsize=1)
-def open_context(path: str, job_key: str) -> Context:
+def open_context(path: str, job_key: str, paths: Paths) -> Context:
     """The context of a job. job_key only keeps two jobs that reuse a folder apart."""
     folder = JobFolder(Path(path))
-    config = load(folder.job, {}, parameters())
+    moved: dict[str, dict[str, str]] = {}
+    for section, name, place in paths:
+        moved.setdefault(section, {})[name] = place
+    config = load(folder.job, moved, parameters())
     inputs = json.loads(folder.inputs.read_text(encoding="utf-8"))
     analysed = ClipAnalysis.read(folder)
     assert config.input.clip is not None
@@ -104,17 +119,19 @@ def open_context(path: str, job_key: str) -> Context:
 
 
 def render_chunk(
-    folder: str, job_key: str, first: int, last: int, target: str, tick: Callable[[], None], alone: bool = False
-) -> dict[str, Any]:
+    folder: str, job_key: str, first: int, last: int, target: str, tick: Callable[[], None], alone: bool = False,
+    paths: Paths = (),
+) -> dict[str, Any]:  # fmt: skip
     """Render frames first … last into a file that appears when it is whole.
 
     target : its path, to which the digest of its content and the extension are added
     alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads of their own
-    Returns the file's name, seconds by stage, decode and encode seconds, counts, and the most memory that this process held.
+    Returns the file's name, seconds by stage, decode and encode seconds, who rendered it, and the most memory that this process
+    held.
     Raises RenderError (frames missing in the source, a full disk, a stage that failed)."""
     keep_memory()
     with _OPENING:
-        context = open_context(folder, job_key)
+        context = open_context(folder, job_key, paths)
     history = max((s.history for s in context.stages.values()), default=0)
     begin = max(first - history, 0)
     facts, plans = context.read(begin, last)
@@ -134,7 +151,7 @@ def render_chunk(
         seconds["encode"] += time.perf_counter() - start
 
     final, suffix = Path(target), chunk_suffix(context.output)
-    aside = final.with_name(f"{os.getpid()}-{threading.get_ident()}-{final.name}{suffix}")
+    aside = final.with_name(f"{process_name()}-{threading.get_ident()}-{final.name}{suffix}")
     try:
         source = source_at(context.info, context.pts, begin, threads=0 if alone else 1)
         with ChunkWriter(context.output, context.info, aside) as writer:
@@ -157,15 +174,26 @@ def render_chunk(
                     tick()
             start = time.perf_counter()
         seconds["encode"] += time.perf_counter() - start
-        final = final.with_name(f"{final.name}.{content_digest(aside)}{suffix}")
-        remove_output(final)  # a folder of images that is not what it was
-        aside.replace(final)
+        content = content_digest(aside)
+        final = final.with_name(f"{final.name}.{content}{suffix}")
+        if final.is_dir() and content_digest(final) == content:  # another worker's, of the same images: it may be in use
+            remove_output(aside)
+        else:
+            if final.is_dir():  # not what it was
+                remove_output(final)
+            aside.replace(final)
     except OSError as e:
         raise disk_error(e, final) from None
     return {
-        "file": final.name, "first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "pid": os.getpid(),
-        "rss_mb": peak_mb(),
+        "file": final.name, "first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "rss_mb": peak_mb(),
+        "host": socket.gethostname(), "worker": _thread_name(),
     }  # fmt: skip
+
+
+def _thread_name() -> str:
+    """The process's number, and the thread's name where it is not the only one that renders."""
+    thread = threading.current_thread()
+    return f"{os.getpid()}" if thread is threading.main_thread() else f"{os.getpid()} {thread.name}"
 
 
 def _frame(

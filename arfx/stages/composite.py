@@ -49,22 +49,39 @@ class Composite(Stage):
 # Both take differences, so that a pixel with nothing virtual keeps its exact value.
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
+def shade(plate: np.ndarray, shadow: np.ndarray, opacity: np.float32, bias: np.ndarray, out: np.ndarray) -> None:
     """The plane's pixels without an object before it: the same as `_over` with coverage 0. shadow : (h, w, 3 or 1)"""
-    width, one, single = 3 * plate.shape[1], np.float32(1), shadow.shape[2] == 1
-    line, transmittance, below = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    for k in range(width):
+    if plate.size:
+        _shade(*_lines(plate), *_lines(shadow), shadow.shape[2] == 1, opacity, bias, *_lines(out), plate.shape[1])
+
+
+def _lines(a: np.ndarray) -> tuple[np.ndarray, int]:
+    """(a view (n,) of all from the first pixel to the last, numbers from a row to the next): loops along it are vector code."""
+    h, w, c = a.shape
+    if a.strides[1] != 4 * c or (c > 1 and a.strides[2] != 4):
+        a = np.ascontiguousarray(a)
+    return np.lib.stride_tricks.as_strided(a, ((h - 1) * (a.strides[0] // 4) + w * c,), (4,)), a.strides[0] // 4
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shade(
+    plate, plate_step, shadow, shadow_step, single, opacity, bias, out, out_step, width
+):  # fmt: skip  # pragma: no cover - compiled
+    n, one = 3 * width, np.float32(1)
+    below, thrice = np.empty(n, np.float32), np.empty(n, np.float32)
+    for k in range(n):
         below[k] = bias[k % 3]
-    for y in range(plate.shape[0]):
-        for x in range(plate.shape[1]):
-            for c in range(3):
-                line[3 * x + c], transmittance[3 * x + c] = plate[y, x, c], shadow[y, x, 0 if single else c]
-        for k in range(width):
-            line[k] += opacity * (line[k] * (transmittance[k] - one) + below[k] * (one - transmittance[k]))
-        for x in range(plate.shape[1]):
-            for c in range(3):
-                out[y, x, c] = line[3 * x + c]
+    for y in range((out.shape[0] - n) // out_step + 1):
+        line, to = plate[y * plate_step : y * plate_step + n], out[y * out_step : y * out_step + n]
+        if single:
+            row = shadow[y * shadow_step : y * shadow_step + width]
+            for x in range(width):
+                i = np.uintp(3) * np.uintp(x)
+                thrice[i], thrice[i + np.uintp(1)], thrice[i + np.uintp(2)] = row[x], row[x], row[x]
+        else:
+            thrice[:] = shadow[y * shadow_step : y * shadow_step + n]
+        for k in range(n):
+            to[k] = line[k] + opacity * (line[k] * (thrice[k] - one) + below[k] * (one - thrice[k]))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+import numba
 import numpy as np
 
 from arfx.core.numerics import divide
@@ -11,6 +12,7 @@ from arfx.core.parallel import parallel_map
 from arfx.core.scene import Scene
 
 _BATCH = 1 << 19  # rays in flight: bounds memory to about 40 MB
+_SLACK = 1e-4  # of the extent, around the box outside which nothing is met
 
 
 class Triangles:
@@ -22,6 +24,9 @@ class Triangles:
 
         self._scene = rtcore_scene.EmbreeScene(robust=robust)
         self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32))
+        low, high = (corners.min((0, 1)), corners.max((0, 1))) if len(corners) else (np.ones(3), -np.ones(3))
+        slack = _SLACK * np.abs(high - low).max()
+        self._box = np.array([low - slack, high + slack], np.float32)
 
     def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Mapping[str, np.ndarray]:
         """primID (-1 = none), u, v, tfar of rays (n, 3)."""
@@ -46,7 +51,9 @@ class Triangles:
             out[mixed] = self.visible_fraction(points[mixed], directions, None if normals is None else normals[mixed])
             return out
 
-        def of(part: slice, seen: np.ndarray) -> np.ndarray:
+        def of(part: slice, met: np.ndarray) -> np.ndarray:
+            seen = np.ones((len(points[part]), len(directions)), bool)
+            seen.flat[met] = False
             if normals is None:
                 return np.asarray(seen.mean(1))
             weight = np.clip(normals[part] @ directions.T, 0, None)
@@ -54,23 +61,55 @@ class Triangles:
 
         return self._by_parts(points, directions, of, np.zeros(0))
 
-    def visible_sum(self, points: np.ndarray, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """(n, c) float64: sum of the weights (k, c) of those `directions` in which nothing is met from each point."""
-        return self._by_parts(points, directions, lambda _, seen: seen @ weights, np.zeros((0, weights.shape[1])))
+    def hidden_sum(self, points: np.ndarray, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """(n, c) float64: sum of the weights (k, c) of those `directions` in which something is met from each point."""
+
+        def of(part: slice, met: np.ndarray) -> np.ndarray:
+            row, column = np.divmod(met, len(directions))
+            return np.stack([np.bincount(row, w[column], len(points[part])) for w in weights.T], 1)
+
+        return self._by_parts(points, directions, of, np.zeros((0, weights.shape[1])))
 
     def _by_parts(
         self, points: np.ndarray, directions: np.ndarray, of: Callable[[slice, np.ndarray], np.ndarray], none: np.ndarray
     ) -> np.ndarray:
-        """What `of` makes of points and of (m, k) bool, whether nothing is met, part by part. none : of no points"""
+        """What `of` makes of points and of the numbers, point by point, of those rays (m k) that meet something, part by part.
+
+        none : of no points"""
         k, towards = len(directions), directions.astype(np.float32)
 
         def one(part: slice) -> np.ndarray:
             p = points[part].astype(np.float32)
-            met = self.blocked(np.repeat(p, k, axis=0), np.tile(towards, (len(p), 1)))
-            return of(part, ~met.reshape(len(p), k))
+            starts, along, number = (np.empty((len(p) * k, *more), kind) for more, kind in _RAYS)
+            count = _through_box(p, towards, self._box, starts, along, number)
+            return of(part, number[:count][self.blocked(starts[:count], along[:count])])
 
         step = max(_BATCH // k, 1)
         return np.concatenate([none, *parallel_map(one, [slice(a, a + step) for a in range(0, len(points), step)])])
+
+
+_RAYS = (((3,), np.float32), ((3,), np.float32), ((), np.int64))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _through_box(points, directions, box, starts, along, number):  # pragma: no cover - compiled
+    """How many of the rays from points (n, 3) in directions (k, 3) pass through a box (2, 3): those, and their numbers, are
+    written to the other arrays."""
+    count, k, zero, far = 0, len(directions), np.float32(0), np.float32(1e30)
+    for i in range(len(points)):
+        for j in range(k):
+            enters, leaves = zero, far
+            for c in range(3):
+                d = directions[j, c]
+                inverse = np.float32(1) / d if d != zero else far
+                a, b = (box[0, c] - points[i, c]) * inverse, (box[1, c] - points[i, c]) * inverse
+                enters, leaves = max(enters, min(a, b)), min(leaves, max(a, b))
+            if enters <= leaves:
+                for c in range(3):
+                    starts[count, c], along[count, c] = points[i, c], directions[j, c]
+                number[count] = i * k + j
+                count += 1
+    return count
 
 
 def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -3,29 +3,61 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from arfx.core import interrupt
 from arfx.core.guard import Guard
-from arfx.errors import InputError
-from arfx_cli.console import FILE, FOLDER, Progress, detail, emit_json, message_options, note, overwrite_option, quiet, say
+from arfx.core.naming import fixed_folder, has_field, named
+from arfx.errors import ConfigError, InputError, explained
+from arfx_cli.console import (
+    FILE,
+    FOLDER,
+    Progress,
+    detail,
+    emit_json,
+    message_options,
+    note,
+    overwrite_option,
+    print_table,
+    quiet,
+    say,
+)
 
 if TYPE_CHECKING:
     import numpy as np
+
+    from arfx.calibrate.board import BoardSpec
 
 STILLS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2"}
 VIDEO_SEARCHED = 120  # frames of a video that are searched for the board: the sharpest of equal intervals
 
 
+@dataclass(frozen=True)
+class _Camera:
+    """named : what its pictures come from, for messages;  paths : pictures and videos;  output : its file
+    plots : folder and start of the names of its plots"""
+
+    named: str
+    paths: list[Path]
+    output: Path
+    plots: tuple[Path, str]
+
+    @property
+    def plot_files(self) -> list[Path]:
+        return [self.plots[0] / f"{self.plots[1]}{name}" for name in ("residuals.png", "coverage.png")]
+
+
 @click.command()
-@click.argument("inputs", metavar="IMAGES|VIDEO...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("inputs", metavar="IMAGES|VIDEO|FOLDER...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--board", required=True, metavar="SPEC",
     help="chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100[:legacy].",
 )  # fmt: skip
-@click.option("-o", "--output", required=True, type=FILE, help="Camera file to write (YAML).")
+@click.option("-o", "--output", required=True, type=FILE, help="Camera file to write (YAML); with {stem}: one for each camera.")
 @click.option("--report", type=FOLDER, help="Folder for residuals.png and coverage.png; default: beside -o.")
 @overwrite_option
 @message_options
@@ -34,50 +66,121 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
 
     Of a video, sharp and varied frames are taken. `arfx target` prints boards. The file is OpenCV YAML with ROS's names.
 
+    With {stem} in -o every argument is a camera of its own: a video, or a folder with its pictures; {stem} is its name. A folder
+    without pictures stands for the folders and videos in it. A camera that fails does not stop the others: exit code 6.
+
     \b
     Example:
-      arfx calibrate left*.jpg --board chessboard:9x6:25mm -o camera.yaml"""
+      arfx calibrate left*.jpg --board chessboard:9x6:25mm -o camera.yaml
+      arfx calibrate rig --board chessboard:9x6:25mm -o 'cameras/{stem}.yaml'"""
     from arfx.calibrate.board import BoardSpec
 
     spec = BoardSpec.parse(board)
-    folder, stem = (report, "") if report else (output.absolute().parent, f"{output.stem}-")
-    pictures = [folder / f"{stem}{name}" for name in ("residuals.png", "coverage.png")]
     for path in inputs:
         if not path.exists():
             raise InputError(f"{path} does not exist", "give images or videos of the board")
-    paths = _flatten(inputs)
-    guard = Guard((("picture", path) for path in paths), overwrite)
-    for path in (output, *pictures):
-        guard.file(path, folder_made=report is not None and path in pictures)
+    several = has_field(output)
+    cameras = _several(inputs, output, report) if several else [_one(str(inputs[0]), _flatten(inputs), output, report)]
+    guard = Guard((("picture", path) for camera in cameras for path in camera.paths), overwrite)
+    for camera in cameras:
+        guard.file(camera.output, folder_made=several)
+        for path in camera.plot_files:
+            guard.file(path, folder_made=several or report is not None)
+    if not several:
+        found = _calibrate(cameras[0], spec, "")
+        if as_json:
+            emit_json(found)
+        return
+    rows: list[dict[str, Any]] = []
+    for k, camera in enumerate(cameras):
+        row: dict[str, Any] = {"input": camera.named, "output": str(camera.output), "exit_code": 0, "message": ""}
+        row["calibration"] = None
+        try:
+            camera.output.parent.mkdir(parents=True, exist_ok=True)
+            row["calibration"] = _calibrate(camera, spec, f"{k + 1} of {len(cameras)} {Path(camera.named).name}")
+            row["message"] = row["calibration"]["verdict"]
+        except Exception as e:
+            if interrupt.pending():
+                raise
+            code, message = explained(e)
+            row |= {"exit_code": code, "message": " ".join(message.replace("\nhelp: ", "; ").split())}
+            click.echo(f"{k + 1} of {len(cameras)} {camera.named}: error: {row['message']}", err=True)
+        rows.append(row)
+    failed = sum(row["exit_code"] != 0 for row in rows)
+    if as_json:
+        emit_json({"cameras": rows, "failed": failed})
+    else:
+        cells = [(r["input"], ("", f"exit {r['exit_code']}: ")[r["exit_code"] != 0] + r["message"], r["output"]) for r in rows]
+        title = f"{len(rows)} camera{'s' * (len(rows) != 1)}, {failed or 'none'} failed"
+        print_table(title, ("camera", "verdict", "output"), cells, words=3)
+    if failed:
+        click.get_current_context().exit(6)
 
+
+def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
+    """Calibrate, write and say it; returns the document of --json. title : before lines of progress"""
     from arfx.calibrate.calibration import calibrate, find_board
     from arfx.calibrate.document import document, file_extras, summary
     from arfx.calibrate.plots import write_plots
     from arfx.media.cameras import save_camera
 
+    paths, (folder, stem) = camera.paths, camera.plots
     total = len(paths) if all(p.suffix.lower() in STILLS for p in paths) else None  # unknown for videos
     with Progress("pictures") as progress:
+        if title:
+            progress.begin(title)
         found = find_board(_pictures(paths), spec, lambda searched, _: progress("search", searched, total))
     result = calibrate(found)
     folder.mkdir(parents=True, exist_ok=True)
     written = write_plots(result, folder, stem)
-    save_camera(output, result.fitted.camera, **file_extras(result))
+    save_camera(camera.output, result.fitted.camera, **file_extras(result))
     for line in summary(result):
         say(line)
     if quiet() and result.verdict.word != "good":
         note(f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}")
     for row in document(result)["models"]:
         detail(f"{'*' if row['chosen'] else ' '} {row['model']}: held out {row['held_out_rms_px']:.4f} px {row['rejected']}")
-    say(f"wrote {output}, {written[0]}, {written[1]}")
-    if as_json:
-        emit_json(document(result) | {"output": str(output), "plots": [str(p) for p in written]})
+    say(f"wrote {camera.output}, {written[0]}, {written[1]}")
+    return document(result) | {"output": str(camera.output), "plots": [str(p) for p in written]}
+
+
+def _one(named: str, paths: list[Path], output: Path, report: Path | None) -> _Camera:
+    return _Camera(named, paths, output, (report, "") if report else (output.absolute().parent, f"{output.stem}-"))
+
+
+def _several(inputs: tuple[Path, ...], pattern: Path, report: Path | None) -> list[_Camera]:
+    """One camera for each argument, or for what is in a folder that holds no pictures itself."""
+    own = {p.resolve() for p in (fixed_folder(pattern), report) if p is not None}  # plots of an earlier run are there
+    found = (s for path in inputs for s in ([path] if not path.is_dir() or _stills(path) else _cameras_in(path)))
+    sources = [s for s in found if s.resolve() not in own]
+    out: dict[Path, _Camera] = {}
+    for source in sources:
+        file = named(pattern, source)
+        if file in out:
+            raise ConfigError(f"{out[file].named} and {source} go to one output, {file}", "{stem} and {parent} keep them apart")
+        out[file] = _one(str(source), _flatten((source,)), file, None if report is None else report / file.stem)
+    return list(out.values())
+
+
+def _stills(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in STILLS)
+
+
+def _cameras_in(folder: Path) -> list[Path]:
+    from arfx.media.codecs import CLIP_SUFFIXES
+
+    inside = (p for p in folder.iterdir() if not p.name.startswith("."))
+    found = sorted(p for p in inside if (p.is_dir() and _stills(p)) or (p.is_file() and p.suffix.lower() in CLIP_SUFFIXES))
+    if not found:
+        raise InputError(f"folder {folder} holds no pictures, no folders of pictures and no videos", "a folder for each camera")
+    return found
 
 
 def _flatten(inputs: tuple[Path, ...]) -> list[Path]:
     """Folders stand for the pictures in them, by name."""
     out: list[Path] = []
     for path in inputs:
-        inside = sorted(p for p in path.iterdir() if p.suffix.lower() in STILLS) if path.is_dir() else [path]
+        inside = _stills(path) if path.is_dir() else [path]
         if not inside:
             raise InputError(f"folder {path} holds no pictures", "supported: " + " ".join(sorted(STILLS)))
         out += inside

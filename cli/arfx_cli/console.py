@@ -104,6 +104,7 @@ class Progress:
         self._rich: Any = None
         self._tasks: dict[str, Any] = {}
         self._last: dict[str, int] = {}
+        self._title = ""
 
     def __enter__(self) -> Progress:
         if not self._quiet and sys.stderr.isatty():
@@ -120,22 +121,30 @@ class Progress:
         if self._rich:
             self._rich.stop()
 
+    def begin(self, title: str) -> None:
+        """The phases that follow are those of another piece of work, which is named before each."""
+        self._title = f"{title}: "
+        for task in self._tasks.values():
+            self._rich.remove_task(task)
+        self._tasks.clear()
+        self._last.clear()
+
     def __call__(self, phase: str, done: int, total: int | None) -> None:
         """Phase `phase` has finished `done` of `total` steps (None = not known)."""
         if self._quiet:
             return
         if self._rich:
             if phase not in self._tasks:
-                self._tasks[phase] = self._rich.add_task(COMPILING if phase == "compile" else phase, total=total)
+                self._tasks[phase] = self._rich.add_task(self._title + (COMPILING if phase == "compile" else phase), total=total)
             self._rich.update(self._tasks[phase], completed=done, total=total)
             return
         tenth = done * 10 // total if total else done // 100
         if tenth != self._last.get(phase) and (done or total):
             self._last[phase] = tenth
             if phase == "compile":
-                say(f"{COMPILING}: {done} of {total}")
+                say(f"{self._title}{COMPILING}: {done} of {total}")
                 return
-            say(f"{phase}: {done}{f'/{total}' if total else ''} {self._unit}")
+            say(f"{self._title}{phase}: {done}{f'/{total}' if total else ''} {self._unit}")
 
 
 def say_job(report: dict[str, Any]) -> None:
@@ -165,6 +174,8 @@ def detail_job(report: dict[str, Any]) -> None:
     detail(f"light: {light['verdict']}, from {light['source']}: {light['reason']}")
     phases = ("decode", "analyse", "plan", "prepare", "render", "encode")
     detail("seconds: " + ", ".join(f"{p} {timing[f'{p}_s']:.2f}" for p in phases) + f"; peak {timing['peak_rss_mb']:.0f} MB")
+    for w in report.get("workers", ()):
+        detail(f"worker {w['name']} on {w['host']}: {w['frames']} frames in {w['chunks']} chunks, {w['seconds']:.2f} s")
     for h in report["health"]:
         value = f"{h['value']:.3g}" if isinstance(h["value"], float) else h["value"]
         against = "" if h["verdict"] == "ok" else f" (limit {h['limit']}): {h['action']}"

@@ -5,9 +5,7 @@ Those of a job file's sections are made from its fields; this module has those o
 from __future__ import annotations
 
 import itertools
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
@@ -18,8 +16,9 @@ from arfx_cli.console import FILE, FOLDER, Progress, note
 
 if TYPE_CHECKING:
     from arfx.config.given import Given
-    from arfx.run.inputs import Inputs
-    from arfx.run.planned import Job
+    from arfx.config.load import JobFile
+    from arfx.config.sections import JobConfig
+    from arfx.run.job import Options
 
 
 _OTHERS = [
@@ -33,12 +32,15 @@ _OTHERS = [
     click.Option(["--job", "job_dir"], type=FOLDER, help="Job folder, kept afterwards; default OUT.job."),
     click.Option(["--resume"], is_flag=True, help="Go on with an interrupted or killed job."),
     click.Option(["--workers"], type=click.IntRange(1), help="Worker processes; default: threads on up to 4 cores."),
+    click.Option(["--executor"], metavar="CLUSTER", help="Render on a Dask cluster: local[:N], tcp://HOST:PORT, slurm:FILE."),
+    click.Option(["--map-path"], metavar="HERE=THERE", multiple=True,
+                 help="Where the cluster's workers see a path: a path, or a URL (file, s3, http). Repeatable."),
 ]  # fmt: skip
 # As help shows them; what is not named here comes last.
 _ORDER = (
     "clip config camera marker pattern marker-map model scale fit offset rotate up pipeline no-skip quality budget fps max-error "
     "tradeoff light environment formula depth depth-scale anchor poses set start end "
-    "output codec crf pixel-format report job resume workers"
+    "output codec crf pixel-format report job resume workers executor map-path"
 )
 
 
@@ -64,8 +66,8 @@ def _parameter(s: Setting) -> click.Parameter:
     return click.Option(s.flags, type=kind, metavar=s.metavar, multiple=s.repeated, is_flag=flag, help=s.help)
 
 
-def job_config(given: dict[str, Any]) -> Any:
-    """The typed job from the parsed options. Raises ConfigError."""
+def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig:
+    """The typed job from the parsed options. more : files over those of --config. Raises ConfigError."""
     from arfx.config.given import overrides, section_overrides
     from arfx.config.load import find_job_file, load
     from arfx.run.parameters import parameters, pipeline
@@ -73,9 +75,24 @@ def job_config(given: dict[str, Any]) -> Any:
     kinds = parameters()
     formulas = [name for name, by_formula in kinds.items() if len(by_formula) > 1]
     tree = overrides(itertools.chain(section_overrides(given), _of_stages(given, formulas)), given["set"])
-    config = load([find_job_file(file) for file in given["config"]], tree, kinds)
+    config = load([*(find_job_file(file) for file in given["config"]), *more], tree, kinds)
     pipeline(config)
     return config
+
+
+def workers(given: dict[str, Any]) -> dict[str, Any]:
+    """Who renders, as arguments of `arfx.run.job.Options`; taken out of `given`. Raises ConfigError."""
+    from arfx.errors import ConfigError
+    from arfx.run.cluster.paths import PathMap
+    from arfx.run.cluster.spec import ClusterSpec
+
+    count, executor, maps = (given.pop(name) for name in ("workers", "executor", "map_path"))
+    if executor is not None and count is not None:
+        raise ConfigError(f"--workers {count} and --executor {executor} both say who renders", "give one of them")
+    if maps and executor is None:
+        raise ConfigError("--map-path is for the workers of a cluster", "--executor says which")
+    spec = None if executor is None else ClusterSpec.parse(executor)
+    return {"workers": count, "executor": spec, "map_path": tuple(map(PathMap.parse, maps))}
 
 
 def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given]:
@@ -90,28 +107,10 @@ def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given
             yield (name, "formula"), given["formula"], f"--formula {given['formula']}"
 
 
-@contextmanager
-def planned_aside(given: dict[str, Any], progress: Progress, check: Callable[[Inputs], None] | None = None) -> Iterator[Job]:
-    """The job that `process` would run with these arguments, analysed and planned. Its folder is gone afterwards.
+def run_options(given: dict[str, Any], progress: Progress) -> Options:
+    """How the job is run, from the parsed options that say so, which are taken out of `given`."""
+    from arfx.run.job import Options
 
-    check : called with all that was opened, before any work"""
-    from arfx.run.folder import JobFolder
-    from arfx.run.inputs import open_inputs
-    from arfx.run.job import Options, plan_job
-    from arfx.run.place import Places
-
-    with tempfile.TemporaryDirectory(prefix="arfx-") as scratch:
-        config = job_config(given)
-        named = config.output.path is not None
-        if not named:  # only where it would go is open; mkv holds what any clip has
-            config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})
-        inputs = open_inputs(config)
-        if named:
-            Places(inputs, None, None, overwrite=True).check_output()
-        if check is not None:
-            check(inputs)
-        for notice in inputs.notices:
-            note(notice)
-        folder = JobFolder(Path(scratch) / "job")
-        folder.open(resume=False)
-        yield plan_job(inputs, folder, Options(progress=progress, notice=note))
+    folder, report = given.pop("job_dir"), given.pop("report_dir")
+    resume, overwrite, who = given.pop("resume"), given.pop("overwrite"), workers(given)
+    return Options(folder, resume, overwrite, report=report, progress=progress, notice=note, **who)

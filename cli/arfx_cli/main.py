@@ -15,7 +15,7 @@ import click
 from arfx import __version__
 from arfx.core import interrupt
 from arfx.core.opener import check_name
-from arfx.errors import ArfxError, JobInterruptedError
+from arfx.errors import JobInterruptedError, explained
 
 # A tenth of a short command went into looking for garbage among the libraries' own objects, while they are imported.
 _OBJECTS_BETWEEN_COLLECTIONS = 200_000
@@ -24,6 +24,7 @@ _OBJECTS_BETWEEN_COLLECTIONS = 200_000
 COMMANDS = {
     "demo": ("arfx_cli.demo", "Make a sample clip, process it, write out.mp4 and a report. No argument needed."),
     "process": ("arfx_cli.process", "Put a virtual model onto the marker of a clip: the main job."),
+    "batch": ("arfx_cli.batch", "Many clips, one job each: a table, folders or patterns; goes on past one that fails."),
     "plan": ("arfx_cli.plan", "Explain what `process` would do and leave out, with predicted time; renders nothing."),
     "tradeoff": ("arfx_cli.tradeoff", "What accuracy costs on a clip: error and time of every level of every effect."),
     "inspect": ("arfx_cli.inspect", "Stream properties, markers found, coverage, blur; suggests the `process` command."),
@@ -40,8 +41,9 @@ COMMANDS = {
 }
 EXIT_CODES = (
     "Exit codes: 0 done; 2 usage or configuration; 3 input cannot be read; 4 nothing to work on; "
-    "5 rendering failed; 130 interrupted (Ctrl-C), 143 stopped by SIGTERM, 129 by SIGHUP: all three can be resumed. "
-    "A signal that comes when the output is complete changes nothing: exit 0. A second one ends arfx at once."
+    "5 rendering failed; 6 one of several clips or cameras failed; 130 interrupted (Ctrl-C), 143 stopped by SIGTERM, "
+    "129 by SIGHUP: all three can be resumed. A signal that comes when the output is complete changes nothing: exit 0. A second "
+    "one ends arfx at once."
 )
 
 
@@ -119,11 +121,6 @@ def _report_error(e: BaseException) -> int:
         return e.exit_code
     if os.environ.get("ARFX_DEBUG") == "1":
         raise e
-    if isinstance(e, ArfxError):
-        click.echo(f"error: {e}", err=True)
-        return e.exit_code
-    if isinstance(e, OSError):
-        click.echo(f"error: {e.strerror or e}{f': {e.filename}' if e.filename else ''}", err=True)
-    else:  # a fault of arfx itself: one message all the same
-        click.echo(f"error: arfx failed: {type(e).__name__}: {e}\nhelp: ARFX_DEBUG=1 shows where; please report it", err=True)
-    return 5
+    code, message = explained(e)
+    click.echo(f"error: {message}", err=True)
+    return code

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, print_table, say, verbose
-from arfx_cli.job_options import job_options, planned_aside
+from arfx_cli.job_options import job_config, job_options, run_options
 
 if TYPE_CHECKING:
     from arfx.core.plan import FramePlan
@@ -24,15 +24,15 @@ def command(as_json: bool, **given: Any) -> None:
     \b
     Example:
       arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm"""
-    from arfx.plan.explain import level_lines, summarise, total_line
+    from arfx.plan.explain import level_lines, total_line
+    from arfx.run.aside import plan_document, planned_aside
 
-    with Progress() as progress, planned_aside(given, progress) as job:
-        rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
-    stages = [r["predicted_s"] for r in rows]
-    total = None if any(p is None for p in stages) else sum(stages)
+    with Progress() as progress:
+        options = run_options(given, progress)
+        with planned_aside(job_config(given), options) as job:
+            document = plan_document(job)
+    rows = document["stages"]
     if as_json:
-        document: dict[str, Any] = {"frames": len(job.plan.frames), "stages": rows, "predicted_s": total}
-        document |= {"predicted": job.plan.predicted, "levels": job.plan.levels}
         if verbose():
             document["plans"] = [p.to_json() for p in job.plan.frames]
         emit_json(document)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, print_table, say
-from arfx_cli.job_options import job_options, planned_aside
+from arfx_cli.job_options import job_config, job_options, run_options
 
 if TYPE_CHECKING:
     from arfx.run.inputs import Inputs
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 @click.option("--frames", type=click.IntRange(1, 24), default=2, show_default=True, help="How many frames stand for the clip.")
 @overwrite_option
 @message_options
-def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool, **given: Any) -> None:
+def command(frames: int, as_json: bool, **given: Any) -> None:
     """Measure what accuracy costs on CLIP: every level of every effect against its reference, and whole pipelines.
 
     The arguments are those of `arfx process`; nothing is encoded. --report DIR gets tradeoff.json, which `--tradeoff` of
@@ -36,23 +35,27 @@ def command(report_dir: Path | None, frames: int, overwrite: bool, as_json: bool
     from arfx.core.numerics import finite
     from arfx.measure.tradeoff import measure
     from arfx.measure.tradeoff_html import document, write_tradeoff
+    from arfx.run.aside import planned_aside
     from arfx.run.folder import write
     from arfx.run.place import PAGE_START, files_locked, files_read
 
     def check(inputs: Inputs) -> None:
-        if report_dir is not None:
+        if folder is not None:
             made = {"tradeoff.json": b'{\n "clip": ', "tradeoff.html": PAGE_START.encode()}
-            guard = Guard(files_read(inputs), overwrite)
-            report.enter_context(files_locked(guard, report_dir, made, "--report"))
+            guard = Guard(files_read(inputs), options.overwrite)
+            report.enter_context(files_locked(guard, folder, made, "--report"))
 
     began = time.perf_counter()
     with contextlib.ExitStack() as report:
-        with Progress() as progress, planned_aside(given, progress, check) as job:
-            found = measure(job, frames, progress)
+        with Progress() as progress:
+            options = run_options(given, progress)
+            folder = options.report
+            with planned_aside(job_config(given), options, check) as job:
+                found = measure(job, frames, progress)
         measured = finite(document(found, job, time.perf_counter() - began))
-        if report_dir is not None:
-            write(report_dir / "tradeoff.json", json.dumps(measured, indent=1, allow_nan=False) + "\n")
-            say(f"report: {write_tradeoff(report_dir, found, measured)}")
+        if folder is not None:
+            write(folder / "tradeoff.json", json.dumps(measured, indent=1, allow_nan=False) + "\n")
+            say(f"report: {write_tradeoff(folder, found, measured)}")
     if as_json:
         emit_json(measured)
         return

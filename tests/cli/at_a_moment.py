@@ -1,6 +1,7 @@
 """arfx, which sends a signal at one moment of its work, the same on a busy machine as on an idle one:
 
 python at_a_moment.py PHASE N SIGNAL self|group ARGUMENTS…      at the N-th call of the progress of PHASE, N from 1
+python at_a_moment.py PHASE +N SIGNAL self|group ARGUMENTS…     at the first that says N frames or more
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ def main() -> None:
     def tell(self: Any, at: str, done: int, total: int | None) -> None:
         nonlocal calls
         told(self, at, done, total)
-        calls += at == phase
-        if at == phase and calls == int(call):
+        calls += at == phase and (not call.startswith("+") or done >= int(call))
+        if at == phase and calls == (1 if call.startswith("+") else int(call)):
             (os.killpg if whom == "group" else os.kill)(os.getpid(), int(number))
 
     Progress.__call__ = tell  # type: ignore[method-assign]

@@ -56,7 +56,7 @@ Run = Callable[..., Result]
 
 
 def at_a_moment(
-    folder: Path, phase: str, call: int, number: int, arguments: list[str], group: bool = False
+    folder: Path, phase: str, call: int | str, number: int, arguments: list[str], group: bool = False
 ) -> subprocess.CompletedProcess[str]:
     """Runs the command in `folder` and a session of its own; at the call of the progress of `phase` with this number, from 1,
     it sends the signal to itself, or to all of its processes. Returns when none of them is left that holds standard error."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -10,10 +11,9 @@ import pytest
 
 from arfx.analyse.fold import PLANE, AnalysisJob
 from arfx.config.load import load
-from arfx.core import codec
 from arfx.core.facts import write_facts
 from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg
-from arfx.run import analysis
+from arfx.run import analysis, stretches
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.parameters import parameters
@@ -81,9 +81,10 @@ def test_given_poses_hold_it_in_place(material: Material, still: Path, arfx: Run
 
 
 def test_an_interrupted_analysis_leaves_the_same_bytes(
-    material: Material, still: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(analysis, "CHECKPOINT_S", -1.0)
+    still = write_clip(tmp_path / "keys.mov", 18, absent=range(18), codec="mjpeg", pixel_format="yuvj420p")
+    monkeypatch.setattr(stretches, "LEAST_FRAMES", 5)
     cv2.imwrite(str(tmp_path / "one.png"), depth_map())
     document = {
         "input": {"clip": str(still), "camera": str(material.camera), "depth": str(tmp_path / "one.png")},
@@ -99,15 +100,14 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
 
         done = analysis.analyse_clip(inputs.info, of_plane, {"environment"}, (None, None), progress, JobFolder(job), "key")
         write_facts(tmp_path / "facts.jsonl", done.analysis.facts)
-        return (tmp_path / "facts.jsonl").read_bytes(), done.span.pts
+        return (tmp_path / "facts.jsonl").read_bytes(), done.pts
 
     whole = analysed(tmp_path, None)
-    (tmp_path / "analysis.checkpoint").unlink()
-    for stop in (2, 9, 17):
+    shutil.rmtree(tmp_path / "stretches")
+    for stop, kept in ((2, 0), (9, 1), (17, 3)):
         with pytest.raises(KeyboardInterrupt):
             analysed(tmp_path, stop)
-        saved = codec.loads((tmp_path / "analysis.checkpoint").read_bytes())
-        assert len(saved["state"]["folds"]["pose"]["times_s"]) == stop - 1
+        assert len([*(tmp_path / "stretches").iterdir()]) == kept
     assert analysed(tmp_path, None) == whole
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import av
@@ -85,6 +86,33 @@ def test_pictures_turned_by_exif_are_one_camera(arfx: Run, folder: Path, tmp_pat
     assert result.code == 0, result.err
     assert (result.json["image_width"], result.json["image_height"]) == SIZE
     assert result.json["camera_matrix"][0][0] == pytest.approx(TRUE.fx, rel=0.02)
+
+
+def test_a_rig_is_calibrated_camera_by_camera(arfx: Run, folder: Path, tmp_path: Path) -> None:
+    """One that fails does not stop the others; what a first run wrote into the rig's folder is no camera of the second."""
+    rig = tmp_path / "rig"
+    for name in ("left.1", "right ü"):
+        (rig / name).mkdir(parents=True)
+        for path in sorted(folder.glob("*.png"))[:3]:
+            (rig / name / path.name).write_bytes(path.read_bytes())
+    (rig / "broken.mp4").write_bytes(b"no video")
+    (rig / "notes").mkdir()
+    command = ["calibrate", "rig", "--board", "chessboard:9x6:25mm", "-o", "rig/out/{stem}.yaml"]
+    r = arfx(*command, "--json")
+    assert r.code == 6 and r.json["failed"] == 1, r.err
+    rows = {row["input"]: row for row in r.json["cameras"]}
+    assert {name: row["exit_code"] for name, row in rows.items()} == {"rig/broken.mp4": 3, "rig/left.1": 0, "rig/right ü": 0}
+    assert rows["rig/left.1"]["calibration"]["camera_matrix"][0][0] == pytest.approx(TRUE.fx, rel=0.02)
+    assert rows["rig/broken.mp4"]["calibration"] is None and "1 of 3 rig/broken.mp4: error:" in r.err
+    made = sorted(p.name for p in (rig / "out").iterdir())
+    assert made == [f"{name}{end}" for name in ("left.1", "right ü") for end in ("-coverage.png", "-residuals.png", ".yaml")]
+    assert arfx(*command).code == 2
+    assert arfx(*command[:-1], "rig/out/x{parent}.yaml", "--overwrite").code == 2, "all to one file"
+    (rig / "broken.mp4").unlink()
+    shutil.rmtree(rig / "left.1")
+    again = arfx(*command, "--overwrite", "-q")
+    assert again.code == 0 and "1 camera, none failed" in again.out, again.err
+    assert "no pictures" in arfx("calibrate", "rig/notes", *command[2:]).err
 
 
 def test_no_board_is_exit_4_and_nothing_is_written(arfx: Run, folder: Path, tmp_path: Path) -> None:

@@ -126,7 +126,7 @@ def test_workers_and_threads_give_the_same_bytes(material: Material, arfx: Run, 
     for name, how in (("one", ("--workers", "1")), ("two", ("--workers", "2")), ("threads", ())):
         own = tmp_path / name
         own.mkdir()
-        r = arfx(*material.arguments("-o", "../" + name + ".mp4", "--job", "../job-" + name, *how), cwd=own)
+        r = arfx(*material.arguments("-o", "../" + name + ".mp4", "--job", "../job-" + name, "--end", "1.2", *how), cwd=own)
         assert r.code == 0, r.err
     assert digest(tmp_path / "one.mp4") == digest(tmp_path / "two.mp4") == digest(tmp_path / "threads.mp4")
 

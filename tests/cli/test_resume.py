@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,15 @@ import pytest
 
 from arfx.config.load import load
 from arfx.config.sections import JobConfig
-from arfx.core import codec
 from arfx.errors import ConfigError, JobInterruptedError, RenderError
 from arfx.measure.report import report_of_job
 from arfx.media import join
-from arfx.run import analysis
+from arfx.run import stretches
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
 from arfx.run.times import WorkLog
 from tests.cli.conftest import FRAMES, Material, Run
-from tests.clips import MARKER
+from tests.clips import MARKER, write_clip
 
 Progress = Callable[[str, int, int | None], None]
 
@@ -125,7 +125,8 @@ def write_rows(folder: Path, rows: list[dict[str, Any]], end: str = "") -> None:
 def test_times_of_kept_chunks_and_of_the_kept_analysis_count(material: Material, tmp_path: Path) -> None:
     config, folder = job(material, tmp_path), tmp_path / "job"
     rows = interrupted(config, folder, "render", 35)
-    assert [(r["work"], r.get("first")) for r in rows] == [("analysis", None), ("chunk", 0)]
+    assert [(r["work"], r.get("first")) for r in rows] == [("stretch", 0), ("analysis", None), ("chunk", 0)]
+    rows = rows[1:]
     rows[0]["seconds"] = {"decode": 100.0, "analyse": 200.0}
     rows[1]["stages"]["raster"], rows[1]["seconds"]["encode"] = 1000.0, 400.0
     rows[1]["walls"] = dict.fromkeys(rows[1]["walls"], 5000.0)
@@ -143,25 +144,19 @@ def test_times_of_kept_chunks_and_of_the_kept_analysis_count(material: Material,
     assert 1000 < raster["measured_s"] < 1500
 
 
-def test_time_before_the_checkpoint_counts(material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(analysis, "CHECKPOINT_S", 0.0)
-    config, folder = job(material, tmp_path), tmp_path / "job"
-    interrupted(config, folder, "analyse", 50)
-    checkpoint = folder / "analysis.checkpoint"
-    saved = codec.loads(checkpoint.read_bytes())
-    assert 0 < saved["state"]["seconds"] < 100 and len(saved["state"]["walls"]) == 1
-    saved["state"] |= {"seconds": 1049.0, "walls": dict.fromkeys(saved["state"]["walls"], 3000.0)}
-    checkpoint.write_bytes(codec.dumps(saved))
-
-    def stop(phase: str, done: int, _: int | None) -> None:
-        if phase == "analyse" and done > 60:
-            raise KeyboardInterrupt
-
-    with pytest.raises(JobInterruptedError):
-        process(config, Options(folder, resume=True, progress=stop, notice=quiet))
+def test_time_of_the_stretches_that_are_there_counts(material: Material, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stretches, "LEAST_FRAMES", 20)
+    clip = write_clip(tmp_path / "keys.mov", 60, codec="mjpeg", pixel_format="yuvj420p")
+    config, folder = job(replace(material, clip=clip), tmp_path), tmp_path / "job"
+    rows = interrupted(config, folder, "analyse", 50)
+    assert [(r["work"], r["first"], r["last"]) for r in rows] == [("stretch", 0, 19), ("stretch", 20, 39)]
+    rows[0]["seconds"] = {"decode": 49.0, "analyse": 1000.0}
+    rows[1]["walls"] = dict.fromkeys(rows[1]["walls"], 3000.0)
+    other = {**rows[0], "key": "of another setting"}  # made, but not of this analysis
+    write_rows(folder, [*rows, other])
     timing = process(config, Options(folder, resume=True, notice=quiet))["timing"]
-    assert timing["resumed"] and timing["processes"] == 3 and timing["analyse_s"] > 0
-    assert 1049 < timing["decode_s"] + timing["analyse_s"] < 1300 and 3000 < timing["wall_s"] < 3500
+    assert timing["resumed"] and timing["processes"] == 2 and timing["analyse_s"] > 1000 and timing["decode_s"] > 49
+    assert timing["decode_s"] + timing["analyse_s"] < 1300 and 3000 < timing["wall_s"] < 3500
 
 
 def test_a_kept_chunk_whose_time_nobody_noted_is_said(material: Material, tmp_path: Path) -> None:
@@ -174,7 +169,7 @@ def test_a_kept_chunk_whose_time_nobody_noted_is_said(material: Material, tmp_pa
 def test_a_job_that_starts_afresh_counts_its_own_time_alone(material: Material, tmp_path: Path, arfx: Run) -> None:
     config, folder = job(material, tmp_path), tmp_path / "job"
     rows = interrupted(config, folder, "render", 35)
-    rows[1]["stages"]["raster"] = 1000.0
+    rows[2]["stages"]["raster"] = 1000.0
     write_rows(folder, rows)
     timing = process(config, Options(folder, overwrite=True, notice=quiet))["timing"]
     assert timing["resumed"] is False and timing["processes"] == 1 and timing["render_s"] < 500

@@ -36,17 +36,17 @@ def killed(rng: random.Random, folder: Path, material: Path) -> Case:
 
     case.stop = moment()
     if rng.random() < 0.7:
-        case.start = _checkpoints  # of the analysis, after every frame
+        case.start = _short_stretches  # of the analysis
     if rng.random() < 0.3:
         case.stop_again = moment()
     case.after, case.codes, case.note = [*case.args, "--resume"], frozenset({0}), f"SIGKILL at {case.stop[1:]}"
     return case
 
 
-def _checkpoints() -> None:
-    from arfx.run import analysis
+def _short_stretches() -> None:
+    from arfx.run import stretches
 
-    analysis.CHECKPOINT_S = 0.0
+    stretches.LEAST_FRAMES = 10
 
 
 def signalled(rng: random.Random, folder: Path, material: Path) -> Case:

@@ -82,6 +82,7 @@ def arfx(site: Path, folder: Path) -> Run:
 
 
 GRAINY = ("--set", "film_grain.strength=0.05", "--codec", "ffv1", "--overwrite")
+AGAIN = (*GRAINY, "--workers", "1", "-o", "grain.mkv", "--job", "grain.job", "--resume")
 
 
 @pytest.fixture(scope="module")
@@ -92,8 +93,17 @@ def rendered(arfx: Run, folder: Path) -> Path:
     return folder / "grain.job"
 
 
+def key(job: Path) -> str:
+    return str(json.loads((job / "seal.json").read_text())["job_key"])
+
+
 @pytest.fixture(scope="module")
-def told(site: Path, folder: Path, rendered: Path) -> dict[str, Result]:
+def first_key(rendered: Path) -> str:
+    return key(rendered)
+
+
+@pytest.fixture(scope="module")
+def told(site: Path, folder: Path, first_key: str) -> dict[str, Result]:
     """What commands say that run, in this order and after `rendered`, in one process: each of its own takes seconds to start."""
     plan = ["plan", *JOB, "--pipeline", "film_grain"]
     costs = ["--pipeline", "film_grain", "--formula", "paper", "--frames", "1", "--report", "tradeoff", "--json"]
@@ -105,6 +115,7 @@ def told(site: Path, folder: Path, rendered: Path) -> dict[str, Result]:
         "in budget again": [*plan, "--budget", "60s", "--json"],
         "tradeoff": ["tradeoff", *JOB, *costs],
         "without": ["process", *JOB, "--set", "film_grain.strength=0", *GRAINY[2:], "--workers", "1", "-o", "bare.mkv"],
+        "again": ["process", *JOB, *AGAIN],
     }
     p = subprocess.run(
         [sys.executable, "-c", SEVERAL, json.dumps(list(commands.values()))], cwd=folder, env=environment(site, folder),
@@ -138,17 +149,14 @@ def test_the_report_tells_what_it_did(rendered: Path, folder: Path) -> None:
     assert "film_grain" in (folder / "report" / "report.html").read_text()
 
 
-def test_what_another_version_of_it_rendered_is_not_used_again(arfx: Run, rendered: Path, site: Path, tmp_path: Path) -> None:
-    def key() -> str:
-        return str(json.loads((rendered / "seal.json").read_text())["job_key"])
-
-    first = key()
-    again = ("process", *GRAINY, "--workers", "1", "-o", "grain.mkv", "--job", "grain.job", "--resume")
-    assert arfx(*again).code == 0 and key() == first
+def test_what_another_version_of_it_rendered_is_not_used_again(
+    arfx: Run, told: dict[str, Result], rendered: Path, first_key: str, site: Path, tmp_path: Path
+) -> None:
+    assert told["again"].code == 0 and key(rendered) == first_key
     shutil.copytree(site, tmp_path / "other")
     with (tmp_path / "other" / "arfx_film_grain.py").open("a") as f:
         f.write("# another\n")
-    assert arfx(*again, at=tmp_path / "other").code == 0 and key() != first
+    assert arfx("process", *AGAIN, at=tmp_path / "other").code == 0 and key(rendered) != first_key
 
 
 def test_without_a_price_a_plan_says_so_and_a_budget_is_refused_until_it_is_measured(told: dict[str, Result]) -> None:

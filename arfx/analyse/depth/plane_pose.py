@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class PlanePose(Fold):
         if self.job.poses is None:
             self.rest.step(frame.time_s, frame.luma)
         self.times_s.append(frame.time_s)
+
+    def join(self, later: Self, shift: int) -> None:
+        self.times_s += later.times_s
+        self.rest.join(later.rest)
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError: no plane, or a camera that moves and no poses."""

@@ -26,6 +26,7 @@ LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
 NARROW_DEG, MOST_CONDITION = 30.0, 700.0  # of normals within so few degrees: beyond, errors of their poses pass for light
 # Shares of degree 0, 1, 2 of max(c, 0) and of ((c + 1) / 2)^2: their Legendre coefficients times 4 pi / (2 l + 1)
 _COSINE, _DOME = np.pi * np.array([1, 2 / 3, 1 / 4]), np.pi * np.array([4 / 3, 2 / 3, 2 / 15])
+_AT_ONCE = 4096  # normals that are held against all others at a time: bounds memory
 _SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
 
 
@@ -141,7 +142,8 @@ def fit(
         count = int(np.size(normals) // 3)
         return LightFit(REFUSED, "no usable observation", np.zeros((1, 3)), np.zeros((1, 3)), ignored=count)
     unit = s.normals / np.linalg.norm(s.normals, axis=1, keepdims=True)
-    span_deg = float(np.degrees(np.arccos(np.clip((unit @ unit.T).min(), -1, 1))))
+    apart = min(float((unit[k : k + _AT_ONCE] @ unit.T).min()) for k in range(0, len(unit), _AT_ONCE))
+    span_deg = float(np.degrees(np.arccos(np.clip(apart, -1, 1))))
     about: dict[str, Any] = {"condition": min(s.condition(), 1e12), "span_deg": span_deg, "ignored": s.ignored}
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
     seen = np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups]) * s.scale  # (g, 3)

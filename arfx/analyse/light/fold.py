@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from itertools import groupby
+from typing import Any, Self
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, Picture, Stateful
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, Picture, Stateful, shifted
 from arfx.analyse.light import patches
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
 from arfx.analyse.light.photometry import Photometry, Tolerances
@@ -33,7 +34,7 @@ Reading = tuple[int, str, patches.Patches]
 Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, LightParams], tuple[Photometry, LightReading | None]]
 SURROUNDINGS_S = 0.5  # between two looks at the surroundings
 SURROUNDINGS_PX = 96  # width of the picture that is looked at
-MOST_ENVIRONMENT_SAMPLES = 240  # beyond that every second one is dropped, and the interval doubled
+MOST_ENVIRONMENT_SAMPLES = 240  # about: in a clip that would give more the interval is longer
 SHARP_PX = 0.7  # blur assumed where it could not be measured
 _AROUND_PX = 2
 THREE_ASKED = 1.221  # width of an interval for one of three questions at .95 of all (Bonferroni), over the width for one
@@ -56,7 +57,7 @@ class LightOfMarkers(Fold):
         for key, print_ in job.prints.items():
             self._meters[key] = [patches.pattern_meter(print_, ink, paper, soft) for soft in patches.SOFT]
         self.readings: list[Reading] = []
-        self._surroundings = EnvironmentSamples()
+        self._surroundings = EnvironmentSamples(job.length_s)
 
     @property
     def samples(self) -> list[EnvironmentSample]:
@@ -81,6 +82,10 @@ class LightOfMarkers(Fold):
                 return environment_sample(frame.index, small, (corners_px + 0.5) * (small.shape[1] / width) - 0.5)
 
             self._surroundings.step(frame.time_s, picture, sample)
+
+    def join(self, later: Self, shift: int) -> None:
+        self.readings += shifted(later.readings, shift)
+        self._surroundings.join(later._surroundings, shift)
 
     def finish(self, clip: Analysis) -> Analysis:
         return with_light(clip, self.readings, self.samples, self.job.light, self.job.panorama)
@@ -115,11 +120,14 @@ class LightOnPlane(Fold):
     def __init__(self, job: AnalysisJob, pose: Fold) -> None:
         super().__init__(job)
         self.samples: list[EnvironmentSample] = []
-        self._pictures = EnvironmentSamples()
+        self._pictures = EnvironmentSamples(job.length_s)
 
     def step(self, frame: AnalysisFrame) -> None:
         if frame.picture is not None:
             self._pictures.step(frame.time_s, frame.picture, lambda small: (frame.index, small))
+
+    def join(self, later: Self, shift: int) -> None:
+        self._pictures.join(later._pictures, shift)
 
     def finish(self, clip: Analysis) -> Analysis:
         camera = self.job.camera
@@ -133,23 +141,31 @@ class LightOnPlane(Fold):
 
 
 class EnvironmentSamples(Stateful):
-    """What is made of the frames' small pictures at some times, evenly over the clip so far."""
+    """What is made of the frames' small pictures at some times, evenly over the clip. length_s : of all frames"""
 
-    def __init__(self) -> None:
+    given = frozenset({"_interval_s"})
+    carried = frozenset({"_next_s"})
+
+    def __init__(self, length_s: float = 0.0) -> None:
         self.samples: list[Any] = []
-        self._next_s, self._interval_s = -np.inf, SURROUNDINGS_S
+        self._next_s: float | None = None
+        self._interval_s = max(SURROUNDINGS_S, length_s / MOST_ENVIRONMENT_SAMPLES)
 
     def step(self, time_s: float, picture: Picture, sample: Callable[[np.ndarray], Any], width: int = SURROUNDINGS_PX) -> None:
         """width : of the small picture, at most"""
+        if self._next_s is None:  # at once, unless not every stretch has one
+            self._next_s = (
+                -np.inf if self._interval_s == SURROUNDINGS_S else self._interval_s * np.ceil(time_s / self._interval_s)
+            )
         if time_s < self._next_s:
             return
         self._next_s = time_s + self._interval_s
         small = picture.reduced(width)
         if min(small.shape[:2]) >= 3:
             self.samples.append(sample(small))
-        if len(self.samples) > MOST_ENVIRONMENT_SAMPLES:
-            self.samples = self.samples[::2]
-            self._interval_s *= 2
+
+    def join(self, later: EnvironmentSamples, shift: int) -> None:
+        self.samples += shifted(later.samples, shift)
 
 
 class Environment(Fold):
@@ -161,11 +177,14 @@ class Environment(Fold):
     def __init__(self, job: AnalysisJob, light: LightOfMarkers | LightOnPlane) -> None:
         super().__init__(job)
         self._light = light
-        self._looks = EnvironmentSamples()
+        self._looks = EnvironmentSamples(job.length_s)
 
     def step(self, frame: AnalysisFrame) -> None:
         if frame.picture is not None:
             self._looks.step(frame.time_s, frame.picture, lambda small: Look(frame.index, small.astype(np.float16)), LOOK_PX)
+
+    def join(self, later: Self, shift: int) -> None:
+        self._looks.join(later._looks, shift)
 
     def finish(self, clip: Analysis) -> Analysis:
         job, anchor, still_camera = self.job, clip.world_from_anchor, clip.static == "camera"
@@ -207,7 +226,7 @@ def with_light(
     spans: list[dict[str, Any]] = []
     known: set[int] = set()  # frames whose lamps are known: what they do not light lies in a real shadow
     # frames that share one static frame: the whole clip, or each shot where the camera's axes are the static ones
-    shared = [[k for k in posed if facts[k].shot == s] for s in sorted({facts[k].shot for k in posed})] if turns else [[*posed]]
+    shared = [[*group] for _, group in groupby(posed, lambda k: facts[k].shot)] if turns else [[*posed]]
     for shots in filter(None, shared):
         part = static_frame_light(shots, facts, static_from_world, readings, params)
         light, stated, why = None, False, f"environment {params.environment} given"

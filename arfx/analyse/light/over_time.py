@@ -63,9 +63,10 @@ def fit_over_time(
     n, E, v = n[fine], E[fine], v[fine]
     if not fine.any():
         return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, params), ignored=len(fine)), 0)]
-    times = times[fine]
+    order = np.argsort(times[fine], kind="stable")  # what lies between two times is a slice
+    times, n, E, v = times[fine][order], n[order], E[order], v[order]
 
-    def run(rows: np.ndarray, group: np.ndarray | None, lit: np.ndarray | None = None, lights: int = 2) -> LightFit:
+    def run(rows: np.ndarray | slice, group: np.ndarray | None, lit: np.ndarray | None = None, lights: int = 2) -> LightFit:
         p = replace(params, most_lights=min(params.most_lights, lights))
         return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit)
 
@@ -73,7 +74,7 @@ def fit_over_time(
     several = np.mean(_mean_lengths(times, n) < np.cos(np.radians(_APART_DEG / 2))) > 0.5
     agree_deg = params.limit_deg if several else min(params.limit_deg, _AGREE_DEG)
 
-    def confirmed(found: LightFit, halves: list[np.ndarray], group: np.ndarray | None) -> LightFit:
+    def confirmed(found: LightFit, halves: Sequence[np.ndarray | slice], group: np.ndarray | None) -> LightFit:
         """By halves that say where the lights are, if there are as many."""
         if not found.claimed:
             return found
@@ -83,6 +84,10 @@ def fit_over_time(
         if not found.claimed or found.model_error > _GOOD_ERROR:
             return False
         return drift(times[rows], n[rows], E[rows], group) <= _MOST_DRIFT
+
+    def between(a: float, b: float) -> slice:
+        """From a up to b; the last observation is in the last one."""
+        return slice(int(np.searchsorted(times, a)), len(times) if b == stop else int(np.searchsorted(times, b)))
 
     every = np.ones(len(times), bool)
     start, stop = float(times.min()), float(times.max())
@@ -123,10 +128,14 @@ def fit_over_time(
     name, best, spans = min(held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)), default=(WINDOWS, None, []))
     if best is not None and len(best.lights) == 1:
         return name, spans
-    pieces = [(times >= a) & ((times < b) | (b == stop)) for a, b in pairwise(segments)]
+    pieces = [between(a, b) for a, b in pairwise(segments)]
     alone = [run(rows, None) for rows in pieces]
     steady = [holds(f, None, rows) for f, rows in zip(alone, pieces, strict=True)]
-    simple = (ok and len(f.lights) == 1 for f, rows, ok in zip(alone, pieces, steady, strict=True) if rows.sum() >= _LEAST_PIECE)
+    simple = (
+        ok and len(f.lights) == 1
+        for f, rows, ok in zip(alone, pieces, steady, strict=True)
+        if rows.stop - rows.start >= _LEAST_PIECE
+    )
     if best is not None and not all(simple):
         return name, spans
     spans = []  # one light of its own in each segment, or two for all: the former is simpler
@@ -135,8 +144,10 @@ def fit_over_time(
             spans.append(Span(a, b, found, 0))
             continue
         for c, d in pairwise(window_edges(a, b, (), window_s)):
-            inside, second = (times >= c) & ((times < d) | (d == stop)), times > (c + d) / 2
-            spans.append(Span(c, d, confirmed(run(inside, None), [inside & ~second, inside & second], None), 0))
+            inside = between(c, d)
+            middle = min(max(int(np.searchsorted(times, (c + d) / 2, side="right")), inside.start), inside.stop)
+            halves = [slice(inside.start, middle), slice(middle, inside.stop)]
+            spans.append(Span(c, d, confirmed(run(inside, None), halves, None), 0))
     if any(s.fit.claimed for s in spans):
         return WINDOWS, spans
     last = confirmed(constant, [~late, late], None)

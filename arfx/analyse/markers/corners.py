@@ -2,6 +2,7 @@
 
 Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples share (shared_px).
 `EdgeRefiner` decides once per clip in which values edges are symmetric, light or code: until then both are computed and kept.
+Each stretch decides for itself; one that decided otherwise than the clip before it is made again (`settle`).
 Leaves out: rolling shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker."""
 
 from __future__ import annotations
@@ -170,6 +171,7 @@ class EdgeRefiner(Stateful):
         self.transfer = transfer
         self.table = linear_table(LIGHT if transfer == AUTO else transfer)
         self._skews: list[tuple[float, float]] = []
+        self._frames = 0  # with a marker, before the decision
         self._other: list[tuple[int, tuple[Detection, ...]]] = []  # what frames would be in code
 
     def refine(self, frame: int, luma: np.ndarray, found: Sequence[Candidate], camera: Camera) -> tuple[Detection, ...]:
@@ -181,13 +183,29 @@ class EdgeRefiner(Stateful):
             second, skew_code = _refined(luma, found, linear_table(CODE), camera)
             both = np.stack([skew, skew_code], -1)
             self._skews += [(float(a), float(b)) for a, b in both[np.isfinite(both).all(1)]]
+            self._frames += 1
             self._other.append((frame, second))
-            if len(self._skews) >= SIGHTINGS or len(self._other) >= FRAMES:
-                in_light, in_code = np.abs(np.median(np.array(self._skews or [(0.0, 0.0)]), axis=0))
-                self.transfer = CODE if in_light > _SKEWED and in_code < 0.5 * in_light else LIGHT
-                self.table = linear_table(self.transfer)
-                self._other = self._other if self.transfer == CODE else []
+            if len(self._skews) >= SIGHTINGS or self._frames >= FRAMES:
+                self._decide(_transfer_of(self._skews))
         return first
+
+    def _decide(self, transfer: str) -> None:
+        self.transfer, self.table = transfer, linear_table(transfer)
+        self._other = self._other if transfer == CODE else []
+
+    def settle(self, later: EdgeRefiner) -> str | None:
+        """Decide with what the next stretch saw, if that is enough. Returns the transfer to make it again with, or None"""
+        if self.transfer == AUTO:
+            self._skews += later._skews
+            self._frames += later._frames
+            if len(self._skews) >= SIGHTINGS or self._frames >= FRAMES:
+                self._decide(_transfer_of(self._skews))
+        return None if later.transfer in (AUTO, self.transfer) else self.transfer
+
+    def join(self, later: EdgeRefiner, shift: int) -> None:
+        """Add the next stretch, which is settled."""
+        if self.transfer in (AUTO, CODE):
+            self._other += [(frame + shift, second) for frame, second in later._other]
 
     def corrections(self) -> list[tuple[int, tuple[Detection, ...]]]:
         """(frame, sightings) to replace, once, after a decision against what was assumed."""
@@ -195,6 +213,12 @@ class EdgeRefiner(Stateful):
             return []
         out, self._other = self._other, []
         return out
+
+
+def _transfer_of(skews: Sequence[tuple[float, float]]) -> str:
+    """LIGHT or CODE. skews : of edges in light and in code"""
+    in_light, in_code = np.abs(np.median(np.array(skews or [(0.0, 0.0)]), axis=0))
+    return CODE if in_light > _SKEWED and in_code < 0.5 * in_light else LIGHT
 
 
 def _refined(

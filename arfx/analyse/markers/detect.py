@@ -25,7 +25,7 @@ SCANNED_FAMILIES = (
 )  # fmt: skip
 
 _REDUCED_WINDOW_PX = 9
-_FIRST, _GROWTH = 3, 2  # looks at processed frames 3, 6, 12, 24 ...: few even in a long clip
+_FIRST = 3  # looks at frames 3, 6, 12, 24 ...: few even in a long clip
 
 
 @dataclass(frozen=True)
@@ -130,17 +130,20 @@ class DictionaryScan(Stateful):
 
     def __init__(self) -> None:
         self.looked = 0
-        self.next_frame = _FIRST
         self.counts: Counter[str] = Counter()
 
     def step(self, frame: int, luma: np.ndarray) -> None:
-        if frame != self.next_frame:
+        times, rest = divmod(frame, _FIRST)
+        if rest or times.bit_count() != 1:
             return
-        self.next_frame *= _GROWTH
         self.looked += 1
         # 14 px: smaller squares of weak dictionaries are found in any texture
         found = MarkerDetector(SCANNED_FAMILIES, min_side_px=14.0, inverted=False).search(luma)
         self.counts.update({c.key for c in found})
+
+    def join(self, later: DictionaryScan) -> None:
+        self.looked += later.looked
+        self.counts.update(later.counts)
 
     def text(self) -> str:
         """ "4X4_1000:7 (2 of 3 sampled frames), ..." likeliest first, or an empty string."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
 from arfx.analyse.markers.corners import EdgeRefiner
 from arfx.analyse.markers.detect import Detection, DictionaryScan, Record
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
@@ -25,6 +26,7 @@ class Markers(Fold):
 
     name = "markers"
     given = frozenset({"job", "_coded"})
+    carried = frozenset({"detections", "prints", "_tracker", "_patterns"})
 
     def __init__(self, job: AnalysisJob) -> None:
         super().__init__(job)
@@ -40,10 +42,9 @@ class Markers(Fold):
         self.detections: tuple[Detection, ...] = ()
         self.prints: tuple[Detection, ...] = ()
         self._coded = [m for m in job.markers if isinstance(m, MarkerSpec)]
-        self._tracker = Tracker([m.key for m in self._coded], job.params)
         ink, paper = job.light.ink, job.light.paper
         prints = [PatternPicture(key, coded_luma(picture, ink, paper)) for key, picture in job.prints.items()]
-        self._patterns = PatternTracker(prints, job.params)
+        self._tracker, self._patterns = Tracker([m.key for m in self._coded], job.params), PatternTracker(prints, job.params)
         self._refiner = EdgeRefiner(job.params.transfer)
         self._cut, self._survey = ShotDetector(), DictionaryScan()
         self._others: Counter[str] = Counter()
@@ -63,9 +64,8 @@ class Markers(Fold):
             if records:
                 raise InputError(f"frame {index} is {luma.shape[1]}x{luma.shape[0]}, the frames before it are not")
             self.camera = self.camera.scaled_to(luma.shape[1], luma.shape[0])
-        if index != len(records) or (records and time_s <= records[-1].time_s):
-            last = f" after frame {records[-1].index} at {records[-1].time_s:g} s" if records else ", which is not the first"
-            raise InputError(f"frame {index} at {time_s:g} s comes{last}")
+        if records and (index != records[-1].index + 1 or time_s <= records[-1].time_s):
+            raise InputError(f"frame {index} at {time_s:g} s comes after frame {records[-1].index} at {records[-1].time_s:g} s")
         found = self._tracker.step(frame.time_s, luma, frame.following)
         patterns, searched = self._patterns.step(frame.time_s, luma, self.camera)
         refined = self._refiner.refine(frame.index, luma, (*found.sightings, *found.duplicates), self.camera)
@@ -77,10 +77,48 @@ class Markers(Fold):
             self._survey.step(frame.index, luma)
         whole = found.whole or searched
         self.records.append(Record(frame.index, frame.time_s, self.detections, duplicates, whole, self._cut.step(luma)))
-        for k, replaced in self._refiner.corrections():
-            was = self.records[k]
+        self._correct()
+
+    def _correct(self) -> None:
+        first = self.records[0].index if self.records else 0
+        for index, replaced in self._refiner.corrections():
+            was = self.records[index - first]
             n = len(replaced) - len(was.duplicates)
-            self.records[k] = replace(was, detections=(*replaced[:n], *was.detections[n:]), duplicates=replaced[n:])
+            self.records[index - first] = replace(was, detections=(*replaced[:n], *was.detections[n:]), duplicates=replaced[n:])
+
+    def end(self, frame: AnalysisFrame) -> dict[str, Any] | None:
+        """Where the prints that are followed were, unless a search of that frame finds each of them."""
+        anew = self._tracker.anew(), self._patterns.anew()
+        found = anew[0].step(frame.time_s, frame.luma, None)
+        anew[1].step(frame.time_s, frame.luma, self.camera)
+        if self._tracker.led_on(found, frame.time_s) and self._patterns.led_on(anew[1], frame.time_s):
+            return None
+        return {"tracker": self._tracker.state(), "patterns": self._patterns.state()}
+
+    def go_on(self, lost: dict[str, Any]) -> None:
+        self._tracker.restore(lost["tracker"])
+        self._patterns.restore(lost["patterns"])
+
+    def settle(self, later: Self) -> dict[str, Any]:
+        transfer = self._refiner.settle(later._refiner)
+        return {} if transfer is None else {"transfer": transfer}
+
+    def join(self, later: Self, shift: int) -> None:
+        """Raises InputError where the frames have another size."""
+        mine, others = ((c.width, c.height) for c in (self.camera, later.camera))
+        if later.records:
+            if self.records and mine != others:
+                raise InputError(f"frame {len(self.records)} is {others[0]}x{others[1]}, the frames before it are not")
+            self.camera = later.camera
+        records, unlike = shifted(later.records, shift), self._cut.join(later._cut)
+        records[: len(unlike)] = [replace(r, dissimilarity=d) for r, d in zip(records, unlike, strict=False)]
+        self.records += records
+        self._refiner.join(later._refiner, shift)
+        self._correct()
+        self._others.update(later._others)
+        if not self._ever_seen:
+            self._survey.join(later._survey)
+        self._ever_seen |= later._ever_seen
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError if no configured marker was ever seen, saying what was."""

@@ -51,6 +51,22 @@ class PatternTracker(Stateful):
         self.frames = 0
         self.last_whole_s = -math.inf
 
+    def anew(self) -> PatternTracker:
+        """One that has seen nothing."""
+        return PatternTracker(self._pictures, self._params)
+
+    def led_on(self, other: PatternTracker, time_s: float) -> bool:
+        """Whether `other` has just seen every print that is followed here, where it was expected."""
+        for key, track in self.tracks.items():
+            if track.missing:
+                continue
+            if (seen := other.tracks.get(key)) is None:
+                return False
+            expected, side = track.predicted(time_s).mean(0), float(np.linalg.norm(np.diff(track.ideal, axis=0), axis=1).mean())
+            if np.linalg.norm(seen.ideal.mean(0) - expected) > 0.5 * side:
+                return False
+        return True
+
     def step(self, time_s: float, luma: np.ndarray, camera: Camera) -> tuple[tuple[Detection, ...], bool]:
         """(the patterns that the frame shows, whether it was searched whole at full resolution)"""
         found: dict[str, Alignment] = {}

@@ -77,6 +77,21 @@ class Tracker(Stateful):
         families = [k.rsplit(":", 1)[0] for k in keys]
         self.detector = MarkerDetector(families, params.min_side_px, params.detect_inverted)
 
+    def anew(self) -> Tracker:
+        """One that has seen nothing."""
+        return Tracker(self.keys, self.params)
+
+    def led_on(self, found: Found, time_s: float) -> bool:
+        """Whether another one, which has seen nothing before, found every print that is followed here, and no other one of the
+        same key nearer to where it was expected."""
+        for key, track in self.tracks.items():
+            expected = track.predicted(time_s)
+            seen = [c.quad_px.mean(0) for c in (*found.sightings, *found.duplicates) if c.key == key]
+            away = [float(np.linalg.norm(centre - expected)) for centre in seen]
+            if (away and away[0] > min(away)) or (not away and not track.missing):
+                return False
+        return True
+
     def step(self, time_s: float, luma: np.ndarray, following: Callable[[], np.ndarray] | None = None) -> Found:
         """following : luma of the frame that comes next; None = there is none, or it is not known yet"""
         height, width = luma.shape

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 
@@ -44,6 +45,12 @@ class Advection(Fold):
 
     def step(self, frame: AnalysisFrame) -> None:
         self._motion.step(frame.index, frame.luma)
+
+    def end(self, frame: AnalysisFrame) -> None:
+        self._motion.end(frame.index, frame.luma)
+
+    def join(self, later: Self, shift: int) -> None:
+        self._motion.join(later._motion, shift)
 
     def finish(self, clip: Analysis) -> Analysis:
         camera = self.job.camera.scaled_to(*self._motion.size)

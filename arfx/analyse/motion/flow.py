@@ -1,8 +1,9 @@
 """How the picture moves: dense optical flow (DIS) on a small frame, folded into what paint needs to stay where it lies.
 
 `BackgroundMotion` compares each frame with a key frame: while the picture has moved by less than HOLD_PX the epoch stays,
-so that a resting camera gathers no drift. The flow is good to a tenth of a px of the small frame; `refined` makes that some
-hundredths, by a step of Gauss and Newton on the nodes: what all nodes ask for together (an affine motion) first, then each one.
+so that a resting camera gathers no drift. Every stretch of the clip begins with a key frame. The flow is good to a tenth of a px
+of the small frame; `refined` makes that some hundredths, by a step of Gauss and Newton on the nodes: what all nodes ask for
+together (an affine motion) first, then each one.
 Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame."""
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import cv2
 import numba
 import numpy as np
 
-from arfx.analyse.fold import Stateful
+from arfx.analyse.fold import Stateful, shifted
 from arfx.core.advection import STEPS_PER_PX
 from arfx.core.codec import serialisable
 from arfx.core.numerics import divide
@@ -67,6 +68,8 @@ def node_positions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
 class BackgroundMotion(Stateful):
     """Collects MotionSteps, in order. size : width, height of the frames"""
 
+    carried = frozenset({"_reference", "_last"})
+
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
         self._reference: np.ndarray | None = None
@@ -75,6 +78,18 @@ class BackgroundMotion(Stateful):
 
     def step(self, index: int, luma: np.ndarray) -> None:
         """Take the next frame. luma : (h, w) uint8."""
+        self._take(index, luma, False)
+
+    def end(self, index: int, luma: np.ndarray) -> None:
+        """The stretch is over; its last step leads to the first frame of the next, a key frame."""
+        self._take(index, luma, True)
+
+    def join(self, later: BackgroundMotion, shift: int) -> None:
+        steps = shifted(later.steps, shift)  # the first of which says of its frame only that it is the first
+        self.steps += steps[1:] if self.steps and steps and self.steps[-1].index == steps[0].index else steps
+        self.size = later.size if later.steps else self.size
+
+    def _take(self, index: int, luma: np.ndarray, key: bool) -> None:
         h, w = luma.shape
         factor = max(w / WIDTH_PX, 1.0)
         small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
@@ -89,9 +104,9 @@ class BackgroundMotion(Stateful):
         back = np.round(back * STEPS_PER_PX) / STEPS_PER_PX
         inside = (slice(BORDER, -BORDER),) * 2
         moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
-        if float(np.quantile(moved, 0.9)) <= HOLD_PX:
+        if float(np.quantile(moved, 0.9)) <= HOLD_PX and not key:
             return
-        far = float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_FRACTION * w or agreed < _CHANGED
+        far = key or float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_FRACTION * w or agreed < _CHANGED
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
         self._last = None if far else back
         if far:

@@ -7,19 +7,21 @@ Source: docs/methods/pose.md#rest."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from arfx.analyse.fold import Stateful
 from arfx.core.camera import Camera
+from arfx.core.codec import serialisable
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 
 WIDTH_PX = 320  # of the reduced image
 INTERVAL_S = 0.33
-MAX_SAMPLES = 120  # older ones are thinned out evenly beyond that: memory does not grow with the clip
+MAX_SAMPLES = 120  # about so many are taken, evenly over the clip: memory does not grow with it
 POINTS = 40
 LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
 NEAREST = 1 / 3  # of the marker's distance: nothing before that is taken for background
@@ -36,15 +38,31 @@ _LEAST_POINTS = 8
 _WINDOW_PX, _NOISE = 15, 5.0  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
 
 
-class BackgroundFlow(Stateful):
-    """Collects corner flow: pairs of frames with matched points, in full-resolution px."""
+@serialisable
+@dataclass(frozen=True, eq=False)
+class FlowSample:
+    """Corners that were followed. index : number of the first frame;  frames : by so many the second one is later
+    pixel_px : of the reduced image, clip px;  here, there : (n, 2) px of the clip"""
 
-    def __init__(self) -> None:
+    index: int
+    frames: int
+    pixel_px: int
+    here: np.ndarray
+    there: np.ndarray
+
+
+class BackgroundFlow(Stateful):
+    """Collects corner flow: pairs of frames with matched points. length_s : of all frames"""
+
+    given = frozenset({"_stride"})
+    carried = frozenset({"_image", "_points", "_index", "_time_s"})
+
+    def __init__(self, length_s: float = 0.0) -> None:
         self._image: np.ndarray | None = None
         self._points = [np.zeros((0, 2), np.float32)] * 2  # in the image itself, and in the evened one
         self._index, self._time_s = 0, -np.inf
-        self._count, self._stride = 0, 1
-        self.samples: list[dict] = []  # {"a": frame, "b": frame, "from": (n, 2), "to": (n, 2)}
+        self._stride = max(int(np.ceil(length_s / INTERVAL_S / MAX_SAMPLES)), 1)
+        self.samples: list[FlowSample] = []
 
     def step(self, index: int, time_s: float, luma: np.ndarray, markers: Iterable[Rect], fresh: bool) -> None:
         """markers : rectangles that hold configured or other markers;  fresh : a marker was measured in this frame."""
@@ -61,6 +79,9 @@ class BackgroundFlow(Stateful):
         if not fresh:
             self._image, self._time_s = None, -np.inf
             return
+        if int(time_s / INTERVAL_S) % self._stride:
+            self._image, self._time_s = None, time_s
+            return
         mask = np.full(small.shape, 255, np.uint8)
         for r in markers:
             grown = r.pad(max(r.width, r.height) // 3)
@@ -71,9 +92,6 @@ class BackgroundFlow(Stateful):
 
     def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
         assert self._image is not None
-        self._count += 1
-        if self._count % self._stride:
-            return
         from_, to = [], []
         views = (self._image, small), (_local_contrast(self._image), _local_contrast(small))
         for points, (before, now) in zip(self._points, views, strict=True):
@@ -90,10 +108,7 @@ class BackgroundFlow(Stateful):
         if not from_:
             return
         a, b = ((np.concatenate(p).astype(float) + 0.5) * factor - 0.5 for p in (from_, to))
-        self.samples.append({"a": self._index, "b": index, "px": factor, "from": a.round(3), "to": b.round(3)})
-        if len(self.samples) > MAX_SAMPLES:
-            self.samples = self.samples[::2]
-            self._stride *= 2
+        self.samples.append(FlowSample(self._index, index - self._index, factor, a.round(3), b.round(3)))
 
 
 def _corners(image: np.ndarray, most: int, mask: np.ndarray) -> np.ndarray:
@@ -111,20 +126,20 @@ def _local_contrast(image: np.ndarray) -> np.ndarray:
 
 
 def decide_static(
-    samples: Sequence[Mapping], camera_from_world: Mapping[int, Pose], camera: Camera
+    samples: Sequence[FlowSample], camera_from_world: Mapping[int, Pose], camera: Camera
 ) -> tuple[str, dict[str, float]]:
     """("camera" | "marker" | "both", evidence).
 
     samples : BackgroundFlow.samples;  camera_from_world : smoothed poses by frame
     evidence : samples, share of background points at rest, share that move with the marker's world, marker_moves_px.
     Without evidence the answer is "both": nothing is known to stand still."""
-    posed = [s for s in samples if s["a"] in camera_from_world and s["b"] in camera_from_world]
-    every = [np.zeros((0, 2)), *(np.asarray(s[end], float) for s in posed for end in ("from", "to"))]
+    posed = [s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()]
+    every = [np.zeros((0, 2)), *(end for s in posed for end in (s.here, s.there))]
     ideal = np.split(camera.normalised(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1])[1:]
     rest, along, moves = [], [], []
     for s, from_, to in zip(posed, ideal[::2], ideal[1::2], strict=True):
-        a, b = camera_from_world[s["a"]], camera_from_world[s["b"]]
-        still, way = STILL_PX * s["px"], np.linalg.norm(s["to"] - s["from"], axis=1)
+        a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
+        still, way = STILL_PX * s.pixel_px, np.linalg.norm(s.there - s.here, axis=1)
         rest.append(float((way < still).mean()))
         missed = camera.fx * epipolar_distance(from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2]))
         along.append(float((missed < 2 * still + DRIFT * way).mean()))
@@ -153,11 +168,16 @@ def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: f
 
 
 class RestCheck(Stateful):
-    """Fed the frames in order. moved_px : the farthest that the middle corner was seen from its place, clip px"""
+    """Fed the frames in order. moved_px : the farthest that the middle corner was seen from its place, clip px
+
+    Each stretch is held against its own first picture, and that against the clip's."""
+
+    carried = frozenset({"_next_s"})
 
     def __init__(self) -> None:
         self._first: np.ndarray | None = None
         self._points = np.zeros((0, 2), np.float32)
+        self._factor = 1  # clip px in one of the reduced picture
         self._next_s = -np.inf
         self.rests = True
         self.moved_px = 0.0
@@ -167,7 +187,7 @@ class RestCheck(Stateful):
         if time_s < self._next_s and self._first is not None and self.rests:
             return
         self._next_s = time_s + INTERVAL_S
-        factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
+        self._factor = factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
         small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
         if self._first is None:
             value = small.astype(np.float32)
@@ -175,12 +195,24 @@ class RestCheck(Stateful):
             contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
             self._first, self._points = small, _corners(small, REST_POINTS, contrast.astype(np.uint8))
             return
+        self._compare(small)
+
+    def join(self, later: RestCheck) -> None:
+        if self._first is None:
+            self._first, self._points, self._factor = later._first, later._points, later._factor
+        elif later._first is not None and self.rests:
+            self._compare(later._first)
+        self.moved_px = max(self.moved_px, later.moved_px)
+        self.rests &= later.rests
+
+    def _compare(self, small: np.ndarray) -> None:
+        assert self._first is not None
         if len(self._points) < _LEAST_POINTS:  # nothing to see: nothing that could tell of a motion
             return
         there, good, _ = cv2.calcOpticalFlowPyrLK(self._first, small, self._points, None)  # type: ignore[call-overload]
         away = np.linalg.norm(there - self._points, axis=1)
         away = np.where(good.ravel() > 0, away, np.inf)  # a corner that is lost may have left the picture
         seen = away[np.isfinite(away)]
-        self.moved_px = max(self.moved_px, factor * float(np.median(seen)) if len(seen) else 0.0)
+        self.moved_px = max(self.moved_px, self._factor * float(np.median(seen)) if len(seen) else 0.0)
         if (away < REST_PX).mean() < REST_FRACTION:
             self.rests = False

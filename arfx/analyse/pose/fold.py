@@ -6,16 +6,16 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
 from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Detection, Record, cells_per_side
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static
+from arfx.analyse.pose.at_rest import BackgroundFlow, FlowSample, decide_static
 from arfx.analyse.pose.marker_map import MarkerMap, View, map_markers
 from arfx.analyse.pose.path import WorldPath, world_path
 from arfx.analyse.pose.planar import Observed, hypotheses, information, lens_scale, residuals, rms_px, stack
@@ -43,12 +43,15 @@ class MarkerPose(Fold):
     def __init__(self, job: AnalysisJob, markers: Markers) -> None:
         super().__init__(job)
         self.markers = markers
-        self.flow = BackgroundFlow()
+        self.flow = BackgroundFlow(job.length_s)
 
     def step(self, frame: AnalysisFrame) -> None:
         if self.job.params.static == "auto":
             boxes = (Rect.around(s.corners_px) for s in self.markers.prints)  # rarely asked for
             self.flow.step(frame.index, frame.time_s, frame.luma, boxes, bool(self.markers.detections))
+
+    def join(self, later: Self, shift: int) -> None:
+        self.flow.samples += shifted(later.flow.samples, shift)
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError where no frame has a pose."""
@@ -158,7 +161,7 @@ class Views:
 
 def solve(
     records: Sequence[Record], markers: Sequence[Marker], camera: Camera, params: AnalyseParams,
-    marker_map: Mapping[str, Pose] | None, flow: Sequence[Mapping],
+    marker_map: Mapping[str, Pose] | None, flow: Sequence[FlowSample],
 ) -> Analysis:  # fmt: skip
     """All facts of a clip in which at least one configured marker was seen."""
     notices: list[str] = []

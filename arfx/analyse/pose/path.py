@@ -101,9 +101,13 @@ def world_path(
     r, t = stack(start)
     r, t, cost = refine_poses(r, t, seen.take(index))
     flips = 0
-    for number in sorted(set(shot.tolist())):
-        at = [int(k) for k in np.flatnonzero(measured & (shot == number))]
-        groups = [np.flatnonzero(index == k) for k in at]
+    frames_of = np.flatnonzero(measured)  # whose candidates follow each other in `index`
+    begins = dict(zip(frames_of.tolist(), np.searchsorted(index, frames_of), strict=True))
+    ends = dict(zip(frames_of.tolist(), np.searchsorted(index, frames_of, side="right"), strict=True))
+    _, first = np.unique(shot[frames_of], return_index=True)  # no shot comes twice
+    for part in np.split(frames_of, first[1:]):
+        at = part.tolist()
+        groups = [np.arange(begins[k], ends[k]) for k in at]
         poses = [[Pose(r[i], t[i]) for i in g] for g in groups]
         costs = [[float(cost[i]) if t[i, 2] > 0 else 1e9 for i in g] for g in groups]
         path = choose_path(poses, costs, [float(times_s[k]) for k in at])

@@ -80,6 +80,7 @@ class ShotDetector(Stateful):
     """Unlikeness of successive frames, 0 (same up to brightness and contrast) to 2."""
 
     def __init__(self) -> None:
+        self._first: list[np.ndarray] = []  # thumbnails of the first two frames, and of the last two
         self._last: list[np.ndarray] = []
 
     def step(self, luma: np.ndarray) -> tuple[float, float]:
@@ -87,9 +88,20 @@ class ShotDetector(Stateful):
         step = max(1, min(luma.shape[0] // (4 * THUMBNAIL[1]), luma.shape[1] // (4 * THUMBNAIL[0])))
         thin = np.ascontiguousarray(luma[::step, ::step])
         thumb = cv2.resize(thin, THUMBNAIL, interpolation=cv2.INTER_AREA)
+        return self._follow(thumb)
+
+    def _follow(self, thumb: np.ndarray) -> tuple[float, float]:
         first, second = [*(dissimilarity(thumb, old) for old in reversed(self._last)), 0.0, 0.0][:2]
+        self._first = [*self._first, thumb][:2]
         self._last = [*self._last, thumb][-2:]
         return first, second
+
+    def join(self, later: ShotDetector) -> list[tuple[float, float]]:
+        """Add the next stretch. What `step` would have returned of its first frames, two at most"""
+        unlike = [self._follow(thumb) for thumb in later._first]
+        if len(later._last) == 2:
+            self._last = later._last
+        return unlike
 
 
 def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer, Layers, packed
 from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
@@ -144,7 +144,7 @@ class _Rays:
         along = np.asarray(hit["tfar"], float)[met, None]  # directions have z = 1: distance along the axis
         place = self.camera.project((origins[met] + along * directions[met] - eye) @ pose.rotation.T)
         place -= [now.rect.x0, now.rect.y0]
-        picture = now[Layer.VIRTUAL], now[Layer.COVERAGE], now[Layer.DEPTH]
+        picture = tuple(packed(now[name]) for name in (Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH))
         opaque = np.zeros(len(origins), bool)
         _look_up(sums, active[met // n], place, along[:, 0], points[met % n, 2:], picture, opaque, met)
         if self.real is not None:

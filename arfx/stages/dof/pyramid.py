@@ -72,5 +72,5 @@ def _pyramid(*fade: tuple[float, float], slanted: bool = False, without_finest: 
 PYRAMIDS = {
     "draft": _pyramid((5.0, 6.5), (10.0, 13.0), (20.0, 26.0), without_finest=True),
     "standard": _pyramid((2.5, 3.2), (10.0, 13.0), (28.0, 36.0)),
-    "high": _pyramid((14.0, 18.0), (40.0, 52.0), (80.0, 104.0), slanted=True),
+    "high": _pyramid((28.0, 36.0), (80.0, 104.0), (160.0, 208.0), slanted=True),
 }

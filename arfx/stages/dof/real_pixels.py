@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer, Layers, packed
 from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
 from arfx.stages.composite import shade
@@ -40,11 +40,11 @@ class RealPixels(NamedTuple):
             parallel_map(fill, strips(box))
             box = box.shift(-now.rect.x0, -now.rect.y0)
         image = now.written[Layer.IMAGE].over(now.rect, parts)
-        return RealPixels(_frozen(image), _frozen(patch), (box.x0, box.y0, box.x1, box.y1))
+        return RealPixels(packed(image), packed(patch), (box.x0, box.y0, box.x1, box.y1))
 
     def with_all(self, real: np.ndarray) -> RealPixels:
         """Another real scene (h, w, 3) in every pixel."""
-        return RealPixels(self.image, _frozen(real), (0, 0, real.shape[1], real.shape[0]))
+        return RealPixels(self.image, packed(real), (0, 0, real.shape[1], real.shape[0]))
 
     @property
     def flat(self) -> RealPixels:
@@ -59,9 +59,3 @@ class RealPixels(NamedTuple):
         if not both.empty:
             out[both.slices_in(part)] = self.patch[both.slices_in(box)]
         return out
-
-
-def _frozen(a: np.ndarray) -> np.ndarray:
-    a = np.ascontiguousarray(a)
-    a.setflags(write=False)
-    return a

@@ -57,7 +57,7 @@ def measured(layers: Layers) -> np.ndarray:
     """The layer REAL_DEPTH as the kernels take it: empty where the job has none."""
     if layers.extent(Layer.REAL_DEPTH).empty or not np.isfinite(layers[Layer.REAL_DEPTH]).any():
         return np.zeros((0, 0), np.float32)
-    return np.ascontiguousarray(layers[Layer.REAL_DEPTH], np.float32)
+    return np.array(layers[Layer.REAL_DEPTH], np.float32, order="C")  # writable, as the empty one: one form to compile for
 
 
 def cell_px(px_per_m: float, half_m: float, side: int) -> int:

@@ -25,6 +25,7 @@ from arfx.stages.gi.cones import mirror_tangent
 from arfx.stages.gi.frame_light import surroundings_of
 from arfx.stages.gi.plane_pixels import DARKEST, depth_agreement, measured
 from arfx.stages.gi.real_planes import bounding_ball
+from arfx.stages.gi.reference_kernels import add_scaled, dots, facing, share_of_ball
 from arfx.stages.gi.reference_noise import NOISE, grey_slope, settled
 from arfx.stages.gi.reference_sampling import (
     Gloss,
@@ -44,9 +45,11 @@ from arfx.stages.gi.surroundings import NARROW_DEG, WIDE_DEG, Planes
 BOUNCES = 2
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 SPREAD = 0.4  # of the largest change of a plane, by which rays towards the object differ
+LEAST_ASKED = 0.05
 ASKED = 4.0  # times the share of the hemisphere that the object fills: how many places on planes are asked
+MIRRORS = 0.2  # a surface in the middle of a path that mirrors less of the light is asked for it as much less often
 DIM, DIM_F0 = 4, 0.1  # what mirrors less than this is asked for it in one of so many samples
-_BATCH = 1 << 15  # pixels at once: bounds memory
+_BATCH = 1 << 13  # pixels at once: bounds memory
 
 
 class Tracer:
@@ -58,6 +61,7 @@ class Tracer:
         self.lights = [(turn.T @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
         self.plane_light = np.array([light.radiance(turn @ axes[3]) for axes in surroundings.axes])
         self.ball = bounding_ball(scene)
+        self._ball = np.append(*self.ball)
 
     def along(
         self, origins: np.ndarray, directions: np.ndarray, draw: Sampler, bounces: int, wide: np.ndarray,
@@ -65,16 +69,16 @@ class Tracer:
     ) -> np.ndarray:  # fmt: skip
         """(n, 3) radiance that comes from `directions`. density (n,) : with which they were drawn, where lights are
         sampled as well; None = they are not"""
-        hit = self.rays.first(origins, directions)
+        hit = self.rays.nearest(origins, directions)
         plane, distance = self.surroundings.first_plane(origins, directions)
-        on_object = hit.met & (hit.distance < distance)
+        on_object = hit.distance < distance
         on_plane = (plane >= 0) & ~on_object
         out = np.zeros((len(origins), 3))
         sky = ~on_object & ~on_plane
         out[sky] = self.sampled.environment(directions, density, np.flatnonzero(sky), wide)
         rows = np.flatnonzero(on_object)
         if len(rows):
-            met = hit.of(rows)
+            met = self.rays.hit(hit, rows, origins, directions)
             glow = balance_weight(density, rows, self.sampled.emitter_density(met, directions[rows]))
             out[rows] = self.outgoing_radiance(met, -directions[rows], draw.of(rows), bounces, glow)
         rows = np.flatnonzero(on_plane)
@@ -106,9 +110,9 @@ class Tracer:
             reflected, own = value(d)
             rows = np.flatnonzero(own > 0)
             plane, beyond = self.surroundings.first_plane(start[rows], d[rows])
-            hit = self.rays.first(start[rows], d[rows])
-            ok = (hit.distance > distance[rows] * (1 - 1e-3)) & hit.met & (beyond > distance[rows])
-            rows, hit = rows[ok], hit.of(np.flatnonzero(ok))
+            met = self.rays.nearest(start[rows], d[rows])
+            ok = (met.distance > distance[rows] * (1 - 1e-3)) & np.isfinite(met.distance) & (beyond > distance[rows])
+            hit, rows = self.rays.hit(met, np.flatnonzero(ok), start[rows], d[rows]), rows[ok]
             density = self.sampled.emitter_density(hit, d[rows])
             rows, hit, density = rows[density > 0], hit.of(np.flatnonzero(density > 0)), density[density > 0]
             out[rows] += hit.emission * reflected[rows] / (density + own[rows])[:, None]
@@ -120,8 +124,7 @@ class Tracer:
         """(n, 3) that the object's surface sends `towards` a direction: emission, direct light, and one more bounce.
 
         glow : share (n, 1) of its emission that counts"""
-        normal = np.where(((hit.normal * towards).sum(1) < 0)[:, None], -hit.normal, hit.normal)
-        start = hit.position + self.rays.lift * normal
+        normal, start, mirror = facing(hit.normal, towards, hit.position, self.rays.lift)
         arriving = self.direct(start, normal, draw)
         if bounces > 0:
             d = cosine_directions(normal, draw)
@@ -130,9 +133,11 @@ class Tracer:
         else:
             arriving = arriving + self.surroundings.unoccluded_irradiance(normal)
         out = glow * hit.emission + hit.diffuse * arriving
-        if bounces > 0 and hit.specular.any():
-            d = 2 * (normal * towards).sum(1, keepdims=True) * normal - towards
-            out = out + hit.specular * self.along(start, d, draw, bounces - 1, np.zeros(len(d)))
+        if bounces > 0 and hit.specular.any():  # Russian roulette: what hardly mirrors is asked for it now and then
+            asked = np.minimum(hit.specular.max(1) / MIRRORS, 1)
+            rows = np.flatnonzero(draw.single() < asked)
+            mirrored = self.along(start[rows], mirror[rows], draw.of(rows), bounces - 1, np.zeros(len(rows)))
+            out[rows] += hit.specular[rows] / asked[rows, None] * mirrored
         elif hit.specular.any():
             out = out + hit.specular * self.surroundings.unoccluded_irradiance(normal)
         return out
@@ -142,12 +147,12 @@ class Tracer:
         out = np.zeros((len(points), 3))
         for d, rgb, size_deg in self.lights:
             towards = in_disc(d, size_deg, draw)
-            facing = np.clip((normals * towards).sum(1), 0, None)
-            rows = np.flatnonzero(facing > 0)
+            cosine = dots(normals, towards)
+            rows = np.flatnonzero(cosine > 0)
             if len(rows):
                 plane, _ = self.surroundings.first_plane(points[rows], towards[rows])
                 visible = ~self.rays.blocked(points[rows], towards[rows]) & (plane < 0)
-                out[rows] += (facing[rows] * visible)[:, None] * rgb
+                add_scaled(out, rows, cosine[rows] * visible, rgb)
         return out
 
     def shadow_ratio(self, positions: np.ndarray, plane: np.ndarray, draw: Sampler, bounces: int) -> np.ndarray:
@@ -158,12 +163,12 @@ class Tracer:
         hidden_light = np.zeros((len(positions), 3))
         for d, rgb, size_deg in self.lights:
             towards = in_disc(d, size_deg, draw)
-            rows = np.flatnonzero(normals @ d > 0)
+            cosine = normals @ d
+            rows = np.flatnonzero(cosine > 0)
             if len(rows):
-                hidden_light[rows] += ((normals[rows] @ d) * self.rays.blocked(start[rows], towards[rows]))[:, None] * rgb
+                add_scaled(hidden_light, rows, cosine[rows] * self.rays.blocked(start[rows], towards[rows]), rgb)
         # Russian roulette: the less of the hemisphere the object may fill, the fewer are asked
-        away = np.linalg.norm(start - self.ball[0], axis=1)
-        asked = np.clip(ASKED * divide(self.ball[1], away, where_zero=1.0) ** 2, 0.05, 1)
+        asked = share_of_ball(start, self._ball, ASKED, LEAST_ASKED)
         rows = np.flatnonzero(draw.single() < asked)
         change = np.zeros((len(start), 3))
         change[rows] = self.change(start[rows], normals[rows], draw.of(rows), bounces) / asked[rows, None]
@@ -202,9 +207,9 @@ class Tracer:
         self, start: np.ndarray, d: np.ndarray, draw: Sampler, bounces: int, wide: np.ndarray, density: np.ndarray | None = None
     ) -> np.ndarray:
         """(n, 3) radiance from directions d with the object less without it. density : as for `along`"""
-        hit = self.rays.first(start, d)
+        hit = self.rays.nearest(start, d)
         out = np.zeros((len(start), 3))
-        rows = np.flatnonzero(hit.met)
+        rows = np.flatnonzero(np.isfinite(hit.distance))
         if len(rows):
             plane, distance = self.surroundings.first_plane(start[rows], d[rows])
             nearer = hit.distance[rows] < distance
@@ -215,7 +220,7 @@ class Tracer:
             positions = start[rows[other]] + distance[other, None] * d[rows[other]]
             background[other] = self.surroundings.picture(positions, plane[other])
             # the last bounce takes the light that nothing hides, instead of none: nearer the truth than a black object
-            met = hit.of(rows)
+            met = self.rays.hit(hit, rows, start, d)
             glow = balance_weight(density, rows, self.sampled.emitter_density(met, d[rows]))
             sent = self.outgoing_radiance(met, -d[rows], draw.of(rows), max(bounces - 1, 0), glow)
             out[rows] = sent - background
@@ -226,7 +231,7 @@ class Tracer:
         out = np.zeros((len(start), 3))
         plane, distance = self.surroundings.first_plane(start, d)
         rows = np.flatnonzero(plane >= 0)
-        rows = rows[~(self.rays.first_distance(start[rows], d[rows]) < distance[rows])]
+        rows = rows[~(self.rays.nearest(start[rows], d[rows]).distance < distance[rows])]
         if len(rows):
             positions = start[rows] + distance[rows, None] * d[rows]
             shadow_ratio = self.shadow_ratio(positions, plane[rows], draw.of(rows), 0)

@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from types import EllipsisType
-from typing import Any
 
 import numpy as np
 
 from arfx.core.cube import on_cube, solid_angles
 from arfx.core.numerics import divide, normalise
+from arfx.stages.gi.reference_kernels import cone_of_ball, cosine_about, disc_about, dots, hashed, in_frame_of, scrambled
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
 
 NEAR = 1.3  # radii: from nearer a ball fills so much that the plane's own directions are better
@@ -32,32 +32,15 @@ _GREY = np.array([0.2126, 0.7152, 0.0722])
 
 def uniform(pixel: np.ndarray, sample: int, dimension: int, seed: int) -> np.ndarray:
     """Numbers in [0, 1) from pixels (n,) uint32: a hash (PCG output permutation of O'Neill 2014) of all arguments."""
-    with np.errstate(over="ignore"):
-        mix = np.uint32((sample * 0x9E3779B1 + dimension * 0x85EBCA77 + seed * 0xC2B2AE3D) & 0xFFFFFFFF)
-        s = (pixel.astype(np.uint32) ^ mix) * np.uint32(747796405) + np.uint32(2891336453)
-        s = ((s >> ((s >> np.uint32(28)) + np.uint32(4))) ^ s) * np.uint32(277803737)
-        s = (s >> np.uint32(22)) ^ s
-        s = (s ^ mix) * np.uint32(747796405) + np.uint32(2891336453)
-        s = ((s >> ((s >> np.uint32(28)) + np.uint32(4))) ^ s) * np.uint32(277803737)
-        s = (s >> np.uint32(22)) ^ s
-    return np.asarray(s / 4294967296.0)
+    return np.asarray(hashed(pixel, _mixed(sample, dimension, seed)))
 
 
-def _reversed_bits(x: Any) -> Any:
-    """Of 32 bits: an int, or (n,) uint32."""
-    for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)):
-        x = (x >> shift & mask) | (x & mask) << shift
-    return (x >> 16 | x << 16) & 0xFFFFFFFF
+def _mixed(sample: int, dimension: int, seed: int) -> np.uint32:
+    return np.uint32((sample * 0x9E3779B1 + dimension * 0x85EBCA77 + seed * 0xC2B2AE3D) & 0xFFFFFFFF)
 
 
-def _scrambled(bits: int, pixel: np.ndarray, dimension: int, seed: int) -> np.ndarray:
-    """(n,) in [0, 1) : a number whose bits are given, lowest first, with each bit flipped by those before it (Owen), as a hash of
-    the pixel says (Laine and Karras 2011, constants of Burley 2020)."""
-    with np.errstate(over="ignore"):
-        x = (uniform(pixel, 0, dimension, seed) * 4294967296.0).astype(np.uint32) + np.uint32(bits)
-        for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
-            x ^= x * np.uint32(factor)
-    return np.asarray(_reversed_bits(x) / 4294967296.0)
+def _reversed_bits(x: int) -> int:
+    return int(f"{x & 0xFFFFFFFF:032b}"[::-1], 2)
 
 
 _SECOND = [1 << 31]  # direction numbers of Sobol's second dimension
@@ -94,9 +77,9 @@ class Sampler:
         for k in range(32):
             if self.sample >> k & 1:
                 second ^= _SECOND[k]
-        return _scrambled(first, self.pixel, shift, self.seed), _scrambled(
-            _reversed_bits(second), self.pixel, shift + 1, self.seed
-        )
+        low, high = np.uint32(first), np.uint32(_reversed_bits(second))
+        x = scrambled(low, self.pixel, _mixed(0, shift, self.seed))
+        return x, scrambled(high, self.pixel, _mixed(0, shift + 1, self.seed))
 
     def of(self, rows: np.ndarray) -> Sampler:
         return Sampler(self.pixel[rows], self.sample, self.seed, self.dimension + _DEEPER)
@@ -108,29 +91,19 @@ def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u, np.cross(normals, u)
 
 
-def in_frame_of(normals: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """(n, 3) x, y, z (n,) in a frame whose z is the unit normal (n, 3)."""
-    u, v = tangents(normals)
-    return x[:, None] * u + y[:, None] * v + z[:, None] * normals
-
-
 def in_disc(d: np.ndarray, size_deg: float, draw: Sampler) -> np.ndarray:
     """(n, 3) unit directions to points of a light's disc around d (3,)."""
-    u, v = draw.pair()
-    r, phi = np.tan(np.radians(size_deg / 2)) * np.sqrt(u), 2 * np.pi * v
-    return normalise(in_frame_of(np.broadcast_to(d, (len(u), 3)), r * np.cos(phi), r * np.sin(phi), np.ones(len(u))))
+    return np.asarray(disc_about(d, float(np.tan(np.radians(size_deg / 2))), *draw.pair()))
 
 
 def cosine_directions(normals: np.ndarray, draw: Sampler) -> np.ndarray:
     """(n, 3) unit, with a density as their cosine to the normals (n, 3)."""
-    u, v = draw.pair()
-    r, phi = np.sqrt(u), 2 * np.pi * v
-    return in_frame_of(normals, r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u))
+    return np.asarray(cosine_about(np.ascontiguousarray(normals), *draw.pair()))
 
 
 def cosine_density(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(n,) per steradian of `cosine_directions`."""
-    return np.asarray(np.clip((normals * directions).sum(1), 0, None) / np.pi)
+    return np.asarray(np.maximum(dots(normals, directions), 0) / np.pi)
 
 
 def lambertian(normals: np.ndarray) -> Reflectance:
@@ -148,16 +121,10 @@ def towards_ball(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(unit directions (n, 3), their density (n,), whether near (n,)) from points (n, 3): even over the cone that holds a ball;
     about the normals (n, 3) as `cosine_directions` where the ball is so near that the cone is wide."""
-    to = centre - points
-    away = np.linalg.norm(to, axis=1)
-    near = away < NEAR * radius
-    cosine = np.sqrt(1 - np.minimum(radius / np.maximum(away, radius), 1 / NEAR) ** 2)
-    u, v = draw.pair()
-    z = np.where(near, np.sqrt(1 - u), 1 - u * (1 - cosine))
-    r, phi = np.sqrt(np.clip(1 - z * z, 0, None)), 2 * np.pi * v
-    d = in_frame_of(np.where(near[:, None], normals, divide(to, away[:, None])), r * np.cos(phi), r * np.sin(phi), z)
-    density = np.where(near, np.clip((normals * d).sum(1), 1e-9, None) / np.pi, 1 / (2 * np.pi * (1 - cosine)))
-    return d, density, near
+    found: tuple[np.ndarray, np.ndarray, np.ndarray] = cone_of_ball(
+        points, normals, np.append(centre, radius), NEAR, *draw.pair()
+    )
+    return found
 
 
 class Gloss:
@@ -197,7 +164,7 @@ class Gloss:
         d = 2 * (v * h).sum(1, keepdims=True) * h - v
         rows = np.flatnonzero(d[:, 2] > 1e-5)
         value, density = self._at(rows, d[rows], h[rows])
-        return rows, in_frame_of(self.n[rows], *d[rows].T), divide(value, density[:, None]), density
+        return rows, in_frame_of(self.n[rows], *np.ascontiguousarray(d[rows].T)), divide(value, density[:, None]), density
 
     def at(self, rows: np.ndarray | EllipsisType, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(reflected share times cosine (m, 3), density (m,)) of unit directions (m, 3); 0 from below. rows (m,), or all"""
@@ -264,9 +231,8 @@ class Lights:
 
     def emitter_density(self, hit: Hit, directions: np.ndarray) -> np.ndarray:
         """(n,) per steradian with which `to_emitters` takes what was hit; 0 for what does not glow."""
-        facing = np.abs((hit.face_normal * directions).sum(1))
-        away = np.where(hit.met, hit.distance, 0.0) ** 2
-        return np.where(facing > 1e-6, hit.light_density * divide(away, facing), 0.0)
+        facing = np.abs(dots(hit.face_normal, directions))
+        return np.where(facing > 1e-6, hit.light_density * divide(hit.distance**2, facing), 0.0)
 
     def to_emitters(self, points: np.ndarray, draw: Sampler) -> tuple[np.ndarray, np.ndarray]:
         """(unit directions (n, 3), distance (n,)) from points (n, 3) to places on what glows."""

@@ -19,8 +19,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, Layers, neutral, packed
 from arfx.core.light import Light
+from arfx.core.memo import memo_of
 from arfx.core.numerics import divide
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
@@ -132,7 +133,10 @@ class Gi(Stage):
         if level == "reference":
             return None
         planes, at = planes_of(scene), self.settings[level]
-        model = make_voxel_model(scene, at.voxels, planes, at.plane_side, at.plane_cones, at.plane_rays)
+        shape = at.voxels, at.plane_side, at.plane_cones, at.plane_rays
+        model = memo_of(scene.model).get(
+            (scene.placed_by, *planes.key, *shape), lambda: make_voxel_model(scene, shape[0], planes, *shape[1:]), "voxels", 1
+        )
         return Prepared(
             planes, direction_grid(scene.camera), model, diffuse_cones(at.voxels), lobes(at.voxels),
             texel_positions(planes, _texture_side(scene, at)),
@@ -191,7 +195,7 @@ class Gi(Stage):
             return Pixels(now.rect, out, part=part)
         here = now.crop(box)
         anchor, f32 = view.scene.world_from_anchor.inverse(), np.float32
-        surface = Surface(*(here[Layer(name)] for name in Surface._fields))
+        surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
         eye = anchor.apply(view.pose.inverse().translation_m).astype(f32)
         axes = Anchor(anchor.rotation.astype(f32), anchor.translation_m.astype(f32), eye)
         cones = prepared.model.placed(field.atlas), prepared.cones, prepared.lobes, background

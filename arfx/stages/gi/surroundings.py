@@ -43,6 +43,11 @@ class Planes:
     half_m: float
     bounds: np.ndarray
 
+    @property
+    def key(self) -> tuple[bytes, float, bytes]:
+        """Equal for equal planes."""
+        return self.axes.tobytes(), self.half_m, self.bounds.tobytes()
+
 
 class Background(NamedTuple):
     """What is behind the voxels. axes (p, 4, 3) : of `Planes`, extents (p, 5) : half_m and bounds

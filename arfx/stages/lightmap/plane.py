@@ -27,18 +27,16 @@ _MARGIN = 3  # texels without shadow around it
 @dataclass(frozen=True)
 class PlaneLevel:
     """texels : of a light's picture, about;  silhouettes : directions over the light's disc, 1 = its middle, antialiased
-    ambient_texels : a side;  ambient_rays : of each
-    coarse : looked up for every 2 x 2 pixels"""
+    ambient_texels : a side;  ambient_rays : of each"""
 
     texels: int
     silhouettes: int
     ambient_texels: int
     ambient_rays: int
-    coarse: bool = False
 
 
 PLANE_LEVELS = {
-    "draft": PlaneLevel(256 * 256, 1, 96, 16, coarse=True),
+    "draft": PlaneLevel(256 * 256, 1, 96, 16),
     "standard": PlaneLevel(400 * 400, 16, 192, 64),
     "high": PlaneLevel(640 * 640, 64, 256, 320),
     "reference": PlaneLevel(1024 * 1024, 511, 384, 512),
@@ -90,7 +88,7 @@ def soft_picture(
         towards = spiral @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         weights = np.column_stack([np.ones(directions), towards]) / directions
         part = points[v::_SETS, u::_SETS]
-        taken = weights.sum(0) - rays.visible_sum(part.reshape(-1, 3), towards, weights)
+        taken = rays.hidden_sum(part.reshape(-1, 3), towards, weights)
         hidden[:, v::_SETS, u::_SETS] = taken.T.reshape(4, *part.shape[:2])
     scale, low = texels / (2 * half), centre - half
     return SoftPicture(hidden, np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]]))

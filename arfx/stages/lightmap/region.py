@@ -6,12 +6,11 @@ once per clip with rays. Directional lights: the hull of the object, cast from t
 from __future__ import annotations
 
 from functools import lru_cache
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from arfx.core.model import Model
+from arfx.core.memo import memo_of
 from arfx.core.scene import Scene
 from arfx.stages.lightmap.beams import Beam, disc_directions
 from arfx.stages.lightmap.caster import Caster, make_caster
@@ -23,6 +22,7 @@ _TEXELS, _RAYS = 64, 400
 _BORDER = 2.5  # heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less
 _FRACTION_STEPS = 32  # outlines are kept for shares of the light in steps of 1 / 32, rounded up
 SHAPED = 2.0  # times what it takes of even light that an object takes of light from one side, at most
+_PLACEMENTS = 4  # of one model, whose regions are kept
 _SIDES = 4  # points a side of an outline: a lens bends it
 
 
@@ -82,16 +82,8 @@ class ShadowRegion:
         return _hull((p[None, :, :2] - (d[:, :2] / d[:, 2:])[:, None] * p[None, :, 2:]).reshape(-1, 2))
 
 
-_REGIONS: WeakKeyDictionary[Model, dict[bytes, ShadowRegion]] = WeakKeyDictionary()
-
-
 def shadow_region(scene: Scene) -> ShadowRegion:
-    """Cached per model and placement: planner and renderer have scenes of their own."""
-    regions = _REGIONS.setdefault(scene.model, {})
-    key = np.concatenate([scene.world_from_model, scene.world_from_anchor.matrix]).tobytes()
-    region = regions.get(key)
-    if region is None:
-        region = regions[key] = ShadowRegion(scene)
+    region: ShadowRegion = memo_of(scene.model).get(scene.placed_by, lambda: ShadowRegion(scene), "shadow region", _PLACEMENTS)
     return region
 
 

@@ -16,7 +16,9 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from arfx.core.layers import packed
 from arfx.core.numerics import divide, normalise
+from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.plane import SoftPicture
@@ -24,26 +26,28 @@ from arfx.stages.triangles import Triangles, hemisphere
 
 _DIFFUSE = 2 / 3  # of the shape's rise that is left in the light on a surface
 _POINTS = 6.0  # for an area of a cell's face
-_MOST_POINTS = 30_000
 _LEAST_SEEN = 1e-3  # of the hemisphere: a point counts by what it sees, as cameras see it, and one inside does not
 _LIFT = 1e-3  # of the extent, as rays of self_shadow.py
 _LIFT_SAGS = 2.0
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 _BATCH = 1 << 19  # rays in flight
+_FIRST = 4  # one in so many of a pixel's rays is asked first
 
 
 @dataclass(frozen=True)
 class OcclusionLevel:
-    """cells : of the grid, along the object's largest side, 0 = rays from every pixel;  rays : from a point"""
+    """cells : of the grid, along the object's largest side, 0 = rays from every pixel;  rays : from a point
+    most_points : of the surface, that rays go out from"""
 
     cells: int
     rays: int
+    most_points: int = 30_000
 
 
 OCCLUSION_LEVELS = {
     "draft": OcclusionLevel(16, 32),
     "standard": OcclusionLevel(32, 64),
-    "high": OcclusionLevel(48, 96),
+    "high": OcclusionLevel(96, 96, 60_000),
     "reference": OcclusionLevel(0, 400),
 }
 
@@ -77,28 +81,66 @@ def hidden_parts(
     """(n, 4) of the light on a surface that is hidden: of 1 and of the three coordinates. Anchor axes.
 
     plane : what the plane is darkened by;  count : rays each;  angles (n,) : that the rays' pattern is turned by"""
-    local = hemisphere(count)
-    out = np.empty((len(points), 4))
-    step = max(_BATCH // count, 1)
-    for a in range(0, len(points), step):
-        p, n = points[a : a + step], normals[a : a + step]
+    return _hidden(rays, plane, points, normals, count, angles)[:, :4]
+
+
+def _hidden(
+    rays: Triangles, plane: SoftPicture, points: np.ndarray, normals: np.ndarray, count: int, angles: np.ndarray | None = None
+) -> np.ndarray:  # fmt: skip
+    """(n, 5) : `hidden_parts`, and the share of the rays that the object stops."""
+    local, turned = hemisphere(count), np.zeros(len(points)) if angles is None else angles
+    parts = [slice(a, a + max(_BATCH // count, 1)) for a in range(0, len(points), max(_BATCH // count, 1))]
+
+    def of(part: slice) -> np.ndarray:
+        starts, towards, met = _rays_over(points[part], normals[part], turned[part], local)
+        return np.asarray(_sums(towards, rays.blocked(starts, towards), plane.even_at(met.reshape(-1, count, 2)).ravel(), count))
+
+    return np.concatenate([np.zeros((0, 5)), *parallel_map(of, parts)])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _rays_over(points, normals, angles, local):  # pragma: no cover - compiled
+    """Starts and directions (n k, 3) of rays `local` (k, 3) over points with normals (n, 3), turned by angles (n,), and places on
+    the plane (n k, 2) where they meet it, far away for those that do not."""
+    n, k = len(points), len(local)
+    starts, towards, met = np.empty((n * k, 3), np.float32), np.empty((n * k, 3), np.float32), np.full((n * k, 2), 1e9)
+    for i in range(n):
         # an orthonormal basis that depends on the normal alone (Duff et al. 2017)
-        sign = np.where(n[:, 2] < 0, -1.0, 1.0)
-        f = -1 / (sign + n[:, 2])
-        g = n[:, 0] * n[:, 1] * f
-        s = np.stack([1 + sign * n[:, 0] ** 2 * f, sign * g, -sign * n[:, 0]], -1)
-        t = np.stack([g, sign + n[:, 1] ** 2 * f, -n[:, 1]], -1)
-        if angles is not None:
-            c, d = np.cos(angles[a : a + step, None]), np.sin(angles[a : a + step, None])
-            s, t = c * s + d * t, c * t - d * s
-        towards = np.einsum("kj,jni->nki", local, np.stack([s, t, n])).astype(np.float32)
-        starts = np.repeat(p.astype(np.float32), count, 0)
-        hidden = rays.blocked(starts, towards.reshape(-1, 3)).reshape(len(p), count).astype(np.float32)
-        down = (towards[..., 2] < 0) & (hidden == 0)
-        along = np.abs(p[:, 2:]) / np.maximum(-towards[..., 2], 1e-6)  # under the plane, where it is not seen: no seam
-        met = np.where(down[..., None], p[:, None, :2] + along[..., None] * towards[..., :2], 1e9)
-        hidden += down * plane.even_at(met)
-        out[a : a + step] = np.concatenate([hidden[..., None], hidden[..., None] * towards], -1).mean(1)
+        x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
+        sign = -1.0 if z < 0 else 1.0
+        f = -1 / (sign + z)
+        g = x * y * f
+        s, t = (1 + sign * x * x * f, sign * g, -sign * x), (g, sign + y * y * f, -y)
+        c, d = np.cos(angles[i]), np.sin(angles[i])
+        height = abs(points[i, 2])  # under the plane, where it is not seen: no seam
+        for j in range(k):
+            a, b, up = c * local[j, 0] - d * local[j, 1], d * local[j, 0] + c * local[j, 1], local[j, 2]
+            at = i * k + j
+            towards[at, 0] = a * s[0] + b * t[0] + up * x
+            towards[at, 1] = a * s[1] + b * t[1] + up * y
+            towards[at, 2] = a * s[2] + b * t[2] + up * z
+            for m in range(3):
+                starts[at, m] = points[i, m]
+            if towards[at, 2] < 0:
+                along = height / max(-towards[at, 2], 1e-6)
+                met[at, 0], met[at, 1] = points[i, 0] + along * towards[at, 0], points[i, 1] + along * towards[at, 1]
+    return starts, towards, met
+
+
+@numba.njit(cache=True, nogil=True)
+def _sums(towards, blocked, darkened, count):  # pragma: no cover - compiled
+    """(n, 5) means of 1 and of the directions (n count, 3), weighted by 1 where these are blocked, else as the plane is
+    darkened; and the share of those that are blocked."""
+    out = np.zeros((len(towards) // count, 5))
+    for i in range(len(out)):
+        for at in range(i * count, (i + 1) * count):
+            w = 1.0 if blocked[at] else float(darkened[at])
+            out[i, 4] += blocked[at]
+            out[i, 0] += w
+            for m in range(3):
+                out[i, 1 + m] += w * towards[at, m]
+        for m in range(5):
+            out[i, m] /= count
     return out
 
 
@@ -110,7 +152,7 @@ def occlusion_grid(caster: Caster, rays: Triangles, plane: SoftPicture, level: O
     used = caster.vertices[np.unique(caster.faces)].astype(float)
     low = used.min(0) - 2 * pitch
     counts = np.ceil((used.max(0) - low) / pitch).astype(int) + 3  # x, y, z
-    points, normals = _surface_points(caster, pitch)
+    points, normals = _surface_points(caster, pitch, level.most_points)
     angles = np.arange(len(points)) * _GOLDEN
     sums, lift = np.zeros((int(counts.prod()), 5)), _lift_m(caster)
     for n in (normals, -normals):
@@ -136,13 +178,13 @@ def _lift_m(caster: Caster) -> float:
     return max(_LIFT_SAGS * caster.sag_m, _LIFT * caster.extent_m)
 
 
-def _surface_points(caster: Caster, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+def _surface_points(caster: Caster, pitch: float, most: int) -> tuple[np.ndarray, np.ndarray]:
     """((n, 3), (n, 3) unit normals of their triangles), evenly over all of the surface."""
     corners = caster.vertices[caster.faces].astype(float)
     a, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(ab, ac)
     upto = np.cumsum(np.linalg.norm(across, axis=1) / 2)
-    count = int(np.clip(_POINTS * upto[-1] / pitch**2, 64, _MOST_POINTS))
+    count = int(np.clip(_POINTS * upto[-1] / pitch**2, 64, most))
     i = np.arange(count) + 0.5
     face = np.minimum(np.searchsorted(upto, i / count * upto[-1]), len(upto) - 1)
     u, v = (i * 0.7548776662466927) % 1, (i * 0.5698402909980532) % 1  # powers of the plastic number: low discrepancy
@@ -161,20 +203,23 @@ def soft_visibility(
     shift = (anchor_from_world.translation_m - grid.low_m) / grid.pitch_m
     matrix = np.column_stack([turn / grid.pitch_m, shift, turn])
     rise = _DIFFUSE * turn.T @ np.array(shape)
-    return _read(coverage, normal, position, _Grid(nodes, matrix.astype(np.float32), rise.astype(np.float32)))
+    lines = _Grid(nodes, np.asfortranarray(matrix, np.float32), rise.astype(np.float32))
+    return _read(packed(coverage), packed(normal), packed(position), lines)
 
 
 def soft_visibility_by_rays(
     coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, rays: Triangles, plane: SoftPicture, caster: Caster,
     anchor_from_world: Pose, shape: tuple[float, float, float], count: int,
 ) -> np.ndarray:  # fmt: skip
-    """The same, with rays from every pixel."""
+    """The same, with rays from every pixel: a part of them first, all where the object stops any of these."""
     out = np.ones(coverage.shape, np.float32)
     y, x = np.nonzero((coverage > 0) & (normal != 0).any(-1))
     n = normalise(normal[y, x].astype(float) @ anchor_from_world.rotation.T)
     points = anchor_from_world.apply(position[y, x].astype(float)) + _lift_m(caster) * n
-    hidden = hidden_parts(rays, plane, points, n, count)
-    out[y, x] = np.clip(1 - hidden @ [1.0, *shape] / (1 + _DIFFUSE * n @ np.array(shape)), 0, 1)
+    hidden = _hidden(rays, plane, points, n, max(count // _FIRST, 1))
+    uneven = np.flatnonzero(hidden[:, 4] > 0)
+    hidden[uneven] = _hidden(rays, plane, points[uneven], n[uneven], count)
+    out[y, x] = np.clip(1 - hidden[:, :4] @ [1.0, *shape] / (1 + _DIFFUSE * n @ np.array(shape)), 0, 1)
     return out
 
 

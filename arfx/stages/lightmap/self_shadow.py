@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from arfx.core.layers import packed
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
 from arfx.stages.lightmap.beams import Beam, disc_directions
@@ -97,7 +98,7 @@ def visibility_by_map(
     matrix = np.column_stack([turn, shift]).astype(np.float32)
     seen = shadow_map._replace(matrix=matrix, unit=(turn / np.linalg.norm(turn[0])).astype(np.float32))
     search, taps = disc(level.search).astype(np.float32), disc(level.taps).astype(np.float32)  # of none: (0, 2)
-    return _percentage_closer(coverage, normal, position, seen, search, taps)
+    return _percentage_closer(packed(coverage), packed(normal), packed(position), seen, search, taps)
 
 
 def visibility_by_rays(

@@ -3,6 +3,7 @@
 The light comes from the facts (measured, given or refused: `Light.source`), or is the scene's. Shadows are kept by the
 direction of their light: a still light costs nothing per frame but the look-up.
 Soft light is hidden by what rays find once per clip: in `plane` and `self_occlusion`.
+`draft` looks light and shadow up for every 2 x 2 pixels: `coarse`, `lookup`.
 Cost: O(pixels of the shadow + covered pixels x taps); a light that moves adds O(directions x edges) a frame.
 Leaves out: other real surfaces, transparent shadows, light from the plane onto the object, caustics.
 Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
@@ -17,13 +18,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, Layers, neutral, packed
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
 from arfx.stages.lightmap.beams import FrameLight, frame_light
+from arfx.stages.lightmap.coarse import block_surface, blocks_around, colour
 from arfx.stages.lightmap.lookup import coarse_shadow_ratio, shadow_ratio
 from arfx.stages.lightmap.plane import PLANE_LEVELS, SoftPicture, beam_texture, plane_shadow_texture, within_surface
 from arfx.stages.lightmap.region import SHAPED, ShadowRegion, shadow_region
@@ -37,6 +39,7 @@ from arfx.stages.lightmap.self_shadow import SELF_LEVELS, depth_map, visibility_
 from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
 from arfx.stages.viewing import direction_grid, seen_rect
 
+COARSE = frozenset({"draft"})  # levels that look light and shadow up for every 2 x 2 pixels
 _BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
 
 
@@ -91,6 +94,9 @@ class Lightmap(Stage):
         lit = f"model lit ({scene.light_of(facts).source})" if not model.empty else "model out of view"
         return Demand(model.union(shadow), f"{lit}; {why}")
 
+    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
+        return blocks_around(out) if level in COARSE else out
+
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
         """Shadows are made for each direction of a light, to within a step."""
         if facts.light is None:
@@ -101,12 +107,12 @@ class Lightmap(Stage):
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
         region = shadow_region(scene)
-        grid = direction_grid(scene.camera, 2 if PLANE_LEVELS[level].coarse else 1).astype(np.float32)
+        grid = direction_grid(scene.camera, 2 if level in COARSE else 1).astype(np.float32)
         ambient = region.ambient_picture(self.params.faint, PLANE_LEVELS[level])
         by_grid = self._soft_occluded and OCCLUSION_LEVELS[level].cells > 0
         return Prepared(region, ambient, region.occlusion_grid(OCCLUSION_LEVELS[level]) if by_grid else None, grid)
 
-    def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
+    def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
         light = self._light(view.facts, view.scene)
         lit = view.layers.crop(view.facts.raster_box.clip(view.rect))
         return {
@@ -118,10 +124,25 @@ class Lightmap(Stage):
         """now : its part with the object"""
         if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
-        coverage, normal, position = now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION]
+        surface = Surface(*(packed(now[Layer(name)]) for name in Surface._fields))
         eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
-        visibility = np.ones((len(reaching), now.rect.height, now.rect.width), np.float32)
+        if view.level not in COARSE:
+            hidden = self._visibilities(surface, view, prepared, light, reaching, eye)
+            return self.shaded(surface, *hidden, reaching, light, eye, view.facts)
+        at = now.rect.y0, now.rect.x0
+        black = block_surface(surface, *at)
+        hidden = self._visibilities(black, view, prepared, light, reaching, eye)
+        both = (black._replace(albedo=np.full_like(black.albedo, v)) for v in (1, 0))
+        made = (self.shaded(blocks, *hidden, reaching, light, eye, view.facts) for blocks in both)
+        return colour(surface, *at, black.coverage, *made)
+
+    def _visibilities(
+        self, surface: Surface, view: View, prepared: Prepared, light: FrameLight, reaching: Sequence[int], eye: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(h, w) and (k, h, w): shares of the soft light, and of the lights `reaching`, that the object leaves itself."""
+        seen = surface.coverage, surface.normal, surface.position
+        visibility = np.ones((len(reaching), *surface.coverage.shape), np.float32)
         if self.params.self_shadow > 0:
             anchor_from_world = view.scene.world_from_anchor.inverse()
             level, caster = SELF_LEVELS[view.level], prepared.region.caster
@@ -130,30 +151,29 @@ class Lightmap(Stage):
                 by_map = None
                 if level.texels:
                     depths = view.memo.of_light.get(("depth", beam), partial(depth_map, caster, beam, level))
-                    by_map = visibility[i] = visibility_by_map(coverage, normal, position, depths, anchor_from_world, level)
+                    by_map = visibility[i] = visibility_by_map(*seen, depths, anchor_from_world, level)
                 if level.rays:
                     visibility[i] = visibility_by_rays(
-                        coverage, normal, position, prepared.region.rays, caster, beam, anchor_from_world, level, eye, by_map
+                        *seen, prepared.region.rays, caster, beam, anchor_from_world, level, eye, by_map
                     )
             if self.params.self_shadow < 1:
                 visibility = 1 + np.float32(self.params.self_shadow) * (visibility - 1)
-        soft = self._soft_visibility(now, view, prepared, light)
-        return self.shaded(now, soft, visibility, reaching, light, eye, view.facts)
+        return self._soft_visibility(surface, view, prepared, light), visibility
 
-    def _soft_visibility(self, now: Layers, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
+    def _soft_visibility(self, surface: Surface, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
         """(h, w) share of the soft light that the object leaves itself."""
-        surface = now[Layer.COVERAGE], now[Layer.NORMAL], now[Layer.POSITION]
+        seen = surface.coverage, surface.normal, surface.position
         if not self._soft_occluded:
-            return np.ones(surface[0].shape, np.float32)
+            return np.ones(surface.coverage.shape, np.float32)
         anchor_from_world, region, grid = view.scene.world_from_anchor.inverse(), prepared.region, prepared.occlusion
         if grid is None:
             caster, count = region.caster, OCCLUSION_LEVELS[view.level].rays
             visible = soft_visibility_by_rays(
-                *surface, region.rays, region.soft_picture, caster, anchor_from_world, light.shape, count
+                *seen, region.rays, region.soft_picture, caster, anchor_from_world, light.shape, count
             )
         else:
             nodes = view.memo.of_light.get(("object", light.shape), lambda: grid.under(light.shape), "soft")
-            visible = soft_visibility(*surface, grid, nodes, anchor_from_world, light.shape)
+            visible = soft_visibility(*seen, grid, nodes, anchor_from_world, light.shape)
         strength = np.float32(self.params.self_shadow)
         return visible if strength == 1 else 1 + strength * (visible - 1)
 
@@ -162,25 +182,24 @@ class Lightmap(Stage):
         return self.params.ambient and self.params.self_shadow > 0 and not self.hard
 
     def shaded(
-        self, now: Layers, soft_visibility: np.ndarray, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight,
+        self, surface: Surface, soft_visibility: np.ndarray, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight,
         eye: np.ndarray, facts: FrameFacts,
     ) -> np.ndarray:  # fmt: skip
         """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of each of the lights `reaching`, past
         the object;  eye (3,) : WORLD frame"""
         f32 = np.float32
-        surface = Surface(*(now[Layer(name)] for name in Surface._fields))
         rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
         widths = highlight_width(light.sizes_deg[reaching])
         lights = Lights(light.towards[reaching].astype(f32), rgb, widths, visibility, soft_visibility)
         soft = f32(self.params.ambient) * harmonic_terms(light.soft, light.ambient)
         return shade(surface, eye.astype(f32), lights, soft, not len(light.soft), np.array(facts.bias_rgb, f32))
 
-    def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
+    def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> Pixels:
         scene = view.scene
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         strength = self.params.shadow_strength
         if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
-            return neutral(Layer.SHADOW, view.rect)
+            return Pixels(view.out, neutral(Layer.SHADOW, view.out))
         make_soft = lambda: within_surface(prepared.ambient.under(light.shape), scene.surface_m)  # noqa: E731
         soft = view.memo.of_light.get(("plane", light.shape), make_soft, "soft")
         textures, fractions = [soft], [np.float32(self.params.ambient) * light.ambient_fraction]
@@ -195,9 +214,9 @@ class Lightmap(Stage):
         real = view.facts.plane_shadow
         blocked = None if real is None else plane_shadow_texture(real, light.ambient_fraction)
         what = anchor_from_camera, textures, np.array(fractions), blocked, self.params.faint, strength
-        if PLANE_LEVELS[view.level].coarse:
-            return coarse_shadow_ratio(view.rect, scene.camera.rect, prepared.grid, *what)
-        return shadow_ratio(view.rect, prepared.grid, *what)
+        if view.level in COARSE:
+            return Pixels(view.out, coarse_shadow_ratio(view.out, scene.camera.rect, prepared.grid, *what))
+        return Pixels(view.out, shadow_ratio(view.out, prepared.grid, *what))
 
     def _shadow_rect(self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight) -> tuple[Rect, str]:
         """Pixels in which the shadow may show, and why those or none."""

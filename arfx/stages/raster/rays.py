@@ -70,7 +70,7 @@ class RayRenderer:
         # One pixel more on each side, so that a pixel's neighbours do not depend on the rectangle asked for.
         wide = rect.pad(1)
         h, w, m = wide.height, wide.width, self.mesh
-        lens = self.lens.directions(wide.pad(1))
+        lens = np.ascontiguousarray(self.lens.directions(wide.pad(1)))
         seen_from = view(lens, camera_from_world, self.pixel, self.taps)
         eye = seen_from.eye - m.centre_m
         points = Pose(camera_from_world.rotation, camera_from_world.apply(m.centre_m)).apply(m.vertices)

@@ -64,8 +64,8 @@ class ReferenceRenderer:
         while len(active) and start < len(self.offsets):
             offsets = self.offsets[start:end]
             own, z, number = self._samples(x[active], y[active], offsets, pose)
-            sums[active] += own.sum(1)
-            squares[active] += (own * own).sum(1)
+            sums[active] += np.einsum("nkc->nc", own)
+            squares[active] += np.einsum("nkc,nkc->nc", own, own)
             hits[active] += (number > 0).sum(1)
             away = np.where(number > 0, (offsets**2).sum(1), np.inf)
             first, row = away.argmin(1), np.arange(len(active))  # the covering sample next to the centre
@@ -127,7 +127,7 @@ class ReferenceRenderer:
             u, v = hit["u"][found].astype(float), hit["v"][found].astype(float)
             z = start[active] + hit["tfar"][found]
             part = m.part[f]
-            back_side = (m.face_normal[f] * d[active]).sum(1) > 0
+            back_side = np.einsum("ij,ij->i", m.face_normal[f], d[active]) > 0
             values, alpha = self._surface(f, np.stack([1 - u - v, u, v], 1), d[active], back_side)
             alpha[back_side & (m.ints[part, columns.TWO_SIDED] == 0)] = 0.0
             weight = transmittance[active] * alpha
@@ -148,7 +148,8 @@ class ReferenceRenderer:
         row, kind = m.floats[m.part[f]].astype(float), m.ints[m.part[f]]
 
         def mix(a: np.ndarray) -> np.ndarray:
-            return (a[corner] * bary[..., None]).sum(1)
+            p, q, r = corner.T
+            return np.asarray(a[p] * bary[:, :1] + a[q] * bary[:, 1:2] + a[r] * bary[:, 2:])
 
         colour = row[:, :4] * mix(m.colours)
         surface = row[:, [columns.METALLIC, columns.ROUGHNESS, columns.SPECULAR]]
@@ -165,21 +166,22 @@ class ReferenceRenderer:
         alpha = np.where(mode == 0, 1.0, np.where(mode == 1, colour[:, 3] >= row[:, columns.CUTOFF], colour[:, 3]))
         normal = normalise(mix(m.normals)) * np.where(back_side, -1.0, 1.0)[:, None]
         unit = normalise(d)
-        normal = normalise(normal - np.maximum((normal * unit).sum(1), 0.0)[:, None] * unit)
+        normal = normalise(normal - np.maximum(np.einsum("ij,ij->i", normal, unit), 0.0)[:, None] * unit)
         return np.concatenate([colour[:, :3], normal, surface, emissive], 1), alpha
 
     def _bilinear(self, t: int, uv: np.ndarray, srgb: int) -> np.ndarray:
         stack = self.mesh.textures
         w, h, start = (int(stack.table[t, k]) for k in (0, 1, 3))
-        picture = stack.texels[start : start + w * h].reshape(h, w, 4)
+        texels = stack.texels[start : start + w * h]
         p = uv * [w, h] - 0.5
         low = np.floor(p).astype(int)
         part = p - low
         out = np.zeros((len(uv), 4))
         for dy in (0, 1):
             for dx in (0, 1):
-                raw = picture[(low[:, 1] + dy) % h, (low[:, 0] + dx) % w]
+                raw = texels[(low[:, 1] + dy) % h * w + (low[:, 0] + dx) % w]
                 fraction = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
-                linear = np.concatenate([CODE[srgb][raw[:, :3]], CODE[0][raw[:, 3:]]], 1)
+                linear = CODE[srgb][raw]
+                linear[:, 3] = CODE[0][raw[:, 3]]
                 out += fraction[:, None] * linear
         return out

@@ -6,11 +6,13 @@ the picture changes. Cost: O(pixels) once for the means, O(cells) after. Source:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numba
 import numpy as np
 
+from arfx.core.layers import packed
 from arfx.core.parallel import parallel_rows
 from arfx.stages.four import add_four
 from arfx.stages.watercolor.label_kernels import Buckets
@@ -21,7 +23,7 @@ from arfx.stages.watercolor.sites import STEPS
 NEIGHBOURS = 8  # stored of a cell; a Voronoi cell has 6 on average
 REACH = 1.4  # sizes of a cell: sites that far apart have nothing to do with each other
 _STEP = 16  # sites in `neighbours`
-_MANY = 16  # below this many pixels per cell, sums over bands would cost more than they save
+_MANY = 8  # below this many pixels per cell, sums over bands would cost more than they save
 _FAST = {"contract", "nsz", "arcp"}
 _U = np.uint64  # an index of that type is not looked at for a minus: loops stay simple
 
@@ -31,7 +33,7 @@ def means(image: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
 
     image : (h, w, 3) float32;  labels : (h, w) int32, 0 ... count - 1"""
     whole = Labels(labels, np.zeros((0, 0), np.int32), np.zeros((0, 0), np.uint8), count)
-    return cell_colours(Picture(image), combine_labels(whole))[:, :3]
+    return cell_colours(Picture(packed(image)), combine_labels(whole))[:, :3]
 
 
 def cell_colours(picture: Picture, cells: Cells) -> np.ndarray:
@@ -43,10 +45,28 @@ def cell_colours(picture: Picture, cells: Cells) -> np.ndarray:
         _sum_rows(picture, cells, y0, y1, total)
         return total
 
-    parts = [one(0, h)] if count * _MANY > h * w else parallel_rows(one, h, 2)
-    total = np.sum(parts, axis=0)
-    total[:, :3] /= np.maximum(total[:, 3:], 1)
-    return total.astype(np.float32)
+    first, *others = [one(0, h)] if count * _MANY > h * w else parallel_rows(one, h, 2)
+    for more in others:
+        first += more
+    return _divided(first)
+
+
+def mean_colours(each: Sequence[np.ndarray]) -> np.ndarray:
+    """`cell_colours` of cells whose pixels were counted at several places: mean of all, mean number."""
+    if len(each) == 1:
+        return each[0]
+    total = np.sum([np.column_stack([c[:, :3] * c[:, 3:], c[:, 3:]]) for c in each], axis=0, dtype=float)
+    return np.asarray(_divided(total) / np.array([1, 1, 1, len(each)], np.float32))
+
+
+@numba.njit(cache=True, nogil=True)
+def _divided(total):  # pragma: no cover - compiled
+    """(count, 4) float32: means and number, of sums and number."""
+    out = np.empty(total.shape, np.float32)
+    for k in range(total.shape[0]):
+        n = max(total[k, 3], 1.0)
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = total[k, 0] / n, total[k, 1] / n, total[k, 2] / n, total[k, 3]
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
@@ -88,7 +108,7 @@ def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarr
     if n < 2:
         return near, weight
     left, right, top, bottom = float(x.min()), float(x.max()), float(y.min()), float(y.max())
-    side = max(REACH * np.sqrt((right - left) * (bottom - top) / n), (right - left) / 8192, (bottom - top) / 8192, STEPS)
+    side = max(REACH * np.sqrt((right - left) * (bottom - top) / n), (right - left) / 8192, (bottom - top) / 8192, float(STEPS))
     gw, gh = int((right - left) // side) + 1, int((bottom - top) // side) + 1
     start, order = bucket_sites(x, y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
     position = np.zeros((3, n + _STEP), np.float32)

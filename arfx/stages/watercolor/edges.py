@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
+from arfx.core.layers import packed
 from arfx.core.parallel import BANDS, parallel_rows
 
 _FAST = {"contract", "nsz", "arcp"}
@@ -114,7 +115,7 @@ def virtual_edges(
     h, w = shape or coverage.shape
     out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
     if opacity > 0 and coverage.any():
-        _virtual(coverage, normal, depth, np.float32(opacity), *at, h, w, out)
+        _virtual(packed(coverage), packed(normal), packed(depth), np.float32(opacity), *at, h, w, out)
     return out
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
-from arfx.stages.watercolor.rows import Picture
 from arfx.stages.watercolor.sites import STEPS, Sites
 
 _U, _F = np.uint64, np.float32
@@ -32,32 +31,13 @@ def halve_sites(sites: Sites, rect: Rect) -> Sites:
     return replace(sites, x=x, y=y, weight=np.rint(sites.weight / 4).astype(np.float32))
 
 
-def halve_picture(picture: Picture) -> Picture:
-    """Means of 2 x 2 pixels, its patch in its place."""
-    image, patch = picture.image, picture.patch
-    small = _halve(image)
-    if patch.size:
-        y, x = picture.y // 2, picture.x // 2
-        part = image[2 * y : picture.y + patch.shape[0] + 1, 2 * x : picture.x + patch.shape[1] + 1].copy()
-        part[picture.y - 2 * y :, picture.x - 2 * x :][: patch.shape[0], : patch.shape[1]] = patch
-        # of a row that has none below in the part, the picture's own does not matter: it is not the patch's
-        made = _halve(part[: _whole(part.shape[0], 2 * y, image.shape[0]), : _whole(part.shape[1], 2 * x, image.shape[1])])
-        small[y : y + made.shape[0], x : x + made.shape[1]] = made
-    small.setflags(write=False)
-    return Picture(small)
-
-
-def _whole(n: int, start: int, end: int) -> int:
-    """How many of n pixels from `start` on make whole pairs, or reach the picture's `end`."""
-    return n if start + n >= end else n // 2 * 2
-
-
-def _halve(image: np.ndarray) -> np.ndarray:
-    """(h, w, 3) float32 to (ceil(h / 2), ceil(w / 2), 3)."""
+def halved(image: np.ndarray) -> np.ndarray:
+    """(h, w, 3) float32 to (ceil(h / 2), ceil(w / 2), 3), means of 2 x 2 pixels; read-only."""
     image = np.ascontiguousarray(image)
     h, w = ((n + 1) // 2 for n in image.shape[:2])
     out = np.empty((h, w, 3), np.float32)
     parallel_rows(lambda a, b: _halve_rows(image, a, b, out), h)
+    out.setflags(write=False)
     return out
 
 

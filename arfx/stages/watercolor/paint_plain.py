@@ -25,19 +25,29 @@ def paint_plain(
     """(h, w, 3) float32 linear, of that shape: that of the cells, or twice that (odd numbers rounded up).
 
     root, flow, paper, line, strengths, ink_rgb : as of `paint.paint`; strengths without pigment are 0"""
-    (h, w), colour = shape, root * root
-    slope, every = colour * (1 - colour), 1 if cells.first.shape == shape else 2
-    table = np.zeros((len(root), 8), np.float32)
-    table[:, :3], table[:, 4:7] = colour - slope * (strengths[2] * flow)[:, None], slope * strengths[3]
-    out = np.empty((h, w, 3), np.float32)
+    (h, w), every = shape, 1 if cells.first.shape == shape else 2
+    table, out = _pigments(root, flow, strengths[2], strengths[3]), np.empty((h, w, 3), np.float32)
     lines = line, strengths[4], strengths[5], np.tile(np.asarray(ink_rgb, np.float32), w)
     parallel_rows(lambda ya, yb: _paint(cells, table, paper, lines, every, ya, yb, out), len(cells.first))
     return out
 
 
 @numba.njit(cache=True, nogil=True)
+def _pigments(root, flow, much_flow, much_grain):  # pragma: no cover - compiled
+    """(n, 8) float32: pigment on even paper, 0, what paper of height 1 takes from it, 0"""
+    out = np.zeros((root.shape[0], 8), np.float32)
+    for k in range(root.shape[0]):
+        tinted = much_flow * flow[k]
+        for c in range(3):
+            colour = root[k, c] * root[k, c]
+            slope = colour * (_F(1) - colour)
+            out[k, c], out[k, 4 + c] = colour - slope * tinted, slope * much_grain
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
 def _paint(cells: Cells, table, paper, lines, every, ya, yb, out):  # pragma: no cover - compiled
-    """Rows ya ... yb - 1 of the cells. table (n, 8) : pigment on even paper, 0, what paper of height 1 takes from it, 0"""
+    """Rows ya ... yb - 1 of the cells. table (n, 8) : of `_pigments`"""
     (grain, x0, y0), (line, opacity, dry, ink) = paper, lines
     h, w = out.shape[:2]
     n = cells.first.shape[1]

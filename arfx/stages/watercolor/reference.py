@@ -1,5 +1,7 @@
-"""Labels by other means than the kernels' of labels.py, in float64: pixel by pixel, ring after ring of squares around it until no
-farther one can hold a nearer site. The yardstick for them, and the level reference."""
+"""The level reference: the mean over a pixel of what is painted in it, at several places.
+
+Labels are found by other means than the kernels' of labels.py, in float64: place by place, ring after ring of squares around it
+until no farther one can hold a nearer site. They are the yardstick for the kernels too."""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ import numpy as np
 from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.label_kernels import SOLID
-from arfx.stages.watercolor.labels import Labels, bucket_sites, unlabelled
+from arfx.stages.watercolor.labels import Labels, Wobble, bucket_sites, unlabelled
+from arfx.stages.watercolor.pigment import repeat_tile
 from arfx.stages.watercolor.sites import STEPS, Sites
 
 _AT_ONCE = 1 << 22  # distances in memory at a time
@@ -35,6 +38,20 @@ def nearest_labels(
     return first, second
 
 
+def labels_within(sites: Sites, rect: Rect, wobble: Wobble, blend_px: float, places: int) -> tuple[Labels, ...]:
+    """At places x places within every pixel, evenly, the middle first; places : odd. Between pixels the wobble is linear."""
+    tile = repeat_tile(wobble.tile, wobble.x + rect.x0 - 1, wobble.y + rect.y0 - 1, rect.width + 2, rect.height + 2)
+    near, along = tile.astype(float), np.arange(places) / places + 0.5 / places - 0.5
+    at = sorted(((y, x) for y in along for x in along), key=lambda place: np.hypot(*place))
+
+    def moved(y: float, x: float) -> np.ndarray:
+        rows = near[:, 1:-1] + abs(y) * (near[:, 2:] - near[:, 1:-1] if y > 0 else near[:, :-2] - near[:, 1:-1])
+        middle, beside = rows[..., 1:-1], rows[..., 2:] if x > 0 else rows[..., :-2]
+        return middle + abs(x) * (beside - middle) + STEPS * np.array([x, y])[:, None, None]
+
+    return tuple(reference_labels(sites, rect, moved(y, x), blend_px) for y, x in at)
+
+
 def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None, blend_px: float = 0.0) -> Labels:
     """The same as labels.label. wobble (2, h, w) : displacement of the pixels, 1/STEPS px"""
     h, w, borders = rect.height, rect.width, blend_px > 0
@@ -44,7 +61,7 @@ def reference_labels(sites: Sites, rect: Rect, wobble: np.ndarray | None = None,
     x, y, weight = (np.asarray(a, float) for a in (sites.x, sites.y, sites.weight))
     left, top, right, bottom = x.min(), y.min(), x.max(), y.max()
     longest = max(right - left, bottom - top)
-    side = max(np.sqrt((right - left) * (bottom - top) / len(x)), longest / 8192, STEPS)
+    side = max(np.sqrt((right - left) * (bottom - top) / len(x)), longest / 8192, float(STEPS))
     gh, gw = int((bottom - top) // side) + 1, int((right - left) // side) + 1
     start, order = bucket_sites(sites.x, sites.y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
     first, second = np.empty((h, w), np.int32), np.empty((h, w) if borders else (0, 0), np.int32)

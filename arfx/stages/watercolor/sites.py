@@ -73,7 +73,7 @@ def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) ->
     unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest"""
     size = np.clip(field.size, 0.25, None)
     for _ in range(_HIGHEST):
-        args = field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, unit_px
+        args = field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, float(unit_px)
         make = partial(_enumerate, field.x0, field.y0, *args)
         parts = parallel_rows(make, field.u.shape[0] - 1, least=8)
         made = parts[0] if len(parts) == 1 else tuple(np.concatenate(column) for column in zip(*parts, strict=True))

@@ -7,7 +7,7 @@ and gives the same bits. Cost: O(pixels). Memory: about 105 bytes a pixel while 
 it reads (8K, with the finest cells that detail asks for: 3.8 GB measured, with the program; 4 bytes a pixel less with even
 cells), and 12 for each of two memoised pictures (none above 16 Mpx). Lines and toon are made beside the cells, on a free core.
 Levels (levels.py) paint the same cells: draft at half the size, without washes; standard with half the rounds of washes and
-plain borders; high all of it, exactly; reference is high with float64 labels by other means.
+plain borders; high all of it, at every pixel's middle; reference is the mean of nine places in each (81 bytes a pixel more).
 line_hold looks at the frame before as well (temporal.py): its layers stay in memory, and each chunk renders one frame more.
 Grain and dry brush lie on the paper and stay there: coherence along the motion is measured without them.
 Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow; without measured depth, that of real things off the plane."""
@@ -23,17 +23,17 @@ import cv2
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
+from arfx.core.layers import Layer, packed
 from arfx.core.parallel import BackgroundTask
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
-from arfx.stages.watercolor.cells import adjust_tone, cell_colours, neighbours, smooth_washes
+from arfx.stages.watercolor.cells import adjust_tone, cell_colours, mean_colours, neighbours, smooth_washes
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.field import RealDioptre, advection_directions, frame_field
-from arfx.stages.watercolor.half import double_lines, half_rect, halve_picture, halve_sites
+from arfx.stages.watercolor.half import double_lines, half_rect, halve_sites, halved
 from arfx.stages.watercolor.labels import Labels, Wobble, label, sort_sites
 from arfx.stages.watercolor.levels import ACCURACY
 from arfx.stages.watercolor.measure import edge_measure
@@ -41,8 +41,8 @@ from arfx.stages.watercolor.object_sites import Surface, object_sites, sample_su
 from arfx.stages.watercolor.paint import paint
 from arfx.stages.watercolor.paint_plain import paint_plain
 from arfx.stages.watercolor.params import WatercolorParams
-from arfx.stages.watercolor.pigment import paper_grain, repeat_tile, turbulence
-from arfx.stages.watercolor.reference import reference_labels
+from arfx.stages.watercolor.pigment import paper_grain, turbulence
+from arfx.stages.watercolor.reference import labels_within
 from arfx.stages.watercolor.rows import Cells, Picture, combine_labels, offset
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, SiteField, Sites, make_sites
 from arfx.stages.watercolor.temporal import backward_flow, temporal_blend
@@ -61,12 +61,14 @@ _VIRTUAL = (Layer.VIRTUAL, Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH, Layer.ALBE
 
 @dataclass(frozen=True, eq=False)
 class CellSet:
-    """Of one set of sites. flow (n,) : turbulence at the sites;  near, weight (n, k) : of cells.neighbours"""
+    """Of one set of sites. labels : of the pixels' middles;  flow (n,) : turbulence at the sites
+    near, weight (n, k) : of cells.neighbours;  within : labels of further places in the pixels"""
 
     labels: Labels
     flow: np.ndarray
     near: np.ndarray
     weight: np.ndarray
+    within: tuple[Labels, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,28 +156,29 @@ class Watercolor(Stage):
         made: tuple[SiteField, Any, Key] = view.memo.of_frame.get(key, make, "field", _MEMO_SETS)
         return made
 
-    def with_toon(self, view: View) -> Picture:
-        """The picture with the object toon-shaded."""
-        p, image = self.params, view[Layer.IMAGE]
-        box = view.layers.extent(Layer.COVERAGE).clip(_box(view))
+    def with_toon(self, view: View, half: bool = False) -> Picture:
+        """The picture with the object toon-shaded. half : of half the size, toon of one in 2 x 2 pixels"""
+        p, image, every = self.params, view[Layer.IMAGE], 2 if half else 1
+        image, box = halved(image) if half else image, view.layers.extent(Layer.COVERAGE).clip(_box(view))
         if not p.toon or box.empty:
             return Picture(image)
-        part = view.layers.crop(box)
-        if not part[Layer.COVERAGE].any():
+        part, (top, left) = view.layers.crop(box), offset(box, view.rect)
+        layers = ObjectLayers(*(packed(_sparse(part[Layer(n)], top, left, every)) for n in ObjectLayers._fields))
+        if not layers.coverage.any():
             return Picture(image)
         light = view.light
         direction, radiance = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
         even = EVEN * np.clip(light.ambient_rgb, 0, radiance)
-        layers, opacity = ObjectLayers(*(part[Layer(name)] for name in ObjectLayers._fields)), view.facts.opacity
+        (top, left), (h, w) = (-(-n // every) for n in (top, left)), layers.coverage.shape
         patch = toon(
-            part[Layer.IMAGE], layers, direction, radiance, even, p.toon_thresholds, p.toon_factors, opacity, RAMP
+            image[top : top + h, left : left + w], layers, direction, radiance, even, p.toon_thresholds, p.toon_factors,
+            view.facts.opacity, RAMP,
         )  # fmt: skip
-        return Picture(image, patch, *offset(box, view.rect))
+        return Picture(image, patch, top, left)
 
     def _shown(self, view: View) -> Picture:
         """What is painted: the picture with the object toon-shaded, of half the size where the level says so."""
-        picture = self.with_toon(view)
-        return halve_picture(picture) if ACCURACY[view.level].half else picture
+        return self.with_toon(view, ACCURACY[view.level].half)
 
     def _painted(
         self, view: View, prepared: Prepared, field: SiteField, pose: Any, sites_key: Key, picture: BackgroundTask[Picture],
@@ -183,12 +186,14 @@ class Watercolor(Stage):
     ) -> np.ndarray:  # fmt: skip
         """picture : of `_shown`"""
         p, rect = self.params, view.rect
+        # the object's cells are made beside the background's
+        own = BackgroundTask(lambda: None if pose is None else self._object_cells(view, prepared, pose))
         make = lambda: self._background_cells(field, view, prepared)  # noqa: E731
         cells = view.memo.of_frame.get((sites_key, rect), make, "cells", _MEMO_SETS)
-        labels, accuracy = combine_labels(cells.labels), ACCURACY[view.level]
-        if pose is not None:
-            labels, cells = self._with_object(view, cells, prepared, pose)
-        colours = cell_colours(picture(), labels)
+        each, accuracy = [combine_labels(labels) for labels in (cells.labels, *cells.within)], ACCURACY[view.level]
+        if (found := own()) is not None:
+            each, cells = _with_object(cells, *found)
+        colours = mean_colours([cell_colours(picture(), labels) for labels in each])
         whole = ceil(8 * p.wash)
         rounds = accuracy.rounds_of(whole)
         root = smooth_washes(
@@ -199,9 +204,16 @@ class Watercolor(Stage):
         strengths = np.array([p.edge_darkening, 0.25, p.flow, p.grain, p.lines, p.dry_brush], np.float32)
         strengths[[0, 2, 3, 5]] *= p.pigment
         paper = prepared.grain, rect.x0, rect.y0
-        if not labels.second.size:
-            return paint_plain(labels, root, cells.flow, paper, lines(), strengths, ink, (rect.height, rect.width))
-        return paint(picture(), labels, colours, root, cells.flow, paper, lines(), strengths, ink)
+
+        def made(labels: Cells) -> np.ndarray:
+            if not labels.second.size:
+                return paint_plain(labels, root, cells.flow, paper, lines(), strengths, ink, (rect.height, rect.width))
+            return paint(picture(), labels, colours, root, cells.flow, paper, lines(), strengths, ink)
+
+        out = made(each[0])
+        for labels in each[1:]:
+            out += made(labels)
+        return out if len(each) == 1 else out / np.float32(len(each))
 
     def _lines(
         self, picture: BackgroundTask[Picture], view: View, content: Key, before: View | None, earlier: Key
@@ -271,19 +283,19 @@ class Watercolor(Stage):
             sites, rect = halve_sites(sites, rect), half_rect(rect)
         sites = sort_sites(sites, rect, wobble)
         blend = BLEND_PX if p.pigment and accuracy.borders else 0.0
-        if level == "reference":
-            moved = repeat_tile(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height)
-            labels = reference_labels(sites, rect, moved.astype(np.float32), blend)
+        if accuracy.places > 1:
+            labels, *within = labels_within(sites, rect, wobble, blend, accuracy.places)
         else:
-            labels = label(sites, rect, wobble, blend, mask)
+            labels, within = label(sites, rect, wobble, blend, mask), []
         flow = turbulence(sites.u, sites.v, seed, p.flow_px) if p.pigment and len(sites) else np.zeros(labels.count, np.float32)
         near, weight = np.zeros((labels.count, 0), np.int32), np.zeros((labels.count, 0), np.float32)
         if accuracy.rounds > 0 and p.wash > 0 and len(sites) > 1:
             near, weight = neighbours(sites.x, sites.y, size_at(sites) * STEPS)
-        return CellSet(labels, flow, near, weight)
+        return CellSet(labels, flow, near, weight, tuple(within))
 
-    def _with_object(self, view: View, cells: CellSet, prepared: Prepared, pose: Any) -> tuple[Cells, CellSet]:
-        """Labels, and what is known of all cells, with those of the object's surface in the pixels that it mostly covers."""
+    def _object_cells(self, view: View, prepared: Prepared, pose: Any) -> tuple[CellSet, np.ndarray, int, int] | None:
+        """Cells of the object's surface; (h, w) bool, pixels that it mostly covers, and their first row and column. None where it
+        covers none."""
         now, scene, level, cell = view.layers, view.scene, view.level, 0.8 * self.params.cell_px
         box = now.extent(Layer.COVERAGE).clip(_box(view))
         inside, (top, left) = now.crop(box)[Layer.COVERAGE] >= 0.5, offset(box, view.rect)
@@ -291,7 +303,7 @@ class Watercolor(Stage):
             inside, box = _sparse(inside, top, left, 2).copy(), Rect(box.x0 + left % 2, box.y0 + top % 2, box.x1, box.y1)
             top, left = (top + 1) // 2, (left + 1) // 2
         if not inside.any():
-            return combine_labels(cells.labels), cells
+            return None
 
         def make() -> CellSet:
             p = self.params
@@ -300,15 +312,20 @@ class Watercolor(Stage):
             return self._cells(sites, box, wobble, level, scene.seed + 1, lambda ordered: size_px[ordered.key], inside)
 
         key = ("object", _pose_key(pose), box, digest(inside.view(np.uint8)))
-        own = view.memo.of_frame.get(key, make, "cells", _MEMO_SETS)
-        # neighbours within the object only: paint does not run over its outline
-        if own.near.shape[1] and cells.near.shape[1]:
-            near = np.concatenate([cells.near, own.near + np.int32(cells.labels.count)])
-            weight = np.concatenate([cells.weight, own.weight])
-        else:
-            near, weight = (np.zeros((cells.labels.count + own.labels.count, 0), t) for t in (np.int32, np.float32))
-        labels = combine_labels(cells.labels, own.labels, inside, top, left)
-        return labels, CellSet(cells.labels, np.concatenate([cells.flow, own.flow]), near, weight)
+        return view.memo.of_frame.get(key, make, "cells", _MEMO_SETS), inside, top, left
+
+
+def _with_object(cells: CellSet, own: CellSet, inside: np.ndarray, top: int, left: int) -> tuple[list[Cells], CellSet]:
+    """Labels of each place in the pixels, and what is known of all cells, with those of the object where it is."""
+    # neighbours within the object only: paint does not run over its outline
+    if own.near.shape[1] and cells.near.shape[1]:
+        near = np.concatenate([cells.near, own.near + np.int32(cells.labels.count)])
+        weight = np.concatenate([cells.weight, own.weight])
+    else:
+        near, weight = (np.zeros((cells.labels.count + own.labels.count, 0), t) for t in (np.int32, np.float32))
+    pairs = zip((cells.labels, *cells.within), (own.labels, *own.within), strict=True)
+    each = [combine_labels(back, front, inside, top, left) for back, front in pairs]
+    return each, CellSet(cells.labels, np.concatenate([cells.flow, own.flow]), near, weight)
 
 
 def _size_at(field: SiteField, sites: Sites) -> np.ndarray:

@@ -168,7 +168,7 @@ def test_the_document_is_json_and_the_plots_are_pictures(good: Calibration, tmp_
         assert picture.std() > 10
 
 
-def flat(spec: BoardSpec, px_per_square: int = 40) -> np.ndarray:
+def flat(spec: BoardSpec, px_per_square: int = 30) -> np.ndarray:
     return cv2.GaussianBlur(board_picture(spec, px_per_square), (0, 0), 0.8)
 
 

@@ -1,4 +1,4 @@
-"""A clip's analysis that is interrupted leaves the same bytes as one that is not, whatever the clip and its checkpoint."""
+"""A clip's analysis that is interrupted leaves the same bytes as one that is not, whatever the clip and what is left of it."""
 
 from __future__ import annotations
 
@@ -9,29 +9,27 @@ from pathlib import Path
 from typing import Any
 
 import av
-import numpy as np
 import pytest
 
 from arfx.analyse.fold import AnalysisJob
 from arfx.core import codec
 from arfx.core.facts import write_facts
 from arfx.media.clip import probe
-from arfx.run import analysis
-from arfx.run.analysis import AnalysisPass, Checkpoint, analyse_clip
+from arfx.run import stretches
+from arfx.run.analysis import AnalysisPass, analyse_clip
 from arfx.run.folder import JobFolder
 from tests.clips import MARKER, clip_camera, write_clip
 
 FRAMES = 40
-OF = ["key", "marker", "markers", "pose", "light"]
 
 
 @pytest.fixture(autouse=True)
-def at_every_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(analysis, "CHECKPOINT_S", -1.0)
+def short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stretches, "LEAST_FRAMES", 8)
 
 
 def gap(path: Path) -> Path:
-    return write_clip(path / "gap.mp4", FRAMES, absent=range(20, 24))
+    return write_clip(path / "gap.mov", FRAMES, absent=range(20, 24), codec="mjpeg", pixel_format="yuvj420p")  # of key frames
 
 
 def cut_short(path: Path) -> Path:
@@ -67,7 +65,7 @@ def analysed(clip: Path, job: Path, stop: int | None = None, folds: frozenset[st
 def written(done: AnalysisPass, path: Path) -> tuple[Any, ...]:
     write_facts(path, done.analysis.facts)
     about = replace(done.analysis, facts=())
-    return path.read_bytes(), about, done.span.pts, done.span.keys, done.span.whole, done.truncated
+    return path.read_bytes(), about, done.pts, done.keys, done.truncated
 
 
 ASKED: frozenset[str] = frozenset({"environment", "lens"})
@@ -83,7 +81,7 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
 ) -> None:
     clip = make(tmp_path)
     whole = written(analysed(clip, tmp_path / "whole", None, folds), tmp_path / "whole.jsonl")
-    assert len(whole[2]) > 0.9 * FRAMES and (make is cut_short) == (whole[5] is not None)
+    assert len(whole[2]) > 0.9 * FRAMES and (make is cut_short) == (whole[4] is not None)
     for stop in stops:  # one job, interrupted again and again
         with pytest.raises(KeyboardInterrupt):
             analysed(clip, tmp_path / "often", stop, folds)
@@ -91,38 +89,26 @@ def test_an_interrupted_analysis_leaves_the_same_bytes(
     assert written(resumed, tmp_path / "often.jsonl") == whole
 
 
-def test_a_checkpoint_of_anything_else_is_passed_over(tmp_path: Path) -> None:
+def test_a_stretch_of_anything_else_is_made_anew(tmp_path: Path) -> None:
     clip, job = gap(tmp_path), JobFolder(tmp_path / "job")
     whole = written(analysed(clip, tmp_path / "whole"), tmp_path / "whole.jsonl")
     with pytest.raises(KeyboardInterrupt):
         analysed(clip, job.path, 30)
-    good = job.checkpoint.read_bytes()
-    assert Checkpoint(job.checkpoint, OF).read() is not None
-    bad = [
-        b"", b'{"key": "key", "pts": [0], "state": {}}', good[:-1], good[:1000] + b"\xff" + good[1001:],
-        good.replace(b"state 1", b"state 0"), codec.dumps({"of": ["other", *OF[1:]], "state": {}}), codec.dumps([1]),
-        codec.dumps({"of": ["key", "plane", *OF[2:]], "state": {}}), codec.dumps({"of": OF, "state": np.zeros(1)}),
-    ]  # fmt: skip
-    for data in bad:
-        job.checkpoint.write_bytes(data)
-        assert Checkpoint(job.checkpoint, OF).read() is None
-    assert written(analysed(clip, job.path), tmp_path / "again.jsonl") == whole
-    job.checkpoint.unlink()
-    job.checkpoint.mkdir()
-    assert Checkpoint(job.checkpoint, OF).read() is None
+    first = min(job.stretches.iterdir())
+    good = first.read_bytes()
+    assert codec.loads(good)["pts"] == whole[2][: len(codec.loads(good)["pts"])]
+    for data in (b"", good[:-1], good[:1000] + b"\xff" + good[1001:], good.replace(b"state 1", b"state 0"), codec.dumps([1])):
+        first.write_bytes(data)
+        assert written(analysed(clip, job.path), tmp_path / "again.jsonl") == whole
+        assert first.read_bytes() == good
     shutil.rmtree(job.path)
 
 
-def test_what_is_slow_to_write_down_is_written_less_often(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [0.0]
-    monkeypatch.setattr(analysis, "CHECKPOINT_S", 20.0)
-    monkeypatch.setattr(analysis.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(analysis, "write", lambda path, data: now.__setitem__(0, now[0] + 3.0))
-    kept = Checkpoint(tmp_path / "c", OF)
-    now[0] = 20.5
-    assert kept.due()
-    kept.write({})
-    now[0] = 23.5 + 59.0
-    assert not kept.due()
-    now[0] += 2.0
-    assert kept.due()
+def test_stretches_that_are_there_are_not_made_again(tmp_path: Path) -> None:
+    clip, job = gap(tmp_path), tmp_path / "job"
+    with pytest.raises(KeyboardInterrupt):
+        analysed(clip, job, 30)
+    kept = {p.name: p.stat().st_mtime_ns for p in (job / "stretches").iterdir()}
+    analysed(clip, job)
+    now = {p.name: p.stat().st_mtime_ns for p in (job / "stretches").iterdir()}
+    assert len(kept) == 3 and len(now) == 5 and kept.items() <= now.items()

@@ -17,7 +17,7 @@ from arfx.core.facts import read_facts
 from arfx.errors import ArfxError, ConfigError, InputError, JobInterruptedError
 from arfx.measure import report_html
 from arfx.measure.report import report_of_job
-from arfx.run import analysis, schedule
+from arfx.run import schedule
 from arfx.run.folder import JobFolder
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
@@ -67,10 +67,10 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.raises(JobInterruptedError):
         run(d, d / "out.mp4", d / "job", lambda phase, n: phase == "render" and n > CHUNK, resume=False)
     assert len(list((d / "job" / "chunks").glob("*.nut"))) == 1
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(JobInterruptedError):
-        patch.setattr(analysis, "CHECKPOINT_S", 0.0)
-        run(d, d / "out.mp4", d / "early", lambda phase, n: phase == "analyse" and n == 5, resume=False)
-    assert (d / "early" / "analysis.checkpoint").exists()
+    with pytest.raises(JobInterruptedError):
+        told = itertools.count()  # of all frames twice: when the last is analysed, and when they are joined
+        run(d, d / "out.mp4", d / "early", lambda phase, n: phase == "analyse" and n == FRAMES and next(told) > 0, resume=False)
+    assert len(list((d / "early" / "stretches").iterdir())) == 1
     return d
 
 
@@ -145,10 +145,10 @@ def test_missing_pieces_are_made_anew(done: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("way", ["cut", "digit", "other"])
-def test_a_damaged_checkpoint_is_not_taken_up(done: Path, tmp_path: Path, way: str) -> None:
+def test_a_damaged_stretch_is_not_taken_up(done: Path, tmp_path: Path, way: str) -> None:
     job, out = tmp_path / "job", done / "out.mp4"
     shutil.copytree(done / "early", job)
-    path = job / "analysis.checkpoint"
+    (path,) = (job / "stretches").iterdir()
     path.write_bytes(WAYS[way](path.read_bytes()))
     run(done, out, job)
     assert sha(out) == sha(done / "whole.mp4")

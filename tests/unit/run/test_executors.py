@@ -22,7 +22,7 @@ def test_an_error_beside_the_workers_stops_them(tmp_path: Path, monkeypatch: pyt
 
     def run(*_: Any, **__: Any) -> Iterator[dict[str, Any]]:
         try:
-            yield {"first": 0, "file": "x"}
+            yield {"first": 0, "file": "x", "seconds": {}}
         finally:
             stopped.append(True)
 

@@ -15,7 +15,7 @@ import pytest
 
 from arfx.run import job, kernels
 from arfx.run.folder import JobFolder
-from arfx.run.kernels import DIMMING, JOB, SYNTH, Kernel, compile_ahead, listed_kernels, warn_if_unlisted
+from arfx.run.kernels import DIMMING, JOB, SELDOM, SYNTH, Kernel, compile_ahead, listed_kernels, warn_if_unlisted
 from arfx.run.times import WorkLog
 from arfx.stages import STAGES
 from arfx_cli.console import Progress
@@ -114,10 +114,18 @@ def test_what_is_not_in_the_list_is_told_once(two: list[Kernel]) -> None:
     assert len(notices) == 1 and "compiling" in notices[0]
 
 
+def test_what_the_list_has_for_few_jobs_is_told_too(two: list[Kernel], tmp_path: Path) -> None:
+    (tmp_path / "list.json").write_text(json.dumps({SELDOM: [[two[0].module, "double", "(float64,)", 9.0]]}))
+    notices: list[str] = []
+    with warn_if_unlisted(notices.append):
+        two[0].load()
+    assert len(notices) == 1
+
+
 def test_the_list_fits_the_code() -> None:
     """Every function that it names is there, is kept on disk, and takes as many arguments as it says."""
     document = json.loads(kernels.MANIFEST.read_text(encoding="utf-8"))
-    assert {SYNTH, JOB, "lightmap", *EFFECTS} <= document.keys() <= {SYNTH, JOB, DIMMING, *STAGES}
+    assert {SYNTH, JOB, "lightmap", *EFFECTS} <= document.keys() <= {SYNTH, JOB, DIMMING, SELDOM, *STAGES}
     for kernel in listed_kernels():
         function = kernel.function
         assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, kernel
@@ -163,7 +171,7 @@ def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch, st
 
     monkeypatch.setattr(job, "pipeline", lambda _: ())
     monkeypatch.setattr(job, "WorkLog", log)
-    monkeypatch.setattr(job, "frozen", stop)
+    monkeypatch.setattr(job, "job_keys", stop)
     config = SimpleNamespace(input=SimpleNamespace(clip="clip.mp4"), model=SimpleNamespace(file="model.glb"))
     with pytest.raises(KeyboardInterrupt):
         job.plan_job(SimpleNamespace(config=config), JobFolder(Path("job")), job.Options(), started)  # type: ignore[arg-type]

@@ -219,7 +219,8 @@ def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
     images = f"chunks/12-34-000030-000059.{KEY}.part/000031.png", f"chunks/000000-000029.{KEY}.{KEY}/times.txt"
     for name in (
         "inputs.json", "facts.jsonl", "environment.maps", "report.json", f"chunks/000000-000029.{KEY}.{KEY}.nut", *images,
-        "previews/000001.in.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json", "analysis.checkpoint",
+        "previews/000001.in.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json", "stretches.json",
+        f"stretches/000000-000124.{KEY}", "stretches/.arfx-12-0a1b2c3d.part",
     ):  # fmt: skip
         (job.path / name).parent.mkdir(parents=True, exist_ok=True)
         (job.path / name).write_text("x")
@@ -243,7 +244,7 @@ def test_a_job_that_came_to_nothing_leaves_nothing(read: Path, tmp_path: Path, e
         (at.folder.path / "job.toml").write_text(MARK)
         at.folder.timings.write_text("{}")
         if isinstance(error, NothingToDoError):
-            at.folder.checkpoint.write_text("leads to the same end")
+            (at.folder.stretches / f"000000-000124.{KEY}").write_text("leads to the same end")
         raise error
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "read"] and not list((tmp_path / "empty").iterdir())
 
@@ -252,16 +253,17 @@ def test_a_job_that_can_be_resumed_keeps_what_it_has(read: Path, tmp_path: Path)
     at = places(read, tmp_path / "out.mp4")
     with pytest.raises(RenderError), at.held(resume=False):
         at.folder.job.write_text(MARK)
-        at.folder.checkpoint.write_text("20 s of analysis")
+        kept = at.folder.stretches / f"000000-000124.{KEY}"
+        kept.write_text("a stretch of the analysis")
         raise RenderError("the disk is full")
-    assert at.folder.checkpoint.exists()
+    assert kept.exists()
     with (
         pytest.raises(ConfigError, match="unfinished"),
         Places(inputs(read, tmp_path / "out.mp4"), None, None, False).held(False),
     ):
         pass
     with at.held(resume=True):
-        assert at.folder.checkpoint.exists()
+        assert kept.exists()
     assert not at.folder.path.exists()
 
 

@@ -61,7 +61,7 @@ def fake_tasks(n: int) -> list[executors.Task]:
     return [("folder", "key", i, i, "target") for i in range(n)]
 
 
-def test_threads_render_every_chunk_once_in_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_render_every_chunk_once_in_stretches() -> None:
     order: dict[int, list[int]] = {}
     helped = threading.Event()
 
@@ -74,16 +74,15 @@ def test_threads_render_every_chunk_once_in_stretches(monkeypatch: pytest.Monkey
         tick()
         return {"first": first}
 
-    monkeypatch.setattr(executors, "render_chunk", render)
     told: list[int] = []
-    results = list(executors.run_threads(fake_tasks(12), 2, told.append))
+    results = list(executors.run_threads(fake_tasks(12), 2, told.append, render))
     assert sorted(r["first"] for r in results) == list(range(12))
     quick = next(o for o in order.values() if o[0] == 6)
     assert quick[:6] == [6, 7, 8, 9, 10, 11], "a thread leaves its stretch"
     assert told[-1] <= 12
 
 
-def test_a_failing_chunk_stops_all_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_chunk_stops_all_threads() -> None:
     ended: list[int] = []
 
     def render(folder: str, key: str, first: int, last: int, target: str, tick: executors.Callable[[], None]) -> dict:
@@ -96,9 +95,8 @@ def test_a_failing_chunk_stops_all_threads(monkeypatch: pytest.MonkeyPatch) -> N
         ended.append(first)
         return {"first": first}
 
-    monkeypatch.setattr(executors, "render_chunk", render)
     with pytest.raises(RenderError):
-        list(executors.run_threads(fake_tasks(8), 2, lambda n: None))
+        list(executors.run_threads(fake_tasks(8), 2, lambda n: None, render))
     assert not ended
 
 

@@ -7,12 +7,13 @@ import pytest
 import trimesh
 
 from arfx.core.camera import Camera
-from arfx.core.cube import CubeMap
+from arfx.core.cube import CubeMap, look_up
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.scene import Scene
-from arfx.stages.gi import GiParams
+from arfx.stages.gi import GiParams, reference
+from arfx.stages.gi.reference_kernels import cube_radiance
 from arfx.stages.gi.reference_sampling import Gloss, Sampler
 from tests.unit.stages.gi_scenes import MATT_WHITE, ball, from_above, ground_points, on_plane, run_gi
 
@@ -85,3 +86,25 @@ def test_gloss_never_weighs_more_than_one_and_keeps_its_mean(roughness: float, v
         value, p = gloss.at(np.arange(k), even)
         assert weight[:, 0].sum() / k == pytest.approx(2 * np.pi * value[:, 0].mean(), rel=0.03)
         assert 2 * np.pi * p.mean() <= 1.02
+
+
+def test_a_mirror_that_is_seldom_asked_for_keeps_its_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the plane receives from a ball of a mirror: as where every place of a path is asked for what it mirrors."""
+    s = on_plane(ball(Material(base_colour=(0.0, 0.0, 0.0, 1.0), specular=1.0)), DIM, CAMERA)
+    cube = np.full((6, 16, 16, 3), 0.3)
+    cube[4] = 0.6
+    change = []
+    for mirrors in (0.01, reference.MIRRORS):
+        monkeypatch.setattr(reference, "MIRRORS", mirrors)
+        made = run_gi(s, "reference", params=GiParams(samples=64), environment=CubeMap.of(cube))
+        change.append((1 - made[Layer.SHADOW][made[Layer.COVERAGE] == 0]).mean())
+    assert change[1] == pytest.approx(change[0], rel=0.01)
+
+
+def test_compiled_look_ups_are_those_of_the_core() -> None:
+    rng = np.random.default_rng(0)
+    faces, d = rng.uniform(0, 1, (6, 5, 5, 3)), rng.normal(size=(500, 3))
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    found = cube_radiance(faces, 2 * faces, turn, d, np.full(500, 0.25))
+    np.testing.assert_allclose(found, 1.25 * look_up(faces, d @ turn.T), atol=1e-12)
+    assert np.isfinite(cube_radiance(faces, faces, turn, np.zeros((1, 3)), np.ones(1))).all()

@@ -354,7 +354,7 @@ def test_many_crossings_of_a_row_are_counted_as_well_as_sorted() -> None:
         [np.column_stack([x + dx, np.full(60, y), np.zeros(60)]) for dx, y in ((0.5, 2), (1.5, 2), (1, 30))]
     )
     faces = np.column_stack([np.arange(60), np.arange(60) + 60, np.arange(60) + 120]).astype(np.int32)
-    up = np.tile([[0.0], [0], [1]], 60).astype(np.float32)
+    up = np.tile([0, 0, 1], (60, 1)).astype(np.float32).T
     made = covered_fraction(
         vertices.astype(np.float32), _edges(vertices, faces), up, np.array([[0, 0, 1.0]]), np.zeros((1, 2)), (32, 128)
     )

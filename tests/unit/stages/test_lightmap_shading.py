@@ -65,8 +65,25 @@ def surface(
     return layers_of(s.camera.rect, arrays)
 
 
+def apart(s: Scene, layers: Layers) -> tuple[Scene, Layers]:
+    """Every pixel as a block of 2 x 2 with bare ones around it: draft's light of one place is no other's."""
+    camera = Camera(4 * s.camera.width, 4 * s.camera.height, s.camera.matrix)
+    arrays = {name: neutral(name, camera.rect) for name in Lightmap.reads}
+    for name, to in arrays.items():
+        for y, x in np.ndindex(2, 2):
+            to[y::4, x::4] = layers[name]
+    return replace(s, camera=camera), layers_of(camera.rect, arrays)
+
+
 def shaded(s: Scene, layers: Layers, params: LightmapParams = BARE, level: str = "standard", **changes: object) -> np.ndarray:
     """VIRTUAL. The plane's shadow, which is not looked at, is a draft and left out: the reference's takes seconds."""
+    if level == "draft":
+        s, layers = apart(s, layers)
+        return shaded_as_they_are(s, layers, params, level, **changes)[::4, ::4]
+    return shaded_as_they_are(s, layers, params, level, **changes)
+
+
+def shaded_as_they_are(s: Scene, layers: Layers, params: LightmapParams, level: str, **changes: object) -> np.ndarray:
     params = replace(params, shadow_strength=0.0)
     stage = stage_of("lightmap", params)
     draft = replace(ReadyStage.of(stage, s, "draft"), level=level_named(stage.levels, level))
@@ -102,6 +119,43 @@ def test_virtual_paper_matches_the_paper_beside_it(exposure: float) -> None:
     made = shaded(s, surface(s, up, far(s)), LightmapParams(self_shadow=0.0), light=light, bias_rgb=bias)
     marker = np.array(bias) + 0.87 * light.radiance(np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(made, np.broadcast_to(marker, made.shape), atol=2e-6)
+
+
+@pytest.mark.parametrize("material", [(0.0, 0.5, 0.5), (1.0, 0.4, 0.5)])
+def test_draft_is_standard_where_the_light_is_even_and_colours_are_not(material: tuple[float, float, float]) -> None:
+    """A flat piece of many colours with a soft rim and some glow, anywhere in the picture: only the light is coarse."""
+    s, g = on_plane(box_model(), Light(lights=TWO, soft=SOFT)), np.random.default_rng(3)
+    n, at = (np.broadcast_to(v, (s.camera.height, s.camera.width, 3)) for v in ([0.6, 0.0, 0.8], [0.0, 0.0, 0.3]))
+    layers = surface(s, n, at, material=material)
+    arrays = {name: layers[name].copy() for name in Lightmap.reads}
+    arrays[Layer.ALBEDO] = g.random(arrays[Layer.ALBEDO].shape, np.float32)
+    arrays[Layer.EMISSIVE] = g.random(arrays[Layer.EMISSIVE].shape, np.float32)
+    inside = np.hypot(*(np.indices(arrays[Layer.COVERAGE].shape) - [[[70]], [[90]]])) < 40
+    arrays[Layer.COVERAGE] = inside * g.random(inside.shape, np.float32)
+    for first in (0, 1):
+        layers = layers_of(s.camera.rect, arrays).crop(Rect(31 + first, 17, 200, 141))
+        draft, standard = (shaded_as_they_are(s, layers, BARE, level, bias_rgb=(0.1, 0.2, 0.3)) for level in LEVELS[:2])
+        np.testing.assert_allclose(draft, standard, atol=2e-6)
+        assert standard.max() > 0.5 and 0 < (standard > 0).mean() < 0.5
+
+
+def test_draft_shades_what_is_thinner_than_a_block_and_edges_keep_to_themselves() -> None:
+    """Single pixels, each with its own normal; and two sides of an edge, each lit as by itself but beside the edge."""
+    light = Light(lights=TWO[:1], ambient_rgb=(0.1, 0.1, 0.1))
+    s, g = on_plane(box_model(), light), np.random.default_rng(4)
+    n = any_normals(s)
+    layers = surface(s, n, far(s))
+    arrays = {name: layers[name].copy() for name in Lightmap.reads}
+    arrays[Layer.COVERAGE] = np.zeros_like(arrays[Layer.COVERAGE])
+    y, x = (a.ravel() for a in np.mgrid[:40, :50] * 4 + g.integers(0, 2, (2, 40, 50)))
+    arrays[Layer.COVERAGE][y, x] = g.uniform(0.1, 1, 2000)
+    draft, standard = (shaded_as_they_are(s, layers_of(s.camera.rect, arrays), BARE, level) for level in LEVELS[:2])
+    np.testing.assert_allclose(draft, standard, atol=2e-6)
+    sides = np.where((np.arange(s.camera.width) < 101)[None, :, None], [0.0, 0.0, 1.0], [0.8, 0.0, 0.6])
+    layers = surface(s, np.broadcast_to(sides, n.shape), far(s))
+    draft, standard = (shaded_as_they_are(s, layers, BARE, level) for level in LEVELS[:2])
+    apart_px = np.flatnonzero((np.abs(draft - standard) > 1e-5).any((0, 2)))
+    assert apart_px.min() >= 98 and apart_px.max() <= 103 and np.abs(draft - standard).max() > 0.01
 
 
 def test_light_under_the_horizon_reaches_the_object_only_if_the_plane_lets_it() -> None:

@@ -12,7 +12,7 @@ from arfx.stages.watercolor.field import detail_factor
 from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.labels import STILL, Wobble, label, make_wobble, sort_sites
 from arfx.stages.watercolor.pigment import repeat_tile
-from arfx.stages.watercolor.reference import nearest_labels, reference_labels
+from arfx.stages.watercolor.reference import labels_within, nearest_labels, reference_labels
 from arfx.stages.watercolor.sites import STEPS, SiteField, Sites, make_sites, still_field
 
 FRAME = Rect.of(200, 150)
@@ -99,6 +99,22 @@ def test_the_reference_level_agrees_by_other_means() -> None:
     a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, displacement(wobble, FRAME), 2.0)
     assert np.array_equal(a.first, b.first) and np.array_equal(a.second, b.second)
     assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
+
+
+def test_places_in_a_pixel_are_spread_evenly_and_the_wobble_is_linear_between_pixels() -> None:
+    """Two cells with an upright border, which a ramp of the wobble moves: of a pixel that it parts, the share of places."""
+    tile, rect = np.zeros((2, 64, 64)), Rect(30, 3, 60, 6)
+    tile[0] = np.abs(np.arange(64) - 32) // 2
+    wobble, none = make_wobble(tile), np.zeros(2, np.float32)
+    for x, parted in ((41.0, 0), (41.5, 1), (43.375, 1)):
+        sites = Sites(np.array([8 * (x - 9), 8 * (x + 9)], np.float32), none, none, np.arange(2), none, none)
+        made, middle = labels_within(sites, rect, wobble, 1.5, 3), reference_labels(sites, rect, displacement(wobble, rect), 1.5)
+        assert len(made) == 9 and np.array_equal(made[0].first, middle.first) and np.array_equal(made[0].inside, middle.inside)
+        places = 30 + (np.arange(30 * 3) - 1) / 3
+        beyond = places + np.interp(places, np.arange(64), tile[0, 0]) / STEPS > x
+        share = np.mean([m.first for m in made], axis=0)
+        np.testing.assert_allclose(share, np.broadcast_to(beyond.reshape(30, 3).mean(1), (3, 30)))
+        assert ((share[0] > 0) & (share[0] < 1)).sum() == parted
 
 
 @pytest.mark.parametrize("count", [1, 2, 40])

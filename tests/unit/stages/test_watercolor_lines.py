@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.core.layers import packed
 from arfx.core.light import DirectionalLight, Light
 from arfx.papers.s3_watercolor import eq4_edges
 from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
@@ -27,7 +28,7 @@ def line_strength(
     image: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
     virtual: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    made = edge_measure(Picture(image.astype(np.float32)), yuv_matrix(), alpha, beta, smooth_px)
+    made = edge_measure(Picture(packed(image.astype(np.float32))), yuv_matrix(), alpha, beta, smooth_px)
     return trace_lines(made, low, high, width_px, virtual)
 
 
@@ -130,7 +131,9 @@ def tones(ramp: float) -> np.ndarray:
     albedo = np.full((1, n, 3), 0.5, np.float32)
     one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
     light = np.array([0, 0, 1.0]), np.ones(3), np.zeros(3)
-    made = toon(image, ObjectLayers(image, one, normal, albedo, none), *light, (0.5, 0.2), (1, 0.4, 0.1), 1.0, ramp)
+    made = toon(
+        image, ObjectLayers(*map(packed, (image, one, normal, albedo, none))), *light, (0.5, 0.2), (1, 0.4, 0.1), 1.0, ramp
+    )
     return made[0, :, 0]
 
 

@@ -20,7 +20,7 @@ from arfx.analyse.light.static_frame import LightReading, fit_temporal_model
 from arfx.core.numerics import normalise
 from arfx.papers.s1_gain import gain_and_bias
 
-SCENES = int(os.environ.get("ARFX_SWEEP", "8"))
+SCENES = int(os.environ.get("ARFX_SWEEP", "5"))
 FRAMES, SAMPLES = 90, 40
 TIMES = np.arange(FRAMES) / 15
 

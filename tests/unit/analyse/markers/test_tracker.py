@@ -153,16 +153,18 @@ def run(analyser: Analyser, first: int, end: int) -> None:
         analyser.step(AnalysisFrame(k, k / 15, frame(*markers, seed=k)))
 
 
-def test_checkpoint_continues_to_the_same_facts() -> None:
-    whole, first = Analyser(AnalysisJob((M,), CAM)), Analyser(AnalysisJob((M,), CAM))
+def test_two_stretches_are_one_clip() -> None:
+    whole, first, second, both = (Analyser(AnalysisJob((M,), CAM)) for _ in range(4))
     run(whole, 0, 16)
     run(first, 0, 9)
-    second = Analyser(AnalysisJob((M,), CAM))
-    second.restore(codec.loads(codec.dumps(first.state())))
+    assert first.end(AnalysisFrame(9, 9 / 15, frame((M, at(300 + 6 * 9, 200, 0.2 + 0.02 * 9)), seed=9))) is None
     run(second, 9, 16)
-    a, b = whole.finish(), second.finish()
-    assert [f.to_json() for f in a.facts] == [f.to_json() for f in b.facts]
-    assert (a.static, a.summary, a.notices) == (b.static, b.summary, b.notices)
+    for part in (first, second):
+        both.join(part)
+    a, b = whole.finish(), both.finish()
+    assert [{**f.to_json(), "whole_frame_search": True} for f in a.facts] == [
+        {**f.to_json(), "whole_frame_search": True} for f in b.facts
+    ]
     assert a.summary["frames_interpolated"] == 2 and a.summary["frames_measured"] == 14
     truth = at(300 + 6 * 12, 200, 0.2 + 0.02 * 12)
     assert np.linalg.norm(a.facts[12].camera_from_world.translation_m - truth.translation_m) < 2e-3  # type: ignore[union-attr]
@@ -226,3 +228,32 @@ def test_markers_that_no_pose_fits_are_nothing_to_work_on(change: str) -> None:
         a.step(AnalysisFrame(k, k / 15, frame((M, at(300 + 6 * k, 200)), seed=k)))
     with np.errstate(all="ignore"), pytest.raises(NothingToDoError, match="in 6 of 6 frames, but no pose fits"):
         a.finish()
+
+
+class Job:
+    """Frames with two prints of one key: the first is followed from the start, the other, larger one comes later."""
+
+    small, large = (MarkerSpec("36h11", 3, size) for size in (0.1, 0.14))
+
+    def shown(self, k: int) -> AnalysisFrame:
+        prints = [(self.small, at(200 + 4 * k, 180)), *([(self.large, at(640, 330))] if k >= 5 else [])]
+        return AnalysisFrame(k, k / 15, frame(*prints, seed=k))
+
+    def stretch(self, first: int, end: int, lost: Any = None) -> tuple[Analyser, Any]:
+        analyser = Analyser(AnalysisJob((M,), CAM))
+        if lost is not None:
+            analyser.go_on(lost)
+        for k in range(first, end):
+            analyser.step(self.shown(k))
+        return analyser, analyser.end(self.shown(end))
+
+
+def test_the_print_that_is_followed_is_followed_across_a_border() -> None:
+    job = Job()
+    nothing = job.stretch(0, 4)[1]
+    assert nothing is None, "nothing is lost where a search finds the print that is followed"
+    lost = job.stretch(0, 8)[1]
+    assert lost is not None
+    anew, followed = job.stretch(8, 12)[0], job.stretch(8, 12, codec.loads(codec.dumps(lost)))[0]
+    x = [a.folds["markers"].records[0].detections[0].corners_px[:, 0].mean() for a in (anew, followed)]  # type: ignore[attr-defined]
+    assert abs(x[0] - 640) < 3 and abs(x[1] - 232) < 3

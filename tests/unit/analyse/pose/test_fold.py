@@ -11,7 +11,7 @@ import pytest
 
 from arfx.analyse.markers.detect import Detection, Record
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.pose.at_rest import BackgroundFlow, decide_static, epipolar_distance
+from arfx.analyse.pose.at_rest import BackgroundFlow, FlowSample, decide_static, epipolar_distance
 from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.visibility import (
@@ -204,7 +204,7 @@ def test_a_slow_drift_is_no_rest() -> None:
     at = np.random.default_rng(0).uniform(50, 400, (20, 2))
     poses = {0: tilted([0, 0, 0], [0, 0, 1.0]), 1: tilted([0, 0, 0], [0, 0, 1.0])}
     for drift, expected in ((0.1, "camera"), (1.0, "both")):
-        sample = {"a": 0, "b": 1, "px": 4, "from": at, "to": at + np.array([4 * drift, 0.0])}
+        sample = FlowSample(0, 1, 4, at, at + np.array([4 * drift, 0.0]))
         assert decide_static([sample], poses, CAM)[0] == expected
 
 

@@ -1,0 +1,166 @@
+"""What runs on a worker of a cluster: it says who it is, finds what the job reads, and renders chunks.
+
+What it is sent are places, digests and numbers of frames; what it returns are names and times. It tells how far it is by events,
+and leaves a chunk of which nobody wants the result any more."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import socket
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from arfx.errors import ArfxError, RenderError
+from arfx.media.writer import remove_output
+from arfx.run.cluster.agreement import STAGE, differences, environment
+from arfx.run.cluster.files import Bundle, find
+from arfx.run.cluster.paths import is_url
+from arfx.run.cluster.store import Store
+from arfx.run.executors import ONE_THREAD
+from arfx.run.folder import JobFolder, content_digest
+from arfx.run.lock import HOLDER
+from arfx.run.worker import Paths, render_chunk
+
+TELL_S = 0.5  # between two events of a chunk
+
+
+@dataclass(frozen=True)
+class JobReference:
+    """What a worker has to know of a run of a job.
+
+    run : names it, and the topic of its events
+    folders : places of the job folder (`paths.places`), and of a store, if there is one;  holder : digest of its lock's file"""
+
+    run: str
+    key: str
+    folders: tuple[str, ...]
+    holder: str
+    bundles: tuple[Bundle, ...]
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A job as this worker sees it. store : where its chunks go; the folder is a copy then, to be removed"""
+
+    key: str
+    folder: JobFolder
+    paths: Paths
+    store: Store | None = None
+
+
+_MOST = 8  # jobs that a worker keeps in mind
+_placed: dict[str, _Placed] = {}  # by run
+
+
+def examine(here: Mapping[str, str], job: JobReference | None) -> dict[str, str]:
+    """{name, host, refused}. refused : why this worker can do nothing for a process with the environment `here`, "" = it can."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    for variable in ONE_THREAD:
+        os.environ.setdefault(variable, "1")
+    plugins = tuple(name.removeprefix(STAGE) for name in here if name.startswith(STAGE))
+    refused = ", ".join(differences(here, environment(plugins)))
+    if job is not None and not refused:
+        refused = _place(job)
+    return {"name": str(_worker().name), "host": socket.gethostname(), "refused": refused}
+
+
+def _place(job: JobReference) -> str:
+    """Find all that the job reads. Returns why this worker cannot see it; "" where it can."""
+    try:
+        paths = tuple((b.section, b.key, str(find(b))) for b in job.bundles)
+        _placed[job.run] = _folder(job, paths)
+    except ArfxError as e:
+        return e.message
+    except OSError as e:
+        return f"{e.filename or 'a file'}: {e.strerror or e}"
+    for run in [*_placed][:-_MOST]:
+        old = _placed.pop(run)
+        if old.store is not None:
+            shutil.rmtree(old.folder.path, ignore_errors=True)
+    return ""
+
+
+def _folder(job: JobReference, paths: Paths) -> _Placed:
+    reasons = []
+    for there in job.folders:
+        if is_url(there):
+            scratch = Path(tempfile.mkdtemp(prefix="arfx-", dir=_worker().local_directory))
+            folder = Store(there).get_job(scratch)
+            if folder.sealed(job.key):
+                return _Placed(job.key, folder, paths, Store(there))
+            reasons.append(f"{there} holds another job")
+        else:
+            folder = JobFolder(Path(there))
+            if not folder.path.is_dir():
+                reasons.append(f"job folder {there}: no such folder")
+            elif not folder.sealed(job.key) or job.holder != holder(folder):
+                reasons.append(f"{there} is not the job folder, but a copy or another one")
+            else:
+                return _Placed(job.key, folder, paths)
+    raise RenderError("; ".join(reasons))
+
+
+def holder(folder: JobFolder) -> str:
+    """Tells the folder that a job has locked from copies of it; "" where the disk was too full for that."""
+    with contextlib.suppress(OSError):
+        return content_digest(folder.path / HOLDER)
+    return ""
+
+
+class UnwantedError(Exception):
+    """Raised to leave a chunk."""
+
+
+def render(run: str, first: int, last: int, name: str) -> None:
+    """Render a chunk of the job that was placed here, as `render_chunk` does; its file goes where the job's chunks are.
+
+    The result is an event too: the scheduler has it then, while what a call returns would have to be asked of this worker."""
+    worker = _worker()
+    token, placed = worker.get_current_task(), _placed[run]
+    done, told = 0, time.monotonic()
+
+    def tick() -> None:
+        nonlocal done, told
+        done += 1
+        if time.monotonic() - told > TELL_S:
+            told = time.monotonic()
+            task = worker.state.tasks.get(token)
+            if task is None or task.state == "cancelled" or worker.status.name != "running":
+                raise UnwantedError
+            worker.log_event(run, {"attempt": token, "frames": done})
+
+    folder = placed.folder
+    try:
+        result = render_chunk(str(folder.path), placed.key, first, last, str(folder.chunks / name), tick, paths=placed.paths)
+        if placed.store is not None:
+            _hand_over(placed.store, folder, result)
+    except ArfxError as e:
+        raise RenderError(f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint) from None
+    finally:
+        worker.log_event(run, {"attempt": token, "ended": True})
+    worker.log_event(run, {"attempt": token, "result": {**result, "worker": str(worker.name)}})
+
+
+def _hand_over(store: Store, folder: JobFolder, result: dict[str, Any]) -> None:
+    """Its previews, then the chunk, into the store."""
+    for index in range(result["first"], result["last"] + 1):
+        for path in folder.previews.glob(f"{index:06d}.*"):
+            store.put(path, f"previews/{path.name}")
+            path.unlink()
+    chunk = folder.chunks / result["file"]
+    store.put(chunk, f"chunks/{chunk.name}")
+    remove_output(chunk)
+
+
+def _worker() -> Any:
+    from distributed import get_worker
+
+    return get_worker()

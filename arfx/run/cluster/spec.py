@@ -1,0 +1,86 @@
+"""`--executor`: which cluster renders. Nothing here starts or connects, and nothing imports Dask before it is asked for."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from arfx.core.machine import usable_cores
+from arfx.core.opener import parse_toml, read_text
+from arfx.errors import ConfigError
+
+LOCAL, ADDRESS, SLURM = "local", "address", "slurm"
+FORMS = "local, local:4, tcp://HOST:8786, tls://HOST:8786, or slurm:FILE"
+_WHOLE = ("jobs", "cores", "processes")
+_TEXT = (
+    "memory", "queue", "account", "walltime", "interface", "python", "shebang", "log_directory", "local_directory", "job_name",
+    "job_mem",
+)  # fmt: skip
+_LISTS = ("job_extra_directives", "job_directives_skip", "job_script_prologue", "worker_extra_args")
+
+
+@dataclass(frozen=True)
+class ClusterSpec:
+    """kind : LOCAL (a cluster on this machine), ADDRESS (one that runs) or SLURM (workers are jobs of Slurm)
+
+    address : of the scheduler;  workers : how many there are to be, 0 = only the cluster knows
+    settings : of dask_jobqueue's SLURMCluster"""
+
+    kind: str
+    address: str = ""
+    workers: int = 0
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @staticmethod
+    def parse(text: str) -> ClusterSpec:
+        """Raises ConfigError for what is no such name, or a file of settings that is wrong; InputError if it cannot be read."""
+        if match := re.fullmatch(r"local(?::(\d{1,4}))?", text):
+            workers = usable_cores() if match[1] is None else int(match[1])
+            if workers:
+                return ClusterSpec(LOCAL, workers=workers)
+        elif re.fullmatch(r"(?:tcp|tls)://(?:\[[0-9A-Fa-f:.%]+\]|[^\s:/?#@\[\]]+):\d{1,5}", text):
+            return ClusterSpec(ADDRESS, text)
+        elif text.startswith("slurm:") and len(text) > 6:
+            return _slurm(Path(text[6:]))
+        raise ConfigError(f"--executor {text} is no cluster", FORMS)
+
+
+def _slurm(path: Path) -> ClusterSpec:
+    try:
+        settings = parse_toml(read_text(path, "job file"))
+    except ValueError as e:
+        raise ConfigError(f"{path}: not valid TOML: {e}") from None
+    known = (*_WHOLE, *_TEXT, *_LISTS)
+    for key, value in settings.items():
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1)
+            raise ConfigError(f"{path}: there is no setting {key!r}", f"did you mean {near[0]!r}?" if near else ", ".join(known))
+        good, what = isinstance(value, str), "text"
+        if key in _WHOLE:
+            good, what = type(value) is int and 1 <= value <= 10_000, "a whole number above 0"
+        elif key in _LISTS:
+            good, what = isinstance(value, list) and all(isinstance(v, str) for v in value), "a list of texts"
+        if not good:
+            raise ConfigError(f"{path}: {key} is {value!r}", f"{key} is {what}")
+    if missing := [key for key in ("cores", "memory") if key not in settings]:
+        raise ConfigError(f"{path}: {missing[0]} is not said", 'of one Slurm job: cores = 8, memory = "32GB"')
+    # of a job's processes each has one thread, unless the file says otherwise
+    settings = {"jobs": 1, "processes": settings["cores"], **settings}
+    threads = max(settings["cores"] // settings["processes"], 1)
+    return ClusterSpec(SLURM, workers=settings["jobs"] * settings["processes"] * threads, settings=settings)
+
+
+def library(name: str) -> ModuleType:
+    """A module of the extra `cluster`. Raises ConfigError where it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as e:
+        if e.name is None or e.name.partition(".")[0] != name.partition(".")[0]:
+            raise
+        raise ConfigError(f"--executor needs {name}, which is not installed", "pip install 'arfx[cluster]'") from None

@@ -1,0 +1,175 @@
+"""A cluster for a job: connected to, or started and stopped with it."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import logging
+import os
+import shutil
+import tempfile
+import uuid
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import resource_tracker
+from typing import Any
+
+from arfx.core import interrupt
+from arfx.errors import ConfigError
+from arfx.media.writer import chunk_suffix
+from arfx.run.cluster.agreement import environment
+from arfx.run.cluster.crew import Crew
+from arfx.run.cluster.dispatch import Dispatch
+from arfx.run.cluster.files import bundles
+from arfx.run.cluster.paths import PathMap, is_url, places
+from arfx.run.cluster.remote import JobReference, holder
+from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
+from arfx.run.cluster.store import Store
+from arfx.run.executors import ONE_THREAD, Results, Task
+from arfx.run.planned import Job
+from arfx.stages import STAGES
+
+CONNECT_S, CLOSE_S = 10, 5
+_NOISY = ("distributed", "dask_jobqueue", "tornado", "asyncio")
+_ENVIRONMENT = dict.fromkeys((*ONE_THREAD, "OPENBLAS_NUM_THREADS"), "1")
+_SETTINGS = {
+    "distributed.worker.multiprocessing-method": "spawn",
+    "distributed.worker.profile.enabled": False,  # it looks at every thread a hundred times a second
+    "distributed.scheduler.allowed-failures": 1_000_000,  # `Dispatch` counts them
+}
+
+
+class Cluster:
+    """A cluster that is there. workers : how many chunks are rendered at once, as far as that is known"""
+
+    def __init__(
+        self, client: Any, spec: ClusterSpec, maps: Sequence[PathMap], most_lost: int, notice: Callable[[str], None]
+    ) -> None:
+        self._client, self._spec, self._maps, self._most_lost, self._notice = client, spec, maps, most_lost, notice
+        self.workers = spec.workers
+        if spec.kind == ADDRESS:  # it is said before any work if none of its workers can be used
+            self.workers = sum(m.slots for m in Crew(client, environment(), None, notice).compared()) or 1
+
+    def run(self, tasks: Sequence[Task], progress: Callable[[int], None], job: Job) -> Results:
+        """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
+        run = f"arfx-{uuid.uuid4().hex}"
+        folders = places(job.folder.path.absolute(), self._maps)
+        store = next((Store(f"{there.rstrip('/')}/{job.key}") for there in folders if is_url(there)), None)
+        if store is not None:
+            store.put_job(job.folder)
+        seen = tuple(there for there in folders if not is_url(there)) + ((store.url,) if store is not None else ())
+        reference = JobReference(run, job.key, seen, holder(job.folder), bundles(job.inputs, self._maps))
+        here = environment([name for name in job.stages if name in STAGES.plugins])
+        crew = Crew(self._client, here, reference, self._notice)
+        dispatch = Dispatch(
+            self._client, crew, tasks, run, chunk_suffix(job.inputs.output), store, self._most_lost,
+            self._spec.kind == LOCAL, self._notice,
+        )  # fmt: skip
+        with contextlib.closing(dispatch.results(progress)) as results:
+            yield from results
+        if store is not None:
+            store.take_previews(job.folder.previews)
+            store.remove()
+
+
+@contextlib.contextmanager
+def open_cluster(spec: ClusterSpec | None, maps: Sequence[PathMap], notice: Callable[[str], None]) -> Iterator[Cluster | None]:
+    """The cluster, until the body ends; None where there is none to be. notice : is told the dashboard's address
+
+    Raises ConfigError where the extra is not installed, or the scheduler cannot be reached."""
+    if spec is None:
+        yield None
+        return
+    dask, distributed = library("dask"), library("distributed")
+    most_lost = int(dask.config.get("distributed.scheduler.allowed-failures"))
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_silence())
+        stack.enter_context(dask.config.set(_SETTINGS))
+        address = spec.address
+        if spec.kind != ADDRESS:
+            scratch = tempfile.mkdtemp(prefix="arfx-")
+            stack.callback(shutil.rmtree, scratch, ignore_errors=True)
+            start = _start_local if spec.kind == LOCAL else _start_slurm
+            cluster = start(spec, scratch)
+            stack.callback(_close, cluster)
+            address = cluster.scheduler_address
+            if importlib.util.find_spec("bokeh") is not None:
+                notice(f"dashboard: {cluster.dashboard_link}")
+        try:
+            client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False, name="arfx")
+        except (OSError, TimeoutError, ValueError) as e:
+            raise ConfigError(
+                f"no scheduler answers at {address}: {str(e).splitlines()[0][:200]}",
+                "`dask scheduler` starts one and says its address; --executor local needs none",
+            ) from None
+        stack.callback(_close, client)
+        if spec.kind == ADDRESS and client.dashboard_link:
+            notice(f"dashboard: {client.dashboard_link}")
+        yield Cluster(client, spec, maps, most_lost, notice)
+
+
+def _start_local(spec: ClusterSpec, scratch: str) -> Any:
+    """Processes of one thread each, which end with this one; reached from this machine alone."""
+    from distributed import LocalCluster
+
+    # the threads of the cluster, and what they start, never see Ctrl-C: that is this process's affair. Python's tracker of
+    # shared memory goes first, as it takes that back for the thread that happens to start it
+    if os.name == "posix":
+        resource_tracker.ensure_running()
+    with interrupt.starting_workers():
+        cluster = LocalCluster(
+            n_workers=0, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0",
+            memory_limit=0, local_directory=scratch, silence_logs=logging.CRITICAL, env=_ENVIRONMENT,
+        )  # fmt: skip
+        cluster.scale(spec.workers)
+    return cluster
+
+
+def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
+    library("dask_jobqueue")
+    from dask_jobqueue import SLURMCluster
+
+    for command in ("sbatch", "scancel"):
+        if shutil.which(command) is None:
+            raise ConfigError(f"there is no {command} here", "run it on a machine of the Slurm cluster that may submit jobs")
+    settings = {k: v for k, v in spec.settings.items() if k != "jobs"}
+    settings["job_script_prologue"] = [
+        *(f"export {name}={value}" for name, value in _ENVIRONMENT.items()), *settings.get("job_script_prologue", ()),
+    ]  # fmt: skip
+    settings.setdefault("local_directory", scratch)
+    with interrupt.starting_workers():
+        try:
+            cluster = SLURMCluster(**settings, scheduler_options={"dashboard_address": ":0"})
+        except (ValueError, TypeError, OSError) as e:
+            raise ConfigError(f"Slurm's settings: {e}", "docs/limits.md lists them") from None
+        cluster.scale(jobs=spec.settings["jobs"])
+    return cluster
+
+
+def _close(opened: Any) -> None:
+    with contextlib.suppress(Exception), interrupt.deferred():
+        opened.close(timeout=CLOSE_S)
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """What goes wrong is said once, in arfx's own words."""
+    loggers = [logging.getLogger(name) for name in _NOISY]
+    before = [logger.level for logger in loggers]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for logger in loggers:
+            logger.setLevel(logging.CRITICAL)
+        try:
+            yield
+        finally:
+            for logger, level in zip(loggers, before, strict=True):
+                logger.setLevel(level)
+
+
+def planned_workers(spec: ClusterSpec | None) -> int | None:
+    """How many chunks would be rendered at once; None without a cluster. Starts nothing."""
+    if spec is None or spec.workers:
+        return None if spec is None else spec.workers
+    with open_cluster(spec, (), lambda _: None) as cluster:
+        return None if cluster is None else cluster.workers

@@ -1,0 +1,85 @@
+"""A job folder under a URL, for workers that do not see the one of this machine: job files go up, chunks come down.
+
+It lies in a folder of its own under that URL, named by the job's key, and is removed when the job is done."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from arfx.errors import RenderError
+from arfx.run.cluster.files import FAILURES, file_system, said
+from arfx.run.folder import JobFolder, content_digest
+from arfx.run.worker import process_name
+
+
+@dataclass(frozen=True)
+class Store:
+    """url : of the job's own folder there"""
+
+    url: str
+
+    def put_job(self, folder: JobFolder) -> None:
+        """What workers read of a job folder. Raises RenderError."""
+        for path in folder.worker_files():
+            self.put(path, path.name)
+
+    def get_job(self, folder: Path) -> JobFolder:
+        """The same in `folder`, which exists. Raises RenderError."""
+        job = JobFolder(folder)
+        for path in job.worker_files():
+            self._get(path.name, path)
+        job.open(resume=True)
+        return job
+
+    def put(self, path: Path, name: str) -> None:
+        """A file or folder. Raises RenderError."""
+        try:
+            fs, root = file_system(self.url)
+            for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+                target = f"{root}/{name}/{file.name}" if path.is_dir() else f"{root}/{name}"
+                fs.makedirs(target.rpartition("/")[0], exist_ok=True)
+                fs.put_file(str(file), target)
+        except FAILURES as e:
+            raise RenderError(f"cannot write {self.url}/{name}: {said(e)}", "the job folder's URL has to take files") from None
+
+    def _get(self, name: str, target: Path) -> None:
+        try:
+            fs, root = file_system(self.url)
+            fs.get_file(f"{root}/{name}", str(target))
+        except FAILURES as e:
+            raise RenderError(f"cannot read {self.url}/{name}: {said(e)}") from None
+
+    def take_chunk(self, name: str, suffix: str, chunks: Path) -> Path | None:
+        """The file of a chunk (`Chunk.name`), moved into `chunks`; None where there is none that is whole. Raises RenderError."""
+        try:
+            fs, root = file_system(self.url)
+            listed = [p for p in fs.find(f"{root}/chunks") if f"/chunks/{name}." in p] if fs.exists(f"{root}/chunks") else []
+        except FAILURES as e:
+            raise RenderError(f"cannot read {self.url}: {said(e)}") from None
+        for file in sorted({p.partition("/chunks/")[2].partition("/")[0] for p in listed}):
+            aside = chunks / f"{process_name()}-0-{file}"
+            for path in listed:
+                inside = PurePosixPath(path.partition("/chunks/")[2])
+                if inside.parts[0] == file:
+                    target = aside.joinpath(*inside.parts[1:])
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    self._get(f"chunks/{inside}", target)
+            fs.rm(f"{root}/chunks/{file}", recursive=True)
+            if file == f"{name}.{content_digest(aside)}{suffix}":
+                return aside.rename(chunks / file)
+        return None
+
+    def take_previews(self, previews: Path) -> None:
+        """All that are there. Raises RenderError."""
+        with contextlib.suppress(*FAILURES):
+            fs, root = file_system(self.url)
+            for path in fs.find(f"{root}/previews"):
+                self._get(f"previews/{PurePosixPath(path).name}", previews / PurePosixPath(path).name)
+
+    def remove(self) -> None:
+        """As far as that is possible."""
+        with contextlib.suppress(*FAILURES):
+            fs, root = file_system(self.url)
+            fs.rm(root, recursive=True)

@@ -1,0 +1,238 @@
+"""The analysis of one stretch of a clip, the unit of work: in any order, by any worker, which leaves a file in the job folder.
+
+Where a clip is cut depends on it alone: at key frames, so that a worker can begin to decode there, at least LEAST_FRAMES apart.
+Every stretch is analysed as if nothing lay before it (`arfx.analyse.fold`), and sees the first frame of the next one."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from bisect import bisect_left
+from collections.abc import Callable, Collection, Generator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from arfx.analyse.fold import AnalysisFrame, AnalysisJob
+from arfx.analyse.folds import Analyser
+from arfx.config.load import load
+from arfx.core import codec
+from arfx.core.camera import Camera
+from arfx.core.codec import Document
+from arfx.core.colour import Transfer
+from arfx.errors import NothingToDoError
+from arfx.media.clip import ClipInfo, probe
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader, FrameTimesError
+from arfx.media.pose_files import load_poses
+from arfx.run.folder import JobFolder, write
+from arfx.run.inputs import job_prints, marker_map
+from arfx.run.memory import peak_mb
+from arfx.run.parameters import fold_classes, parameters, required_folds
+from arfx.run.source import stretch_at
+
+LEAST_FRAMES = 120  # of a stretch: shorter ones would cost more than they save
+_ROUNDING_S = 1e-9
+Tick = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Span:
+    """The frames between two times, seconds from the clip's first frame, ends included; None = no end. info : of the clip"""
+
+    info: ClipInfo
+    start_s: float | None = None
+    end_s: float | None = None
+
+    def since_s(self, pts: int) -> float:
+        return float((pts - self.info.start_pts) * self.info.time_base)
+
+    def before(self, pts: int) -> bool:
+        return self.start_s is not None and self.since_s(pts) < self.start_s - _ROUNDING_S
+
+    def behind(self, pts: int) -> bool:
+        return self.end_s is not None and self.since_s(pts) > self.end_s + _ROUNDING_S
+
+    def nothing(self) -> NothingToDoError:
+        """What is raised where it holds no frame."""
+        end = "its end" if self.end_s is None else f"{self.end_s:g} s"
+        return NothingToDoError(
+            f"{self.info.path} has no frame between {max(self.start_s or 0.0, 0.0):g} s and {end}",
+            "check --start and --end; `arfx inspect` shows the clip's length",
+        )
+
+
+@dataclass(frozen=True)
+class Stretch(Document):
+    """first, last : its frames, counted from the span's first one, if all can be decoded
+    begins, ends : time from which on its frames are, and the next one's; None = the clip's start, its end"""
+
+    first: int
+    last: int
+    begins: int | None
+    ends: int | None
+
+
+@dataclass(frozen=True)
+class Stretches(Document):
+    """How a clip is cut. before : frames of the clip before the first one;  truncated : why it ends early, or None
+    length_s : of all;  seeks : whether workers can begin anywhere, or only decode from the clip's start"""
+
+    parts: tuple[Stretch, ...]
+    before: int = 0
+    truncated: str | None = None
+    length_s: float = 0.0
+    seeks: bool = True
+
+    @property
+    def frames(self) -> int:
+        return self.parts[-1].last + 1
+
+
+def cut(span: Span) -> Stretches:
+    """The stretches of a span. Raises NothingToDoError where it holds no frame."""
+    with ClipReader(span.info) as reader:
+        times = reader.times()
+    if times is None:
+        return whole(span)
+    first = next((k for k, t in enumerate(times.pts) if not span.before(t)), len(times.pts))
+    stop = next((k for k, t in enumerate(times.pts) if span.behind(t)), len(times.pts))
+    if first >= stop:
+        raise span.nothing()
+    borders = [first]
+    for key in times.keys:
+        k = bisect_left(times.pts, key)
+        if k >= borders[-1] + LEAST_FRAMES and k + LEAST_FRAMES // 2 <= stop:
+            borders.append(k)
+    edges = [*borders, stop]
+    parts = [
+        Stretch(a - first, b - 1 - first, times.pts[a] if a else None, times.pts[b] if b < stop else None)
+        for a, b in pairwise(edges)
+    ]
+    seeks = True
+    if len(parts) > 1:
+        with ClipReader(span.info, threads=1) as reader:
+            seeks = reader.seeks_to(times.pts[borders[len(borders) // 2]])
+    length_s = float((times.pts[stop - 1] - times.pts[first]) * span.info.time_base)
+    return Stretches(tuple(parts), first, times.truncated, length_s, seeks)
+
+
+def whole(span: Span) -> Stretches:
+    """One stretch: of a clip in which the times of the frames tell themselves only when all are decoded."""
+    info = span.info
+    known = info.frame_count_stated or (round(info.duration_s * info.fps) if info.duration_s and info.fps else 0)
+    return Stretches((Stretch(0, max(known - 1, 0), None, None),), 0, None, info.duration_s or 0.0, False)
+
+
+@dataclass(frozen=True, eq=False)
+class Context:
+    """What a worker keeps between stretches of one job. wanted : folds, by name"""
+
+    job: AnalysisJob
+    wanted: Collection[str]
+    span: Span
+    stretches: Stretches
+
+
+_contexts: dict[tuple[str, str], Context] = {}
+
+
+def keep(folder: JobFolder, key: str, context: Context) -> None:
+    """For the workers of this process, and, in the folder, for those of others."""
+    _contexts.clear()
+    _contexts[str(folder.path), key] = context
+    write(folder.stretch_list, json.dumps(context.stretches.to_json()))
+
+
+def open_context(path: str, key: str) -> Context:
+    """The context of a job. key : of its analysis; it keeps two jobs that reuse a folder apart"""
+    if (path, key) not in _contexts:
+        folder = JobFolder(Path(path))
+        config, prints = job_prints(load(folder.job, {}, parameters()))
+        assert config.input.clip is not None
+        info = probe(config.input.clip, Transfer(config.input.transfer))
+        stretches = Stretches.from_json(json.loads(folder.stretch_list.read_text(encoding="utf-8")))
+        camera = Camera.from_json(json.loads(folder.inputs.read_text(encoding="utf-8"))["camera"])
+        job = AnalysisJob(
+            config.markers, camera, config.params["analyse"], config.params["light"], marker_map(config),
+            anchor=config.model.anchor, poses=None if config.input.poses is None else load_poses(config.input.poses),
+            kinds=fold_classes(config), prints=prints, length_s=stretches.length_s,
+        )  # fmt: skip
+        _contexts.clear()
+        _contexts[path, key] = Context(job, required_folds(config), Span(info, config.input.start, config.input.end), stretches)
+    return _contexts[path, key]
+
+
+def analyse_stretch(folder: str, key: str, first: int, last: int, target: str, tick: Tick, alone: bool = False) -> dict[str, Any]:
+    """Analyse frames first … last into a file that appears when it is whole: what `made` returns, as `core.codec` writes it.
+
+    target : its path;  alone : no other one is analysed meanwhile, so that decoding gets threads of its own
+    Returns the file's name, seconds, and the most memory that this process held. Raises RenderError for a full disk,
+    FrameTimesError where the clip cannot be cut."""
+    context = open_context(folder, key)
+    stretch = next(s for s in context.stretches.parts if (s.first, s.last) == (first, last))
+    found, seconds = made(context, stretch, tick, alone)
+    write(Path(target), codec.dumps(found))
+    return {
+        "file": Path(target).name, "first": first, "last": last, "seconds": seconds, "pid": os.getpid(), "rss_mb": peak_mb(),
+    }  # fmt: skip
+
+
+def made(
+    context: Context, stretch: Stretch, tick: Tick, alone: bool, lost: dict[str, Any] | None = None,
+    changes: Mapping[str, Any] = {},
+) -> tuple[dict[str, Any], dict[str, float]]:  # fmt: skip
+    """What a stretch is found to hold, and seconds.
+
+    lost, changes : of the stretch before, and of the clip up to here (`Analyser.go_on`, `Analyser.settle`)
+    {"folds": `Analyser.state`, "lost": `Analyser.end`, "pts": of its frames, "keys": numbers in it of key frames,
+    "before": frames of the clip that were decoded before the span, "ended": it reaches the clip's end, "truncated": why early}"""
+    analyser = Analyser(replace(context.job, params=replace(context.job.params, **changes)), context.wanted)
+    if lost is not None:
+        analyser.go_on(lost)
+    pts, keys = list[int](), list[int]()
+    out: dict[str, Any] = {"lost": lost, "pts": pts, "keys": keys, "before": 0, "ended": False, "truncated": None}
+    source = stretch_at(context.span.info, stretch.begins, alone)
+    decoded_s, analyse_s = source.seconds, 0.0
+
+    def frames() -> Generator[Frame]:
+        for frame in source:
+            if source.reader.repaired and (stretch.begins is not None or stretch.ends is not None):
+                raise FrameTimesError(f"{context.span.info.path}: frame times go backwards at {frame.pts}")
+            if context.span.behind(frame.pts):
+                return
+            if context.span.before(frame.pts):
+                out["before"] += 1
+            else:
+                yield frame
+        out["ended"], out["truncated"] = True, source.reader.truncated
+
+    def shown(frame: Frame, following: Frame | None = None) -> AnalysisFrame:
+        luma, after = np.ascontiguousarray(frame.luma()), None if following is None else following.luma
+        return AnalysisFrame(stretch.first + len(pts), frame.time_s, luma, frame, after)
+
+    with closing(frames()) as all_frames:
+        frame = next(all_frames, None)
+        while frame is not None:
+            if stretch.ends is not None and frame.pts >= stretch.ends:
+                start = time.perf_counter()
+                out["lost"] = analyser.end(shown(frame)) if pts else lost
+                analyse_s += time.perf_counter() - start
+                source.put_back(frame, stretch.ends)
+                break
+            following = next(all_frames, None)
+            start = time.perf_counter()
+            analyser.step(shown(frame, following))
+            analyse_s += time.perf_counter() - start
+            if frame.key:
+                keys.append(len(pts))
+            pts.append(frame.pts)
+            tick()
+            frame = following
+    out["folds"] = analyser.state()
+    return out, {"decode": source.seconds - decoded_s, "analyse": analyse_s}

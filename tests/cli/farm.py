@@ -1,0 +1,46 @@
+"""A Dask cluster of its own for tests, as somebody else's that runs already: `python farm.py WORKERS` prints its address.
+
+It ends when its standard input does."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass
+class Farm:
+    process: subprocess.Popen[str]
+    address: str
+
+
+@contextlib.contextmanager
+def farm(workers: int) -> Iterator[Farm]:
+    command = [sys.executable, str(Path(__file__)), str(workers)]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
+        assert process.stdout
+        try:
+            yield Farm(process, process.stdout.readline().strip())
+        finally:
+            process.kill()
+
+
+def main() -> None:
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=int(sys.argv[1]), threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", memory_limit=0,
+        silence_logs=50,
+    ) as cluster:  # fmt: skip
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.read()
+
+
+if __name__ == "__main__":
+    main()

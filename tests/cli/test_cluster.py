@@ -1,0 +1,275 @@
+"""Whole jobs on a Dask cluster: the same bytes, whoever dies; and nothing is left running."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from arfx.config.load import load
+from arfx.config.sections import JobConfig
+from arfx.errors import RenderError
+from arfx.run import job as jobs
+from arfx.run.cluster import files, start
+from arfx.run.cluster.paths import PathMap
+from arfx.run.cluster.spec import ClusterSpec
+from arfx.run.cluster.start import Cluster
+from arfx.run.folder import JobFolder, content_digest
+from arfx.run.inputs import open_inputs
+from arfx.run.job import Options, plan_job
+from arfx.run.lock import HOLDER, locked
+from arfx.run.parameters import parameters
+from arfx.run.planned import Job
+from tests.cli.conftest import FRAMES, Material, Run, at_a_moment
+from tests.cli.farm import Farm, farm
+from tests.clips import MARKER
+
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Farm]:
+    with farm(2) as f:
+        yield f
+
+
+def config_of(material: Material, output: Path) -> JobConfig:
+    return load(None, {
+        "input": {"clip": str(material.clip), "camera": str(material.camera)}, "marker": [{"spec": str(MARKER)}],
+        "model": {"file": str(material.model), "fit": "8cm"}, "output": {"path": str(output), "codec": "ffv1"},
+    }, parameters())  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def planned(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Job]:
+    """A job up to where rendering begins, in a folder that is locked."""
+    d = tmp_path_factory.mktemp("planned")
+    config, folder = config_of(material, d / "out.mkv"), JobFolder(d / "job")
+    with locked(folder.path, "--job"):
+        folder.open(resume=False)
+        yield plan_job(open_inputs(config), folder, Options(notice=lambda _: None))
+
+
+@pytest.fixture(scope="module")
+def serial(planned: Job) -> dict[int, str]:
+    """First frame -> digest of each chunk's content, as this process renders them."""
+    return rendered(planned, None)
+
+
+def rendered(job: Job, cluster: Cluster | None, at: Callable[[int], object] = lambda done: None) -> dict[int, str]:
+    """Render all chunks anew. at : called with the frames done"""
+    job.folder.clear("chunks/")
+    start = 0
+
+    def progress(phase: str, done: int, total: int | None) -> None:
+        at(done - start)
+
+    files = jobs._render(job, jobs._chunks(job), Options(workers=1, progress=progress), cluster)
+    return {int(f.name.split("-")[0]): content_digest(f) for f in files}
+
+
+@contextlib.contextmanager
+def connected(
+    farm: Farm, *maps: str, notice: Callable[[str], None] = lambda _: None, lost: int = 3
+) -> Iterator[tuple[Any, Cluster]]:
+    from distributed import Client
+
+    with start._silence(), Client(farm.address, set_as_default=False) as client:
+        client.wait_for_workers(1)  # those that a test has killed are started again
+        spec = ClusterSpec.parse(farm.address)
+        yield client, Cluster(client, spec, tuple(map(PathMap.parse, maps)), lost, notice)
+
+
+def once(action: Callable[[], object], after: int = 1) -> Callable[[int], None]:
+    """Does something when so many frames are done."""
+    left = [action]
+
+    def at(done: int) -> None:
+        if done >= after and left:
+            left.pop()()
+
+    return at
+
+
+def test_a_running_cluster_gives_the_same_bytes(running: Farm, planned: Job, serial: dict[int, str]) -> None:
+    with connected(running) as (_, cluster):
+        assert rendered(planned, cluster) == serial
+    rows = [r for r in planned.log.rows() if r["work"] == "chunk"][-3:]
+    assert all("worker" in r and "host" in r for r in rows)
+
+
+def test_a_stragglers_chunk_is_rendered_twice(running: Farm, planned: Job, serial: dict[int, str]) -> None:
+    """A worker that is stopped, not dead: Dask waits for it."""
+    with connected(running) as (client, cluster):
+        client.wait_for_workers(2)
+        pid = next(iter(client.run(os.getpid).values()))
+        try:
+            assert rendered(planned, cluster, once(partial(os.kill, pid, signal.SIGSTOP))) == serial
+        finally:
+            os.kill(pid, signal.SIGCONT)
+
+
+def test_a_killed_worker_costs_its_chunk_only(running: Farm, planned: Job, serial: dict[int, str]) -> None:
+    with connected(running) as (client, cluster):
+        pids = list(client.run(os.getpid).values())
+        assert rendered(planned, cluster, once(partial(os.kill, pids[0], signal.SIGKILL))) == serial
+
+
+def test_a_chunk_that_is_lost_with_too_many_workers_is_named(running: Farm, planned: Job) -> None:
+    with connected(running, lost=1) as (client, cluster):
+        client.wait_for_workers(2)
+        pids = list(client.run(os.getpid).values())
+        with pytest.raises(RenderError, match=r"frames \d+–\d+( or \d+–\d+)?: workers were lost with this chunk 1 times"):
+            rendered(planned, cluster, once(lambda: [os.kill(pid, signal.SIGKILL) for pid in pids]))
+
+
+def test_a_worker_that_differs_gets_no_work(running: Farm, planned: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = start.environment()
+    monkeypatch.setattr(start, "environment", lambda: {**here, "numpy": "0.1", "arfx's code": "another"})
+    with pytest.raises(RenderError) as refused, connected(running):
+        pass
+    for name, other in (("numpy", "0.1"), ("arfx's code", "another")):
+        assert f"{name} is {here[name]}, here {other}" in refused.value.message
+
+
+@pytest.fixture
+def mapped_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on another machine: what is mapped is not seen at its path here."""
+
+    def elsewhere(path: Path, maps: Sequence[PathMap]) -> tuple[str, ...]:
+        return tuple(there for m in maps if (there := m.of(path)) is not None) or (str(path),)
+
+    for module in (start, files):
+        monkeypatch.setattr(module, "places", elsewhere)
+
+
+@pytest.mark.usefixtures("mapped_only")
+def test_a_worker_that_sees_another_clip_gets_no_work(running: Farm, planned: Job, material: Material, tmp_path: Path) -> None:
+    """Of the same size: the content counts."""
+    clip = tmp_path / material.clip.name
+    clip.write_bytes(bytes(material.clip.stat().st_size))
+    told: list[str] = []
+    maps = f"{material.clip}={clip}"
+    with connected(running, maps, notice=told.append) as (_, cluster), pytest.raises(RenderError, match="has other content"):
+        rendered(planned, cluster)
+    assert any("gets no work: " in message for message in told)
+
+
+@pytest.mark.usefixtures("mapped_only")
+def test_other_mount_points_are_mapped(
+    running: Farm, planned: Job, serial: dict[int, str], material: Material, tmp_path: Path
+) -> None:
+    for name, path in (("job", planned.folder.path), ("clips", material.folder)):
+        (tmp_path / name).symlink_to(path)
+    maps = f"{planned.folder.path}={tmp_path / 'job'}", f"{material.folder}={tmp_path / 'clips'}"
+    with connected(running, *maps) as (_, cluster):
+        assert rendered(planned, cluster) == serial
+
+
+@pytest.mark.usefixtures("mapped_only")
+def test_a_copy_of_the_job_folder_is_not_the_job_folder(running: Farm, planned: Job, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(planned.folder.path, tmp_path / "job"))
+    (copy / HOLDER).write_text("{}")
+    maps = f"{planned.folder.path}={copy}"
+    with connected(running, maps) as (_, cluster), pytest.raises(RenderError, match="is not the job folder, but a copy"):
+        rendered(planned, cluster)
+
+
+@pytest.mark.usefixtures("mapped_only")
+def test_workers_that_do_not_see_the_job_folder_use_a_store(
+    running: Farm, planned: Job, serial: dict[int, str], tmp_path: Path
+) -> None:
+    store, seen = tmp_path / "store", set[str]()
+    planned.folder.clear("previews/")
+    with connected(running, f"{planned.folder.path}=file://{store}") as (_, cluster):
+        assert rendered(planned, cluster, once(lambda: seen.update(p.name for p in store.rglob("*")))) == serial
+    assert "facts.jsonl" in seen and not [*store.rglob("*")], "what was put there is gone"
+    assert len([*planned.folder.previews.iterdir()]) == 2 * len(planned.analysed.previews)
+
+
+def test_a_lost_scheduler_ends_in_one_message(planned: Job, serial: dict[int, str]) -> None:
+    """And what is done stays: the next run renders the rest."""
+    with farm(1) as own, connected(own) as (client, cluster):
+        pids = list(client.run(os.getpid).values())
+        with pytest.raises(RenderError, match=r"connection to the scheduler at tcp://.* is lost"):
+            rendered(planned, cluster, once(own.process.kill, after=31))
+    assert any(chunk.find(planned.folder.chunks, ".mkv") for chunk in jobs._chunks(planned))
+    chunks = jobs._render(planned, jobs._chunks(planned), Options(workers=1), None)
+    assert {int(f.name.split("-")[0]): content_digest(f) for f in chunks} == serial
+    ended(pids)
+
+
+def ended(pids: Sequence[int]) -> None:
+    """Waits until none of these processes is there."""
+    for pid in pids:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            psutil.Process(pid).wait(60)
+
+
+@pytest.fixture(scope="module")
+def whole(material: Material, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The output of a job without a cluster."""
+    d = tmp_path_factory.mktemp("whole")
+    jobs.process(config_of(material, d / "out.mkv"), Options(notice=lambda _: None))
+    return (d / "out.mkv").read_bytes()
+
+
+@pytest.mark.usefixtures("ctrl_c")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
+def test_a_job_that_is_stopped_with_its_cluster_is_resumed(
+    arfx: Run, material: Material, whole: bytes, tmp_path: Path, number: int, code: int
+) -> None:
+    """As Ctrl-C at a terminal, which all processes see; and when there is no time for anything."""
+    arguments = material.arguments("-o", "out.mkv", "--codec", "ffv1", "--job", "job")
+    # two chunks of 30 frames are at work: with 45 frames in all, one may be done
+    stopped = at_a_moment(tmp_path, "render", "+45", number, [*arguments, "--executor", "local:2"], number == signal.SIGINT)
+    assert stopped.returncode == code, stopped.stderr
+    assert (tmp_path / "job").is_dir() and not (tmp_path / "out.mkv").exists()
+    if number == signal.SIGINT:
+        *_, error, hint = stopped.stderr.splitlines()
+        assert error.startswith("error: interrupted; what is done is kept in") and "--resume" in hint
+        assert "Traceback" not in stopped.stderr
+    resumed = arfx(*arguments, "--resume", "--json")
+    assert resumed.code == 0, resumed.err
+    assert (tmp_path / "out.mkv").read_bytes() == whole
+
+
+FAKE_SBATCH = """#!/bin/sh
+# a Slurm that runs each job at once, here, and leaves it alone when asked to end it
+echo "$@" >> {folder}/calls
+cp "$1" {folder}/job.sh
+setsid sh {folder}/job.sh > {folder}/log 2>&1 < /dev/null &
+echo $! >> {folder}/pids
+echo "Submitted batch job 42"
+"""
+
+
+def test_workers_are_started_by_slurm(
+    arfx: Run, material: Material, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And end when the job does, even where Slurm itself does not end them."""
+    bin = tmp_path / "bin"
+    bin.mkdir()
+    for name, text in (
+        ("sbatch", FAKE_SBATCH.format(folder=tmp_path)),
+        ("scancel", f'#!/bin/sh\necho cancel "$@" >> {tmp_path}/calls\n'),
+    ):
+        (bin / name).write_text(text)
+        (bin / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{bin}:{os.environ['PATH']}")
+    (tmp_path / "slurm.toml").write_text('cores = 1\nmemory = "4GB"\ninterface = "lo"\nwalltime = "00:10:00"\n')
+    result = arfx(*material.arguments("-o", "out.mkv", "--codec", "ffv1", "--executor", "slurm:slurm.toml", "--json"))
+    assert result.code == 0, result.err + (tmp_path / "log").read_text()
+    (worker,) = result.json["workers"]
+    assert worker["frames"] == FRAMES and worker["chunks"] == 3 and worker["name"].startswith("SLURMCluster-0")
+    assert "cancel 42" in (tmp_path / "calls").read_text()
+    ended([int(pid) for pid in (tmp_path / "pids").read_text().split()])
+    assert (tmp_path / "out.mkv").read_bytes() == whole

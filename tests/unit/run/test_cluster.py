@@ -1,0 +1,335 @@
+"""What is said on the command line of a cluster, where its workers look for files, and who gets which chunk."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from arfx.core.machine import usable_cores
+from arfx.errors import ArfxError, ConfigError, InputError, RenderError
+from arfx.run.cluster import crew, dispatch, remote
+from arfx.run.cluster.files import Bundle, Part, find
+from arfx.run.cluster.paths import PathMap, places
+from arfx.run.cluster.spec import ClusterSpec
+from arfx.run.cluster.start import open_cluster
+from arfx.run.folder import _CHUNK, JobFolder, file_digest
+from arfx.run.schedule import next_chunk
+from arfx.run.times import CHUNK, WorkLog
+from arfx.run.worker import process_name
+
+
+def test_clusters_by_name(tmp_path: Path) -> None:
+    assert ClusterSpec.parse("local") == ClusterSpec("local", workers=usable_cores())
+    assert ClusterSpec.parse("local:3").workers == 3
+    assert ClusterSpec.parse("tls://[::1]:8786").address == "tls://[::1]:8786"
+    (tmp_path / "slurm.toml").write_text('jobs = 3\ncores = 8\nprocesses = 4\nmemory = "8GB"\nqueue = "q"\n')
+    slurm = ClusterSpec.parse(f"slurm:{tmp_path / 'slurm.toml'}")
+    assert slurm.workers == 24 and slurm.settings["queue"] == "q"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "local:", "local:0", "local:-1", "tcp://host", "tcp://:1", "http://a:1", "slurm:", "tcp://a b:1"]
+)
+def test_what_is_no_cluster(text: str) -> None:
+    with pytest.raises(ConfigError, match="is no cluster"):
+        ClusterSpec.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("cores = 1", "memory is not said"), ('cores = "1"\nmemory = "1GB"', "cores is '1'"), ("cores = true", "cores is True"),
+        ("core = 1", "no setting 'core'"), ("cores = [", "not valid TOML"),
+        ('worker_extra_args = "x"', "worker_extra_args is 'x'"),
+    ],
+)  # fmt: skip
+def test_settings_of_slurm_that_are_wrong(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "slurm.toml").write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        ClusterSpec.parse(f"slurm:{tmp_path / 'slurm.toml'}")
+    with pytest.raises(InputError):
+        ClusterSpec.parse(f"slurm:{tmp_path}")
+
+
+@pytest.mark.parametrize("missing", ["dask", "distributed"])
+def test_without_the_extra_it_is_said_what_to_install(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(ConfigError, match=f"needs {missing}") as said, open_cluster(ClusterSpec.parse("local:1"), (), print):
+        pass
+    assert "pip install 'arfx[cluster]'" in said.value.hint and said.value.exit_code == 2
+
+
+def test_slurm_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "slurm.toml").write_text('cores = 1\nmemory = "1GB"')
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with (
+        pytest.raises(ConfigError, match="there is no sbatch here"),
+        open_cluster(ClusterSpec.parse(f"slurm:{tmp_path / 'slurm.toml'}"), (), print),
+    ):
+        pass
+
+
+def test_paths_are_mapped() -> None:
+    maps = [PathMap.parse(text) for text in ("/a=/x", "/a/b=s3://bucket/b", "/a/b=/y/", "/a/b/one file=http://h/f")]
+    assert places(Path("/a/b/c/d.mp4"), maps) == ("/y/c/d.mp4", "/x/b/c/d.mp4", "/a/b/c/d.mp4", "s3://bucket/b/c/d.mp4")
+    assert places(Path("/a/b/one file"), maps)[-2:] == ("http://h/f", "s3://bucket/b/one file")
+    assert places(Path("/ab"), maps) == ("/ab",)
+    assert PathMap.parse("/a=http://h/x").of(Path("/a/100% #1.mp4")) == "http://h/x/100%25%20%231.mp4"
+    assert PathMap.parse("b=/x").here == Path.cwd() / "b"
+
+
+@pytest.mark.parametrize("text", ["", "a", "=", "a=", "=/b", "a=b"])
+def test_what_maps_nothing(text: str) -> None:
+    with pytest.raises(ConfigError, match="--map-path"):
+        PathMap.parse(text)
+
+
+def of(*paths: Path, at: tuple[str, ...]) -> Bundle:
+    parts = [
+        Part("" if p is paths[0] else p.relative_to(paths[0].parent).as_posix(), p.stat().st_size, file_digest(p)) for p in paths
+    ]
+    return Bundle("model", "file", at, False, tuple(parts))
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> tuple[Path, Path]:
+    (tmp_path / "here" / "textures").mkdir(parents=True)
+    main, texture = tmp_path / "here" / "a model.obj", tmp_path / "here" / "textures" / "wood #1.png"
+    main.write_bytes(b"model")
+    texture.write_bytes(b"wood")
+    return main, texture
+
+
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[tuple[str, list[str]]]:
+    """Address of a web server of the folder `here`, and what it was asked for."""
+    asked: list[str] = []
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, format: str, *args: Any) -> None:
+            asked.append(self.path)
+
+    with http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), functools.partial(Handler, directory=str(tmp_path / "here"))
+    ) as server:
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}", asked
+        server.shutdown()
+
+
+def test_a_file_is_fetched_once(
+    model: tuple[Path, Path], served: tuple[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With all that it refers to; what the cache holds is compared too."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    address, asked = served
+    bundle = of(*model, at=("/nowhere/a model.obj", PathMap(model[0].parent, address).of(model[0]) or ""))
+    path = find(bundle)
+    assert path.is_relative_to(tmp_path / "cache") and path.read_bytes() == b"model"
+    assert (path.parent / "textures" / "wood #1.png").read_bytes() == b"wood"
+    fetched = len(asked)
+    assert fetched and find(bundle) == path and len(asked) == fetched
+    path.write_bytes(b"MODEL")  # damaged
+    assert find(bundle).read_bytes() == b"model" and len(asked) > fetched
+    assert [p.name for p in (tmp_path / "cache" / "arfx" / "files").iterdir()] == [path.parent.name]
+
+
+def test_other_content_is_another_file(
+    model: tuple[Path, Path], served: tuple[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    bundle = of(*model, at=(str(model[0]), f"{served[0]}/a%20model.obj", f"{served[0]}/none", "nothing://x"))
+    assert find(bundle) == model[0]
+    model[1].write_bytes(b"iron")
+    with pytest.raises(
+        RenderError, match=r"wood #1.png has other content; what lies at http.* is another file; .*none cannot be fetched"
+    ):
+        find(bundle)
+    model[1].write_bytes(b"wooden")
+    with pytest.raises(RenderError, match="has another size"):
+        find(bundle)
+    assert not [*(tmp_path / "cache" / "arfx" / "files").iterdir()]
+
+
+def test_a_worker_reads_on_where_it_can() -> None:
+    assert next_chunk([0, 1, 2, 3], -1, {-1}) == 0
+    assert next_chunk([1, 2, 3, 4, 5, 6, 7], -1, {1}) == 4, "another comes to 1"
+    assert next_chunk([1, 5, 6], 5, {1}) == 5
+    assert next_chunk([3], 9, {3}) == 3
+
+
+def test_names_of_unfinished_files_are_arfxs_own() -> None:
+    import re
+
+    assert re.fullmatch(_CHUNK, f"{process_name()}-140-000000-000029.0123456789abcdef.nut.part")
+    assert not re.fullmatch(_CHUNK, "my-notes-000000-000029.0123456789abcdef.nut.part")
+
+
+def test_the_time_of_each_worker(tmp_path: Path) -> None:
+    log = WorkLog(tmp_path / "timings.jsonl")
+    for key, name, first, last in (("a", "1", 0, 29), ("b", "2", 30, 59), ("c", "1", 60, 65)):
+        log.note(CHUNK, key, {"decode": 1.0}, stages={"raster": 2.0}, worker=name, host="h", first=first, last=last)
+    log.note(CHUNK, "c", {"decode": 1.0}, worker=1, host="h", first=0, last=1)  # damaged
+    assert log.spent("", "abc").workers == (
+        {"name": "1", "host": "h", "chunks": 2, "frames": 36, "seconds": 6.0},
+        {"name": "2", "host": "h", "chunks": 1, "frames": 30, "seconds": 3.0},
+    )
+
+
+class FakeClient:
+    """A cluster in which `happen` decides what becomes of each call. threads : address -> slots"""
+
+    def __init__(self, happen: Callable[[FakeClient, str, SimpleNamespace], None], **threads: int) -> None:
+        self.happen, self.threads, self.status = happen, threads, "running"
+        self.scheduler = SimpleNamespace(address="tcp://fake:1")
+        self.calls: list[tuple[str, int]] = []
+
+    def nthreads(self) -> dict[str, int]:
+        return dict(self.threads)
+
+    def subscribe_topic(self, _: str, handler: Callable[[tuple[float, dict[str, Any]]], None]) -> None:
+        self.tell = handler
+
+    def unsubscribe_topic(self, *_: Any) -> None: ...
+
+    def submit(self, function: Callable[..., Any], *arguments: Any, key: str, workers: list[str], **_: Any) -> SimpleNamespace:
+        future = SimpleNamespace(status="pending", value=None, key=key)
+        future.done = lambda: future.status != "pending"
+        future.result = future.exception = lambda timeout: future.value
+        future.cancel = lambda force: None
+        if function is crew.remote.examine:
+            future.status, future.value = "finished", {"name": f"{workers[0]}'s name", "host": "h", "refused": ""}
+        else:
+            self.calls.append((workers[0], arguments[1]))
+            future.first, future.name = arguments[1], arguments[3]
+            self.happen(self, workers[0], future)
+        return future
+
+
+@pytest.fixture
+def dispatched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
+    """First frames of the results of four tasks by a FakeClient."""
+    monkeypatch.setattr(crew, "LOOK_S", 0.0)
+    monkeypatch.setattr(dispatch, "SLOW_S", 0.1)
+    monkeypatch.setattr(dispatch, "LEAVE_S", 0.0)
+    tasks = [("", "", n, n + 29, str(tmp_path / f"{n:06d}-{n + 29:06d}.{'k' * 16}")) for n in range(0, 120, 30)]
+
+    def run(client: FakeClient) -> list[int]:
+        crew_ = crew.Crew(client, {}, None, print)
+        d = dispatch.Dispatch(client, crew_, tasks, "run", ".nut", None, 3, False, print)
+        return [r["first"] for r in d.results(lambda done: None)]
+
+    return run
+
+
+def finish(client: FakeClient, future: SimpleNamespace, folder: Path) -> None:
+    """As a worker that has written its file. Its event is heard soon."""
+    file = f"{future.name}.{'c' * 16}.nut"
+    (folder / file).write_bytes(b"")
+    future.status = "finished"
+    said = {"attempt": future.key, "result": {"file": file, "first": future.first}}
+    threading.Timer(0.01, client.tell, [(0.0, said)]).start()
+
+
+def test_a_chunk_that_kills_three_workers_is_named(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+    """However many workers there are, and though all others are fine."""
+
+    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
+        if future.first == 60:
+            del client.threads[worker]
+            client.threads[f"{worker}+"] = 1  # started again by its nanny
+        else:
+            finish(client, future, tmp_path)
+
+    client = FakeClient(happen, a=1, b=1)
+    with pytest.raises(RenderError, match=r"frames 60–89: workers were lost with this chunk 3 times \(.*name, .*name, .*name\)"):
+        dispatched(client)
+    assert [first for _, first in client.calls].count(60) == 3
+
+
+def test_a_chunk_whose_worker_died_after_it_is_not_rendered_again(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+    from arfx.run.folder import content_digest
+
+    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
+        if worker == "a":
+            (tmp_path / "x").write_bytes(b"chunk")
+            (tmp_path / "x").rename(tmp_path / f"{future.name}.{content_digest(tmp_path / 'x')}.nut")
+            del client.threads["a"]
+        else:
+            finish(client, future, tmp_path)
+
+    client = FakeClient(happen, a=1, b=1)
+    assert sorted(dispatched(client)) == [0, 30, 60, 90] and len(client.calls) == 4
+
+
+def test_an_idle_worker_takes_over_from_a_straggler(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
+        if worker != "a":
+            finish(client, future, tmp_path)
+
+    client = FakeClient(happen, a=1, b=1)
+    assert sorted(dispatched(client)) == [0, 30, 60, 90]
+    assert [worker for worker, first in client.calls if first == 0] == ["a", "b"]
+
+
+def test_what_a_worker_raises_ends_the_job(dispatched: Callable[..., list[int]]) -> None:
+    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
+        future.status, future.value = "error", RenderError("the disk is full")
+
+    with pytest.raises(ArfxError, match="the disk is full"):
+        dispatched(FakeClient(happen, a=1))
+
+
+def test_a_lost_connection_is_said(dispatched: Callable[..., list[int]]) -> None:
+    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
+        client.status = "connecting"
+
+    with pytest.raises(RenderError, match="connection to the scheduler at tcp://fake:1 is lost"):
+        dispatched(FakeClient(happen, a=1))
+
+
+@pytest.mark.parametrize(("state", "status"), [("cancelled", "running"), ("executing", "closing")])
+def test_a_worker_leaves_a_chunk_that_nobody_wants(
+    state: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when the client was killed: Dask cancels its tasks then."""
+    events: list[dict[str, Any]] = []
+    worker = SimpleNamespace(
+        name="w", state=SimpleNamespace(tasks={"token": SimpleNamespace(state=state)}), status=SimpleNamespace(name=status),
+        get_current_task=lambda: "token", log_event=lambda topic, said: events.append(said),
+    )  # fmt: skip
+
+    def render_chunk(*arguments: Any, paths: Any) -> dict[str, Any]:
+        for _ in range(1000):
+            arguments[5]()
+        return {}
+
+    monkeypatch.setattr(remote, "_worker", lambda: worker)
+    monkeypatch.setattr(remote, "render_chunk", render_chunk)
+    monkeypatch.setattr(remote, "TELL_S", 0.0)
+    monkeypatch.setitem(remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ()))
+    with pytest.raises(remote.UnwantedError):
+        remote.render("run", 0, 29, "name")
+    assert events == [{"attempt": "token", "ended": True}]
+    worker.state.tasks["token"].state, worker.status.name = "executing", "running"
+    remote.render("run", 0, 29, "name")
+    assert {"attempt": "token", "frames": 1000} in events
+
+
+def test_a_worker_that_is_closed_loses_its_chunk(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
+        if worker == "a":
+            future.status, future.value = "error", remote.UnwantedError()
+            del client.threads["a"]
+        else:
+            finish(client, future, tmp_path)
+
+    assert sorted(dispatched(FakeClient(happen, a=1, b=1))) == [0, 30, 60, 90]

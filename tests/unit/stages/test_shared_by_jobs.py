@@ -1,0 +1,34 @@
+"""What is made of a model and of how it stands is made once, however many jobs have it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from arfx.stages.gi import stage
+from arfx.stages.lightmap.region import shadow_region
+from tests.scenes import box_model, camera, scene
+
+
+def test_later_jobs_find_voxels_and_shadow_region(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Red without `memo_of`: every scene makes its own."""
+    made: list[Any] = []
+
+    def make(*args: Any) -> Any:
+        made.append(args)
+        return make_voxel_model(*args)
+
+    make_voxel_model = stage.make_voxel_model
+    monkeypatch.setattr(stage, "make_voxel_model", make)
+    model, gi = box_model(), stage.Gi()
+    first, later = scene(model=model), scene(camera(320, 240), model=model)
+    one, two = gi.prepare(first, "draft"), gi.prepare(later, "draft")
+    assert one is not None and two is not None and one.model is two.model and len(made) == 1
+    assert shadow_region(first) is shadow_region(later)
+    elsewhere = replace(first, world_from_model=np.diag([1.5, 1.5, 1.5, 1]) @ first.world_from_model)
+    assert gi.prepare(elsewhere, "draft").model is not one.model and shadow_region(elsewhere) is not shadow_region(first)
+    assert gi.prepare(first, "standard").model is not one.model, "another level has other voxels"
+    assert gi.prepare(scene(model=box_model()), "draft").model is not one.model, "another model, if it looks the same"
