@@ -9,7 +9,7 @@ from pathlib import Path
 
 from arfx.config.sections import JobConfig
 from arfx.core.guard import Guard, check_file_name
-from arfx.errors import ConfigError, JobInterruptedError, NothingToDoError
+from arfx.errors import ConfigError, InputError, JobInterruptedError, NothingToDoError
 from arfx.media.output import image_names, names_sequence
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
@@ -114,8 +114,9 @@ class Places:
             except JobInterruptedError:
                 raise
             except BaseException as e:
-                if isinstance(e, NothingToDoError):
-                    self.folder.clear("stretches/")  # they lead to the same end
+                same_end = isinstance(e, NothingToDoError) or (isinstance(e, (ConfigError, InputError)) and not resume)
+                if same_end:  # another try with the same command would not get further
+                    self.folder.clear("stretches/")
                 if not self.folder.resumable:
                     self.folder.clear()
                 raise

@@ -243,7 +243,7 @@ def test_a_job_that_came_to_nothing_leaves_nothing(read: Path, tmp_path: Path, e
     with pytest.raises(type(error)), at.held(resume=False):
         (at.folder.path / "job.toml").write_text(MARK)
         at.folder.timings.write_text("{}")
-        if isinstance(error, NothingToDoError):
+        if not isinstance(error, RenderError):
             (at.folder.stretches / f"000000-000124.{KEY}").write_text("leads to the same end")
         raise error
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "read"] and not list((tmp_path / "empty").iterdir())
@@ -262,6 +262,8 @@ def test_a_job_that_can_be_resumed_keeps_what_it_has(read: Path, tmp_path: Path)
         Places(inputs(read, tmp_path / "out.mp4"), None, None, False).held(False),
     ):
         pass
+    with pytest.raises(ConfigError, match="budget"), at.held(resume=True):
+        raise ConfigError("no such budget")
     with at.held(resume=True):
         assert kept.exists()
     assert not at.folder.path.exists()
