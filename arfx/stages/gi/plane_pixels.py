@@ -88,7 +88,8 @@ def _direction(nodes, x, y):  # pragma: no cover - compiled
     fy, fx = np.float32(y % GRID_PX) * step, np.float32(x % GRID_PX) * step
     gy, gx = np.float32(1) - fy, np.float32(1) - fx
     a, b, c, d = gy * gx, gy * fx, fy * gx, fy * fx
-    n00, n01, n10, n11 = nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
+    below, right = min(j + 1, nodes.shape[0] - 1), min(i + 1, nodes.shape[1] - 1)  # a cell's last corner may be the last node
+    n00, n01, n10, n11 = nodes[j, i], nodes[j, right], nodes[below, i], nodes[below, right]
     dx = a * n00[0] + b * n01[0] + c * n10[0] + d * n11[0]
     dy = a * n00[1] + b * n01[1] + c * n10[1] + d * n11[1]
     return dx, dy, a * n00[2] + b * n01[2] + c * n10[2] + d * n11[2]

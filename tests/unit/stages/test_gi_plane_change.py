@@ -12,12 +12,15 @@ FLOOR = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
 WALL = [[0, 0.5, 0], [1, 0, 0], [0, 0, 1], [0, -1, 0]]
 
 
-def changed(cell: int, planes: list, real: np.ndarray | None = None, deeper: float = 0.0) -> np.ndarray:  # type: ignore[type-arg]
-    """(h, w, 3) ratio, seen from 1 m over the floor and tilted towards the wall."""
+def changed(
+    cell: int, planes: list, real: np.ndarray | None = None, deeper: float = 0.0, behind: float = 0.0  # type: ignore[type-arg]
+) -> np.ndarray:  # fmt: skip
+    """(h, w, 3) ratio, seen from 1 m over the floor and tilted towards the wall. behind : what lies after the nodes in memory"""
     x, y = np.meshgrid(np.arange(0, WIDTH + 8, 8), np.arange(0, HEIGHT + 8, 8))
     right, down, ahead = np.array([1.0, 0, 0]), np.array([0, -0.6, -0.8]), np.array([0, 0.8, -0.6])
     u, v = (x - WIDTH / 2)[..., None] / 120, (y - HEIGHT / 2)[..., None] / 120
     nodes = (u * right + v * down + ahead).astype(np.float32)
+    nodes = np.concatenate([nodes, np.full_like(nodes[:1], behind)])[:-1]
     t = np.linspace(-1, 1, 16)
     bump = np.exp(-((t[:, None] - 0.1) ** 2 + t[None] ** 2) / 0.2)
     delta = np.array([np.repeat((k + 1) * 0.2 * bump[..., None], 3, -1) for k in range(len(planes))], np.float32)
@@ -37,6 +40,12 @@ def test_far_between_as_at_each_pixel() -> None:
     for cell in (2, 4):
         assert np.abs(changed(cell, [FLOOR]) - fine).max() < 0.01
     assert np.abs(changed(4, [FLOOR], deeper=0.3) - changed(1, [FLOOR], deeper=0.3)).max() < 0.03
+
+
+def test_what_lies_behind_the_nodes_in_memory_does_not_count() -> None:
+    """The last cells end where the picture does, on the last node."""
+    for cell in (4, 8):
+        assert (changed(cell, [FLOOR], behind=np.nan) == changed(cell, [FLOOR])).all()
 
 
 def test_the_edge_between_two_planes_stays_sharp() -> None:
