@@ -8,7 +8,9 @@ import os
 import re
 import signal
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,14 +29,46 @@ STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|
     |raise_signal|os\.kill"""
 
 
-# Their tests share what takes long to make. Test processes take tests off the end of each other's lists: there it is made twice.
-TOGETHER = {"test_film_grain.py", "test_main_job.py", "test_markers.py", "test_opengl_jobs.py", "test_presets.py"}
+# Files that take long, the longest first. Their tests come first, dealt out to as many heaps as there are test processes. Short
+# tests follow: a process that is done takes half of what is left off the end of another's list. So both end together, and what
+# the tests of a file share is made once.
+LONG = (
+    "golden/test_sample_scenes", "cli/test_cluster", "cli/test_opengl_jobs", "unit/reproduce/test_papers",
+    "plugins/test_film_grain", "unit/stages/test_gi", "cli/test_process", "unit/calibrate/test_calibration",
+    "unit/run/test_stretches", "unit/stages/test_gi_path_traced", "real/test_calibration", "cli/test_anchor_plane",
+    "unit/stages/test_dof", "unit/stages/test_lightmap_plane", "real/test_main_job", "unit/analyse/light/test_sweep",
+    "real/test_markers", "contract/test_stages", "unit/stages/test_watercolor_stage", "unit/run/test_damaged_job",
+    "cli/test_messages", "unit/papers/test_s4_gi", "cli/test_resume", "unit/analyse/motion/test_flow", "cli/test_calibrate",
+    "cli/test_signals", "cli/test_platforms", "cli/test_occlusion", "golden/test_presets", "cli/test_batch",
+    "unit/analyse/depth/test_planes", "unit/run/test_analysis", "cli/test_bench", "cli/test_inspect", "cli/test_depth",
+    "cli/test_streams", "cli/test_light", "cli/test_report", "architecture/test_wheel", "hard/test_hard",
+)  # fmt: skip
+
+
+def longest_first(items: list[pytest.Item], processes: int) -> list[pytest.Item]:
+    """In the order in which they are shared out: to each process in turn as many as to any other, one behind the other."""
+    here = Path(__file__).parent
+    names = [item.path.relative_to(here).with_suffix("").as_posix() if here in item.path.parents else "" for item in items]
+    ranks = {name: rank for rank, name in enumerate(LONG)}
+    short, files = list[pytest.Item](), defaultdict[int, list[pytest.Item]](list)
+    for item, name in zip(items, names, strict=True):
+        (files[ranks[name]] if name in ranks else short).append(item)
+    heaps: list[list[pytest.Item]] = [[] for _ in range(processes)]
+    for n, rank in enumerate(sorted(files)):  # there and back: 0 1 1 0 0 1 …
+        turn = n % (2 * processes)
+        heaps[min(turn, 2 * processes - 1 - turn)] += files[rank]
+    out, left = [], len(items)
+    for k, heap in enumerate(heaps):
+        more = max(left // (processes - k) - len(heap), 0)
+        out += [*heap, *short[:more]]
+        short, left = short[more:], left - len(heap) - more
+    return [*out, *short]
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Files in TOGETHER come first. `-m process` takes every test whose source starts a process or a thread or sends a signal,
+    """Files in LONG come first. `-m process` takes every test whose source starts a process or a thread or sends a signal,
     marked by hand or not."""
-    items.sort(key=lambda item: item.path.name not in TOGETHER)
+    items[:] = longest_first(items, getattr(config, "workerinput", {}).get("workercount", 1))
     if "process" in config.getoption("markexpr"):
         for item in items:
             if isinstance(item, pytest.Function) and re.search(STARTS, inspect.getsource(item.function), re.VERBOSE):

@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, of_channels, weights
 from arfx.core.numerics import divide
@@ -138,6 +137,8 @@ def _secular(grey: np.ndarray, r: np.ndarray, m: np.ndarray) -> tuple[np.ndarray
     G = np.array([[(grey * grey).sum(), -(grey * m).sum()], [-(grey * m).sum(), m.sum()]])
     F = np.stack([-(r * grey).sum(1), (r * m).sum(1)])
     D = (r * r).sum(1)
+
+    from scipy.optimize import brentq  # 50 ms, of every job's start
 
     def rest(low: float) -> np.ndarray:
         return G - low * np.eye(2) - (F / (D - low)) @ F.T

@@ -15,6 +15,7 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from typing import Any
 
 from arfx.core import interrupt
+from arfx.core.machine import collect_seldom
 from arfx.errors import RenderError
 from arfx.run.schedule import steal, work_queues
 from arfx.run.source import release
@@ -94,10 +95,12 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
 
 
 def _start(counter: Any) -> None:
-    """In each worker: leave Ctrl-C to the parent, end with it, and keep libraries from starting a thread per core each."""
+    """In each worker: leave Ctrl-C to the parent, end with it, look for garbage seldom, and keep libraries from starting a thread
+    per core each."""
     global _counter
     _counter = counter
     interrupt.in_worker()
+    collect_seldom()
     import cv2
 
     cv2.setNumThreads(1)

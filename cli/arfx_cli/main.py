@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import importlib
 import os
 import sys
@@ -14,11 +13,9 @@ import click
 
 from arfx import __version__
 from arfx.core import interrupt
+from arfx.core.machine import collect_seldom
 from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
-
-# A tenth of a short command went into looking for garbage among the libraries' own objects, while they are imported.
-_OBJECTS_BETWEEN_COLLECTIONS = 200_000
 
 # command -> (module, one-line help). The module is imported only when its command runs.
 COMMANDS = {
@@ -89,7 +86,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run a command. Exits with the codes of EXIT_CODES; ARFX_DEBUG=1 shows tracebacks."""
     # numpy's own threads wait by spinning: beside rendering threads they took a third of the processor, for small matrices
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS, 10, 100)
+    collect_seldom()
     arguments = list(sys.argv[1:] if argv is None else argv)
     with interrupt.catching():
         try:
