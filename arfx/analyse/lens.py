@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
 from arfx.analyse.markers.detect import cells_per_side
@@ -43,6 +42,8 @@ def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.n
     out = np.full(4, np.nan)
     x0, y0 = np.maximum(np.floor(corners_px.min(0)).astype(int) - int(_MOST_HALF_PX) - 2, 0)
     x1, y1 = np.ceil(corners_px.max(0)).astype(int) + int(_MOST_HALF_PX) + 3
+    from scipy.ndimage import map_coordinates
+
     light = np.take(table, luma[y0:y1, x0:x1])
     if min(light.shape) < 8:
         return out

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from arfx.core.model import OPAQUE
@@ -150,6 +149,8 @@ def _sources(inside: np.ndarray) -> np.ndarray:
     own = np.arange(inside.size, dtype=np.int32)
     if not inside.any() or inside.all():
         return own
+    from scipy.ndimage import distance_transform_edt  # 30 ms, which a job without this stage need not take
+
     row, column = distance_transform_edt(inside, return_distances=False, return_indices=True)
     return (row.ravel() * inside.shape[1] + column.ravel()).astype(np.int32)
 
