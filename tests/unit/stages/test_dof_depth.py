@@ -114,7 +114,7 @@ def test_the_printed_formula_reads_it() -> None:
 
 
 def test_fill_keeps_what_is_known_and_goes_on_with_what_is_near() -> None:
-    values = np.zeros((50, 70, 1), np.float32)
+    values = np.zeros((50, 70, 4), np.float32)
     values[:, 35:] = 1.0
     known = np.ones((50, 70), bool)
     known[10:40, 5:25] = known[10:40, 45:65] = False
