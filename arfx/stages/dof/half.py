@@ -39,16 +39,18 @@ def render(
     share = np.ones((rect.height, rect.width), np.float32)
     coc = replace(coc, px_per_dioptre=coc.px_per_dioptre / 2, limit_px=coc.limit_px / 2)
     facts = facts.with_(model_box=_half(facts.model_box))
-    small = _half_layers(now)
-    blurred = corrected.render(small, facts, _half(frame), _half(out), real, grid, coc, pyramid, params, share)
-    before, changed = small.written[Layer.IMAGE].over(rect, blurred.written.rects), blurred.written.rects
-    changed = [_double(r).clip(now.rect) for r in changed]
+    small, rows = _half_layers(now), Rect(now.rect.x0, out.y0, now.rect.x1, out.y1)
+    wanted = _half(out).pad(1).clip(rect)  # whole pixels lie between half ones
+    made = corrected.render(small, facts, _half(frame), wanted, real, grid, coc, pyramid, params, share)
+    changed = [part for r in made.written.rects if not (part := _double(r).clip(rows)).empty]
+    around = [r.pad(1).clip(rect) for r in made.written.rects]
+    blurred, before = made.over(rect, around), small.written[Layer.IMAGE].over(rect, around)
     image = packed(sharp.over(now.rect, changed))
     result = np.empty(image.shape, np.float32)
 
     def lay_over(part: Rect) -> None:
         part = part.shift(-now.rect.x0, -now.rect.y0)
-        _lay_over(result, image, blurred.array, before, share, np.array(part.to_json()))
+        _lay_over(result, image, blurred, before, share, np.array(part.to_json()))
 
     parallel_map(lay_over, [Rect(r.x0, r.y0 + a, r.x1, r.y0 + b) for r in changed for a, b in strips(r)])
     return Pixels(now.rect, result, sharp, written=changed)
