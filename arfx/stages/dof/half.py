@@ -44,7 +44,7 @@ def render(
     made = corrected.render(small, facts, _half(frame), wanted, real, grid, coc, pyramid, params, share)
     changed = [part for r in made.written.rects if not (part := _double(r).clip(rows)).empty]
     around = [r.pad(1).clip(rect) for r in made.written.rects]
-    blurred, before = made.over(rect, around), small.written[Layer.IMAGE].over(rect, around)
+    blurred, before = (packed(pixels.over(rect, around)) for pixels in (made, small.written[Layer.IMAGE]))
     image = packed(sharp.over(now.rect, changed))
     result = np.empty(image.shape, np.float32)
 
