@@ -21,7 +21,7 @@ def halved(image: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def _halve_rows(image, ya, yb, out):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _halve_rows(image, ya, yb, out):  # pragma: no cover - compiled
     last, wide, quarter = image.shape[0] - 1, image.shape[1] // 2, _F(0.25)
     for y in range(ya, yb):
         top, bottom, to = image[2 * y].reshape(-1), image[min(2 * y + 1, last)].reshape(-1), out[y].reshape(-1)

@@ -71,10 +71,12 @@ def fill(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(h, w, 2 to 4) float32: where not `known`, the mean of known values around, as near ones as there are.
 
     Source: push-pull interpolation (Gortler et al. 1996) on halved pictures."""
-    sums = [(values * known[..., None], known.astype(np.float32))]  # apart, as OpenCV resizes four channels at most
+    sums: list[tuple[np.ndarray, np.ndarray]]  # apart, as OpenCV resizes four channels at most
+    sums = [(values * known[..., None], known.astype(np.float32))]
     while min(sums[-1][1].shape) > 1 and not (sums[-1][1] > 0).all():
         h, w = sums[-1][1].shape
-        sums.append(tuple(cv2.resize(a, (-(-w // 2), -(-h // 2)), interpolation=cv2.INTER_AREA) for a in sums[-1]))
+        value, weight = (cv2.resize(a, (-(-w // 2), -(-h // 2)), interpolation=cv2.INTER_AREA) for a in sums[-1])
+        sums.append((value, weight))
     out = _mean(*sums[-1])
     for value, weight in reversed(sums[1:-1]):
         up = _enlarged(out, weight)
