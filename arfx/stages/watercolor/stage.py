@@ -348,8 +348,12 @@ def _corner(rect: Rect, level: str) -> tuple[int, int]:
 def _sparse(a: np.ndarray, top: int, left: int, every: int) -> np.ndarray:
     """(h, w, ...) one in `every` pixels along x and y of an array that begins at (top, left), counted from 0; read-only."""
     if every > 1:
-        a = np.ascontiguousarray(a[-top % every :: every, -left % every :: every])
-        a.setflags(write=False)
+        a = a[-top % every :: every, -left % every :: every]
+        out = np.empty(a.shape, a.dtype)
+        for c in np.ndindex(a.shape[2:]):  # a channel at a time: all at once numpy copies them in loops of three
+            out[..., *c] = a[..., *c]
+        out.setflags(write=False)
+        return out
     return a
 
 
