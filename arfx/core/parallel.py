@@ -29,6 +29,7 @@ def _pool(pid: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max(_threads() - 1, 1), "parallel")
 
 
+@cache
 def _threads() -> int:
     """As many as compiled code may use here."""
     return max(min(usable_cores(), int(os.environ.get("NUMBA_NUM_THREADS") or usable_cores())), 1)

@@ -111,6 +111,8 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
         raise ConfigError(f"unknown codec {settings.codec!r}", "one of " + ", ".join(CODECS))
     if names_sequence(path) or (name is not None and CODECS[name].sequence):
         kind = name or suffix[1:]
+        if kind in CODECS and not CODECS[kind].sequence:
+            raise ConfigError(f"{path}: codec {kind} makes no images", f"--codec {suffix[1:]}, or a video: out.mkv")
         if suffix != f".{kind}":
             raise ConfigError(f"{path}: codec {kind} writes images named *.{kind}", f"for example frames/%06d.{kind}")
         if not _PATTERN.fullmatch(path.name):

@@ -68,20 +68,26 @@ def depth_layers(colour: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
 
 
 def fill(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """(h, w, c) float32: where not `known`, the mean of known values around, as near ones as there are.
+    """(h, w, 2 to 4) float32: where not `known`, the mean of known values around, as near ones as there are.
 
     Source: push-pull interpolation (Gortler et al. 1996) on halved pictures."""
-    sums = np.dstack([values * known[..., None], known.astype(np.float32)]).astype(np.float32)
-    levels = [sums]
-    while min(levels[-1].shape[:2]) > 1 and not (levels[-1][..., -1] > 0).all():
-        h, w = levels[-1].shape[:2]
-        levels.append(np.dstack([cv2.resize(c, (-(-w // 2), -(-h // 2)), interpolation=cv2.INTER_AREA)
-                                 for c in np.moveaxis(levels[-1], -1, 0)]))  # fmt: skip
-    out = divide(levels[-1][..., :-1], levels[-1][..., -1:]).astype(np.float32)
-    for level in reversed(levels[:-1]):
-        h, w = level.shape[:2]
-        up = np.dstack([cv2.resize(c, (w, h), interpolation=cv2.INTER_LINEAR) for c in np.moveaxis(out, -1, 0)])
-        weight = np.minimum(level[..., -1:] * 4, 1)  # a quarter of a cell known is enough to go by it
-        out = up + (divide(level[..., :-1], level[..., -1:]).astype(np.float32) - up) * weight
-    out[known] = values[known]
-    return out
+    sums: list[tuple[np.ndarray, np.ndarray]]  # apart, as OpenCV resizes four channels at most
+    sums = [(values * known[..., None], known.astype(np.float32))]
+    while min(sums[-1][1].shape) > 1 and not (sums[-1][1] > 0).all():
+        h, w = sums[-1][1].shape
+        value, weight = (cv2.resize(a, (-(-w // 2), -(-h // 2)), interpolation=cv2.INTER_AREA) for a in sums[-1])
+        sums.append((value, weight))
+    out = _mean(*sums[-1])
+    for value, weight in reversed(sums[1:-1]):
+        up = _enlarged(out, weight)
+        share = np.minimum(weight * 4, 1)[..., None]  # a quarter of a cell known is enough to go by it
+        out = up + (_mean(value, weight) - up) * share
+    return np.where(known[..., None], values, _enlarged(out, known))
+
+
+def _enlarged(value: np.ndarray, to: np.ndarray) -> np.ndarray:
+    return cv2.resize(value, to.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def _mean(value: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    return divide(value, weight[..., None]).astype(np.float32)

@@ -29,11 +29,12 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
+from arfx.stages.half import halved
 from arfx.stages.watercolor.cells import adjust_tone, cell_colours, mean_colours, neighbours, smooth_washes
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.field import RealDioptre, advection_directions, frame_field
-from arfx.stages.watercolor.half import double_lines, half_rect, halve_sites, halved
+from arfx.stages.watercolor.half import double_lines, half_rect, halve_sites
 from arfx.stages.watercolor.labels import Labels, Wobble, label, sort_sites
 from arfx.stages.watercolor.levels import ACCURACY
 from arfx.stages.watercolor.measure import edge_measure
@@ -347,8 +348,12 @@ def _corner(rect: Rect, level: str) -> tuple[int, int]:
 def _sparse(a: np.ndarray, top: int, left: int, every: int) -> np.ndarray:
     """(h, w, ...) one in `every` pixels along x and y of an array that begins at (top, left), counted from 0; read-only."""
     if every > 1:
-        a = np.ascontiguousarray(a[-top % every :: every, -left % every :: every])
-        a.setflags(write=False)
+        a = a[-top % every :: every, -left % every :: every]
+        out = np.empty(a.shape, a.dtype)
+        for c in np.ndindex(a.shape[2:]):  # a channel at a time: all at once numpy copies them in loops of three
+            out[..., *c] = a[..., *c]
+        out.setflags(write=False)
+        return out
     return a
 
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
@@ -16,6 +17,7 @@ from arfx.core.stage import ReadyStage, level_named
 from arfx.errors import InputError
 from arfx.stages.dof import Dof
 from arfx.stages.dof.params import DofParams
+from arfx.stages.half import halved
 from tests.contract import stage_laws as laws
 from tests.scenes import look_at
 from tests.unit.stages.dof_scenes import Shot, blurred, shot, texture, with_layers
@@ -66,6 +68,34 @@ def test_agrees_with_a_thin_lens(name: str) -> None:
     assert error["draft"] + 1 < error["standard"] and error["standard"] + 0.2 < error["high"], error
     for level in LEVELS:
         assert made[level].sum() == pytest.approx(truth.sum(), rel=0.01)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_part_is_as_in_the_whole_picture(level: str) -> None:
+    """Whatever its borders; draft takes 2 x 2 pixels together."""
+    at, params = shot("plain", 240, 180), {"aperture_px": 40.0, "focus": "object"}
+    whole = blurred(at, level, **params)
+    ready = ReadyStage.of(Dof(DofParams(**params)), at.scene, level)
+    for part in (Rect(100, 60, 160, 120), Rect(101, 61, 159, 119), Rect(0, 64, 240, 66), Rect(201, 140, 240, 180)):
+        need = ready.stage.needs(part, at.facts, at.scene, level).union(part).clip(at.layers.rect)
+        made = ready.run(at.layers.crop(need), at.facts, part)[Layer.IMAGE]
+        np.testing.assert_allclose(made(part), whole[part.slices], rtol=0, atol=1e-5, err_msg=str(part))
+
+
+def test_a_draft_keeps_what_is_sharp_and_its_outline() -> None:
+    """Though it blurs half the picture's size: a sharp object before a blurred wall."""
+    at, params = shot("plain", 240, 180), {"aperture_px": 8.0, "focus": "object", "background_m": 50.0}
+    draft, standard = (blurred(at, level, **params) for level in ("draft", "standard"))
+    covered = at.layers[Layer.COVERAGE]
+    inside = minimum_filter(covered, 5) >= 1
+    kept = inside & (np.abs(standard - at.layers[Layer.IMAGE]).max(-1) == 0)
+    kept = minimum_filter(kept, 5)
+    assert kept.sum() > 20
+    np.testing.assert_array_equal(draft[kept], standard[kept])
+    outline = (maximum_filter(covered, 3) > 0) & ~inside
+    assert psnr(draft, standard, outline) > 30
+    halves = np.repeat(np.repeat(halved(standard), 2, 0), 2, 1)
+    assert psnr(draft, standard, outline) > psnr(halves, standard, outline) + 3
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
