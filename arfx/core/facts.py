@@ -162,7 +162,7 @@ def read_facts(path: Path | str) -> tuple[FrameFacts, ...]:
             raise InputError(f"{path} is no facts file of version {_VERSION}", "analyse the clip again")
         facts = []
         for line, row in enumerate(rows[1:], 2):  # noqa: B007 - named in the message below
-            facts.append(FrameFacts.from_json(json.loads(row)))
+            facts.append(FrameFacts.from_line(row))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as e:
         raise InputError(f"{path}:{line}: not a frame's facts ({e})", "analyse the clip again") from e
     if len(facts) != header["frames"]:

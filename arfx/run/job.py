@@ -31,7 +31,7 @@ from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster, open_cluster
 from arfx.run.executors import Results, Task, run_processes, run_serial, run_threads
-from arfx.run.folder import MARK, JobFolder, digest, disk_error, pick_previews, read_lines, write
+from arfx.run.folder import MARK, JobFolder, Lines, digest, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlisted
 from arfx.run.keys import job_keys
@@ -154,7 +154,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         write(folder.plan, "".join(json.dumps(p.to_json()) + "\n" for p in plans))
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
-    plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
+    plans = Lines(folder.plan, FramePlan.from_line)[:]
     if any(_written_once(step.stage for step in p.steps) for p in plans):
         _compile((DIMMING,), options, log)
     plan = JobPlan(plans, document["levels"], document["predicted"], time.perf_counter() - start)
@@ -244,8 +244,7 @@ def _without_opencv_threads(results: Results) -> Results:
 
 def _chunks(job: Job) -> list[Chunk]:
     """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and plan of its frames."""
-    facts = job.folder.facts.read_text(encoding="utf-8").splitlines()[1:]  # the first line is the header
-    plans = job.folder.plan.read_text(encoding="utf-8").splitlines()
+    facts, plans = Lines(job.folder.facts, str, header=1), Lines(job.folder.plan, str)
     world = {k: p.to_json() for k, p in job.analysed.world_from_marker.items()}
 
     def key(first: int, last: int) -> str:

@@ -1,0 +1,230 @@
+"""What a frame costs as clips get longer: whole jobs over the same loop of film, repeated, marker in and out of view.
+
+One process is measured from within, phase by phase, in processor seconds (its workers are threads: --workers 1); what spawned
+workers hold is told by a second job of each length. Growth is a frame's cost in the longest job over that in the job of
+1,000 frames (--base): what is paid once for a job counts less and less before that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.marker import MarkerSpec
+from arfx.core.pose import Pose, rotation_from_euler_deg
+from arfx.media.cameras import save_camera
+from arfx.run.memory import peak_mb
+from bench_job import PRINT, write_model
+
+WIDTH, HEIGHT, FPS, LOOP = 160, 120, 30, 100
+FOCAL_PX = 150.0
+MARKER = MarkerSpec("36h11", 3, 0.15)
+PHASES = ("stretches", "their join", "end of analysis", "plan", "keys of chunks", "render", "join", "report", "page", "all else")
+
+
+def make_loop(path: Path, turned: bool) -> None:
+    """LOOP frames that go on from their end to their beginning.
+
+    The camera is held over a print and turned away from it and back; or (`turned`) it rests, and the print is moved and turned
+    under a lamp that gets brighter and darker: the light's account has many pieces."""
+    g = np.random.default_rng(5)
+    table = cv2.resize(g.integers(70, 180, (60, 80, 3)).astype(np.uint8), (4 * WIDTH, 4 * HEIGHT))
+    code = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, 160)
+    code = np.clip(cv2.copyMakeBorder(code, 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255), *PRINT)
+    noise = g.normal(0, 2, (4, HEIGHT, WIDTH, 3)).astype(np.float32)
+    cam, half = camera(), MARKER.size_m / 2 * 220 / 160
+    corners_m = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
+    source = np.array([[0, 0], [220, 0], [220, 220], [0, 220]], np.float32) - 0.5
+    lamp = np.array([0.4, -0.5, -0.77])
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("libx264", rate=FPS, options={"crf": "16", "g": str(LOOP), "bf": "0"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        for i in range(LOOP):
+            at = 2 * math.pi * i / LOOP
+            away, level = 0.22 * (1 - math.cos(at)), 1.0
+            tilt = (25 + 5 * math.sin(2 * at), 4 * math.sin(at))
+            background = np.roll(table, round(-4 * away * FOCAL_PX / 0.32), axis=1)
+            if turned:
+                tilt, background = (40 * math.sin(2 * at), 40 * math.cos(3 * at)), table
+            pose = Pose(rotation_from_euler_deg(180 + tilt[0], tilt[1], 0), np.array([-away, 0.005 * math.sin(at), 0.32]))
+            if turned:
+                level = 0.35 + 0.65 * max(0.0, float(pose.rotation[:, 2] @ lamp)) * (1 + 0.3 * math.sin(at))
+            picture = cv2.resize(background, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float32)
+            if away < 0.3:  # else it is out of view
+                warp = cv2.getPerspectiveTransform(source, cam.project(pose.apply(corners_m)).astype(np.float32))
+                over = cv2.warpPerspective(code.astype(np.float32), warp, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
+                mask = cv2.warpPerspective(np.ones_like(code, np.float32), warp, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
+                lit = 255 * (over / 255) * level ** (1 / 2.2)
+                picture += mask[..., None] * (lit[..., None] - picture)
+            picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        out.mux(stream.encode(None))
+
+
+def make_clip(loop: Path, path: Path, frames: int) -> Path:
+    """`loop` again and again: its packets with later times, nothing is encoded."""
+    with av.open(str(path), "w") as out, av.open(str(loop)) as first:
+        source = first.streams.video[0]
+        stream = out.add_stream_from_template(source)
+        stream.time_base = source.time_base
+        step = int(1 / (FPS * source.time_base))
+        for start in range(0, frames, LOOP):
+            with av.open(str(loop)) as c:
+                for k, p in enumerate(p for p in c.demux(c.streams.video[0]) if p.size):
+                    if start + k < frames:
+                        p.pts = p.dts = (start + k) * step
+                        p.stream = stream
+                        out.mux(p)
+    return path
+
+
+def camera() -> Camera:
+    return Camera(WIDTH, HEIGHT, np.array([[FOCAL_PX, 0, (WIDTH - 1) / 2], [0, FOCAL_PX, (HEIGHT - 1) / 2], [0, 0, 1]]))
+
+
+def arguments(folder: Path, clip: Path, workers: int, more: list[str]) -> list[str]:
+    return [
+        "process", str(clip), "--camera", str(folder / "camera.yaml"), "--marker", str(MARKER), "--model", str(folder / "ball.glb"),
+        "--fit", "8cm", "-o", str(folder / "out.mp4"), "--job", str(folder / "job"), "--report", str(folder / "report"),
+        "--overwrite", "--workers", str(workers), *more,
+    ]  # fmt: skip
+
+
+class Phases:
+    """Processor seconds of this process by phase, each without those that it calls."""
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(PHASES, 0.0)
+        self.peaks_mb: dict[str, float] = {}
+        self._open = [PHASES[-1]]
+        self._since = time.process_time()
+
+    def _turn(self) -> None:
+        now = time.process_time()
+        self.seconds[self._open[-1]] += now - self._since
+        self._since = now
+
+    def of(self, owner: Any, name: str, phase: str) -> None:
+        """Count the calls of owner.name to a phase, from now on."""
+        whole = getattr(owner, name)
+
+        def timed(*args: Any, **more: Any) -> Any:
+            self._turn()
+            self._open.append(phase)
+            try:
+                return whole(*args, **more)
+            finally:
+                self._turn()
+                self._open.pop()
+                self.peaks_mb[phase] = peak_mb()
+
+        setattr(owner, name, timed)
+
+    def told(self) -> dict[str, Any]:
+        self._turn()
+        return {"seconds": self.seconds, "peaks_mb": self.peaks_mb}
+
+
+def measured_job(told: Path, command: list[str]) -> None:
+    """In a process of its own: the command, with its phases timed; what they took goes into the file `told`."""
+    from arfx_cli import main as cli
+
+    from arfx.analyse.folds import Analyser
+    from arfx.measure import report
+    from arfx.run import analysis, job
+
+    phases = Phases()
+    phases.of(analysis, "analyse_stretch", "stretches")
+    phases.of(job, "_analyse", "their join")
+    phases.of(Analyser, "finish", "end of analysis")
+    phases.of(job, "plan_job", "plan")
+    phases.of(job, "_chunks", "keys of chunks")
+    phases.of(job, "_render", "render")
+    phases.of(job, "_join", "join")
+    phases.of(job, "build_report", "report")
+    phases.of(report, "report_of_job", "page")
+    try:
+        cli.main(command)
+    finally:
+        told.write_text(json.dumps(phases.told()))
+
+
+def run(folder: Path, frames: int, turned: bool, workers: int, more: list[str]) -> dict[str, Any]:
+    """A job over `frames` frames in a process of its own, and what it left."""
+    clip = make_clip(folder / f"loop{turned:d}.mp4", folder / "clip.mp4", frames)
+    told = folder / "told.json"
+    start = time.perf_counter()
+    command = [sys.executable, __file__, "--job", str(told), *arguments(folder, clip, workers, more)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(done.stdout + done.stderr)
+    found = {"frames": frames, **json.loads(told.read_text()), "wall_s": time.perf_counter() - start}
+    rows = [json.loads(line) for line in (folder / "job/timings.jsonl").read_text().splitlines()]
+    found["workers_mb"] = sorted({row["worker"].split()[0]: row["rss_mb"] for row in rows if row["work"] == "chunk"}.values())
+    found["job_mb"] = {p.name: p.stat().st_size / 1e6 for p in sorted((folder / "job").iterdir()) if p.is_file()}
+    found["report_mb"] = sum(p.stat().st_size for p in (folder / "report").iterdir()) / 1e6
+    return found
+
+
+def main() -> None:
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("lengths", nargs="*", type=int, default=[100, 1000, 10_000], help="frames of each job")
+    p.add_argument("--turned", action="store_true", help="the camera rests, the print is turned under a lamp that changes")
+    p.add_argument("--workers", type=int, default=1, help="processes; with more than one, what they do is not in the phases")
+    p.add_argument("--base", type=int, default=1000, help="frames of the job that growth is counted from")
+    p.add_argument("--option", action="append", default=[], help="of `arfx process`, such as --option=--budget=20")
+    p.add_argument("--json", metavar="FILE", help="write all figures here")
+    given = p.parse_args()
+    found = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        make_loop(folder / f"loop{given.turned:d}.mp4", given.turned)
+        write_model(folder / "ball.glb")
+        save_camera(folder / "camera.yaml", camera())
+        for frames in given.lengths:
+            found.append(run(folder, frames, given.turned, given.workers, given.option))
+            print(f"{frames} frames: {found[-1]['wall_s']:.0f} s", flush=True)
+            if given.json:
+                Path(given.json).write_text(json.dumps(found, indent=1))
+    print(table(found, given.base))
+
+
+def table(found: list[dict[str, Any]], base: int) -> str:
+    """Milliseconds and kilobytes a frame."""
+    rows = [["a frame", *(f"{f['frames']:,}" for f in found), "growth"]]
+
+    def row(name: str, of: Callable[[dict[str, Any]], float]) -> None:
+        values = {f["frames"]: of(f) / f["frames"] for f in found}
+        grown = values[found[-1]["frames"]] / (values.get(base) or math.inf)
+        rows.append([name, *(f"{v:.3f}" for v in values.values()), f"{grown:.2f}"])
+
+    for phase in PHASES:
+        row(f"{phase}, ms", lambda f, phase=phase: f["seconds"][phase] * 1e3)
+    row("all, ms", lambda f: sum(f["seconds"].values()) * 1e3)
+    row("job folder, kB", lambda f: sum(f["job_mb"].values()) * 1e3)
+    row("report, kB", lambda f: f["report_mb"] * 1e3)
+    for name in found[-1]["peaks_mb"]:
+        rows.append([f"peak memory after {name}, MB", *(f"{f['peaks_mb'].get(name, 0):.0f}" for f in found), ""])
+    rows.append(["peak memory of workers, MB", *(" ".join(f"{mb:.0f}" for mb in f["workers_mb"]) for f in found), ""])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(v.rjust(w) if k else v.ljust(w) for k, (v, w) in enumerate(zip(r, widths, strict=True))) for r in rows)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--job"]:
+        measured_job(Path(sys.argv[2]), sys.argv[3:])
+    else:
+        main()
