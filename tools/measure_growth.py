@@ -1,8 +1,7 @@
 """What a frame costs as clips get longer: whole jobs over the same loop of film, repeated, marker in and out of view.
 
-One process is measured from within, phase by phase, in processor seconds (its workers are threads: --workers 1); what spawned
-workers hold is told by a second job of each length. Growth is a frame's cost in the longest job over that in the job of
-1,000 frames (--base): what is paid once for a job counts less and less before that.
+Processor seconds by phase, whoever does the work. Growth is a frame's cost in the longest job over that in the job of --base
+frames: in shorter ones, what is paid once for a job counts.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import resource
 import subprocess
 import sys
 import tempfile
@@ -21,13 +21,13 @@ from typing import Any
 import av
 import cv2
 import numpy as np
+from bench_job import PRINT, write_model
 
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.media.cameras import save_camera
 from arfx.run.memory import peak_mb
-from bench_job import PRINT, write_model
 
 WIDTH, HEIGHT, FPS, LOOP = 160, 120, 30, 100
 FOCAL_PX = 150.0
@@ -36,39 +36,51 @@ PHASES = ("stretches", "their join", "end of analysis", "plan", "keys of chunks"
 
 
 def make_loop(path: Path, turned: bool) -> None:
-    """LOOP frames that go on from their end to their beginning.
+    """LOOP frames that go on from their end to their beginning, with two cuts: to other pictures for a while, and back.
 
-    The camera is held over a print and turned away from it and back; or (`turned`) it rests, and the print is moved and turned
-    under a lamp that gets brighter and darker: the light's account has many pieces."""
+    The camera moves over a table with a print on it, away from it and back; or (`turned`) it rests, and the print is moved and
+    turned under a lamp that gets brighter and darker: the light's account has many pieces."""
     g = np.random.default_rng(5)
-    table = cv2.resize(g.integers(70, 180, (60, 80, 3)).astype(np.uint8), (4 * WIDTH, 4 * HEIGHT))
+    size, side = 1200, 220  # pixels of the table, and of the print with its margin
+    table = cv2.resize(g.integers(70, 180, (size // 15, size // 15, 3)).astype(np.uint8), (size, size)).astype(np.float32)
     code = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, 160)
-    code = np.clip(cv2.copyMakeBorder(code, 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255), *PRINT)
+    code = np.clip(cv2.copyMakeBorder(code, 30, 30, 30, 30, cv2.BORDER_CONSTANT, value=255), *PRINT).astype(np.float32)
     noise = g.normal(0, 2, (4, HEIGHT, WIDTH, 3)).astype(np.float32)
-    cam, half = camera(), MARKER.size_m / 2 * 220 / 160
-    corners_m = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
-    source = np.array([[0, 0], [220, 0], [220, 220], [0, 220]], np.float32) - 0.5
     lamp = np.array([0.4, -0.5, -0.77])
+
+    def drawn(picture: np.ndarray, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+        """A picture at the print's scale, its middle at the pose's origin, as the camera sees it, and where it is."""
+        h, w = picture.shape[:2]
+        x, y = np.array([w, h]) / 2 * MARKER.size_m / 160
+        corners = camera().project(pose.apply(np.array([[-x, y, 0], [x, y, 0], [x, -y, 0], [-x, -y, 0]]))).astype(np.float32)
+        source = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32) - 0.5
+        warp = cv2.getPerspectiveTransform(source, corners)
+        seen, where = (
+            cv2.warpPerspective(a, warp, (WIDTH, HEIGHT), flags=cv2.INTER_AREA) for a in (picture, np.ones((h, w, 1), np.float32))
+        )
+        return seen.reshape(HEIGHT, WIDTH, -1), where[..., None]
+
+    with_print = table.copy()
+    at = (size - side) // 2
+    with_print[at : at + side, at : at + side] = code[..., None]
+    facing = Pose(rotation_from_euler_deg(180, 0, 0), np.array([0, 0, 0.32]))
     with av.open(str(path), "w") as out:
         stream = out.add_stream("libx264", rate=FPS, options={"crf": "16", "g": str(LOOP), "bf": "0"})
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         for i in range(LOOP):
-            at = 2 * math.pi * i / LOOP
-            away, level = 0.22 * (1 - math.cos(at)), 1.0
-            tilt = (25 + 5 * math.sin(2 * at), 4 * math.sin(at))
-            background = np.roll(table, round(-4 * away * FOCAL_PX / 0.32), axis=1)
-            if turned:
-                tilt, background = (40 * math.sin(2 * at), 40 * math.cos(3 * at)), table
-            pose = Pose(rotation_from_euler_deg(180 + tilt[0], tilt[1], 0), np.array([-away, 0.005 * math.sin(at), 0.32]))
-            if turned:
-                level = 0.35 + 0.65 * max(0.0, float(pose.rotation[:, 2] @ lamp)) * (1 + 0.3 * math.sin(at))
-            picture = cv2.resize(background, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float32)
-            if away < 0.3:  # else it is out of view
-                warp = cv2.getPerspectiveTransform(source, cam.project(pose.apply(corners_m)).astype(np.float32))
-                over = cv2.warpPerspective(code.astype(np.float32), warp, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
-                mask = cv2.warpPerspective(np.ones_like(code, np.float32), warp, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
-                lit = 255 * (over / 255) * level ** (1 / 2.2)
-                picture += mask[..., None] * (lit[..., None] - picture)
+            turn = 2 * math.pi * i / LOOP
+            place = np.array([-0.18 * (1 - math.cos(turn)), 0.005 * math.sin(turn), 0.32])
+            if 40 <= i < 60:
+                picture = drawn(table[::-1, ::-1] * 0.8, facing)[0]
+            elif turned:
+                pose = Pose(rotation_from_euler_deg(180 + 40 * math.sin(2 * turn), 40 * math.cos(3 * turn), 0), place)
+                light = 0.35 + 0.65 * max(0.0, float(pose.rotation[:, 2] @ lamp)) * (1 + 0.3 * math.sin(turn))
+                seen, where = drawn(code, pose)
+                picture = drawn(table, facing)[0]
+                picture += where * (seen * light ** (1 / 2.2) - picture)
+            else:
+                tilt = rotation_from_euler_deg(205 + 5 * math.sin(2 * turn), 4 * math.sin(turn), 0)
+                picture = drawn(with_print, Pose(tilt, place))[0]
             picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
             out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         out.mux(stream.encode(None))
@@ -97,23 +109,28 @@ def camera() -> Camera:
 
 def arguments(folder: Path, clip: Path, workers: int, more: list[str]) -> list[str]:
     return [
-        "process", str(clip), "--camera", str(folder / "camera.yaml"), "--marker", str(MARKER), "--model", str(folder / "ball.glb"),
-        "--fit", "8cm", "-o", str(folder / "out.mp4"), "--job", str(folder / "job"), "--report", str(folder / "report"),
-        "--overwrite", "--workers", str(workers), *more,
+        "process", str(clip), "--camera", str(folder / "camera.yaml"), "--marker", str(MARKER), "--fit", "8cm",
+        "--model", str(folder / "ball.glb"), "-o", str(folder / "out.mp4"), "--job", str(folder / "job"),
+        "--report", str(folder / "report"), "--overwrite", "--workers", str(workers), *more,
     ]  # fmt: skip
 
 
+def processor_s() -> float:
+    own, started = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own.ru_utime + own.ru_stime + started.ru_utime + started.ru_stime
+
+
 class Phases:
-    """Processor seconds of this process by phase, each without those that it calls."""
+    """Processor seconds by phase, each without those that it calls, of this process and those that it started and that ended."""
 
     def __init__(self) -> None:
         self.seconds = dict.fromkeys(PHASES, 0.0)
         self.peaks_mb: dict[str, float] = {}
         self._open = [PHASES[-1]]
-        self._since = time.process_time()
+        self._since = processor_s()
 
     def _turn(self) -> None:
-        now = time.process_time()
+        now = processor_s()
         self.seconds[self._open[-1]] += now - self._since
         self._since = now
 
@@ -140,11 +157,10 @@ class Phases:
 
 def measured_job(told: Path, command: list[str]) -> None:
     """In a process of its own: the command, with its phases timed; what they took goes into the file `told`."""
-    from arfx_cli import main as cli
-
     from arfx.analyse.folds import Analyser
     from arfx.measure import report
     from arfx.run import analysis, job
+    from arfx_cli import main as cli
 
     phases = Phases()
     phases.of(analysis, "analyse_stretch", "stretches")
@@ -183,7 +199,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("lengths", nargs="*", type=int, default=[100, 1000, 10_000], help="frames of each job")
     p.add_argument("--turned", action="store_true", help="the camera rests, the print is turned under a lamp that changes")
-    p.add_argument("--workers", type=int, default=1, help="processes; with more than one, what they do is not in the phases")
+    p.add_argument("--workers", type=int, default=1, help="processes that analyse and render")
     p.add_argument("--base", type=int, default=1000, help="frames of the job that growth is counted from")
     p.add_argument("--option", action="append", default=[], help="of `arfx process`, such as --option=--budget=20")
     p.add_argument("--json", metavar="FILE", help="write all figures here")
@@ -220,7 +236,7 @@ def table(found: list[dict[str, Any]], base: int) -> str:
         rows.append([f"peak memory after {name}, MB", *(f"{f['peaks_mb'].get(name, 0):.0f}" for f in found), ""])
     rows.append(["peak memory of workers, MB", *(" ".join(f"{mb:.0f}" for mb in f["workers_mb"]) for f in found), ""])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join("  ".join(v.rjust(w) if k else v.ljust(w) for k, (v, w) in enumerate(zip(r, widths, strict=True))) for r in rows)
+    return "\n".join("  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])]) for r in rows)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -165,11 +165,12 @@ class JobFolder:
         return False
 
 
-def write(path: Path, data: str | bytes) -> None:
-    """Write aside, then rename: the file is whole or absent. Raises RenderError."""
+def write(path: Path, data: str | bytes | Iterable[str]) -> None:
+    """Write aside, then rename: the file is whole or absent. data : or its pieces. Raises RenderError."""
     try:
-        with atomic_write(path) as part:
-            part.write_bytes(data.encode() if isinstance(data, str) else data)
+        with atomic_write(path) as part, part.open("wb") as f:
+            for piece in [data] if isinstance(data, (str, bytes)) else data:
+                f.write(piece.encode() if isinstance(piece, str) else piece)
     except OSError as e:
         raise disk_error(e, path) from None
 

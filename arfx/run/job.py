@@ -43,7 +43,7 @@ from arfx.run.schedule import Chunk, borders
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
-from arfx.run.worker import keep_memory, open_context
+from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
@@ -107,6 +107,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         write(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
         folder.clear("stretches")
+        del job, chunks, files  # the page reads the facts again
         if options.finish is not None:
             options.finish(folder.path)
         folder.placed.unlink(missing_ok=True)
@@ -151,7 +152,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
         plans, document = choose(config, stages, facts, scene, policy, errors, prices, size, options.notice)
         write(folder.plan_summary, json.dumps(document, indent=1))
-        write(folder.plan, "".join(json.dumps(p.to_json()) + "\n" for p in plans))
+        write(folder.plan, (json.dumps(p.to_json()) + "\n" for p in plans))
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = Lines(folder.plan, FramePlan.from_line)[:]
@@ -272,9 +273,6 @@ def _render(job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | 
     if cluster is not None:
         run = partial(cluster.run, job=job)
     else:
-        if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
-            context = open_context(str(folder.path), job.key, ())
-            context.facts, context.plans = job.facts, job.plan.frames
         run = partial(run_threads if threads else run_processes, workers=workers) if workers > 1 else run_serial
     with contextlib.closing(run(tasks, progress=progress)) as results:  # an error here too stops the workers
         for result in results:

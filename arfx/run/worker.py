@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
@@ -45,9 +45,7 @@ _OPENING = threading.Lock()  # what threads share is made once
 
 @dataclass
 class Context:
-    """What a worker keeps between chunks of one job: the scene, and each stage at the levels that it has run at.
-
-    facts, plans : of every frame; they are read chunk by chunk where another process made them"""
+    """What a worker keeps between chunks of one job: the scene, and each stage at the levels that it has run at."""
 
     folder: JobFolder
     info: ClipInfo
@@ -56,8 +54,8 @@ class Context:
     stages: dict[str, Stage]
     pts: list[int]
     previews: frozenset[int]
-    facts: Sequence[FrameFacts] | Lines[FrameFacts]
-    plans: Sequence[FramePlan] | Lines[FramePlan]
+    facts: Lines[FrameFacts]
+    plans: Lines[FramePlan]
     depth: DepthMaps | None = None
     ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
 
@@ -105,10 +103,10 @@ def open_context(path: str, job_key: str, paths: Paths) -> Context:
     info = probe(config.input.clip, Transfer(config.input.transfer))
     scene = analysed.scene(config, Camera.from_json(inputs["camera"]), job_model(config), folder)
     output = OutputPlan.from_json(inputs["output"])
-    facts, plans = Lines(folder.facts, FrameFacts.from_line, header=1), Lines(folder.plan, FramePlan.from_line)
     return Context(
-        folder, info, output, scene, make_stages(config), analysed.pts, frozenset(analysed.previews), facts, plans, job_depth(config)
-    )
+        folder, info, output, scene, make_stages(config), analysed.pts, frozenset(analysed.previews),
+        Lines(folder.facts, FrameFacts.from_line, header=1), Lines(folder.plan, FramePlan.from_line), job_depth(config),
+    )  # fmt: skip
 
 
 def render_chunk(
