@@ -2,7 +2,7 @@
 
     measure_executors.py                           the whole job, four ways
     measure_executors.py --analysis                its analysis by two threads and two processes, against one worker
-    measure_executors.py --simulate JOB_FOLDER …   what 1 to 64 workers would take, from the recorded times of a job
+    measure_executors.py --simulate JOB_FOLDER     what 1 to 64 workers would take, from the recorded times of a job
 
 Take the machine for it: times of a machine that does other things say little.
 """
@@ -18,7 +18,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 from bench_job import FPS, arfx_command, camera, make_clip, write_model
@@ -106,8 +105,10 @@ def one_analysis(workers: int, threads: bool, decoders: bool, told: Path, comman
     main.main(command)
 
 
-def simulate(folder: Path) -> None:
-    """Amdahl's bound, and the chunks and stretches as the workers would take them, from the job's own times."""
+def simulate(folder: Path, repeated: int) -> None:
+    """Amdahl's bound, and the chunks and stretches as the workers would take them, from the job's own times.
+
+    repeated : the clip so many times on end; what is done in order takes so many times as long (measure_growth.py)"""
     report = json.loads((folder / "report.json").read_text())
     rows = [json.loads(line) for line in (folder / "timings.jsonl").read_text().splitlines()]
     loads = {
@@ -118,12 +119,13 @@ def simulate(folder: Path) -> None:
         for work in ("stretch", "chunk")
     }
     shared_s = {work: sum(load.seconds for load in every) for work, every in loads.items()}
-    # by one worker decoding, rendering and encoding overlap: what it did is more than what passed
-    timing = report["timing"]
     analysis_s = next(r for r in rows if r["work"] == "analysis")["seconds"]
-    serial_s = sum(analysis_s.values()) - shared_s["stretch"] + timing["plan_s"] + join_s(report, rows)
+    joined_s = report["timing"]["encode_s"] - sum(r["seconds"]["encode"] for r in rows if r["work"] == "chunk")
+    serial_s = sum(analysis_s.values()) - shared_s["stretch"] + report["timing"]["plan_s"] + joined_s
+    loads = {work: every * repeated for work, every in loads.items()}
+    serial_s, shared_s = serial_s * repeated, {work: s * repeated for work, s in shared_s.items()}
     total_s = serial_s + sum(shared_s.values())
-    print(f"{report['input']['frames']} frames: stretches {shared_s['stretch']:.1f} s, chunks {shared_s['chunk']:.1f} s, "
+    print(f"{report['input']['frames'] * repeated} frames: stretches {shared_s['stretch']:.1f} s, chunks {shared_s['chunk']:.1f} s, "
           f"in order {serial_s:.1f} s ({serial_s / total_s:.1%})")  # fmt: skip
     print(f"{'workers':>8}{'Amdahl':>9}{'simulated':>11}{'analysis in order':>19}")
     for workers in WORKERS:
@@ -132,10 +134,6 @@ def simulate(folder: Path) -> None:
         both = total_s / (serial_s + sum(walls.values()))
         before = total_s / (serial_s + shared_s["stretch"] + walls["chunk"])
         print(f"{workers:8}{bound:9.1f}{both:11.1f}{before:19.1f}")
-
-
-def join_s(report: dict, rows: Sequence[dict]) -> float:
-    return report["timing"]["encode_s"] - sum(r["seconds"].get("encode", 0.0) for r in rows if r["work"] == "chunk")
 
 
 def main() -> None:
@@ -147,11 +145,12 @@ def main() -> None:
     p.add_argument("--frames", type=int, default=1000)
     p.add_argument("--analysis", action="store_true")
     p.add_argument("--keep", type=Path, help="job folder of the job by one worker, to be kept")
-    p.add_argument("--simulate", type=Path, nargs="+", metavar="JOB_FOLDER")
+    p.add_argument("--simulate", type=Path, metavar="JOB_FOLDER", help="of a job by one worker")
+    p.add_argument("--repeated", type=int, default=100, help="simulate its clip so many times on end too")
     given = p.parse_args()
-    for job in given.simulate or ():
-        simulate(job)
     if given.simulate:
+        for repeated in (1, given.repeated):
+            simulate(given.simulate, repeated)
         return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
