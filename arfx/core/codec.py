@@ -143,6 +143,11 @@ class Document:
         kind: Any = cls
         return _of_class(kind)[1](document)
 
+    @classmethod
+    def from_line(cls, line: str) -> Self:
+        """Of JSON. Raises as `from_json` does."""
+        return cls.from_json(json.loads(line))
+
 
 @dataclass(frozen=True)
 class Packed:

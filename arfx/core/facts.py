@@ -156,13 +156,13 @@ def read_facts(path: Path | str) -> tuple[FrameFacts, ...]:
     path = Path(path)
     line = 0
     try:
-        rows = path.read_text(encoding="utf-8").splitlines()
-        header = json.loads(rows[0]) if rows else {}
-        if not isinstance(header, dict) or header.get("format") != _FORMAT or header.get("version") != _VERSION:
-            raise InputError(f"{path} is no facts file of version {_VERSION}", "analyse the clip again")
-        facts = []
-        for line, row in enumerate(rows[1:], 2):  # noqa: B007 - named in the message below
-            facts.append(FrameFacts.from_json(json.loads(row)))
+        with path.open(encoding="utf-8") as f:
+            header = json.loads(f.readline() or "{}")
+            if not isinstance(header, dict) or header.get("format") != _FORMAT or header.get("version") != _VERSION:
+                raise InputError(f"{path} is no facts file of version {_VERSION}", "analyse the clip again")
+            facts = []
+            for line, row in enumerate(f, 2):  # noqa: B007 - named in the message below
+                facts.append(FrameFacts.from_line(row))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as e:
         raise InputError(f"{path}:{line}: not a frame's facts ({e})", "analyse the clip again") from e
     if len(facts) != header["frames"]:

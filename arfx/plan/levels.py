@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 from arfx.core.cost import Prediction, sum_independent
 
@@ -65,9 +67,18 @@ def best_within_budget(
 
     seconds_of : upper end of the whole job's time for a prediction of the stages' work;  budget_s >= 0
     met is False where even the cheapest levels take longer."""
-    for state in way_down(options):
-        if (upper := seconds_of(total(state))) <= budget_s:
-            break
+    start, steps = _start(options)
+
+    def after(count: int) -> dict[ShotStage, Option]:
+        return start | {key: option for _, key, option in steps[:count]}
+
+    @cache
+    def upper_s(count: int) -> float:
+        return seconds_of(total(after(count)))
+
+    # each step saves time; of a clip with many shots there are too many to try all
+    count = bisect_left(range(len(steps)), True, key=lambda k: upper_s(k) <= budget_s)
+    state, upper = after(count), upper_s(count)
     if upper <= budget_s:
         return _choice(state, True, f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s")
     return _choice(state, False, f"even the cheapest levels take up to {upper:.1f} s, not {budget_s:.1f} s")
@@ -78,13 +89,16 @@ def cheapest_within_error(options: Mapping[ShotStage, Sequence[Option]], limit: 
 
     Differences of pictures add up to no more than the sum of their sizes, so the sum over the stages is a bound."""
     state, steps = _start(options)
+    stages: dict[int, list[ShotStage]] = {}
+    for key in state:
+        stages.setdefault(key[0], []).append(key)
     blocked: set[ShotStage] = set()
     for _, key, option in steps:
-        if key not in blocked and _shot_error({**state, key: option}, key[0]) <= limit:
+        if key not in blocked and sum((option if k == key else state[k]).error for k in stages[key[0]]) <= limit:
             state[key] = option
         else:
             blocked.add(key)
-    error = max((_shot_error(state, shot) for shot, _ in state), default=0.0)
+    error = _worst(state)
     return _choice(state, error <= limit, f"errors add up to {error:.2f} of {limit:.2f} grey levels")
 
 
@@ -113,8 +127,12 @@ def _start(
     return {key: hull[0] for key, hull in hulls.items()}, sorted(steps, key=lambda step: step[0])
 
 
-def _shot_error(state: Mapping[ShotStage, Option], shot: int) -> float:
-    return sum(o.error for (s, _), o in state.items() if s == shot)
+def _worst(state: Mapping[ShotStage, Option]) -> float:
+    """Error of the worst shot."""
+    errors: dict[int, float] = {}
+    for (shot, _), option in state.items():
+        errors[shot] = errors.get(shot, 0.0) + option.error
+    return max(errors.values(), default=0.0)
 
 
 def total(state: Mapping[ShotStage, Option]) -> Prediction:
@@ -132,5 +150,4 @@ def sum_correlated(parts: Iterable[Prediction]) -> Prediction:
 
 
 def _choice(state: Mapping[ShotStage, Option], met: bool, why: str) -> LevelChoice:
-    error = max((_shot_error(state, shot) for shot, _ in state), default=0.0)
-    return LevelChoice({key: o.level for key, o in state.items()}, total(state), error, met, why)
+    return LevelChoice({key: o.level for key, o in state.items()}, total(state), _worst(state), met, why)

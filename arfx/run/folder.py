@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import itertools
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from arfx.errors import ConfigError, RenderError
 from arfx.media.frames import Frame
 from arfx.run.lock import HOLDER, LOCK, MARKER
 
+T = TypeVar("T")
 MARK = "# A job of arfx. Its folder is arfx's own: --overwrite clears it.\n"  # job.toml begins with it
 _LOCKS = "|".join(map(re.escape, (LOCK, MARKER, HOLDER)))
 _IMAGE = rf"[^/]+\.(?:png|exr)|{re.escape(TIMES)}"
@@ -165,11 +165,12 @@ class JobFolder:
         return False
 
 
-def write(path: Path, data: str | bytes) -> None:
-    """Write aside, then rename: the file is whole or absent. Raises RenderError."""
+def write(path: Path, data: str | bytes | Iterable[str]) -> None:
+    """Write aside, then rename: the file is whole or absent. data : or its pieces. Raises RenderError."""
     try:
-        with atomic_write(path) as part:
-            part.write_bytes(data.encode() if isinstance(data, str) else data)
+        with atomic_write(path) as part, part.open("wb") as f:
+            for piece in [data] if isinstance(data, (str, bytes)) else data:
+                f.write(piece.encode() if isinstance(piece, str) else piece)
     except OSError as e:
         raise disk_error(e, path) from None
 
@@ -179,10 +180,22 @@ def disk_error(e: OSError, path: Path) -> RenderError:
     return RenderError(f"cannot write {path}: {e.strerror or e}", "free space or name another place; --resume goes on from there")
 
 
-def read_lines(path: Path, first: int = 0, last: int | None = None) -> Iterator[Any]:
-    """The JSON documents on lines first … last (inclusive, from 0)."""
-    with path.open(encoding="utf-8") as f:
-        yield from map(json.loads, itertools.islice(f, first, None if last is None else last + 1))
+class Lines(Generic[T]):
+    """Lines of a file, a slice at a time: what is not asked for is neither read nor held.
+
+    parse : what a line becomes;  header : lines at the top that do not count"""
+
+    def __init__(self, path: Path, parse: Callable[[str], T], header: int = 0) -> None:
+        self._path, self._parse = path, parse
+        with path.open("rb") as f:
+            self._starts = np.cumsum([0, *map(len, f)])[header:]
+
+    def __getitem__(self, part: slice) -> list[T]:
+        wanted = range(len(self._starts) - 1)[part]
+        start, end = self._starts[[wanted.start, max(wanted.start, wanted.stop)]].tolist()
+        with self._path.open("rb") as f:
+            f.seek(start)
+            return [self._parse(line) for line in f.read(end - start).decode().splitlines()]
 
 
 def digest(*parts: Any) -> str:

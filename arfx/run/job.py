@@ -31,7 +31,7 @@ from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster, open_cluster
 from arfx.run.executors import Results, Task, run_processes, run_serial, run_threads
-from arfx.run.folder import MARK, JobFolder, digest, disk_error, pick_previews, read_lines, write
+from arfx.run.folder import MARK, JobFolder, Lines, digest, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlisted
 from arfx.run.keys import job_keys
@@ -43,7 +43,7 @@ from arfx.run.schedule import Chunk, borders
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
-from arfx.run.worker import keep_memory, open_context
+from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
 
 SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
@@ -107,6 +107,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         write(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
         folder.clear("stretches")
+        del job, chunks, files  # the page reads the facts again
         if options.finish is not None:
             options.finish(folder.path)
         folder.placed.unlink(missing_ok=True)
@@ -151,10 +152,10 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
         plans, document = choose(config, stages, facts, scene, policy, errors, prices, size, options.notice)
         write(folder.plan_summary, json.dumps(document, indent=1))
-        write(folder.plan, "".join(json.dumps(p.to_json()) + "\n" for p in plans))
+        write(folder.plan, (json.dumps(p.to_json()) + "\n" for p in plans))
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
-    plans = [FramePlan.from_json(d) for d in read_lines(folder.plan)]
+    plans = Lines(folder.plan, FramePlan.from_line)[:]
     if any(_written_once(step.stage for step in p.steps) for p in plans):
         _compile((DIMMING,), options, log)
     plan = JobPlan(plans, document["levels"], document["predicted"], time.perf_counter() - start)
@@ -244,8 +245,7 @@ def _without_opencv_threads(results: Results) -> Results:
 
 def _chunks(job: Job) -> list[Chunk]:
     """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and plan of its frames."""
-    facts = job.folder.facts.read_text(encoding="utf-8").splitlines()[1:]  # the first line is the header
-    plans = job.folder.plan.read_text(encoding="utf-8").splitlines()
+    facts, plans = Lines(job.folder.facts, str, header=1), Lines(job.folder.plan, str)
     world = {k: p.to_json() for k, p in job.analysed.world_from_marker.items()}
 
     def key(first: int, last: int) -> str:
@@ -273,9 +273,6 @@ def _render(job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | 
     if cluster is not None:
         run = partial(cluster.run, job=job)
     else:
-        if tasks and (threads or workers <= 1):  # this process renders: it need not read what it wrote
-            context = open_context(str(folder.path), job.key, ())
-            context.facts, context.plans = job.facts, job.plan.frames
         run = partial(run_threads if threads else run_processes, workers=workers) if workers > 1 else run_serial
     with contextlib.closing(run(tasks, progress=progress)) as results:  # an error here too stops the workers
         for result in results:

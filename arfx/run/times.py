@@ -66,8 +66,7 @@ class WorkLog:
         """walls : of earlier processes;  more["rss_mb"] : peak memory of the process that did it, where that was another.
 
         Raises OSError."""
-        peak = max(peak_mb(), more.pop("rss_mb", 0.0))
-        row = {"work": work, "key": key, **more, "seconds": seconds, "walls": self.walls(walls), "rss_mb": peak}
+        row = {"work": work, "key": key, "rss_mb": peak_mb(), **more, "seconds": seconds, "walls": self.walls(walls)}
         with self.path.open("ab+") as f:
             end = f.seek(0, os.SEEK_END)
             if end:

@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
@@ -32,7 +32,7 @@ from arfx.media.frame import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
 from arfx.run.background_io import WriteBehind
-from arfx.run.folder import JobFolder, content_digest, disk_error, read_lines, save_preview
+from arfx.run.folder import JobFolder, Lines, content_digest, disk_error, save_preview
 from arfx.run.frame import FrameLayers, run_frame
 from arfx.run.inputs import job_depth, job_model
 from arfx.run.memory import peak_mb
@@ -45,9 +45,7 @@ _OPENING = threading.Lock()  # what threads share is made once
 
 @dataclass
 class Context:
-    """What a worker keeps between chunks of one job: the scene, and each stage at the levels that it has run at.
-
-    facts, plans : of every frame, where the process that made them renders too; None = they are read chunk by chunk"""
+    """What a worker keeps between chunks of one job: the scene, and each stage at the levels that it has run at."""
 
     folder: JobFolder
     info: ClipInfo
@@ -56,19 +54,10 @@ class Context:
     stages: dict[str, Stage]
     pts: list[int]
     previews: frozenset[int]
+    facts: Lines[FrameFacts]
+    plans: Lines[FramePlan]
     depth: DepthMaps | None = None
     ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
-    facts: Sequence[FrameFacts] | None = None
-    plans: Sequence[FramePlan] | None = None
-
-    def read(self, first: int, last: int) -> tuple[dict[int, FrameFacts], dict[int, FramePlan]]:
-        """Facts and plans of frames first ... last."""
-        if self.facts is not None and self.plans is not None:
-            facts, plans = self.facts[first : last + 1], self.plans[first : last + 1]
-        else:
-            facts = [FrameFacts.from_json(d) for d in read_lines(self.folder.facts, first + 1, last + 1)]  # line 0: header
-            plans = [FramePlan.from_json(d) for d in read_lines(self.folder.plan, first, last)]
-        return {f.index: f for f in facts}, {p.index: p for p in plans}
 
 
 @cache
@@ -114,8 +103,10 @@ def open_context(path: str, job_key: str, paths: Paths) -> Context:
     info = probe(config.input.clip, Transfer(config.input.transfer))
     scene = analysed.scene(config, Camera.from_json(inputs["camera"]), job_model(config), folder)
     output = OutputPlan.from_json(inputs["output"])
-    previews = frozenset(analysed.previews)
-    return Context(folder, info, output, scene, make_stages(config), analysed.pts, previews, job_depth(config))
+    return Context(
+        folder, info, output, scene, make_stages(config), analysed.pts, frozenset(analysed.previews),
+        Lines(folder.facts, FrameFacts.from_line, header=1), Lines(folder.plan, FramePlan.from_line), job_depth(config),
+    )  # fmt: skip
 
 
 def render_chunk(
@@ -134,7 +125,8 @@ def render_chunk(
         context = open_context(folder, job_key, paths)
     history = max((s.history for s in context.stages.values()), default=0)
     begin = max(first - history, 0)
-    facts, plans = context.read(begin, last)
+    facts = {f.index: f for f in context.facts[begin : last + 1]}
+    plans = {p.index: p for p in context.plans[begin : last + 1]}
     start = time.perf_counter()
     needed = levels_of(plans.values())
     if needed - context.ready.keys():  # a chunk without work need not wait for another's preparation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import shutil
 import signal
@@ -195,12 +196,15 @@ def test_workers_that_do_not_see_the_job_folder_use_a_store(
     assert len([*planned.folder.previews.iterdir()]) == 2 * len(planned.analysed.previews)
 
 
-def test_a_lost_scheduler_ends_in_one_message(planned: Job, serial: dict[int, str]) -> None:
+def test_a_lost_scheduler_ends_in_one_message(planned: Job, serial: dict[int, str], capfd: pytest.CaptureFixture[str]) -> None:
     """And what is done stays: the next run renders the rest."""
+    capfd.readouterr()
     with farm(1) as own, connected(own) as (client, cluster):
+        assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)
         pids = list(client.run(os.getpid).values())
         with pytest.raises(RenderError, match=r"connection to the scheduler at tcp://.* is lost"):
             rendered(planned, cluster, once(own.process.kill, after=31))
+    assert not capfd.readouterr().err, "Dask has nothing to add"
     assert any(chunk.find(planned.folder.chunks, ".mkv") for chunk in jobs._chunks(planned))
     chunks = jobs._render(planned, jobs._chunks(planned), Options(workers=1), None)
     assert {int(f.name.split("-")[0]): content_digest(f) for f in chunks} == serial

@@ -137,15 +137,17 @@ def render(run: str, first: int, last: int, name: str) -> None:
                 raise UnwantedError
             worker.log_event(run, {"attempt": token, "frames": done})
 
-    folder = placed.folder
+    folder, failed = placed.folder, None
     try:
         result = render_chunk(str(folder.path), placed.key, first, last, str(folder.chunks / name), tick, paths=placed.paths)
         if placed.store is not None:
             _hand_over(placed.store, folder, result)
     except ArfxError as e:
-        raise RenderError(f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint) from None
+        failed = RenderError(f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint)
     finally:
         worker.log_event(run, {"attempt": token, "ended": True})
+    if failed is not None:  # raised here, it has no context: Dask would send that too, and FFmpeg's errors cannot be sent
+        raise failed
     worker.log_event(run, {"attempt": token, "result": {**result, "worker": str(worker.name)}})
 
 

@@ -153,8 +153,8 @@ def _close(opened: Any) -> None:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """What goes wrong is said once, in arfx's own words."""
-    loggers = [logging.getLogger(name) for name in _NOISY]
+    """What goes wrong is said once, in arfx's own words. Some of Dask's loggers have levels of their own."""
+    loggers = [logging.getLogger(name) for name in [*logging.root.manager.loggerDict] if name.partition(".")[0] in _NOISY]
     before = [logger.level for logger in loggers]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -90,3 +92,25 @@ def test_the_shipped_errors_name_real_levels_and_a_wrong_file_is_refused(tmp_pat
         (tmp_path / "t.json").write_text(f'{{"errors": {{"dof": {{"draft": {wrong}}}}}, "source": "x"}}')
         with pytest.raises(InputError, match=r"tradeoff\.json"):
             errors_of_clip(tmp_path / "t.json")
+
+
+def test_of_a_clip_with_many_shots_few_ways_are_tried_and_the_dearest_that_fits_is_taken() -> None:
+    many = {(shot, "dof"): options()[0, "dof"] for shot in range(3000)}
+    asked: list[float] = []
+
+    def upper_of(work: Prediction) -> float:
+        asked.append(work.high_s)
+        return upper(work)
+
+    budget_s = upper(total({key: every[1] for key, every in many.items()}))
+    chosen = best_within_budget(many, upper_of, budget_s)
+    assert len(asked) < 30
+    saved_by_one = 3 * 1.2 / 2  # from high to standard, upper end
+    assert chosen.met and 0 <= budget_s - upper(chosen.stages) <= 2 * saved_by_one
+    start = time.process_time()
+    within = cheapest_within_error(many, 0.8)
+    assert within.met and set(within.levels.values()) == {"standard"}
+    few = {key: every for key, every in many.items() if key[0] < 300}
+    spent, start = time.process_time() - start, time.process_time()
+    cheapest_within_error(few, 0.8)
+    assert spent < 40 * (time.process_time() - start), "ten times as many shots"

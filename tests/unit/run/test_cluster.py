@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import http.server
+import pickle
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import av
 import pytest
 
 from arfx.core.machine import usable_cores
@@ -322,6 +324,28 @@ def test_a_worker_leaves_a_chunk_that_nobody_wants(
     worker.state.tasks["token"].state, worker.status.name = "executing", "running"
     remote.render("run", 0, 29, "name")
     assert {"attempt": "token", "frames": 1000} in events
+
+
+def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dask sends what an error was raised from too, and gives up the error where that cannot be sent, as FFmpeg's cannot."""
+    from distributed.core import clean_exception, error_message
+
+    worker = SimpleNamespace(name="w", get_current_task=lambda: "token", log_event=lambda topic, said: None)
+
+    def render_chunk(*arguments: Any, paths: Any) -> dict[str, Any]:
+        try:
+            raise av.error.OSError(28, "No space left on device", "file")
+        except OSError as e:
+            raise RenderError(f"cannot be written: {e.strerror}", "free space") from None
+
+    monkeypatch.setattr(remote, "_worker", lambda: worker)
+    monkeypatch.setattr(remote, "render_chunk", render_chunk)
+    monkeypatch.setitem(remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ()))
+    with pytest.raises(RenderError, match="No space left on device") as raised:
+        remote.render("run", 0, 29, "name")
+    sent = error_message(raised.value)
+    arrived = clean_exception(pickle.loads(sent["exception"].data))[1]
+    assert isinstance(arrived, RenderError) and arrived.message == raised.value.message and arrived.hint == "free space"
 
 
 def test_a_worker_that_is_closed_loses_its_chunk(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from arfx.core.stage import level_named
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import ball, bench_scene
 from arfx.plan.planner import plan_frame
-from arfx.run.folder import JobFolder, read_lines
+from arfx.run.folder import JobFolder, Lines
 from arfx.run.frame import ready_stages, run_frame
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
@@ -108,7 +108,7 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(m
     levels = {(row["stage"], row["level"]) for row in first.plan.levels["chosen"]}
     assert ("raster", "reference") in levels, "there is time for the best"
     written = folder.plan.read_bytes()
-    line = next(iter(read_lines(folder.plan)))
+    (line,) = Lines(folder.plan, json.loads)[:1]
     assert {"seconds", "between"} <= line["steps"][0].keys()
     json.loads(folder.plan_summary.read_text())
     again = plan_job(open_inputs(config), folder, options(folder.path, resume=True))
