@@ -19,21 +19,21 @@ _FLAGS = {"contract", "nsz", "arcp"}
 # State of a pixel of the result: the composite's bits; covered by something sharp alone; reached by blurred light.
 UNTOUCHED, SHARP, BLURRED = np.uint8(0), np.uint8(1), np.uint8(2)
 NO_SHARE = np.empty((0, 0), np.float32)
-_WHOLE_SHARP_PX2 = np.float32((SHARP_PX / 2) ** 2)  # squared radius, px of half the size, at which the whole picture is sharp
+_HALF_SHARP_PX2 = np.float32((SHARP_PX / 2) ** 2)
 _ALL = np.float32(1 - 1e-6)  # but for rounding
 
 
 @line_kernel(fastmath=_FLAGS)
-def _own(r, sharp_px):  # pragma: no cover - compiled
-    """How much of the light that is not spread in the picture of half the size stays in its pixel of the whole one, so that
-    both together blur as much as they should. r : radius, px of half the size"""
-    fraction = (sharp_px * sharp_px - r * r) / (sharp_px * sharp_px - _WHOLE_SHARP_PX2)
+def _own(r):  # pragma: no cover - compiled
+    """How much of the light that is not spread in the picture of half the size stays in its pixel of the whole one: all up to
+    SHARP_PX there, none from twice that on. r : radius, px of half the size"""
+    fraction = (np.float32(4) * _HALF_SHARP_PX2 - r * r) / (np.float32(3) * _HALF_SHARP_PX2)
     return min(max(fraction, np.float32(0)), np.float32(1))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_real(
-    out, state, share, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility, sharp_px
+    out, state, share, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility
 ):  # fmt: skip  # pragma: no cover - compiled
     """Columns begin..end of out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w)
     = BLURRED; else the composite's own bits, from its row `top`. The columns of `shed` lie within begin..end.
@@ -55,16 +55,16 @@ def composite_real(
         a, b = (max(box[0], lo), min(box[2], hi)) if box[1] <= y < box[3] else (hi, hi)  # columns of the patch
         if a >= b:
             a, b = hi, hi
-        _add_sharp(line, state[j], own, light, r, sharp, sharp, (lo, a, 0), visible, whole, sharp_px)
+        _add_sharp(line, state[j], own, light, r, sharp, sharp, (lo, a, 0), visible, whole)
         if a < b:
             behind = patch[y - box[1]].reshape(-1)
-            _add_sharp(line, state[j], own, light, r, behind, sharp, (a, b, box[0]), visible, whole, sharp_px)
-        _add_sharp(line, state[j], own, light, r, sharp, sharp, (b, hi, 0), visible, whole, sharp_px)
+            _add_sharp(line, state[j], own, light, r, behind, sharp, (a, b, box[0]), visible, whole)
+        _add_sharp(line, state[j], own, light, r, sharp, sharp, (b, hi, 0), visible, whole)
 
 
 @line_kernel(fastmath=_FLAGS)
 def _add_sharp(
-    out, state, share, light, radius, sharp, image, columns, visible, whole, sharp_px
+    out, state, share, light, radius, sharp, image, columns, visible, whole
 ):  # fmt: skip  # pragma: no cover - compiled
     """Where there is light (4 w,): that and what stays of sharp (3 n,), together 1; elsewhere image (3 w,); to out (3 w,).
 
@@ -76,16 +76,16 @@ def _add_sharp(
         w = light[i + np.uintp(3)]
         if not w > 0:
             if split:
-                share[n] = _own(radius[n], sharp_px)
+                share[n] = _own(radius[n])
             out[j], out[j + np.uintp(1)], out[j + np.uintp(2)] = image[j], image[j + np.uintp(1)], image[j + np.uintp(2)]
             continue
         state[n] = BLURRED
-        fraction = one if radius[n] <= sharp_px else zero
+        fraction = one if radius[n] <= SHARP_PX else zero
         if not whole:
             fraction *= visible[n]
         inverse = one / (w + fraction)
         if split:
-            share[n] = fraction * _own(radius[n], sharp_px) * inverse
+            share[n] = fraction * _own(radius[n]) * inverse
         a, b, c = light[i], light[i + np.uintp(1)], light[i + np.uintp(2)]
         d, e, f = sharp[k], sharp[k + np.uintp(1)], sharp[k + np.uintp(2)]
         a, b, c = (a + fraction * d) * inverse, (b + fraction * e) * inverse, (c + fraction * f) * inverse
@@ -95,7 +95,7 @@ def _add_sharp(
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_occluder(
     out, state, share, top, columns, left, first, own: BlurredRows, occluded: BlurredRows, pixels: OccluderPixels,
-    real: RealPixels, sharp_px
+    real: RealPixels
 ):  # fmt: skip  # pragma: no cover - compiled
     """Columns begin..end of rows of an occluder over out (rows, w, 3); its column 0 is `left` of out's.
 
@@ -116,7 +116,7 @@ def composite_occluder(
             w = light[4 * x + 3]
             c = coverage[y, x] * opacity
             r = radius[y, x]
-            sharp_weight = one if r <= sharp_px else zero
+            sharp_weight = one if r <= SHARP_PX else zero
             if not (w > 0 or sharp_weight * c > 0):
                 continue
             total = w + through[4 * x + 3] + sharp_weight
@@ -133,7 +133,7 @@ def composite_occluder(
             background = max(one - w * inverse, zero)
             if split:
                 # of what is behind, the picture shows no more than it lets through
-                here = share[y, i] * min(background, one - c) + sharp_weight * _own(r, sharp_px) * c * inverse
+                here = share[y, i] * min(background, one - c) + sharp_weight * _own(r) * c * inverse
                 share[y, i] = one if here > _ALL else here
             for k in range(3):
                 v = light[4 * x + k]

@@ -69,7 +69,7 @@ class OccluderLayer:
         pixels = splat.OccluderPixels(radius, colour, coverage, self.opacity)
         columns, to = (part.x0 - left, part.x1 - left), slice(down, part.y1 - rows.y0)
         args = out[to], state[to], share[to], first + down, columns, left - rows.x0, top, own, occluded, pixels, real
-        return not part.empty and bool(compositing.composite_occluder(*args, self.own.pyramid.sharp_px))
+        return not part.empty and bool(compositing.composite_occluder(*args))
 
 
 def depth_range(facts: FrameFacts) -> tuple[float, float]:
@@ -91,16 +91,16 @@ def render(
     """IMAGE of a frame with a pose over `out`, and somewhat more of the same rows. frame : the whole picture
 
     share : of `compositing.composite_real`, over all of `now`"""
-    least = SHARP_PX / pyramid.pixel  # in the whole picture nothing below it changes
+    sharp_px = SHARP_PX / pyramid.pixel  # in the whole picture nothing below it changes
     optics = np.float32(coc.px_per_dioptre), np.float32(coc.focus), np.float32(coc.limit_px)
     largest = coc.largest_px(real.dioptre_range(grid)) if params.scope == "all" else 0.0
-    real_blurs = largest > least
+    real_blurs = largest > sharp_px
     rect, everywhere = now.rect, real_blurs and (real.tiles is not None or bool(real.finite_planes))
     rows = strips(rect)
     nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
     blurred = [(0, rect.width if everywhere else 0)] * len(rows)  # columns of each strip that hold a circle of 1 px
     if real_blurs and not everywhere:
-        blurred = _blurred_columns(rows, rect, coc.radius_px(np.maximum(nodes, real.background)) > least)
+        blurred = _blurred_columns(rows, rect, coc.radius_px(np.maximum(nodes, real.background)) > sharp_px)
     base = BlurLayer(rect, pyramid, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
     if share.size:
         base.radius[...] = 0
@@ -159,7 +159,7 @@ def render(
             return EMPTY
         out, state, own = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8), share[top:bottom]
         if base_rows.lo < base_rows.hi or (share.size and blurred[k][0] < blurred[k][1]):
-            compositing.composite_real(out, state, own, top, a, b, base_rows, base.radius, sharp, visibility, pyramid.sharp_px)
+            compositing.composite_real(out, state, own, top, a, b, base_rows, base.radius, sharp, visibility)
         else:
             out[:, a:b] = image[top:bottom, a:b]
         if any([layer.composite(light, out, state, own, here, top, sharp) for layer, light in layers]):
@@ -240,7 +240,7 @@ def _object(
     colour, tiles = np.empty((*padded.shape, 3), np.float32), box.align(TILE_PX, TILE_PX).clip(rect)
     colour[tiles.slices_in(rect)] = 0  # it is looked at in tiles that hold anything
     colour[box.slices_in(rect)] = part[Layer.VIRTUAL]
-    opacity, sharp = np.float32(facts.opacity), box if least <= pyramid.sharp_px else EMPTY
+    opacity, sharp = np.float32(facts.opacity), box if least <= SHARP_PX else EMPTY
     return _occluder(rect, padded, colour, coverage, opacity, pyramid, max(float(largest), SHARP_PX), params, box, sharp)
 
 

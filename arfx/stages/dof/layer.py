@@ -1,6 +1,6 @@
 """One layer of a frame (the real scene, or an occluder before it) on a pyramid: splatted once, read back for any rows.
 
-Light goes in as premultiplied colour and weight; what comes out is the same, spread. Pixels of at most `sharp_px` are left
+Light goes in as premultiplied colour and weight; what comes out is the same, spread. Pixels of at most SHARP_PX are left
 to the caller: their light stays where it is."""
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class BlurLayer:
     @property
     def buffers(self) -> SplatBuffers:
         at, to = (self.offset_y, self.offset_x), (self.finest, self.occupied)
-        return SplatBuffers(self.pyramid.fade, self.cells, self.meta, *at, *to, self.pyramid.sharp_px)
+        return SplatBuffers(self.pyramid.fade, self.cells, self.meta, *at, *to)
 
     def record(self, strip: tuple[int, int], any_light: bool) -> None:
         """What a splat kernel returned for a strip."""

@@ -19,14 +19,12 @@ ALIGN_PX = 1 << (MAX_LEVELS - 1)  # cells of every level begin at multiples of t
 @dataclass(frozen=True, eq=False)
 class Pyramid:
     """pixel : side, px of the picture, of what counts as a pixel (`half`);  lengths below are in these
-    sharp_px : up to this radius light is not spread: it stays within its pixel, or the pixel's own size blurs as much
     fade : (n - 1, 2) float32, radius in px at which level k begins to hand over to k + 1, and at which it has done so
     filter_px2 : (n,) float32, to be taken from a squared radius, px, for what the level's own cells blur
     hides : the real scene does not spread what the object hides
     slanted : the discs of a plane that is seen at a slant are moved to where its light goes (`surfaces.move_light`)"""
 
     pixel: int
-    sharp_px: np.float32
     fade: np.ndarray
     filter_px2: np.ndarray
     hides: bool
@@ -62,8 +60,7 @@ def _pyramid(*fade: tuple[float, float], pixel: int = 1, hides: bool = True, sla
     while len(ranges) < MAX_LEVELS - 1:
         ranges.append((ranges[-1][0] * 2, ranges[-1][1] * 2))
     filter_px2 = [_filter_px2(pixel << k) / pixel**2 for k in range(MAX_LEVELS)]
-    sharp_px = np.float32(max(SHARP_PX, filter_px2[0] ** 0.5))
-    return Pyramid(pixel, sharp_px, np.array(ranges, np.float32), np.array(filter_px2, np.float32), hides, slanted)
+    return Pyramid(pixel, np.array(ranges, np.float32), np.array(filter_px2, np.float32), hides, slanted)
 
 
 PYRAMIDS = {

@@ -38,6 +38,9 @@ class RealPixels(NamedTuple):
                 shade(plate[slice(*strip)], shadow[slice(*strip)], opacity, bias, patch[slice(*strip)])
 
             parallel_map(fill, strips(box))
+            if opacity < 1:  # what shows through an object that fades has no shadow where it is covered, as in the composite
+                covered = part[Layer.COVERAGE][..., None]
+                patch = plate + (patch - plate) * ((1 - covered) / (1 - opacity * covered))
             box = box.shift(-now.rect.x0, -now.rect.y0)
         image = now.written[Layer.IMAGE].over(now.rect, parts)
         return RealPixels(packed(image), packed(patch), (box.x0, box.y0, box.x1, box.y1))

@@ -38,7 +38,11 @@ def render(
     """IMAGE (h, w, 3) of a frame with a pose."""
     rect, opacity = now.rect, float(facts.opacity)
     plate, shadow = now[Layer.PLATE].astype(float), now[Layer.SHADOW].astype(float)
-    out = behind = plate + opacity * (plate * (shadow - 1) + np.asarray(facts.bias_rgb) * (1 - shadow))
+    change = opacity * (plate * (shadow - 1) + np.asarray(facts.bias_rgb) * (1 - shadow))
+    if opacity < 1:  # as in `RealPixels`
+        covered = now[Layer.COVERAGE].astype(float)[..., None]
+        change *= (1 - covered) / (1 - opacity * covered)
+    out = behind = plate + change
     if params.scope == "all":
         pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
         ideal = scene.camera.normalised(np.stack(pixels, -1).astype(float))

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
+from arfx.stages.dof.pyramid import SHARP_PX
 from arfx.stages.dof.real_pixels import RealPixels
 from arfx.stages.dof.spread import TILE_PX, SplatBuffers, extremes, highlight, levels_of, splat_tile, to_cell
 
@@ -68,7 +69,7 @@ def splat_real(
             ends[0], ends[1] = _extremes(bits, ya, xa, yb, xb)
             patched[i] = box[0] <= xa and xb <= box[2] and box[1] <= ya and yb <= box[3]
             lowest[i], highest[i] = -1, -1
-            if extreme[1] <= buffers.sharp_px:
+            if extreme[1] <= SHARP_PX:
                 continue
             blurred = True
             lowest[i], highest[i] = levels_of(extreme[0], extreme[1], fade, levels)

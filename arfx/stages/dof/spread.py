@@ -13,6 +13,7 @@ import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.stages.dof.aperture import STEPS, Shape
+from arfx.stages.dof.pyramid import SHARP_PX
 from arfx.stages.four import add_between, add_four, add_two_between
 
 _FLAGS = {"contract", "nsz", "arcp"}  # no re-association: the rounding below must stay
@@ -22,9 +23,9 @@ MIN_RUN = 4  # discs of one size side by side that are worth marking together
 
 
 class SplatBuffers(NamedTuple):
-    """Where a layer's light goes. fade, sharp_px : of the `Pyramid`
+    """Where a layer's light goes. fade : of the `Pyramid`
 
-    finest : (h, w, 4) light of level 0, set where sharp_px < radius < fade[0, 1] in tiles that are `occupied` (th, tw) uint8
+    finest : (h, w, 4) light of level 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `occupied` (th, tw) uint8
     cells : (n, 5) red, green, blue, weight, weight x radius of all further levels;  meta : (levels, 3) first cell, width,
     height;  offset_y, offset_x : px by which the rectangle's corner lies in a cell of the last level"""
 
@@ -35,7 +36,6 @@ class SplatBuffers(NamedTuple):
     offset_x: int
     finest: np.ndarray
     occupied: np.ndarray
-    sharp_px: np.float32
 
 
 class BlurredRows(NamedTuple):
@@ -96,11 +96,11 @@ def to_cell(buffers: SplatBuffers, level, y, x, a, b, c, d, r):  # pragma: no co
 def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two levels that their radii ask for.
 
-    source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most sharp_px = none"""
-    fade, cells, meta, offset_y, offset_x, finest, occupied, sharp_px = buffers
+    source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none"""
+    fade, cells, meta, offset_y, offset_x, finest, occupied = buffers
     levels = meta.shape[0]
     smallest, largest = extremes(radius, y0, x0, y1, x1)
-    if largest <= sharp_px:
+    if largest <= SHARP_PX:
         return
     k, highest = levels_of(smallest, largest, fade, levels)
     alone = highest <= k
@@ -140,7 +140,7 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
     for y in range(y0, y1):
         for x in range(x0, x1):
             r = radius[np.uintp(y), np.uintp(x)]
-            if r <= sharp_px:
+            if r <= SHARP_PX:
                 continue
             k = 0
             while k < levels - 1 and r >= fade[k, 1]:
@@ -244,7 +244,7 @@ def _mark_line(marks, y, low, high, width, size, line, area, run_light, shape: S
 def spread_pixels(
     buffers: SplatBuffers, radius, limit_px, filter_px2, low, high, margin, marks, shape: Shape
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Level 0: light of pixels with sharp_px < radius < limit_px onto rows low..high. Returns the columns marked (lo, hi)."""
+    """Level 0: light of pixels with SHARP_PX < radius < limit_px onto rows low..high. Returns the columns marked (lo, hi)."""
     finest, occupied, offset_y, offset_x = buffers.finest, buffers.occupied, buffers.offset_y, buffers.offset_x
     first_x = offset_x // TILE_PX * TILE_PX - offset_x  # of the first tile
     h, w = radius.shape
@@ -264,7 +264,7 @@ def spread_pixels(
             for x in range(a, b):
                 r = radius[y, x]
                 size[x] = -1
-                if r <= buffers.sharp_px or r >= limit_px or finest[y, x, 3] <= 0:
+                if r <= SHARP_PX or r >= limit_px or finest[y, x, 3] <= 0:
                     continue
                 if filter_px2 > 0:
                     r = np.sqrt(max(r * r - filter_px2, np.float32(0)))

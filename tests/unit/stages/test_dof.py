@@ -20,7 +20,7 @@ from arfx.stages.dof.params import DofParams
 from arfx.stages.half import halved
 from tests.contract import stage_laws as laws
 from tests.scenes import look_at
-from tests.unit.stages.dof_scenes import Shot, blurred, shot, texture, with_layers
+from tests.unit.stages.dof_scenes import Shot, blurred, compose, shot, texture, with_layers
 
 LEVELS = ("draft", "standard", "high")
 
@@ -96,6 +96,18 @@ def test_a_draft_keeps_what_is_sharp_and_its_outline() -> None:
     assert psnr(draft, standard, outline) > 30
     halves = np.repeat(np.repeat(halved(standard), 2, 0), 2, 1)
     assert psnr(draft, standard, outline) > psnr(halves, standard, outline) + 3
+
+
+@pytest.mark.parametrize("level", [*LEVELS, "reference"])
+def test_what_shows_through_an_object_that_fades_is_as_in_the_composite(level: str) -> None:
+    """Its shadow too: the picture does not jump where the blur sets in."""
+    at = shot("plain", 240, 180)
+    at = compose(at.scene, at.facts.with_(opacity=0.5), np.full((180, 240, 3), 0.6, np.float32))
+    image = at.layers[Layer.IMAGE]
+    out = blurred(at, level, aperture_px=8.0, focus="1m", scope="virtual")
+    inside = minimum_filter(at.layers[Layer.COVERAGE], 9) >= 1
+    assert inside.sum() > 100 and (out != image)[inside].mean() > 0.5
+    assert np.abs(out - image)[inside].mean() < 0.005
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
