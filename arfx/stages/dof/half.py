@@ -100,12 +100,16 @@ def _lay_over(out, image, blurred, before, share, part):  # pragma: no cover - c
     blurred is before and share is 1"""
     x0, y0, x1, y1 = part
     rows, columns = share.shape
-    first, last = x0 // 2, (x1 + 1) // 2
+    first, last, pairs = x0 // 2, (x1 + 1) // 2, x1 // 2
     begin, end = max(first - 1, 0), min(last + 1, columns)
     # of the row, with a value before the first and after the last: what it is now, what it was, how much of the image goes
-    now, was = np.empty(3 * (columns + 2), np.float32), np.empty(3 * (columns + 2), np.float32)
-    less, quarter, one = np.empty(columns + 2, np.float32), np.float32(0.25), np.float32(1)
-    left, right = np.empty(3 * columns, np.float32), np.empty(3 * columns, np.float32)
+    now, was, less = (
+        np.empty(3 * columns + 6, np.float32),
+        np.empty(3 * columns + 6, np.float32),
+        np.empty(columns + 2, np.float32),
+    )
+    sides = np.empty((2, 7 * columns), np.float32)  # the same, of the left pixels of the pairs, and of the right ones
+    one = np.float32(1)
     for y in range(y0, y1):
         j = (y + 1) // 2 - 1
         t = np.float32(0.25) if y % 2 else np.float32(0.75)
@@ -118,57 +122,55 @@ def _lay_over(out, image, blurred, before, share, part):  # pragma: no cover - c
         if most <= 0:
             to[3 * x0 : 3 * x1] = sharp[3 * x0 : 3 * x1]
             continue
-        c, d, e, f = blurred[a].reshape(-1), blurred[b].reshape(-1), before[a].reshape(-1), before[b].reshape(-1)
-        for n in range(3 * begin, 3 * end):
-            now[n + 3] = c[n] + (d[n] - c[n]) * t
-        if least < one:
-            for n in range(3 * begin, 3 * end):
-                was[n + 3] = e[n] + (f[n] - e[n]) * t
+        _pairs_of_row(blurred[a].reshape(-1), blurred[b].reshape(-1), t, 3, begin, end, first, last, now, sides, 0)
+        if least >= one:  # nothing of the image is left
+            for k in range(first, pairs):
+                n, x = np.uintp(3 * k), np.uintp(6 * k)
+                for c in range(3):
+                    q = np.uintp(c)
+                    to[x + q], to[x + np.uintp(3) + q] = sides[0, n + q], sides[1, n + q]
+            if pairs < last:  # the last column of an odd number
+                to[6 * pairs : 6 * pairs + 3] = sides[0, 3 * pairs : 3 * last]
+            continue
+        _pairs_of_row(before[a].reshape(-1), before[b].reshape(-1), t, 3, begin, end, first, last, was, sides, 3 * columns)
         if begin == 0:
-            less[0], now[:3], was[:3] = less[1], now[3:6], was[3:6]
+            less[0] = less[1]
         if end == columns:
-            n, less[columns + 1] = 3 * columns, less[columns]
-            now[n + 3 : n + 6], was[n + 3 : n + 6] = now[n : n + 3], was[n : n + 3]
-        i = first
-        while i < last:
-            run, i = i, last if least >= one else i  # as far as nothing of the image is left
-            while i < last and min(less[i], min(less[i + 1], less[i + 2])) >= one:
-                i += 1
-            if i > run:
-                _between(now, 3 * run, 3 * i, left, right)
-                pairs = min(i, x1 // 2)
-                _interleave(to[6 * run : 6 * pairs], left[3 * run : 3 * pairs], right[3 * run : 3 * pairs])
-                if pairs < i:  # the last column of an odd number
-                    to[6 * pairs : 6 * pairs + 3] = left[3 * pairs : 3 * pairs + 3]
-                continue
-            for side in range(min(2, x1 - 2 * i)):
-                k = i + 2 * side  # of the neighbour, in `less`
-                s = less[i + 1] + (less[k] - less[i + 1]) * quarter
-                for ch in range(3):
-                    n, m, x = 3 * (i + 1) + ch, 3 * k + ch, 3 * (2 * i + side) + ch
-                    old = was[n] + (was[m] - was[n]) * quarter
-                    new = now[n] + (now[m] - now[n]) * quarter
-                    to[x] = sharp[x] + (new - old) - s * (sharp[x] - old)
-            i += 1
+            less[columns + 1] = less[columns]
+        _between(less, 1, first, last, sides, 6 * columns)
+        for k in range(first, last):
+            for side in range(2 if k < pairs else 1):
+                n, m, x = np.uintp(3 * k), np.uintp(3 * (columns + k)), np.uintp(6 * k + 3 * side)
+                s = sides[side, np.uintp(6 * columns + k)]
+                for c in range(3):
+                    q = np.uintp(c)
+                    v, old = sharp[x + q], sides[side, m + q]
+                    to[x + q] = v + (sides[side, n + q] - old) - s * (v - old)
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"})
-def _between(line, begin, end, left, right):  # pragma: no cover - compiled
-    """Values begin..end of left and right: a quarter of the way from those of line, which has three more before it, to the next
-    on that side."""
-    here, before, after = line[begin + 3 : end + 3], line[begin:end], line[begin + 6 : end + 6]
-    a, b = left[begin:end], right[begin:end]
-    for n in range(len(a)):
-        a[n] = here[n] + (before[n] - here[n]) * np.float32(0.25)
-    for n in range(len(b)):
-        b[n] = here[n] + (after[n] - here[n]) * np.float32(0.25)
+def _pairs_of_row(upper, lower, t, width, begin, end, first, last, line, sides, at):  # pragma: no cover - compiled
+    """sides[:, at + ...] of the pairs first..last of a row that lies t of the way from one line of half the size to the next,
+    which are looked at from begin to end. width : values of a pixel;  line : scratch"""
+    n = len(line) - 2 * width
+    for k in range(width * begin, width * end):
+        line[k + width] = upper[k] + (lower[k] - upper[k]) * t
+    for k in range(width):
+        if begin == 0:
+            line[k] = line[width + k]
+        if width * end == n:
+            line[n + width + k] = line[n + k]
+    _between(line, width, first, last, sides, at)
 
 
-@line_kernel()
-def _interleave(out, left, right):  # pragma: no cover - compiled
-    """out : left's first pixel, right's first, left's second, ..."""
-    for k in range(len(left) // 3):
-        n, x = np.uintp(3 * k), np.uintp(6 * k)
-        n1, n2 = n + np.uintp(1), n + np.uintp(2)
-        out[x], out[x + np.uintp(1)], out[x + np.uintp(2)] = left[n], left[n1], left[n2]
-        out[x + np.uintp(3)], out[x + np.uintp(4)], out[x + np.uintp(5)] = right[n], right[n1], right[n2]
+@line_kernel(fastmath={"contract", "nsz", "arcp"})
+def _between(line, width, first, last, sides, at):  # pragma: no cover - compiled
+    """Of each pair's pixels, a quarter of the way from the value of half the size to the neighbour on that side. line : values of
+    half the size, one pixel more before them"""
+    here, count = line[width * (first + 1) : width * (last + 1)], width * (last - first)
+    before, after = line[width * first : width * last], line[width * (first + 2) : width * (last + 2)]
+    left, right = sides[0, at + width * first : at + width * last], sides[1, at + width * first : at + width * last]
+    for n in range(count):
+        left[n] = here[n] + (before[n] - here[n]) * np.float32(0.25)
+    for n in range(count):
+        right[n] = here[n] + (after[n] - here[n]) * np.float32(0.25)
