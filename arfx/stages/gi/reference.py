@@ -4,8 +4,8 @@ Object pixels: cosine-weighted rays for diffuse light, microfacet normals (GGX) 
 around the object, as only those that meet it count, as what it sends less what it hides. Bright parts of the environment and
 what glows are sampled as well (reference_sampling.py). What the clip never saw is as bright as the width of a ray's lobe asks:
 a mirror looks through between lamps that a matt surface sees. Samples end where the noise is below what shows, or at
-`gi.samples` (reference_noise.py). Random numbers are keyed by pixel, sample and dimension, so that a part of the picture gets the same as
-the whole. Not denoised. Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators)."""
+`gi.samples` (reference_noise.py). Random numbers are keyed by pixel, sample and dimension, so that a part of the picture gets
+the same as the whole. Not denoised. Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators)."""
 
 from __future__ import annotations
 
