@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 
 import av
@@ -40,17 +41,26 @@ def pose_at(i: int, n: int) -> Pose:
     return Pose(r, np.array([0.04 * t, 0.02, 0.42]))
 
 
+@cache
+def ground_of(w: int, h: int, seed: int) -> np.ndarray:
+    coarse = np.random.default_rng(seed).integers(90, 170, (h // 8, w // 8, 3)).astype(np.uint8)
+    return cv2.resize(coarse, (w, h), interpolation=cv2.INTER_CUBIC)
+
+
+@cache
+def print_of(side: int, border: int) -> np.ndarray:
+    image = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, side)
+    return np.clip(cv2.copyMakeBorder(image, border, border, border, border, cv2.BORDER_CONSTANT, value=255), 25, 225)
+
+
 def picture(pose: Pose | None, camera: Camera, seed: int = 0) -> np.ndarray:
     """(h, w, 3) uint8 RGB: the marker on a textured ground; None = no marker."""
     w, h = camera.width, camera.height
-    g = np.random.default_rng(seed)
-    ground = cv2.resize(g.integers(90, 170, (h // 8, w // 8, 3)).astype(np.uint8), (w, h), interpolation=cv2.INTER_CUBIC)
+    ground = ground_of(w, h, seed)
     if pose is None:
-        return ground
+        return ground.copy()
     scale, side, border = 3, 160, 24
-    image = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), MARKER.id, side)
-    image = cv2.copyMakeBorder(image, border, border, border, border, cv2.BORDER_CONSTANT, value=255)
-    image = np.clip(image, 25, 225)
+    image = print_of(side, border)
     half = MARKER.size_m / 2
     corners = camera.project(pose.apply(np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])))
     src = np.array([[border, border], [border + side, border], [border + side, border + side], [border, border + side]]) - 0.5
@@ -59,8 +69,12 @@ def picture(pose: Pose | None, camera: Camera, seed: int = 0) -> np.ndarray:
     mark = cv2.warpPerspective(image, hom, big)
     mask = cv2.warpPerspective(np.full_like(image, 255), hom, big)
     mark, mask = (cv2.resize(a, (w, h), interpolation=cv2.INTER_AREA).astype(float)[..., None] for a in (mark, mask))
-    alpha = mask / 255
-    return np.clip(ground * (1 - alpha) + mark * (alpha > 0) * np.minimum(alpha + 1e-9, 1), 0, 255).astype(np.uint8)
+    seen = np.flatnonzero(mask.any((1, 2)))
+    rows = slice(seen[0], seen[-1] + 1) if len(seen) else slice(0, 0)
+    alpha, out = mask[rows] / 255, ground.copy()
+    mixed = ground[rows] * (1 - alpha) + mark[rows] * (alpha > 0) * np.minimum(alpha + 1e-9, 1)
+    out[rows] = np.clip(mixed, 0, 255).astype(np.uint8)
+    return out
 
 
 def write_clip(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import re
 from pathlib import Path
 
 import pytest
@@ -115,3 +116,11 @@ def test_modules_stay_small_and_named(path: Path) -> None:
     assert path.stem not in EMPTY_NAMES
     if path.stem != "__init__":
         assert ast.get_docstring(ast.parse(path.read_text())), "a module's header says what it does"
+
+
+def test_scipy_is_imported_where_it_is_called() -> None:
+    """It takes a quarter of a second, in every process of a job. References are loaded by who asks for them."""
+    rooms = ("analyse", "media", "run", "stages")
+    files = [p for room in rooms for p in (ROOT / "arfx" / room).rglob("*.py") if p.name != "reference.py"]
+    early = [p.name for p in files if re.search(r"^(from|import) scipy", p.read_text(encoding="utf-8"), re.MULTILINE)]
+    assert len(files) > 100 and not early

@@ -12,9 +12,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide, normalise
@@ -62,6 +59,8 @@ class Cloud:
 
 def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured. None where too little is."""
+    from scipy.spatial import cKDTree  # 0.2 s with its kin, which a job without measured depth need not take
+
     with np.errstate(all="ignore"):
         known = np.isfinite(depth_m) & (depth_m > 0)
     h, w = depth_m.shape
@@ -179,6 +178,9 @@ def _refined(cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float) 
 
 def _connected(cloud: Cloud, rows: np.ndarray) -> np.ndarray:
     """The largest connected part of these points, and those parts that are not much smaller."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     if len(rows) < 2:
         return rows
     position = np.full(len(cloud.points), -1)

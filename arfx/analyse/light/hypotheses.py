@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import fdtri
 
 from arfx.analyse.light import search
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, Model, Samples
@@ -123,6 +122,8 @@ class LightHypotheses:
 
     def bound(self) -> float:
         """Cost up to which another explanation is no worse, at 95 % for two parameters."""
+        from scipy.special import fdtri
+
         dof = max(self.effective - self._parameters(self.count), 1.0)
         wider = max(1.0, self.misfit(self.count))
         return float(self.best_cost[self.count] + 2 * fdtri(2, dof, 0.95) * wider)

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from arfx.core.numerics import normalise
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 LEVELS = range(6)
 
@@ -32,6 +35,8 @@ class Icosphere:
 
     @cached_property
     def _tree(self) -> cKDTree:
+        from scipy.spatial import cKDTree
+
         return cKDTree(self.vertices)
 
     @cached_property

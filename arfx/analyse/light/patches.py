@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.special import ndtri
 
 from arfx.analyse.light import patch_kernels as kernels
 from arfx.analyse.light.photometry import Photometry
@@ -171,7 +170,7 @@ def reduced(pixels: np.ndarray, points: SamplePoints, albedo: np.ndarray | None 
     """Patches of the samples. pixels : (4 k, 3) float32 linear RGB at `points.pixels()`;  albedo : of the Meter"""
     mean, spread, variance, tally = (np.zeros((PATCHES, 3)) for _ in range(4))
     kernels.reduce(pixels, points.part, points.group, points.scale, CLIP_LOW, CLIP_HIGH, HALF_GREY, mean, spread, tally)
-    kernels.uncertainty(mean, spread, tally, points.shared, points.leak, HALF_GREY, _CUT, variance)
+    kernels.uncertainty(mean, spread, tally, points.shared, points.leak, HALF_GREY, _cut_offs(), variance)
     used, clipped, every = tally.T
     return Patches(mean, variance, used.astype(int), clipped / np.maximum(every, 1), albedo)
 
@@ -181,12 +180,16 @@ def cut_off(fraction: np.ndarray) -> np.ndarray:
 
     For a normal distribution that is cut off at one end its mean is off by a third of this; but samples are not spread
     normally, and the error is the same in every frame. So the print's other colour decides where one is partly clipped."""
+    from scipy.special import ndtri
+
     p = np.clip(fraction, 0, 0.99)
     lost = np.exp(-(ndtri(np.maximum(p, 1e-9)) ** 2) / 2) / np.sqrt(2 * np.pi) / (1 - p)
     return np.where(p > 0, 3 * lost, 0.0)
 
 
-_CUT = cut_off(np.linspace(0, 1, 257))
+@cache
+def _cut_offs() -> np.ndarray:
+    return cut_off(np.linspace(0, 1, 257))
 
 
 def stack(patches: Sequence[Patches]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

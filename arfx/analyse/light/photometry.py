@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
 from arfx.core.numerics import divide
 
@@ -253,7 +252,7 @@ def solve_channel(
     groups = np.count_nonzero((w > 0).any(0))
     if spare > 0:
         noise_b = max(noise_b, (influence.sum(0) ** 2).sum() * groups / max(groups - 1, 1), (influence.sum(1) ** 2).sum())
-    quantile = float(stdtrit(spare, 0.975)) if spare > 0 else 1.96
+    quantile = _quantile(spare)
     top = np.where(w0 > 0, grey, -np.inf).max(1)
     level = float(np.median(top[seen]))
     bright = float(np.median(y[seen]))
@@ -271,6 +270,13 @@ def solve_channel(
         "ink": k if one_ink else float(rho[dark].mean()) if dark.any() else float(rho.min()), "determined": True,
         "rank": unknowns, "unknowns": unknowns, "condition": min(condition, 1e12), "misfit": scale, "reason": "",
     }  # fmt: skip
+
+
+def _quantile(spare: float) -> float:
+    """Of Student's distribution, two-sided 95 %."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(spare, 0.975)) if spare > 0 else 1.96
 
 
 def solve_normalised(

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
 from arfx.core.model import OPAQUE
 from arfx.core.numerics import normalise
@@ -136,6 +135,8 @@ def voxel_at(voxels: Voxels, positions: np.ndarray) -> np.ndarray:
     out = row_of[_keys(np.clip(cell, 0, n - 1), n)]
     missing = np.flatnonzero(out < 0)
     if len(missing):
+        from scipy.spatial import cKDTree
+
         out[missing] = cKDTree(voxels.centres_m).query(positions[missing])[1]
     return out
 

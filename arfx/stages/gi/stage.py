@@ -49,6 +49,7 @@ from arfx.stages.gi.surroundings import Background, Planes
 from arfx.stages.lightmap.shading import Surface
 from arfx.stages.viewing import direction_grid, viewing
 
+VOXELS_KEPT = 1  # of a model: one level on its planes
 SMALL_PX = 6  # a grey matt object that changes no more than this lies within edge pixels with all of it
 LEVELS = {
     "draft": LevelSettings(32, 64, 6, 128, 5, True, 0.0, 0.0, 128),
@@ -135,8 +136,9 @@ class Gi(Stage):
         planes, at = planes_of(scene), self.settings[level]
         shape = at.voxels, at.plane_side, at.plane_cones, at.plane_rays
         model = memo_of(scene.model).get(
-            (scene.placed_by, *planes.key, *shape), lambda: make_voxel_model(scene, shape[0], planes, *shape[1:]), "voxels", 1
-        )
+            (scene.placed_by, *planes.key, *shape), lambda: make_voxel_model(scene, shape[0], planes, *shape[1:]), "voxels",
+            VOXELS_KEPT,
+        )  # fmt: skip
         return Prepared(
             planes, direction_grid(scene.camera), model, diffuse_cones(at.voxels), lobes(at.voxels),
             texel_positions(planes, _texture_side(scene, at)),

@@ -10,17 +10,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
 import numba
 import numpy as np
-from scipy.sparse import csr_array, vstack
 
 from arfx.core.compiled import line_kernel
 from arfx.core.cube import bordered, face_directions, on_cube, solid_angles
 from arfx.core.light import Light, harmonics
 from arfx.core.numerics import divide, normalise
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 SIDE = 32  # texels of an octahedral map: 5 degrees
 FINE_SIDE = 128  # of a cube with more than COARSE_PX texels a face
@@ -80,6 +82,8 @@ def _directions(side: int) -> np.ndarray:
 @lru_cache(maxsize=2)
 def _kernels(size: int) -> csr_array:
     """(widths * texels, 6 size^2) float32: share of each cube texel in each octahedral one; rows sum to 1."""
+    from scipy.sparse import csr_array, vstack
+
     to, source = _directions(SIDE).reshape(-1, 3), face_directions(size).reshape(-1, 3)
     solid = np.tile(solid_angles(size).ravel(), 6)
     angle = np.degrees(np.arccos(np.clip(to @ source.T, -1, 1)))

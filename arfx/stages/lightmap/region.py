@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from arfx.core.memo import memo_of
 from arfx.core.scene import Scene
@@ -88,6 +87,8 @@ def shadow_region(scene: Scene) -> ShadowRegion:
 
 
 def _hull(points: np.ndarray) -> np.ndarray:
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         return points[ConvexHull(points).vertices]
     except QhullError:  # a point, or a line
