@@ -94,15 +94,15 @@ def _add_sharp(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_occluder(
-    out, state, share, top, columns, left, first, own: BlurredRows, occluded: BlurredRows, pixels: OccluderPixels,
-    real: RealPixels
+    out, state, share, columns, at, own: BlurredRows, occluded: BlurredRows, pixels: OccluderPixels, real: RealPixels
 ):  # fmt: skip  # pragma: no cover - compiled
-    """Columns begin..end of rows of an occluder over out (rows, w, 3); its column 0 is `left` of out's.
+    """Columns (begin, end) of rows of an occluder over out (rows, w, 3).
 
-    first : number of the first of these rows in the layer;  own, occluded : its light and the weight of what it lets through
+    at (3,) : the rows begin at row `first` of the layer and `top` of the picture, the layer's column 0 is `left` of out's
+    own, occluded : its light and the weight of what it lets through
     state : set BLURRED where any of it is spread, else SHARP; returns whether any is set SHARP;  share : of `composite_real`
     real : the real scene, from row `top`, for pixels that are UNTOUCHED"""
-    begin, end = columns
+    (begin, end), (first, top, left) = columns, at
     radius, colour, coverage, opacity = pixels
     image, patch, box = real
     width, any_sharp, split, one, zero = radius.shape[1], False, share.shape[0] > 0, np.float32(1), np.float32(0)

@@ -68,7 +68,7 @@ class OccluderLayer:
         radius, colour, coverage = (a[top:bottom] for a in (self.own.radius, self.colour, self.coverage))
         pixels = splat.OccluderPixels(radius, colour, coverage, self.opacity)
         columns, to = (part.x0 - left, part.x1 - left), slice(down, part.y1 - rows.y0)
-        args = out[to], state[to], share[to], first + down, columns, left - rows.x0, top, own, occluded, pixels, real
+        args = out[to], state[to], share[to], columns, (top, first + down, left - rows.x0), own, occluded, pixels, real
         return not part.empty and bool(compositing.composite_occluder(*args))
 
 

@@ -101,7 +101,7 @@ def _lay_over(out, image, blurred, before, share, part):  # pragma: no cover - c
     x0, y0, x1, y1 = part
     rows, columns = share.shape
     first, last, pairs = x0 // 2, (x1 + 1) // 2, x1 // 2
-    begin, end = max(first - 1, 0), min(last + 1, columns)
+    begin, end = around = max(first - 1, 0), min(last + 1, columns)
     # of the row, with a value before the first and after the last: what it is now, what it was, how much of the image goes
     now, was, less = (
         np.empty(3 * columns + 6, np.float32),
@@ -122,7 +122,7 @@ def _lay_over(out, image, blurred, before, share, part):  # pragma: no cover - c
         if most <= 0:
             to[3 * x0 : 3 * x1] = sharp[3 * x0 : 3 * x1]
             continue
-        _pairs_of_row(blurred[a].reshape(-1), blurred[b].reshape(-1), t, 3, begin, end, first, last, now, sides, 0)
+        _pairs_of_row(blurred[a].reshape(-1), blurred[b].reshape(-1), t, around, first, last, now, sides, 0)
         if least >= one:  # nothing of the image is left
             for k in range(first, pairs):
                 n, x = np.uintp(3 * k), np.uintp(6 * k)
@@ -132,7 +132,7 @@ def _lay_over(out, image, blurred, before, share, part):  # pragma: no cover - c
             if pairs < last:  # the last column of an odd number
                 to[6 * pairs : 6 * pairs + 3] = sides[0, 3 * pairs : 3 * last]
             continue
-        _pairs_of_row(before[a].reshape(-1), before[b].reshape(-1), t, 3, begin, end, first, last, was, sides, 3 * columns)
+        _pairs_of_row(before[a].reshape(-1), before[b].reshape(-1), t, around, first, last, was, sides, 3 * columns)
         if begin == 0:
             less[0] = less[1]
         if end == columns:
@@ -149,18 +149,18 @@ def _lay_over(out, image, blurred, before, share, part):  # pragma: no cover - c
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"})
-def _pairs_of_row(upper, lower, t, width, begin, end, first, last, line, sides, at):  # pragma: no cover - compiled
-    """sides[:, at + ...] of the pairs first..last of a row that lies t of the way from one line of half the size to the next,
-    which are looked at from begin to end. width : values of a pixel;  line : scratch"""
-    n = len(line) - 2 * width
-    for k in range(width * begin, width * end):
-        line[k + width] = upper[k] + (lower[k] - upper[k]) * t
-    for k in range(width):
-        if begin == 0:
-            line[k] = line[width + k]
-        if width * end == n:
-            line[n + width + k] = line[n + k]
-    _between(line, width, first, last, sides, at)
+def _pairs_of_row(upper, lower, t, around, first, last, line, sides, at):  # pragma: no cover - compiled
+    """sides[:, at + ...], three values a pixel, of the pairs first..last of a row that lies t of the way from one line of half
+    the size to the next. around : first and last pixel there that are looked at;  line : scratch"""
+    n = len(line) - 6
+    for k in range(3 * around[0], 3 * around[1]):
+        line[k + 3] = upper[k] + (lower[k] - upper[k]) * t
+    for k in range(3):
+        if around[0] == 0:
+            line[k] = line[3 + k]
+        if 3 * around[1] == n:
+            line[n + 3 + k] = line[n + k]
+    _between(line, 3, first, last, sides, at)
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"})

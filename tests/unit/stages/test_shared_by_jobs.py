@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from arfx.core.memo import memo_of
 from arfx.stages.gi import stage
 from arfx.stages.lightmap.region import shadow_region
 from tests.scenes import box_model, camera, scene
@@ -24,6 +25,7 @@ def test_later_jobs_find_voxels_and_shadow_region(monkeypatch: pytest.MonkeyPatc
     make_voxel_model = stage.make_voxel_model
     monkeypatch.setattr(stage, "make_voxel_model", make)
     model, gi = box_model(), stage.Gi()
+    memo_of(model).clear()  # of other tests' voxels
     first, later = scene(model=model), scene(camera(320, 240), model=model)
     one, two = gi.prepare(first, "draft"), gi.prepare(later, "draft")
     assert one is not None and two is not None and one.model is two.model and len(made) == 1
