@@ -292,7 +292,7 @@ def test_errors_name_the_file(tmp_path: Path) -> None:
 def test_hdr_is_refused(tmp_path: Path) -> None:
     clip = make_clip(tmp_path / "hdr.mkv", [0, 40], codec="libx265", pix_fmt="yuv420p10le", time_base=Fraction(1, 1000),
                      options={"x265-params": "log-level=none:"
-                              "transfer=arib-std-b67:colorprim=bt2020:colormatrix=bt2020nc"})  # fmt: skip
+                              "bframes=0:transfer=arib-std-b67:colorprim=bt2020:colormatrix=bt2020nc"})  # fmt: skip
     with pytest.raises(InputError, match="HLG"):
         probe(clip)
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arfx.core.memo import memo_of
 from arfx.stages.gi import stage
 from arfx.stages.lightmap.region import shadow_region
 from tests.scenes import box_model, camera, scene
@@ -24,8 +23,7 @@ def test_later_jobs_find_voxels_and_shadow_region(monkeypatch: pytest.MonkeyPatc
 
     make_voxel_model = stage.make_voxel_model
     monkeypatch.setattr(stage, "make_voxel_model", make)
-    model, gi = box_model(), stage.Gi()
-    memo_of(model).clear()  # of other tests' voxels
+    model, gi = replace(box_model()), stage.Gi()  # its own: other tests share theirs
     first, later = scene(model=model), scene(camera(320, 240), model=model)
     one, two = gi.prepare(first, "draft"), gi.prepare(later, "draft")
     assert one is not None and two is not None and one.model is two.model and len(made) == 1
@@ -33,4 +31,4 @@ def test_later_jobs_find_voxels_and_shadow_region(monkeypatch: pytest.MonkeyPatc
     elsewhere = replace(first, world_from_model=np.diag([1.5, 1.5, 1.5, 1]) @ first.world_from_model)
     assert gi.prepare(elsewhere, "draft").model is not one.model and shadow_region(elsewhere) is not shadow_region(first)
     assert gi.prepare(first, "standard").model is not one.model, "another level has other voxels"
-    assert gi.prepare(scene(model=box_model()), "draft").model is not one.model, "another model, if it looks the same"
+    assert gi.prepare(scene(model=replace(model)), "draft").model is not one.model, "another model, if it looks the same"
