@@ -151,7 +151,7 @@ def render(
         top, bottom = max(rows[k][0], first), min(rows[k][1], last)
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
         base_rows = base.rows(top, bottom, "base")
-        layers = [(layer, layer.blurred_rows(here, str(k))) for k, layer in enumerate(occluders)]
+        layers = [(layer, layer.blurred_rows(here, str(n))) for n, layer in enumerate(occluders)]
         a, b = (base_rows.lo, base_rows.hi) if not share.size else hull((base_rows.lo, base_rows.hi), blurred[k])
         for _, (part, *_) in layers:
             a, b = hull((a, b), (part.x0 - rect.x0, part.x1 - rect.x0))
