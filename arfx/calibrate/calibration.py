@@ -171,5 +171,5 @@ def _finder_difference(fitted: Fit) -> np.ndarray:
     return (other.values - own.values) / np.sqrt(2)
 
 
-def _first_names(names: Sequence[str], most: int = 5) -> str:
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+def _first_names(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -1,4 +1,4 @@
-"""Names of outputs made from a pattern and what they are made of: out/{parent}/{stem}.mp4."""
+"""Names of outputs (-o) made from a pattern and what they are made of: out/{parent}/{stem}.mp4."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ from arfx.errors import ConfigError
 FIELDS = {"stem": "the clip's name without its ending", "parent": "the name of its folder"}
 
 
-def has_field(pattern: Path, option: str = "-o") -> bool:
+def has_field(pattern: Path) -> bool:
     """Raises ConfigError for a field that does not exist, or a brace alone."""
-    return any(field is not None for _, field in _parts(str(pattern), option))
+    return any(field is not None for _, field in _parts(str(pattern)))
 
 
-def named(pattern: Path, source: Path, option: str = "-o", numbered: bool = False) -> Path:
+def named(pattern: Path, source: Path, numbered: bool = False) -> Path:
     """The pattern's path for one source, a file or a folder. numbered : its name is a format with a frame number in it
 
     Raises ConfigError as `has_field`."""
     values = {"stem": source.name if source.is_dir() else source.stem, "parent": source.parent.resolve().name}
     name = {field: v.replace("%", "%%") if numbered else v for field, v in values.items()}
-    return Path(_filled(str(pattern.parent), values, option)) / _filled(pattern.name, name, option)
+    return Path(_filled(str(pattern.parent), values)) / _filled(pattern.name, name)
 
 
 def fixed_folder(pattern: Path) -> Path:
     """The folder that all paths of a pattern lie in."""
     while has_field(pattern.parent):
         pattern = pattern.parent
-    return Path(_filled(str(pattern.parent), {}, "-o"))
+    return Path(_filled(str(pattern.parent), {}))
 
 
-def _filled(text: str, values: dict[str, str], option: str) -> str:
-    return "".join(literal + ("" if field is None else values[field]) for literal, field in _parts(text, option))
+def _filled(text: str, values: dict[str, str]) -> str:
+    return "".join(literal + ("" if field is None else values[field]) for literal, field in _parts(text))
 
 
-def _parts(text: str, option: str) -> list[tuple[str, str | None]]:
+def _parts(text: str) -> list[tuple[str, str | None]]:
     """(text, the field behind it or None)"""
     known = "; ".join(f"{{{name}}} is {what}" for name, what in FIELDS.items())
     try:
         parts = list(string.Formatter().parse(text))
     except ValueError:
-        raise ConfigError(f"{option} {text}: a brace stands alone", f"{known}; {{{{ is a brace") from None
+        raise ConfigError(f"-o {text}: a brace stands alone", f"{known}; {{{{ is a brace") from None
     for _, field, form, conversion in parts:
         if field is not None and (field not in FIELDS or form or conversion):
             shown = f"{{{field}{f'!{conversion}' if conversion else ''}{f':{form}' if form else ''}}}"
-            raise ConfigError(f"{option} {text}: there is no field {shown}", f"{known}; {{{{ is a brace")
+            raise ConfigError(f"-o {text}: there is no field {shown}", f"{known}; {{{{ is a brace")
     return [(literal, field) for literal, field, _, _ in parts]
