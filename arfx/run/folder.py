@@ -180,6 +180,25 @@ def disk_error(e: OSError, path: Path) -> RenderError:
     return RenderError(f"cannot write {path}: {e.strerror or e}", "free space or name another place; --resume goes on from there")
 
 
+def append_line(path: Path, row: Any) -> None:
+    """One more line of JSON, behind one that a kill or a full disk may have cut short. Raises OSError."""
+    with path.open("ab+") as f:
+        f.seek(max(f.seek(0, os.SEEK_END) - 1, 0))
+        whole = f.read(1) in (b"", b"\n")
+        f.write(f"{'' if whole else chr(10)}{json.dumps(row)}\n".encode())
+
+
+def read_lines(path: Path) -> Iterator[dict[str, Any]]:
+    """The objects that the lines of a file hold, none where there is no file; a line that is cut short or damaged is skipped."""
+    if not path.is_file():
+        return
+    with path.open(encoding="utf-8", errors="replace") as f:
+        for line in f:
+            with contextlib.suppress(ValueError, RecursionError):
+                if isinstance(row := json.loads(line), dict):
+                    yield row
+
+
 class Lines(Generic[T]):
     """Lines of a file, a slice at a time: what is not asked for is neither read nor held.
 

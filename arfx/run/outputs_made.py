@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from arfx.core.guard import TIMES, fingerprint
 from arfx.media.output import image_names, names_sequence
-from arfx.run.folder import digest, disk_error
+from arfx.run.folder import append_line, digest, disk_error, read_lines
 from arfx.run.place import default_folder
 
 NAME = ".arfx-batch.jsonl"
@@ -49,27 +48,17 @@ class OutputsMade:
         """Raises RenderError where it cannot be written."""
         row = {"output": place(output).name, "key": key, "files": _files(output), "seconds": seconds, "frames": frames}
         try:
-            with self._path.open("ab+") as f:
-                end = f.seek(0, os.SEEK_END)
-                f.seek(max(end - 1, 0))
-                whole = f.read(1) in (b"", b"\n")  # a kill, or a full disk, may have cut the last line short
-                f.write(f"{'' if whole else chr(10)}{json.dumps(row)}\n".encode())
+            append_line(self._path, row)
         except OSError as e:
             raise disk_error(e, self._path) from None
 
     @cached_property
     def _rows(self) -> Mapping[str, Made]:
         out: dict[str, Made] = {}
-        if not self._path.is_file():
-            return out
-        with self._path.open(encoding="utf-8", errors="replace") as f:
-            for line in f:
-                try:
-                    row: dict[str, Any] = json.loads(line)
-                    made = Made(str(row["key"]), str(row["files"]), float(row["seconds"]), int(row["frames"]))
-                    out[str(row["output"])] = made
-                except (ValueError, KeyError, TypeError, RecursionError):
-                    continue
+        for row in read_lines(self._path):
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                made = Made(str(row["key"]), str(row["files"]), float(row["seconds"]), int(row["frames"]))
+                out[str(row["output"])] = made
         return out
 
 

@@ -5,7 +5,6 @@ time of work that is not in the output is left out;  walls : process of the job 
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -13,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from arfx.run.folder import append_line, read_lines
 from arfx.run.memory import peak_mb
 
 ANALYSIS, STRETCH, CHUNK = "analysis", "stretch", "chunk"  # the analysis: with all of its stretches
@@ -46,17 +46,8 @@ class WorkLog:
     process: str = field(default_factory=lambda: f"{time.time_ns():x}-{os.getpid()}")
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Every row, in order; a line that a kill or a full disk cut short, or that is damaged, is skipped."""
-        if not self.path.exists():
-            return
-        with self.path.open(encoding="utf-8", errors="replace") as f:
-            for line in f:
-                try:
-                    row = json.loads(line)
-                except (ValueError, RecursionError):
-                    continue
-                if isinstance(row, dict) and _valid(row):
-                    yield row
+        """Every row, in order; what is damaged is skipped."""
+        return filter(_valid, read_lines(self.path))
 
     def walls(self, earlier: Mapping[str, float]) -> dict[str, float]:
         """With this process's own. earlier : of the processes without whose work this would not be"""
@@ -67,12 +58,7 @@ class WorkLog:
 
         Raises OSError."""
         row = {"work": work, "key": key, "rss_mb": peak_mb(), **more, "seconds": seconds, "walls": self.walls(walls)}
-        with self.path.open("ab+") as f:
-            end = f.seek(0, os.SEEK_END)
-            if end:
-                f.seek(end - 1)
-            whole = not end or f.read(1) == b"\n"
-            f.write(f"{'' if whole else chr(10)}{json.dumps(row)}\n".encode())
+        append_line(self.path, row)
 
     def spent(self, analysis: str, chunks: Iterable[str]) -> TimeSpent:
         """The time of the analysis and the chunks with these keys; of work done twice that of the last time."""
