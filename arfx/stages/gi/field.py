@@ -166,10 +166,8 @@ def _traced(
     return trace_many(atlas, steps, o, d, n, np.float32(start), normals is not None).reshape(*d.shape[:2], 4)
 
 
-def make_field(
-    model: VoxelModel, scene: Scene, light: Light, planes: Planes, background: Background, mean: np.ndarray, bounce: bool
-) -> Field:  # fmt: skip
-    """mean (3,) : radiance of the planes without the object;  bounce : False leaves the voxels black (occlusion alone)"""
+def make_field(model: VoxelModel, scene: Scene, light: Light, planes: Planes, background: Background, mean: np.ndarray) -> Field:
+    """mean (3,) : radiance of the planes without the object"""
     rotation = scene.world_from_anchor.rotation.T
     lights = [(rotation @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
     total = [light.radiance(scene.world_from_anchor.rotation @ axes[3]) for axes in planes.axes.astype(float)]
@@ -189,7 +187,7 @@ def make_field(
     values[:, 3] = model.voxels.opacity
     occluded = np.stack(occlusion)
     gain, atlas = occluded.copy(), model.opaque
-    for turn in range(ROUNDS if bounce else 0):
+    for turn in range(ROUNDS):
         darkened = np.clip(shaded, 0, None)
         dark = with_texture(background, (darkened * visibility[..., None] * mean).astype(np.float32), visibility, mean)
         radiance = _voxel_radiance(model, lights, dark)

@@ -32,16 +32,14 @@ class LevelSettings:
     """voxels a side;  plane_side : texels of a plane's change, a power of two, plane_cones each
     texture_side : texels of the picture on it, a power of two
     plane_rays : of each texel towards the object, 0 = cones alone
-    block : pixels a side for which one gathers;  bounce : voxels give light;  sharp, gloss_floor : as pixels.light_pixels"""
+    block : pixels a side for which one gathers;  sharp : as of `pixels.Limits`"""
 
     voxels: int
     plane_side: int
     plane_cones: int
     texture_side: int
     block: int
-    bounce: bool
     sharp: float
-    gloss_floor: float
     plane_rays: int = 0
 
 
@@ -234,6 +232,6 @@ def frame_field(view: View, model: VoxelModel, planes: Planes, incoming: Incomin
     def make() -> Field:
         maps = memo.get(cube.tobytes(), lambda: octahedral(cube))
         background = incoming.background._replace(maps=factor.astype(np.float32) * maps)
-        return make_field(model, view.scene, coarse, planes, background, incoming.mean, at.bounce)
+        return make_field(model, view.scene, coarse, planes, background, incoming.mean)
 
     return memo.get(key, make)

@@ -40,11 +40,10 @@ class Anchor(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """sharp : roughness from which blocks gather what is mirrored;  gloss_floor : least share mirrored at all
+    """sharp : roughness from which blocks gather what is mirrored
     shows : half a grey level as a share of a white surface's light, over the brightest that is around;  table : `split_sum`"""
 
     sharp: np.float32
-    gloss_floor: np.float32
     shows: np.float32
     table: np.ndarray
 
@@ -299,7 +298,7 @@ def shows_specular(surface: Surface, y, x, here, eye, limits: Limits):  # pragma
     ex, ey, ez = eye[0] - here[3], eye[1] - here[4], eye[2] - here[5]
     s = one / np.sqrt(max(ex * ex + ey * ey + ez * ez, np.float32(1e-12)))
     ga, gb = gloss_weights(limits.table, material[y, x, 1], max((here[0] * ex + here[1] * ey + here[2] * ez) * s, zero))
-    return f0 * ga + gb > max(limits.gloss_floor, limits.shows * most)
+    return f0 * ga + gb > limits.shows * most
 
 
 @line_kernel(fastmath=_FAST)

@@ -19,6 +19,7 @@ from arfx.core.layers import Layer, Layers
 from arfx.core.parallel import parallel_rows
 from arfx.stages.gi.cones import LOBES, SCRATCH, Lobes, Placed, trace
 from arfx.stages.gi.pixels import gloss_weights, split_sum
+from arfx.stages.gi.real_planes import SHOWS
 from arfx.stages.gi.surroundings import WARP, Background, background_radiance, first_plane, wide_share
 from arfx.stages.viewing import GRID_PX
 
@@ -26,6 +27,7 @@ _FAST = {"contract", "nsz", "arcp"}
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 _SAME = np.float32(0.02)  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
 SHARPEST = 0.2  # roughness of the narrowest cone: a narrower one would show the voxels themselves
+_SHOWS = np.float32(SHOWS)
 _RIM = np.float32(0.85)  # share of the disc's radius from which on what is left (under half a grey level) fades out
 
 
@@ -194,11 +196,11 @@ def _add_delta(
                         out[row, x - x0, c] = max(ratio + agreement * (here[c] - more), zero)
 
 
-def visible_radius_m(delta: np.ndarray, positions: np.ndarray, axes: np.ndarray, least: float, most_m: float) -> float:
-    """Distance from the planes' origins beyond which no texel changes by `least`; at most `most_m`.
+def visible_radius_m(delta: np.ndarray, positions: np.ndarray, axes: np.ndarray, most_m: float) -> float:
+    """Distance from the planes' origins beyond which no texel's change shows; at most `most_m`.
 
     delta, positions (p, side, side, 3);  axes (p, 4, 3)"""
-    shows = np.abs(delta).max(-1) >= least
+    shows = np.abs(delta).max(-1) >= SHOWS
     away = np.linalg.norm(positions - axes[:, None, None, 0], axis=-1)
     if not shows.any():
         return 0.0
@@ -207,21 +209,19 @@ def visible_radius_m(delta: np.ndarray, positions: np.ndarray, axes: np.ndarray,
 
 
 class Gloss(NamedTuple):
-    """Of the planes. f0, roughness;  table : `split_sum`;  walk, tangent : of the mirror cone
-    least : share mirrored under which nothing shows"""
+    """Of the planes. f0, roughness;  table : `split_sum`;  walk, tangent : of the mirror cone"""
 
     f0: np.float32
     roughness: np.float32
     table: np.ndarray
     walk: np.ndarray
     tangent: np.float32
-    least: np.float32
 
 
-def gloss_of(f0: float, roughness: float, lobes: Lobes, least: float) -> Gloss:
+def gloss_of(f0: float, roughness: float, lobes: Lobes) -> Gloss:
     k = round(max(roughness, SHARPEST) * (LOBES - 1))
     walk = lobes.steps[k, : lobes.counts[k]]
-    return Gloss(np.float32(f0), np.float32(roughness), split_sum(), walk, lobes.tangents[k], np.float32(least))
+    return Gloss(np.float32(f0), np.float32(roughness), split_sum(), walk, lobes.tangents[k])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
@@ -255,7 +255,7 @@ def mirror_in_planes(
             along = dx * nx + dy * ny + dz * nz
             ga, gb = gloss_weights(gloss.table, gloss.roughness, -along)
             f = (gloss.f0 * ga + gb) * agreement
-            if f < gloss.least:
+            if f < _SHOWS:
                 continue
             d = dx - 2 * along * nx, dy - 2 * along * ny, dz - 2 * along * nz
             at = (px - low[0]) / size, (py - low[1]) / size, (pz - low[2]) / size

@@ -52,9 +52,9 @@ from arfx.stages.viewing import direction_grid, viewing
 VOXELS_KEPT = 1  # of a model: one level on its planes
 SMALL_PX = 6  # a grey matt object that changes no more than this lies within edge pixels with all of it
 LEVELS = {
-    "draft": LevelSettings(32, 64, 6, 128, 5, True, 0.0, 0.0, 128),
-    "standard": LevelSettings(128, 128, 16, 256, 3, True, 0.35, 0.0, 256),
-    "high": LevelSettings(128, 256, 16, 512, 2, True, 1.1, 0.0, 384),
+    "draft": LevelSettings(32, 64, 6, 128, 5, 0.0, 128),
+    "standard": LevelSettings(128, 128, 16, 256, 3, 0.35, 256),
+    "high": LevelSettings(128, 256, 16, 512, 2, 1.1, 384),
 }
 
 
@@ -160,7 +160,7 @@ class Gi(Stage):
         indirect = frame_field(view, prepared.model, planes, incoming, at)
         background = incoming.background_with(indirect, prepared.model.visibility)
         virtual = self._virtual(view, prepared, indirect, background, incoming.soft)
-        radius = visible_radius_m(indirect.delta, prepared.model.positions, planes.axes, SHOWS, self._radius_m(view.light, scene))
+        radius = visible_radius_m(indirect.delta, prepared.model.positions, planes.axes, self._radius_m(view.light, scene))
         disc = disc_rect(scene, planes, radius, pose, frame) if radius > 0 and not disc.empty else EMPTY
         part = now.extent(Layer.SHADOW).union(disc).union(mirror).clip(view.out).clip(now.rect)
         shadow, here = _written(now, Layer.SHADOW, part), now.crop(part)
@@ -177,7 +177,7 @@ class Gi(Stage):
             add_delta(shadow, part.x0, part.y0, np.array(disc.to_json()), nodes, eye, planes.axes, change, real)
         if not (mirror := mirror.clip(part)).empty:
             plate, bias = np.ascontiguousarray(now.crop(mirror)[Layer.PLATE]), np.array(facts.bias_rgb, f32)
-            gloss = gloss_of(self.params.plane_gloss, self.params.plane_roughness, prepared.lobes, SHOWS)
+            gloss = gloss_of(self.params.plane_gloss, self.params.plane_roughness, prepared.lobes)
             rays, at_mirror = viewing(prepared.grid @ anchor_from_camera.rotation.T, mirror), mirror.slices_in(part)
             mirrored = self.params.strength * mirror_in_planes(
                 plate, rays, eye, bias, gloss, prepared.model.placed(indirect.atlas), background,
@@ -202,7 +202,7 @@ class Gi(Stage):
         axes = Anchor(anchor.rotation.astype(f32), anchor.translation_m.astype(f32), eye)
         cones = prepared.model.placed(field.atlas), prepared.cones, prepared.lobes, background
         brightest = max(float(background.maps.max()), float(background.textures.max()), field.brightest)
-        limits = Limits(f32(at.sharp), f32(at.gloss_floor), f32(SHOWS * divide(soft, brightest)), split_sum())
+        limits = Limits(f32(at.sharp), f32(SHOWS * divide(soft, brightest)), split_sum())
         points, light, index = np.zeros((0, 7), f32), np.zeros((0, 6), f32), np.zeros((0, 0), np.int32)
         if block > 1:
             points, gather, index = select_points(surface, box.x0, box.y0, block, axes, limits)
@@ -278,7 +278,7 @@ def _texture_side(scene: Scene, at: LevelSettings) -> int:
     """Texels of the picture on a plane: few where nothing mirrors sharply enough to show more."""
     materials = [p.material for p in scene.model.parts]
     sharp = [m.roughness < 0.5 or m.metallic_roughness_texture is not None for m in materials]
-    mirrors = [0.08 * m.specular * (1 - m.metallic) + m.metallic > at.gloss_floor for m in materials]
+    mirrors = [0.08 * m.specular * (1 - m.metallic) + m.metallic > 0 for m in materials]
     return at.texture_side if any(a and b for a, b in zip(sharp, mirrors, strict=True)) else min(at.texture_side, 64)
 
 

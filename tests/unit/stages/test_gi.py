@@ -60,7 +60,7 @@ def ring(s: Scene, coverage: np.ndarray, low_m: float, high_m: float, pose: Pose
 @pytest.mark.parametrize("shape", [ball, box])
 def test_white_furnace(n: int, shape, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
     """White object, white plane, even light of 1 from everywhere: nothing is to be seen, at every resolution."""
-    monkeypatch.setitem(stage_module.LEVELS, "standard", LevelSettings(n, 64, 16, 64, 2, True, 0.35, 0.002))
+    monkeypatch.setitem(stage_module.LEVELS, "standard", LevelSettings(n, 64, 16, 64, 2, 0.35))
     s = on(shape, MATT_WHITE, EVEN)
     made = run_gi(s, plate=plain_plate(rgb=(1, 1, 1)))
     light = made[Layer.VIRTUAL][inner(made[Layer.COVERAGE])]
