@@ -26,21 +26,17 @@ class Layer(StrEnum):
     MATERIAL = "material"  # (h, w, 4) metallic, roughness, specular (dielectric F0 / 0.08), alpha
     EMISSIVE = "emissive"  # (h, w, 3) emitted radiance
     OBJECT_ID = "object_id"  # (h, w) int32, 0 = none, else 1 + part index
-    MOTION = "motion"  # (h, w, 2) px, from the previous frame
     SHADOW = "shadow"  # (h, w, 3) transmittance: ratio of light that still reaches the real surface, 1 = all
-    IRRADIANCE = "irradiance"  # (h, w, 3) on the virtual surface
     REAL_DEPTH = "real_depth"  # (h, w) metres along the axis of the real surface, measured; inf = the job has no depth
 
 
 # (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing virtual, no shadow.
 _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
     **{name: (3, np.float32, 0.0) for name in (Layer.VIRTUAL, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.EMISSIVE)},
-    Layer.IRRADIANCE: (3, np.float32, 0.0),
     Layer.COVERAGE: (0, np.float32, 0.0),
     Layer.DEPTH: (0, np.float32, np.inf),
     Layer.MATERIAL: (4, np.float32, 0.0),
     Layer.OBJECT_ID: (0, np.int32, 0),
-    Layer.MOTION: (2, np.float32, 0.0),
     Layer.SHADOW: (3, np.float32, 1.0),
     Layer.REAL_DEPTH: (0, np.float32, np.inf),
 }

@@ -128,7 +128,7 @@ def _parse(parse: Callable[[], Any]) -> Any:
 
 
 def bounded(tree: Any) -> Any:
-    """The same tree, if it is at most DEEPEST deep and its integers are below LARGEST_INTEGER. Raises ValueError."""
+    """The same tree, if it is at most MAX_NESTING deep and its integers are at most MAX_INTEGER. Raises ValueError."""
     level = [tree]
     for _ in range(MAX_NESTING + 1):
         inner: list[Any] = []

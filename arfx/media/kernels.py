@@ -72,12 +72,12 @@ def linear_at_yuv(planes: Planes, pixels, curve, out):
         t, f = p - np.float32(i0), q - np.float32(r0)
         a, b = np.float32(u[r0, i0]), np.float32(u[r1, i0])
         c, d = np.float32(u[r0, i1]), np.float32(u[r1, i1])
-        transmittance, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
-        cb = transmittance + t * (right - transmittance)
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cb = left + t * (right - left)
         a, b = np.float32(v[r0, i0]), np.float32(v[r1, i0])
         c, d = np.float32(v[r0, i1]), np.float32(v[r1, i1])
-        transmittance, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
-        cr = transmittance + t * (right - transmittance)
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cr = left + t * (right - left)
         luma = (np.float32(y[row, x]) - yo) * yf
         coded[0, k], coded[1, k], coded[2, k] = luma + rv * cr, luma - gu * cb - gv * cr, luma + bu * cb
     light, base, mantissa = np.empty_like(coded[0]), np.empty_like(coded[0]), np.empty_like(coded[0])

@@ -56,7 +56,7 @@ class OutputsMade:
     def _rows(self) -> Mapping[str, Made]:
         out: dict[str, Made] = {}
         for row in read_lines(self._path):
-            with contextlib.suppress(ValueError, KeyError, TypeError):
+            with contextlib.suppress(ValueError, KeyError, TypeError, OverflowError):
                 made = Made(str(row["key"]), str(row["files"]), float(row["seconds"]), int(row["frames"]))
                 out[str(row["output"])] = made
         return out

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
@@ -21,6 +20,7 @@ from arfx.core.guard import check_file_name, part_name
 from arfx.core.pose import Pose
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
+from arfx.media.images import write_png
 from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile, DepthFile
 from arfx.synth.picture import Picture, expose, gain_at
@@ -111,7 +111,7 @@ def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: P
                 elif kind == "depth":
                     write_depth(path, depth)
                 else:
-                    cv2.imwrite(str(path), owner)
+                    write_png(path, owner)
             progress("synth", n + 1, scene.frames)
     stated = stated_camera(scene, world.camera)
     save_camera(folder / "camera.yaml", stated)

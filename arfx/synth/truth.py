@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 
 from arfx.core.codec import Document, Gaps
 from arfx.core.opener import read_text
 from arfx.core.pose import Pose
 from arfx.errors import InputError
+from arfx.media.images import write_png
 
 DEPTH_UNIT_M = 2e-4  # 16 bits reach 13 m in steps of a fifth of a millimetre
 FLOW_UNIT_PX = 1 / 64
@@ -87,7 +87,7 @@ def read_truth(path: Path) -> Truth:
 def write_depth(path: Path, depth_m: np.ndarray) -> None:
     """Farther than 13.1 m counts as nothing."""
     steps = np.rint(depth_m / DEPTH_UNIT_M)
-    cv2.imwrite(str(path), np.where(steps <= 65535, steps, 0).astype(np.uint16))
+    write_png(path, np.where(steps <= 65535, steps, 0).astype(np.uint16))
 
 
 def write_flow(path: Path, flow_px: np.ndarray) -> None:
@@ -95,5 +95,5 @@ def write_flow(path: Path, flow_px: np.ndarray) -> None:
     steps = np.rint(np.nan_to_num(flow_px, nan=1e9) / FLOW_UNIT_PX) + 2**15  # 1e9 px is out of range below: unknown
     known = ((steps >= 0) & (steps <= 65535)).all(-1)
     rgb = np.zeros((*flow_px.shape[:2], 3), np.uint16)
-    rgb[known, 2], rgb[known, 1], rgb[..., 0] = steps[known, 0], steps[known, 1], known
-    cv2.imwrite(str(path), rgb)
+    rgb[known, :2], rgb[..., 2] = steps[known], known
+    write_png(path, rgb)

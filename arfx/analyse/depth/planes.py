@@ -222,7 +222,7 @@ class PlaneMask:
 
 
 def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
-    """places_m (n, 2) : points moved onto the plane, its axes;  spacing_m (n,) : distance of neighbouring points there"""
+    """positions_m (n, 2) : points moved onto the plane, its axes;  spacing_m (n,) : distance of neighbouring points there"""
     low, high = positions_m.min(0), positions_m.max(0)
     cell = max(float(np.quantile(spacing_m, 0.75)), float((high - low).max()) / MOST_CELLS, 1e-4)
     pad = int(np.ceil(CLOSED)) + 1

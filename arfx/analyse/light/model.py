@@ -174,7 +174,7 @@ def _solve_amplitudes(seen: Observations, A, B, amp, residual):  # pragma: no co
 def evaluate(seen: Observations, dirs, columns: Columns, amp, residual, contribution):  # pragma: no cover - compiled
     """Chi squared of one set of directions with the best amplitudes; amp and residual are filled.
 
-    given (g, m + 1) : filled with the sum of what each column gives, times weight"""
+    contribution (g, m + 1) : filled with the sum of what each column gives, times weight"""
     starts, k = seen.starts, seen.normals.shape[1]
     A, B = np.empty((columns.lights + 1, k)), np.empty((columns.lights + 1, k))
     _fill_columns(seen, dirs, columns, A)

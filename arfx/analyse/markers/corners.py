@@ -31,8 +31,6 @@ HALF_PX = (1.8, 8.0)  # least and most that is looked at to either side of an ed
 _STEP_BLUR_PX, _STEP_PX = (0.455, 0.49, 0.65, 1.0), (0.3, 0.04, 0.03, 0.015)
 # Measured: error of an edge, of the width of a cell, by the edge's blur over that width.
 _BLUR_CELLS, _NEXT_CELL = (0.15, 0.18, 0.21, 0.25, 0.29, 0.32), (0.0, 0.001, 0.002, 0.005, 0.014, 0.03)
-# Measured: error of an edge, of the width of a cell, by the edge's blur over that width.
-_BLUR_CELLS, _NEXT_CELL = (0.15, 0.18, 0.21, 0.25, 0.29, 0.32), (0.0, 0.001, 0.002, 0.005, 0.014, 0.03)
 _ROWS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
 FAINT = 2.0  # light (of 255) across an edge below which it is taken for none
 AUTO, LIGHT, CODE = "auto", "srgb", "gamma:1"

@@ -64,7 +64,9 @@ class Detection:
 @serialisable
 @dataclass(frozen=True)
 class Record:
-    """One frame. unlike : ShotDetector's two numbers;  rivals : further prints with a key that is in `detections` too."""
+    """One frame.
+
+    duplicates : further prints with a key that is in `detections` too;  dissimilarity : ShotDetector's two numbers"""
 
     index: int
     time_s: float

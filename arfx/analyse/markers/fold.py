@@ -22,7 +22,7 @@ from arfx.errors import ConfigError, InputError, NothingToDoError
 class Markers(Fold):
     """records : of every frame;  camera : at the clip's size
 
-    detections : in the last frame, as it was refined at once;  prints : these and their rivals"""
+    detections : in the last frame, as it was refined at once;  prints : these and their duplicates"""
 
     name = "markers"
     given = frozenset({"job", "_coded"})

@@ -52,7 +52,7 @@ class Track:
 class Found:
     """What one frame gave.
 
-    sightings : the chosen candidate per configured key;  rivals : further candidates with the same key
+    sightings : the chosen candidate per configured key;  duplicates : further candidates with the same key
     others : ids of the families that are not configured;  whole : the whole frame was searched at full resolution"""
 
     sightings: tuple[Candidate, ...]

@@ -223,7 +223,7 @@ def refined(
 
 @numba.njit(cache=True, nogil=True)
 def _accumulate_normal_equations(small, reference, trusted, back, first, pitch, sums_out):  # pragma: no cover - compiled
-    """total (gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and what is missing (e)."""
+    """sums_out (gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and what is missing (e)."""
     h, w = small.shape
     gh, gw = back.shape[:2]
     lines = np.empty((gw, 2))

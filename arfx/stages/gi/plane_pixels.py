@@ -72,8 +72,9 @@ def add_delta(
     shadow: np.ndarray, x0: int, y0: int, within: np.ndarray, nodes: np.ndarray, origin: np.ndarray, axes: np.ndarray,
     change: PlaneChange, real: np.ndarray,
 ) -> None:  # fmt: skip
-    """shadow (h, w, 3) float32 += weight x (delta - deeper x what the shadow takes), never below 0. x0, y0 : its first pixel
-    in the picture;  the other arguments as `_add_delta`"""
+    """shadow (h, w, 3) float32 += weight x (delta - extra occlusion x what the shadow takes), never below 0.
+
+    x0, y0 : its first pixel in the picture;  the other arguments as `_add_delta`"""
 
     def rows(a: int, b: int) -> None:
         measured = real[a:b] if real.size else real

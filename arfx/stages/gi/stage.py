@@ -203,7 +203,7 @@ class Gi(Stage):
         cones = prepared.model.placed(field.atlas), prepared.cones, prepared.lobes, background
         brightest = max(float(background.maps.max()), float(background.textures.max()), field.brightest)
         limits = Limits(f32(at.sharp), f32(SHOWS * divide(soft, brightest)), split_sum())
-        points, light, index = np.zeros((0, 7), f32), np.zeros((0, 6), f32), np.zeros((0, 0), np.int32)
+        points, light, index = np.zeros((0, 8), f32), np.zeros((0, 6), f32), np.zeros((0, 0), np.int32)
         if block > 1:
             points, gather, index = select_points(surface, box.x0, box.y0, block, axes, limits)
             light = gather_points(points, gather, eye, *cones)

@@ -80,9 +80,9 @@ def test_nothing_virtual_means_no_work() -> None:
 
 
 def test_what_nobody_reads_is_dropped() -> None:
-    stages = [*pipeline(), Fake("motion", {Layer.DEPTH}, {Layer.MOTION}, FRAME)]
+    stages = [*pipeline(), Fake("numbered", {Layer.DEPTH}, {Layer.OBJECT_ID}, FRAME)]
     p = plan(stages)
-    assert ("motion", UNREAD) in [(s.stage, s.reason) for s in p.skipped]
+    assert ("numbered", UNREAD) in [(s.stage, s.reason) for s in p.skipped]
 
 
 def test_forced_runs_everything_on_the_whole_frame_where_a_pose_is_known() -> None:

@@ -34,6 +34,7 @@ def test_images_count_together(tmp_path: Path) -> None:
 def test_damaged_lines_lose_themselves_alone(tmp_path: Path) -> None:
     out = tmp_path / "a.mp4"
     out.write_bytes(b"1")
-    (tmp_path / NAME).write_bytes(b'{"output": 3}\n[]\n\xff\n{"output": "b.mp4", "key": "k", "fi')
+    endless = b'{"output": "c.mp4", "key": "k", "files": "f", "seconds": 1, "frames": Infinity}'
+    (tmp_path / NAME).write_bytes(b'{"output": 3}\n[]\n' + endless + b'\n\xff\n{"output": "b.mp4", "key": "k", "fi')
     OutputsMade(tmp_path).note(out, "key", 1.0, 1)
     assert OutputsMade(tmp_path).files() == {out}

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.errors import InputError
+from arfx.errors import InputError, RenderError
 from arfx.synth.clip import frame_truth
 from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, Truth, read_truth, write_depth, write_flow, write_truth
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
@@ -83,6 +83,13 @@ def test_depth_and_flow_files_keep_their_steps(tmp_path: Path) -> None:
     lost = np.isnan(again).any(-1)
     assert np.argwhere(lost).tolist() == [[3, 4], [5, 6]]
     assert np.abs((again - flow)[~lost]).max() <= 1 / 128 + 1e-9
+
+
+def test_a_picture_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RenderError, match=r"d\.png"):
+        write_depth(tmp_path / "missing" / "d.png", np.ones((2, 3)))
+    with pytest.raises(RenderError, match=r"f\.png"):
+        write_flow(tmp_path / "missing" / "f.png", np.ones((2, 3, 2)))
 
 
 def test_truth_files_come_back_as_they_were(tmp_path: Path) -> None:
