@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -48,10 +48,7 @@ class Row:
                 raise ValueError(f"{self.paper}, {self.item}: {value} is not finite; say it in words")
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "paper": self.paper, "item": self.item, "printed": self.printed, "paper_formula": self.paper_formula,
-            "corrected": self.corrected, "unit": self.unit, "verdict": self.verdict, "reason": self.reason,
-        }  # fmt: skip
+        return asdict(self)
 
 
 def half_digit(printed: str) -> float:

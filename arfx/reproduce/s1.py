@@ -29,6 +29,7 @@ from arfx.reproduce.s1_scenes import AMBIENT, SITUATIONS, Lamp, turned_card
 from arfx.reproduce.work import Settings, Shot, Work
 
 NO_SHADOW: Settings = {"lightmap": {"shadow_strength": 0.0, "self_shadow": 0.0}}
+HEMISPHERE_PX = 320  # a side of its picture
 NEAR_DEG = 8.0  # between neighbouring triangles' middles: a direction cannot be found better by peaks
 TABLE_1 = {  # model: faces, frames per second, MB
     "apple": (4000, (9, 13), 60), "teapot": (6000, (9, 12), 64), "aeroplane": (21000, (8, 10), 77),
@@ -89,10 +90,7 @@ class Situation:
 
 def model_file(work: Work, name: str) -> Settings:
     """The job's settings for a model of `models`; its camera rests, as the paper's does."""
-    path = work.folder / f"{name}.glb"
-    if not path.exists():
-        write_model(name, path)
-    return {"model": {"file": str(path)}, "analyse": {"static": "camera"}}
+    return {"model": {"file": work.model(name)}, "analyse": {"static": "camera"}}
 
 
 def facts_light(shot: Shot) -> Light:
@@ -148,14 +146,14 @@ def figure_1(situation: Situation) -> Iterator[Item]:
     )  # fmt: skip
 
 
-def drawn_hemisphere(level: int, M: np.ndarray, lights: np.ndarray, side_px: int = 320) -> np.ndarray:
+def drawn_hemisphere(level: int, M: np.ndarray, lights: np.ndarray) -> np.ndarray:
     """(side, side, 3) R'G'B': the triangles from above, as bright as M (k, 3); those nearest to `lights` (l, 3) bordered red."""
     sphere = icosphere(level)
     turn = upright(sphere.centres[-1])
     upper = (sphere.centres @ turn.T)[:, 2] >= 0
     corners = (sphere.vertices @ turn.T)[sphere.faces[upper]][..., :2] * [1, -1]
-    points = np.round((1 + 0.97 * corners) / 2 * side_px * 16).astype(np.int32)  # in 16ths of a pixel
-    picture = np.full((side_px, side_px, 3), 255, np.uint8)
+    points = np.round((1 + 0.97 * corners) / 2 * HEMISPHERE_PX * 16).astype(np.int32)  # in 16ths of a pixel
+    picture = np.full((HEMISPHERE_PX, HEMISPHERE_PX, 3), 255, np.uint8)
     grey = np.clip(divide(M, M.max()), 0, 1) * 255
     for triangle, colour in zip(points, grey.tolist(), strict=True):
         cv2.fillConvexPoly(picture, triangle, colour, cv2.LINE_AA, 4)

@@ -14,20 +14,7 @@ from arfx.core.layers import Layer, packed
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
-from arfx.reproduce.rows import (
-    BEFORE,
-    COLOURS,
-    CORRECTED,
-    DIFFERS,
-    INK,
-    PRINTED,
-    Figure,
-    Item,
-    Plot,
-    Row,
-    compared,
-    shown,
-)
+from arfx.reproduce.rows import BEFORE, COLOURS, CORRECTED, DIFFERS, INK, PRINTED, Figure, Item, Plot, Row, compared, shown
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, picture, printed
 from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.cells import means

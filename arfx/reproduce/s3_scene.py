@@ -17,7 +17,6 @@ from arfx.core.pixels import Pixels
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, View
 from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
-from arfx.reproduce.models import write_model
 from arfx.reproduce.work import Work
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.params import WatercolorParams
@@ -149,11 +148,8 @@ class Shown:
 def shown(work: Work) -> Shown:
     """The scene's frame up to the composite, lit by the corrected method: both formulas' classes paint the same picture."""
     width, height = work.scaled((640, 360), (240, 136))
-    file = work.folder / "teapot-cube-rabbit.glb"
-    if not file.exists():
-        write_model("group", file)
     clip = work.clip(SCENE.format(width=width, height=height))
-    shot = work.shot(clip, settings={"model": {"file": str(file), "fit": "26cm"}})
+    shot = work.shot(clip, settings={"model": {"file": work.model("group"), "fit": "26cm"}})
     layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(Watercolor.reads | {Layer.OBJECT_ID}, shot.renderer.window)
     return Shown(layers, shot.renderer.facts, shot.job.scene, shot.renderer.original())
 

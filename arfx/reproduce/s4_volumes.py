@@ -120,12 +120,7 @@ def filtering() -> Iterator[Row]:
         )  # fmt: skip
     left = [float(r[3]) for r in ray(1.0, wall, [[6.0, 3, 1.0]], [-2.0, 8, 8])]
     yield said(
-        "step 2, light through a wall where a cone is 8 voxels wide",
-        "hidden by the wall",
-        left,
-        max(left) < 0.01,
-        leaks,
-        "of 1",
+        "step 2, light through a wall where a cone is 8 voxels wide", "hidden by the wall", left, max(left) < 0.01, leaks, "of 1"
     )
 
 

@@ -80,13 +80,6 @@ class Icosphere:
         w = np.where((near >= 0)[:, None], w / np.where(total > 0, total, 1), 0)
         return np.where(near >= 0, faces[rows, best], -1).reshape(shape), w.reshape(*shape, 3)
 
-    def interpolate(self, values: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(..., *rest) of values (v, *rest) at directions (..., 3); 0 where a direction is zero or not finite."""
-        values = np.asarray(values, float)
-        face, w = self.locate(directions)
-        corners = values[self.faces[np.maximum(face, 0)]]  # (..., 3, *rest)
-        return (w.reshape(*w.shape, *(1,) * (values.ndim - 1)) * corners).sum(face.ndim)
-
 
 @lru_cache(maxsize=8)
 def icosphere(level: int) -> Icosphere:

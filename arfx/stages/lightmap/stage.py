@@ -29,12 +29,7 @@ from arfx.stages.lightmap.coarse import block_surface, blocks_around, colour
 from arfx.stages.lightmap.lookup import coarse_shadow_ratio, shadow_ratio
 from arfx.stages.lightmap.plane import PLANE_LEVELS, SoftPicture, beam_texture, plane_shadow_texture, within_surface
 from arfx.stages.lightmap.region import SHAPED, ShadowRegion, shadow_region
-from arfx.stages.lightmap.self_occlusion import (
-    OCCLUSION_LEVELS,
-    OcclusionGrid,
-    soft_visibility,
-    soft_visibility_by_rays,
-)
+from arfx.stages.lightmap.self_occlusion import OCCLUSION_LEVELS, OcclusionGrid, soft_visibility, soft_visibility_by_rays
 from arfx.stages.lightmap.self_shadow import SELF_LEVELS, depth_map, visibility_by_map, visibility_by_rays
 from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
 from arfx.stages.viewing import direction_grid, seen_rect

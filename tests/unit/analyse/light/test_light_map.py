@@ -67,7 +67,7 @@ def test_constant_light_stays_constant_for_1000_updates() -> None:
         light.add(UP, np.full((1, 3), 0.7), np.full((1, 3), 1e-6))
         printed.add(UP[0], np.full(3, 0.7))
         if i % 100 in (0, 99):
-            here = np.array([light.sphere.interpolate(light.value, UP[0]), printed.M[printed.n[:, 2].argmax()]])
+            here = np.array([light.value[light.sphere.nearest(UP[0])], printed.M[printed.n[:, 2].argmax()]])
             first = here if i == 0 else first
             assert np.abs(here / first - 1).max() < 1e-6
     assert np.abs(light.value[light.variance[:, 0] < UNKNOWN] / 0.7 - 1).max() < 1e-6
@@ -107,7 +107,7 @@ def test_an_observation_does_not_bind_other_normals_beyond_what_it_can_tell() ->
     for _ in range(1000):
         light.add(UP, np.ones((1, 3)), np.full((1, 3), 1e-6))
     off = np.array([[np.sin(np.radians(20)), 0, np.cos(np.radians(20))]])
-    assert 0.1 < float(np.sqrt(light.sphere.interpolate(light.variance, off).max())) < 0.5
+    assert 0.1 < float(np.sqrt(light.variance[light.sphere.nearest(off)].max())) < 0.5
 
 
 @pytest.mark.parametrize("where", ["normal", "value", "variance", "negative variance", "no normal"])
