@@ -89,7 +89,6 @@ kind = "static"
 position_m = {eye}
 target_m = {card}
 [[plane]]
-name = "desk"
 size_m = [3, 3]
 texture = {{ kind = "wood", colour = [0.20, 0.11, 0.06], second = [0.60, 0.42, 0.26], feature_m = "2cm" }}
 [[marker]]
@@ -99,7 +98,6 @@ position_m = {card}
 kind = "keys"
 {keys}
 [[box]]
-name = "card"
 size_m = ["22cm", "22cm", "2mm"]
 position_m = [0, 0, "-2.2mm"]
 attached_to = "36h11:7"

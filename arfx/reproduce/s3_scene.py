@@ -39,30 +39,25 @@ kind = "static"
 position_m = [-0.02, -0.46, 0.27]
 target_m = [0.0, 0.02, 0.05]
 [[plane]]
-name = "desk"
 size_m = [1.6, 1.2]
 position_m = [0, 0.1, "-0.2mm"]
 texture = {{ kind = "wood", colour = [0.20, 0.11, 0.06], second = [0.60, 0.42, 0.26], feature_m = "2cm" }}
 [[plane]]
-name = "wall"
 size_m = [9, 2.6]
 position_m = [0, 1.5, 0.6]
 rotate_deg = [90, 0, 0]
 texture = {{ kind = "poster", feature_m = "12cm" }}
 [[box]]
-name = "book"
 size_m = ["12cm", "17cm", "4cm"]
 position_m = [-0.27, 0.16, 0]
 rotate_deg = [0, 0, 18]
 texture = {{ kind = "noise", colour = [0.35, 0.04, 0.03], second = [0.60, 0.12, 0.06], feature_m = "1cm" }}
 [[box]]
-name = "tin"
 size_m = ["4cm", "4cm", "8cm"]
 position_m = [0.12, -0.20, 0]
 rotate_deg = [0, 0, 25]
 texture = {{ kind = "noise", colour = [0.05, 0.20, 0.30], second = [0.12, 0.42, 0.55], feature_m = "1cm" }}
 [[sphere]]
-name = "orange"
 radius_m = "4cm"
 position_m = [0.24, 0.22, 0.04]
 colour = [0.75, 0.28, 0.03]

@@ -48,23 +48,19 @@ radius_m = "46cm"
 azimuth_deg = [-110, -95]
 elevation_deg = [38, 40]
 [[plane]]
-name = "desk"
 size_m = [1.6, 1.2]
 position_m = [0, 0.1, "-0.2mm"]
 texture = {{ kind = "wood", colour = [0.30, 0.18, 0.10], second = [0.62, 0.46, 0.30], feature_m = "2cm" }}
 [[plane]]
-name = "wall"
 size_m = [9, 2.6]
 position_m = [0, 1.5, 0.6]
 rotate_deg = [90, 0, 0]
 texture = {{ kind = "poster", feature_m = "7cm" }}
 [[plane]]
-name = "floor"
 size_m = [8, 8]
 position_m = [0, 0, -0.75]
 texture = {{ kind = "carpet", colour = [0.10, 0.11, 0.14], second = [0.30, 0.30, 0.33], feature_m = "3cm" }}
 [[box]]
-name = "book"
 size_m = ["12cm", "17cm", "4cm"]
 position_m = [-0.21, 0.12, 0]
 rotate_deg = [0, 0, 18]

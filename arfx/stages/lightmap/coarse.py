@@ -15,7 +15,7 @@ from arfx.core.compiled import line_kernel
 from arfx.core.layers import packed
 from arfx.core.rect import Rect
 from arfx.stages.four import put_four
-from arfx.stages.lightmap.shading import Surface
+from arfx.stages.lightmap.shading import Surface, covered_span
 
 BLOCK_PX = 2
 _AROUND_PX = 2  # a pixel's light may come from the next block
@@ -84,13 +84,9 @@ def _colour(coverage, albedo, emissive, top, left, whole, slope, black, out):  #
     middle, halves = np.zeros(3 * n + 6, np.float32), np.empty((2, 3 * n + 6), np.float32)
     lines, cover = np.empty((2, 6 * n + 8), np.float32), np.empty(3 * columns + 4, np.float32)
     for y in range(rows):
-        first, last = 0, columns - 1
-        while first < columns and not coverage[y, first] > 0:
-            first += 1
-        if first == columns:
+        first, last = covered_span(coverage[y])
+        if last < first:
             continue
-        while not coverage[y, last] > 0:
-            last -= 1
         j, lower = (y + top) // 2, (y + top) % 2
         k = min(max(j + 2 * lower - 1, 0), whole.shape[0] - 1)
         a, b = max((first + left) // 2 - 1, 0), min((last + left) // 2 + 2, n)

@@ -22,6 +22,7 @@ from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.stages.lightmap.caster import Caster
 from arfx.stages.lightmap.plane import SoftPicture
+from arfx.stages.lightmap.shading import covered_span
 from arfx.stages.triangles import Triangles, hemisphere
 
 _DIFFUSE = 2 / 3  # of the shape's rise that is left in the light on a surface
@@ -236,14 +237,10 @@ def _read(coverage, normal, position, grid: _Grid):  # pragma: no cover - compil
     hidden, light = np.empty(columns, np.float32), np.empty(columns, np.float32)
     cell = np.empty(columns, np.int32)
     for y in range(rows):
-        first, last = 0, columns - 1
-        while first < columns and not coverage[y, first] > zero:
-            first += 1
-        if first == columns:
-            continue
-        while not coverage[y, last] > zero:
-            last -= 1
+        first, last = covered_span(coverage[y])
         n = last + 1 - first
+        if n == 0:
+            continue
         normals, positions, line = normal[y, first : last + 1], position[y, first : last + 1], out[y, first : last + 1]
         for i in range(n):
             a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]

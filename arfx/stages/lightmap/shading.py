@@ -57,6 +57,17 @@ def highlight_width(size_deg: np.ndarray) -> np.ndarray:
     return (np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8).astype(np.float32)
 
 
+@line_kernel()
+def covered_span(coverage):  # pragma: no cover - compiled
+    """(first, last) covered pixel of a line, (0, -1) without one. Bare ones between cost less than leaving them out."""
+    first, last = 0, coverage.shape[0] - 1
+    while last >= 0 and not coverage[last] > 0:
+        last -= 1
+    while first < last and not coverage[first] > 0:
+        first += 1
+    return first, last
+
+
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def shade(
     surface: Surface, eye, lights: Lights, soft, constant, bias
@@ -81,15 +92,10 @@ def shade(
     cosine = np.empty(columns, np.float32)
     cosine_bits, mantissa_bits, whole_bits = cosine.view(np.int32), mantissa.view(np.int32), whole.view(np.int32)
     for y in range(rows):
-        # from the first to the last covered pixel: bare ones between cost less than leaving them out
-        first, last = 0, columns - 1
-        while first < columns and not coverage[y, first] > zero:
-            first += 1
-        if first == columns:
-            continue
-        while not coverage[y, last] > zero:
-            last -= 1
+        first, last = covered_span(coverage[y])
         n = last + 1 - first
+        if n == 0:
+            continue
         normals, positions, colours = normal[y, first : last + 1], position[y, first : last + 1], albedo[y, first : last + 1]
         kinds, glow, cover = material[y, first : last + 1], emissive[y, first : last + 1], coverage[y, first : last + 1]
         line = out[y, first : last + 1]
@@ -152,25 +158,14 @@ def shade(
                 power = power + one if upper else power
                 z = (m - one) / (m + one)
                 q = z * z
-                series = z * (
-                    np.float32(2.88539008)
-                    + q * (np.float32(0.96179669) + q * (np.float32(0.57707802) + q * np.float32(0.41219858)))
-                )
+                rest = np.float32(0.57707802) + q * np.float32(0.41219858)
+                series = z * (np.float32(2.88539008) + q * (np.float32(0.96179669) + q * rest))
                 exponent = max(shine[i] * (power + series), np.float32(-126))
                 nearest = np.int32(exponent + np.float32(128.5)) - np.int32(128)
                 f = exponent - np.float32(nearest)
-                lobe[i] = one + f * (
-                    np.float32(0.69314718)
-                    + f
-                    * (
-                        np.float32(0.24022651)
-                        + f
-                        * (
-                            np.float32(0.05550411)
-                            + f * (np.float32(0.00961813) + f * (np.float32(0.00133336) + f * np.float32(0.00015404)))
-                        )
-                    )
-                )
+                rest = np.float32(0.00961813) + f * (np.float32(0.00133336) + f * np.float32(0.00015404))
+                rest = np.float32(0.69314718) + f * (np.float32(0.24022651) + f * (np.float32(0.05550411) + f * rest))
+                lobe[i] = one + f * rest
                 whole_bits[i] = (nearest + np.int32(127)) << np.int32(23)
             for i in range(n):
                 lobe[i] *= whole[i] * (shine[i] + np.float32(8)) * np.float32(0.125) * lit[i]
