@@ -74,6 +74,14 @@ def is_folder(path: Path, kind: str) -> bool:
         raise _unreadable(path, kind, e) from None
 
 
+def folder_entries(folder: Path, kind: str = "folder") -> list[Path]:
+    """What is in a folder, by name, without what is hidden. Raises InputError where it cannot be listed."""
+    try:
+        return sorted(p for p in folder.iterdir() if not p.name.startswith("."))
+    except OSError as e:
+        raise _unreadable(folder, kind, e) from None
+
+
 def read_bytes(path: Path | str, kind: str) -> bytes:
     """The whole file. Raises InputError as `regular` does."""
     path = regular(path, kind)

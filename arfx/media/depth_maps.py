@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from arfx.core.numerics import divide
-from arfx.core.opener import is_folder, read_bytes
+from arfx.core.opener import folder_entries, is_folder, read_bytes
 from arfx.errors import InputError
 from arfx.media.clip import match_by_time, match_in_order
 from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
@@ -100,10 +100,7 @@ def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.
         if path.suffix.lower() not in SUFFIXES:
             raise InputError(f"depth {path} is not a depth map", f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)")
         return DepthMaps(path, (path,), steps_per_m, None)
-    try:
-        found = [p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
-    except OSError as e:
-        raise InputError(f"depth folder {path} cannot be listed: {e.strerror}") from None
+    found = [p for p in folder_entries(path, "depth folder") if p.suffix.lower() in SUFFIXES]
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
     kinds = sorted({p.suffix.lower() for p in found})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from arfx.config.sections import JobConfig
 from arfx.core.cost import load_prices
 from arfx.core.guard import Guard
 from arfx.core.naming import fixed_folder, named
+from arfx.core.opener import folder_entries
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import load_camera
 from arfx.media.codecs import CLIP_SUFFIXES
@@ -97,7 +98,7 @@ def clips_at(text: str) -> list[Path]:
     Raises InputError where a pattern or a folder holds nothing."""
     path = Path(text)
     if path.is_dir():
-        found: Iterable[Path] = path.iterdir()
+        found = folder_entries(path)
     elif glob.has_magic(text) and not os.path.lexists(path):
         found = [Path(p) for p in glob.iglob(text, recursive=True)]  # noqa: PTH207 - a pattern with a root of its own
     else:

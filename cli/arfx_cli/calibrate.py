@@ -12,6 +12,7 @@ import click
 from arfx.core import interrupt
 from arfx.core.guard import Guard
 from arfx.core.naming import fixed_folder, has_field, named
+from arfx.core.opener import folder_entries
 from arfx.errors import ConfigError, InputError, explained
 from arfx_cli.console import (
     FILE,
@@ -163,14 +164,14 @@ def _several(inputs: tuple[Path, ...], pattern: Path, report: Path | None) -> li
 
 
 def _stills(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in STILLS)
+    return [p for p in folder_entries(folder) if p.suffix.lower() in STILLS]
 
 
 def _cameras_in(folder: Path) -> list[Path]:
     from arfx.media.codecs import CLIP_SUFFIXES
 
-    inside = (p for p in folder.iterdir() if not p.name.startswith("."))
-    found = sorted(p for p in inside if (p.is_dir() and _stills(p)) or (p.is_file() and p.suffix.lower() in CLIP_SUFFIXES))
+    inside = folder_entries(folder)
+    found = [p for p in inside if (p.is_dir() and _stills(p)) or (p.is_file() and p.suffix.lower() in CLIP_SUFFIXES)]
     if not found:
         raise InputError(f"folder {folder} holds no pictures, no folders of pictures and no videos", "a folder for each camera")
     return found

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from arfx.core.opener import LIMITS, MIB, ffmpeg_url, parse_json, parse_toml, read_bytes, read_text, regular
+from arfx.core.opener import LIMITS, MIB, ffmpeg_url, folder_entries, parse_json, parse_toml, read_bytes, read_text, regular
 from arfx.errors import InputError
 from arfx.media.cameras import load_camera
 from arfx.media.depth_maps import open_depth
@@ -104,3 +104,16 @@ def test_a_name_that_cannot_be_looked_up_is_one_message(tmp_path: Path, name: st
     for opened in (load_camera, open_depth):
         with pytest.raises(InputError, match=r"camera file|depth"):
             opened(tmp_path / name)
+
+
+def test_a_folder_is_listed_without_what_is_hidden_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("b.png", "a.png", "._a.png"):
+        (tmp_path / name).touch()
+    assert [p.name for p in folder_entries(tmp_path)] == ["a.png", "b.png"]
+
+    def refused(path: Path) -> list[Path]:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", refused)
+    with pytest.raises(InputError, match=r"folder .* cannot be read: Permission denied"):
+        folder_entries(tmp_path)
