@@ -63,8 +63,8 @@ class FrameLight:
 def frame_light(light: Light, world_from_anchor: Pose, hard: bool, plane_blocks: bool) -> FrameLight:
     """hard : lights without size;  plane_blocks : what is behind the plane does not light the object.
 
-    Lights without a direction or without finite colour are left out; negative colour counts as none, and a size that is not finite
-    as the smallest."""
+    Lights without a direction or without finite colour are left out; negative colour counts as none, a size that is not finite as
+    the smallest."""
     lights = [(li.unit, np.clip(np.asarray(li.rgb, float), 0, None), li.angular_size_deg) for li in light.lights]
     lights = [(d, rgb, size) for d, rgb, size in lights if d.any() and np.isfinite(rgb).all() and rgb.any()]
     t, c = (np.array([li[i] for li in lights], float).reshape(-1, 3) for i in (0, 1))
