@@ -132,8 +132,8 @@ def prepare_one(stage: str, level: str, size: JobSize, prices: Prices) -> Predic
     return own or (with_spread(max(others), 1.0) if others else None)
 
 
-def stages_of(plans: Sequence[FramePlan]) -> Prediction | None:
-    """Work of all steps of a plan; None where one is not known."""
+def time_of_stages(plans: Sequence[FramePlan]) -> Prediction | None:
+    """Of all steps of the plans; None where one is not known."""
     by_stage: dict[str, list[Prediction]] = {}
     for step in (s for plan in plans for s in plan.steps):
         if step.seconds is None or step.between is None:
@@ -196,7 +196,7 @@ def choose(
         notice("the budget rests on shipped prices, wide intervals: `arfx bench --calibrate` measures this machine's")
     by = "budget" if policy.budget_s is not None else "error" if policy.max_error is not None else "quality"
     return plan.plans, {
-        "predicted": predict(plan.plans, stages_of(plan.plans), by_now(), prices).to_json(prices),
+        "predicted": predict(plan.plans, time_of_stages(plan.plans), by_now(), prices).to_json(prices),
         "levels": {
             "by": by, "budget_s": policy.budget_s, "max_error": policy.max_error, "met": plan.choice.met, "why": plan.choice.why,
             "error": None if by == "quality" else plan.choice.error,

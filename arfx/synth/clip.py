@@ -129,7 +129,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
     room_from_camera = camera_from_room.inverse()
     room_from_marker: dict[str, Pose] = {}
     markers: dict[str, MarkerTruth] = {}
-    for placed, pose in zip(scene.placed, moment.room_from_object, strict=True):
+    for placed, pose in zip(scene.objects, moment.room_from_object, strict=True):
         if not isinstance(placed, Marker) or placed.spec.key in markers:  # of two prints of one marker the first
             continue
         camera_from_marker = camera_from_room @ pose
@@ -190,6 +190,6 @@ def _header(scene: SceneFile, world: World, stated: Camera) -> dict:
         "arfx_truth": 1, "description": scene.description, "world": configured[0].spec.key if configured else None,
         "markers": {m.spec.key: m.spec.size_m for m in configured}, "camera": world.camera.to_json(),
         "stated_camera": stated.to_json(), "depth_unit_m": DEPTH_UNIT_M, "flow_unit_px": FLOW_UNIT_PX,
-        "objects": {i: p.name or getattr(getattr(p, "spec", None), "key", "") for i, p in enumerate(scene.placed, 1)},
+        "objects": {i: p.name or getattr(getattr(p, "spec", None), "key", "") for i, p in enumerate(scene.objects, 1)},
         "hidden": scene.hidden.model_dump(),
     }  # fmt: skip

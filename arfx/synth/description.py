@@ -277,14 +277,14 @@ class SceneFile(Part):
         for lamp in self.light.lamps:
             if list(lamp.brightness) != sorted(lamp.brightness, key=lambda k: k[0]):
                 raise ValueError("light.lamps: brightness must be in the order of time")
-        names = {p.name for p in self.placed if p.name} | {m.spec.key for m in self.marker}
-        for p in self.placed:
+        names = {p.name for p in self.objects if p.name} | {m.spec.key for m in self.marker}
+        for p in self.objects:
             if p.attached_to and p.attached_to not in names:
                 raise ValueError(f"attached_to = {p.attached_to!r} names nothing; there is {', '.join(sorted(names))}")
         return self
 
     @property
-    def placed(self) -> tuple[SceneObject, ...]:
+    def objects(self) -> tuple[SceneObject, ...]:
         """Every object, in the order of its number in the masks (1, 2, …)."""
         return (*self.plane, *self.box, *self.sphere, *self.marker)
 

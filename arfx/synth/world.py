@@ -37,9 +37,9 @@ class World:
         self.camera = true_camera(scene)
         self.frame_times_s = _frame_times(scene)
         self.shots = np.repeat(np.arange(len(scene.shot)), [s.frames for s in scene.shot])
-        self._names = [p.name or (p.spec.key if isinstance(p, Marker) else f"object {i}") for i, p in enumerate(scene.placed)]
+        self._names = [p.name or (p.spec.key if isinstance(p, Marker) else f"object {i}") for i, p in enumerate(scene.objects)]
         self._pictures: list[tuple[np.ndarray, float]] = []
-        self._faces = [self._make(i, folder) for i in range(len(scene.placed))]
+        self._faces = [self._make(i, folder) for i in range(len(scene.objects))]
         self.textures, self.table = _summed_areas(self._pictures)
         self.ambient = np.asarray(scene.light.ambient_rgb, float)
         self.sky = np.zeros((0, 0, 3))
@@ -72,7 +72,7 @@ class World:
 
     def _make(self, i: int, folder: Path | None) -> list[np.ndarray]:
         """Rows of one object in its own axes."""
-        p, number, seed = self.scene.placed[i], i + 1, self.scene.seed * 1000 + i
+        p, number, seed = self.scene.objects[i], i + 1, self.scene.seed * 1000 + i
         if isinstance(p, Sphere):
             return [np.array([0, 0, 0, p.radius_m, *p.colour, number], float)]
         if isinstance(p, Plane):
@@ -95,17 +95,18 @@ class World:
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
         """room_from_object of every object."""
-        placed = self.scene.placed
-        own = [room_from_object(p, time_s, self.duration_s, self.scene.seed, n) for p, n in zip(placed, self._names, strict=True)]
+        objects = self.scene.objects
+        pairs = list(zip(objects, self._names, strict=True))
+        own = [room_from_object(p, time_s, self.duration_s, self.scene.seed, n) for p, n in pairs]
         by_name = {}
-        for p, n, pose in zip(placed, self._names, own, strict=True):
+        for (p, n), pose in zip(pairs, own, strict=True):
             by_name[n] = by_name[p.spec.key if isinstance(p, Marker) else n] = pose
-        return tuple(by_name[p.attached_to] @ pose if p.attached_to else pose for p, pose in zip(placed, own, strict=True))
+        return tuple(by_name[p.attached_to] @ pose if p.attached_to else pose for p, pose in zip(objects, own, strict=True))
 
     def at(self, time_s: float) -> SceneState:
         poses = self.poses(time_s)
         rects, spheres = [], []
-        for p, faces, pose in zip(self.scene.placed, self._faces, poses, strict=True):
+        for p, faces, pose in zip(self.scene.objects, self._faces, poses, strict=True):
             for row in faces:
                 new = row.copy()
                 new[:3] = pose.apply(row[:3])

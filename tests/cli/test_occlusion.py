@@ -33,7 +33,7 @@ def pictures(path: Path) -> list[np.ndarray]:
 
 def tin(made: Path, frame: int, grown_px: int) -> np.ndarray:
     """(h, w) bool, of the exact mask, larger or smaller by that."""
-    number = [p.name for p in load_scene(SCENE).placed].index("tin") + 1
+    number = [p.name for p in load_scene(SCENE).objects].index("tin") + 1
     mask = (cv2.imread(str(made / "truth" / "mask" / f"{frame:06d}.png"), cv2.IMREAD_UNCHANGED) == number).astype(np.uint8)
     box = np.ones((2 * abs(grown_px) + 1,) * 2, np.uint8)
     return (cv2.dilate(mask, box) if grown_px > 0 else cv2.erode(mask, box)) > 0

@@ -14,7 +14,7 @@ from arfx.core.rect import Rect
 from arfx.plan.clip import ClipPlan, LevelPolicy
 from arfx.plan.errors import Errors
 from arfx.plan.levels import LevelChoice
-from arfx.run.predict import JobPrediction, JobSize, choose, predict, stages_of
+from arfx.run.predict import JobPrediction, JobSize, choose, predict, time_of_stages
 
 R = Rect(0, 0, 10, 10)
 PRICES = Prices(
@@ -34,7 +34,7 @@ def plans(busy: range, stage: str = "dof", level: str = "draft", seconds: float 
 
 def of(frames: list[FramePlan], size: JobSize = SIZE, prices: Prices = PRICES) -> JobPrediction:
     prices = replace(prices, prices={**prices.prices, "prepare dof/draft": Price({"frames": 0.0}, 0.1)})
-    return predict(frames, stages_of(frames), size, prices)
+    return predict(frames, time_of_stages(frames), size, prices)
 
 
 def test_work_that_lies_in_one_chunk_takes_as_long_as_alone() -> None:
@@ -52,7 +52,7 @@ def test_the_second_thread_decodes_what_lies_before_its_stretch() -> None:
 
 def test_the_report_prepares_a_stage_again_whose_health_is_checked() -> None:
     frames = plans(range(120), "gi")
-    found = predict(frames, stages_of(frames), replace(SIZE, checked=frozenset({"gi", "dof"})), PRICES)
+    found = predict(frames, time_of_stages(frames), replace(SIZE, checked=frozenset({"gi", "dof"})), PRICES)
     assert found.phases["report"].seconds == pytest.approx(0.5) and of(plans(range(9))).phases["report"].seconds == 0
     told = found.to_json(PRICES)
     assert told["wall"]["low_s"] < told["wall"]["s"] < told["wall"]["high_s"] and told["phases"]["report"]["s"] > 0
