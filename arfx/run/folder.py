@@ -132,7 +132,7 @@ class JobFolder:
         """Files that were put in place, or were about to be, by a job that was killed before it had ended."""
         try:
             return frozenset((int(a), int(b), int(c)) for a, b, c in json.loads(self.placed.read_bytes()))
-        except (OSError, ValueError, TypeError, RecursionError):
+        except (OSError, ValueError, TypeError, OverflowError, RecursionError):
             return frozenset()
 
     _seal = property(lambda self: self.path / "seal.json")

@@ -17,6 +17,10 @@ from tests.fuzz.kills import long_job
 PIECES = (
     "job.toml",
     "inputs.json",
+    "stretches.json",
+    "stretches",
+    "seal.json",
+    "placed.json",
     "frames.json",
     "facts.jsonl",
     "environment.maps",

@@ -214,6 +214,15 @@ def test_a_pipe_in_place_of_the_job_file_is_not_waited_for(tmp_path: Path) -> No
         job.check_foreign_files()
 
 
+def test_a_damaged_list_of_what_was_put_in_place_counts_as_none(tmp_path: Path) -> None:
+    job = JobFolder(tmp_path)
+    for text in ("", "[[1, 2, Infinity]]", "[[1, 2]]", "3", '[["a", 2, 3]]'):
+        job.placed.write_text(text)
+        assert job.outputs() == frozenset()
+    job.placed.write_text("[[1, 2, 3]]")
+    assert job.outputs() == {(1, 2, 3)}
+
+
 def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
     job = JobFolder(tmp_path / "job")
     images = f"chunks/12-34-000030-000059.{KEY}.part/000031.png", f"chunks/000000-000029.{KEY}.{KEY}/times.txt"
