@@ -89,14 +89,12 @@ def harmonics(n: np.ndarray) -> np.ndarray:
     """(..., 9) real spherical harmonics up to degree 2 of unit vectors (..., 3), orthonormal on the sphere.
     Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3)."""
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
-    return np.stack(
-        [
-            np.full(x.shape, 0.28209479177387814), 0.4886025119029199 * y, 0.4886025119029199 * z, 0.4886025119029199 * x,
-            1.0925484305920792 * x * y, 1.0925484305920792 * y * z, 0.31539156525252005 * (3 * z * z - 1),
-            1.0925484305920792 * x * z, 0.5462742152960396 * (x * x - y * y),
-        ],
-        -1,
+    terms = (
+        np.full(x.shape, 0.28209479177387814), 0.4886025119029199 * y, 0.4886025119029199 * z, 0.4886025119029199 * x,
+        1.0925484305920792 * x * y, 1.0925484305920792 * y * z, 0.31539156525252005 * (3 * z * z - 1),
+        1.0925484305920792 * x * z, 0.5462742152960396 * (x * x - y * y),
     )  # fmt: skip
+    return np.stack(terms, -1)
 
 
 def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -111,14 +111,8 @@ def environment() -> Iterator[Row]:
         "alpha is always 1; floating point holds what is brighter than white",
     )  # fmt: skip
     flat = [float(np.ptp(f(np.full((90, 120, 3), 0.4), SIDE))) for f in (step3_environment, fold)]
-    yield said(
-        "step 3, environment of a constant picture",
-        "constant, as follows",
-        flat,
-        max(flat) < 1e-6,
-        "it is not",
-        "largest difference",
-    )
+    item = "step 3, environment of a constant picture"
+    yield said(item, "constant, as follows", flat, max(flat) < 1e-6, "it is not", "largest difference")
     y, x = np.mgrid[0:180, 0:240] / 40
     smooth = np.stack([np.sin(x + y) / 3 + 0.5, np.cos(y) / 3 + 0.5, np.sin(x) / 3 + 0.5], -1)
     seam = [float(seam_ratio(f(smooth, SIDE))) for f in (step3_environment, fold)]
@@ -127,13 +121,8 @@ def environment() -> Iterator[Row]:
         "sides that were cut out of the picture do not meet the mirrored back; the corrected fold is continuous",
         "steps across edges of the cube / within faces",
     )  # fmt: skip
-    yield said(
-        f"step 3, levels of the mip chain of {FACE_PX}² texels a face",
-        "several",
-        (float(len(mipmap)), None),
-        len(mipmap) == 8,
-        "some are missing",
-    )
+    item = f"step 3, levels of the mip chain of {FACE_PX}² texels a face"
+    yield said(item, "several", (float(len(mipmap)), None), len(mipmap) == 8, "some are missing")
     for half_deg in (1, 5, 15, 30):
         level = mip_level(half_deg, FACE_PX)
         texel, cone = 4**level * 4 * np.pi / (6 * FACE_PX**2), 2 * np.pi * (1 - np.cos(np.radians(half_deg)))

@@ -28,10 +28,9 @@ def parse_size(text: str) -> tuple[int, int]:
     "--size", "sizes", metavar="WxH", multiple=True, default=["1280x720"], show_default=True, help="Picture size, repeatable."
 )
 @click.option(
-    "--calibrate",
-    is_flag=True,
+    "--calibrate", is_flag=True,
     help="Measure this machine's price list, or a --stage's prices in it, which `plan` and --budget use; under a minute.",
-)
+)  # fmt: skip
 @click.option("--tradeoff", type=click.Path(path_type=Path), metavar="FILE", help="A clip's errors, by `arfx tradeoff`.")
 @message_options
 def command(

@@ -101,7 +101,7 @@ class LightFit:
         shown = self.ambient_rgb[group].sum() + sum(li.rgb[group].sum() for li in self.lights)
         return bool(light.rgb[group].sum() > LEAST_LIGHT * shown)
 
-    def light(self, group: int = 0, source: str = "marker") -> Light:
+    def light(self, group: int = 0) -> Light:
         """As the light that every effect shares: known directions are lights, all else is soft (degree 2 harmonics)."""
         on = [li for li in self.lights if self._is_on(li, group)]
         hard = [li for li in on if li.confidence_deg < NO_CONE_DEG]
@@ -112,16 +112,10 @@ class LightFit:
             fraction = np.repeat((_DOME if li.dome else _COSINE), (1, 3, 5))
             soft += (fraction * harmonics(li.direction))[:, None] * li.rgb[group]
             ambient = ambient + li.rgb[group] * (1 / 3 if li.dome else 1 / 4)
-        return Light(
-            triple(ambient),
-            tuple(
-                DirectionalLight(
-                    triple(li.direction), triple(li.rgb[group]), li.angular_size_deg, li.confidence_deg
-                )
-                for li in hard
-            ),
-            source, tuple(triple(row) for row in soft) if rest else (),
-        )  # fmt: skip
+        lamps = (
+            DirectionalLight(triple(li.direction), triple(li.rgb[group]), li.angular_size_deg, li.confidence_deg) for li in hard
+        )
+        return Light(triple(ambient), tuple(lamps), "marker", tuple(triple(row) for row in soft) if rest else ())
 
 
 def best_verdict(fits: Iterable[LightFit]) -> str:

@@ -238,28 +238,22 @@ def with_light(
         if light is None:
             lights, report = part.from_markers(analysis.static != "both", samples)
         else:
-            lights, report = part.from_given(
-                light.turned(static_from_world[shots[0]] @ analysis.world_from_anchor.rotation), stated, why
-            )
+            static_from_anchor = static_from_world[shots[0]] @ analysis.world_from_anchor.rotation
+            lights, report = part.from_given(light.turned(static_from_anchor), stated, why)
         out |= lights
-        ends = facts[shots[0]].time_s, facts[shots[-1]].time_s
+        ends = {"start_s": facts[shots[0]].time_s, "end_s": facts[shots[-1]].time_s}
         reports.append((len(shots), report))
-        spans += report.pop("spans", None) or [
-            dict(zip(("start_s", "end_s"), ends, strict=True)) | {k: report[k] for k in _OF_SPAN}
-        ]
+        spans += report.pop("spans", None) or [ends | {k: report[k] for k in _OF_SPAN}]
         if report["verdict"] in (MEASURED, LIKELY):
             known |= {k for k, one in lights.items() if one.lights}
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
-    shaded = {
-        frame: found
-        for frame, key, cells in patch_readings
-        if frame in known
-        and key == anchor.key
-        and (
-            found := patches.real_shadow(patches.quadrant_radiance(cells.mean, cells.count, bias, cells.albedo), anchor.corners_m)
-        )
-    }
+    shaded = {}
+    for frame, key, cells in patch_readings:
+        if frame in known and key == anchor.key:
+            radiance = patches.quadrant_radiance(cells.mean, cells.count, bias, cells.albedo)
+            if found := patches.real_shadow(radiance, anchor.corners_m):
+                shaded[frame] = found
     lit = (
         f if k not in out else f.with_(
             light=out[k].turned(static_from_world[k].T) if turns else out[k], bias_rgb=triple(bias), plane_shadow=shaded.get(k)

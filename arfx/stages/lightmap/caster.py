@@ -106,13 +106,8 @@ def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
 
     ab, ac = meet(a, b), meet(a, c)
     one = count == 1
-    triangles = np.concatenate(
-        [
-            np.stack([a[one], ab[one], ac[one]], 1),
-            np.stack([ab[~one], b[~one], c[~one]], 1),
-            np.stack([ab[~one], c[~one], ac[~one]], 1),
-        ]
-    )
+    parts = (a[one], ab[one], ac[one]), (ab[~one], b[~one], c[~one]), (ab[~one], c[~one], ac[~one])
+    triangles = np.concatenate([np.stack(corners, 1) for corners in parts])
     n = len(vertices)
     new = np.arange(n, n + 3 * len(triangles)).reshape(-1, 3)
     every = np.concatenate([vertices, triangles.reshape(-1, 3)])
