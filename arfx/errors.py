@@ -63,6 +63,11 @@ def explained(e: BaseException) -> tuple[int, str]:
     return 5, f"arfx failed: {type(e).__name__}: {e}\nhelp: ARFX_DEBUG=1 shows where; please report it"
 
 
+def on_one_line(message: str) -> str:
+    """A message and its help, for a list of several."""
+    return " ".join(filter(None, map(str.strip, message.replace("\nhelp: ", "; ").splitlines())))
+
+
 def require_within(section: str, settings: object, **limits: tuple[float, float]) -> None:
     """Raises ConfigError for a setting outside its limits, which are (lowest, highest) by name."""
     for name, (low, high) in limits.items():

@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from arfx.core.marker import Marker, MarkerSpec, PatternSpec
 from arfx.core.units import length_m, time_s
-from arfx.errors import ConfigError
+from arfx.errors import ConfigError, on_one_line
 
 
 def _parsed_by(parse: Any) -> BeforeValidator:
@@ -23,7 +23,7 @@ def _parsed_by(parse: Any) -> BeforeValidator:
         try:
             return None if value is None else parse(f"{value}")
         except ConfigError as e:
-            raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
+            raise ValueError(on_one_line(str(e))) from None
 
     return BeforeValidator(read)
 

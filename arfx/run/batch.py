@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from arfx.core import interrupt
-from arfx.errors import ConfigError, JobInterruptedError, explained
+from arfx.errors import ConfigError, JobInterruptedError, explained, on_one_line
 from arfx.run.aside import plan_document, planned_aside
 from arfx.run.batch_jobs import BatchJob, names_of
 from arfx.run.folder import JobFolder
@@ -72,7 +72,7 @@ def _each(jobs: Sequence[BatchJob], work: Callable[[BatchJob], Row], started: St
             except (KeyboardInterrupt, Exception) as e:
                 stopped = interrupt.pending() or isinstance(e, (KeyboardInterrupt, JobInterruptedError))
                 code, message = (interrupt.exit_code() or 130, interrupt.cause()) if stopped else explained(e)
-                row |= {"exit_code": code, "message": " ".join(message.replace("\nhelp: ", "; ").split())}
+                row |= {"exit_code": code, "message": on_one_line(message)}
                 if os.environ.get("ARFX_DEBUG") == "1" and not stopped:
                     traceback.print_exc()
             row["seconds"] = row["seconds"] or time.perf_counter() - began

@@ -16,7 +16,7 @@ from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.units import length_m
-from arfx.errors import ArfxError, ConfigError
+from arfx.errors import ArfxError, ConfigError, on_one_line
 
 
 def _read(parse: Callable[[str], Any]) -> BeforeValidator:
@@ -26,7 +26,7 @@ def _read(parse: Callable[[str], Any]) -> BeforeValidator:
         try:
             return parse(value) if isinstance(value, str) else value
         except ArfxError as e:
-            raise ValueError(str(e).replace("\nhelp: ", "; ")) from None
+            raise ValueError(on_one_line(str(e))) from None
 
     return BeforeValidator(read)
 

@@ -13,7 +13,7 @@ from arfx.core import interrupt
 from arfx.core.guard import Guard
 from arfx.core.naming import fixed_folder, has_field, named
 from arfx.core.opener import folder_entries
-from arfx.errors import ConfigError, InputError, explained
+from arfx.errors import ConfigError, InputError, explained, on_one_line
 from arfx_cli.console import (
     FILE,
     FOLDER,
@@ -104,7 +104,7 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
             if interrupt.pending():
                 raise
             code, message = explained(e)
-            row |= {"exit_code": code, "message": " ".join(message.replace("\nhelp: ", "; ").split())}
+            row |= {"exit_code": code, "message": on_one_line(message)}
             click.echo(f"{k + 1} of {len(cameras)} {camera.named}: error: {row['message']}", err=True)
         rows.append(row)
     failed = sum(row["exit_code"] != 0 for row in rows)
