@@ -380,7 +380,8 @@ def test_workers_are_started_by_slurm(
     (tmp_path / "slurm.toml").write_text('cores = 1\nmemory = "4GB"\ninterface = "lo"\nwalltime = "00:10:00"\n')
     result = arfx(*material.arguments("-o", "out.mkv", "--codec", "ffv1", "--executor", "slurm:slurm.toml", "--json"))
     assert result.code == 0, result.err + (tmp_path / "log").read_text()
-    (worker,) = result.json["workers"]
+    us, worker = result.json["workers"]
+    assert us["stretches"] == 1 and not us["chunks"], "a clip of one stretch is analysed here"
     assert worker["frames"] == FRAMES and worker["chunks"] == 3 and worker["name"].startswith("SLURMCluster-0")
     assert "cancel 42" in (tmp_path / "calls").read_text()
     ended([int(pid) for pid in (tmp_path / "pids").read_text().split()])
