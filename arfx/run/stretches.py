@@ -34,7 +34,7 @@ from arfx.run.folder import JobFolder, write
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import fold_classes, required_folds
 from arfx.run.source import stretch_at
-from arfx.run.worker import Paths, frozen_job, who
+from arfx.run.worker import Paths, frozen_job, keep_memory, who
 
 LEAST_FRAMES = 120  # of a stretch: shorter ones would cost more than they save
 _ROUNDING_S = 1e-9
@@ -198,6 +198,7 @@ def analyse_stretch(
     target : its path;  alone : no other one is analysed meanwhile, so that decoding gets threads of its own
     Returns the file's name, seconds, who analysed it, and the most memory that this process held. Raises RenderError for a full
     disk, FrameTimesError where the clip cannot be cut."""
+    keep_memory()
     context = open_context(folder, key, paths)
     stretch = next(s for s in context.stretches.parts if (s.first, s.last) == (first, last))
     found, seconds = made(context, stretch, tick, alone)
