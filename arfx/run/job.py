@@ -201,8 +201,9 @@ def _analyse(
         options.progress, fold_classes(config), inputs.prints,
     )  # fmt: skip
     span = (config.input.start, config.input.end)
-    parallel = _in_parallel(inputs.camera.rect.area, options)
-    run = parallel if cluster is None else cluster.analysing(inputs, folder, analysis_key)
+    run = _in_parallel(inputs.camera.rect.area, options)
+    if cluster is not None:
+        run = cluster.analysing(inputs, folder, analysis_key, run)
     done = analyse_clip(inputs.info, job, required_folds(config), span, options.progress, folder, analysis_key, log, run)
     clip = done.analysis
     check_times(inputs.output, done.pts, inputs.info.time_base)

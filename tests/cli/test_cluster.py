@@ -293,7 +293,7 @@ def test_stretches_go_through_a_store_with_all_that_they_need(
 def test_workers_with_another_processor_analyse_nothing(
     running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Libraries choose their code by it: facts might differ in their last digits. This process does it then."""
+    """Libraries choose their code by it: facts might differ in their last digits. This machine does it then."""
     monkeypatch.setattr("arfx.run.cluster.agreement.processor_name", lambda: "another")
     told = list[str]()
     with (
@@ -301,7 +301,7 @@ def test_workers_with_another_processor_analyse_nothing(
         analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows),
     ):
         assert facts == found[1] and {row["pid"] for row in rows} == {os.getpid()}
-    assert len(told) == 1 and "analyses the clip alone" in told[0] and "here another" in told[0]
+    assert len(told) == 1 and "this machine analyses the clip alone" in told[0] and "here another" in told[0]
 
 
 def test_a_lost_scheduler_ends_in_one_message(planned: Job, serial: dict[int, str], capfd: pytest.CaptureFixture[str]) -> None:

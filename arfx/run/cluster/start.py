@@ -62,32 +62,38 @@ class Cluster:
             crew = self._crew(job.inputs, reference, self._notice)
             yield from self._by_workers(tasks, progress, crew, reference, chunk_suffix(job.inputs.output), store)
 
-    def analysing(self, inputs: Inputs, folder: JobFolder, key: str) -> Run:
-        """Has the stretches of a job analysed. This process does that itself while no worker may, one after the other.
+    def analysing(self, inputs: Inputs, folder: JobFolder, key: str, here: Run) -> Run:
+        """Has the stretches of a job analysed. This process does that itself while no worker is there, one after the other.
 
         Those with another processor may not: with one that libraries choose other code for, facts differ in their last digits.
-        key : of the analysis"""
+        key : of the analysis;  here : how this machine does it where all are refused"""
 
         def run(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
             if count <= 1:
-                yield from in_order(tasks, count, frames, progress)
+                yield from here(tasks, count, frames, progress)
                 return
             waiting, done = deque(tasks), 0
             with self._placed(inputs, folder, key, STRETCH) as (reference, store):
                 crew = self._crew(inputs, reference, lambda _: None)  # what is wrong with a worker is told when it is to render
 
                 def ours() -> Iterator[Task]:
-                    while waiting and not crew.anyone(lambda: progress(done)):
+                    while waiting and not (crew.anyone(lambda: progress(done)) or crew.refusal()):
                         yield waiting.popleft()
 
                 with contextlib.closing(in_order(ours(), count, frames, progress)) as results:
                     for result in results:
                         done += result["last"] - result["first"] + 1
                         yield result
-                if waiting:
-                    yield from self._by_workers([*waiting], lambda n: progress(done + n), crew, reference, None, store)
-                elif why := crew.refusal():
-                    self._notice(f"this process analyses the clip alone: {why}")
+
+                def more(n: int) -> None:
+                    progress(done + n)
+
+                if waiting and (why := crew.refusal()):
+                    self._notice(f"this machine analyses the clip alone: {why}")
+                    with contextlib.closing(here(iter(waiting), len(waiting), frames, more)) as results:
+                        yield from results
+                elif waiting:
+                    yield from self._by_workers([*waiting], more, crew, reference, None, store)
 
         return run
 
