@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import sys
+import time
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +25,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 gc.disable()  # until all tests are collected: what importing makes stays, and was looked over for a quarter of that time
+
+COMPILED = pytest.StashKey[tuple[int, float]]()  # how many kernels, in how many seconds
 
 STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|processes)|(Prefetch|WriteBehind|BackgroundTask)\(
     |raise_signal|os\.kill"""
@@ -81,8 +84,10 @@ def pytest_configure(config: pytest.Config) -> None:
         from arfx.run.kernels import compile_ahead
         from arfx_cli.console import Progress
 
+        start = time.perf_counter()
         with Progress() as progress:
-            compile_ahead(None, progress)
+            count = compile_ahead(None, progress)
+        config.stash[COMPILED] = count, time.perf_counter() - start
 
 
 def pytest_collection_finish() -> None:
@@ -112,7 +117,12 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """What ran by OpenGL, or why nothing did: nobody has to look for it among the skips."""
+    """How long compiling took; what ran by OpenGL, or why nothing did: nobody has to look for it among the skips."""
+    count, seconds = terminalreporter.config.stash.get(COMPILED, (0, 0.0))
+    if count:
+        terminalreporter.write_line(
+            f"compiled {count} kernels before the tests, which is done once: {seconds:.0f} s, not counted below"
+        )
     stats = terminalreporter.stats
     told = {v for group in ("passed", "failed") for r in stats.get(group, ()) for k, v in r.user_properties if k == "OpenGL"}
     reasons = {r.longrepr[2].removeprefix("Skipped: ") for r in stats.get("skipped", ()) if isinstance(r.longrepr, tuple)}

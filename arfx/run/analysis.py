@@ -19,6 +19,7 @@ from arfx.run.folder import JobFolder, digest, write
 from arfx.run.source import release
 from arfx.run.stretches import Context, Span, Stretch, Stretches, analyse_stretch, cut, keep, made, whole
 from arfx.run.times import STRETCH, WorkLog
+from arfx.run.worker import who
 
 Progress = Callable[[str, int, int | None], None]
 # (tasks, how many there are at most, frames of the clip, progress, a worker can begin anywhere)
@@ -29,7 +30,8 @@ Run = Callable[[Iterator[Task], int, int, Callable[[int], None]], Results]
 class AnalysisPass:
     """pts : presentation times of the frames to render, in the clip's time base;  keys : which of them decoding can begin at
     truncated : a message where the file ends in damage
-    seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)"""
+    seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)
+    stretches : keys of their rows there"""
 
     analysis: Analysis
     pts: list[int]
@@ -37,6 +39,7 @@ class AnalysisPass:
     truncated: str | None
     seconds: Mapping[str, float]
     walls: Mapping[str, float]
+    stretches: list[str]
 
 
 def in_order(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
@@ -75,7 +78,7 @@ class _Pass:
         self.analyser = Analyser(job, wanted)
         self.pts, self.keys = list[int](), list[int]()
         self.before, self.ended, self.truncated = stretches.before, False, None
-        self.seconds, self.walls = dict[str, float](), dict[str, float]()
+        self.seconds, self.walls, self.names = dict[str, float](), dict[str, float](), list[str]()
         self._progress, self._shown = progress, 0
         self._next, self._lost = 0, None  # the stretch that is joined next, and what the one before gives it
         self._ready = {part.first for part in stretches.parts if self._path(part).exists()}
@@ -98,7 +101,8 @@ class _Pass:
             self._join_ready()
             results = run(tasks(), len(waiting), frames, lambda n: self._tell(made_before + n))
             for result in stack.enter_context(contextlib.closing(results)):
-                self._note(result["file"], result)
+                if "seconds" in result:  # not of one that was there already, though nobody had heard of it
+                    self._note(result["file"], result)
                 self._ready.add(result["first"])
                 self._join_ready()
         start = time.perf_counter()
@@ -109,7 +113,7 @@ class _Pass:
         analysis = self.analyser.finish(Analysis(frame_span=(times, self.before, self.ended and not truncated)))
         self._spent({"analyse": time.perf_counter() - start})
         self._progress("analyse", len(self.pts), len(self.pts))
-        return AnalysisPass(analysis, self.pts, self.keys, truncated, self.seconds, self.walls)
+        return AnalysisPass(analysis, self.pts, self.keys, truncated, self.seconds, self.walls, self.names)
 
     def _join_ready(self) -> None:
         """As far as the stretches are there. One that goes on with what would be lost is made here, with the next ones of its
@@ -129,6 +133,7 @@ class _Pass:
             self.before += found["before"]
             self.ended, self.truncated, self._lost = found["ended"], found["truncated"], found["lost"]
             self._next += 1
+            self.names.append(name)
             if row := self._rows.get(name):
                 self._spent(row["seconds"])
                 for process, wall_s in row["walls"].items():
@@ -153,7 +158,7 @@ class _Pass:
         start = time.perf_counter()
         found, seconds = made(self.context, part, self._tick, True, lost, changes)
         write(path, codec.dumps(found))
-        self._note(path.name, {"first": part.first, "last": part.last, "seconds": seconds})
+        self._note(path.name, {"first": part.first, "last": part.last, "seconds": seconds, **who()})
         return found, path.name, time.perf_counter() - start
 
     def _path(self, part: Stretch, *more: str) -> Path:

@@ -65,9 +65,10 @@ class JobFolder:
         """All that arfx wrote into it."""
         return (self.path / name for name, ours in self._entries() if ours)
 
-    def worker_files(self) -> Iterator[Path]:
-        """What workers read of it, and what says that it is whole."""
-        return (self.path / name for name in (*_SEALED, self.job.name, self.inputs.name, self._seal.name))
+    def worker_files(self, analysed: bool) -> Iterator[Path]:
+        """What workers read of it, and what says that it is whole. analysed : to render, else to analyse"""
+        yield from (self.job, self.inputs)
+        yield from (*(self.path / name for name in _SEALED), self._seal) if analysed else (self.stretch_list,)
 
     def check_foreign_files(self) -> None:
         """Raises ConfigError where the folder holds anything that arfx did not write."""

@@ -97,7 +97,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
             report(phase, done, total)
 
         options = replace(options, progress=progress, workers=options.workers if cluster is None else cluster.workers)
-        job = plan_job(inputs, folder, options, started)
+        job = plan_job(inputs, folder, options, started, cluster)
         chunks = _chunks(job)
         files = _render(job, chunks, options, cluster)
         start = time.perf_counter()
@@ -127,7 +127,9 @@ def worker_count(pixels: int, stated: int | None = None) -> tuple[int, bool]:
     return (cores if pixels > SHORT_JOB_PX else 1), False
 
 
-def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None) -> Job:
+def plan_job(
+    inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None, cluster: Cluster | None = None
+) -> Job:
     """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
     names = pipeline(config)
@@ -144,7 +146,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     if fresh:
         folder.unseal()
         with loading(parts, options.workers in (None, 1)):
-            _analyse(inputs, folder, analysis_key, options, log)
+            _analyse(inputs, folder, analysis_key, options, log, cluster)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
     scene = analysed.scene(config, inputs.camera, inputs.model, folder)
     start = time.perf_counter()
@@ -186,7 +188,9 @@ def _size(inputs: Inputs, analysed: ClipAnalysis, stages: Mapping[str, Stage], s
     )  # fmt: skip
 
 
-def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Options, log: WorkLog) -> None:
+def _analyse(
+    inputs: Inputs, folder: JobFolder, analysis_key: str, options: Options, log: WorkLog, cluster: Cluster | None = None
+) -> None:
     config, anchor = inputs.config, inputs.config.model.anchor
     job = AnalysisJob(
         config.markers, inputs.camera, config.params["analyse"], config.params["light"], inputs.marker_map, inputs.panorama,
@@ -198,6 +202,8 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
     )  # fmt: skip
     span = (config.input.start, config.input.end)
     run = _in_parallel(inputs.camera.rect.area, options)
+    if cluster is not None:
+        run = cluster.analysing(inputs, folder, analysis_key, run)
     done = analyse_clip(inputs.info, job, required_folds(config), span, options.progress, folder, analysis_key, log, run)
     clip = done.analysis
     check_times(inputs.output, done.pts, inputs.info.time_base)
@@ -214,7 +220,7 @@ def _analyse(inputs: Inputs, folder: JobFolder, analysis_key: str, options: Opti
         done.pts, done.keys, clip.anchor.key, clip.world_from_marker, clip.static, clip.summary, done.truncated,
         pick_previews(clip.facts), [*inputs.notices, *notices], clip.real_planes,
     ).write(folder)  # fmt: skip
-    log.note(ANALYSIS, analysis_key, done.seconds, done.walls)
+    log.note(ANALYSIS, analysis_key, done.seconds, done.walls, stretches=done.stretches)
 
 
 def _in_parallel(area_px: int, options: Options) -> Run:
@@ -271,7 +277,7 @@ def _render(job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | 
     workers = min(workers, len(tasks))
     run: Callable[..., Results]
     if cluster is not None:
-        run = partial(cluster.run, job=job)
+        run = partial(cluster.render, job=job)
     else:
         run = partial(run_threads if threads else run_processes, workers=workers) if workers > 1 else run_serial
     with contextlib.closing(run(tasks, progress=progress)) as results:  # an error here too stops the workers

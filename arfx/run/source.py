@@ -68,7 +68,7 @@ class StretchFrames:
         if self._back is not None:
             frame, self._back = self._back, None
             return frame
-        start = time.perf_counter()
+        start, self.frontier = time.perf_counter(), None  # a stretch that is left in its middle is not gone on with
         try:
             return next(self._frames)
         finally:

@@ -5,36 +5,36 @@ Every stretch is analysed as if nothing lay before it (`arfx.analyse.fold`), and
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import threading
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Generator, Mapping
-from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
-from arfx.config.load import load
 from arfx.core import codec
 from arfx.core.camera import Camera
-from arfx.core.codec import Document
+from arfx.core.codec import Document, Packed
 from arfx.core.colour import Transfer
 from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.frame import Frame
 from arfx.media.frames import ClipReader, FrameTimesError
-from arfx.media.pose_files import load_poses
+from arfx.media.pose_files import CameraPath
 from arfx.run.folder import JobFolder, write
-from arfx.run.inputs import job_prints, marker_map
 from arfx.run.memory import peak_mb
-from arfx.run.parameters import fold_classes, parameters, required_folds
+from arfx.run.parameters import fold_classes, required_folds
 from arfx.run.source import stretch_at
+from arfx.run.worker import Paths, frozen_job, keep_memory, who
 
 LEAST_FRAMES = 120  # of a stretch: shorter ones would cost more than they save
 _ROUNDING_S = 1e-9
@@ -139,47 +139,73 @@ class Context:
     stretches: Stretches
 
 
+@dataclass(frozen=True)
+class _Listed(Document):
+    """stretches.json: what workers are to know beside the job. key : of the analysis;  prints : `AnalysisJob.prints`"""
+
+    key: str
+    stretches: Stretches
+    prints: Mapping[str, Annotated[np.ndarray, Packed("<f4", "f4")]]
+
+
 _contexts: dict[tuple[str, str], Context] = {}
+_OPENING = threading.Lock()
 
 
 def keep(folder: JobFolder, key: str, context: Context) -> None:
     """For the workers of this process, and, in the folder, for those of others."""
     _contexts.clear()
     _contexts[str(folder.path), key] = context
-    write(folder.stretch_list, json.dumps(context.stretches.to_json()))
+    write(folder.stretch_list, json.dumps(_Listed(key, context.stretches, context.job.prints).to_json()))
 
 
-def open_context(path: str, key: str) -> Context:
+def listed(folder: JobFolder, key: str) -> bool:
+    """Whether the folder says where the clip of this analysis is cut."""
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        return bool(json.loads(folder.stretch_list.read_bytes())["key"] == key)
+    return False
+
+
+def open_context(path: str, key: str, paths: Paths) -> Context:
     """The context of a job. key : of its analysis; it keeps two jobs that reuse a folder apart"""
-    if (path, key) not in _contexts:
-        folder = JobFolder(Path(path))
-        config, prints = job_prints(load(folder.job, {}, parameters()))
-        assert config.input.clip is not None
-        info = probe(config.input.clip, Transfer(config.input.transfer))
-        stretches = Stretches.from_json(json.loads(folder.stretch_list.read_text(encoding="utf-8")))
-        camera = Camera.from_json(json.loads(folder.inputs.read_text(encoding="utf-8"))["camera"])
-        job = AnalysisJob(
-            config.markers, camera, config.params["analyse"], config.params["light"], marker_map(config),
-            anchor=config.model.anchor, poses=None if config.input.poses is None else load_poses(config.input.poses),
-            kinds=fold_classes(config), prints=prints, length_s=stretches.length_s,
-        )  # fmt: skip
-        _contexts.clear()
-        _contexts[path, key] = Context(job, required_folds(config), Span(info, config.input.start, config.input.end), stretches)
-    return _contexts[path, key]
+    with _OPENING:
+        if (path, key) not in _contexts:
+            _contexts.clear()
+            _contexts[path, key] = _context(JobFolder(Path(path)), paths)
+        return _contexts[path, key]
 
 
-def analyse_stretch(folder: str, key: str, first: int, last: int, target: str, tick: Tick, alone: bool = False) -> dict[str, Any]:
+def _context(folder: JobFolder, paths: Paths) -> Context:
+    """Without files of which a stretch needs nothing: where the markers lie, and the camera's poses, are asked for in the end."""
+    config = frozen_job(folder, paths)
+    assert config.input.clip is not None
+    info = probe(config.input.clip, Transfer(config.input.transfer))
+    kept = _Listed.from_line(folder.stretch_list.read_text(encoding="utf-8"))
+    camera = Camera.from_json(json.loads(folder.inputs.read_text(encoding="utf-8"))["camera"])
+    job = AnalysisJob(
+        config.markers, camera, config.params["analyse"], config.params["light"], anchor=config.model.anchor,
+        poses=None if config.input.poses is None else CameraPath(config.input.poses, (), None),  # that there are some
+        kinds=fold_classes(config), prints=kept.prints, length_s=kept.stretches.length_s,
+    )  # fmt: skip
+    return Context(job, required_folds(config), Span(info, config.input.start, config.input.end), kept.stretches)
+
+
+def analyse_stretch(
+    folder: str, key: str, first: int, last: int, target: str, tick: Tick, alone: bool = False, paths: Paths = ()
+) -> dict[str, Any]:
     """Analyse frames first … last into a file that appears when it is whole: what `made` returns, as `core.codec` writes it.
 
     target : its path;  alone : no other one is analysed meanwhile, so that decoding gets threads of its own
-    Returns the file's name, seconds, and the most memory that this process held. Raises RenderError for a full disk,
-    FrameTimesError where the clip cannot be cut."""
-    context = open_context(folder, key)
+    Returns the file's name, seconds, who analysed it, and the most memory that this process held. Raises RenderError for a full
+    disk, FrameTimesError where the clip cannot be cut."""
+    keep_memory()
+    context = open_context(folder, key, paths)
     stretch = next(s for s in context.stretches.parts if (s.first, s.last) == (first, last))
     found, seconds = made(context, stretch, tick, alone)
     write(Path(target), codec.dumps(found))
     return {
         "file": Path(target).name, "first": first, "last": last, "seconds": seconds, "pid": os.getpid(), "rss_mb": peak_mb(),
+        **who(),
     }  # fmt: skip
 
 
@@ -216,7 +242,7 @@ def made(
         luma, after = np.ascontiguousarray(frame.luma()), None if following is None else following.luma
         return AnalysisFrame(stretch.first + len(pts), frame.time_s, luma, frame, after)
 
-    with closing(frames()) as all_frames:
+    with contextlib.closing(frames()) as all_frames:
         frame = next(all_frames, None)
         while frame is not None:
             if stretch.ends is not None and frame.pts >= stretch.ends:

@@ -16,7 +16,7 @@ from arfx.run.folder import append_line, read_lines
 from arfx.run.memory import peak_mb
 
 ANALYSIS, STRETCH, CHUNK = "analysis", "stretch", "chunk"  # the analysis: with all of its stretches
-_WHO = {"worker": str, "host": str, "first": int, "last": int}  # of a chunk's row
+_WHO = {"worker": str, "host": str, "first": int, "last": int}  # of a chunk's row, and of a stretch's
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,8 @@ class TimeSpent:
     seconds, stages : by phase and by stage, over all chunks and the analysis
     untimed : keys of chunks that a process finished, but was killed before it recorded their time
     wall_s : of all processes, each up to the last of its work that is in the output;  processes : how many of them
-    workers : {name, host, chunks, frames, seconds} of each thread or process that rendered;  seconds : of its chunks' work"""
+    workers : {name, host, stretches, chunks, frames, seconds} of each thread or process that had a share
+        frames : rendered;  seconds : of its stretches' and chunks' work"""
 
     seconds: Mapping[str, float]
     stages: Mapping[str, float]
@@ -65,6 +66,7 @@ class WorkLog:
         last = {(row["work"], row["key"]): row for row in self.rows()}
         wanted = [(ANALYSIS, analysis), *((CHUNK, key) for key in chunks)]
         used = [last[w] for w in wanted if w in last]
+        stretches = last.get((ANALYSIS, analysis), {}).get("stretches", ())
         seconds: dict[str, float] = {}
         stages: dict[str, float] = {}
         walls = self.walls({})
@@ -76,18 +78,23 @@ class WorkLog:
                 walls[process] = max(walls.get(process, 0.0), s)
         return TimeSpent(
             seconds, stages, tuple(key for work, key in wanted if work == CHUNK and (work, key) not in last),
-            sum(walls.values()), len(walls), max(peak_mb(), *(row["rss_mb"] for row in used), 0.0), _workers(used),
+            sum(walls.values()), len(walls), max(peak_mb(), *(row["rss_mb"] for row in used), 0.0),
+            _workers([last[STRETCH, name] for name in stretches if (STRETCH, name) in last] + used),
         )  # fmt: skip
 
 
 def _workers(rows: Iterable[Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows:
-        if row["work"] == CHUNK and "worker" in row:
+        if "worker" in row:
             name, host = row["worker"], row["host"]
-            worker = found.setdefault((name, host), {"name": name, "host": host, "chunks": 0, "frames": 0, "seconds": 0.0})
-            worker["chunks"] += 1
-            worker["frames"] += row["last"] - row["first"] + 1
+            none = {"name": name, "host": host, "stretches": 0, "chunks": 0, "frames": 0, "seconds": 0.0}
+            worker = found.setdefault((name, host), none)
+            if row["work"] == STRETCH:
+                worker["stretches"] += 1
+            else:
+                worker["chunks"] += 1
+                worker["frames"] += row["last"] - row["first"] + 1
             worker["seconds"] += sum(row["seconds"].values()) + sum(row.get("stages", {}).values())
     return tuple(found.values())
 
@@ -99,4 +106,6 @@ def _valid(row: dict[str, Any]) -> bool:
     texts = all(isinstance(row.get(name), str) for name in ("work", "key"))
     tables = all(numbers(row.get(name)) for name in ("seconds", "walls")) and numbers(row.get("stages", {}))
     who = "worker" not in row or all(isinstance(row.get(name), kind) for name, kind in _WHO.items())
+    names = row.get("stretches", [])
+    texts = texts and isinstance(names, list) and all(isinstance(name, str) for name in names)
     return texts and tables and who and numbers({name: row.get(name, 0) for name in ("rss_mb", "first", "last")})

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from arfx.config.load import load
+from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
 from arfx.core.facts import FrameFacts
@@ -89,14 +90,19 @@ def process_name() -> str:
     return f"{re.sub('[^0-9A-Za-z]', '', socket.gethostname())[:32] or 'host'}-{os.getpid()}"
 
 
+def frozen_job(folder: JobFolder, paths: Paths) -> JobConfig:
+    """The job as its folder keeps it."""
+    moved: dict[str, dict[str, str]] = {}
+    for section, name, place in paths:
+        moved.setdefault(section, {})[name] = place
+    return load(folder.job, moved, parameters())
+
+
 @lru_cache(maxsize=1)
 def open_context(path: str, job_key: str, paths: Paths) -> Context:
     """The context of a job. job_key only keeps two jobs that reuse a folder apart."""
     folder = JobFolder(Path(path))
-    moved: dict[str, dict[str, str]] = {}
-    for section, name, place in paths:
-        moved.setdefault(section, {})[name] = place
-    config = load(folder.job, moved, parameters())
+    config = frozen_job(folder, paths)
     inputs = json.loads(folder.inputs.read_text(encoding="utf-8"))
     analysed = ClipAnalysis.read(folder)
     assert config.input.clip is not None
@@ -178,14 +184,15 @@ def render_chunk(
         raise disk_error(e, final) from None
     return {
         "file": final.name, "first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "rss_mb": peak_mb(),
-        "host": socket.gethostname(), "worker": _thread_name(),
+        **who(),
     }  # fmt: skip
 
 
-def _thread_name() -> str:
-    """The process's number, and the thread's name where it is not the only one that renders."""
+def who() -> dict[str, str]:
+    """Of this worker: its host, and the process's number, with the thread's name where it is not the only one that works."""
     thread = threading.current_thread()
-    return f"{os.getpid()}" if thread is threading.main_thread() else f"{os.getpid()} {thread.name}"
+    name = f"{os.getpid()}" if thread is threading.main_thread() else f"{os.getpid()} {thread.name}"
+    return {"host": socket.gethostname(), "worker": name}
 
 
 def _frame(

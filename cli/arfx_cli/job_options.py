@@ -32,7 +32,7 @@ _OTHERS = [
     click.Option(["--job", "job_dir"], type=FOLDER, help="Job folder, kept afterwards; default OUT.job."),
     click.Option(["--resume"], is_flag=True, help="Go on with an interrupted or killed job."),
     click.Option(["--workers"], type=click.IntRange(1), help="Worker processes; default: threads on up to 4 cores."),
-    click.Option(["--executor"], metavar="CLUSTER", help="Render on a Dask cluster: local[:N], tcp://HOST:PORT, slurm:FILE."),
+    click.Option(["--executor"], metavar="CLUSTER", help="Work on a Dask cluster: local[:N], tcp://HOST:PORT, slurm:FILE."),
     click.Option(["--map-path"], metavar="HERE=THERE", multiple=True,
                  help="Where the cluster's workers see a path: a path, or a URL (file, s3, http). Repeatable."),
 ]  # fmt: skip

@@ -10,8 +10,10 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import psutil
 import pytest
 
@@ -19,7 +21,8 @@ from arfx.config.load import load
 from arfx.config.sections import JobConfig
 from arfx.errors import RenderError
 from arfx.run import job as jobs
-from arfx.run.cluster import files, start
+from arfx.run import stretches
+from arfx.run.cluster import dispatch, files, start
 from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster
@@ -31,7 +34,7 @@ from arfx.run.parameters import parameters
 from arfx.run.planned import Job
 from tests.cli.conftest import FRAMES, Material, Run, at_a_moment
 from tests.cli.farm import Farm, farm
-from tests.clips import MARKER
+from tests.clips import MARKER, print_of, write_clip
 
 pytestmark = pytest.mark.process
 
@@ -42,10 +45,10 @@ def running() -> Iterator[Farm]:
         yield f
 
 
-def config_of(material: Material, output: Path) -> JobConfig:
+def config_of(material: Material, output: Path, **more: Any) -> JobConfig:
     return load(None, {
         "input": {"clip": str(material.clip), "camera": str(material.camera)}, "marker": [{"spec": str(MARKER)}],
-        "model": {"file": str(material.model), "fit": "8cm"}, "output": {"path": str(output), "codec": "ffv1"},
+        "model": {"file": str(material.model), "fit": "8cm"}, "output": {"path": str(output), "codec": "ffv1"}, **more,
     }, parameters())  # fmt: skip
 
 
@@ -196,6 +199,111 @@ def test_workers_that_do_not_see_the_job_folder_use_a_store(
     assert len([*planned.folder.previews.iterdir()]) == 2 * len(planned.analysed.previews)
 
 
+FACTS = "facts.jsonl", "frames.json", "environment.maps"
+
+
+@pytest.fixture(scope="module")
+def cut_clip(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Iterator[JobConfig]:
+    """A job whose clip has six stretches. Its marker is a print to it as well, which only the analysis reads."""
+    d = tmp_path_factory.mktemp("cut")
+    clip = write_clip(d / "clip.mov", 48, codec="mjpeg", pixel_format="yuvj420p")
+    cv2.imwrite(str(d / "print.png"), print_of(160, 24))
+    config = config_of(
+        Material(d, clip, material.camera, material.model), d / "out.mkv", pattern=[{"spec": f"{d}/print.png:13cm"}]
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stretches, "LEAST_FRAMES", 8)
+        yield config
+
+
+@contextlib.contextmanager
+def analysed(config: JobConfig, folder: Path, cluster: Any = None) -> Iterator[tuple[Job, list[bytes], list[dict[str, Any]]]]:
+    """(the job, what was found, rows of its stretches in timings.jsonl), in a folder that is locked."""
+    job = JobFolder(folder)
+    with locked(job.path, "--job"):
+        job.open(resume=False)
+        done = plan_job(open_inputs(config), job, Options(notice=lambda _: None), cluster=cluster)
+        rows = [r for r in done.log.rows() if r["work"] == "stretch"]
+        assert len([*job.stretches.glob("*-*.*")]) == len(rows) == 6
+        yield done, [(job.path / name).read_bytes() for name in FACTS], rows
+
+
+@pytest.fixture(scope="module")
+def found(cut_clip: JobConfig, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Job, list[bytes]]]:
+    """As this process analyses it."""
+    with analysed(cut_clip, tmp_path_factory.mktemp("found") / "job") as (job, facts, _):
+        assert b'"print.png"' in facts[1]
+        yield job, facts
+
+
+def test_the_analysis_is_done_by_the_workers_too(
+    running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path
+) -> None:
+    with connected(running) as (client, cluster), analysed(cut_clip, tmp_path / "job", cluster) as (job, facts, rows):
+        assert facts == found[1] and rendered(job, cluster) == rendered(found[0], None)
+        pids = client.run(os.getpid).values()
+        assert all(row["pid"] in pids and row["worker"] for row in rows)
+        workers = job.log.spent(job.analysis_key, ()).workers
+        assert sum(w["stretches"] for w in workers) == 6 and {w["name"] for w in workers} == {row["worker"] for row in rows}
+
+
+def test_a_worker_that_is_killed_with_a_stretch_costs_that_only(
+    running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, given = dispatch.submit, list[str]()
+    with connected(running) as (client, cluster):
+        pids = client.run(os.getpid)
+
+        def submit(client: Any, address: str, *call: Any, key: str) -> Any:
+            future = real(client, address, *call, key=key)
+            if not given:
+                os.kill(pids[address], signal.SIGKILL)
+            given.append(address)
+            return future
+
+        monkeypatch.setattr(dispatch, "submit", submit)
+        with analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows):
+            assert facts == found[1] and len(given) >= 7 and os.getpid() not in {row["pid"] for row in rows}
+
+
+@pytest.mark.usefixtures("mapped_only")
+def test_stretches_go_through_a_store_with_all_that_they_need(
+    running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path
+) -> None:
+    """Workers see neither the job folder, nor the clip's folder with the print in it, but a folder that holds the clip alone."""
+    clip, job, store = Path(str(cut_clip.input.clip)), tmp_path / "job", tmp_path / "store"
+    (tmp_path / "clips").mkdir()
+    shutil.copy(clip, tmp_path / "clips")
+    seen, hidden = set[str](), clip.with_name("hidden.png")
+    with connected(running, f"{job}=file://{store}", f"{clip.parent}={tmp_path / 'clips'}") as (_, cluster):
+
+        def analysing(*about: Any) -> Any:
+            (clip.parent / "print.png").rename(hidden)
+            run = cluster.analysing(*about)
+            return lambda *task: (seen.update(p.name for p in store.rglob("*")) or result for result in run(*task))
+
+        try:
+            with analysed(cut_clip, job, SimpleNamespace(analysing=analysing)) as (_, facts, rows):
+                assert facts == found[1] and os.getpid() not in {row["pid"] for row in rows}
+        finally:
+            hidden.rename(clip.parent / "print.png")
+    assert "stretches.json" in seen and not [*store.rglob("*")], "what was put there is gone"
+
+
+def test_workers_with_another_processor_analyse_nothing(
+    running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Libraries choose their code by it: facts might differ in their last digits. This machine does it then."""
+    monkeypatch.setattr("arfx.run.cluster.agreement.processor_name", lambda: "another")
+    told = list[str]()
+    with (
+        connected(running, notice=told.append) as (_, cluster),
+        analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows),
+    ):
+        assert facts == found[1] and {row["pid"] for row in rows} == {os.getpid()}
+    assert len(told) == 1 and "this machine analyses the clip alone" in told[0] and "here another" in told[0]
+
+
 def test_a_lost_scheduler_ends_in_one_message(planned: Job, serial: dict[int, str], capfd: pytest.CaptureFixture[str]) -> None:
     """And what is done stays: the next run renders the rest."""
     capfd.readouterr()
@@ -272,7 +380,8 @@ def test_workers_are_started_by_slurm(
     (tmp_path / "slurm.toml").write_text('cores = 1\nmemory = "4GB"\ninterface = "lo"\nwalltime = "00:10:00"\n')
     result = arfx(*material.arguments("-o", "out.mkv", "--codec", "ffv1", "--executor", "slurm:slurm.toml", "--json"))
     assert result.code == 0, result.err + (tmp_path / "log").read_text()
-    (worker,) = result.json["workers"]
+    us, worker = result.json["workers"]
+    assert us["stretches"] == 1 and not us["chunks"], "a clip of one stretch is analysed here"
     assert worker["frames"] == FRAMES and worker["chunks"] == 3 and worker["name"].startswith("SLURMCluster-0")
     assert "cancel 42" in (tmp_path / "calls").read_text()
     ended([int(pid) for pid in (tmp_path / "pids").read_text().split()])

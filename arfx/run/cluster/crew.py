@@ -43,7 +43,7 @@ class Crew:
     ) -> None:
         self._client, self._here, self._job, self._notice = client, here, job, notice
         self.members: dict[str, Member] = {}
-        self._looked = -LOOK_S
+        self._looked, self._began = -LOOK_S, time.monotonic()
 
     def look(self) -> dict[str, Member]:
         """Who has gone since the last look; who has come is asked. Raises RenderError where the scheduler is gone."""
@@ -73,24 +73,34 @@ class Crew:
             if member.refused:
                 self._notice(f"worker {member.name} ({member.host or address}) gets no work: {member.refused}")
 
+    def refusal(self) -> str:
+        """Why every worker that there is has been refused; "" where that is not so."""
+        if not all(m.refused for m in self.members.values()):
+            return ""
+        return "; ".join(dict.fromkeys(f"{m.name}: {m.refused}" for m in self.members.values()))
+
     def check(self) -> None:
         """Raises RenderError where every worker that there is has been refused."""
-        if self.members and all(m.refused for m in self.members.values()):
-            why = "; ".join(dict.fromkeys(f"{m.name}: {m.refused}" for m in self.members.values()))
+        if why := self.refusal():
             raise RenderError(
                 f"no worker may render: {why}",
                 "the same arfx, Python and libraries on all machines; --map-path HERE=THERE where paths are others",
             )
 
+    def anyone(self, tick: Callable[[], object] = lambda: None) -> bool:
+        """Whether one may work. Waits for the answers of those that are there; tick() meanwhile, often"""
+        while True:
+            self.look()
+            ready, asked = any(m.ready for m in self.members.values()), any(m.asked is not None for m in self.members.values())
+            if ready or not asked or time.monotonic() - self._began > _START_S:
+                return ready
+            tick()
+            time.sleep(0.05)
+
     def compared(self) -> Sequence[Member]:
         """Wait until one may work, or all are refused. Raises RenderError then."""
-        began = time.monotonic()
-        while not any(m.ready for m in self.members.values()) and time.monotonic() - began < _START_S:
-            self.look()
-            self.check()
-            if not self.members:
-                break  # they may come later
-            time.sleep(0.05)
+        self.anyone()
+        self.check()
         return [m for m in self.members.values() if not m.refused]
 
 

@@ -1,7 +1,8 @@
 """Chunks to the workers of a cluster, one at a time for each of their threads: consecutive ones where that is possible.
 
 What a worker that is lost was at is rendered by others, unless its file is there already. When nothing waits any more, a chunk
-that takes far longer than others is rendered twice: files are named by their content, so whoever is first wins."""
+that takes far longer than others is rendered twice: files appear when they are whole, so whoever is first wins.
+Stretches of the analysis are given out in the same way; all that is said here of chunks is so for them."""
 
 from __future__ import annotations
 
@@ -23,6 +24,7 @@ from arfx.run.cluster import remote
 from arfx.run.cluster.crew import Crew, Member, scheduler_says, submit
 from arfx.run.cluster.store import Store
 from arfx.run.executors import Results, Task
+from arfx.run.folder import JobFolder
 from arfx.run.schedule import find_chunk, next_chunk
 
 ROUND_S = 0.05
@@ -46,10 +48,13 @@ class _Attempt:
 
 
 class Dispatch:
-    """One run of tasks. suffix : of their files;  most_lost : workers that a chunk may lose;  local : they were started here"""
+    """One run of tasks.
+
+    suffix : of their files, None = stretches, whose files are the targets themselves;  most_lost : workers that a chunk may lose
+    local : they were started here"""
 
     def __init__(
-        self, client: Any, crew: Crew, tasks: Sequence[Task], run: str, suffix: str, store: Store | None, most_lost: int,
+        self, client: Any, crew: Crew, tasks: Sequence[Task], run: str, suffix: str | None, store: Store | None, most_lost: int,
         local: bool, notice: Callable[[str], None],
     ) -> None:  # fmt: skip
         self._client, self._crew, self._tasks, self._run = client, crew, tasks, run
@@ -82,7 +87,9 @@ class Dispatch:
                 self._give_twice()
                 for token in [t for t, a in self._attempts.items() if a.result or a.future.done()]:
                     if token in self._attempts:  # no other has finished the same chunk meanwhile
-                        yield from self._finish(token)
+                        for result in self._finish(token):
+                            self._give()  # whoever takes the result may be long about it
+                            yield result
                 progress(self._frames_done())
                 time.sleep(ROUND_S)
         finally:
@@ -99,9 +106,12 @@ class Dispatch:
     def _find(self, chunk: int) -> Path | None:
         """The chunk's file, whole, wherever it lies; in the job folder afterwards."""
         target = self._targets[chunk]
-        found = find_chunk(target.parent, target.name, self._suffix)
+        if self._suffix is not None:
+            found = find_chunk(target.parent, target.name, self._suffix)
+        else:
+            found = target if target.exists() else None
         if found is None and self._store is not None:
-            found = self._store.take_chunk(target.name, self._suffix, target.parent)
+            found = self._store.take(target.name, self._suffix, JobFolder(target.parents[1]))
         return found
 
     def _found(self, chunk: int, path: Path) -> dict[str, Any]:
@@ -142,7 +152,7 @@ class Dispatch:
         name = self._targets[chunk].name
         token = f"{self._run}-{next(self._count)}-{name}"
         member.reads_on = chunk + 1
-        future = submit(self._client, address, remote.render, self._run, first, last, name, key=token)
+        future = submit(self._client, address, remote.work, self._run, first, last, name, key=token)
         self._attempts[token] = _Attempt(chunk, address, future)
 
     def _give_twice(self) -> None:
@@ -209,9 +219,9 @@ class Dispatch:
         killers = [c for c, names in self._lost.items() if c not in self._done and len(names) >= self._most_lost]
         if killers:
             frames = " or ".join(f"{self._tasks[c][2]}–{self._tasks[c][3]}" for c in killers)
-            names = ", ".join(self._lost[killers[0]])
+            names, what = ", ".join(self._lost[killers[0]]), "stretch" if self._suffix is None else "chunk"
             raise RenderError(
-                f"frames {frames}: workers were lost with this chunk {self._most_lost} times ({names})",
+                f"frames {frames}: workers were lost with this {what} {self._most_lost} times ({names})",
                 "out of memory? --resume goes on; as many are allowed as Dask's distributed.scheduler.allowed-failures says",
             )
 

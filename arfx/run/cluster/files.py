@@ -1,4 +1,4 @@
-"""The files that rendering reads, as a worker finds them: at a path that it sees, or fetched once into its cache.
+"""The files that a job reads, as a worker finds them: at a path that it sees, or fetched once into its cache.
 
 What is found there is the same file by its size and content, whatever it is called."""
 
@@ -20,6 +20,7 @@ from arfx.run.cluster.spec import library
 from arfx.run.folder import digest, file_digest
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
+from arfx.run.times import CHUNK, STRETCH
 from arfx.run.worker import process_name
 
 FAILURES = (OSError, ValueError, ImportError, NotImplementedError, ArfxError)  # of fsspec and its file systems
@@ -47,11 +48,13 @@ class Bundle:
     parts: tuple[Part, ...]
 
 
-def bundles(inputs: Inputs, maps: Sequence[PathMap]) -> tuple[Bundle, ...]:
+def bundles(inputs: Inputs, maps: Sequence[PathMap], work: str = CHUNK) -> tuple[Bundle, ...]:
     """Of all files that a worker reads beside the job folder. Raises OSError."""
     config = inputs.config
     assert config.input.clip is not None and config.model.file is not None
     found = [_bundle("input", "clip", config.input.clip, (), maps)]
+    if work == STRETCH:
+        return tuple(found)
     found.append(_bundle("model", "file", config.model.file, inputs.model.files, maps))
     if inputs.depth is not None and config.input.depth is not None:
         found.append(_bundle("input", "depth", config.input.depth, inputs.depth.files, maps))

@@ -1,4 +1,4 @@
-"""What runs on a worker of a cluster: it says who it is, finds what the job reads, and renders chunks.
+"""What runs on a worker of a cluster: it says who it is, finds what the job reads, analyses stretches and renders chunks.
 
 What it is sent are places, digests and numbers of frames; what it returns are names and times. It tells how far it is by events,
 and leaves a chunk of which nobody wants the result any more."""
@@ -18,27 +18,30 @@ from typing import Any
 
 from arfx.errors import ArfxError, RenderError
 from arfx.media.writer import remove_output
-from arfx.run.cluster.agreement import STAGE, differences, environment
+from arfx.run.cluster.agreement import PROCESSOR, STAGE, differences, environment
 from arfx.run.cluster.files import Bundle, find
 from arfx.run.cluster.paths import is_url
 from arfx.run.cluster.store import Store
 from arfx.run.executors import ONE_THREAD
 from arfx.run.folder import JobFolder, content_digest
 from arfx.run.lock import HOLDER
+from arfx.run.stretches import analyse_stretch, listed
+from arfx.run.times import CHUNK, STRETCH
 from arfx.run.worker import Paths, render_chunk
 
-TELL_S = 0.5  # between two events of a chunk
+TELL_S = 0.5  # between two events of a chunk or stretch
 
 
 @dataclass(frozen=True)
 class JobReference:
     """What a worker has to know of a run of a job.
 
-    run : names it, and the topic of its events
+    run : names it, and the topic of its events;  key : of the job, or of its analysis;  work : CHUNK or STRETCH
     folders : places of the job folder (`paths.places`), and of a store, if there is one;  holder : digest of its lock's file"""
 
     run: str
     key: str
+    work: str
     folders: tuple[str, ...]
     holder: str
     bundles: tuple[Bundle, ...]
@@ -51,6 +54,7 @@ class _Placed:
     key: str
     folder: JobFolder
     paths: Paths
+    work: str = CHUNK
     store: Store | None = None
 
 
@@ -66,7 +70,7 @@ def examine(here: Mapping[str, str], job: JobReference | None) -> dict[str, str]
     for variable in ONE_THREAD:
         os.environ.setdefault(variable, "1")
     plugins = tuple(name.removeprefix(STAGE) for name in here if name.startswith(STAGE))
-    refused = ", ".join(differences(here, environment(plugins)))
+    refused = ", ".join(differences(here, environment(plugins, PROCESSOR in here)))
     if job is not None and not refused:
         refused = _place(job)
     return {"name": str(_worker().name), "host": socket.gethostname(), "refused": refused}
@@ -93,19 +97,24 @@ def _folder(job: JobReference, paths: Paths) -> _Placed:
     for there in job.folders:
         if is_url(there):
             scratch = Path(tempfile.mkdtemp(prefix="arfx-", dir=_worker().local_directory))
-            folder = Store(there).get_job(scratch)
-            if folder.sealed(job.key):
-                return _Placed(job.key, folder, paths, Store(there))
+            folder = Store(there).get_job(scratch, job.work)
+            if _holds(folder, job):
+                return _Placed(job.key, folder, paths, job.work, Store(there))
             reasons.append(f"{there} holds another job")
         else:
             folder = JobFolder(Path(there))
             if not folder.path.is_dir():
                 reasons.append(f"job folder {there}: no such folder")
-            elif not folder.sealed(job.key) or job.holder != holder(folder):
+            elif not _holds(folder, job) or job.holder != holder(folder):
                 reasons.append(f"{there} is not the job folder, but a copy or another one")
             else:
-                return _Placed(job.key, folder, paths)
+                return _Placed(job.key, folder, paths, job.work)
     raise RenderError("; ".join(reasons))
+
+
+def _holds(folder: JobFolder, job: JobReference) -> bool:
+    """Whether what the work needs is there, of this job."""
+    return folder.sealed(job.key) if job.work == CHUNK else listed(folder, job.key)
 
 
 def holder(folder: JobFolder) -> str:
@@ -116,11 +125,11 @@ def holder(folder: JobFolder) -> str:
 
 
 class UnwantedError(Exception):
-    """Raised to leave a chunk."""
+    """Raised to leave a chunk or stretch."""
 
 
-def render(run: str, first: int, last: int, name: str) -> None:
-    """Render a chunk of the job that was placed here, as `render_chunk` does; its file goes where the job's chunks are.
+def work(run: str, first: int, last: int, name: str) -> None:
+    """Do a task of the job that was placed here, as `render_chunk` or `analyse_stretch` does; its file goes into the job folder.
 
     The result is an event too: the scheduler has it then, while what a call returns would have to be asked of this worker."""
     worker = _worker()
@@ -139,11 +148,12 @@ def render(run: str, first: int, last: int, name: str) -> None:
 
     folder, failed = placed.folder, None
     try:
-        result = render_chunk(str(folder.path), placed.key, first, last, str(folder.chunks / name), tick, paths=placed.paths)
+        do, files = (analyse_stretch, folder.stretches) if placed.work == STRETCH else (render_chunk, folder.chunks)
+        result = do(str(folder.path), placed.key, first, last, str(files / name), tick, paths=placed.paths)
         if placed.store is not None:
-            _hand_over(placed.store, folder, result)
+            _hand_over(placed.store, folder, files / result["file"], result)
     except ArfxError as e:
-        failed = RenderError(f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint)
+        failed = type(e)(f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint)
     finally:
         worker.log_event(run, {"attempt": token, "ended": True})
     if failed is not None:  # raised here, it has no context: Dask would send that too, and FFmpeg's errors cannot be sent
@@ -151,15 +161,15 @@ def render(run: str, first: int, last: int, name: str) -> None:
     worker.log_event(run, {"attempt": token, "result": {**result, "worker": str(worker.name)}})
 
 
-def _hand_over(store: Store, folder: JobFolder, result: dict[str, Any]) -> None:
-    """Its previews, then the chunk, into the store."""
+def _hand_over(store: Store, folder: JobFolder, file: Path, result: dict[str, Any]) -> None:
+    """A chunk's previews, then the file, into the store; there the names of all end with the digest of the content."""
     for index in range(result["first"], result["last"] + 1):
         for path in folder.previews.glob(f"{index:06d}.*"):
             store.put(path, f"previews/{path.name}")
             path.unlink()
-    chunk = folder.chunks / result["file"]
-    store.put(chunk, f"chunks/{chunk.name}")
-    remove_output(chunk)
+    more = f".{content_digest(file)}" if file.parent == folder.stretches else ""
+    store.put(file, f"{file.parent.name}/{file.name}{more}")
+    remove_output(file)
 
 
 def _worker() -> Any:

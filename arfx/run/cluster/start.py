@@ -10,6 +10,7 @@ import shutil
 import tempfile
 import uuid
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import resource_tracker
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 from arfx.core import interrupt
 from arfx.errors import ConfigError
 from arfx.media.writer import chunk_suffix
+from arfx.run.analysis import Run, in_order
 from arfx.run.cluster.agreement import environment
 from arfx.run.cluster.crew import Crew
 from arfx.run.cluster.dispatch import Dispatch
@@ -26,7 +28,11 @@ from arfx.run.cluster.remote import JobReference, holder
 from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
 from arfx.run.cluster.store import Store
 from arfx.run.executors import ONE_THREAD, Results, Task
+from arfx.run.folder import JobFolder
+from arfx.run.inputs import Inputs
+from arfx.run.parameters import pipeline
 from arfx.run.planned import Job
+from arfx.run.times import CHUNK, STRETCH
 from arfx.stages import STAGES
 
 CONNECT_S, CLOSE_S = 10, 5
@@ -40,7 +46,7 @@ _SETTINGS = {
 
 
 class Cluster:
-    """A cluster that is there. workers : how many chunks are rendered at once, as far as that is known"""
+    """A cluster that is there. workers : how many stretches or chunks are done at once, as far as that is known"""
 
     def __init__(
         self, client: Any, spec: ClusterSpec, maps: Sequence[PathMap], most_lost: int, notice: Callable[[str], None]
@@ -50,25 +56,72 @@ class Cluster:
         if spec.kind == ADDRESS:  # it is said before any work if none of its workers can be used
             self.workers = sum(m.slots for m in Crew(client, environment(), None, notice).compared()) or 1
 
-    def run(self, tasks: Sequence[Task], progress: Callable[[int], None], job: Job) -> Results:
+    def render(self, tasks: Sequence[Task], progress: Callable[[int], None], job: Job) -> Results:
         """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
-        run = f"arfx-{uuid.uuid4().hex}"
-        folders = places(job.folder.path.absolute(), self._maps)
-        store = next((Store(f"{there.rstrip('/')}/{job.key}") for there in folders if is_url(there)), None)
-        if store is not None:
-            store.put_job(job.folder)
-        seen = tuple(there for there in folders if not is_url(there)) + ((store.url,) if store is not None else ())
-        reference = JobReference(run, job.key, seen, holder(job.folder), bundles(job.inputs, self._maps))
-        here = environment([name for name in job.stages if name in STAGES.plugins])
-        crew = Crew(self._client, here, reference, self._notice)
-        dispatch = Dispatch(
-            self._client, crew, tasks, run, chunk_suffix(job.inputs.output), store, self._most_lost,
-            self._spec.kind == LOCAL, self._notice,
-        )  # fmt: skip
+        with self._placed(job.inputs, job.folder, job.key, CHUNK) as (reference, store):
+            crew = self._crew(job.inputs, reference, self._notice)
+            yield from self._by_workers(tasks, progress, crew, reference, chunk_suffix(job.inputs.output), store)
+
+    def analysing(self, inputs: Inputs, folder: JobFolder, key: str, here: Run) -> Run:
+        """Has the stretches of a job analysed. This process does that itself while no worker is there, one after the other.
+
+        Those with another processor may not: with one that libraries choose other code for, facts differ in their last digits.
+        key : of the analysis;  here : how this machine does it where all are refused"""
+
+        def run(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
+            if count <= 1:
+                yield from here(tasks, count, frames, progress)
+                return
+            waiting, done = deque(tasks), 0
+            with self._placed(inputs, folder, key, STRETCH) as (reference, store):
+                crew = self._crew(inputs, reference, lambda _: None)  # what is wrong with a worker is told when it is to render
+
+                def ours() -> Iterator[Task]:
+                    while waiting and not (crew.anyone(lambda: progress(done)) or crew.refusal()):
+                        yield waiting.popleft()
+
+                with contextlib.closing(in_order(ours(), count, frames, progress)) as results:
+                    for result in results:
+                        done += result["last"] - result["first"] + 1
+                        yield result
+
+                def more(n: int) -> None:
+                    progress(done + n)
+
+                if waiting and (why := crew.refusal()):
+                    self._notice(f"this machine analyses the clip alone: {why}")
+                    with contextlib.closing(here(iter(waiting), len(waiting), frames, more)) as results:
+                        yield from results
+                elif waiting:
+                    yield from self._by_workers([*waiting], more, crew, reference, None, store)
+
+        return run
+
+    def _crew(self, inputs: Inputs, job: JobReference, notice: Callable[[str], None]) -> Crew:
+        plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
+        return Crew(self._client, environment(plugins, job.work == STRETCH), job, notice)
+
+    def _by_workers(
+        self, tasks: Sequence[Task], progress: Callable[[int], None], crew: Crew, job: JobReference, suffix: str | None,
+        store: Store | None,
+    ) -> Results:  # fmt: skip
+        local = self._spec.kind == LOCAL
+        dispatch = Dispatch(self._client, crew, tasks, job.run, suffix, store, self._most_lost, local, self._notice)
         with contextlib.closing(dispatch.results(progress)) as results:
             yield from results
+
+    @contextlib.contextmanager
+    def _placed(self, inputs: Inputs, folder: JobFolder, key: str, work: str) -> Iterator[tuple[JobReference, Store | None]]:
+        """Where workers find a job, and the store if there is one: with the job's files in it, emptied when the body is done."""
+        folders = places(folder.path.absolute(), self._maps)
+        store = next((Store(f"{there.rstrip('/')}/{key}") for there in folders if is_url(there)), None)
         if store is not None:
-            store.take_previews(job.folder.previews)
+            store.put_job(folder, work)
+        seen = tuple(there for there in folders if not is_url(there)) + ((store.url,) if store is not None else ())
+        files = bundles(inputs, self._maps, work)
+        yield JobReference(f"arfx-{uuid.uuid4().hex}", key, work, seen, holder(folder), files), store
+        if store is not None:
+            store.take_previews(folder.previews)
             store.remove()
 
 

@@ -1,4 +1,5 @@
-"""A job folder under a URL, for workers that do not see the one of this machine: job files go up, chunks come down.
+"""A job folder under a URL, for workers that do not see the one of this machine: job files go up, chunks and
+stretches come down.
 
 It lies in a folder of its own under that URL, named by the job's key, and is removed when the job is done."""
 
@@ -11,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from arfx.errors import RenderError
 from arfx.run.cluster.files import FAILURES, file_system, said
 from arfx.run.folder import JobFolder, content_digest
+from arfx.run.times import CHUNK
 from arfx.run.worker import process_name
 
 
@@ -20,15 +22,15 @@ class Store:
 
     url: str
 
-    def put_job(self, folder: JobFolder) -> None:
+    def put_job(self, folder: JobFolder, work: str) -> None:
         """What workers read of a job folder. Raises RenderError."""
-        for path in folder.worker_files():
+        for path in folder.worker_files(work == CHUNK):
             self.put(path, path.name)
 
-    def get_job(self, folder: Path) -> JobFolder:
+    def get_job(self, folder: Path, work: str) -> JobFolder:
         """The same in `folder`, which exists. Raises RenderError."""
         job = JobFolder(folder)
-        for path in job.worker_files():
+        for path in job.worker_files(work == CHUNK):
             self._get(path.name, path)
         job.open(resume=True)
         return job
@@ -51,24 +53,26 @@ class Store:
         except FAILURES as e:
             raise RenderError(f"cannot read {self.url}/{name}: {said(e)}") from None
 
-    def take_chunk(self, name: str, suffix: str, chunks: Path) -> Path | None:
-        """The file of a chunk (`Chunk.name`), moved into `chunks`; None where there is none that is whole. Raises RenderError."""
+    def take(self, name: str, suffix: str | None, folder: JobFolder) -> Path | None:
+        """The file of a chunk (`Chunk.name`), or of a stretch where there is no suffix, moved into the job folder; None where
+        there is none that is whole. Raises RenderError."""
+        kind = (folder.stretches if suffix is None else folder.chunks).name
         try:
             fs, root = file_system(self.url)
-            listed = [p for p in fs.find(f"{root}/chunks") if f"/chunks/{name}." in p] if fs.exists(f"{root}/chunks") else []
+            listed = [p for p in fs.find(f"{root}/{kind}") if f"/{kind}/{name}." in p] if fs.exists(f"{root}/{kind}") else []
         except FAILURES as e:
             raise RenderError(f"cannot read {self.url}: {said(e)}") from None
-        for file in sorted({p.partition("/chunks/")[2].partition("/")[0] for p in listed}):
-            aside = chunks / f"{process_name()}-0-{file}"
+        for file in sorted({p.partition(f"/{kind}/")[2].partition("/")[0] for p in listed}):
+            aside = folder.chunks / f"{process_name()}-0-{file}"
             for path in listed:
-                inside = PurePosixPath(path.partition("/chunks/")[2])
+                inside = PurePosixPath(path.partition(f"/{kind}/")[2])
                 if inside.parts[0] == file:
                     target = aside.joinpath(*inside.parts[1:])
                     target.parent.mkdir(parents=True, exist_ok=True)
-                    self._get(f"chunks/{inside}", target)
-            fs.rm(f"{root}/chunks/{file}", recursive=True)
-            if file == f"{name}.{content_digest(aside)}{suffix}":
-                return aside.rename(chunks / file)
+                    self._get(f"{kind}/{inside}", target)
+            fs.rm(f"{root}/{kind}/{file}", recursive=True)
+            if file == f"{name}.{content_digest(aside)}{suffix or ''}":
+                return aside.replace(folder.path / kind / (name if suffix is None else file))
         return None
 
     def take_previews(self, previews: Path) -> None:

@@ -17,6 +17,7 @@ import pytest
 
 from arfx.core.machine import usable_cores
 from arfx.errors import ArfxError, ConfigError, InputError, RenderError
+from arfx.media.frames import FrameTimesError
 from arfx.run.cluster import crew, dispatch, remote
 from arfx.run.cluster.files import Bundle, Part, find
 from arfx.run.cluster.paths import PathMap, places
@@ -24,7 +25,7 @@ from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import open_cluster
 from arfx.run.folder import _CHUNK, JobFolder, file_digest
 from arfx.run.schedule import next_chunk
-from arfx.run.times import CHUNK, WorkLog
+from arfx.run.times import ANALYSIS, CHUNK, STRETCH, WorkLog
 from arfx.run.worker import process_name
 
 
@@ -180,10 +181,17 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
     for key, name, first, last in (("a", "1", 0, 29), ("b", "2", 30, 59), ("c", "1", 60, 65)):
         log.note(CHUNK, key, {"decode": 1.0}, stages={"raster": 2.0}, worker=name, host="h", first=first, last=last)
     log.note(CHUNK, "c", {"decode": 1.0}, worker=1, host="h", first=0, last=1)  # damaged
-    assert log.spent("", "abc").workers == (
-        {"name": "1", "host": "h", "chunks": 2, "frames": 36, "seconds": 6.0},
-        {"name": "2", "host": "h", "chunks": 1, "frames": 30, "seconds": 3.0},
+    for name in ("s", "made otherwise later"):
+        log.note(STRETCH, name, {"analyse": 4.0}, worker="2", host="h", first=0, last=59)
+    log.note(ANALYSIS, "facts", {"analyse": 4.5}, stretches=["s"])
+    spent = log.spent("facts", "abc")
+    assert spent.workers == (
+        {"name": "2", "host": "h", "stretches": 1, "chunks": 1, "frames": 30, "seconds": 7.0},
+        {"name": "1", "host": "h", "stretches": 0, "chunks": 2, "frames": 36, "seconds": 6.0},
     )
+    assert spent.seconds["analyse"] == 4.5
+    log.note(ANALYSIS, "facts", {"analyse": 5.0}, stretches=[["s"]])  # damaged
+    assert log.spent("facts", "abc").seconds["analyse"] == 4.5
 
 
 class FakeClient:
@@ -218,16 +226,16 @@ class FakeClient:
 
 @pytest.fixture
 def dispatched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
-    """First frames of the results of four tasks by a FakeClient."""
+    """First frames of the results of four tasks by a FakeClient. at : called with each"""
     monkeypatch.setattr(crew, "LOOK_S", 0.0)
     monkeypatch.setattr(dispatch, "SLOW_S", 0.1)
     monkeypatch.setattr(dispatch, "LEAVE_S", 0.0)
     tasks = [("", "", n, n + 29, str(tmp_path / f"{n:06d}-{n + 29:06d}.{'k' * 16}")) for n in range(0, 120, 30)]
 
-    def run(client: FakeClient) -> list[int]:
+    def run(client: FakeClient, suffix: str | None = ".nut", at: Callable[[int], object] = lambda first: None) -> list[int]:
         crew_ = crew.Crew(client, {}, None, print)
-        d = dispatch.Dispatch(client, crew_, tasks, "run", ".nut", None, 3, False, print)
-        return [r["first"] for r in d.results(lambda done: None)]
+        d = dispatch.Dispatch(client, crew_, tasks, "run", suffix, None, 3, False, print)
+        return [at(r["first"]) or r["first"] for r in d.results(lambda done: None)]
 
     return run
 
@@ -270,6 +278,24 @@ def test_a_chunk_whose_worker_died_after_it_is_not_rendered_again(dispatched: Ca
 
     client = FakeClient(happen, a=1, b=1)
     assert sorted(dispatched(client)) == [0, 30, 60, 90] and len(client.calls) == 4
+
+
+def test_a_stretch_is_there_when_its_file_is(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
+        (tmp_path / future.name).write_bytes(b"stretch")
+        del client.threads[worker]  # before anybody heard of it
+        client.threads[f"{worker}+"] = 1
+
+    client = FakeClient(happen, a=1)
+    assert sorted(dispatched(client, None)) == [0, 30, 60, 90] and len(client.calls) == 4
+
+
+def test_a_worker_has_its_next_task_before_the_result_is_used(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+    """Joining a stretch takes its time."""
+    client = FakeClient(lambda client, worker, future: finish(client, future, tmp_path), a=1)
+    given = list[int]()
+    dispatched(client, at=lambda first: given.append(len(client.calls)))
+    assert given == [2, 3, 4, 4]
 
 
 def test_an_idle_worker_takes_over_from_a_straggler(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
@@ -319,10 +345,10 @@ def test_a_worker_leaves_a_chunk_that_nobody_wants(
     monkeypatch.setattr(remote, "TELL_S", 0.0)
     monkeypatch.setitem(remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ()))
     with pytest.raises(remote.UnwantedError):
-        remote.render("run", 0, 29, "name")
+        remote.work("run", 0, 29, "name")
     assert events == [{"attempt": "token", "ended": True}]
     worker.state.tasks["token"].state, worker.status.name = "executing", "running"
-    remote.render("run", 0, 29, "name")
+    remote.work("run", 0, 29, "name")
     assert {"attempt": "token", "frames": 1000} in events
 
 
@@ -342,10 +368,24 @@ def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(tmp_path: Path,
     monkeypatch.setattr(remote, "render_chunk", render_chunk)
     monkeypatch.setitem(remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ()))
     with pytest.raises(RenderError, match="No space left on device") as raised:
-        remote.render("run", 0, 29, "name")
+        remote.work("run", 0, 29, "name")
     sent = error_message(raised.value)
     arrived = clean_exception(pickle.loads(sent["exception"].data))[1]
     assert isinstance(arrived, RenderError) and arrived.message == raised.value.message and arrived.hint == "free space"
+
+
+def test_what_ends_a_stretch_says_the_same_from_a_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where times of frames go back, the clip is analysed in one piece."""
+    worker = SimpleNamespace(name="w", get_current_task=lambda: "token", log_event=lambda topic, said: None)
+
+    def analyse_stretch(*arguments: Any, paths: Any) -> dict[str, Any]:
+        raise FrameTimesError("frame times go backwards")
+
+    monkeypatch.setattr(remote, "_worker", lambda: worker)
+    monkeypatch.setattr(remote, "analyse_stretch", analyse_stretch)
+    monkeypatch.setitem(remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), (), STRETCH))
+    with pytest.raises(FrameTimesError, match=r"backwards \(on worker w"):
+        remote.work("run", 0, 29, "name")
 
 
 def test_a_worker_that_is_closed_loses_its_chunk(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from arfx.media.frames import ClipReader
 from arfx.run import executors
 from arfx.run.folder import JobFolder
 from arfx.run.job import _interruptible
-from arfx.run.source import Source, release, source_at
+from arfx.run.source import Source, release, source_at, stretch_at
 from tests.clips import write_clip
 
 
@@ -54,6 +54,21 @@ def test_the_next_chunk_reads_on_and_any_other_starts_anew(clip: Path) -> None:
     other = source_at(info, pts, 10)
     assert other is not first and (frame := other.next()) is not None and frame.pts == pts[10]
     assert source_at(info, list(pts), 11) is not other, "another job's source was taken"
+    release()
+
+
+def test_a_stretch_that_was_left_in_its_middle_is_read_from_its_start(clip: Path) -> None:
+    """A worker leaves one that nobody wants any more, and may be given it again."""
+    info = probe(clip)
+    pts = next(stretch_at(info, None, False)).pts
+    release()
+    source = stretch_at(info, pts, False)
+    assert stretch_at(info, pts, False) is source
+    next(source)
+    assert next(stretch_at(info, pts, False)).pts == pts
+    source = stretch_at(info, None, False)
+    source.put_back(next(source), pts)
+    assert stretch_at(info, pts, False) is source
     release()
 
 
