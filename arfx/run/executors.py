@@ -1,4 +1,4 @@
-"""Who does the work, chunks to render or stretches to analyse: this thread, several threads of this process, or several spawned
+"""Who does the work, chunks to render or stretches to analyse: this thread, several threads of this process, or several
 processes. The same bytes.
 
 Threads share the model and what the stages prepared, and need no second start of Python: right for a few cores, as
@@ -9,17 +9,18 @@ from __future__ import annotations
 import itertools
 import os
 import queue
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
-from typing import Any
+from typing import Any, Self
 
 from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
 from arfx.errors import RenderError
 from arfx.run.schedule import steal, work_queues
 from arfx.run.source import release
-from arfx.run.worker import render_chunk
+from arfx.run.worker import keep_memory, render_chunk
 
 # one chunk's or stretch's arguments: folder, key, first, last, target
 Task = tuple[str, str, int, int, str]
@@ -99,6 +100,7 @@ def _start(counter: Any) -> None:
     per core each."""
     global _counter
     _counter = counter
+    keep_memory()
     interrupt.in_worker()
     collect_seldom()
     import cv2
@@ -114,36 +116,74 @@ def _run(work: Work, task: Task) -> dict[str, Any]:
     return work(*task, tick)
 
 
-def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
-    """Work in `workers` spawned processes (never forked: an OpenGL context does not survive it), in any order.
+class Processes:
+    """Worker processes. In `with` they are kept: those that have worked work in the next `run` too.
 
-    Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped."""
-    import concurrent.futures as futures
-    import multiprocessing
+    Where that is safe (Linux) they are forked, from a server that has imported what they need, and never had a thread or an
+    OpenGL context: neither survives a fork. Elsewhere they are spawned."""
 
-    context = multiprocessing.get_context("spawn")
-    try:
-        counter = context.Value("L", 0)
-    except OSError:  # no shared memory here (a bare container): the same bytes, one process
-        yield from run_serial(tasks, progress, work)
-        return
-    for name in ONE_THREAD:
-        os.environ.setdefault(name, "1")
-    pool = futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(counter,))
-    try:
+    def __init__(self) -> None:
+        self._kept, self._pool, self._counter = False, None, None
+
+    def __enter__(self) -> Self:
+        self._kept = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._kept = False
+        self._end()
+
+    def prepare(self) -> Any:
+        """Have the server begin to import, which this process need not wait for. Returns the way to start processes."""
+        import multiprocessing
+        from multiprocessing import forkserver
+
+        for name in ONE_THREAD:
+            os.environ.setdefault(name, "1")
+        if sys.platform != "linux":
+            return multiprocessing.get_context("spawn")
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["arfx.run.preload"])
         with interrupt.starting_workers():
-            waiting = {pool.submit(_run, work, task) for task in tasks}
-        while waiting:
-            ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
-            progress(counter.value)
-            for future in ready:
-                yield future.result()
-        pool.shutdown()
-    except futures.process.BrokenProcessPool:
-        raise RenderError(
-            "a worker process was killed (out of memory?)", "--resume goes on; fewer --workers need less memory"
-        ) from None
-    finally:
-        for process in list((pool._processes or {}).values()):  # shutdown alone would wait for whole chunks
-            process.terminate()
-        pool.shutdown(wait=False, cancel_futures=True)
+            forkserver.ensure_running()
+        return context
+
+    def run(self, tasks: Iterable[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
+        """Work in as many processes as there are tasks, up to `workers`, in any order.
+
+        Raises RenderError if a worker dies, and what a worker raises. Unless all is done, the workers are stopped on the way
+        out."""
+        import concurrent.futures as futures
+
+        if self._pool is None:
+            try:
+                context = self.prepare()
+                self._counter = context.Value("L", 0)
+            except OSError:  # no shared memory here (a bare container): the same bytes, one process
+                yield from run_serial(tasks, progress, work)
+                return
+            self._pool = futures.ProcessPoolExecutor(workers, context, _start, (self._counter,))
+        kept, before = False, self._counter.value
+        try:
+            with interrupt.starting_workers():
+                waiting = {self._pool.submit(_run, work, task) for task in tasks}
+            while waiting:
+                ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
+                progress(self._counter.value - before)
+                for future in ready:
+                    yield future.result()
+            kept = self._kept
+        except futures.process.BrokenProcessPool:
+            raise RenderError(
+                "a worker process was killed (out of memory?)", "--resume goes on; fewer --workers need less memory"
+            ) from None
+        finally:
+            if not kept:
+                self._end()
+
+    def _end(self) -> None:
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            for process in list((pool._processes or {}).values()):  # shutdown alone would wait for whole chunks
+                process.terminate()
+            pool.shutdown(wait=False, cancel_futures=True)
