@@ -41,7 +41,7 @@ def planned_aside(
         folder = JobFolder(Path(scratch) / "job")
         folder.open(resume=False)
         workers = planned_workers(options.executor) or options.workers
-        yield plan_job(inputs, folder, replace(options, workers=workers))
+        yield plan_job(inputs, folder, replace(options, workers=workers, executor=None))
 
 
 def plan_document(job: Job) -> dict[str, Any]:

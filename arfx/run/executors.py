@@ -6,13 +6,16 @@ nearly all of a frame's time is spent in code that lets other threads run. With 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import queue
 import sys
 import threading
+import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any, Self
 
 from arfx.core import interrupt
@@ -28,7 +31,6 @@ Work = Callable[..., dict[str, Any]]  # work(*task, tick, alone=False): a functi
 Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
 # one software-rendering thread and one kernel thread for each of several processes; two processes scale better than two threads
 ONE_THREAD = ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
-_counter: Any = None
 
 
 def run_serial(tasks: Iterable[Task], progress: Callable[[int], None], work: Work = render_chunk) -> Results:
@@ -53,11 +55,18 @@ class _StoppedError(Exception):
 
 def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
     """Work in `workers` threads of this process, in any order. Raises what a thread raises; on the way out all stop."""
+    return _in_threads(tasks, [work] * workers, progress)
+
+
+def _in_threads(
+    tasks: Sequence[Task], crew: Sequence[Work], progress: Callable[[int], None], stop: Callable[[], None] = lambda: None
+) -> Results:
+    """A thread for each of the crew, who works. stop : called on the way out, unless all is done"""
     import concurrent.futures as futures
 
     ticks = itertools.count(1)  # one step of it is atomic
     done, stopped = 0, False
-    queues = work_queues(tasks, workers)
+    queues = work_queues(tasks, len(crew))
     choosing = threading.Lock()
     results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
@@ -71,7 +80,7 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
         with choosing:
             return steal(own, queues)
 
-    def run(own: deque[Task]) -> None:
+    def run(own: deque[Task], work: Work) -> None:
         try:
             while (task := next_task(own)) is not None:
                 results.put(work(*task, tick))
@@ -80,7 +89,7 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
 
     pool = futures.ThreadPoolExecutor(len(queues), "worker")
     try:
-        running = {pool.submit(run, own) for own in queues}
+        running = {pool.submit(run, own, work) for own, work in zip(queues, crew, strict=False)}
         while running:
             ready, running = futures.wait(running, timeout=0.2, return_when=futures.FIRST_COMPLETED)
             progress(done)
@@ -90,40 +99,81 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
                 future.result()
         while not results.empty():
             yield results.get()
-    finally:
+    except BaseException:
         stopped = True
+        stop()
+        raise
+    finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _start(counter: Any) -> None:
-    """In each worker: leave Ctrl-C to the parent, end with it, look for garbage seldom, and keep libraries from starting a thread
-    per core each."""
-    global _counter
-    _counter = counter
+def _serve(pipe: Any) -> None:
+    """A worker process: leaves Ctrl-C to the parent, ends with it, looks for garbage seldom, and keeps libraries from starting a
+    thread per core each. It is sent work and tasks; it answers None after each frame, then what came of it."""
     keep_memory()
     interrupt.in_worker()
     collect_seldom()
     import cv2
 
     cv2.setNumThreads(1)
+    with contextlib.suppress(EOFError, OSError):  # the parent has ended
+        while True:
+            work, task = pipe.recv()
+            try:
+                answer = work(*task, lambda: pipe.send(None))
+            except Exception as e:
+                e.add_note(traceback.format_exc())
+                answer = e
+            pipe.send(answer)
 
 
-def _run(work: Work, task: Task) -> dict[str, Any]:
-    def tick() -> None:
-        with _counter.get_lock():
-            _counter.value += 1
+class _Worker:
+    """A worker process, seen from here."""
 
-    return work(*task, tick)
+    def __init__(self, context: Any) -> None:
+        self._pipe, its = context.Pipe()
+        self.process = context.Process(target=_serve, args=(its,), daemon=True)
+        self.process.start()
+        its.close()
+
+    def do(self, work: Work, *given: Any) -> dict[str, Any]:
+        """work(*given), of which the last is called after each frame. Raises what that raises; RenderError if the worker dies."""
+        *task, tick = given
+        try:
+            self._pipe.send((work, task))
+            while (answer := self._pipe.recv()) is None:
+                tick()
+        except (EOFError, OSError):
+            raise RenderError(
+                "a worker process was killed (out of memory?)", "--resume goes on; fewer --workers need less memory"
+            ) from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+@contextlib.contextmanager
+def _starting() -> Iterator[None]:
+    """Processes that start in the body have the environment of workers, and import what this one does from where this one does."""
+    before, path = dict(os.environ), os.pathsep.join(path for path in sys.path if path)
+    with interrupt.starting_workers():
+        os.environ.update(dict.fromkeys(ONE_THREAD, "1") | before | {"PYTHONSAFEPATH": "1", "PYTHONPATH": path})
+        try:
+            yield
+        finally:
+            os.environ.clear()
+            os.environ.update(before)
 
 
 class Processes:
-    """Worker processes. In `with` they are kept: those that have worked work in the next `run` too.
+    """Worker processes. In `with` they are kept: those that worked work in the next `run` too.
 
     Where that is safe (Linux) they are forked, from a server that has imported what they need, and never had a thread or an
     OpenGL context: neither survives a fork. Elsewhere they are spawned."""
 
     def __init__(self) -> None:
-        self._kept, self._pool, self._counter = False, None, None
+        self._workers: list[_Worker] = []
+        self._kept = False
 
     def __enter__(self) -> Self:
         self._kept = True
@@ -134,56 +184,36 @@ class Processes:
         self._end()
 
     def prepare(self) -> Any:
-        """Have the server begin to import, which this process need not wait for. Returns the way to start processes."""
+        """Have the server begin to import, which this process need not wait for. Returns how processes are made."""
         import multiprocessing
         from multiprocessing import forkserver
 
-        for name in ONE_THREAD:
-            os.environ.setdefault(name, "1")
         if sys.platform != "linux":
             return multiprocessing.get_context("spawn")
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["arfx.run.preload"])
-        with interrupt.starting_workers():
+        with _starting():
             forkserver.ensure_running()
         return context
 
-    def run(self, tasks: Iterable[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
-        """Work in as many processes as there are tasks, up to `workers`, in any order.
+    def run(self, tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
+        """Work in `workers` processes, in any order.
 
-        Raises RenderError if a worker dies, and what a worker raises. Unless all is done, the workers are stopped on the way
-        out."""
-        import concurrent.futures as futures
-
-        if self._pool is None:
-            try:
-                context = self.prepare()
-                self._counter = context.Value("L", 0)
-            except OSError:  # no shared memory here (a bare container): the same bytes, one process
-                yield from run_serial(tasks, progress, work)
-                return
-            self._pool = futures.ProcessPoolExecutor(workers, context, _start, (self._counter,))
-        kept, before = False, self._counter.value
+        Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped, unless all is
+        done and they are kept."""
+        context, wanted = self.prepare(), min(workers, len(tasks))
         try:
-            with interrupt.starting_workers():
-                waiting = {self._pool.submit(_run, work, task) for task in tasks}
-            while waiting:
-                ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
-                progress(self._counter.value - before)
-                for future in ready:
-                    yield future.result()
-            kept = self._kept
-        except futures.process.BrokenProcessPool:
-            raise RenderError(
-                "a worker process was killed (out of memory?)", "--resume goes on; fewer --workers need less memory"
-            ) from None
+            with _starting():
+                while len(self._workers) < wanted:
+                    self._workers.append(_Worker(context))
+            crew = [partial(worker.do, work) for worker in self._workers[:wanted]]
+            yield from _in_threads(tasks, crew, progress, self._end)
         finally:
-            if not kept:
+            if not self._kept:
                 self._end()
 
     def _end(self) -> None:
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            for process in list((pool._processes or {}).values()):  # shutdown alone would wait for whole chunks
-                process.terminate()
-            pool.shutdown(wait=False, cancel_futures=True)
+        while self._workers:
+            process = self._workers.pop().process
+            process.terminate()  # it would do the whole chunk otherwise
+            process.join()

@@ -225,7 +225,7 @@ def _in_parallel(area_px: int, options: Options) -> Run:
 
     def run(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
         workers, threads = worker_count(frames * area_px, options.workers)
-        workers = workers if options.executor is None else min(workers, usable_cores())  # a cluster's are not here
+        workers = min(workers, usable_cores())  # a cluster's are not here
         if min(workers, count) <= 1:
             return in_order(tasks, count, frames, progress)
         parallel = run_threads if threads else options.processes.run
