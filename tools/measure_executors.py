@@ -131,10 +131,10 @@ def simulate(folder: Path, repeated: int) -> None:
     )
     print(f"{'workers':>8}{'Amdahl':>9}{'simulated':>11}{'stretches by 2':>16}{'by 1':>7}")
     for workers in WORKERS:
-        chunks_s = elapsed(loads["chunk"], workers, False)[0]
+        chunks_s = elapsed(loads["chunk"], workers)[0]
         row = [total_s / (serial_s + sum(shared_s.values()) / workers)]
         for others in (workers, min(workers, 2), 1):
-            row.append(total_s / (serial_s + elapsed(loads["stretch"], others, False)[0] + chunks_s))
+            row.append(total_s / (serial_s + elapsed(loads["stretch"], others)[0] + chunks_s))
         print(f"{workers:8}{row[0]:9.1f}{row[1]:11.1f}{row[2]:16.1f}{row[3]:7.1f}")
 
 

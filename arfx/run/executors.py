@@ -155,14 +155,17 @@ class _Worker:
 @contextlib.contextmanager
 def _starting() -> Iterator[None]:
     """Processes that start in the body have the environment of workers, and import what this one does from where this one does."""
-    before, path = dict(os.environ), os.pathsep.join(path for path in sys.path if path)
+    theirs = {name: os.environ.get(name, "1") for name in ONE_THREAD}
+    theirs |= {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    ours = {name: os.environ.get(name) for name in theirs}
     with interrupt.starting_workers():
-        os.environ.update(dict.fromkeys(ONE_THREAD, "1") | before | {"PYTHONSAFEPATH": "1", "PYTHONPATH": path})
+        os.environ.update(theirs)
         try:
             yield
         finally:
-            os.environ.clear()
-            os.environ.update(before)
+            for name, value in ours.items():
+                os.environ.pop(name)
+                os.environ.update({} if value is None else {name: value})
 
 
 class Processes:
@@ -186,10 +189,11 @@ class Processes:
     def prepare(self) -> Any:
         """Have the server begin to import, which this process need not wait for. Returns how processes are made."""
         import multiprocessing
-        from multiprocessing import forkserver
 
         if sys.platform != "linux":
             return multiprocessing.get_context("spawn")
+        from multiprocessing import forkserver
+
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["arfx.run.preload"])
         with _starting():

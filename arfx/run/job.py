@@ -84,6 +84,8 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can be resumed."""
     started = time.perf_counter()
     keep_memory()
+    if (options.workers or 1) > 1 and options.executor is None:
+        options.processes.prepare()
     inputs = open_inputs(config)
     for notice in inputs.notices:
         options.notice(notice)
@@ -146,7 +148,7 @@ def plan_job(inputs: Inputs, folder: JobFolder, options: Options, started: float
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
-        with loading(parts, options.workers in (None, 1)):
+        with loading(parts if options.workers in (None, 1) else (JOB,)):
             _analyse(inputs, folder, analysis_key, options, log)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
     scene = analysed.scene(config, inputs.camera, inputs.model, folder)
