@@ -154,7 +154,7 @@ class _Worker:
 
 @contextlib.contextmanager
 def _starting() -> Iterator[None]:
-    """Processes that start in the body have the environment of workers, and import what this one does from where this one does."""
+    """Processes that start in the body have the environment of workers, and import from where this one does."""
     theirs = {name: os.environ.get(name, "1") for name in ONE_THREAD}
     theirs |= {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     ours = {name: os.environ.get(name) for name in theirs}

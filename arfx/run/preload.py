@@ -1,4 +1,6 @@
-"""What worker processes are forked with (executors.py): imported once, by a process that starts no thread."""
+"""What worker processes are forked with (executors.py): imported once, by a process that starts no thread and opens no OpenGL.
+
+Stages of other distributions are left to the workers: nobody knows what theirs start."""
 
 from arfx.core.machine import collect_seldom
 
@@ -8,10 +10,12 @@ import trimesh  # noqa: E402, F401
 
 import arfx.run.stretches  # noqa: E402
 import arfx.run.worker  # noqa: E402, F401
+from arfx.papers import FORMULAS  # noqa: E402
 from arfx.run.kernels import JOB, listed_kernels  # noqa: E402
-from arfx.run.parameters import parameters  # noqa: E402
+from arfx.stages import STAGES  # noqa: E402
 
-parameters()  # imports all stages
+for table in ({name: STAGES[name] for name in STAGES._paths}, *FORMULAS.values()):
+    dict(table)
 for kernel in listed_kernels((JOB,)):
     if kernel.is_cached:
         kernel.load()
