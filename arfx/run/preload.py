@@ -2,6 +2,9 @@
 
 Stages of other distributions are left to the workers: nobody knows what theirs start."""
 
+import atexit
+import os
+
 from arfx.core.machine import collect_seldom
 
 collect_seldom()
@@ -19,3 +22,4 @@ for table in ({name: STAGES[name] for name in STAGES._paths}, *FORMULAS.values()
 for kernel in listed_kernels((JOB,)):
     if kernel.is_cached:
         kernel.load()
+atexit.register(os._exit, 0)  # the server ends at once, without taking apart all of that
