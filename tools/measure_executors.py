@@ -10,6 +10,8 @@ Take the machine for it: times of a machine that does other things say little.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import ctypes
 import hashlib
 import json
 import os
@@ -36,13 +38,20 @@ ANALYSES = {
 
 
 def timed(command: list[str]) -> tuple[float, float]:
-    """Wall seconds of a process, and processor seconds of it and of all that it started."""
+    """Wall seconds of a process, and processor seconds of it and of all that it started: what it leaves behind, as the server
+    that forked its workers, becomes a child of this process."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
     start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(command, capture_output=True, text=True, check=False)
+    wall_s = time.perf_counter() - start
+    with contextlib.suppress(ChildProcessError):
+        while True:
+            os.wait()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
         sys.exit(f"{' '.join(command)}\n{done.stdout}{done.stderr}")
-    return time.perf_counter() - start, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return wall_s, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def sha256(path: Path) -> str:
@@ -75,8 +84,8 @@ def compare_analyses(command: list[str], folder: Path) -> None:
 
 
 def one_analysis(workers: int, threads: bool, decoders: bool, told: Path, command: list[str]) -> None:
-    """In a process of its own: the analysis alone, once to load compiled code and once measured."""
-    from arfx.run import executors, job, stretches
+    """In a process of its own: the analysis alone, once to load compiled code and once measured, with workers that start anew."""
+    from arfx.run import job, stretches
 
     if not decoders:
         import cv2
@@ -86,12 +95,12 @@ def one_analysis(workers: int, threads: bool, decoders: bool, told: Path, comman
         if workers == 1:
             cv2.setNumThreads(1)
     job.worker_count = lambda pixels, stated=None: (workers, threads)
-    if workers == 1:
-        job.run_processes = executors.run_serial
     analyse = job._analyse
 
-    def measured(inputs: object, folder: job.JobFolder, *rest: object) -> None:
+    def measured(inputs: object, folder: job.JobFolder, key: str, options: job.Options, log: object) -> None:
+        rest = key, options, log
         analyse(inputs, folder, *rest)
+        options.processes._end()
         folder.clear("stretches")
         folder.stretches.mkdir()
         start = time.perf_counter()
@@ -131,10 +140,10 @@ def simulate(folder: Path, repeated: int) -> None:
     )
     print(f"{'workers':>8}{'Amdahl':>9}{'simulated':>11}{'stretches by 2':>16}{'by 1':>7}")
     for workers in WORKERS:
-        chunks_s = elapsed(loads["chunk"], workers, False)[0]
+        chunks_s = elapsed(loads["chunk"], workers)[0]
         row = [total_s / (serial_s + sum(shared_s.values()) / workers)]
         for others in (workers, min(workers, 2), 1):
-            row.append(total_s / (serial_s + elapsed(loads["stretch"], others, False)[0] + chunks_s))
+            row.append(total_s / (serial_s + elapsed(loads["stretch"], others)[0] + chunks_s))
         print(f"{workers:8}{row[0]:9.1f}{row[1]:11.1f}{row[2]:16.1f}{row[3]:7.1f}")
 
 

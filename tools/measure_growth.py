@@ -199,7 +199,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("lengths", nargs="*", type=int, default=[100, 1000, 10_000], help="frames of each job")
     p.add_argument("--turned", action="store_true", help="the camera rests, the print is turned under a lamp that changes")
-    p.add_argument("--workers", type=int, default=1, help="processes that analyse and render")
+    p.add_argument("--workers", type=int, default=1, help="processes; of several the seconds are not counted")
     p.add_argument("--base", type=int, default=1000, help="frames of the job that growth is counted from")
     p.add_argument("--option", action="append", default=[], help="of `arfx process`, such as --option=--budget=20")
     p.add_argument("--json", metavar="FILE", help="write all figures here")

@@ -1,4 +1,4 @@
-"""Who does the work, chunks to render or stretches to analyse: this thread, several threads of this process, or several spawned
+"""Who does the work, chunks to render or stretches to analyse: this thread, several threads of this process, or several
 processes. The same bytes.
 
 Threads share the model and what the stages prepared, and need no second start of Python: right for a few cores, as
@@ -6,20 +6,24 @@ nearly all of a frame's time is spent in code that lets other threads run. With 
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import queue
+import sys
 import threading
+import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Sequence
-from typing import Any
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any, Self
 
 from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
 from arfx.errors import RenderError
 from arfx.run.schedule import steal, work_queues
 from arfx.run.source import release
-from arfx.run.worker import render_chunk
+from arfx.run.worker import keep_memory, render_chunk
 
 # one chunk's or stretch's arguments: folder, key, first, last, target
 Task = tuple[str, str, int, int, str]
@@ -27,7 +31,6 @@ Work = Callable[..., dict[str, Any]]  # work(*task, tick, alone=False): a functi
 Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
 # one software-rendering thread and one kernel thread for each of several processes; two processes scale better than two threads
 ONE_THREAD = ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
-_counter: Any = None
 
 
 def run_serial(tasks: Iterable[Task], progress: Callable[[int], None], work: Work = render_chunk) -> Results:
@@ -52,11 +55,18 @@ class _StoppedError(Exception):
 
 def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
     """Work in `workers` threads of this process, in any order. Raises what a thread raises; on the way out all stop."""
+    return _in_threads(tasks, [work] * workers, progress)
+
+
+def _in_threads(
+    tasks: Sequence[Task], crew: Sequence[Work], progress: Callable[[int], None], stop: Callable[[], None] = lambda: None
+) -> Results:
+    """A thread for each of the crew, who works. stop : called on the way out, unless all is done"""
     import concurrent.futures as futures
 
     ticks = itertools.count(1)  # one step of it is atomic
     done, stopped = 0, False
-    queues = work_queues(tasks, workers)
+    queues = work_queues(tasks, len(crew))
     choosing = threading.Lock()
     results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
@@ -70,7 +80,7 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
         with choosing:
             return steal(own, queues)
 
-    def run(own: deque[Task]) -> None:
+    def run(own: deque[Task], work: Work) -> None:
         try:
             while (task := next_task(own)) is not None:
                 results.put(work(*task, tick))
@@ -79,7 +89,7 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
 
     pool = futures.ThreadPoolExecutor(len(queues), "worker")
     try:
-        running = {pool.submit(run, own) for own in queues}
+        running = {pool.submit(run, own, work) for own, work in zip(queues, crew, strict=False)}
         while running:
             ready, running = futures.wait(running, timeout=0.2, return_when=futures.FIRST_COMPLETED)
             progress(done)
@@ -89,61 +99,125 @@ def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], N
                 future.result()
         while not results.empty():
             yield results.get()
-    finally:
+    except BaseException:
         stopped = True
+        stop()
+        raise
+    finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _start(counter: Any) -> None:
-    """In each worker: leave Ctrl-C to the parent, end with it, look for garbage seldom, and keep libraries from starting a thread
-    per core each."""
-    global _counter
-    _counter = counter
+def _serve(pipe: Any) -> None:
+    """A worker process: leaves Ctrl-C to the parent, ends with it, looks for garbage seldom, and keeps libraries from starting a
+    thread per core each. It is sent work and tasks; it answers None after each frame, then what came of it."""
+    keep_memory()
     interrupt.in_worker()
     collect_seldom()
     import cv2
 
     cv2.setNumThreads(1)
+    with contextlib.suppress(EOFError, OSError):  # the parent has ended
+        while True:
+            work, task = pipe.recv()
+            try:
+                answer = work(*task, lambda: pipe.send(None))
+            except Exception as e:
+                e.add_note(traceback.format_exc())
+                answer = e
+            pipe.send(answer)
 
 
-def _run(work: Work, task: Task) -> dict[str, Any]:
-    def tick() -> None:
-        with _counter.get_lock():
-            _counter.value += 1
+class _Worker:
+    """A worker process, seen from here."""
 
-    return work(*task, tick)
+    def __init__(self, context: Any) -> None:
+        self._pipe, its = context.Pipe()
+        self.process = context.Process(target=_serve, args=(its,), daemon=True)
+        self.process.start()
+        its.close()
+
+    def do(self, work: Work, *given: Any) -> dict[str, Any]:
+        """work(*given), of which the last is called after each frame. Raises what that raises; RenderError if the worker dies."""
+        *task, tick = given
+        try:
+            self._pipe.send((work, task))
+            while (answer := self._pipe.recv()) is None:
+                tick()
+        except (EOFError, OSError):
+            raise RenderError(
+                "a worker process was killed (out of memory?)", "--resume goes on; fewer --workers need less memory"
+            ) from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
 
-def run_processes(tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
-    """Work in `workers` spawned processes (never forked: an OpenGL context does not survive it), in any order.
+@contextlib.contextmanager
+def _starting() -> Iterator[None]:
+    """Processes that start in the body have the environment of workers, and import from where this one does."""
+    theirs = {name: os.environ.get(name, "1") for name in ONE_THREAD}
+    theirs |= {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    ours = {name: os.environ.get(name) for name in theirs}
+    with interrupt.starting_workers():
+        os.environ.update(theirs)
+        try:
+            yield
+        finally:
+            for name, value in ours.items():
+                os.environ.pop(name)
+                os.environ.update({} if value is None else {name: value})
 
-    Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped."""
-    import concurrent.futures as futures
-    import multiprocessing
 
-    context = multiprocessing.get_context("spawn")
-    try:
-        counter = context.Value("L", 0)
-    except OSError:  # no shared memory here (a bare container): the same bytes, one process
-        yield from run_serial(tasks, progress, work)
-        return
-    for name in ONE_THREAD:
-        os.environ.setdefault(name, "1")
-    pool = futures.ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(counter,))
-    try:
-        with interrupt.starting_workers():
-            waiting = {pool.submit(_run, work, task) for task in tasks}
-        while waiting:
-            ready, waiting = futures.wait(waiting, timeout=0.2, return_when=futures.FIRST_COMPLETED)
-            progress(counter.value)
-            for future in ready:
-                yield future.result()
-        pool.shutdown()
-    except futures.process.BrokenProcessPool:
-        raise RenderError(
-            "a worker process was killed (out of memory?)", "--resume goes on; fewer --workers need less memory"
-        ) from None
-    finally:
-        for process in list((pool._processes or {}).values()):  # shutdown alone would wait for whole chunks
-            process.terminate()
-        pool.shutdown(wait=False, cancel_futures=True)
+class Processes:
+    """Worker processes. In `with` they are kept: those that worked work in the next `run` too.
+
+    Where that is safe (Linux) they are forked, from a server that has imported what they need, and never had a thread or an
+    OpenGL context: neither survives a fork. Elsewhere they are spawned."""
+
+    def __init__(self) -> None:
+        self._workers: list[_Worker] = []
+        self._kept = False
+
+    def __enter__(self) -> Self:
+        self._kept = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._kept = False
+        self._end()
+
+    def prepare(self) -> Any:
+        """Have the server begin to import, which this process need not wait for. Returns how processes are made."""
+        import multiprocessing
+
+        if sys.platform != "linux":
+            return multiprocessing.get_context("spawn")
+        from multiprocessing import forkserver
+
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["arfx.run.preload"])
+        with _starting():
+            forkserver.ensure_running()
+        return context
+
+    def run(self, tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
+        """Work in `workers` processes, in any order.
+
+        Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped, unless all is
+        done and they are kept."""
+        context, wanted = self.prepare(), min(workers, len(tasks))
+        try:
+            with _starting():
+                while len(self._workers) < wanted:
+                    self._workers.append(_Worker(context))
+            crew = [partial(worker.do, work) for worker in self._workers[:wanted]]
+            yield from _in_threads(tasks, crew, progress, self._end)
+        finally:
+            if not self._kept:
+                self._end()
+
+    def _end(self) -> None:
+        while self._workers:
+            process = self._workers.pop().process
+            process.terminate()  # it would do the whole chunk otherwise
+            process.join()

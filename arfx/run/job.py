@@ -7,7 +7,7 @@ import json
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from arfx.run.analysis import Run, analyse_clip, in_order
 from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster, open_cluster
-from arfx.run.executors import Results, Task, run_processes, run_serial, run_threads
+from arfx.run.executors import Processes, Results, Task, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, Lines, digest, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlisted
@@ -62,7 +62,8 @@ class Options:
     finish(job folder) : called when the output is there, before its folder is given back
     workers : processes, None = one for a short job, else one per core
     executor : a cluster in place of processes;  map_path : where its workers see what this machine has
-    progress(phase, frames done, frames in all or None);  notice(message) for warnings"""
+    progress(phase, frames done, frames in all or None);  notice(message) for warnings
+    processes : those that work"""
 
     folder: Path | None = None
     resume: bool = False
@@ -74,6 +75,7 @@ class Options:
     map_path: Sequence[PathMap] = ()
     progress: Progress = lambda phase, done, total: None
     notice: Callable[[str], None] = print
+    processes: Processes = field(default_factory=Processes)
 
 
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
@@ -82,6 +84,8 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can be resumed."""
     started = time.perf_counter()
     keep_memory()
+    if (options.workers or 1) > 1 and options.executor is None:
+        options.processes.prepare()
     inputs = open_inputs(config)
     for notice in inputs.notices:
         options.notice(notice)
@@ -97,9 +101,10 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
             report(phase, done, total)
 
         options = replace(options, progress=progress, workers=options.workers if cluster is None else cluster.workers)
-        job = plan_job(inputs, folder, options, started, cluster)
-        chunks = _chunks(job)
-        files = _render(job, chunks, options, cluster)
+        with options.processes if cluster is None else contextlib.nullcontext():
+            job = plan_job(inputs, folder, options, started, cluster)
+            chunks = _chunks(job)
+            files = _render(job, chunks, options, cluster)
         start = time.perf_counter()
         if left_out := _join(job, files, places):
             options.notice(f"damaged packets of sound, subtitles or data that were left out: {left_out}")
@@ -145,7 +150,7 @@ def plan_job(
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
-        with loading(parts, options.workers in (None, 1)):
+        with loading(parts if options.workers in (None, 1) else (JOB,)):
             _analyse(inputs, folder, analysis_key, options, log, cluster)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
     scene = analysed.scene(config, inputs.camera, inputs.model, folder)
@@ -231,8 +236,8 @@ def _in_parallel(area_px: int, options: Options) -> Run:
         workers = min(workers, usable_cores())  # a cluster's are not here
         if min(workers, count) <= 1:
             return in_order(tasks, count, frames, progress)
-        parallel = run_threads if threads else run_processes
-        return _without_opencv_threads(parallel([*tasks], min(workers, count), progress, analyse_stretch))
+        parallel = run_threads if threads else options.processes.run
+        return _without_opencv_threads(parallel([*tasks], workers, progress, analyse_stretch))
 
     return run
 
@@ -274,12 +279,12 @@ def _render(job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | 
 
     progress(0)
     workers, threads = worker_count(total * job.scene.camera.rect.area, options.workers) if tasks else (0, False)
-    workers = min(workers, len(tasks))
     run: Callable[..., Results]
     if cluster is not None:
         run = partial(cluster.render, job=job)
     else:
-        run = partial(run_threads if threads else run_processes, workers=workers) if workers > 1 else run_serial
+        several = min(workers, len(tasks)) > 1
+        run = partial(run_threads if threads else options.processes.run, workers=workers) if several else run_serial
     with contextlib.closing(run(tasks, progress=progress)) as results:  # an error here too stops the workers
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]

@@ -186,14 +186,12 @@ def _in_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
 
 
 @contextlib.contextmanager
-def loading(parts: Collection[str], wanted: bool) -> Iterator[None]:
-    """Load compiled code in a thread while the body runs, which leaves a core idle; the end waits for it, except after an error.
-
-    wanted : False = do nothing"""
+def loading(parts: Collection[str]) -> Iterator[None]:
+    """Load compiled code in a thread beside the body, which leaves a core idle; the end waits for it, except after an error."""
 
     def load() -> None:
         with contextlib.suppress(Exception):  # raised again where it is called
-            for kernel in listed_kernels(parts) if wanted else ():
+            for kernel in listed_kernels(parts):
                 kernel.load()
 
     thread = threading.Thread(target=load, name="load-compiled", daemon=True)

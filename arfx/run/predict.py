@@ -111,8 +111,7 @@ def _shared(
         Load(a, b, both(render_s * (b - a + 1) + scale * sum(planned[a : b + 1]), write_s * (b - a + 1)))
         for a, b in borders(size.frames)
     ]
-    threads = not size.processes
-    wall_s, lead_s = elapsed(loads, size.workers, threads, size.keys, decode_s, prices.alone if threads else 1.0)
+    wall_s, lead_s = elapsed(loads, size.workers, size.keys, decode_s, 1.0 if size.processes else prices.alone)
     total_s = size.decode_s + edit_s + encode_s + scale * sum(planned) + lead_s
     return (wall_s / total_s if total_s > 0 else 1.0 / size.workers), lead_s
 

@@ -1,7 +1,7 @@
 """How a clip is cut into chunks, which worker renders which, and how long that takes.
 
-Chunk borders depend on the job alone, never on who renders them. Threads each have consecutive chunks, processes take the next
-one there is (run/executors.py). A worker that does not read on from its last chunk decodes from the key frame before."""
+Chunk borders depend on the job alone, never on who renders them. Each worker has consecutive chunks (run/executors.py): one that
+does not read on from its last chunk decodes from the key frame before."""
 
 from __future__ import annotations
 
@@ -101,15 +101,15 @@ class _Worker:
 
 
 def elapsed(
-    loads: Sequence[Load], workers: int, threads: bool, keys: Sequence[int] = (), decode_s: float = 0.0, alone: float = 1.0
+    loads: Sequence[Load], workers: int, keys: Sequence[int] = (), decode_s: float = 0.0, alone: float = 1.0
 ) -> tuple[float, float]:
     """(seconds until the last worker is through, seconds of decoding that no frame of its own chunk needs).
 
-    threads : workers have a queue each;  keys : frames that decoding can begin at;  decode_s : of a frame
+    keys : frames that decoding can begin at;  decode_s : of a frame
     alone : time of one worker that is alone, as a fraction of its time beside others that are busy"""
     workers = max(min(workers, len(loads)), 1)
-    queues = work_queues(loads, workers if threads else 1) or [deque()]
-    crew = [_Worker(queues[k] if threads and k < len(queues) else queues[0]) for k in range(workers)]
+    queues = work_queues(loads, workers) or [deque()]
+    crew = [_Worker(queues[min(k, len(queues) - 1)]) for k in range(workers)]
     now = lead = 0.0
     while True:
         for w in crew:

@@ -256,7 +256,7 @@ def _filled(path: WorldPath, present: Sequence[tuple[int, int]], times: np.ndarr
     rotation, translation = path.rotation.copy(), path.translation.copy()
     for first, end in present:
         on = first + np.flatnonzero(path.measured[first:end])
-        for a, b in pairwise(on):
+        for a, b in ((a, b) for a, b in pairwise(on) if b > a + 1):
             turn = rotvec_from_rotation(rotation[b] @ rotation[a].T)
             for k in range(a + 1, b):
                 fraction = (times[k] - times[a]) / (times[b] - times[a])

@@ -1,0 +1,25 @@
+"""What worker processes are forked with (executors.py): imported once, by a process that starts no thread and opens no OpenGL.
+
+Stages of other distributions are left to the workers: nobody knows what theirs start."""
+
+import atexit
+import os
+
+from arfx.core.machine import collect_seldom
+
+collect_seldom()
+
+import trimesh  # noqa: E402, F401
+
+import arfx.run.stretches  # noqa: E402
+import arfx.run.worker  # noqa: E402, F401
+from arfx.papers import FORMULAS  # noqa: E402
+from arfx.run.kernels import JOB, listed_kernels  # noqa: E402
+from arfx.stages import STAGES  # noqa: E402
+
+for table in ({name: STAGES[name] for name in STAGES._paths}, *FORMULAS.values()):
+    dict(table)
+for kernel in listed_kernels((JOB,)):
+    if kernel.is_cached:
+        kernel.load()
+atexit.register(os._exit, 0)  # the server ends at once, without taking apart all of that
