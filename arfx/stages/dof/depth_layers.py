@@ -8,6 +8,7 @@ Leaves out: edges between things of one layer."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numba
@@ -56,7 +57,7 @@ def depth_layers(colour: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
         base, base_radius = fill(colour, radius, far)
     fronts = []
     if sharp.any():
-        sharp_colour, coverage = colour * sharp[..., None], sharp.astype(np.float32)
+        sharp_colour, coverage = cv2.copyTo(colour, sharp.view(np.uint8)), sharp.astype(np.float32)
         if near.any():
             sharp_colour, coverage = fill(sharp_colour, coverage, ~near)
         fronts.append(FrontLayer(np.where(coverage > 0, np.float32(0), np.float32(-1)), sharp_colour, coverage))
@@ -64,7 +65,7 @@ def depth_layers(colour: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
         if not (far.any() or sharp.any()):
             return DepthLayers(colour, radius, ())
         coverage = near.astype(np.float32)
-        fronts.append(FrontLayer(np.where(near, radius, np.float32(-1)), colour * near[..., None], coverage))
+        fronts.append(FrontLayer(np.where(near, radius, np.float32(-1)), cv2.copyTo(colour, near.view(np.uint8)), coverage))
     return DepthLayers(base, base_radius, tuple(fronts))
 
 
@@ -80,52 +81,66 @@ def fill(colour: np.ndarray, more: np.ndarray, known: np.ndarray) -> tuple[np.nd
         size = tuple(-(-n // 2) for n in sums[-1][1].shape[::-1])
         value, weight = (cv2.resize(a, size, interpolation=cv2.INTER_AREA) for a in sums[-1])
         sums.append((value, weight))
-    out = _mean(*sums[-1])
-    for value, weight in reversed(sums[:-1]):
-        up = cv2.resize(out, weight.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        share = np.minimum(weight * 4, 1)[..., None]  # a quarter of a cell known is enough to go by it
-        out = up + (_mean(value, weight) - up) * share
+    value, weight = sums.pop()
+    out = divide(value, weight[..., None]).astype(np.float32)
+    for value, weight in reversed(sums):
+        out = np.asarray(cv2.resize(out, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+        parallel_rows(partial(_lay_over, out, value, weight), len(weight))
     filled = np.empty((h, w, 3), np.float32), np.empty((h, w), np.float32)
     parallel_rows(lambda a, b: _fill_rows(colour, more, known, out, a, b, *filled), h)
     return filled
 
 
-def _mean(value: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    return value / np.where(weight > 0, weight, 1)[..., None]
-
-
 @numba.njit(cache=True, nogil=True)
 def _halve_known(colour, more, known, ya, yb, value, weight):  # pragma: no cover - compiled
     """Rows ya..yb of sums over 2 x 2 pixels that are known, of four values (h, w, 4) and of how many are, in quarters."""
+    h, w = known.shape
+    for y in range(ya, yb):
+        sums, count = value[y].reshape(-1), weight[y]
+        sums[:], count[:] = 0, 0
+        for j in range(2 * y, min(2 * y + 2, h)):
+            line, fourth, here = colour[j].reshape(-1), more[j], known[j]
+            for x in range(w):
+                i, to = np.uintp(3) * np.uintp(x), np.uintp(4) * (np.uintp(x) // np.uintp(2))
+                s = np.float32(0.25) * np.float32(here[np.uintp(x)])
+                for c in range(3):
+                    sums[to + np.uintp(c)] += s * line[i + np.uintp(c)]
+                sums[to + np.uintp(3)] += s * fourth[np.uintp(x)]
+                count[np.uintp(x) // np.uintp(2)] += s
+
+
+@numba.njit(cache=True, nogil=True)
+def _lay_over(out, value, weight, ya, yb):  # pragma: no cover - compiled
+    """Rows ya..yb of means over out (h, w, 4), as far as they are known: a quarter of a cell is enough to go by it."""
+    one, quarter = np.float32(1), np.float32(0.25)
     for y in range(ya, yb):
         for x in range(weight.shape[1]):
-            r = g = b = d = n = np.float32(0)
-            for j in range(2 * y, min(2 * y + 2, known.shape[0])):
-                for i in range(2 * x, min(2 * x + 2, known.shape[1])):
-                    s = np.float32(0.25) if known[j, i] else np.float32(0)
-                    r, g, b = r + s * colour[j, i, 0], g + s * colour[j, i, 1], b + s * colour[j, i, 2]
-                    d, n = d + s * more[j, i], n + s
-            value[y, x, 0], value[y, x, 1], value[y, x, 2], value[y, x, 3], weight[y, x] = r, g, b, d, n
+            w = weight[y, np.uintp(x)]
+            rest, factor = one - min(w / quarter, one), one / max(w, quarter)
+            for c in range(4):
+                i, k = np.uintp(x), np.uintp(c)
+                out[y, i, k] = out[y, i, k] * rest + value[y, i, k] * factor
 
 
 @numba.njit(cache=True, nogil=True)
 def _fill_rows(colour, more, known, small, ya, yb, out, out_more):  # pragma: no cover - compiled
     """Rows ya..yb: what is known, else linear between small, (ceil(h / 2), ceil(w / 2), 4)."""
     last, end = small.shape[0] - 1, small.shape[1] - 1
+    between = np.empty(4 * small.shape[1], np.float32)
     for y in range(ya, yb):
-        top, t = max((y - 1) // 2, 0), np.float32(0.25) if y % 2 else np.float32(0.75)
-        bottom = min((y + 1) // 2, last)
+        t = np.float32(0.25) if y % 2 else np.float32(0.75)
+        top, bottom = small[max((y - 1) // 2, 0)].reshape(-1), small[min((y + 1) // 2, last)].reshape(-1)
+        for k in range(between.shape[0]):
+            between[k] = top[k] + (bottom[k] - top[k]) * t
+        line, to, here = colour[y].reshape(-1), out[y].reshape(-1), known[y]
         for x in range(known.shape[1]):
-            if known[y, x]:
-                out[y, x, 0], out[y, x, 1], out[y, x, 2] = colour[y, x, 0], colour[y, x, 1], colour[y, x, 2]
-                out_more[y, x] = more[y, x]
+            n, i = np.uintp(x), np.uintp(3) * np.uintp(x)
+            if here[n]:
+                to[i], to[i + np.uintp(1)], to[i + np.uintp(2)] = line[i], line[i + np.uintp(1)], line[i + np.uintp(2)]
+                out_more[y, n] = more[y, n]
                 continue
-            left, right, s = max((x - 1) // 2, 0), min((x + 1) // 2, end), np.float32(0.25) if x % 2 else np.float32(0.75)
-            for c in range(4):
-                a = small[top, left, c] + (small[top, right, c] - small[top, left, c]) * s
-                b = small[bottom, left, c] + (small[bottom, right, c] - small[bottom, left, c]) * s
-                v = a + (b - a) * t
-                if c < 3:
-                    out[y, x, c] = v
-                else:
-                    out_more[y, x] = v
+            a, b = np.uintp(4 * max((x - 1) // 2, 0)), np.uintp(4 * min((x + 1) // 2, end))
+            s = np.float32(0.25) if x % 2 else np.float32(0.75)
+            for c in range(3):
+                to[i + np.uintp(c)] = between[a + np.uintp(c)] + (between[b + np.uintp(c)] - between[a + np.uintp(c)]) * s
+            out_more[y, n] = between[a + np.uintp(3)] + (between[b + np.uintp(3)] - between[a + np.uintp(3)]) * s

@@ -3,6 +3,7 @@
 Places are whole numbers of 1/STEPS px, relative to the tile's middle: float32 holds them exactly, and mostly all packed
 distances; else float64 does. Source: docs/methods/watercolor.md#labels."""
 
+# mypy: disable-error-code="call-overload, operator, arg-type"
 from __future__ import annotations
 
 from typing import NamedTuple

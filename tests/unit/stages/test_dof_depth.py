@@ -119,6 +119,6 @@ def test_fill_keeps_what_is_known_and_goes_on_with_what_is_near() -> None:
     known = np.ones((50, 70), bool)
     known[10:40, 5:25] = known[10:40, 45:65] = False
     given = np.where(known[..., None], values, 9.0).astype(np.float32)
-    out = np.dstack(fill(given[..., :3], given[..., 3], known))
+    out = np.dstack(fill(np.ascontiguousarray(given[..., :3]), np.ascontiguousarray(given[..., 3]), known))
     np.testing.assert_array_equal(out[known], values[known])
     assert out[15:35, 7:23].max() < 0.25 and out[15:35, 47:63].min() > 0.75
