@@ -10,43 +10,30 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.stages.dof.pyramid import ALIGN_PX, SHARP_PX
+from arfx.stages.dof.pyramid import ALIGN_PX
 from arfx.stages.dof.real_pixels import RealPixels
 from arfx.stages.dof.splat import OccluderPixels
-from arfx.stages.dof.spread import BlurredRows, light_of_row
+from arfx.stages.dof.spread import BlurredRows, light_of_row, staying
 
 _FLAGS = {"contract", "nsz", "arcp"}
 # State of a pixel of the result: the composite's bits; covered by something sharp alone; reached by blurred light.
 UNTOUCHED, SHARP, BLURRED = np.uint8(0), np.uint8(1), np.uint8(2)
-NO_SHARE = np.empty((0, 0), np.float32)
-_HALF_SHARP_PX2 = np.float32((SHARP_PX / 2) ** 2)
-_ALL = np.float32(1 - 1e-6)  # but for rounding
-
-
-@line_kernel(fastmath=_FLAGS)
-def _own(r):  # pragma: no cover - compiled
-    """How much of the light that is not spread in the picture of half the size stays in its pixel of the whole one: all up to
-    SHARP_PX there, none from twice that on. r : radius, px of half the size"""
-    fraction = (np.float32(4) * _HALF_SHARP_PX2 - r * r) / (np.float32(3) * _HALF_SHARP_PX2)
-    return min(max(fraction, np.float32(0)), np.float32(1))
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_real(
-    out, state, share, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility
+    out, state, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility, stays
 ):  # fmt: skip  # pragma: no cover - compiled
     """Columns begin..end of out (rows, w, 3) = the real scene blurred where light of it was spread to, there state (rows, w)
     = BLURRED; else the composite's own bits, from its row `top`. The columns of `shed` lie within begin..end.
 
-    share : (rows, w), filled with how much of a pixel is its own light, in the whole picture too (`half`); or NO_SHARE"""
+    stays : of the `Pyramid`"""
     image, patch, box = real
-    split = share.shape[0] > 0
-    lo, hi = (begin, end) if split else (shed.lo, shed.hi)
+    lo, hi = shed.lo, shed.hi
     light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * (out.shape[1] + ALIGN_PX), np.float32)
     for j in range(out.shape[0]):
         y = top + j
         light_of_row(light, y, shed, lo, hi, between)
-        own = share[j] if split else share.reshape(-1)
         line, sharp, r = out[j].reshape(-1), image[y].reshape(-1), radius[y]
         whole = visibility.shape[0] == 0
         visible = r if whole else visibility[y]
@@ -55,37 +42,32 @@ def composite_real(
         a, b = (max(box[0], lo), min(box[2], hi)) if box[1] <= y < box[3] else (hi, hi)  # columns of the patch
         if a >= b:
             a, b = hi, hi
-        _add_sharp(line, state[j], own, light, r, sharp, sharp, (lo, a, 0), visible, whole)
+        _add_sharp(line, state[j], light, r, sharp, sharp, (lo, a, 0), visible, whole, stays)
         if a < b:
             behind = patch[y - box[1]].reshape(-1)
-            _add_sharp(line, state[j], own, light, r, behind, sharp, (a, b, box[0]), visible, whole)
-        _add_sharp(line, state[j], own, light, r, sharp, sharp, (b, hi, 0), visible, whole)
+            _add_sharp(line, state[j], light, r, behind, sharp, (a, b, box[0]), visible, whole, stays)
+        _add_sharp(line, state[j], light, r, sharp, sharp, (b, hi, 0), visible, whole, stays)
 
 
 @line_kernel(fastmath=_FLAGS)
 def _add_sharp(
-    out, state, share, light, radius, sharp, image, columns, visible, whole
+    out, state, light, radius, sharp, image, columns, visible, whole, stays
 ):  # fmt: skip  # pragma: no cover - compiled
     """Where there is light (4 w,): that and what stays of sharp (3 n,), together 1; elsewhere image (3 w,); to out (3 w,).
 
-    columns : first, behind the last, and that at which `sharp` begins;  visible : (w,) fraction of what is sharp, unless whole
-    share : (w,) or empty, as of `composite_real`"""
-    first, split, one, zero = 3 * columns[2], share.shape[0] > 0, np.float32(1), np.float32(0)
+    columns : first, behind the last, and that at which `sharp` begins;  visible : (w,) fraction of what is sharp, unless whole"""
+    first = 3 * columns[2]
     for x in range(columns[0], columns[1]):
         i, j, k, n = np.uintp(4 * x), np.uintp(3 * x), np.uintp(3 * x - first), np.uintp(x)
         w = light[i + np.uintp(3)]
         if not w > 0:
-            if split:
-                share[n] = _own(radius[n])
             out[j], out[j + np.uintp(1)], out[j + np.uintp(2)] = image[j], image[j + np.uintp(1)], image[j + np.uintp(2)]
             continue
         state[n] = BLURRED
-        fraction = one if radius[n] <= SHARP_PX else zero
+        fraction = staying(radius[n], stays)
         if not whole:
             fraction *= visible[n]
-        inverse = one / (w + fraction)
-        if split:
-            share[n] = fraction * _own(radius[n]) * inverse
+        inverse = np.float32(1) / (w + fraction)
         a, b, c = light[i], light[i + np.uintp(1)], light[i + np.uintp(2)]
         d, e, f = sharp[k], sharp[k + np.uintp(1)], sharp[k + np.uintp(2)]
         a, b, c = (a + fraction * d) * inverse, (b + fraction * e) * inverse, (c + fraction * f) * inverse
@@ -94,18 +76,18 @@ def _add_sharp(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_occluder(
-    out, state, share, columns, at, own: BlurredRows, occluded: BlurredRows, pixels: OccluderPixels, real: RealPixels
+    out, state, columns, at, own: BlurredRows, occluded: BlurredRows, pixels: OccluderPixels, real: RealPixels
 ):  # fmt: skip  # pragma: no cover - compiled
     """Columns (begin, end) of rows of an occluder over out (rows, w, 3).
 
     at (3,) : the rows begin at row `first` of the layer and `top` of the picture, the layer's column 0 is `left` of out's
     own, occluded : its light and the weight of what it lets through
-    state : set BLURRED where any of it is spread, else SHARP; returns whether any is set SHARP;  share : of `composite_real`
+    state : set BLURRED where any of it is spread, else SHARP; returns whether any is set SHARP
     real : the real scene, from row `top`, for pixels that are UNTOUCHED"""
     (begin, end), (first, top, left) = columns, at
-    radius, colour, coverage, opacity = pixels
+    radius, colour, coverage, opacity, stays = pixels
     image, patch, box = real
-    width, any_sharp, split, one, zero = radius.shape[1], False, share.shape[0] > 0, np.float32(1), np.float32(0)
+    width, any_sharp = radius.shape[1], False
     light, through = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
     between = np.empty(4 * (width + ALIGN_PX), np.float32)
     for y in range(out.shape[0]):
@@ -115,31 +97,26 @@ def composite_occluder(
         for x in range(begin, end):
             w = light[4 * x + 3]
             c = coverage[y, x] * opacity
-            r = radius[y, x]
-            sharp_weight = one if r <= SHARP_PX else zero
+            sharp_weight = staying(radius[y, x], stays)
             if not (w > 0 or sharp_weight * c > 0):
                 continue
             total = w + through[4 * x + 3] + sharp_weight
-            i = left + x
-            if state[y, i] == UNTOUCHED:
+            if state[y, left + x] == UNTOUCHED:
+                i = left + x
                 for k in range(3):
                     out[y, i, k] = patch[top + y - box[1], i - from_x, k] if from_x <= i < until_x else image[top + y, i, k]
-                state[y, i] = SHARP
+                state[y, left + x] = SHARP
                 any_sharp = True
             if w > 0:
-                state[y, i] = BLURRED
+                state[y, left + x] = BLURRED
             w += sharp_weight * c
-            inverse = one / total
-            background = max(one - w * inverse, zero)
-            if split:
-                # of what is behind, the picture shows no more than it lets through
-                here = share[y, i] * min(background, one - c) + sharp_weight * _own(r) * c * inverse
-                share[y, i] = one if here > _ALL else here
+            inverse = np.float32(1) / total
+            background = max(np.float32(1) - w * inverse, np.float32(0))
             for k in range(3):
                 v = light[4 * x + k]
                 if sharp_weight * c > 0:
                     v += colour[y, x, k] * opacity * sharp_weight
-                out[y, i, k] = out[y, i, k] * background + v * inverse
+                out[y, left + x, k] = out[y, left + x, k] * background + v * inverse
     return any_sharp
 
 

@@ -44,7 +44,7 @@ class OccluderLayer:
     sharp: Rect
 
     def splat(self, strip: tuple[int, int]) -> None:
-        pixels = splat.OccluderPixels(self.own.radius, self.colour, self.coverage, self.opacity)
+        pixels = splat.OccluderPixels(self.own.radius, self.colour, self.coverage, self.opacity, self.own.pyramid.stays)
         self.own.record(strip, splat.splat_occluder(*strip, pixels, self.own.buffers))
         self.occluded.record(strip, splat.splat_occluded(*strip, pixels, self.occluded.buffers))
 
@@ -60,15 +60,15 @@ class OccluderLayer:
         return covered, own, own if covered.empty else self.occluded.rows(*span, f"occluded {name}")
 
     def composite(
-        self, blurred: Blurred, out: np.ndarray, state: np.ndarray, share: np.ndarray, rows: Rect, first: int, real: RealPixels
+        self, blurred: Blurred, out: np.ndarray, state: np.ndarray, rows: Rect, first: int, real: RealPixels
     ) -> bool:  # fmt: skip
         """Over the rows `rows` of out. first : of these rows in `real`. Returns whether any pixel is `compositing.SHARP`."""
         part, own, occluded = blurred
         top, bottom, down, left = part.y0 - self.rect.y0, part.y1 - self.rect.y0, part.y0 - rows.y0, self.rect.x0
         radius, colour, coverage = (a[top:bottom] for a in (self.own.radius, self.colour, self.coverage))
-        pixels = splat.OccluderPixels(radius, colour, coverage, self.opacity)
+        pixels = splat.OccluderPixels(radius, colour, coverage, self.opacity, self.own.pyramid.stays)
         columns, to = (part.x0 - left, part.x1 - left), slice(down, part.y1 - rows.y0)
-        args = out[to], state[to], share[to], columns, (top, first + down, left - rows.x0), own, occluded, pixels, real
+        args = out[to], state[to], columns, (top, first + down, left - rows.x0), own, occluded, pixels, real
         return not part.empty and bool(compositing.composite_occluder(*args))
 
 
@@ -86,24 +86,19 @@ def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
 
 def render(
     now: Layers, facts: FrameFacts, frame: Rect, out: Rect, real: Real, grid: np.ndarray, coc: CircleOfConfusion,
-    pyramid: Pyramid, params: DofParams, share: np.ndarray = compositing.NO_SHARE,
+    pyramid: Pyramid, params: DofParams,
 ) -> Pixels:  # fmt: skip
-    """IMAGE of a frame with a pose over `out`, and somewhat more of the same rows. frame : the whole picture
-
-    share : of `compositing.composite_real`, over all of `now`"""
-    sharp_px = SHARP_PX / pyramid.pixel  # in the whole picture nothing below it changes
+    """IMAGE of a frame with a pose over `out`, and somewhat more of the same rows. frame : the whole picture"""
     optics = np.float32(coc.px_per_dioptre), np.float32(coc.focus), np.float32(coc.limit_px)
     largest = coc.largest_px(real.dioptre_range(grid)) if params.scope == "all" else 0.0
-    real_blurs = largest > sharp_px
+    real_blurs = largest > SHARP_PX
     rect, everywhere = now.rect, real_blurs and (real.tiles is not None or bool(real.finite_planes))
     rows = strips(rect)
     nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
     blurred = [(0, rect.width if everywhere else 0)] * len(rows)  # columns of each strip that hold a circle of 1 px
     if real_blurs and not everywhere:
-        blurred = _blurred_columns(rows, rect, coc.radius_px(np.maximum(nodes, real.background)) > sharp_px)
+        blurred = _blurred_columns(rows, rect, coc.radius_px(np.maximum(nodes, real.background)))
     base = BlurLayer(rect, pyramid, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
-    if share.size:
-        base.radius[...] = 0
     boxed = _object(now, facts, frame, optics, pyramid, params)
     reached = reached_columns(rows, blurred, base.margin_px, rect.width)
     parts = []  # of the real scene, that are looked at
@@ -147,27 +142,27 @@ def render(
     parallel_map(lambda job: job[0].splat(job[1]), [(c, s) for c in occluders for s in strips(c.rect)])
     result = np.empty(image.shape, np.float32)
 
-    def finish(k: int) -> Rect:
-        top, bottom = max(rows[k][0], first), min(rows[k][1], last)
+    def finish(strip: tuple[int, int]) -> Rect:
+        top, bottom = strip
         here = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
         base_rows = base.rows(top, bottom, "base")
-        layers = [(layer, layer.blurred_rows(here, str(n))) for n, layer in enumerate(occluders)]
-        a, b = (base_rows.lo, base_rows.hi) if not share.size else hull((base_rows.lo, base_rows.hi), blurred[k])
+        layers = [(layer, layer.blurred_rows(here, str(k))) for k, layer in enumerate(occluders)]
+        a, b = base_rows.lo, base_rows.hi
         for _, (part, *_) in layers:
             a, b = hull((a, b), (part.x0 - rect.x0, part.x1 - rect.x0))
         if a >= b:
             return EMPTY
-        out, state, own = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8), share[top:bottom]
-        if base_rows.lo < base_rows.hi or (share.size and blurred[k][0] < blurred[k][1]):
-            compositing.composite_real(out, state, own, top, a, b, base_rows, base.radius, sharp, visibility)
+        out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
+        if base_rows.lo < base_rows.hi:
+            compositing.composite_real(out, state, top, a, b, base_rows, base.radius, sharp, visibility, pyramid.stays)
         else:
             out[:, a:b] = image[top:bottom, a:b]
-        if any([layer.composite(light, out, state, own, here, top, sharp) for layer, light in layers]):
+        if any([layer.composite(light, out, state, here, top, sharp) for layer, light in layers]):
             compositing.restore(out, state, image, top, a, b)
         return Rect(rect.x0 + a, here.y0, rect.x0 + b, here.y1)
 
     first, last = out.y0 - rect.y0, out.y1 - rect.y0
-    made = parallel_map(finish, [k for k, (a, b) in enumerate(rows) if a < last and b > first])
+    made = parallel_map(finish, [(max(a, first), min(b, last)) for a, b in rows if a < last and b > first])
     return Pixels(rect, result, now.written[Layer.IMAGE], written=made)
 
 
@@ -175,9 +170,9 @@ def _blurred_columns(rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarr
     """Columns of each strip outside which no pixel of the endless plane is blurred, from tile to tile: a pixel's dioptre lies
     between those of the nodes around.
 
-    on_nodes : (gh, gw) whether it is, on the direction grid"""
+    on_nodes : (gh, gw) radius px on the direction grid"""
     out, g0 = [], rect.x0 // GRID_PX
-    blurred = on_nodes[:, g0 : (rect.x1 - 1) // GRID_PX + 2]
+    blurred = on_nodes[:, g0 : (rect.x1 - 1) // GRID_PX + 2] > SHARP_PX
     for top, bottom in rows:
         tiles = np.flatnonzero(blurred[(rect.y0 + top) // GRID_PX : (rect.y0 + bottom - 1) // GRID_PX + 2].any(0))
         if not len(tiles):

@@ -80,7 +80,7 @@ class BlurLayer:
     @property
     def buffers(self) -> SplatBuffers:
         at, to = (self.offset_y, self.offset_x), (self.finest, self.occupied)
-        return SplatBuffers(self.pyramid.fade, self.cells, self.meta, *at, *to)
+        return SplatBuffers(self.pyramid.fade, self.cells, self.meta, *at, *to, self.pyramid.stays)
 
     def record(self, strip: tuple[int, int], any_light: bool) -> None:
         """What a splat kernel returned for a strip."""
@@ -111,8 +111,7 @@ class BlurLayer:
         width = self.radius.shape[1]
         if level == 0:
             limit_px = np.float32(self.pyramid.fade[0, 1] if self.levels > 1 else np.inf)
-            blur_px2 = self.pyramid.filter_px2[0]
-            a, b = spread_pixels(self.buffers, self.radius, limit_px, blur_px2, low, high, self.margins[0], marks, self.shape)
+            a, b = spread_pixels(self.buffers, self.radius, limit_px, low, high, self.margins[0], marks, self.shape)
             run_sums(marks, a, b)
             return a, b
         first, columns, height = (int(v) for v in self.meta[level])

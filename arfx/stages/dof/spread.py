@@ -23,7 +23,7 @@ MIN_RUN = 4  # discs of one size side by side that are worth marking together
 
 
 class SplatBuffers(NamedTuple):
-    """Where a layer's light goes. fade : of the `Pyramid`
+    """Where a layer's light goes. fade, stays : of the `Pyramid`
 
     finest : (h, w, 4) light of level 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `occupied` (th, tw) uint8
     cells : (n, 5) red, green, blue, weight, weight x radius of all further levels;  meta : (levels, 3) first cell, width,
@@ -36,6 +36,7 @@ class SplatBuffers(NamedTuple):
     offset_x: int
     finest: np.ndarray
     occupied: np.ndarray
+    stays: tuple[np.float32, np.float32]
 
 
 class BlurredRows(NamedTuple):
@@ -81,6 +82,12 @@ def highlight(level):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=_FLAGS)
+def staying(r, stays):  # pragma: no cover - compiled
+    """Fraction of the light of a radius that stays in its pixel. stays : of the `Pyramid`"""
+    return np.float32(1) if r <= SHARP_PX else max(stays[0] - stays[1] * r * r, np.float32(0))
+
+
+@line_kernel(fastmath=_FLAGS)
 def to_cell(buffers: SplatBuffers, level, y, x, a, b, c, d, r):  # pragma: no cover - compiled
     """Light a, b, c, d (weight) of one pixel with radius r to the level's cell that holds it."""
     meta, cells = buffers.meta, buffers.cells
@@ -97,7 +104,7 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
     """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two levels that their radii ask for.
 
     source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none"""
-    fade, cells, meta, offset_y, offset_x, finest, occupied = buffers
+    fade, cells, meta, offset_y, offset_x, finest, occupied, stays = buffers
     levels = meta.shape[0]
     smallest, largest = extremes(radius, y0, x0, y1, x1)
     if largest <= SHARP_PX:
@@ -128,7 +135,8 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
                 cells[at, 3] += d
                 cells[at, 4] += e
         return
-    if k == 0:
+    any_finest = stays[0] <= 0
+    if k == 0 and any_finest:
         occupied[(y0 + offset_y) // TILE_PX - offset_y // TILE_PX, (x0 + offset_x) // TILE_PX - offset_x // TILE_PX] = 1
     if alone:
         for y in range(y0, y1):
@@ -148,6 +156,8 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
             onward = np.float32(0)
             if k < levels - 1 and r > fade[k, 0]:
                 onward = (r - fade[k, 0]) / (fade[k, 1] - fade[k, 0])
+            if k == 0 and not any_finest:
+                onward = np.float32(1) - staying(r, stays)
             j, i = np.uintp(y - y0), np.uintp(x - x0)
             if k > 0 and max(source[j, i, 0], max(source[j, i, 1], source[j, i, 2])) > highlight(k + 1):
                 k, onward = max(k - 1, 1), onward if k > 1 else np.float32(0)
@@ -156,10 +166,10 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
                 level = k + step
                 if fraction <= 0:
                     continue
-                if level == 0:
+                if level == 0 and any_finest:
                     for n in range(4):
                         finest[np.uintp(y), np.uintp(x), n] = source[j, i, n] * fraction
-                else:
+                elif level > 0:
                     s = source[j, i]
                     to_cell(buffers, level, y, x, s[0] * fraction, s[1] * fraction, s[2] * fraction, s[3] * fraction, r)
 
@@ -241,9 +251,7 @@ def _mark_line(marks, y, low, high, width, size, line, area, run_light, shape: S
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def spread_pixels(
-    buffers: SplatBuffers, radius, limit_px, filter_px2, low, high, margin, marks, shape: Shape
-):  # fmt: skip  # pragma: no cover - compiled
+def spread_pixels(buffers: SplatBuffers, radius, limit_px, low, high, margin, marks, shape: Shape):  # pragma: no cover - compiled
     """Level 0: light of pixels with SHARP_PX < radius < limit_px onto rows low..high. Returns the columns marked (lo, hi)."""
     finest, occupied, offset_y, offset_x = buffers.finest, buffers.occupied, buffers.offset_y, buffers.offset_x
     first_x = offset_x // TILE_PX * TILE_PX - offset_x  # of the first tile
@@ -266,8 +274,6 @@ def spread_pixels(
                 size[x] = -1
                 if r <= SHARP_PX or r >= limit_px or finest[y, x, 3] <= 0:
                     continue
-                if filter_px2 > 0:
-                    r = np.sqrt(max(r * r - filter_px2, np.float32(0)))
                 size[x] = int(min(r * STEPS + np.float32(0.5), top))
         if any_light:
             a, b = _mark_line(flat, y, low, high, w, size, finest[y].reshape(-1), np.float32(1), run_light, shape)

@@ -3,9 +3,8 @@
 Every pixel's light is spread over its blur circle (disc or n-blade), energy kept, at a resolution that fits the circle's
 size; the real scene and the virtual object are two layers, so that a blurred silhouette lets through what is behind it.
 Where the circle stays below 1 px nothing changes, bit for bit. While the object fades in or out the lens opens with it.
-Levels differ in the resolution at which a disc is spread (pyramid.py): draft has half the picture's (half.py); high has
-the whole one up to 28 px, and moves the discs of slanted planes to where their light goes; reference is the integral over
-the lens.
+Levels differ in the resolution at which a disc is spread (pyramid.py): draft has no full one; high has it up to 28 px, and
+moves the discs of slanted planes to where their light goes; reference is the integral over the lens.
 Cost: O(blurred pixels), nearly independent of the radius. Leaves out: what real things hide behind their edges, that a
 blurred object lets through light of one side of the lens only, what is blurred before the object and reaches over it, lens
 aberrations, vignetting, motion. Source: docs/methods/dof.md."""
@@ -25,12 +24,11 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, Demand, JobView, Stage, View
 from arfx.stages.dof import demand as called
-from arfx.stages.dof import half
 from arfx.stages.dof.corrected import render
 from arfx.stages.dof.optics import CircleOfConfusion, circle_of_confusion, unknown_lens
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.pyramid import PYRAMIDS
-from arfx.stages.dof.surfaces import GRID_PX, Real, direction_grid, real_scene
+from arfx.stages.dof.surfaces import Real, direction_grid, real_scene
 
 
 class Dof(Stage):
@@ -55,11 +53,8 @@ class Dof(Stage):
         if facts.camera_from_world is None or unknown_lens(self.params, facts):
             return out
         coc, real = self._frame(facts, scene)
-        grid, whole = direction_grid(scene.camera), scene.camera.rect
-        need = called.needs(out, facts, coc, real if self.params.scope == "all" else None, grid, whole)
-        if level in PYRAMIDS and (pixel := PYRAMIDS[level].pixel) > 1:  # its margins are counted in larger pixels
-            need = (need.pad(pixel * GRID_PX) if need != out else need).align(pixel, pixel).clip(whole)
-        return need
+        grid = direction_grid(scene.camera)
+        return called.needs(out, facts, coc, real if self.params.scope == "all" else None, grid, scene.camera.rect)
 
     def health(self, job: JobView) -> Iterator[Check]:
         """The lens of the blur: given, or measured from the footage's edges."""
@@ -80,7 +75,7 @@ class Dof(Stage):
             from arfx.stages.dof.lens_rays import RayScene
 
             return RayScene.of(scene)
-        return direction_grid(scene.camera, PYRAMIDS[level].pixel)
+        return direction_grid(scene.camera)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         now, facts, scene = view.layers, view.facts, view.scene
@@ -92,8 +87,7 @@ class Dof(Stage):
 
             return {Layer.IMAGE: reference.render(now, facts, scene, real, coc, self.params, prepared)}
         pyramid = PYRAMIDS[view.level]
-        made = half.render if pyramid.pixel > 1 else render
-        return {Layer.IMAGE: made(now, facts, scene.camera.rect, view.out, real, prepared, coc, pyramid, self.params)}
+        return {Layer.IMAGE: render(now, facts, scene.camera.rect, view.out, real, prepared, coc, pyramid, self.params)}
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[CircleOfConfusion, Real]:
         p, measured = self.params, facts.real_depth

@@ -25,9 +25,9 @@ _SAME_PLANE = 0.1  # a marker whose corners leave the main plane by less than th
 
 
 @lru_cache(maxsize=4)
-def direction_grid(camera: Camera, pixel: int = 1) -> np.ndarray:
+def direction_grid(camera: Camera) -> np.ndarray:
     """(gh, gw, 3) viewing directions as `viewing.direction_grid`; where there is none, the axis."""
-    d = viewing.direction_grid(camera, pixel)
+    d = viewing.direction_grid(camera)
     return np.where(np.isfinite(d).all(-1, keepdims=True), d, [0.0, 0.0, 1.0])
 
 

@@ -1,10 +1,9 @@
-"""Nearest-site labels, exact: a tile of 8 x 8 pixels only meets the sites that can win one of its pixels.
+"""Nearest-site labels, exact: a tile of 16 x 16 pixels only meets the sites that can win one of its pixels.
 
 Distance is that of a power diagram, |p - s|^2 - weight; with all weights 0 the cells are Voronoi cells. Sites and pixels lie
 on a grid of 1/8 px, so that distances are integers; of equal distances the site of the lower number wins. Pixels may be
-displaced (wobble) before they ask. A block of 2 x 2 tiles collects the sites around it once; its tiles prune them and compare
-what is left (label_kernels). Cost: O(pixels x some 10 candidates). Source: docs/methods/watercolor.md#labels; tiles in place of
-cones."""
+displaced (wobble) before they ask. A tile collects the sites around it, prunes them and compares what is left (label_kernels).
+Cost: O(pixels x some 20 candidates). Source: docs/methods/watercolor.md#labels; tiles in place of cones."""
 
 from __future__ import annotations
 
@@ -16,11 +15,8 @@ import numpy as np
 from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
 from arfx.stages.watercolor.label_kernels import (
-    BLOCK,
-    FAR,
+    EXACT,
     MIDDLE,
-    PACKED,
-    PACKED_LIMIT,
     PIXELS,
     SOLID,
     STEP,
@@ -28,18 +24,11 @@ from arfx.stages.watercolor.label_kernels import (
     Buckets,
     Candidates,
     LocalSites,
-    border_insets,
     bound,
     collect,
-    compact,
-    label_tile,
-    nearest_float64,
-    nearest_two,
+    nearest_sites,
     pack,
-    pad_far,
     prune,
-    renumber,
-    sort_by_label,
 )  # fmt: skip
 from arfx.stages.watercolor.sites import STEPS, Sites
 
@@ -71,8 +60,8 @@ class Wobble:
     """Displacement of pixels before they ask, repeated: the same wherever the tiles of labels begin.
 
     tile (2, n, n) int8 : along x and y, 1/STEPS px;  x, y : where in it pixel (0, 0) of the frame lies
-    positions (n/8, n/8, 2, PIXELS) float32 : displaced positions of each 8 x 8 pixels, 1/STEPS px from their middle
-    boxes (n/8, n/8, 4) int32 : around these: middle, half sides"""
+    positions (n/TILE, n/TILE, 2, PIXELS) float32 : displaced positions of a tile's pixels, 1/STEPS px from their middle
+    boxes (n/TILE, n/TILE, 4) float32 : around these: middle, half sides"""
 
     tile: np.ndarray
     positions: np.ndarray
@@ -85,35 +74,34 @@ class Wobble:
 
 
 def make_wobble(tile: np.ndarray) -> Wobble:
-    """tile (2, n, n) whole numbers of 1/STEPS px, |.| <= 127; n a multiple of 8."""
+    """tile (2, n, n) whole numbers of 1/STEPS px, |.| <= 127; n a multiple of TILE."""
     n = tile.shape[1] // TILE
     own = np.arange(TILE, dtype=np.float32) * STEPS - MIDDLE
     squares = tile.reshape(2, n, TILE, n, TILE).transpose(1, 3, 0, 2, 4) + np.stack(np.broadcast_arrays(own, own[:, None]))
     positions = np.ascontiguousarray(squares, np.float32).reshape(n, n, 2, PIXELS)
-    low, high = positions.min(-1).astype(np.int32), positions.max(-1).astype(np.int32)
-    middle = (low + high) // 2
-    boxes = np.concatenate([middle, np.maximum(high - middle, middle - low)], -1)
-    return Wobble(tile.astype(np.int8), positions, np.ascontiguousarray(boxes, np.int32))
+    low, high = positions.min(-1), positions.max(-1)
+    boxes = np.concatenate([(low + high) / 2, (high - low) / 2], -1)
+    return Wobble(tile.astype(np.int8), positions, np.ascontiguousarray(boxes, np.float32))
 
 
 STILL = make_wobble(np.zeros((2, TILE, TILE)))
 
 
 def _grid(count: int, rect: Rect, wobble: Wobble) -> tuple[int, int, int, int, int]:
-    """(x, y of the first tile in rect, <= 0, side of a bucket px, rows, columns): buckets of about one site."""
+    """(x, y of the first tile in rect, <= 0, side of a bucket px, rows, columns): buckets of some two sites."""
     x, y = -((wobble.x + rect.x0) % TILE), -((wobble.y + rect.y0) % TILE)
     spacing, longest = np.sqrt(rect.area / max(count, 1)), max(rect.width, rect.height)
-    side = int(TILE * max(1, min(np.round(spacing / TILE), np.ceil(longest / TILE))))
+    side = int(max(1, min(round(1.5 * spacing), longest)))
     return x, y, side, -(-(rect.height - y) // side), -(-(rect.width - x) // side)
 
 
 def sort_sites(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
-    """The same sites, numbered so that `label` need not sort what it finds."""
+    """The same sites, numbered as `label` meets them."""
     if not len(sites) or rect.empty:
         return sites
     x, y, side, gh, gw = _grid(len(sites), rect, wobble)
     _, order = bucket_sites(sites.x, sites.y, float(rect.x0 + x), float(rect.y0 + y), float(side), gh, gw)
-    return Sites(*_reorder(order, sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v))
+    return Sites(*(a.take(order) for a in (sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v)))
 
 
 def label(
@@ -127,42 +115,22 @@ def label(
     n, borders = len(sites), blend_px > 0
     if n == 0 or h == 0 or w == 0:
         return unlabelled(h, w, max(n, 1), borders)
-    first = np.empty((h, w), np.int32)
-    second = np.empty((h, w) if borders else (0, 0), np.int32)
+    first = np.zeros((h, w), np.int32)
+    second = np.zeros((h, w) if borders else (0, 0), np.int32)
     inside = np.empty((h, w) if borders else (0, 0), np.uint8)
     x0, y0, side, gh, gw = _grid(n, rect, wobble)
     start, order = bucket_sites(sites.x, sites.y, float(rect.x0 + x0), float(rect.y0 + y0), float(side), gh, gw)
-    position, ordered = _positions(order, sites.x, sites.y, sites.weight, STEPS * rect.x0, STEPS * rect.y0)
+    position = np.zeros((3, n + STEP), np.float32)
+    position[0, :n], position[1, :n] = sites.x[order] - STEPS * (rect.x0 + x0), sites.y[order] - STEPS * (rect.y0 + y0)
+    position[2, :n] = sites.weight[order]
     mask = np.zeros((0, 0), bool) if mask is None else mask
     tile = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
     buckets, blend = Buckets(position, order, start, side, gh, gw), np.float32(blend_px * STEPS)
     displaced, out = (wobble.positions, wobble.boxes, *tile), (first, second, inside)
-    parallel_rows(lambda a, b: _label(buckets, ordered, displaced, blend, mask, x0, y0, a, b, out), h - y0, BLOCK)
+    parallel_rows(lambda a, b: _label(buckets, displaced, blend, mask, x0, y0, a, b, out), h - y0, TILE)
+    if (order[1:] < order[:-1]).any():
+        first, second = order[first], order[second]
     return Labels(first, second, inside, n)
-
-
-@numba.njit(cache=True, nogil=True)
-def _reorder(order, x, y, weight, key, u, v):  # pragma: no cover - compiled
-    n = order.shape[0]
-    a, b, c = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-    d, e, f = np.empty(n, np.int64), np.empty(n, np.float32), np.empty(n, np.float32)
-    for k in range(n):
-        m = order[k]
-        a[k], b[k], c[k], d[k], e[k], f[k] = x[m], y[m], weight[m], key[m], u[m], v[m]
-    return a, b, c, d, e, f
-
-
-@numba.njit(cache=True, nogil=True)
-def _positions(order, x, y, weight, x0, y0):  # pragma: no cover - compiled
-    """(x, y, weight (3, n + STEP) int32 in that order, relative to (x0, y0), 1/STEPS px; whether that is the sites' own)."""
-    n, ordered = order.shape[0], True
-    out = np.zeros((3, n + STEP), np.int32)
-    for k in range(n):
-        m = order[k]
-        ordered = ordered and m == k
-        out[0, k], out[1, k] = np.int32(x[m]) - np.int32(x0), np.int32(y[m]) - np.int32(y0)
-        out[2, k] = np.int32(max(weight[m], -np.float32(FAR) * np.float32(FAR)))
-    return out, ordered
 
 
 @numba.njit(cache=True, nogil=True)
@@ -185,103 +153,49 @@ def bucket_sites(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _label(buckets: Buckets, ordered, displaced, blend, mask, x0, y0, y_first, y_last, out):  # pragma: no cover - compiled
+def _label(buckets: Buckets, displaced, blend, mask, x0, y0, y_first, y_last, out):  # pragma: no cover - compiled
     """Rows y_first ... y_last - 1 of tiles that begin at (x0, y0). out : first, second, inside, of `Labels`
 
     displaced : positions and boxes of a `Wobble`, row and column there of the first tile"""
-    order, (positions, boxes, row, column), (first, second, inside) = buckets.order, displaced, out
+    (positions, boxes, row, column), (first, second, inside) = displaced, out
     h, w = first.shape
-    k1, k2 = np.empty(PIXELS, np.float32), np.empty(PIXELS, np.float32)
+    packed, packed_wide = np.empty((2, PIXELS), np.float32), np.empty((2, PIXELS))
     n1, n2, inset = np.empty(PIXELS, np.int32), np.empty(PIXELS, np.int32), np.empty(PIXELS, np.uint8)
-    size = order.shape[0] + 2 * STEP
-    lx, ly, lw, number = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.int32)
-    away, found, sites = np.empty(size, np.int32), np.empty(size, np.int32), LocalSites(lx, ly, lw, number)
-    ca, cb, cc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
-    ta, tb, tc = np.empty(PACKED, np.float32), np.empty(PACKED, np.float32), np.empty(PACKED, np.float32)
-    near, names = np.empty(PACKED, np.int32), np.empty(PACKED, np.int32)
-    block, own = Candidates(ca, cb, cc, near), Candidates(ta, tb, tc, names)  # candidates of all four tiles, of one
-    borders, flat = blend > 0, positions.reshape(-1)
-    reach = np.int32((np.abs(boxes[..., :2]) + boxes[..., 2:]).max())  # of a tile's positions from its middle
-    half = np.int32(reach + TILE * STEPS // 2)
-    every = np.arange(order.shape[0]).astype(np.int32)
-    # how far around a block it looks at first: mostly enough
-    usual = buckets.side * STEPS * 1.5 + 2 * blend
-    for by in range(y_first + y0, min(y_last + y0, h), BLOCK):
-        for bx in range(x0, w, BLOCK):
-            mx, my = np.int32(bx * STEPS + STEPS * (BLOCK - 1) // 2), np.int32(by * STEPS + STEPS * (BLOCK - 1) // 2)
-            # the block's middle from the first bucket's corner
-            ox, oy = np.int64(mx - x0 * STEPS), np.int64(my - y0 * STEPS)
-            r, wanted, count, far = np.int64(0), np.int64(half + usual), 0, False
-            while r < wanted and not far:
-                r = wanted
-                count = collect(buckets, oy - r, ox - r, oy + r, ox + r, mx, my, sites)
-                full = pad_far(count, sites)
-                # what may matter to one of its tiles lies no farther off the box of its positions than this
-                root = np.sqrt(np.float64(bound(sites, full, np.int32(0), np.int32(0), half, half))) + 2 * blend
-                if count > 0:
-                    far = root > FAR - 2 * half
-                    wanted = np.int64(root) + half + 1
-                else:
-                    wanted = 2 * r
-            if not far:
-                count = prune(sites, full, np.int32(0), np.int32(0), half, half, np.int32(root * root) + 1, away, found)
-                compact(count, found, sites)
-            if not ordered and not far:
-                sort_by_label(order, count, sites, away)
-            full = pad_far(count, sites)
-            # mostly one list does for all four tiles: to look for the nearest alone costs less than to prune
-            whole = ordered and not far and not borders and count <= PACKED
-            if whole:
-                whole = pack(sites, every, count, 0, 0, np.float32(half), block) < PACKED_LIMIT
-            for tile in range(4):
-                down, right = tile >> 1, tile & 1
-                ty, tx = by + TILE * down, bx + TILE * right
-                top, left, bottom, end = max(ty, 0), max(tx, 0), min(ty + TILE, h), min(tx + TILE, w)
-                if top >= bottom or left >= end:
-                    continue
-                if mask.shape[0] > 0 and not mask[top:bottom, left:end].any():
-                    continue
-                i = (row + (ty - y0) // TILE) % positions.shape[0]
-                j = (column + (tx - x0) // TILE) % positions.shape[1]
-                half_tile = TILE * STEPS // 2
-                own_x, own_y = np.int32((2 * right - 1) * half_tile), np.int32((2 * down - 1) * half_tile)
-                if whole and end - left == TILE and bottom - top == TILE:
-                    at = (i * positions.shape[1] + j) * 2 * PIXELS
-                    label_tile(block, np.float32(own_x), np.float32(own_y), count, flat, at, k1, first, top, left)
-                    continue
-                p, n, fits = positions[i, j], 0, False
-                if not far:
-                    cx, cy = np.int32(own_x + boxes[i, j, 0]), np.int32(own_y + boxes[i, j, 1])
-                    hx, hy = boxes[i, j, 2], boxes[i, j, 3]
-                    # a site that comes within `blend` of winning is at most 2 blend farther than the winner
-                    root = np.sqrt(np.float64(bound(sites, full, cx, cy, hx, hy))) + 2 * blend
-                    n = prune(sites, full, cx, cy, hx, hy, np.int32(root * root) + 1, away, found)
-                    if n <= PACKED:
-                        fits = pack(sites, found, n, own_x, own_y, np.float32(reach), own) < PACKED_LIMIT
-                if fits and ordered and not borders and end - left == TILE and bottom - top == TILE:
-                    at = (i * positions.shape[1] + j) * 2 * PIXELS
-                    label_tile(own, np.float32(0), np.float32(0), n, flat, at, k1, first, top, left)
-                    continue
-                if fits:
-                    nearest_two(own, n, p, k1, k2)
-                    if n == 1:
-                        k2[:] = np.float32(2e9)  # there is no other near enough
-                    border_insets(p, k1, k2, blend if borders else np.float32(1), n1, n2, inset)
-                    renumber(n2, names)
-                    renumber(n1, names)
-                else:
-                    for m in range(n):
-                        found[m] = number[found[m]]
-                    tile_x, tile_y = np.float64(tx * STEPS + MIDDLE), np.float64(ty * STEPS + MIDDLE)
-                    which = every if far else found
-                    nearest_float64(buckets, which, order.shape[0] if far else n, tile_x, tile_y, p, blend, n1, n2, inset)
-                if not ordered:
-                    renumber(n1, order)
+    size, borders = buckets.position.shape[1] + STEP, blend > 0
+    number, found, away = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.float32)
+    rows, more_rows = np.zeros((6, size), np.float32), np.empty((3, size))
+    sites, narrow = LocalSites(rows[0], rows[1], rows[2], number), Candidates(rows[3], rows[4], rows[5])
+    best, wide = np.empty((4, STEP), np.float32), Candidates(more_rows[0], more_rows[1], more_rows[2])
+    spacing = buckets.side * STEPS * np.sqrt(buckets.gh * buckets.gw / buckets.order.shape[0])
+    usual = np.float32(1.5 * spacing + 2 * blend)  # how far around a tile it looks at first: mostly enough
+    for ty in range(y_first + y0, min(y_last + y0, h), TILE):
+        for tx in range(x0, w, TILE):
+            top, left, bottom, end = max(ty, 0), max(tx, 0), min(ty + TILE, h), min(tx + TILE, w)
+            if mask.shape[0] > 0 and not mask[top:bottom, left:end].any():
+                continue
+            i, j = (row + (ty - y0) // TILE) % positions.shape[0], (column + (tx - x0) // TILE) % positions.shape[1]
+            box = boxes[i, j, 0], boxes[i, j, 1], boxes[i, j, 2], boxes[i, j, 3]
+            x, y = np.float32((tx - x0) * STEPS + MIDDLE), np.float32((ty - y0) * STEPS + MIDDLE)  # its middle
+            reach = max(abs(box[0]) + box[2], abs(box[1]) + box[3])  # of its positions from there
+            more, wanted, count, root = np.float32(-1), usual, 0, np.float32(0)
+            while more < wanted:
+                more = wanted
+                count = collect(buckets, x, y, more + reach, more + reach, sites)
+                # a site that comes within `blend` of winning is at most 2 blend farther than the winner
+                root = np.sqrt(bound(sites, count, box, best)) + 2 * blend
+                wanted = root if count > 0 else 2 * more
+            n = prune(sites, count, box, root * root, away, found)
+            unit, most = pack(sites, found, n, reach, narrow)
+            if most < EXACT:
+                nearest_sites(narrow, n, unit, positions[i, j], blend, packed, n1, n2, inset)
+            else:
+                pack(sites, found, n, reach, wide)
+                nearest_sites(wide, n, unit, positions[i, j], blend, packed_wide, n1, n2, inset)
+            for m in range(n):
+                found[m] = number[found[m]]
+            for i in range(top, bottom):
+                for j in range(left, end):
+                    a, b, q = _U(i), _U(j), _U((i - ty) * TILE + j - tx)
+                    first[a, b] = found[_U(n1[q])]
                     if borders:
-                        renumber(n2, order)
-                for y in range(top, bottom):
-                    for x in range(left, end):
-                        j, i, q = _U(y), _U(x), _U((y - ty) * TILE + x - tx)
-                        first[j, i] = n1[q]
-                        if borders:
-                            second[j, i], inside[j, i] = n2[q], inset[q]
+                        second[a, b], inside[a, b] = found[_U(n2[q])], inset[q]

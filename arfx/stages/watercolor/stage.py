@@ -29,12 +29,11 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
-from arfx.stages.half import halved
 from arfx.stages.watercolor.cells import adjust_tone, cell_colours, mean_colours, neighbours, smooth_washes
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.field import RealDioptre, advection_directions, frame_field
-from arfx.stages.watercolor.half import double_lines, half_rect, halve_sites
+from arfx.stages.watercolor.half import double_lines, half_rect, halve_sites, halved
 from arfx.stages.watercolor.labels import Labels, Wobble, label, sort_sites
 from arfx.stages.watercolor.levels import ACCURACY
 from arfx.stages.watercolor.measure import edge_measure
@@ -116,6 +115,8 @@ class Watercolor(Stage):
         half, before = ACCURACY[view.level].half, self._before(view)
         # a picture of half the size is made at once: it is quicker to know again than the whole one
         known = BackgroundTask(lambda: self._shown(view)) if half else None
+        for field, _ in fields:  # beside it
+            self._background_cells(view, prepared, *field)
         content = _content(view, known().image if known else view[Layer.IMAGE])
         earlier = () if before is None else _content(before, before[Layer.IMAGE])
 
@@ -189,8 +190,7 @@ class Watercolor(Stage):
         p, rect = self.params, view.rect
         # the object's cells are made beside the background's
         own = BackgroundTask(lambda: None if pose is None else self._object_cells(view, prepared, pose))
-        make = lambda: self._background_cells(field, view, prepared)  # noqa: E731
-        cells = view.memo.of_frame.get((sites_key, rect), make, "cells", _MEMO_SETS)
+        cells = self._background_cells(view, prepared, field, pose, sites_key)
         each, accuracy = [combine_labels(labels) for labels in (cells.labels, *cells.within)], ACCURACY[view.level]
         if (found := own()) is not None:
             each, cells = _with_object(cells, *found)
@@ -267,12 +267,19 @@ class Watercolor(Stage):
         shape = -(-whole.height // every), -(-whole.width // every)
         return virtual_edges(layers[0], layers[1], layers[2], view.facts.opacity, (top, left), shape), (y, x)
 
-    def _background_cells(self, field: SiteField, view: View, prepared: Prepared) -> CellSet:
-        cell, area, seed = self.params.cell_px, view.scene.camera.rect.area, view.scene.seed
+    def _background_cells(self, view: View, prepared: Prepared, field: SiteField, _pose: Any, sites_key: Key) -> CellSet:
+        """Of what `_field` made."""
+        cell, rect, seed = self.params.cell_px, view.rect, view.scene.seed
+        area = view.scene.camera.rect.area
         limit = int(min(2 * area + 4096, 12 * area / cell**2 + 65536))  # more cells than pixels tell nothing apart
-        # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
-        wobble, sites = prepared.wobbles.of_field(field, _corner(view.rect, view.level)), make_sites(field, seed, limit, cell)
-        return self._cells(sites, view.rect, wobble, view.level, seed, lambda ordered: _size_at(field, ordered))
+
+        def make() -> CellSet:
+            # borders stray with the things, not with the screen: as far as one shift of the whole picture can say
+            wobble, sites = prepared.wobbles.of_field(field, _corner(rect, view.level)), make_sites(field, seed, limit, cell)
+            return self._cells(sites, rect, wobble, view.level, seed, lambda ordered: _size_at(field, ordered))
+
+        made: CellSet = view.memo.of_frame.get((sites_key, rect), make, "cells", _MEMO_SETS)
+        return made
 
     def _cells(
         self, sites: Sites, rect: Rect, wobble: Wobble, level: str, seed: int, size_at: Callable[[Sites], np.ndarray],

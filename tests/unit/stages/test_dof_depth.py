@@ -58,17 +58,15 @@ def test_tiles_hold_what_the_map_holds() -> None:
 def test_a_blurred_wall_does_not_flow_into_what_is_sharp_before_it(level: str) -> None:
     at = measured(two_walls(1.0, 4.0), dark_far_bright_near())
     out = blurred(at, level, aperture_px=20.0, focus="1m")
-    edge = 2 if level == "draft" else 0  # works on 2 x 2 pixels: the edge itself is a little soft
-    np.testing.assert_allclose(out[:, 100 + edge : 150 - edge], 0.8, atol=1e-5)
-    np.testing.assert_allclose(out[:, 100:150], 0.8, atol=0.05)
-    np.testing.assert_allclose(out[20:-20, : 99 - edge], 0.05, atol=1e-3)  # nor the bright one into it
+    np.testing.assert_allclose(out[:, 100:150], 0.8, atol=1e-5)
+    np.testing.assert_allclose(out[20:-20, :99], 0.05, atol=1e-3)  # nor the bright one into it
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
 def test_what_is_blurred_before_a_sharp_wall_has_no_hard_edge(level: str) -> None:
     at = measured(two_walls(1.0, 4.0), dark_far_bright_near())
     row = blurred(at, level, aperture_px=8.0, focus="4m")[90, :, 0]  # 12 px radius
-    assert np.abs(np.diff(row[80:120])).max() < (0.15 if level == "draft" else 0.12), "of a step of 0.75"
+    assert np.abs(np.diff(row[80:120])).max() < 0.12, "of a step of 0.75"
     assert row[100] == pytest.approx(0.42, abs=0.08) and row[125] == pytest.approx(0.8, abs=0.01)
     assert row[84] == pytest.approx(0.05, abs=0.01)
 
@@ -120,6 +118,7 @@ def test_fill_keeps_what_is_known_and_goes_on_with_what_is_near() -> None:
     values[:, 35:] = 1.0
     known = np.ones((50, 70), bool)
     known[10:40, 5:25] = known[10:40, 45:65] = False
-    out = fill(np.where(known[..., None], values, 9.0).astype(np.float32), known)
+    given = np.where(known[..., None], values, 9.0).astype(np.float32)
+    out = np.dstack(fill(np.ascontiguousarray(given[..., :3]), np.ascontiguousarray(given[..., 3]), known))
     np.testing.assert_array_equal(out[known], values[known])
     assert out[15:35, 7:23].max() < 0.25 and out[15:35, 47:63].min() > 0.75

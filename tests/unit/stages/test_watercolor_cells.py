@@ -53,10 +53,12 @@ def random_sites(case: int) -> tuple[Sites, Rect, Wobble, float]:
 
 @pytest.mark.parametrize("case", range(20))
 def test_labels_are_those_of_brute_force(case: int) -> None:
-    sites, rect, wobble, blend = random_sites(case)
+    unsorted, rect, wobble, blend = random_sites(case)
+    sites = sort_sites(unsorted, rect, wobble)
     found = label(sites, rect, wobble, blend)
     first, second = brute(sites, rect, displacement(wobble, rect))
     assert np.array_equal(found.first, first)
+    assert np.array_equal(unsorted.key[label(unsorted, rect, wobble, blend).first], sites.key[first])
     if blend:
         near = found.inside < SOLID
         assert np.array_equal(found.second[near], second[near])

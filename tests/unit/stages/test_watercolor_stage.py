@@ -25,9 +25,9 @@ from arfx.core.stage import ReadyStage
 from arfx.errors import ConfigError
 from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
 from arfx.run.parameters import stage_of
-from arfx.stages.half import halved
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.digest import digest
+from arfx.stages.watercolor.half import halved
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.levels import ACCURACY
 from arfx.stages.watercolor.object_sites import object_sites, sample_surface
