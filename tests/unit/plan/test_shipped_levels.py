@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,6 +19,12 @@ from arfx.stages import STAGES
 
 BETWEEN_LEVELS = {name: stage.levels for name, stage in STAGES.items() if len(stage.levels) > 1}
 STEP, HALF = 1.6, 0.5  # in time at least, or of the error at most
+ROUNDING = 0.005  # grey levels, of pictures in whole ones
+
+
+def shipped_table() -> dict[str, Any]:
+    text = Path(arfx.plan.errors.__file__).with_name("default_errors.json").read_text(encoding="utf-8")
+    return dict(json.loads(text))
 
 
 def seconds(stage: str, level: str) -> float:
@@ -32,10 +39,13 @@ def seconds(stage: str, level: str) -> float:
 
 
 def test_every_level_has_an_error_and_a_price_and_each_step_up_is_worth_it() -> None:
-    errors, bad = shipped_errors(), []
+    """By the mean over the clips. The upper end, of few clips, may be of one in which the levels differ in nothing but rounding."""
+    errors, table, bad = shipped_errors(), shipped_table()["errors"], []
     for stage, levels in BETWEEN_LEVELS.items():
-        known = [errors.known(stage, level, levels[-1]) for level in levels]
-        assert None not in known, f"{stage}: a level whose error is not known"
+        upper = [errors.known(stage, level, levels[-1]) for level in levels]
+        assert None not in upper, f"{stage}: a level whose error is not known"
+        assert all(a > b for a, b in pairwise(upper)), f"{stage}: {upper}"
+        known = [*(table[stage][level]["mean"] for level in levels[:-1]), 0.0]
         times = [seconds(stage, level) for level in levels]
         for (level, more, least), (_, less, most) in pairwise(zip(levels[:-1], known, times, strict=False)):
             if not (less < more and most > least and (most >= STEP * least or less <= HALF * more)):
@@ -45,12 +55,12 @@ def test_every_level_has_an_error_and_a_price_and_each_step_up_is_worth_it() -> 
 
 
 def test_errors_fall_from_level_to_level_on_every_clip() -> None:
-    clips = json.loads(Path(arfx.plan.errors.__file__).with_name("default_errors.json").read_text(encoding="utf-8"))["clips"]
+    clips = shipped_table()["clips"]
     assert set(clips) == set(BETWEEN_LEVELS) and all(len(of) >= 2 for of in clips.values()), "an effect on one clip alone"
     for stage, of in clips.items():
         for clip, errors in of.items():
             assert len(errors) == len(BETWEEN_LEVELS[stage]) - 1
-            assert all(a >= b for a, b in pairwise([*errors, 0.0])), f"{stage} on {clip}: {errors}"
+            assert all(a >= b - ROUNDING for a, b in pairwise([*errors, 0.0])), f"{stage} on {clip}: {errors}"
 
 
 def test_the_tool_writes_what_a_plan_reads_and_marks_what_is_no_step(tmp_path: Path) -> None:
