@@ -97,8 +97,8 @@ def one_analysis(workers: int, threads: bool, decoders: bool, told: Path, comman
     job.worker_count = lambda pixels, stated=None: (workers, threads)
     analyse = job._analyse
 
-    def measured(inputs: object, folder: job.JobFolder, key: str, options: job.Options, log: object) -> None:
-        rest = key, options, log
+    def measured(inputs: object, folder: job.JobFolder, key: str, options: job.Options, log: object, cluster: object) -> None:
+        rest = key, options, log, cluster
         analyse(inputs, folder, *rest)
         options.processes._end()
         folder.clear("stretches")
