@@ -39,7 +39,7 @@ def seconds(stage: str, level: str) -> float:
 
 
 def test_every_level_has_an_error_and_a_price_and_each_step_up_is_worth_it() -> None:
-    """By the mean over the clips. The upper end, of few clips, may be of one in which the levels differ in nothing but rounding."""
+    """By the mean over the clips: the upper end may be that of one clip in which levels differ in nothing but rounding."""
     errors, table, bad = shipped_errors(), shipped_table()["errors"], []
     for stage, levels in BETWEEN_LEVELS.items():
         upper = [errors.known(stage, level, levels[-1]) for level in levels]
