@@ -43,8 +43,9 @@ LONG = (
     "real/test_markers", "contract/test_stages", "unit/stages/test_watercolor_stage", "unit/run/test_damaged_job",
     "cli/test_messages", "unit/papers/test_s4_gi", "cli/test_resume", "unit/analyse/motion/test_flow", "cli/test_calibrate",
     "cli/test_signals", "cli/test_platforms", "cli/test_occlusion", "golden/test_presets", "cli/test_batch",
-    "unit/analyse/depth/test_planes", "property/test_joined_stretches", "unit/run/test_analysis", "cli/test_bench", "cli/test_inspect", "cli/test_depth",
+    "unit/analyse/depth/test_planes", "unit/run/test_analysis", "cli/test_bench", "cli/test_inspect", "cli/test_depth",
     "cli/test_streams", "cli/test_light", "cli/test_report", "architecture/test_wheel", "hard/test_hard",
+    "property/test_joined_stretches",
 )  # fmt: skip
 
 
