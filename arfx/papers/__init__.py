@@ -5,14 +5,13 @@ One table: the class that a section's `formula` selects. Only `run` and layers a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from arfx.stages import Classes
 
 CORRECTED, PAPER = "corrected", "paper"
 
 # formula -> section -> class; a section that is not named has the corrected one alone
-FORMULAS: Mapping[str, Mapping[str, Any]] = {
+FORMULAS: Mapping[str, Classes] = {
     PAPER: Classes(
         {
             "light": "arfx.papers.s1_light.PrintedLight",

@@ -20,17 +20,16 @@ from typing import Any, Self
 
 from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
+from arfx.core.parallel import ONE_THREAD
 from arfx.errors import RenderError
 from arfx.run.schedule import steal, work_queues
 from arfx.run.source import release
-from arfx.run.worker import keep_memory, render_chunk
+from arfx.run.worker import render_chunk
 
 # one chunk's or stretch's arguments: folder, key, first, last, target
 Task = tuple[str, str, int, int, str]
 Work = Callable[..., dict[str, Any]]  # work(*task, tick, alone=False): a function of a module; tick() after every frame
 Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
-# one software-rendering thread and one kernel thread for each of several processes; two processes scale better than two threads
-ONE_THREAD = ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def run_serial(tasks: Iterable[Task], progress: Callable[[int], None], work: Work = render_chunk) -> Results:
@@ -110,7 +109,6 @@ def _in_threads(
 def _serve(pipe: Any) -> None:
     """A worker process: leaves Ctrl-C to the parent, ends with it, looks for garbage seldom, and keeps libraries from starting a
     thread per core each. It is sent work and tasks; it answers None after each frame, then what came of it."""
-    keep_memory()
     interrupt.in_worker()
     collect_seldom()
     import cv2
@@ -155,7 +153,7 @@ class _Worker:
 @contextlib.contextmanager
 def _starting() -> Iterator[None]:
     """Processes that start in the body have the environment of workers, and import from where this one does."""
-    theirs = {name: os.environ.get(name, "1") for name in ONE_THREAD}
+    theirs = {name: os.environ.get(name, one) for name, one in ONE_THREAD.items()}
     theirs |= {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     ours = {name: os.environ.get(name) for name in theirs}
     with interrupt.starting_workers():

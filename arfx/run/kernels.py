@@ -25,6 +25,7 @@ from typing import Any
 
 from arfx.core import compiled, interrupt
 from arfx.core.machine import usable_cores
+from arfx.core.parallel import ONE_THREAD
 
 COMPILE = "compile"  # the phase that progress is reported for
 MANIFEST = Path(__file__).with_suffix(".json")
@@ -151,8 +152,7 @@ def _by_module(kernels: Sequence[Kernel], needed: Sequence[Kernel]) -> deque[lis
 
 def _in_processes(groups: deque[list[Kernel]], count: int) -> Generator[Kernel]:
     """Yields what is done. What a process leaves undone is compiled when it is called."""
-    one_thread = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    environment = {**os.environ, **one_thread, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     command = [sys.executable, "-P", "-c", "from arfx.run.compiler import serve; serve()"]
     done: queue.SimpleQueue[Kernel] = queue.SimpleQueue()
     helpers: list[subprocess.Popen[str]] = []

@@ -17,8 +17,8 @@ from arfx.papers import FORMULAS  # noqa: E402
 from arfx.run.kernels import JOB, listed_kernels  # noqa: E402
 from arfx.stages import STAGES  # noqa: E402
 
-for table in ({name: STAGES[name] for name in STAGES._paths}, *FORMULAS.values()):
-    dict(table)
+for table in (STAGES, *FORMULAS.values()):
+    table.load()
 for kernel in listed_kernels((JOB,)):
     if kernel.is_cached:
         kernel.load()

@@ -36,6 +36,11 @@ class Classes(Mapping[str, Any]):
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
+    def load(self) -> None:
+        """Import all, without plug-ins."""
+        for name in self._paths:
+            Classes.__getitem__(self, name)
+
 
 class Table(Classes):
     """Stages in running order.

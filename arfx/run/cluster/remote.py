@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from arfx.core.parallel import ONE_THREAD
 from arfx.errors import ArfxError, RenderError
 from arfx.media.writer import remove_output
 from arfx.run.cluster.agreement import PROCESSOR, STAGE, differences, environment
 from arfx.run.cluster.files import Bundle, find
 from arfx.run.cluster.paths import is_url
 from arfx.run.cluster.store import Store
-from arfx.run.executors import ONE_THREAD
 from arfx.run.folder import JobFolder, content_digest
 from arfx.run.lock import HOLDER
 from arfx.run.stretches import analyse_stretch, listed
@@ -67,8 +67,8 @@ def examine(here: Mapping[str, str], job: JobReference | None) -> dict[str, str]
     import cv2
 
     cv2.setNumThreads(1)
-    for variable in ONE_THREAD:
-        os.environ.setdefault(variable, "1")
+    for variable, one in ONE_THREAD.items():
+        os.environ.setdefault(variable, one)
     plugins = tuple(name.removeprefix(STAGE) for name in here if name.startswith(STAGE))
     refused = ", ".join(differences(here, environment(plugins, PROCESSOR in here)))
     if job is not None and not refused:

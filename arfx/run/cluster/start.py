@@ -16,6 +16,7 @@ from multiprocessing import resource_tracker
 from typing import Any
 
 from arfx.core import interrupt
+from arfx.core.parallel import ONE_THREAD
 from arfx.errors import ConfigError
 from arfx.media.writer import chunk_suffix
 from arfx.run.analysis import Run, in_order
@@ -27,7 +28,7 @@ from arfx.run.cluster.paths import PathMap, is_url, places
 from arfx.run.cluster.remote import JobReference, holder
 from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
 from arfx.run.cluster.store import Store
-from arfx.run.executors import ONE_THREAD, Results, Task
+from arfx.run.executors import Results, Task
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
@@ -37,7 +38,6 @@ from arfx.stages import STAGES
 
 CONNECT_S, CLOSE_S = 10, 5
 _NOISY = ("distributed", "dask_jobqueue", "tornado", "asyncio")
-_ENVIRONMENT = dict.fromkeys((*ONE_THREAD, "OPENBLAS_NUM_THREADS"), "1")
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
     "distributed.worker.profile.enabled": False,  # it looks at every thread a hundred times a second
@@ -172,7 +172,7 @@ def _start_local(spec: ClusterSpec, scratch: str) -> Any:
     with interrupt.starting_workers():
         cluster = LocalCluster(
             n_workers=0, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0",
-            memory_limit=0, local_directory=scratch, silence_logs=logging.CRITICAL, env=_ENVIRONMENT,
+            memory_limit=0, local_directory=scratch, silence_logs=logging.CRITICAL, env=ONE_THREAD,
         )  # fmt: skip
         cluster.scale(spec.workers)
     return cluster
@@ -187,7 +187,7 @@ def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
             raise ConfigError(f"there is no {command} here", "run it on a machine of the Slurm cluster that may submit jobs")
     settings = {k: v for k, v in spec.settings.items() if k != "jobs"}
     settings["job_script_prologue"] = [
-        *(f"export {name}={value}" for name, value in _ENVIRONMENT.items()), *settings.get("job_script_prologue", ()),
+        *(f"export {name}={value}" for name, value in ONE_THREAD.items()), *settings.get("job_script_prologue", ()),
     ]  # fmt: skip
     settings.setdefault("local_directory", scratch)
     with interrupt.starting_workers():
