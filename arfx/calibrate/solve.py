@@ -179,9 +179,9 @@ def uncertainty(fitted: Fit) -> Uncertainty:
     points = sum(len(r) for r in fitted.residuals)
     degrees = max(1, 2 * points - p - 6 * n)
     sigma = float(np.sqrt(sum((r**2).sum() for r in fitted.residuals) / degrees))
-    independent = sigma**2 * np.linalg.pinv(normal, hermitian=True)
+    independent = sigma**2 * _inverse(normal)
     steps = np.array(
-        [np.linalg.pinv(normal - j.T @ j, hermitian=True) @ (j.T @ r.ravel()) for j, r in zip(js, fitted.residuals, strict=True)]
+        [_inverse(normal - j.T @ j) @ (j.T @ r.ravel()) for j, r in zip(js, fitted.residuals, strict=True)]
     )
     steps -= steps.mean(0)
     jack = (n - 1) / n * steps.T @ steps
@@ -192,6 +192,12 @@ def uncertainty(fitted: Fit) -> Uncertainty:
     correlation = shape * divide(1.0, np.outer(size, size))
     larger = np.maximum(a, b) * scale
     return Uncertainty(correlation * np.outer(larger, larger), a * scale, b * scale, sigma, condition(normal))
+
+
+def _inverse(normal: np.ndarray) -> np.ndarray:
+    """Of a normal matrix of unit diagonal. What rounding hides counts as hardly known: a pseudo-inverse would call it certain."""
+    values, vectors = np.linalg.eigh(normal)
+    return (vectors / np.maximum(values, len(values) * np.finfo(float).eps)) @ vectors.T
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -103,14 +105,18 @@ def test_a_frontal_set_says_that_it_knows_nothing() -> None:
     assert known.condition > 30 * tilted.condition
 
 
-@pytest.mark.parametrize("tilt", [1e-1, 1e-3, 0.0])
-def test_near_the_singularity_it_stays_finite_or_refuses(tilt: float) -> None:
-    try:
-        known = uncertainty(fit(views(6, tilt_deg=(tilt, tilt), noise_px=0.05), MODELS[0]))
-    except NothingToDoError:
-        return
-    assert not np.isnan(known.standard_deviations).any()
-    assert known.standard_deviations[0] > 5 or known.condition > 1e6
+@pytest.mark.parametrize("tilt", [1e-1, 1e-2, 1e-3, 0.0])
+def test_near_the_singularity_it_says_that_it_knows_nothing_or_refuses(tilt: float) -> None:
+    answers = []
+    for noise_px in (0.0, 0.05, 0.1):
+        with contextlib.suppress(NothingToDoError):
+            answers.append(fit(views(6, tilt_deg=(tilt, tilt), noise_px=noise_px), MODELS[0]))
+    assert answers, "all refused"
+    for fitted in answers:
+        known = uncertainty(fitted)
+        assert np.isfinite(known.standard_deviations).all()
+        assert known.standard_deviations[0] > fitted.camera.fx
+        assert known.condition > 1e6
 
 
 def test_fewer_than_three_views_are_refused() -> None:
