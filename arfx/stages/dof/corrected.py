@@ -230,8 +230,7 @@ def _object(
     padded = np.full((rect.height, rect.width), -1, np.float32)
     padded[box.slices_in(rect)] = radius
     coverage = np.zeros(padded.shape, np.float32)
-    coverage[box.slices_in(rect)] = part[Layer.COVERAGE]
-    coverage[padded < 0] = 0
+    coverage[box.slices_in(rect)] = np.fmax(part[Layer.COVERAGE], 0)  # as `object_radius` takes it: not a number is none
     colour, tiles = np.empty((*padded.shape, 3), np.float32), box.align(TILE_PX, TILE_PX).clip(rect)
     colour[tiles.slices_in(rect)] = 0  # it is looked at in tiles that hold anything
     colour[box.slices_in(rect)] = part[Layer.VIRTUAL]
