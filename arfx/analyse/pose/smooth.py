@@ -65,8 +65,9 @@ class Links:
 
 
 def link(before: np.ndarray, after: np.ndarray, offset: np.ndarray, dt_s: np.ndarray, shake: np.ndarray) -> Links:
-    """Links from residuals before_k x_k + after_k x_k+1 + offset_k = noise_k."""
-    gate = np.linalg.inv(after) if len(after) else after
+    """Links from residuals before_k x_k + after_k x_k+1 + offset_k = noise_k. after : 1 but for the turns"""
+    gate = after.copy()
+    gate[:, :3, :3] = np.linalg.inv(after[:, :3, :3])
     return Links(-gate @ before, gate, -np.einsum("nij,nj->ni", gate, offset), dt_s, shake)
 
 
