@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from statistics import median
 from typing import Any, Self
 
 import numpy as np
@@ -283,7 +284,7 @@ def _facts(
         facts.append(FrameFacts(
             r.index, r.time_s, int(shot[k]), status[k], pose, raw, covariance[k] if here else None,
             float(smooth_px[k]) if on[k] else None, float(opacity[k]), markers, r.whole,
-            blur_px=float(np.median(blur)) if blur else None,
+            blur_px=float(median(blur)) if blur else None,
         ))  # fmt: skip
     info = information(path.rotation[on], path.translation[on], seen.take(np.flatnonzero(on)))
     d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))  # each parameter in units of its own precision

@@ -16,6 +16,7 @@ import numpy as np
 from arfx.analyse.pose import kernels
 from arfx.analyse.pose.kernels import DIM
 from arfx.analyse.pose.planar import Observed, huber_cost, residuals, view_jacobian
+from arfx.core.parallel import parallel_map
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
 # What is known before the first frame: nothing. Standard deviations of 10 (radians, or e-folds of distance) and of
@@ -115,16 +116,20 @@ def learn_density(
     if not local or n <= _WINDOW + _CONTEXT:
         return _axes(np.repeat(shot[None], n - 1, 0))
     centres = np.unique(np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW))))
-    values = np.repeat(shot[None], len(centres), 0)
-    for i in range(SHAKE + 1 if shot[SHAKE] > LEAST else SHAKE):
-        for w, centre in enumerate(centres):
-            a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
-            b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
+
+    def of_window(centre: float) -> np.ndarray:
+        a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
+        b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
+        value = shot.copy()
+        for i in range(SHAKE + 1 if shot[SHAKE] > LEAST else SHAKE):
             near = _scaled(shot[i], _FAR)
-            trial = np.repeat(values[w : w + 1], len(near), 0)
+            trial = np.repeat(value[None], len(near), 0)
             trial[:, i] = near
             total = _evidence(measured, info_vector, links, a, b, trial) - _HOLD * np.abs(np.log10(near / shot[i]))
-            values[w, i] = near[int(total.argmax())]
+            value[i] = near[int(total.argmax())]
+        return value
+
+    values = np.stack(parallel_map(of_window, centres.tolist()))
     at = np.arange(n - 1) + 0.5
     smooth = np.stack([np.interp(at, centres, np.log(values[:, i])) for i in range(len(GROUPS))], -1)
     return _axes(np.exp(smooth))
@@ -144,7 +149,7 @@ def _density_of_shot(measured: np.ndarray, info_vector: np.ndarray, links: Links
             near = _GRID if grid is None else _scaled(shot[i], grid)
             trial = np.repeat(shot[None], len(near), 0)
             trial[:, i] = near
-            total = np.sum([_evidence(measured, info_vector, links, a, b, trial) for a, b in blocks], axis=0)
+            total = np.sum(parallel_map(lambda block: _evidence(measured, info_vector, links, *block, trial), blocks), axis=0)
             shot[i], best = near[int(total.argmax())], float(total.max())
         return best, shot
 
