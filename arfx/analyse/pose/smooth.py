@@ -149,7 +149,7 @@ def _density_of_shot(measured: np.ndarray, info_vector: np.ndarray, links: Links
             near = _GRID if grid is None else _scaled(shot[i], grid)
             trial = np.repeat(shot[None], len(near), 0)
             trial[:, i] = near
-            total = np.sum(parallel_map(lambda block: _evidence(measured, info_vector, links, *block, trial), blocks), axis=0)
+            total = np.sum([_evidence(measured, info_vector, links, a, b, trial) for a, b in blocks], axis=0)
             shot[i], best = near[int(total.argmax())], float(total.max())
         return best, shot
 
