@@ -91,7 +91,7 @@ class Camera(Document):
         """Ideal normalised coordinates (..., 2) to distorted ones. Source: OpenCV calib3d documentation."""
         xy = np.asarray(xy, float)
         if not self.distorted:
-            return xy.copy()
+            return xy.copy("K")
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         d = self._coefficients()

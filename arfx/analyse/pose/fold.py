@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from statistics import median
 from typing import Any, Self
 
 import numpy as np
@@ -241,12 +242,15 @@ def figures(facts: Sequence[FrameFacts], keys: Sequence[str], **more: Any) -> di
 
 
 def _shots(records: Sequence[Record]) -> np.ndarray:
-    followed = [False]
-    for a, b in pairwise(records):
-        before = {s.key: s for s in a.detections}
-        # no corner moved by more than a quarter of the side: one marker, one shot
-        pairs = [(before[s.key], s) for s in b.detections if s.key in before]
-        followed.append(any(np.linalg.norm(p.corners_px - s.corners_px, axis=1).max() < 0.25 * p.side_px for p, s in pairs))
+    pairs = []
+    for k, (a, b) in enumerate(pairwise(records), 1):
+        before = {s.key: s.corners_px for s in a.detections}
+        pairs += [(k, before[s.key], s.corners_px) for s in b.detections if s.key in before]
+    last, now = (np.array([pair[i] for pair in pairs]).reshape(-1, 4, 2) for i in (1, 2))
+    side_px = np.linalg.norm(last - np.roll(last, -1, 1), axis=2).mean(1)
+    # no corner moved by more than a quarter of the side: one marker, one shot
+    still = np.linalg.norm(now - last, axis=2).max(1) < 0.25 * side_px
+    followed = np.isin(np.arange(len(records)), [k for (k, _, _), at_rest in zip(pairs, still, strict=True) if at_rest]).tolist()
     cuts = find_cuts([r.dissimilarity[0] for r in records], [r.dissimilarity[1] for r in records], followed)
     return np.cumsum(np.isin(np.arange(len(records)), cuts).astype(int))
 
@@ -283,7 +287,7 @@ def _facts(
         facts.append(FrameFacts(
             r.index, r.time_s, int(shot[k]), status[k], pose, raw, covariance[k] if here else None,
             float(smooth_px[k]) if on[k] else None, float(opacity[k]), markers, r.whole,
-            blur_px=float(np.median(blur)) if blur else None,
+            blur_px=float(median(blur)) if blur else None,
         ))  # fmt: skip
     info = information(path.rotation[on], path.translation[on], seen.take(np.flatnonzero(on)))
     d = np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))  # each parameter in units of its own precision

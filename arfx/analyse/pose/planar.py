@@ -17,6 +17,7 @@ from arfx.analyse.pose.kernels import HUBER_SIGMA
 from arfx.core.camera import Camera
 from arfx.core.facts import Hypothesis
 from arfx.core.numerics import EPS_DEPTH_M, divide, normalise
+from arfx.core.parallel import parallel_rows
 from arfx.core.pose import Pose, rotation_from_rotvec, skew
 
 _SAME_RAD = 5e-3  # two minima closer than this are one (a frontal marker): below any tilt noise seen
@@ -84,7 +85,12 @@ def refine_poses(
     rotation, translation = np.array(rotation, float, order="C"), np.array(translation, float, order="C")
     cost = np.empty(len(rotation))
     points, ideal, scale, weight = (np.array(v, float, order="C") for v in vars(seen).values())
-    kernels.refine(rotation, translation, points, ideal, scale, weight, iterations, cost)
+
+    def refine(a: int, b: int) -> None:
+        of = slice(a, b)
+        kernels.refine(rotation[of], translation[of], points[of], ideal[of], scale[of], weight[of], iterations, cost[of])
+
+    parallel_rows(refine, len(cost))
     return rotation, translation, cost
 
 
@@ -115,7 +121,7 @@ def stack(poses: list[Pose]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
-    """IPPE's one or two solutions, best first.
+    """IPPE's one or two solutions, best first, wherever they lie.
 
     corners_m : (4, 3) of a rectangle, order of MarkerSpec.corners_m;  ideal : (4, 2) normalised, without lens distortion"""
     if not np.isfinite(ideal).all():
@@ -125,8 +131,7 @@ def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
     count, rvecs, tvecs, _ = cv2.solvePnPGeneric(
         np.ascontiguousarray(corners_m), np.ascontiguousarray(ideal)[:, None], np.eye(3), None, flags=method
     )
-    poses = [Pose.from_rotvec(rvecs[k], tvecs[k]) for k in range(count)]
-    return [p for p in poses if _in_sight(p.rotation, p.translation_m)]
+    return [Pose.from_rotvec(rvecs[k], tvecs[k]) for k in range(count)]
 
 
 def frontal_poses(corners_m: np.ndarray, ideal: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,22 +170,25 @@ def hypotheses(
     points, ideal, px_per_ideal = np.stack(corners_m)[at], ideal[at], px_per_ideal[at]
     n = len(points)
     every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
+    of, (rotation, translation) = np.array([i for i, _ in every], int), stack([p for _, p in every])
+    ahead = _in_sight(rotation, translation)
     # IPPE returns rubbish for a marker that faces the camera, or is parallel to the picture, exactly: starts of their own
     ray = np.concatenate([ideal.mean(1), np.ones((n, 1))], 1)
-    starts = [stack([p for _, p in every])]
+    starts = [(rotation[ahead], translation[ahead])]
     starts += [frontal_poses(points, ideal, d) for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3)))]
-    owner = np.concatenate([np.array([i for i, _ in every], int), np.arange(n), np.arange(n)])
+    owner = np.concatenate([of[ahead], np.arange(n), np.arange(n)])
     rotation, translation = (np.concatenate(parts) for parts in zip(*starts, strict=True))
     seen = Observed(points[owner], ideal[owner], px_per_ideal[owner], np.repeat(sigma_px[at][owner, None] ** -2.0, 4, 1))
     rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     error[~(_in_sight(rotation, translation) & np.isfinite(error))] = np.inf
+    order = np.lexsort((error, owner))[::-1]  # worst first: of those assigned to one place the last one stays
+    order = order[np.isfinite(error[order])]
+    best, other = np.full((2, n), -1)
+    best[owner[order]] = order
     apart = 8 * np.sin(_SAME_RAD / 2) ** 2  # squared distance of two rotation matrices by that angle
-    order = np.lexsort((error, owner))
-    for mine in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
-        found: list[int] = []
-        for i in mine[np.isfinite(error[mine])]:
-            if len(found) < 2 and all(((rotation[i] - rotation[f]) ** 2).sum() > apart for f in found):
-                found.append(int(i))
-        out[at[owner[mine[0]]]] = tuple(Hypothesis(Pose(rotation[i], translation[i]), float(error[i])) for i in found)
+    order = order[((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2)) > apart]
+    other[owner[order]] = order
+    for k, pair in zip(at.tolist(), np.stack([best, other], 1).tolist(), strict=True):
+        out[k] = tuple(Hypothesis(Pose(rotation[i], translation[i]), float(error[i])) for i in pair if i >= 0)
     return out

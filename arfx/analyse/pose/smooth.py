@@ -16,6 +16,7 @@ import numpy as np
 from arfx.analyse.pose import kernels
 from arfx.analyse.pose.kernels import DIM
 from arfx.analyse.pose.planar import Observed, huber_cost, residuals, view_jacobian
+from arfx.core.parallel import parallel_map
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
 # What is known before the first frame: nothing. Standard deviations of 10 (radians, or e-folds of distance) and of
@@ -65,8 +66,9 @@ class Links:
 
 
 def link(before: np.ndarray, after: np.ndarray, offset: np.ndarray, dt_s: np.ndarray, shake: np.ndarray) -> Links:
-    """Links from residuals before_k x_k + after_k x_k+1 + offset_k = noise_k."""
-    gate = np.linalg.inv(after) if len(after) else after
+    """Links from residuals before_k x_k + after_k x_k+1 + offset_k = noise_k. after : 1 but for the turns"""
+    gate = after.copy()
+    gate[:, :3, :3] = np.linalg.inv(after[:, :3, :3])
     return Links(-gate @ before, gate, -np.einsum("nij,nj->ni", gate, offset), dt_s, shake)
 
 
@@ -114,16 +116,20 @@ def learn_density(
     if not local or n <= _WINDOW + _CONTEXT:
         return _axes(np.repeat(shot[None], n - 1, 0))
     centres = np.unique(np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW))))
-    values = np.repeat(shot[None], len(centres), 0)
-    for i in range(SHAKE + 1 if shot[SHAKE] > LEAST else SHAKE):
-        for w, centre in enumerate(centres):
-            a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
-            b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
+
+    def of_window(centre: float) -> np.ndarray:
+        a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
+        b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
+        value = shot.copy()
+        for i in range(SHAKE + 1 if shot[SHAKE] > LEAST else SHAKE):
             near = _scaled(shot[i], _FAR)
-            trial = np.repeat(values[w : w + 1], len(near), 0)
+            trial = np.repeat(value[None], len(near), 0)
             trial[:, i] = near
             total = _evidence(measured, info_vector, links, a, b, trial) - _HOLD * np.abs(np.log10(near / shot[i]))
-            values[w, i] = near[int(total.argmax())]
+            value[i] = near[int(total.argmax())]
+        return value
+
+    values = np.stack(parallel_map(of_window, centres.tolist()))
     at = np.arange(n - 1) + 0.5
     smooth = np.stack([np.interp(at, centres, np.log(values[:, i])) for i in range(len(GROUPS))], -1)
     return _axes(np.exp(smooth))
