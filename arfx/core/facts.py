@@ -146,10 +146,9 @@ def write_facts(path: Path | str, facts: Sequence[FrameFacts]) -> None:
     path = Path(path)
     header = {"format": _FORMAT, "version": _VERSION, "frames": len(facts)}
     compute_rotvecs(p for f in facts for p in f.poses)
-    encode = json.JSONEncoder(allow_nan=False, separators=(",", ":")).encode
     with atomic_write(path) as part, part.open("w", encoding="utf-8") as f:
         for line in (header, *(x.to_json() for x in facts)):
-            f.write(encode(line) + "\n")
+            f.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
 
 
 def read_facts(path: Path | str) -> tuple[FrameFacts, ...]:
