@@ -23,7 +23,7 @@ PRESETS = sorted((SCENES.parent / "configs").glob("*.toml"))
 
 
 def verified(scene: Path, work: Path, notice: Callable[[str], None] = lambda _: None) -> Verified:
-    """As `arfx verify` does it; by a smaller clip where the `golden` table states a size: a large picture is for what it costs."""
+    """As `arfx verify` does it; of a smaller clip where the `golden` table states a size: a large one is for what it costs."""
     if size := read_tolerance(scene)["golden"].get("size"):
         whole = load_scene(scene / "scene.toml")
         clip = whole.clip.model_copy(update={"width": size[0], "height": size[1]})
