@@ -36,16 +36,17 @@ STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|
 # tests follow: a process that is done takes half of what is left off the end of another's list. So both end together, and what
 # the tests of a file share is made once.
 LONG = (
-    "golden/test_sample_scenes", "cli/test_cluster", "cli/test_opengl_jobs", "unit/reproduce/test_papers",
-    "plugins/test_film_grain", "unit/stages/test_gi", "cli/test_process", "unit/calibrate/test_calibration",
-    "unit/run/test_stretches", "unit/stages/test_gi_path_traced", "real/test_calibration", "cli/test_anchor_plane",
-    "unit/stages/test_dof", "unit/stages/test_lightmap_plane", "real/test_main_job", "unit/analyse/light/test_sweep",
-    "real/test_markers", "contract/test_stages", "unit/stages/test_watercolor_stage", "unit/run/test_damaged_job",
-    "cli/test_messages", "unit/papers/test_s4_gi", "cli/test_resume", "unit/analyse/motion/test_flow", "cli/test_calibrate",
-    "cli/test_signals", "cli/test_platforms", "cli/test_occlusion", "golden/test_presets", "cli/test_batch",
-    "unit/analyse/depth/test_planes", "unit/run/test_analysis", "cli/test_bench", "cli/test_inspect", "cli/test_depth",
-    "cli/test_streams", "cli/test_light", "cli/test_report", "architecture/test_wheel", "hard/test_hard",
-    "property/test_joined_stretches",
+    "golden/test_sample_scenes", "cli/test_cluster", "cli/test_opengl_jobs", "unit/reproduce/test_papers", "cli/test_process",
+    "unit/stages/test_gi", "unit/stages/test_dof", "plugins/test_film_grain", "unit/run/test_stretches",
+    "unit/analyse/light/test_sweep", "real/test_calibration", "unit/calibrate/test_calibration",
+    "property/test_joined_stretches", "real/test_markers", "contract/test_stages", "cli/test_messages",
+    "unit/stages/test_gi_path_traced", "unit/analyse/motion/test_flow", "real/test_main_job", "cli/test_resume",
+    "cli/test_calibrate", "unit/run/test_damaged_job", "cli/test_occlusion", "cli/test_signals",
+    "unit/analyse/depth/test_planes", "hard/test_hard", "golden/test_presets", "unit/stages/test_lightmap_plane",
+    "unit/stages/test_raster", "unit/run/test_savings", "cli/test_batch", "unit/stages/test_watercolor_stage",
+    "unit/run/test_analysis", "cli/test_inspect", "cli/test_streams", "architecture/test_wheel", "cli/test_light",
+    "cli/test_anchor_plane", "cli/test_depth", "cli/test_report", "unit/papers/test_s4_gi", "cli/test_platforms",
+    "cli/test_bench",
 )  # fmt: skip
 
 

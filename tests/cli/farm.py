@@ -32,8 +32,13 @@ def farm(workers: int) -> Iterator[Farm]:
 
 
 def main() -> None:
+    import dask
     from distributed import LocalCluster
+    from distributed.utils import get_mp_context
 
+    # Tests kill workers: a new one is forked from a server that has imported what it needs, which takes others seconds.
+    dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
+    get_mp_context().set_forkserver_preload(["arfx.run.preload", "arfx.run.cluster.remote", "distributed.nanny"])
     with LocalCluster(
         n_workers=int(sys.argv[1]), threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", memory_limit=0,
         silence_logs=50,

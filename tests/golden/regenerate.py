@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from arfx.measure.verification import read_tolerance, verify
-from tests.golden.pictures import PRESETS, SCENES, differences, frames_side_by_side, read_rgb, write_rgb
+from arfx.measure.verification import read_tolerance
+from tests.golden.pictures import PRESETS, SCENES, differences, frames_side_by_side, read_rgb, verified, write_rgb
 from tests.golden.test_presets import expected_file, first_frame, source_clip
 
 
 def main(names: list[str]) -> None:
     for scene in sorted(p for p in SCENES.iterdir() if p.is_dir() and (not names or p.name in names)):
         with tempfile.TemporaryDirectory() as work:
-            done = verify(scene, Path(work), lambda *_: None, lambda m: print(f"  note: {m}"))
+            done = verified(scene, Path(work), lambda m: print(f"  note: {m}"))
             picture = frames_side_by_side(done.output, read_tolerance(scene)["golden"]["frames"])
         save(scene.name, scene / "expected.png", picture, done.broken)
     with tempfile.TemporaryDirectory() as work:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arfx.measure.verification import read_tolerance, verify
+from arfx.measure.verification import read_tolerance
 from tests.golden.pictures import (
     FAILED,
     SCENES,
@@ -19,6 +19,7 @@ from tests.golden.pictures import (
     differences,
     frames_side_by_side,
     read_rgb,
+    verified,
     write_failure,
 )
 
@@ -29,7 +30,7 @@ NAMES = sorted(p.name for p in SCENES.iterdir() if (p / "scene.toml").is_file())
 @pytest.mark.parametrize("name", NAMES)
 def test_scene_matches_its_truth_and_its_golden_frames(name: str, tmp_path: Path) -> None:
     scene = SCENES / name
-    done = verify(scene, tmp_path, lambda *_: None, lambda _: None)
+    done = verified(scene, tmp_path)
     golden = read_tolerance(scene)["golden"]
     actual, expected = frames_side_by_side(done.output, golden["frames"]), read_rgb(scene / "expected.png")
     broken = [*done.broken, *broken_bounds(differences(actual, expected), golden)]

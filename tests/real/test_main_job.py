@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
+
+from arfx.config.load import load
+from arfx.run.job import Options, process
+from arfx.run.parameters import parameters
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 CLIPS = DATA / "marker_clips" / "wpilibsuite-allwpilib"
@@ -22,27 +23,30 @@ pytestmark = [
 
 
 def times(path: Path) -> list[float]:
+    """Of each packet, as the file stores them."""
     with av.open(str(path)) as c:
         s = c.streams.video[0]
-        return sorted(float(p.pts * s.time_base) for p in c.demux(s) if p.size)
+        return [float(p.pts * s.time_base) for p in c.demux(s) if p.size]
 
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    d = tmp_path_factory.mktemp("real")
-    args = [
-        "process", str(CLIPS / "fieldvideo_long.mp4"), "--camera", str(CLIPS / "camera.json"), "--marker", "36h11:3:165.1mm",
-        "--marker", "36h11:4:165.1mm", "--model", str(DUCK), "--fit", "15cm", "-o", str(d / "out.mp4"), "--json",
-    ]  # fmt: skip
-    p = subprocess.run([sys.executable, "-m", "arfx_cli", *args], capture_output=True, text=True, check=False)
-    assert p.returncode == 0, p.stderr
-    return json.loads(p.stdout), d / "out.mp4"
+    """(its report, the output). The encoder's effort, half of the whole cost, changes neither times nor poses; it is the least at
+    which frames are still stored out of their order."""
+    output = tmp_path_factory.mktemp("real") / "out.mp4"
+    document = {
+        "input": {"clip": str(CLIPS / "fieldvideo_long.mp4"), "camera": str(CLIPS / "camera.json")},
+        "marker": [{"spec": "36h11:3:165.1mm"}, {"spec": "36h11:4:165.1mm"}], "model": {"file": str(DUCK), "fit": "15cm"},
+        "output": {"path": str(output), "preset": "superfast"},
+    }  # fmt: skip
+    return process(load(None, document, parameters()), Options(notice=lambda _: None)), output
 
 
 def test_every_frame_comes_out_at_its_time(job: tuple[dict, Path]) -> None:
-    a, b = times(CLIPS / "fieldvideo_long.mp4"), times(job[1])
+    a, b = (times(path) for path in (CLIPS / "fieldvideo_long.mp4", job[1]))
+    assert b != sorted(b), "an encoder that stores frames in their order has an easier task"
     assert len(a) == len(b) == 159
-    np.testing.assert_allclose(a, b, atol=1e-9)
+    np.testing.assert_allclose(sorted(a), sorted(b), atol=1e-9)
 
 
 def test_the_pose_is_steady_and_still_fits(job: tuple[dict, Path]) -> None:

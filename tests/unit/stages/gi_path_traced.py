@@ -89,11 +89,15 @@ def traced(name: str) -> Traced:
     return Traced(scene, facts(scene, pose), read_linear(name), plate)
 
 
+# Lightmap's `high` would cost more than all of gi, for a tenth of a grey level where gi does not run.
+BESIDE = {"raster": "high", "lightmap": "standard", "composite": "high"}
+
+
 @cache
 def kept(name: str, stage: str) -> ReadyStage:
-    """A stage beside gi at level high, with the shadow of the scene's lamp once that is made: for every run."""
+    """A stage beside gi, with the shadow of the scene's lamp once that is made: for every run."""
     made = Raster(RasterParams(backend="rays")) if stage == "raster" else STAGES[stage]()
-    return ReadyStage.of(made, traced(name).scene, level_named(made.levels, "high"))
+    return ReadyStage.of(made, traced(name).scene, level_named(made.levels, BESIDE[stage]))
 
 
 def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarray]:
@@ -104,7 +108,8 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     if gi:
         stages["gi"] = Gi(GiParams(samples=samples))  # type: ignore[assignment]
     stages["composite"] = STAGES["composite"]()
-    levels = {n: level_named(s.levels, level if n == "gi" else "high") for n, s in stages.items()}
+    wanted = {"gi": level, **BESIDE}
+    levels = {n: level_named(s.levels, wanted[n]) for n, s in stages.items()}
     plan = plan_frame(list(stages.values()), levels, t.facts, t.scene, t.scene.camera.rect)
     ready = {n: replace(kept(name, n), stage=s) for n, s in stages.items() if n != "gi"}
     if gi:

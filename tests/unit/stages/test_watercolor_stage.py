@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import tracemalloc
+from collections.abc import Iterator
+from functools import cache
 from typing import Any
 
 import cv2
@@ -40,6 +42,14 @@ SCENE = scene(camera(160, 120))
 SEEN = facts(SCENE)
 ABSENT = FrameFacts(0, 0.0)
 PLAIN = WatercolorParams(pigment=False, wash=0, lines=0, lightness=0, saturation=1, deepest=0, toon=False)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def surfaces_made_once() -> Iterator[None]:
+    """The points on a scene's object are its own; most tests here paint one and the same."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("arfx.stages.watercolor.stage.sample_surface", cache(sample_surface))
+        yield
 
 
 def layers(image: np.ndarray, rect: Rect | None = None, **more: np.ndarray) -> Layers:
