@@ -4,6 +4,7 @@ Stages of other distributions are left to the workers: nobody knows what theirs 
 
 import atexit
 import os
+import sys
 
 from arfx.core.machine import collect_seldom
 
@@ -22,4 +23,5 @@ for table in (STAGES, *FORMULAS.values()):
 for kernel in listed_kernels((JOB,)):
     if kernel.is_cached:
         kernel.load()
-atexit.register(os._exit, 0)  # the server ends at once, without taking apart all of that
+if "multiprocessing.forkserver" in " ".join(sys.orig_argv):  # it ends at once, without taking apart all of that
+    atexit.register(os._exit, 0)

@@ -148,7 +148,7 @@ def state(folds: Made) -> dict[str, Any]:
 def modules() -> Iterator[ModuleType]:
     for room in (arfx.analyse, arfx.run):
         for m in pkgutil.walk_packages(room.__path__, room.__name__ + "."):
-            if m.name != "arfx.run.preload":  # whoever imports that ends with exit code 0, whatever failed
+            if m.name != "arfx.run.preload":  # that loads compiled code, for seconds
                 yield importlib.import_module(m.name)
 
 
