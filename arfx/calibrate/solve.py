@@ -180,9 +180,7 @@ def uncertainty(fitted: Fit) -> Uncertainty:
     degrees = max(1, 2 * points - p - 6 * n)
     sigma = float(np.sqrt(sum((r**2).sum() for r in fitted.residuals) / degrees))
     independent = sigma**2 * _inverse(normal)
-    steps = np.array(
-        [_inverse(normal - j.T @ j) @ (j.T @ r.ravel()) for j, r in zip(js, fitted.residuals, strict=True)]
-    )
+    steps = np.array([_inverse(normal - j.T @ j) @ (j.T @ r.ravel()) for j, r in zip(js, fitted.residuals, strict=True)])
     steps -= steps.mean(0)
     jack = (n - 1) / n * steps.T @ steps
     a, b = np.sqrt(np.diag(independent)), np.sqrt(np.diag(jack))
