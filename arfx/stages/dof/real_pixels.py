@@ -11,7 +11,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, packed
 from arfx.core.parallel import parallel_map
 from arfx.core.pixels import Attenuated
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.rect import Rect
 from arfx.stages.composite import shade
 from arfx.stages.dof.layer import strips
 from arfx.stages.dof.spread import TILE_PX
