@@ -150,9 +150,11 @@ class Attenuated:
     def __call__(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
         plate, both = self.plate(rect), self.rect.clip(rect)
         out = np.empty_like(plate) if out is None else out
-        if both != rect:
-            out[...] = plate
+        rows, columns = at = both.slices_in(rect) if not both.empty else (slice(0, 0), slice(0, 0))
+        for around in (slice(rows.start), slice(rows.stop, None)):
+            out[around] = plate[around]
+        for beside in (slice(columns.start), slice(columns.stop, None)):
+            out[rows, beside] = plate[rows, beside]
         if not both.empty:
-            at = both.slices_in(rect)
             self.make(plate[at], self.transmittance[both.slices_in(self.rect)], self.opacity, self.bias, out[at])
         return out

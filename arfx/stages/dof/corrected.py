@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layer, Layers, packed
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.parallel import parallel_map
 from arfx.core.pixels import Pixels
@@ -59,16 +59,14 @@ class OccluderLayer:
         covered = blurred.union(self.sharp.clip(part)).clip(part)
         return covered, own, own if covered.empty else self.occluded.rows(*span, f"occluded {name}")
 
-    def composite(
-        self, blurred: Blurred, out: np.ndarray, state: np.ndarray, rows: Rect, first: int, real: RealPixels
-    ) -> bool:  # fmt: skip
-        """Over the rows `rows` of out. first : of these rows in `real`. Returns whether any pixel is `compositing.SHARP`."""
+    def composite(self, blurred: Blurred, out: np.ndarray, state: np.ndarray, rows: Rect) -> bool:
+        """Over the rows `rows` of out. Returns whether any pixel is `compositing.SHARP`."""
         part, own, occluded = blurred
         top, bottom, down, left = part.y0 - self.rect.y0, part.y1 - self.rect.y0, part.y0 - rows.y0, self.rect.x0
         radius, colour, coverage = (a[top:bottom] for a in (self.own.radius, self.colour, self.coverage))
         pixels = splat.OccluderPixels(radius, colour, coverage, self.opacity, self.own.pyramid.stays)
         columns, to = (part.x0 - left, part.x1 - left), slice(down, part.y1 - rows.y0)
-        args = out[to], state[to], columns, (top, first + down, left - rows.x0), own, occluded, pixels, real
+        args = out[to], state[to], columns, (top, left - rows.x0), own, occluded, pixels
         return not part.empty and bool(compositing.composite_occluder(*args))
 
 
@@ -118,9 +116,14 @@ def render(
             colour_of = lambda part: front.colour[part.slices]  # noqa: B023, E731
             occluders.append(_real_occluder(rect, front.radius, front.coverage, colour_of, pyramid, params))
     occluders += [boxed] if boxed else []
-    image, background, spread = sharp.image, np.float32(real.background), sharp
+    background, spread = np.float32(real.background), sharp
+    # elsewhere the composite is the real scene: what `sharp` was before `with_all`
+    own = rect if measured is not None else now.extent(Layer.IMAGE).union(facts.raster_box.clip(rect))
+    bits = packed(np.zeros((0, 0, 3), np.float32) if own.empty else now.crop(own)[Layer.IMAGE])
+    place = own.shift(-rect.x0, -rect.y0)
+    at = place.x0, place.y0, place.x1, place.y1
     if pyramid.slanted and real.base is not None and min(rect.width, rect.height) > 1:
-        whole, moved = sharp.crop(Rect.of(rect.width, rect.height)), np.empty(image.shape, np.float32)
+        whole, moved = sharp.crop(Rect.of(rect.width, rect.height)), np.empty((rect.height, rect.width, 3), np.float32)
         corner, todo = (rect.x0, rect.y0), [k for k, (a, b) in enumerate(blurred) if a < b]
         parallel_map(lambda k: move_light(moved, whole, rows[k], blurred[k], corner, nodes, background, optics), todo)
         spread = sharp.with_all(moved)
@@ -140,7 +143,7 @@ def render(
 
     parallel_map(start, [k for k, (a, b) in enumerate(reached) if a < b])
     parallel_map(lambda job: job[0].splat(job[1]), [(c, s) for c in occluders for s in strips(c.rect)])
-    result = np.empty(image.shape, np.float32)
+    result = np.empty((rect.height, rect.width, 3), np.float32)
 
     def finish(strip: tuple[int, int]) -> Rect:
         top, bottom = strip
@@ -153,12 +156,11 @@ def render(
         if a >= b:
             return EMPTY
         out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
-        if base_rows.lo < base_rows.hi:
-            compositing.composite_real(out, state, top, a, b, base_rows, base.radius, sharp, visibility, pyramid.stays)
-        else:
-            out[:, a:b] = image[top:bottom, a:b]
-        if any([layer.composite(light, out, state, here, top, sharp) for layer, light in layers]):
-            compositing.restore(out, state, image, top, a, b)
+        if base_rows.lo >= base_rows.hi:
+            base_rows = DARK._replace(lo=a, hi=a)
+        compositing.composite_real(out, state, top, a, b, base_rows, base.radius, sharp, visibility, pyramid.stays)
+        any_sharp = any([layer.composite(light, out, state, here) for layer, light in layers])
+        compositing.restore(out, state, top, (a, b), any_sharp, sharp, bits, at)
         return Rect(rect.x0 + a, here.y0, rect.x0 + b, here.y1)
 
     first, last = out.y0 - rect.y0, out.y1 - rect.y0

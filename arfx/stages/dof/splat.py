@@ -127,7 +127,7 @@ def _to_cells(low, high, ya, xa, radius, part, work, buffers: SplatBuffers):  # 
     """Tiles of weight 1 to level low, or to low and low + 1 = high; to none below 1.
 
     part : (rows, 3 columns) light from row ya, column xa"""
-    if low == 0:
+    if low == 0 or (high == 1 and buffers.stays[0] > 0):
         _share_cells(ya, xa, radius, part, work, buffers)
     elif high == low:
         _sum_cells(low, ya, xa, radius, part, work, buffers)
@@ -156,10 +156,10 @@ def _sum_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma:
                 line[n] += p[n]
             for n in range(count):
                 sums[n] += r[n]
-        largest = np.float32(0)
+        above = 0
         for n in range(3 * count):
-            largest = max(largest, line[n])
-        if largest > bright:  # take the highlights out again, and to the level below
+            above += line[n] > bright
+        if above > 0:  # take the highlights out again, and to the level below
             for y in range(top, bottom):
                 for n in range(count):
                     red, green, blue = part[y - ya, 3 * n], part[y - ya, 3 * n + 1], part[y - ya, 3 * n + 2]
@@ -176,7 +176,7 @@ def _sum_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma:
 
 @line_kernel(fastmath=_FLAGS)
 def _share_cells(ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
-    """As `_sum_cells`, of tiles of which a part goes to level 1 and the rest stays in its pixels."""
+    """As `_sum_cells`, of tiles of which all or a part goes to level 1 and the rest stays in its pixels."""
     count, end, one, zero = part.shape[1] // 3, ya + part.shape[0], np.float32(1), np.float32(0)
     offset_y, offset_x, (a, b), meta, cells = buffers.offset_y, buffers.offset_x, buffers.stays, buffers.meta, buffers.cells
     upper, lower = work[:count], work[count : 2 * count]  # fractions that go, of both rows of the cells
@@ -189,14 +189,16 @@ def _share_cells(ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: 
         row = meta[1, 0] + cy * meta[1, 1]
         for cx in range((xa + offset_x) >> 1, ((xa + count - 1 + offset_x) >> 1) + 1):
             first = max(2 * cx - offset_x - xa, 0)
-            at, n = np.uintp(row + cx), np.uintp(first)
-            for k in range(min(2 * cx + 2 - offset_x - xa, count) - first):
-                m = n + np.uintp(k)
-                i, t, u = np.uintp(3) * m, upper[m], lower[m]
-                for c in range(3):
-                    cells[at, c] += t * p[i + np.uintp(c)] + u * q[i + np.uintp(c)]
-                cells[at, 3] += t + u
-                cells[at, 4] += t * r[m] + u * s[m]
+            last = min(2 * cx + 1 - offset_x - xa, count - 1)
+            at, n, m = np.uintp(row + cx), np.uintp(first), np.uintp(last)
+            i, j, t, u, v, w = np.uintp(3) * n, np.uintp(3) * m, upper[n], lower[n], upper[m], lower[m]
+            if last == first:
+                v, w = zero, zero
+            for c in range(3):
+                k = np.uintp(c)
+                cells[at, k] += t * p[i + k] + u * q[i + k] + v * p[j + k] + w * q[j + k]
+            cells[at, 3] += t + u + v + w
+            cells[at, 4] += t * r[n] + u * s[n] + v * r[m] + w * s[m]
 
 
 @line_kernel(fastmath=_FLAGS)
@@ -213,7 +215,7 @@ def _split_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragm
         top, bottom = max(cy * side - offset_y, ya), min((cy + 1) * side - offset_y, end)
         for n in range(10 * count):
             work[n] = 0
-        largest = np.float32(0)
+        above = 0
         for y in range(top, bottom):
             p, r = part[y - ya], radius[y, xa : xa + count]
             for n in range(count):
@@ -230,8 +232,8 @@ def _split_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragm
                 high[n] += onward
                 low[n] += p[n] - onward
         for n in range(3 * count):
-            largest = max(largest, low[n] + high[n])
-        if largest > bright:  # take the highlights out again, and to the levels below
+            above += low[n] + high[n] > bright
+        if above > 0:  # take the highlights out again, and to the levels below
             below = max(k - 1, 1)
             for y in range(top, bottom):
                 for n in range(count):

@@ -106,30 +106,35 @@ def _hysteresis(most, parts, low, high, ya, yb, line):  # pragma: no cover - com
 
 def virtual_edges(
     coverage: np.ndarray, normal: np.ndarray, depth: np.ndarray, opacity: float, at: tuple[int, int] = (0, 0),
-    shape: tuple[int, int] | None = None,
+    shape: tuple[int, int] | None = None, every: int = 1,
 ) -> np.ndarray:  # fmt: skip
     """(ceil(h / 2), ceil(w / 2)) float32, 0..1: silhouettes from coverage and depth, creases from normals.
 
     coverage (bh, bw), normal (bh, bw, 3), depth (bh, bw) metres; a depth that is not finite is none
-    shape (h, w) : of the part of the picture looked at, in which the arrays begin at (row, column) `at`, around them nothing"""
-    h, w = shape or coverage.shape
+    shape (h, w) : of the part of the picture looked at, in which the arrays begin at (row, column) `at`, around them nothing
+    every : one in so many of its pixels along x and y is looked at, and h, w are their numbers"""
+    h, w = (-(-n // every) for n in shape or coverage.shape)
     out = np.zeros(((h + 1) // 2, (w + 1) // 2), np.float32)
     if opacity > 0 and coverage.any():
-        _virtual(packed(coverage), packed(normal), packed(depth), np.float32(opacity), *at, h, w, out)
+        last_y, last_x = every * (h - 1), every * (w - 1)
+        layers = packed(coverage), packed(normal), packed(depth)
+        _virtual(*layers, np.float32(opacity), *at, last_y, last_x, 2 * every, out)
     return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _virtual(coverage, normal, depth, opacity, top, left, h, w, out):  # pragma: no cover - compiled
+def _virtual(
+    coverage, normal, depth, opacity, top, left, last_y, last_x, pitch, out
+):  # fmt: skip  # pragma: no cover - compiled
     bh, bw = coverage.shape
     zero, one = np.float32(0), np.float32(1)
     for j in range(out.shape[0]):
         for i in range(out.shape[1]):
-            y, x = 2 * j - top, 2 * i - left
+            y, x = pitch * j - top, pitch * i - left
             here = 0 <= y < bh and 0 <= x < bw
             best = zero
             for m in range(2):
-                y2, x2 = (y, min(x + 2, w - 1 - left)) if m == 0 else (min(y + 2, h - 1 - top), x)
+                y2, x2 = (y, min(x + pitch, last_x - left)) if m == 0 else (min(y + pitch, last_y - top), x)
                 a = coverage[y, x] if here else zero
                 b = coverage[y2, x2] if 0 <= y2 < bh and 0 <= x2 < bw else zero
                 if a <= zero and b <= zero:

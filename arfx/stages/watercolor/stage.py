@@ -165,16 +165,17 @@ class Watercolor(Stage):
         if not p.toon or box.empty:
             return Picture(image)
         part, (top, left) = view.layers.crop(box), offset(box, view.rect)
-        layers = ObjectLayers(*(packed(_sparse(part[Layer(n)], top, left, every)) for n in ObjectLayers._fields))
-        if not layers.coverage.any():
+        layers, first = ObjectLayers(*(packed(part[Layer(n)]) for n in ObjectLayers._fields)), (-top % every, -left % every)
+        shown = layers.coverage[first[0] :: every, first[1] :: every]
+        if not shown.any():
             return Picture(image)
         light = view.light
         direction, radiance = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
         even = EVEN * np.clip(light.ambient_rgb, 0, radiance)
-        (top, left), (h, w) = (-(-n // every) for n in (top, left)), layers.coverage.shape
+        (top, left), (h, w) = (-(-n // every) for n in (top, left)), shown.shape
         patch = toon(
             image[top : top + h, left : left + w], layers, direction, radiance, even, p.toon_thresholds, p.toon_factors,
-            view.facts.opacity, RAMP,
+            view.facts.opacity, RAMP, first, every,
         )  # fmt: skip
         return Picture(image, patch, top, left)
 
@@ -262,10 +263,8 @@ class Watercolor(Stage):
         if seen.empty:
             return None, (0, 0)
         part, (top, left) = now.crop(seen), offset(seen, whole)
-        layers = [_sparse(part[name], top, left, every) for name in (Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH)]
-        top, left = -(-top // every), -(-left // every)
-        shape = -(-whole.height // every), -(-whole.width // every)
-        return virtual_edges(layers[0], layers[1], layers[2], view.facts.opacity, (top, left), shape), (y, x)
+        layers, shape = [part[name] for name in (Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH)], (whole.height, whole.width)
+        return virtual_edges(layers[0], layers[1], layers[2], view.facts.opacity, (top, left), shape, every), (y, x)
 
     def _background_cells(self, view: View, prepared: Prepared, field: SiteField, _pose: Any, sites_key: Key) -> CellSet:
         """Of what `_field` made."""
@@ -308,7 +307,7 @@ class Watercolor(Stage):
         box = now.extent(Layer.COVERAGE).clip(_box(view))
         inside, (top, left) = now.crop(box)[Layer.COVERAGE] >= 0.5, offset(box, view.rect)
         if ACCURACY[level].half:
-            inside, box = _sparse(inside, top, left, 2).copy(), Rect(box.x0 + left % 2, box.y0 + top % 2, box.x1, box.y1)
+            inside, box = inside[top % 2 :: 2, left % 2 :: 2].copy(), Rect(box.x0 + left % 2, box.y0 + top % 2, box.x1, box.y1)
             top, left = (top + 1) // 2, (left + 1) // 2
         if not inside.any():
             return None
@@ -350,18 +349,6 @@ def _pose_key(pose: Pose | None) -> bytes | None:
 def _corner(rect: Rect, level: str) -> tuple[int, int]:
     """The pixel of the frame that the wobble's first is: at half the size, whose pixels count from there, that of `rect`."""
     return (rect.x0, rect.y0) if ACCURACY[level].half else (0, 0)
-
-
-def _sparse(a: np.ndarray, top: int, left: int, every: int) -> np.ndarray:
-    """(h, w, ...) one in `every` pixels along x and y of an array that begins at (top, left), counted from 0; read-only."""
-    if every > 1:
-        a = a[-top % every :: every, -left % every :: every]
-        out = np.empty(a.shape, a.dtype)
-        for c in np.ndindex(a.shape[2:]):  # a channel at a time: all at once numpy copies them in loops of three
-            out[..., *c] = a[..., *c]
-        out.setflags(write=False)
-        return out
-    return a
 
 
 def _box(view: View) -> Rect:

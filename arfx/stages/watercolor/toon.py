@@ -63,28 +63,31 @@ class _Tones(NamedTuple):
 def toon(
     image: np.ndarray, layers: ObjectLayers, direction: np.ndarray, radiance: np.ndarray, even: np.ndarray,
     thresholds: tuple[float, float], factors: tuple[float, float, float], opacity: float, ramp: float,
+    first: tuple[int, int] = (0, 0), every: int = 1,
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
 
     radiance, even : (3,) of a white surface that faces the light, and the part of it that every tone has
-    ramp : of n . l over which a step is spread, 0 = hard"""
+    ramp : of n . l over which a step is spread, 0 = hard
+    first, every : (row, column) in the layers that the image's first pixel stands for; each stands for so many along x and y"""
     f32 = np.float32
     out: np.ndarray = image.copy()
     tones = _Tones(
         direction.astype(f32), (radiance - even).astype(f32), even.astype(f32), np.array(thresholds, f32),
         np.array(factors, f32), f32(opacity), f32(ramp),
     )  # fmt: skip
-    parallel_rows(lambda a, b: _toon(layers, tones, a, b, out), len(out))
+    parallel_rows(lambda a, b: _toon(layers, tones, first, every, a, b, out), len(out))
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _toon(layers: ObjectLayers, tones: _Tones, ya, yb, out):  # pragma: no cover - compiled
+def _toon(layers: ObjectLayers, tones: _Tones, first, every, ya, yb, out):  # pragma: no cover - compiled
     virtual, coverage, normal, albedo, emissive = layers
     light, direct, even, at, factors, opacity, ramp = tones
     zero, one = np.float32(0), np.float32(1)
-    for y in range(ya, yb):
-        for x in range(coverage.shape[1]):
+    for j in range(ya, yb):
+        for i in range(out.shape[1]):
+            y, x = first[0] + every * j, first[1] + every * i
             cov = coverage[y, x]
             if cov <= zero:
                 continue
@@ -97,5 +100,5 @@ def _toon(layers: ObjectLayers, tones: _Tones, ya, yb, out):  # pragma: no cover
             tone = factors[2] + low * (factors[1] - factors[2]) + high * (factors[0] - factors[1])
             for k in range(3):
                 flat = cov * (albedo[y, x, k] * (even[k] + direct[k] * tone) + emissive[y, x, k])
-                out[y, x, k] = max(out[y, x, k] + opacity * (flat - virtual[y, x, k]), zero)
+                out[j, i, k] = max(out[j, i, k] + opacity * (flat - virtual[y, x, k]), zero)
     return out

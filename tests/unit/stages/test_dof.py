@@ -146,6 +146,22 @@ def test_blades_shape_the_highlight() -> None:
     assert np.abs(made["high"] - made["reference"]).mean() < 0.02 * made["reference"].max()
 
 
+@pytest.mark.parametrize("opacity", [1.0, 0.4])
+@pytest.mark.parametrize("level", LEVELS)
+def test_no_picture_of_the_composite_is_made(level: str, opacity: float) -> None:
+    base = shot()
+    at = compose(base.scene, base.facts.with_(opacity=opacity), base.layers[Layer.PLATE])
+    image, stage = at.layers.written[Layer.IMAGE], Dof(DofParams(aperture_px=60.0, focus="48cm"))
+    box = image.part
+    made = ReadyStage.of(stage, at.scene, level).run(at.layers, at.facts)[Layer.IMAGE]
+    assert image.part == box != at.layers.rect, "the plate and its shadow are looked at where they lie"
+    whole = at.layers[Layer.IMAGE]
+    again = with_layers(at, image=whole)
+    from_whole = blurred(again, level, aperture_px=60.0, focus="48cm")
+    np.testing.assert_allclose(made(at.layers.rect), from_whole, atol=3e-5)
+    np.testing.assert_array_equal((made(at.layers.rect) == whole).all(-1), (from_whole == whole).all(-1), "the same stays sharp")
+
+
 @pytest.mark.parametrize("fnumber", [1e12, 400.0, "inf"])
 def test_a_closed_aperture_is_the_identity_bit_for_bit(fnumber: float | str) -> None:
     at = shot()
