@@ -116,7 +116,8 @@ class Views:
         corners = np.array([s.corners_px for _, s in seen]).reshape(-1, 4, 2)
         ideal = camera.normalised(corners)
         scale = lens_scale(camera, np.where(np.isfinite(ideal), ideal, 0.0))
-        sigma = np.array([s.sigma_px for _, s in seen])
+        misplaced = np.array([s.misplaced_px for _, s in seen])
+        sigma = np.hypot(np.array([s.sigma_px for _, s in seen]), misplaced)
         good = np.isfinite(ideal).all((1, 2))
         points = [spec[s.key].corners_m for _, s in seen]
         shared = shared_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
@@ -127,7 +128,7 @@ class Views:
         self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
         for i, (k, s) in enumerate(seen):
             px = float(np.hypot(max(sigma[i] * self.sigma_factor, _LEAST_SIGMA_PX), shared[i]))
-            self.common_px[k] = max(self.common_px[k], shared[i])
+            self.common_px[k] = max(self.common_px[k], np.hypot(shared[i], misplaced[i]))
             if good[i] and candidates[i]:
                 poses = tuple(h.camera_from_marker for h in candidates[i])
                 self.frames[k].append(View(s.key, points[i], ideal[i], scale[i], px, poses))
