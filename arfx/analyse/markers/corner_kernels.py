@@ -17,7 +17,9 @@ _EVEN = (np.arange(SAMPLES) + 0.5) / SAMPLES
 FRACTIONS = 0.05 + 0.9 * (_EVEN + 0.15 * np.sin(2 * np.pi * _EVEN) / (2 * np.pi))
 CONVERGED_PX = 4e-3  # a fifth of the noise of a good corner
 ITERATIONS = 6
-_THERE, _ROUNDS = 0.5, 5
+# A normal on which the edge is fainter than so much of the side's (its upper quartile) meets something that covers the print.
+_THERE = 0.5
+_ROUNDS = 5  # of the robust line: with three, a quarter of the samples off by .5 px still moves an end by .1 px
 # Least standard deviation of the window: a narrower one sees the steps of the pixels in a sharp edge and is drawn towards
 # them, by up to .13 px at .7 px. Noise gains nothing from a narrow window. Small cells need one: what is beyond is near.
 WINDOW_PX = (0.7, 1.3)
@@ -75,7 +77,8 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset, there):  # pragma: no cover - compiled
-    """Where the four edges are along their normals: offset (4, SAMPLES) px inwards from the chord.
+    """Where the four edges are along their normals: offset (4, SAMPLES) px inwards from the chord; there (4, SAMPLES) 1, or 0
+    where a normal shows too faint an edge.
 
     half, window : (4,) px of each side;  blur : NaN at first;  slope (4, SAMPLES, STEPS - 1) : work space
     Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0 for white on black."""
@@ -134,13 +137,12 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset
                 own[m] += sign * slope[side, m, s] * narrow[side, s]
             ordered[m] = own[m]
         sort(ordered)
-        count = 0
+        count = 0.0
         for m in range(samples):
-            there[side, m] = 1.0 if own[m] >= _THERE * ordered[3 * samples // 4] else 0.0
-            if there[side, m] > 0:
-                count += 1
-                for s in range(steps - 1):
-                    mean[side, s] += slope[side, m, s]
+            there[side, m] = 0.0 if own[m] < _THERE * ordered[3 * samples // 4] else 1.0
+            count += there[side, m]
+            for s in range(steps - 1):
+                mean[side, s] += there[side, m] * slope[side, m, s]
         mass = 0.0
         for s in range(steps - 1):
             mean[side, s] *= sign / count
@@ -194,7 +196,7 @@ def _moments(profile, at):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fit(offset, there, f, ends):  # pragma: no cover - compiled
-    """Robust line per side (iterated, Geman-McClure): ends (4, 2) px; returns the spread px of the samples."""
+    """Robust line per side (iterated, Geman-McClure) through samples that are there: ends (4, 2) px; returns their spread px."""
     samples = len(f)
     weight, size, ordered, scales = np.empty(samples), np.empty(samples), np.empty(samples), np.empty(4)
     for side in range(4):
@@ -215,13 +217,13 @@ def _fit(offset, there, f, ends):  # pragma: no cover - compiled
             if not (np.isfinite(at0) and np.isfinite(grade)):
                 at0, grade = 0.0, 0.0
             if k < _ROUNDS - 1:  # the last round only needs the line
-                missing = 0
+                absent = 0
                 for m in range(samples):
                     size[m] = abs(v[m] - at0 - grade * f[m])
                     ordered[m] = size[m] if there[side, m] > 0 else -1.0
-                    missing += there[side, m] == 0
+                    absent += there[side, m] == 0
                 sort(ordered)
-                scale = 1.4826 * ordered[(samples + missing) // 2] + 1e-3
+                scale = 1.4826 * ordered[(samples + absent) // 2] + 1e-3
                 for m in range(samples):
                     weight[m] = there[side, m] / (1.0 + (size[m] / (2.5 * scale)) ** 2) ** 2
                 scales[side] = scale
