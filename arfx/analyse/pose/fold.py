@@ -133,8 +133,7 @@ class Views:
         for i, (k, s) in enumerate(seen):
             px = float(np.hypot(max(sigma[i] * self.sigma_factor, _LEAST_SIGMA_PX), shared[i]))
             self.common_px[k] = max(self.common_px[k], shared[i])
-            # of one side that is off: half of the coordinates move
-            untold = AGREE_CELLS / 2 * s.side_px / cells[s.key]
+            untold = AGREE_CELLS * s.side_px / cells[s.key]
             sums[:, k] += np.array([1.0, misplaced[i] ** 2, untold**2]) / px**2
             if good[i] and candidates[i]:
                 poses = tuple(h.camera_from_marker for h in candidates[i])
