@@ -38,8 +38,7 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
     least_gain : (n,) give up where a side is fainter, at once;  fractions : FRACTIONS (a constant would be unrolled, and
     the compiler take three times as long)"""
     samples = len(fractions)
-    offset, slope = np.empty((4, samples)), np.empty((4, samples, STEPS - 1))
-    there = np.empty((4, samples))
+    seen, slope = np.empty((2, 4, samples)), np.empty((4, samples, STEPS - 1))
     ends, moved, window = np.empty((4, 2)), np.empty((4, 2)), np.empty(4)
     for i in range(len(quads)):
         quad, stats = quads[i], out[i]
@@ -51,14 +50,14 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
         stats[OK] = 1.0
         for k in range(ITERATIONS + wide):
             far = reach[i] if k < wide else half[i]
-            gain, blur, skew, inverted = _edges(luma, table, quad, bend[i], far, window, blur, fractions, slope, offset, there)
+            gain, blur, skew, inverted = _edges(luma, table, quad, bend[i], far, window, blur, fractions, slope, seen)
             stats[BLUR], stats[GAIN], stats[SKEW], stats[INVERTED] = blur, gain, skew, inverted
             if k < 3 + wide:  # the blur's estimate settles; then the window is held, so that the fixed point is one
                 after = reach[i] if k + 1 < wide else half[i]
                 for side in range(4):
                     least = min(max(WINDOW_FRACTION * half[i, side], WINDOW_PX[0]), WINDOW_PX[1])
                     window[side] = min(max(1.2 * blur, least), after[side] / 2)
-            stats[SPREAD] = _fit(offset, there, fractions, ends)
+            stats[SPREAD] = _fit(seen, fractions, ends)
             _meet(quad, ends, moved)
             step = 0.0
             finite = True
@@ -76,13 +75,14 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, offset, there):  # pragma: no cover - compiled
-    """Where the four edges are along their normals: offset (4, SAMPLES) px inwards from the chord; there (4, SAMPLES) 1, or 0
-    where a normal shows too faint an edge.
+def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, seen):  # pragma: no cover - compiled
+    """Where the four edges are along their normals: seen (2, 4, SAMPLES), px inwards from the chord; 1, or 0 where a normal shows
+    too faint an edge.
 
     half, window : (4,) px of each side;  blur : NaN at first;  slope (4, SAMPLES, STEPS - 1) : work space
     Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0 for white on black."""
     h, w = luma.shape
+    offset, there = seen[0], seen[1]
     samples, steps = len(fractions), slope.shape[2] + 1
     last_x, last_y = w - 1.001, h - 1.001
     total = 0.0
@@ -195,9 +195,9 @@ def _moments(profile, at):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fit(offset, there, f, ends):  # pragma: no cover - compiled
+def _fit(seen, f, ends):  # pragma: no cover - compiled
     """Robust line per side (iterated, Geman-McClure) through samples that are there: ends (4, 2) px; returns their spread px."""
-    samples = len(f)
+    samples, offset, there = len(f), seen[0], seen[1]
     weight, size, ordered, scales = np.empty(samples), np.empty(samples), np.empty(samples), np.empty(4)
     for side in range(4):
         v = offset[side]
