@@ -34,7 +34,8 @@ MOST_TURN_DEG = 12.0  # of a pose that is shown: a mirrored one is off by twice 
 @dataclass(frozen=True)
 class Shown:
     """What a frame shows. pose : camera_from_marker;  blur_px, motion_px : standard deviation, length;  contrast, exposure :
-    of 1;  noise : of 255;  covered : share of the print's width;  zoom : of the calibrated focal length"""
+    of 1;  noise : of 255;  covered : share of the print's width;  slant : of the border of what covers, over the print's height
+    zoom : of the calibrated focal length"""
 
     pose: Pose
     blur_px: float = 0.7
@@ -43,6 +44,7 @@ class Shown:
     exposure: float = 1.0
     noise: float = 1.5
     covered: float = 0.0
+    slant: float = 0.35
     zoom: float = 1.0
 
 
@@ -94,8 +96,9 @@ CLIPS: tuple[Clip, ...] = (
     Clip("fades in fog", lambda u: Shown(_swaying(u), contrast=_log(1, 0.01, _there(u)))),
     Clip("is blurred by 1 to 60 px", lambda u: Shown(_swaying(u), blur_px=_log(1, 60, _there(u)))),
     Clip("is smeared by 1 to 60 px", lambda u: Shown(_swaying(u), motion_px=_log(1, 60, _there(u)))),
-    # the first pixels of a hand move a border by less than real prints are off
-    Clip("is covered by 0 to 95 %", lambda u: Shown(_swaying(u), covered=0.95 * _there(u)), 0.6),
+    Clip("is covered by 0 to 95 %", lambda u: Shown(_swaying(u), covered=0.95 * _there(u))),
+    # the first tenths of a pixel move a whole side by less than real prints are off
+    Clip("a card slides along a side", lambda u: Shown(_swaying(u), covered=0.5 * _there(u), slant=0.1), 0.8),
     Clip("lies in the dark", lambda u: Shown(_swaying(u), exposure=_log(1, 0.002, _there(u)))),
     Clip("drowns in noise", lambda u: Shown(_swaying(u), noise=_log(1, 90, _there(u)))),
     Clip("the camera zooms", lambda u: Shown(_swaying(u, side_px=70), zoom=_log(1, 2.5, _there(u))), 0.0),
@@ -123,7 +126,7 @@ def frame(shown: Shown, seed: int) -> np.ndarray:
     if shown.covered and marker:
         quad = cam.project(shown.pose.apply(_PRINT.corners_m * 1.2))
         (x0, y0), (x1, y1) = quad.min(0), quad.max(0)
-        edge, slant = x0 + shown.covered * (x1 - x0), 0.35 * (y1 - y0)  # as of a hand that comes in from the left
+        edge, slant = x0 + shown.covered * (x1 - x0), shown.slant * (y1 - y0)  # as of a hand that comes in from the left
         hand = np.array([[x0, y0], [edge, y0], [edge - slant, y1], [x0, y1]])
         cv2.fillPoly(code, [np.rint(hand * 16).astype(np.int32)], 0.55, cv2.LINE_AA, 4)
     light = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)

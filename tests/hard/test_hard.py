@@ -35,7 +35,10 @@ def test_answers_and_refusals_through_pixels(sweep: Sweep) -> None:
     assert not found.wrong and found.count(ANSWER)[0] >= 2 and found.count(REFUSAL)[0] >= 1, found
 
 
-@pytest.mark.parametrize("name", ["turns edge-on", "is covered by 0 to 95 %", "is blurred by 1 to 60 px"])
+_SINGULAR = ["turns edge-on", "is covered by 0 to 95 %", "a card slides along a side", "is blurred by 1 to 60 px"]
+
+
+@pytest.mark.parametrize("name", _SINGULAR)
 def test_poses_towards_a_singularity_are_as_good_as_they_say(name: str) -> None:
     clip = next(c for c in clips.CLIPS if c.name == name)
     found = clips.analyse(clip)

@@ -226,7 +226,7 @@ def _refined(
     r = refine_corners(luma, quads, np.array([cells_per_side(c.family) for c in found]), table, camera)
     off = [misplaced_px(luma, r.corners_px[i], c.family, c.id, bool(r.inverted[i]), table) for i, c in enumerate(found)]
     seen = tuple(
-        Detection(c.key, r.corners_px[i], float(np.hypot(r.sigma_px[i], off[i])), float(r.blur_px[i]), bool(r.inverted[i]))
+        Detection(c.key, r.corners_px[i], float(r.sigma_px[i]), float(r.blur_px[i]), bool(r.inverted[i]), off[i])
         for i, c in enumerate(found)
     )
     return seen, r.skew

@@ -48,13 +48,17 @@ class Candidate:
 @serialisable
 @dataclass(frozen=True)
 class Detection:
-    """One marker print in one frame, refined. corners_px : (4, 2);  sigma_px : predicted;  blur_px : nan where unknown."""
+    """One marker print in one frame, refined.
+
+    corners_px : (4, 2);  sigma_px : predicted standard deviation of a coordinate, without misplaced_px
+    blur_px : nan where unknown;  misplaced_px : by how much the cells between contradict the corners, root mean square"""
 
     key: str
     corners_px: np.ndarray
     sigma_px: float
     blur_px: float
     inverted: bool
+    misplaced_px: float = 0.0
 
     @property
     def side_px(self) -> float:

@@ -17,8 +17,9 @@ from arfx.core.numerics import divide
 _ACROSS = np.linspace(-0.4, 0.4, 9)  # cells, where a line between two cells is sampled
 _LEAST_CONTRAST = 0.4  # of the usual one: fainter, one of the two cells is covered
 LEAST_LINES = 12
+_DOUBT = 9.0  # three deviations of a corner, each three of the mean of the lines: it lies outside of them
 _RIDGE = 1e-6 * np.eye(3)
-AGREE_CELLS = 0.05  # noise, and what the camera makes of edges, move lines by less
+AGREE_CELLS = 0.05  # what the camera makes of edges moves lines by less
 
 
 class Lines(NamedTuple):
@@ -69,7 +70,7 @@ def misplaced_px(luma: np.ndarray, corners_px: np.ndarray, family: str, number: 
     plane = np.concatenate([np.ones((len(off), 1)), lines.middle / cells - 0.5], 1)
     x, y = np.abs(lines.normal[:, 0]) > 0, np.abs(lines.normal[:, 1]) > 0
     ends = np.concatenate([np.ones((4, 1)), square / cells - 0.5], 1)
-    shift = np.zeros((4, 2))
+    shift, doubt = np.zeros((4, 2)), 0.0
     for axis, mine in enumerate((x & clear, y & clear)):
         if mine.sum() < LEAST_LINES // 3:
             return 0.0
@@ -80,7 +81,9 @@ def misplaced_px(luma: np.ndarray, corners_px: np.ndarray, family: str, number: 
             fit = np.linalg.solve(weighted @ p + _RIDGE, weighted @ signed)
             weight = 1 / (1 + np.abs(signed - p @ fit) / 0.05) ** 2
         shift[:, axis] = ends @ fit
-    if np.abs(shift).max() < AGREE_CELLS:
+        scatter = 1.4826 * float(np.median(np.abs(signed - p @ fit)))
+        doubt = max(doubt, _DOUBT * scatter / np.sqrt(mine.sum()))
+    if np.abs(shift).max() < max(AGREE_CELLS, doubt):
         return 0.0
     moved = np.concatenate([square + shift, np.ones((4, 1))], 1) @ h.T
     return float(np.sqrt(((moved[:, :2] / moved[:, 2:] - corners_px) ** 2).sum(1).mean() / 2))

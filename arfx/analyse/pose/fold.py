@@ -15,6 +15,7 @@ from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifte
 from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Detection, Record, cells_per_side
 from arfx.analyse.markers.fold import Markers
+from arfx.analyse.markers.inner_edges import AGREE_CELLS
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.at_rest import BackgroundFlow, FlowSample, decide_static
 from arfx.analyse.pose.marker_map import MarkerMap, View, map_markers
@@ -32,6 +33,8 @@ from arfx.core.stage import Check
 from arfx.errors import NothingToDoError
 
 _COMMON_PX = 0.005  # of a corner, at least, that no smoothing averages away: the print's edges, the optics
+# What covers a print comes and goes. Beside a frame where it is told, what is not told may be left; half of it so far away.
+_COVERS_S = 1 / 30
 _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
 
 
@@ -116,22 +119,30 @@ class Views:
         corners = np.array([s.corners_px for _, s in seen]).reshape(-1, 4, 2)
         ideal = camera.normalised(corners)
         scale = lens_scale(camera, np.where(np.isfinite(ideal), ideal, 0.0))
-        sigma = np.array([s.sigma_px for _, s in seen])
+        misplaced = np.array([s.misplaced_px for _, s in seen])
+        sigma = np.hypot(np.array([s.sigma_px for _, s in seen]), misplaced)
         good = np.isfinite(ideal).all((1, 2))
         points = [spec[s.key].corners_m for _, s in seen]
         shared = shared_px(corners, np.array([s.blur_px for _, s in seen]), np.array([cells[s.key] for _, s in seen]))
         candidates = hypotheses(points, ideal, scale, np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)) if seen else []
         self.sigma_factor = self._calibrate(seen, candidates, sigma, ideal, scale, points)
         self.common_px = np.full(len(records), _COMMON_PX)  # error of a frame's corners that its neighbours' have too
+        sums = np.zeros((3, len(records)))  # of the corners' weights; with the square of misplaced_px, of what is not told
         self.frames: list[list[View]] = [[] for _ in records]
         self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
         for i, (k, s) in enumerate(seen):
             px = float(np.hypot(max(sigma[i] * self.sigma_factor, _LEAST_SIGMA_PX), shared[i]))
             self.common_px[k] = max(self.common_px[k], shared[i])
+            untold = AGREE_CELLS * s.side_px / cells[s.key]
+            sums[:, k] += np.array([1.0, misplaced[i] ** 2, untold**2]) / px**2
             if good[i] and candidates[i]:
                 poses = tuple(h.camera_from_marker for h in candidates[i])
                 self.frames[k].append(View(s.key, points[i], ideal[i], scale[i], px, poses))
             self.sightings[k].append(MarkerSighting(s.key, s.corners_px, px, candidates[i], 0, s.inverted))
+        told = sums[1] > 0
+        gap_s = _gaps(np.array([r.time_s for r in records]), told)
+        off = np.where(told, sums[1], sums[2] * 0.5 ** (2 * gap_s / _COVERS_S))
+        self.common_px = np.hypot(self.common_px, np.sqrt(divide(off, sums[0])))
 
     def _calibrate(
         self, seen: Sequence[tuple[int, Detection]], candidates: Sequence[tuple[Hypothesis, ...]], sigma: np.ndarray,
@@ -158,6 +169,13 @@ class Views:
         if len(chi2) < 5:
             return 1.0
         return float(np.clip(np.sqrt(np.median(chi2) / 1.386), 0.5, 20.0))  # median of chi squared with two degrees
+
+
+def _gaps(times: np.ndarray, marked: np.ndarray) -> np.ndarray:
+    """(n,) s from each of times (n,), rising, to the nearest one that is marked, (n,) bool; infinite where none is."""
+    at = np.concatenate([[-np.inf], times[marked], [np.inf]])
+    after = np.clip(np.searchsorted(at, times), 1, None)
+    return np.minimum(times - at[after - 1], at[after] - times)
 
 
 def solve(
@@ -194,8 +212,10 @@ def solve(
             info = information(rotation[at], translation[at], part)
             covariance[at] = np.linalg.pinv(info, hermitian=True)
         known = replace(part, weight=(part.weight > 0) / views.common_px[at, None] ** 2)
-        common = np.linalg.pinv(information(rotation[at], translation[at], known), hermitian=True)
-        covariance[at] += common  # 0 where no corner is
+        common = np.linalg.pinv(information(rotation[at], translation[at], known), hermitian=True).reshape(-1, 36)
+        on = path.measured[at]
+        # frames that are bridged have that of their neighbours
+        covariance[at] += np.stack([np.interp(times[at], times[at[on]], entry[on]) for entry in common.T], -1).reshape(-1, 6, 6)
     facts, errors = _facts(records, views, path, layout, rotation, translation, covariance, shot, status, opacity)
     static, evidence = params.static, dict[str, float]()
     if static == "auto":

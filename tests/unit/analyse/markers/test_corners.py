@@ -9,6 +9,7 @@ import pytest
 from arfx.analyse.markers.corners import AUTO, CODE, FRAMES, LIGHT, SIGHTINGS, EdgeRefiner, linear_table, refine_corners
 from arfx.analyse.markers.detect import Candidate, MarkerDetector, cells_per_side
 from arfx.core.camera import Camera
+from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
 from tests.unit.analyse.synthetic import background, camera, picture, tilted
@@ -59,6 +60,23 @@ def test_inverted_print_is_told_and_as_exact() -> None:
     ours, _, inverted = errors("36h11", 60, 0.8, inverted=True)
     assert all(inverted) and np.sqrt((ours**2).mean()) < 0.06
     assert not any(errors("36h11", 60, 0.8)[2])
+
+
+@pytest.mark.parametrize("grey, slant", [(0.35, 0.5), (0.55, 0.35), (0.8, 0.5)])
+def test_what_covers_part_of_a_side_moves_no_corner(grey: float, slant: float) -> None:
+    """Normals that meet no edge of the print, but what lies over it, are no samples of where it lies."""
+    m, pose = MarkerSpec("36h11", 1, 0.1), tilted([0.4, 0.2, 0.0], [0.0, 0.0, 0.4])
+    truth = CAM.project(pose.apply(m.corners_m))
+    clear = picture(CAM, [(m, pose)], BACK, noise=0.0, blur_px=0.0)
+    left, top, bottom = truth[:, 0].min(), truth[:, 1].min(), truth[:, 1].max()
+    worst = 0.0
+    for edge in left + slant * (bottom - top) * np.array([0.15, 0.25, 0.35, 0.45]):  # at the top; so much of the side is covered
+        hand = np.array([[0, top - 30], [edge, top], [edge - slant * (bottom - top), bottom], [0, bottom]])
+        code = cv2.fillPoly(clear.copy(), [np.rint(hand * 16).astype(np.int32)], 255 * grey, cv2.LINE_AA, 4)
+        luma = Transfer("srgb").encode(cv2.GaussianBlur(TABLE[code] / 255, (0, 0), 0.8)) * 255
+        r = refine_corners(np.rint(luma).astype(np.uint8), truth[None] + 0.3, np.array([8]), TABLE)
+        worst = max(worst, float(np.abs(r.corners_px[0] - truth).max()))
+    assert r.refined[0] and worst < 0.25
 
 
 def test_sides_bent_by_the_lens_do_not_move_the_corners() -> None:
