@@ -33,7 +33,7 @@ BOUNCES = 2
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 SPREAD = 0.4  # of the largest change of a plane, by which rays towards the object differ
 DIM, DIM_F0 = 4, 0.1  # gloss of what mirrors less than this goes on to further bounces in one of so many samples
-_BATCH = 1 << 13  # pixels at once: bounds memory
+_BATCH = 1 << 14  # pixels at once: bounds memory
 
 
 def trace_frame(
