@@ -15,228 +15,25 @@ from functools import partial
 import numpy as np
 
 from arfx.core.layers import Layer
-from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
-from arfx.core.scene import Scene
 from arfx.core.stage import View
 from arfx.stages.gi.cones import mirror_tangent
 from arfx.stages.gi.frame_light import surroundings_of
 from arfx.stages.gi.plane_pixels import DARKEST, depth_agreement, measured
 from arfx.stages.gi.real_planes import bounding_ball
-from arfx.stages.gi.reference_kernels import add_scaled, dots, facing, share_of_ball
 from arfx.stages.gi.reference_noise import NOISE, grey_slope, settled
-from arfx.stages.gi.reference_sampling import (
-    Gloss,
-    Lights,
-    Reflectance,
-    Sampler,
-    balance_weight,
-    cosine_density,
-    cosine_directions,
-    in_disc,
-    lambertian,
-    towards_ball,
-)
-from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
+from arfx.stages.gi.reference_sampling import Gloss, Sampler, cosine_density, cosine_directions
+from arfx.stages.gi.reference_scene import RayScene, Surroundings
+from arfx.stages.gi.reference_tracer import Of, Tracer
 from arfx.stages.gi.surroundings import NARROW_DEG, WIDE_DEG, Planes
 
 BOUNCES = 2
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 SPREAD = 0.4  # of the largest change of a plane, by which rays towards the object differ
-LEAST_ASKED = 0.05
-ASKED = 4.0  # times the share of the hemisphere that the object fills: how many places on planes are asked
-MIRRORS = 0.2  # a surface in the middle of a path that mirrors less of the light is asked for it as much less often
-DIM, DIM_F0 = 4, 0.1  # what mirrors less than this is asked for it in one of so many samples
-_BATCH = 1 << 13  # pixels at once: bounds memory
-
-
-class Tracer:
-    """Radiance along rays. light : WORLD axes, taken into the anchor's"""
-
-    def __init__(self, rays: RayScene, surroundings: Surroundings, light: Light, scene: Scene) -> None:
-        self.rays, self.surroundings, self.sampled = rays, surroundings, Lights(rays, surroundings)
-        turn = scene.world_from_anchor.rotation
-        self.lights = [(turn.T @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
-        self.plane_light = np.array([light.radiance(turn @ axes[3]) for axes in surroundings.axes])
-        self.ball = bounding_ball(scene)
-        self._ball = np.append(*self.ball)
-
-    def along(
-        self, origins: np.ndarray, directions: np.ndarray, draw: Sampler, bounces: int, wide: np.ndarray,
-        density: np.ndarray | None = None,
-    ) -> np.ndarray:  # fmt: skip
-        """(n, 3) radiance that comes from `directions`. density (n,) : with which they were drawn, where lights are
-        sampled as well; None = they are not"""
-        hit = self.rays.nearest(origins, directions)
-        plane, distance = self.surroundings.first_plane(origins, directions)
-        on_object = hit.distance < distance
-        on_plane = (plane >= 0) & ~on_object
-        out = np.zeros((len(origins), 3))
-        sky = ~on_object & ~on_plane
-        out[sky] = self.sampled.environment(directions, density, np.flatnonzero(sky), wide)
-        rows = np.flatnonzero(on_object)
-        if len(rows):
-            met = self.rays.hit(hit, rows, origins, directions)
-            glow = balance_weight(density, rows, self.sampled.emitter_density(met, directions[rows]))
-            out[rows] = self.outgoing_radiance(met, -directions[rows], draw.of(rows), bounces, glow)
-        rows = np.flatnonzero(on_plane)
-        if len(rows):
-            positions = origins[rows] + distance[rows, None] * directions[rows]
-            shadow_ratio = self.shadow_ratio(positions, plane[rows], draw.of(rows), bounces)
-            out[rows] = self.surroundings.picture(positions, plane[rows]) * shadow_ratio
-        return out
-
-    def sampled_lights(
-        self, start: np.ndarray, draw: Sampler, value: Reflectance, wide: np.ndarray, change: bool = False
-    ) -> np.ndarray:
-        """(n, 3) light that samples of lights bring to positions (n, 3), weighed against the surface's own directions.
-
-        value : reflectance times cosine (n, 3) or (n, 1), and the surface's density (n,), of unit directions (n, 3)
-        change : with the object less without it, instead of with it"""
-        out = np.zeros((len(start), 3))
-        if self.sampled.bright:
-            d, density = self.sampled.to_environment(len(start), draw)
-            reflected, own = value(d)
-            rows = np.flatnonzero(own > 0)
-            plane, _ = self.surroundings.first_plane(start[rows], d[rows])
-            hidden = self.rays.blocked(start[rows], d[rows])
-            rows = rows[(plane < 0) & (hidden == change)]
-            light = self.surroundings.environment(d[rows], wide[rows]) * (-1.0 if change else 1.0)
-            out[rows] += light * reflected[rows] / (density + own)[rows, None]
-        if self.sampled.glows:
-            d, distance = self.sampled.to_emitters(start, draw)
-            reflected, own = value(d)
-            rows = np.flatnonzero(own > 0)
-            plane, beyond = self.surroundings.first_plane(start[rows], d[rows])
-            met = self.rays.nearest(start[rows], d[rows])
-            ok = (met.distance > distance[rows] * (1 - 1e-3)) & np.isfinite(met.distance) & (beyond > distance[rows])
-            hit, rows = self.rays.hit(met, np.flatnonzero(ok), start[rows], d[rows]), rows[ok]
-            density = self.sampled.emitter_density(hit, d[rows])
-            rows, hit, density = rows[density > 0], hit.of(np.flatnonzero(density > 0)), density[density > 0]
-            out[rows] += hit.emission * reflected[rows] / (density + own[rows])[:, None]
-        return out
-
-    def outgoing_radiance(
-        self, hit: Hit, towards: np.ndarray, draw: Sampler, bounces: int, glow: np.ndarray | float = 1.0
-    ) -> np.ndarray:
-        """(n, 3) that the object's surface sends `towards` a direction: emission, direct light, and one more bounce.
-
-        glow : share (n, 1) of its emission that counts"""
-        normal, start, mirror = facing(hit.normal, towards, hit.position, self.rays.lift)
-        arriving = self.direct(start, normal, draw)
-        if bounces > 0:
-            d = cosine_directions(normal, draw)
-            arriving = arriving + self.along(start, d, draw, bounces - 1, np.ones(len(d)), cosine_density(normal, d))
-            arriving = arriving + self.sampled_lights(start, draw, lambertian(normal), np.ones(len(d)))
-        else:
-            arriving = arriving + self.surroundings.unoccluded_irradiance(normal)
-        out = glow * hit.emission + hit.diffuse * arriving
-        if bounces > 0 and hit.specular.any():  # Russian roulette: what hardly mirrors is asked for it now and then
-            asked = np.minimum(hit.specular.max(1) / MIRRORS, 1)
-            rows = np.flatnonzero(draw.single() < asked)
-            mirrored = self.along(start[rows], mirror[rows], draw.of(rows), bounces - 1, np.zeros(len(rows)))
-            out[rows] += hit.specular[rows] / asked[rows, None] * mirrored
-        elif hit.specular.any():
-            out = out + hit.specular * self.surroundings.unoccluded_irradiance(normal)
-        return out
-
-    def direct(self, points: np.ndarray, normals: np.ndarray, draw: Sampler) -> np.ndarray:
-        """(n, 3) of white surfaces, by one ray to each light's disc."""
-        out = np.zeros((len(points), 3))
-        for d, rgb, size_deg in self.lights:
-            towards = in_disc(d, size_deg, draw)
-            cosine = dots(normals, towards)
-            rows = np.flatnonzero(cosine > 0)
-            if len(rows):
-                plane, _ = self.surroundings.first_plane(points[rows], towards[rows])
-                visible = ~self.rays.blocked(points[rows], towards[rows]) & (plane < 0)
-                add_scaled(out, rows, cosine[rows] * visible, rgb)
-        return out
-
-    def shadow_ratio(self, positions: np.ndarray, plane: np.ndarray, draw: Sampler, bounces: int) -> np.ndarray:
-        """(n, 3) share of a plane's light that is there with the object: what the picture on it is multiplied by."""
-        normals = self.surroundings.axes[plane, 3]
-        start = positions + self.rays.lift * normals
-        plane_light = self.plane_light[plane]
-        hidden_light = np.zeros((len(positions), 3))
-        for d, rgb, size_deg in self.lights:
-            towards = in_disc(d, size_deg, draw)
-            cosine = normals @ d
-            rows = np.flatnonzero(cosine > 0)
-            if len(rows):
-                add_scaled(hidden_light, rows, cosine[rows] * self.rays.blocked(start[rows], towards[rows]), rgb)
-        # Russian roulette: the less of the hemisphere the object may fill, the fewer are asked
-        asked = share_of_ball(start, self._ball, ASKED, LEAST_ASKED)
-        rows = np.flatnonzero(draw.single() < asked)
-        change = np.zeros((len(start), 3))
-        change[rows] = self.change(start[rows], normals[rows], draw.of(rows), bounces) / asked[rows, None]
-        return np.asarray(1 + divide(change - hidden_light, plane_light))
-
-    def change(self, start: np.ndarray, normals: np.ndarray, draw: Sampler, bounces: int) -> np.ndarray:
-        """(n, 3) indirect light of a white plane with the object less without it, by one ray towards the object, and where
-        there are other planes, which it changes too, one towards those."""
-        d, density, near = towards_ball(start, normals, *self.ball, draw)
-        wide = np.ones(len(start))
-
-        def value(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            cosine = cosine_density(normals, directions)
-            return cosine[:, None], np.where(near, cosine, density)
-
-        weight = divide(cosine_density(normals, d), density)[:, None]
-        out = self.sampled_lights(start, draw, value, wide, change=True)
-        out = out + weight * self.change_along(start, d, draw, bounces, wide, density)
-        if bounces > 0 and len(self.surroundings.axes) > 1:
-            out = out + self.change_of_planes(start, cosine_directions(normals, draw), draw)
-        return np.asarray(out)
-
-    def from_other_planes(self, start: np.ndarray, normals: np.ndarray, draw: Sampler) -> np.ndarray:
-        """(n, 3) light of a white plane that other planes give it less what they hide, without the object, by one ray."""
-        out = np.zeros((len(start), 3))
-        if len(self.surroundings.axes) > 1:
-            d = cosine_directions(normals, draw)
-            plane, distance = self.surroundings.first_plane(start, d)
-            rows = np.flatnonzero(plane >= 0)
-            positions = start[rows] + distance[rows, None] * d[rows]
-            sky = self.surroundings.environment(d[rows], np.ones(len(rows)))
-            out[rows] = self.surroundings.picture(positions, plane[rows]) - sky
-        return out
-
-    def change_along(
-        self, start: np.ndarray, d: np.ndarray, draw: Sampler, bounces: int, wide: np.ndarray, density: np.ndarray | None = None
-    ) -> np.ndarray:
-        """(n, 3) radiance from directions d with the object less without it. density : as for `along`"""
-        hit = self.rays.nearest(start, d)
-        out = np.zeros((len(start), 3))
-        rows = np.flatnonzero(np.isfinite(hit.distance))
-        if len(rows):
-            plane, distance = self.surroundings.first_plane(start[rows], d[rows])
-            nearer = hit.distance[rows] < distance
-            rows, plane, distance = rows[nearer], plane[nearer], distance[nearer]
-        if len(rows):
-            background = self.sampled.environment(d, density, rows, wide)
-            other = np.flatnonzero(plane >= 0)
-            positions = start[rows[other]] + distance[other, None] * d[rows[other]]
-            background[other] = self.surroundings.picture(positions, plane[other])
-            # the last bounce takes the light that nothing hides, instead of none: nearer the truth than a black object
-            met = self.rays.hit(hit, rows, start, d)
-            glow = balance_weight(density, rows, self.sampled.emitter_density(met, d[rows]))
-            sent = self.outgoing_radiance(met, -d[rows], draw.of(rows), max(bounces - 1, 0), glow)
-            out[rows] = sent - background
-        return out
-
-    def change_of_planes(self, start: np.ndarray, d: np.ndarray, draw: Sampler) -> np.ndarray:
-        """(n, 3) radiance from directions d of planes that the object changes, with it less without it, where it hides none."""
-        out = np.zeros((len(start), 3))
-        plane, distance = self.surroundings.first_plane(start, d)
-        rows = np.flatnonzero(plane >= 0)
-        rows = rows[~(self.rays.nearest(start[rows], d[rows]).distance < distance[rows])]
-        if len(rows):
-            positions = start[rows] + distance[rows, None] * d[rows]
-            shadow_ratio = self.shadow_ratio(positions, plane[rows], draw.of(rows), 0)
-            out[rows] = self.surroundings.picture(positions, plane[rows]) * (shadow_ratio - 1)
-        return out
+DIM, DIM_F0 = 4, 0.1  # gloss of what mirrors less than this goes on to further bounces in one of so many samples
+_BATCH = 1 << 14  # pixels at once: bounds memory
 
 
 def trace_frame(
@@ -358,8 +155,7 @@ def _object_light(
         density = cosine_density(n[rows], d)
         return diffuse_fraction(d, rows) * density[:, None], density
 
-    # what hardly shines is asked for its gloss in one of DIM samples
-    shines = (f0[lobes].max(1) > DIM_F0) | (samples < 4 * DIM)
+    shines = (f0[lobes].max(1) > DIM_F0) | (samples % DIM > 0)
     bright, dim = np.flatnonzero(shines), np.flatnonzero(~shines)
 
     def draw_sample(rows: np.ndarray, s: int) -> np.ndarray:
@@ -375,15 +171,17 @@ def _object_light(
             incoming = tracer.along(start[m], d, draw.of(np.arange(len(m))), BOUNCES, ones, cosine_density(n[m], d))
             lights = tracer.sampled_lights(start[m], draw, lambda d: diffuse_value(d, m), ones)
             out[m] += diffuse_fraction(d, m) * incoming + lights
-        for of, share in ((bright, 1), (dim, DIM)):
-            of = of[inside[lobes[of]]]
+        # what hardly shines is asked every time what its gloss meets, and now and then for the rest of that
+        for some, part, share in ((bright, Of.ALL, 1), (dim, Of.FIRST, 1), (dim, Of.REST, DIM)):
+            of = some[inside[lobes[some]]]
             if s % share == 0 and len(of):
-                at, part = lobes[of], gloss.of(of)
-                draw = Sampler(key[at], s // share, seed ^ 0x5BD1E995)
-                left, d, weight, density = part.directions(draw)
-                from_lobe = tracer.along(start[at[left]], d, draw.of(left), BOUNCES, width[of[left]], density)
+                at, lobe = lobes[of], gloss.of(of)
+                draw = Sampler(key[at], s // share, seed ^ 0x5BD1E995 ^ part.value)
+                left, d, weight, density = lobe.directions(draw)
+                from_lobe = tracer.along(start[at[left]], d, draw.of(left), BOUNCES, width[of[left]], density, part)
                 out[at[left]] += share * weight * from_lobe
-                out[at] += share * tracer.sampled_lights(start[at], draw, partial(part.at, ...), width[of])
+                if part is not Of.REST:
+                    out[at] += tracer.sampled_lights(start[at], draw, partial(lobe.at, ...), width[of])
         return out[rows]
 
     return settled(draw_sample, lambda values, rows: grey_slope(values) * values, np.full(len(positions), samples))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -12,10 +14,12 @@ from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.scene import Scene
-from arfx.stages.gi import GiParams, reference
+from arfx.stages.gi import GiParams, reference_tracer
 from arfx.stages.gi.reference_kernels import cube_radiance
+from arfx.stages.gi.reference_noise import grey_slope
 from arfx.stages.gi.reference_sampling import Gloss, Sampler
-from tests.unit.stages.gi_scenes import MATT_WHITE, ball, from_above, ground_points, on_plane, run_gi
+from arfx.stages.gi.reference_tracer import Of, Tracer
+from tests.unit.stages.gi_scenes import MATT_WHITE, ball, box, from_above, ground_points, inner, on_plane, plain_plate, run_gi
 
 CAMERA = Camera(64, 48, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]))
 DIM = Light((0.2, 0.2, 0.2), ())
@@ -94,11 +98,40 @@ def test_a_mirror_that_is_seldom_asked_for_keeps_its_mean(monkeypatch: pytest.Mo
     cube = np.full((6, 16, 16, 3), 0.3)
     cube[4] = 0.6
     change = []
-    for mirrors in (0.01, reference.MIRRORS):
-        monkeypatch.setattr(reference, "MIRRORS", mirrors)
+    for mirrors in (0.01, reference_tracer.MIRRORS):
+        monkeypatch.setattr(reference_tracer, "MIRRORS", mirrors)
         made = run_gi(s, "reference", params=GiParams(samples=64), environment=CubeMap.of(cube))
         change.append((1 - made[Layer.SHADOW][made[Layer.COVERAGE] == 0]).mean())
     assert change[1] == pytest.approx(change[0], rel=0.01)
+
+
+def test_parts_of_a_rays_radiance_sum_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the first meeting tells and what further bounces correct, with the same random numbers: where the object meets itself
+    and the plane."""
+    s, whole = on_plane(box(Material(base_colour=(0.7, 0.2, 0.1, 1.0), specular=0.5)), DIM, CAMERA), Tracer.along
+    apart = 0
+
+    def in_parts(self: Tracer, *given: Any) -> np.ndarray:
+        nonlocal apart
+        parts = [whole(self, *(*given, None)[:6], of) for of in (Of.FIRST, Of.REST)]
+        apart += int(np.abs(parts[1]).max(initial=0) > 0.01)
+        return np.asarray(parts[0] + parts[1])
+
+    made = []
+    for along in (whole, in_parts):
+        monkeypatch.setattr(Tracer, "along", along)
+        made.append(run_gi(s, "reference", params=GiParams(samples=1))[Layer.VIRTUAL])
+    np.testing.assert_allclose(made[0], made[1], atol=1e-6)
+    assert apart > 0
+
+
+def test_what_hardly_shines_has_little_noise() -> None:
+    """0.9 grey levels of 16 samples over a dark plane; 2.9 where all of the gloss is asked for by one sample in four."""
+    s = on_plane(ball(Material(base_colour=(0.0, 0.0, 0.0, 1.0), specular=0.5, roughness=0.6)), DIM, CAMERA)
+    runs = [run_gi(s, "reference", plate=plain_plate(rgb=(0.02,) * 3), params=GiParams(samples=16), index=k) for k in range(4)]
+    v = np.array([r[Layer.VIRTUAL][inner(r[Layer.COVERAGE])] for r in runs])
+    noise = float(np.sqrt((v.var(0, ddof=1) * grey_slope(v.mean(0)) ** 2).mean()))
+    assert noise < 1.5
 
 
 def test_compiled_look_ups_are_those_of_the_core() -> None:
