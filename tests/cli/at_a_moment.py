@@ -10,12 +10,14 @@ import os
 import sys
 from typing import Any
 
+from arfx.run import schedule
 from arfx_cli.__main__ import start
 from arfx_cli.console import Progress
 
 
 def main() -> None:
     phase, call, number, whom, *sys.argv[1:] = sys.argv[1:]
+    schedule.SHORTEST = 15  # as tests/cli/conftest.py has it
     told, calls = Progress.__call__, 0
 
     def tell(self: Any, at: str, done: int, total: int | None) -> None:

@@ -6,17 +6,19 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from arfx.run import schedule
 from arfx_cli.main import main
 from tests.clips import MARKER, write_camera, write_clip, write_model
 
-FRAMES = 66  # in three chunks
+FRAMES = 36
+SHORTEST_CHUNK = 15  # so there are three: of jobs in this process and of `at_a_moment`
 
 
 @dataclass
@@ -31,6 +33,13 @@ class Material:
             "process", str(clip or self.clip), "--camera", str(self.camera), "--marker", str(MARKER),
             "--model", str(self.model), "--fit", "8cm", *more,
         ]  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_chunks() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schedule, "SHORTEST", SHORTEST_CHUNK)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -311,7 +311,7 @@ def test_a_lost_scheduler_ends_in_one_message(planned: Job, serial: dict[int, st
         assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)
         pids = list(client.run(os.getpid).values())
         with pytest.raises(RenderError, match=r"connection to the scheduler at tcp://.* is lost"):
-            rendered(planned, cluster, once(own.process.kill, after=31))
+            rendered(planned, cluster, once(own.process.kill, after=16))
     assert not capfd.readouterr().err, "Dask has nothing to add"
     assert any(chunk.find(planned.folder.chunks, ".mkv") for chunk in jobs._chunks(planned))
     chunks = jobs._render(planned, jobs._chunks(planned), Options(workers=1), None)
@@ -341,8 +341,8 @@ def test_a_job_that_is_stopped_with_its_cluster_is_resumed(
 ) -> None:
     """As Ctrl-C at a terminal, which all processes see; and when there is no time for anything."""
     arguments = material.arguments("-o", "out.mkv", "--codec", "ffv1", "--job", "job")
-    # two chunks of 30 frames are at work: with 45 frames in all, one may be done
-    stopped = at_a_moment(tmp_path, "render", "+45", number, [*arguments, "--executor", "local:2"], number == signal.SIGINT)
+    # two chunks of 15 frames are at work: with 22 frames in all, one may be done
+    stopped = at_a_moment(tmp_path, "render", "+22", number, [*arguments, "--executor", "local:2"], number == signal.SIGINT)
     assert stopped.returncode == code, stopped.stderr
     assert (tmp_path / "job").is_dir() and not (tmp_path / "out.mkv").exists()
     if number == signal.SIGINT:

@@ -69,7 +69,7 @@ def test_target(arfx: Run, place: Path) -> None:
 
 
 def test_inspect(arfx: Run, place: Path, material: Material) -> None:
-    says(arfx, place, "frames searched: 0, 65", "inspect", str(material.clip), "--samples", "2")
+    says(arfx, place, "frames searched: 0, 35", "inspect", str(material.clip), "--samples", "2")
 
 
 def test_doctor(arfx: Run, place: Path) -> None:

@@ -124,7 +124,7 @@ def write_rows(folder: Path, rows: list[dict[str, Any]], end: str = "") -> None:
 
 def test_times_of_kept_chunks_and_of_the_kept_analysis_count(material: Material, tmp_path: Path) -> None:
     config, folder = job(material, tmp_path), tmp_path / "job"
-    rows = interrupted(config, folder, "render", 35)
+    rows = interrupted(config, folder, "render", 20)
     assert [(r["work"], r.get("first")) for r in rows] == [("stretch", 0), ("analysis", None), ("chunk", 0)]
     rows = rows[1:]
     rows[0]["seconds"] = {"decode": 100.0, "analyse": 200.0}
@@ -161,14 +161,14 @@ def test_time_of_the_stretches_that_are_there_counts(material: Material, tmp_pat
 
 def test_a_kept_chunk_whose_time_nobody_noted_is_said(material: Material, tmp_path: Path) -> None:
     config, folder = job(material, tmp_path), tmp_path / "job"
-    rows = interrupted(config, folder, "render", 35)
+    rows = interrupted(config, folder, "render", 20)
     write_rows(folder, rows[:1])
-    assert process(config, Options(folder, resume=True, notice=quiet))["timing"]["frames_untimed"] == 30
+    assert process(config, Options(folder, resume=True, notice=quiet))["timing"]["frames_untimed"] == 15
 
 
 def test_a_job_that_starts_afresh_counts_its_own_time_alone(material: Material, tmp_path: Path, arfx: Run) -> None:
     config, folder = job(material, tmp_path), tmp_path / "job"
-    rows = interrupted(config, folder, "render", 35)
+    rows = interrupted(config, folder, "render", 20)
     rows[2]["stages"]["raster"] = 1000.0
     write_rows(folder, rows)
     timing = process(config, Options(folder, overwrite=True, notice=quiet))["timing"]
