@@ -45,11 +45,13 @@ LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """points, normals (n, 3) CAMERA axes, metres;  neighbours (n, k) int;  noise_m (n,) : standard deviation along the ray
+    """points, normals (n, 3) CAMERA axes, metres;  rays (n, 3) : unit, towards the points;  neighbours (n, k) int
+    noise_m (n,) : standard deviation along the ray
     flat (n,) : share of the neighbours whose normal agrees;  spacing_m (n,) : of neighbouring points;  pixels (n, 2) x, y"""
 
     points: np.ndarray
     normals: np.ndarray
+    rays: np.ndarray
     neighbours: np.ndarray
     noise_m: np.ndarray
     flat: np.ndarray
@@ -88,7 +90,7 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     rate = float(np.median(np.sort((misfit / z**2)[trusted])[: max(int(trusted.sum() * 0.6), 1)])) if trusted.any() else 0.0
     noise = np.maximum(1.5 * rate * z**2, LEAST_NOISE_M)
     agree = np.abs(np.einsum("ni,nki->nk", normals, normals[index])) > np.cos(np.radians(15))
-    return Cloud(points, normals, index, noise, (agree & same).mean(1), distance[:, 1:5].mean(1), pixels)
+    return Cloud(points, normals, normalise(points), index, noise, (agree & same).mean(1), distance[:, 1:5].mean(1), pixels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,7 @@ def _on(cloud: Cloud, rows: np.ndarray, normal: np.ndarray, offset: float) -> np
     """Those of the points `rows` that lie on a plane."""
     points = cloud.points[rows]
     # noise is along the ray: what of it is across the plane
-    slope = np.abs(normalise(points) @ normal)
+    slope = np.abs(cloud.rays[rows] @ normal)
     near = np.abs(points @ normal - offset) < NEAR * np.maximum(cloud.noise_m[rows] * slope, 5e-4)
     return np.asarray(rows[near & (np.abs(cloud.normals[rows] @ normal) > FACING)])
 
@@ -178,7 +180,7 @@ def _refined(cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float) 
 
 def _connected(cloud: Cloud, rows: np.ndarray) -> np.ndarray:
     """The largest connected part of these points, and those parts that are not much smaller."""
-    from scipy.sparse import coo_matrix
+    from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
     if len(rows) < 2:
@@ -186,8 +188,9 @@ def _connected(cloud: Cloud, rows: np.ndarray) -> np.ndarray:
     position = np.full(len(cloud.points), -1)
     position[rows] = np.arange(len(rows))
     near = position[cloud.neighbours[rows]]
-    a, b = np.nonzero(near >= 0)
-    graph = coo_matrix((np.ones(len(a)), (a, near[a, b])), shape=(len(rows), len(rows)))
+    there = near >= 0
+    ends = np.append(0, there.sum(1).cumsum())
+    graph = csr_matrix((np.ones(ends[-1]), near[there], ends), (len(rows), len(rows)))
     part = connected_components(graph, directed=False)[1]
     size = np.bincount(part)
     return np.asarray(rows[size[part] >= PART * size.max()])
@@ -285,7 +288,7 @@ def scene_planes(maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera) -> lis
             for found in find_planes(cloud):
                 rows, margin = found.inliers, BORDER * max(depth.shape)
                 at, points = cloud.pixels[rows], cloud.points[rows]
-                cosine = np.abs(normalise(points) @ found.normal)
+                cosine = np.abs(cloud.rays[rows] @ found.normal)
                 plane = ScenePlane(
                     world_from_camera.rotation @ found.normal, world_from_camera.apply(points),
                     divide(cloud.spacing_m[rows], np.clip(cosine, 0.2, 1)), ((at < margin) | (at > size - 1 - margin)).any(1),
