@@ -5,6 +5,7 @@ The folds are found, not listed: a new one fails here until the clip below gives
 
 from __future__ import annotations
 
+import copy
 import importlib
 import inspect
 import pkgutil
@@ -24,6 +25,7 @@ import arfx.analyse
 import arfx.run
 from arfx.analyse.fold import PLANE, Analysis, AnalysisFrame, AnalysisJob, Fold, Stateful
 from arfx.analyse.folds import FOLDS, ON_PLANE, Analyser
+from arfx.analyse.motion import flow
 from arfx.analyse.params import AnalyseParams
 from arfx.core import codec
 from arfx.core.marker import MarkerSpec, PatternSpec
@@ -182,6 +184,22 @@ def test_whatever_is_fed_frame_by_frame_is_a_fold() -> None:
 
 def own(f: Stateful) -> dict[str, Any]:
     return {n: v for n, v in vars(f).items() if n not in f.given and not isinstance(v, Stateful)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def flow_once() -> Iterator[None]:
+    """The flow between two pictures, which depends on nothing else, is found once: stretch after stretch has the same ones."""
+    kept: dict[tuple[Any, ...], Any] = {}
+
+    def back(small: np.ndarray, reference: np.ndarray, *size: int, find: Any = flow._back) -> Any:
+        key = small.tobytes(), reference.tobytes(), small.shape, size
+        if key not in kept:
+            kept[key] = find(small, reference, *size)
+        return copy.deepcopy(kept[key])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flow, "_back", back)
+        yield
 
 
 @pytest.fixture(scope="module")

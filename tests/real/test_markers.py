@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 
@@ -16,6 +15,8 @@ from arfx.analyse.markers.detect import MarkerDetector
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
+from arfx.media.clip import probe
+from arfx.media.frames import ClipReader
 
 CLIPS = Path(__file__).parents[2].parent / "shared" / "data" / "marker_clips"
 pytestmark = [
@@ -27,11 +28,10 @@ SHEET = tuple(MarkerSpec("4X4_50", i, 0.02) for i in range(12))
 
 
 def frames(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
-    with av.open(str(path)) as c:
-        s = c.streams.video[0]
-        for k, f in enumerate(c.decode(s)):
-            assert f.pts is not None and s.time_base is not None
-            yield k, float(f.pts * s.time_base), f.to_ndarray(format="gray")
+    """(number, time, luma of full range)"""
+    with ClipReader(probe(path)) as reader:
+        for f in reader.frames():
+            yield f.index, f.time_s, f.luma() if f.format.full_range else f.picture.to_ndarray(format="gray")
 
 
 def compared(path: Path, markers: tuple[MarkerSpec, ...], cam: Camera, every: int) -> tuple[Analyser, set, set, float]:

@@ -94,7 +94,7 @@ class BackgroundMotion(Stateful):
         factor = max(w / WIDTH_PX, 1.0)
         small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
         small = np.ascontiguousarray(cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA))
-        found = self._back(small, w, h) if self._reference is not None and self.size == (w, h) else None
+        found = _back(small, self._reference, w, h) if self._reference is not None and self.size == (w, h) else None
         self.size = (w, h)
         if found is None:
             self._reference, self._last = small, None
@@ -112,35 +112,35 @@ class BackgroundMotion(Stateful):
         if far:
             self._reference = small
 
-    def _back(self, small: np.ndarray, width: int, height: int) -> tuple[np.ndarray, float] | None:
-        """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both directions agree), or None
-        where the two frames have nothing in common."""
-        assert self._reference is not None
-        h, w = small.shape
-        if min(h, w) < 16 or np.array_equal(small, self._reference):  # DIS needs a patch or two
-            return np.zeros((*node_positions(width, height)[0].shape, 2), np.float32), 1.0
-        dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
-        dis.setFinestScale(0)
-        back = dis.calc(small, self._reference, None)
-        there = dis.calc(self._reference, small, None)
-        x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
-        to_x, to_y = x + back[..., 0], y + back[..., 1]
-        again = cv2.remap(there, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        apart = np.linalg.norm(back + again, axis=-1)
-        agree = apart < _AGREE_PX + _AGREE_FRACTION * np.linalg.norm(back, axis=-1)
-        before = cv2.remap(self._reference, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        agree &= np.abs(before.astype(np.float32) - small) < 40
-        slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
-        textured = slope > _GRADIENT
-        agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
-        if agreed < _LOST:
-            return None
-        # of what has come into view since, the flow can only guess
-        agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
-        trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
-        scale = np.array([width / w, height / h])
-        first, rough = (0.5 - BORDER * GRID_PX) / scale - 0.5, _at_nodes(back, trust, width, height) / scale
-        return (refined(rough, small, self._reference, trust, first, GRID_PX / scale) * scale).astype(np.float32), agreed
+
+def _back(small: np.ndarray, reference: np.ndarray, width: int, height: int) -> tuple[np.ndarray, float] | None:
+    """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both directions agree), or None
+    where the two frames have nothing in common."""
+    h, w = small.shape
+    if min(h, w) < 16 or np.array_equal(small, reference):  # DIS needs a patch or two
+        return np.zeros((*node_positions(width, height)[0].shape, 2), np.float32), 1.0
+    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
+    dis.setFinestScale(0)
+    back = dis.calc(small, reference, None)
+    there = dis.calc(reference, small, None)
+    x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+    to_x, to_y = x + back[..., 0], y + back[..., 1]
+    again = cv2.remap(there, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    apart = np.linalg.norm(back + again, axis=-1)
+    agree = apart < _AGREE_PX + _AGREE_FRACTION * np.linalg.norm(back, axis=-1)
+    before = cv2.remap(reference, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    agree &= np.abs(before.astype(np.float32) - small) < 40
+    slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
+    textured = slope > _GRADIENT
+    agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
+    if agreed < _LOST:
+        return None
+    # of what has come into view since, the flow can only guess
+    agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
+    trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
+    scale = np.array([width / w, height / h])
+    first, rough = (0.5 - BORDER * GRID_PX) / scale - 0.5, _at_nodes(back, trust, width, height) / scale
+    return (refined(rough, small, reference, trust, first, GRID_PX / scale) * scale).astype(np.float32), agreed
 
 
 def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> np.ndarray:

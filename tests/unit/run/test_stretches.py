@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +29,17 @@ from tests.unit.run.test_analysis import written
 
 FRAMES, KEYS, LEAST = 48, 12, 10
 Make = Callable[[Path], Path]
+ClipOf = Callable[[Make], Path]
 
 
 @pytest.fixture(autouse=True)
 def short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stretches, "LEAST_FRAMES", LEAST)
+
+
+@cache
+def shown(i: int, elsewhere: bool) -> np.ndarray:
+    return picture(pose_at(i + elsewhere * FRAMES, FRAMES), clip_camera(), 9 * elsewhere)
 
 
 def encoded(path: Path, codec: str, options: dict[str, str], times: list[int] | None = None, cut_at: int = FRAMES) -> Path:
@@ -43,8 +50,7 @@ def encoded(path: Path, codec: str, options: dict[str, str], times: list[int] | 
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
         stream.gop_size, stream.options = KEYS, options
         for i in range(FRAMES):
-            rgb = picture(pose_at(i if i < cut_at else i + FRAMES, FRAMES), clip_camera(), 0 if i < cut_at else 9)
-            frame = av.VideoFrame.from_ndarray(rgb, format="rgb24").reformat(format=stream.pix_fmt)
+            frame = av.VideoFrame.from_ndarray(shown(i, i >= cut_at), format="rgb24").reformat(format=stream.pix_fmt)
             frame.pts = i if times is None else times[i]
             out.mux(stream.encode(frame))
         out.mux(stream.encode())
@@ -83,6 +89,12 @@ def damaged(folder: Path) -> Path:
     return folder / "damaged.mov"
 
 
+@pytest.fixture(scope="module")
+def clip_of(tmp_path_factory: pytest.TempPathFactory) -> ClipOf:
+    """Each clip is made once."""
+    return cache(lambda make: make(tmp_path_factory.mktemp(make.__name__)))
+
+
 def shuffled(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
     every = [*tasks]
     random.Random(1).shuffle(every)
@@ -100,8 +112,8 @@ def analysed(clip: Path, job: Path, run: Run = in_order, folds: tuple[str, ...] 
 
 
 @pytest.mark.parametrize("make", [open_gop, closed_gop, hevc, mjpeg], ids=lambda m: m.__name__)
-def test_decoding_from_a_border_gives_the_frames_of_the_clip(make: Make, tmp_path: Path) -> None:
-    info = probe(make(tmp_path))
+def test_decoding_from_a_border_gives_the_frames_of_the_clip(make: Make, clip_of: ClipOf) -> None:
+    info = probe(clip_of(make))
     with ClipReader(info) as reader:
         every = [(f.pts, f.luma().copy()) for f in reader.frames()]
         times = reader.times()
@@ -116,8 +128,8 @@ def test_decoding_from_a_border_gives_the_frames_of_the_clip(make: Make, tmp_pat
 
 
 @pytest.mark.parametrize("make", [open_gop, closed_gop, hevc, damaged], ids=lambda m: m.__name__)
-def test_any_order_and_any_workers_leave_the_same_bytes(make: Make, tmp_path: Path) -> None:
-    clip, folds = make(tmp_path), ("environment", "lens") if make is open_gop else ()
+def test_any_order_and_any_workers_leave_the_same_bytes(make: Make, clip_of: ClipOf, tmp_path: Path) -> None:
+    clip, folds = clip_of(make), ("environment", "lens") if make is open_gop else ()
     first = written(analysed(clip, tmp_path / "first", folds=folds), tmp_path / "first.jsonl")
     assert len(first[2]) == FRAMES - (make is damaged) and len([*(tmp_path / "first" / "stretches").iterdir()]) == 4 + (
         make is damaged
@@ -135,9 +147,9 @@ def stretches_of(job: Path) -> JobFolder:
     return JobFolder(job)
 
 
-def test_processes_leave_the_same_bytes(tmp_path: Path) -> None:
+def test_processes_leave_the_same_bytes(clip_of: ClipOf, tmp_path: Path) -> None:
     document = {
-        "input": {"clip": str(open_gop(tmp_path)), "camera": str(write_camera(tmp_path / "camera.yaml"))},
+        "input": {"clip": str(clip_of(open_gop)), "camera": str(write_camera(tmp_path / "camera.yaml"))},
         "marker": [{"spec": str(MARKER)}], "model": {"file": str(write_model(tmp_path / "model.glb")), "fit": "8cm"},
         "output": {"path": str(tmp_path / "out.mp4")},
     }  # fmt: skip
@@ -167,9 +179,19 @@ def test_borders_do_not_show_in_the_facts(tmp_path: Path, monkeypatch: pytest.Mo
         assert np.array_equal(a.camera_from_world.matrix, b.camera_from_world.matrix)
 
 
-def test_where_seeking_does_not_work_one_worker_reads_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    clip = open_gop(tmp_path)
-    first = written(analysed(clip, tmp_path / "first"), tmp_path / "first.jsonl")
+@pytest.fixture(scope="module")
+def of_open_gop(clip_of: ClipOf, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, ...]:
+    """What the analysis of this clip in order leaves."""
+    folder = tmp_path_factory.mktemp("of_open_gop")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stretches, "LEAST_FRAMES", LEAST)
+        return written(analysed(clip_of(open_gop), folder / "first"), folder / "first.jsonl")
+
+
+def test_where_seeking_does_not_work_one_worker_reads_on(
+    clip_of: ClipOf, of_open_gop: tuple[Any, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clip, first = clip_of(open_gop), of_open_gop
     opened = []
 
     def nowhere(self: ClipReader, first_pts: int) -> Iterator[Any]:
@@ -185,9 +207,9 @@ def test_where_seeking_does_not_work_one_worker_reads_on(tmp_path: Path, monkeyp
     assert len(opened) == 1, "tried once, before"
 
 
-def test_times_that_go_back_make_one_stretch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_that_go_back_make_one_stretch(clip_of: ClipOf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Packets whose times are fine, and pictures that come in another order."""
-    clip = mjpeg(tmp_path)
+    clip = clip_of(mjpeg)
     pictures = ClipReader._decode
 
     def swapped(self: ClipReader, stream: Any) -> Iterator[av.VideoFrame]:
@@ -206,12 +228,12 @@ def test_times_that_go_back_make_one_stretch(tmp_path: Path, monkeypatch: pytest
     assert all(list((tmp_path / name / "stretches").glob("000000-000047.*")) for name in "01")
 
 
-def test_a_stretch_that_decided_otherwise_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stretch_that_decided_otherwise_is_made_again(
+    clip_of: ClipOf, of_open_gop: tuple[Any, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What edges are symmetric in is decided by the first ones; a later stretch that says otherwise is not believed."""
     from arfx.analyse.markers import corners
 
-    clip = open_gop(tmp_path)
-    first = analysed(clip, tmp_path / "first")
     decide = corners._transfer_of
     seen: list[int] = []
 
@@ -220,13 +242,13 @@ def test_a_stretch_that_decided_otherwise_is_made_again(tmp_path: Path, monkeypa
         return corners.CODE if len(seen) == 3 else decide(skews)  # the second stretch: the first, joined, decides too
 
     monkeypatch.setattr(corners, "_transfer_of", other)
-    again = analysed(clip, tmp_path / "again")
+    again = analysed(clip_of(open_gop), tmp_path / "again")
     assert len([*(tmp_path / "again" / "stretches").iterdir()]) == 5
-    assert written(again, tmp_path / "a.jsonl") == written(first, tmp_path / "f.jsonl")
+    assert written(again, tmp_path / "a.jsonl") == of_open_gop
 
 
-def test_a_span_is_cut_within(tmp_path: Path) -> None:
-    span = Span(probe(closed_gop(tmp_path)), 0.6, 2.6)
+def test_a_span_is_cut_within(clip_of: ClipOf) -> None:
+    span = Span(probe(clip_of(closed_gop)), 0.6, 2.6)
     with ClipReader(span.info) as reader:
         pts = [f.pts for f in reader.frames() if 0.6 <= span.since_s(f.pts) <= 2.6]
         every = [f.pts for f in reader.frames()]
