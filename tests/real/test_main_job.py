@@ -31,8 +31,8 @@ def times(path: Path) -> list[float]:
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """(its report, the output). Levels and what the encoder spends change neither times nor poses; its effort is the least at which
-    frames are still stored out of their order."""
+    """(its report, the output). Levels and what the encoder spends change neither times nor poses; its effort is the least at
+    which frames are still stored out of their order."""
     output = tmp_path_factory.mktemp("real") / "out.mp4"
     document = {
         "input": {"clip": str(CLIPS / "fieldvideo_long.mp4"), "camera": str(CLIPS / "camera.json")},
