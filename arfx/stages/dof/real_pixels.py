@@ -51,7 +51,7 @@ class RealPixels(NamedTuple):
 
     def with_all(self, real: np.ndarray) -> RealPixels:
         """Another real scene (h, w, 3) in every pixel."""
-        return RealPixels(packed(real), np.empty((0, 0, 3), np.float32), (0, 0, 0, 0))
+        return RealPixels(packed(real), packed(np.empty((0, 0, 3), np.float32)), (0, 0, 0, 0))
 
     @property
     def flat(self) -> RealPixels:
