@@ -137,9 +137,9 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, seen):
                 own[m] += sign * slope[side, m, s] * narrow[side, s]
             ordered[m] = own[m]
         sort(ordered)
-        count = 0.0
+        usual, count = ordered[3 * samples // 4], 0.0
         for m in range(samples):
-            there[side, m] = 0.0 if own[m] < _THERE * ordered[3 * samples // 4] else 1.0
+            there[side, m] = 0.0 if usual > 0 and own[m] < _THERE * usual else 1.0
             count += there[side, m]
             for s in range(steps - 1):
                 mean[side, s] += there[side, m] * slope[side, m, s]

@@ -79,6 +79,16 @@ def test_what_covers_part_of_a_side_moves_no_corner(grey: float, slant: float) -
     assert r.refined[0] and worst < 0.25
 
 
+@pytest.mark.parametrize("share", [0.8, 1.0])
+def test_a_side_that_is_no_edge_of_the_print_is_no_side(share: float) -> None:
+    """What lies over the paper beside it is darker than the ink: nearly no normal of it meets the print's edge."""
+    luma = np.full((200, 200), 200, np.uint8)
+    luma[60:140, 60:140] = 40
+    luma[:60, : round(60 + 80 * share)] = 5
+    quad = np.array([[59.5, 59.5], [139.5, 59.5], [139.5, 139.5], [59.5, 139.5]])
+    assert not refine_corners(luma, quad[None] + 1.5, np.array([8]), TABLE).refined[0]
+
+
 def test_sides_bent_by_the_lens_do_not_move_the_corners() -> None:
     bent = Camera(320, 240, np.array([[220.0, 0, 160], [0, 220, 120], [0, 0, 1]]), np.array([-0.35, 0.12, 0, 0]))
     wide = Camera(520, 440, np.array([[220.0, 0, 260], [0, 220, 220], [0, 0, 1]]))
