@@ -19,6 +19,9 @@ from arfx.synth.description import load_scene
 
 SCENES = Path(__file__).parents[2] / "sample_scenes"
 FAILED = Path(__file__).parent / "failed"
+# Largest colour difference of a region, where a scene's `golden` table states none. Of the sample scenes it is up to 2.0 where
+# the source clip is coded otherwise, and 3.0 (0050), 4.6 or more where the object throws no shadow.
+WIDE = 2.4
 PRESETS = sorted((SCENES.parent / "configs").glob("*.toml"))
 
 
@@ -39,17 +42,22 @@ def frames_side_by_side(clip: Path, wanted: Sequence[int]) -> np.ndarray:
 
 
 def differences(actual: np.ndarray, expected: np.ndarray) -> dict[str, float]:
-    """delta_e_mean, delta_e_p999: CIEDE2000 after a blur of 0.7 px, about what an eye sees of a clip; ssim: of luminance."""
+    """delta_e_mean, delta_e_p999: CIEDE2000 after a blur of 0.7 px, about what an eye sees of a clip; delta_e_wide: the largest
+    one after a blur of a thirtieth of the height, as coding changes edges and a faint shadow does not; ssim: of luminance."""
     if actual.shape != expected.shape:
-        return {"delta_e_mean": float("inf"), "delta_e_p999": float("inf"), "ssim": 0.0}
-    a, b = (rgb2lab(cv2.GaussianBlur(p.astype(np.float32) / 255, (0, 0), 0.7)) for p in (actual, expected))
+        return {"delta_e_mean": np.inf, "delta_e_p999": np.inf, "delta_e_wide": np.inf, "ssim": 0.0}
+    (a, b), wide = ([rgb2lab(cv2.GaussianBlur(p.astype(np.float32) / 255, (0, 0), sigma)) for p in (actual, expected)]
+                    for sigma in (0.7, len(expected) / 30))  # fmt: skip
     delta = deltaE_ciede2000(a, b)
     ssim = structural_similarity(a[..., 0], b[..., 0], data_range=100.0)
-    return {"delta_e_mean": float(delta.mean()), "delta_e_p999": float(np.percentile(delta, 99.9)), "ssim": float(ssim)}
+    tail, region = np.percentile(delta, 99.9), deltaE_ciede2000(*wide).max()
+    return {"delta_e_mean": float(delta.mean()), "delta_e_p999": float(tail), "delta_e_wide": float(region), "ssim": float(ssim)}
 
 
 def broken_bounds(found: dict[str, float], golden: dict[str, Any]) -> list[str]:
-    out = [f"{k} is {found[k]:.3f}, at most {golden[k]:g}" for k in ("delta_e_mean", "delta_e_p999") if not found[k] <= golden[k]]
+    most = {"delta_e_wide": WIDE, **golden}
+    names = ("delta_e_mean", "delta_e_p999", "delta_e_wide")
+    out = [f"{k} is {found[k]:.3f}, at most {most[k]:g}" for k in names if not found[k] <= most[k]]
     if not found["ssim"] >= golden["ssim_min"]:
         out.append(f"ssim is {found['ssim']:.4f}, at least {golden['ssim_min']:g}")
     return out
