@@ -32,10 +32,10 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, View
 from arfx.errors import ConfigError, require_within
 from arfx.stages.dof import Dof
-from arfx.stages.dof.corrected import depth_range, object_box
 from arfx.stages.dof.depth_layers import dioptre_of
 from arfx.stages.dof.optics import CircleOfConfusion, focal_mm
 from arfx.stages.dof.params import DofParams
+from arfx.stages.dof.sharp_frame import depth_range, object_box
 from arfx.stages.dof.surfaces import Real, plane_radius, square_radius
 
 INSIDE = 2 / 3  # of the blend, within the depth of field

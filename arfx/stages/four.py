@@ -30,6 +30,17 @@ def add_between(out, cell, line, p, q, t):  # pragma: no cover - compiled
 
 
 @numba.njit(nogil=True)
+def mix_between(out, cell, line, p, q, t, share):  # pragma: no cover - compiled
+    """out[cell] += share (line[p] + (line[q] - line[p]) t - out[cell]), in cells of four. out, line : flat"""
+    i, j, k = _U(4) * _U(p), _U(4) * _U(q), _U(4) * _U(cell)
+    a, b, c, d = line[i], line[i + _U(1)], line[i + _U(2)], line[i + _U(3)]
+    e, f, g, h = line[j] - a, line[j + _U(1)] - b, line[j + _U(2)] - c, line[j + _U(3)] - d
+    a, b, c, d = a + e * t, b + f * t, c + g * t, d + h * t
+    a, b, c, d = a - out[k], b - out[k + _U(1)], c - out[k + _U(2)], d - out[k + _U(3)]
+    add_four(out, cell, a * share, b * share, c * share, d * share)
+
+
+@numba.njit(nogil=True)
 def add_two_between(out, cell, line, p, t, step):  # pragma: no cover - compiled
     """`add_between` p and p + 1 to `cell` and, with t + step, to the next one."""
     i, u = _U(4) * _U(p), t + step

@@ -10,10 +10,10 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.stages.dof.pyramid import ALIGN_PX
+from arfx.stages.dof.pyramid import ALIGN_PX, SHARP_PX
 from arfx.stages.dof.real_pixels import RealPixels
 from arfx.stages.dof.splat import OccluderPixels
-from arfx.stages.dof.spread import BlurredRows, light_of_row, staying
+from arfx.stages.dof.spread import BlurredRows, light_of_row
 
 _FLAGS = {"contract", "nsz", "arcp"}
 # State of a pixel of the result: the composite's bits; covered by something sharp alone; reached by blurred light.
@@ -22,12 +22,10 @@ UNTOUCHED, SHARP, BLURRED = np.uint8(0), np.uint8(1), np.uint8(2)
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_real(
-    out, state, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility, stays
+    out, state, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility
 ):  # fmt: skip  # pragma: no cover - compiled
     """Columns begin..end of out (rows, w, 3) = the real scene from its row `top`, blurred where light of it was spread to, there
-    state (rows, w) = BLURRED. The columns of `shed` lie within begin..end.
-
-    stays : of the `Pyramid`"""
+    state (rows, w) = BLURRED. The columns of `shed` lie within begin..end."""
     image, patch, box = real
     lo, hi = shed.lo, shed.hi
     light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * (out.shape[1] + ALIGN_PX), np.float32)
@@ -42,12 +40,12 @@ def composite_real(
         for first, last, source, left in ((begin, a, sharp, 0), (a, b, behind, box[0]), (b, end, sharp, 0)):
             p, q = min(max(lo, first), last), min(max(hi, first), last)  # columns with light
             line[3 * first : 3 * p] = source[3 * (first - left) : 3 * (p - left)]
-            _add_sharp(line, state[j], light, r, source, (p, q, left), visible, whole, stays)
+            _add_sharp(line, state[j], light, r, source, (p, q, left), visible, whole)
             line[3 * q : 3 * last] = source[3 * (q - left) : 3 * (last - left)]
 
 
 @line_kernel(fastmath=_FLAGS)
-def _add_sharp(out, state, light, radius, sharp, columns, visible, whole, stays):  # pragma: no cover - compiled
+def _add_sharp(out, state, light, radius, sharp, columns, visible, whole):  # pragma: no cover - compiled
     """Where there is light (4 w,): that and what stays of sharp (3 n,), together 1; elsewhere sharp; to out (3 w,).
 
     columns : first, behind the last, and that at which `sharp` begins;  visible : (w,) fraction of what is sharp, unless whole"""
@@ -59,9 +57,9 @@ def _add_sharp(out, state, light, radius, sharp, columns, visible, whole, stays)
             out[j], out[j + np.uintp(1)], out[j + np.uintp(2)] = d, e, f
             continue
         state[n] = BLURRED
-        fraction = staying(radius[n], stays)
-        if not whole:
-            fraction *= visible[n]
+        fraction = np.float32(0)
+        if radius[n] <= SHARP_PX:
+            fraction = np.float32(1) if whole else visible[n]
         inverse = np.float32(1) / (w + fraction)
         a, b, c = light[i], light[i + np.uintp(1)], light[i + np.uintp(2)]
         a, b, c = (a + fraction * d) * inverse, (b + fraction * e) * inverse, (c + fraction * f) * inverse
@@ -78,7 +76,7 @@ def composite_occluder(
     own, occluded : its light and the weight of what it lets through
     state : set BLURRED where any of it is spread, else SHARP; returns whether any is set SHARP"""
     (begin, end), (first, left) = columns, at
-    radius, colour, coverage, opacity, stays = pixels
+    radius, colour, coverage, opacity = pixels
     width, any_sharp = radius.shape[1], False
     light, through = np.empty(4 * width, np.float32), np.empty(4 * width, np.float32)
     between = np.empty(4 * (width + ALIGN_PX), np.float32)
@@ -88,7 +86,7 @@ def composite_occluder(
         for x in range(begin, end):
             w = light[4 * x + 3]
             c = coverage[y, x] * opacity
-            sharp_weight = staying(radius[y, x], stays)
+            sharp_weight = np.float32(1) if radius[y, x] <= SHARP_PX else np.float32(0)
             if not (w > 0 or sharp_weight * c > 0):
                 continue
             total = w + through[4 * x + 3] + sharp_weight

@@ -1,85 +1,69 @@
-"""The corrected formula, levels draft to high: layers splatted onto pyramids, spread and composited strip by strip."""
+"""The corrected formula, levels standard and high: layers splatted onto pyramids, spread and composited strip by strip."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, packed
-from arfx.core.numerics import EPS_DEPTH_M, divide
+from arfx.core.layers import Layer, Layers
 from arfx.core.parallel import parallel_map
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.dof import compositing, splat
-from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
-from arfx.stages.dof.layer import DARK, BlurLayer, BlurredRows, hull, reached_columns, strips
-from arfx.stages.dof.occluder import extrapolate_radius, object_radius
+from arfx.stages.dof.layer import DARK, BlurLayer, BlurredRows, hull, strips
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.pyramid import SHARP_PX, Pyramid
-from arfx.stages.dof.real_pixels import RealPixels
-from arfx.stages.dof.spread import TILE_PX
-from arfx.stages.dof.surfaces import GRID_PX, Real, move_light, plane_radius, square_radius
+from arfx.stages.dof.sharp_frame import Occluder, real_radius_px, sharp_frame
+from arfx.stages.dof.surfaces import Real, move_light
 
-Optics = tuple[np.float32, np.float32, np.float32]  # px per dioptre, focus dioptre, limit px
 Blurred = tuple[Rect, BlurredRows, BlurredRows]  # part of the frame that a layer covers; on its rows its light, occluded weight
-_NONE = np.empty((0, 0), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class OccluderLayer:
-    """Something before the real scene, over `rect`: premultiplied colour, coverage, opacity; its light and its occluded weight.
+    """An occluder, its light and its occluded weight."""
 
-    sharp : outside of it nothing is sharp that covers"""
-
-    rect: Rect
-    colour: np.ndarray
-    coverage: np.ndarray
-    opacity: np.float32
+    is_of: Occluder
     own: BlurLayer
     occluded: BlurLayer
-    sharp: Rect
+
+    @staticmethod
+    def of(occluder: Occluder, pyramid: Pyramid, params: DofParams) -> OccluderLayer:
+        own, occluded = (
+            BlurLayer(occluder.rect, pyramid, occluder.largest_px, params.blades, params.blade_turn_deg) for _ in range(2)
+        )
+        own.radius, occluded.radius = occluder.radius, occluder.radius
+        return OccluderLayer(occluder, own, occluded)
 
     def splat(self, strip: tuple[int, int]) -> None:
-        pixels = splat.OccluderPixels(self.own.radius, self.colour, self.coverage, self.opacity, self.own.pyramid.stays)
+        pixels = splat.OccluderPixels(self.is_of.radius, self.is_of.colour, self.is_of.coverage, self.is_of.opacity)
         self.own.record(strip, splat.splat_occluder(*strip, pixels, self.own.buffers))
         self.occluded.record(strip, splat.splat_occluded(*strip, pixels, self.occluded.buffers))
 
     def blurred_rows(self, rows: Rect, name: str) -> Blurred:
         """Of the rectangle `rows` of the frame. name : of this layer, for memory that is used again"""
-        part = self.rect.clip(rows)
+        rect = self.is_of.rect
+        part = rect.clip(rows)
         if part.empty:
             return EMPTY, DARK, DARK
-        span = part.y0 - self.rect.y0, part.y1 - self.rect.y0
+        span = part.y0 - rect.y0, part.y1 - rect.y0
         own = self.own.rows(*span, f"own {name}")
-        blurred = Rect(self.rect.x0 + own.lo, part.y0, self.rect.x0 + own.hi, part.y1)
-        covered = blurred.union(self.sharp.clip(part)).clip(part)
+        blurred = Rect(rect.x0 + own.lo, part.y0, rect.x0 + own.hi, part.y1)
+        covered = blurred.union(self.is_of.sharp.clip(part)).clip(part)
         return covered, own, own if covered.empty else self.occluded.rows(*span, f"occluded {name}")
 
     def composite(self, blurred: Blurred, out: np.ndarray, state: np.ndarray, rows: Rect) -> bool:
         """Over the rows `rows` of out. Returns whether any pixel is `compositing.SHARP`."""
-        part, own, occluded = blurred
-        top, bottom, down, left = part.y0 - self.rect.y0, part.y1 - self.rect.y0, part.y0 - rows.y0, self.rect.x0
-        radius, colour, coverage = (a[top:bottom] for a in (self.own.radius, self.colour, self.coverage))
-        pixels = splat.OccluderPixels(radius, colour, coverage, self.opacity, self.own.pyramid.stays)
+        (part, own, occluded), it = blurred, self.is_of
+        top, bottom, down, left = part.y0 - it.rect.y0, part.y1 - it.rect.y0, part.y0 - rows.y0, it.rect.x0
+        radius, colour, coverage = (a[top:bottom] for a in (it.radius, it.colour, it.coverage))
+        pixels = splat.OccluderPixels(radius, colour, coverage, it.opacity)
         columns, to = (part.x0 - left, part.x1 - left), slice(down, part.y1 - rows.y0)
         args = out[to], state[to], columns, (top, left - rows.x0), own, occluded, pixels
         return not part.empty and bool(compositing.composite_occluder(*args))
-
-
-def depth_range(facts: FrameFacts) -> tuple[float, float]:
-    """Nearest and farthest distance, m, that a point of the object can have; a little wider for rounding."""
-    near, far = facts.depth_range_m
-    near = max(near * 0.999, EPS_DEPTH_M)
-    return near, max(far * 1.001, near)
-
-
-def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
-    """Pixels that the object's blur may change."""
-    return facts.raster_box.pad(int(np.ceil(reach_px)) + 1).clip(frame)
 
 
 def render(
@@ -87,62 +71,28 @@ def render(
     pyramid: Pyramid, params: DofParams,
 ) -> Pixels:  # fmt: skip
     """IMAGE of a frame with a pose over `out`, and somewhat more of the same rows. frame : the whole picture"""
-    optics = np.float32(coc.px_per_dioptre), np.float32(coc.focus), np.float32(coc.limit_px)
-    largest = coc.largest_px(real.dioptre_range(grid)) if params.scope == "all" else 0.0
-    real_blurs = largest > SHARP_PX
-    rect, everywhere = now.rect, real_blurs and (real.tiles is not None or bool(real.finite_planes))
-    rows = strips(rect)
-    nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
-    blurred = [(0, rect.width if everywhere else 0)] * len(rows)  # columns of each strip that hold a circle of 1 px
-    if real_blurs and not everywhere:
-        blurred = _blurred_columns(rows, rect, coc.radius_px(np.maximum(nodes, real.background)))
-    base = BlurLayer(rect, pyramid, max(largest, SHARP_PX), params.blades, params.blade_turn_deg)
-    boxed = _object(now, facts, frame, optics, pyramid, params)
-    reached = reached_columns(rows, blurred, base.margin_px, rect.width)
-    parts = []  # of the real scene, that are looked at
-    for (top, bottom), (a, b) in zip(rows, reached, strict=True):
-        strip = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
-        under = EMPTY if boxed is None else boxed.rect.clip(strip)
-        parts += [Rect(rect.x0 + a, strip.y0, rect.x0 + b, strip.y1).union(Rect(under.x0, strip.y0, under.x1, strip.y1))]
-    sharp = RealPixels.of(now, facts, parts)
-    measured = None
-    occluders, visibility = _real_occluders(rect, sharp, real, grid, optics, pyramid, params) if real_blurs else ([], _NONE)
-    if boxed is not None and real_blurs and real.base is not None and not occluders and pyramid.hides:
-        visibility = _seen_behind(now, facts, real, nodes, coc)
-    if real_blurs and real.tiles is not None:
-        measured = depth_layers(sharp.crop(Rect.of(rect.width, rect.height)), dioptre_of(now[Layer.REAL_DEPTH]), coc)
-        sharp = sharp.with_all(measured.base)
-        for front in measured.fronts:
-            colour_of = lambda part: front.colour[part.slices]  # noqa: B023, E731
-            occluders.append(_real_occluder(rect, front.radius, front.coverage, colour_of, pyramid, params))
-    occluders += [boxed] if boxed else []
-    background, spread = np.float32(real.background), sharp
-    # elsewhere the composite is the real scene: what `sharp` was before `with_all`
-    own = rect if measured is not None else now.extent(Layer.IMAGE).union(facts.raster_box.clip(rect))
-    bits = packed(np.zeros((0, 0, 3), np.float32) if own.empty else now.crop(own)[Layer.IMAGE])
-    place = own.shift(-rect.x0, -rect.y0)
-    at = place.x0, place.y0, place.x1, place.y1
+    largest = max(real_radius_px(real, grid, coc, params), SHARP_PX)
+    base = BlurLayer(now.rect, pyramid, largest, params.blades, params.blade_turn_deg)
+    at = sharp_frame(now, facts, frame, real, grid, coc, params, base.margin_px, True)
+    rect, rows, spread = at.rect, at.rows, at.real
+    occluders = [OccluderLayer.of(o, pyramid, params) for o in at.occluders]
     if pyramid.slanted and real.base is not None and min(rect.width, rect.height) > 1:
-        whole, moved = sharp.crop(Rect.of(rect.width, rect.height)), np.empty((rect.height, rect.width, 3), np.float32)
-        corner, todo = (rect.x0, rect.y0), [k for k, (a, b) in enumerate(blurred) if a < b]
-        parallel_map(lambda k: move_light(moved, whole, rows[k], blurred[k], corner, nodes, background, optics), todo)
-        spread = sharp.with_all(moved)
+        whole, moved = at.real.crop(Rect.of(rect.width, rect.height)), np.empty((rect.height, rect.width, 3), np.float32)
+        corner, todo = (rect.x0, rect.y0), [k for k, (a, b) in enumerate(at.blurred) if a < b]
+        move = lambda k: move_light(moved, whole, rows[k], at.blurred[k], corner, at.nodes, at.background, at.optics)  # noqa: E731
+        parallel_map(move, todo)
+        spread = at.real.with_all(moved)
+    boost = np.float32(params.highlight_boost)
 
     def start(k: int) -> None:
-        (top, bottom), (a, b), (left, right) = rows[k], blurred[k], reached[k]
-        if a >= b:
-            base.radius[top:bottom, left:right] = 0
-            return
-        if measured is not None:
-            base.radius[top:bottom] = measured.radius[top:bottom]
-        else:
-            base.radius[top:bottom, left:a], base.radius[top:bottom, b:right] = 0, 0
-            plane_radius(base.radius, top, bottom, a, b, rect.x0, rect.y0, nodes, background, optics)
-        boost = np.float32(params.highlight_boost)
-        base.record(rows[k], splat.splat_real(top, bottom, a, b, base.radius, spread.flat, visibility, boost, base.buffers))
+        (top, bottom), (a, b) = rows[k], at.blurred[k]
+        at.fill_radius(k, base.radius)
+        if a < b:
+            lit = splat.splat_real(top, bottom, a, b, base.radius, spread.flat, at.visibility, boost, base.buffers)
+            base.record(rows[k], lit)
 
-    parallel_map(start, [k for k, (a, b) in enumerate(reached) if a < b])
-    parallel_map(lambda job: job[0].splat(job[1]), [(c, s) for c in occluders for s in strips(c.rect)])
+    parallel_map(start, [k for k, (a, b) in enumerate(at.reached) if a < b])
+    parallel_map(lambda job: job[0].splat(job[1]), [(c, s) for c in occluders for s in strips(c.is_of.rect)])
     result = np.empty((rect.height, rect.width, 3), np.float32)
 
     def finish(strip: tuple[int, int]) -> Rect:
@@ -158,137 +108,11 @@ def render(
         out, state = result[top:bottom], np.zeros((bottom - top, rect.width), np.uint8)
         if base_rows.lo >= base_rows.hi:
             base_rows = DARK._replace(lo=a, hi=a)
-        compositing.composite_real(out, state, top, a, b, base_rows, base.radius, sharp, visibility, pyramid.stays)
+        compositing.composite_real(out, state, top, a, b, base_rows, base.radius, at.real, at.visibility)
         any_sharp = any([layer.composite(light, out, state, here) for layer, light in layers])
-        compositing.restore(out, state, top, (a, b), any_sharp, sharp, bits, at)
+        compositing.restore(out, state, top, (a, b), any_sharp, at.real, at.bits, at.at)
         return Rect(rect.x0 + a, here.y0, rect.x0 + b, here.y1)
 
     first, last = out.y0 - rect.y0, out.y1 - rect.y0
     made = parallel_map(finish, [(max(a, first), min(b, last)) for a, b in rows if a < last and b > first])
     return Pixels(rect, result, now.written[Layer.IMAGE], written=made)
-
-
-def _blurred_columns(rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarray) -> list[tuple[int, int]]:
-    """Columns of each strip outside which no pixel of the endless plane is blurred, from tile to tile: a pixel's dioptre lies
-    between those of the nodes around.
-
-    on_nodes : (gh, gw) radius px on the direction grid"""
-    out, g0 = [], rect.x0 // GRID_PX
-    blurred = on_nodes[:, g0 : (rect.x1 - 1) // GRID_PX + 2] > SHARP_PX
-    for top, bottom in rows:
-        tiles = np.flatnonzero(blurred[(rect.y0 + top) // GRID_PX : (rect.y0 + bottom - 1) // GRID_PX + 2].any(0))
-        if not len(tiles):
-            out.append((0, 0))
-            continue
-        x0, x1 = (int(tiles[0]) - 1 + g0) * GRID_PX, (int(tiles[-1]) + 1 + g0) * GRID_PX
-        part = Rect(x0, 0, x1, 1).align(TILE_PX, 1).clip(Rect(rect.x0, 0, rect.x1, 1))
-        out.append((part.x0 - rect.x0, part.x1 - rect.x0))
-    return out
-
-
-def _real_occluder(
-    area: Rect, radius: np.ndarray, coverage: np.ndarray, colour_of: Callable[[Rect], np.ndarray], pyramid: Pyramid,
-    params: DofParams,
-) -> OccluderLayer:  # fmt: skip
-    """Of a part of the real scene, over as much of `area` as it and its blur take. radius, coverage : over all of `area`
-
-    colour_of : premultiplied colour of a rectangle, px from the area's corner"""
-    largest, box = max(float(radius.max()), SHARP_PX), box_of(coverage)
-    part = box.pad(int(np.ceil(2 * largest)) + 1).clip(Rect.of(area.width, area.height))
-    colour, rect = np.ascontiguousarray(colour_of(part)), part.shift(area.x0, area.y0)
-    covered = box.shift(area.x0, area.y0)
-    radius, coverage = radius[part.slices].copy(), coverage[part.slices].copy()
-    return _occluder(rect, radius, colour, coverage, np.float32(1), pyramid, largest, params, covered, covered)
-
-
-def _occluder(
-    rect: Rect, radius: np.ndarray, colour: np.ndarray, coverage: np.ndarray, opacity: np.float32, pyramid: Pyramid,
-    largest: float, params: DofParams, covered: Rect, sharp: Rect,
-) -> OccluderLayer:  # fmt: skip
-    own = BlurLayer(rect, pyramid, largest, params.blades, params.blade_turn_deg)
-    occluded = BlurLayer(rect, pyramid, largest, params.blades, params.blade_turn_deg)
-    extrapolate_radius(radius, coverage, rect, covered)
-    own.radius, occluded.radius = radius, radius
-    colour = colour.view()
-    colour.flags.writeable = False  # as a picture's: what goes by colours is compiled once for both
-    return OccluderLayer(rect, colour, coverage, opacity, own, occluded, sharp)
-
-
-def _object(
-    now: Layers, facts: FrameFacts, frame: Rect, optics: Optics, pyramid: Pyramid, params: DofParams
-) -> OccluderLayer | None:
-    """The virtual object; None where nothing of it is here or nothing of it is blurred."""
-    box = facts.raster_box.clip(now.rect)
-    if box.empty:
-        return None
-    part = now.crop(box)
-    radius = np.empty((box.height, box.width), np.float32)
-    near, far = (np.float32(d) for d in depth_range(facts))
-    least, largest = object_radius(radius, part[Layer.COVERAGE], part[Layer.DEPTH], near, far, optics)
-    if largest < 0:
-        return None
-    # a sharp object too is composited again where the real scene behind it is blurred
-    rect = box if largest <= SHARP_PX else _around(facts, now.rect, frame, 2 * largest)
-    padded = np.full((rect.height, rect.width), -1, np.float32)
-    padded[box.slices_in(rect)] = radius
-    coverage = np.zeros(padded.shape, np.float32)
-    coverage[box.slices_in(rect)] = np.fmax(part[Layer.COVERAGE], 0)  # as `object_radius` takes it: not a number is none
-    colour, tiles = np.empty((*padded.shape, 3), np.float32), box.align(TILE_PX, TILE_PX).clip(rect)
-    colour[tiles.slices_in(rect)] = 0  # it is looked at in tiles that hold anything
-    colour[box.slices_in(rect)] = part[Layer.VIRTUAL]
-    opacity, sharp = np.float32(facts.opacity), box if least <= SHARP_PX else EMPTY
-    return _occluder(rect, padded, colour, coverage, opacity, pyramid, max(float(largest), SHARP_PX), params, box, sharp)
-
-
-def _seen_behind(now: Layers, facts: FrameFacts, real: Real, nodes: np.ndarray, coc: CircleOfConfusion) -> np.ndarray:
-    """(h, w) fraction of the light of each pixel of the real plane that comes past the object.
-
-    Through the place o of the lens a pixel p sees the plane at p + s o, the object at p + s' o: with s = s' what the pinhole
-    sees. Where either is sharp every point of the plane comes past from somewhere."""
-    box = facts.raster_box.clip(now.rect)
-    part, (near, far) = now.crop(box), depth_range(facts)
-    plane, one = np.empty((box.height, box.width), np.float32), np.float32(1)
-    itself = one, np.float32(0), np.float32(np.inf)  # a radius of 1 px a dioptre from a focus at infinity
-    plane_radius(plane, 0, box.height, 0, box.width, box.x0, box.y0, nodes, np.float32(real.background), itself)
-    plane -= np.float32(coc.focus)
-    own = one / np.clip(part[Layer.DEPTH], np.float32(near), np.float32(far)) - np.float32(coc.focus)
-    smaller, larger = np.minimum(np.abs(own), np.abs(plane)), np.maximum(np.abs(own), np.abs(plane))
-    alike = np.where(own * plane > 0, divide(smaller, larger), 0).astype(np.float32)
-    out = np.ones((now.rect.height, now.rect.width), np.float32)
-    out[box.slices_in(now.rect)] -= alike * part[Layer.COVERAGE] * np.float32(facts.opacity)
-    return out
-
-
-def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect:
-    """What surrounds the object in `rect`; beyond the picture's edge too, except where the object may go on there."""
-    box, n = facts.raster_box, int(np.ceil(min(reach_px, max(frame.width, frame.height) / 4))) + 1
-    grown = Rect(
-        rect.x0 - n if box.x0 > frame.x0 == rect.x0 else rect.x0, rect.y0 - n if box.y0 > frame.y0 == rect.y0 else rect.y0,
-        rect.x1 + n if box.x1 < frame.x1 == rect.x1 else rect.x1, rect.y1 + n if box.y1 < frame.y1 == rect.y1 else rect.y1,
-    )  # fmt: skip
-    return box.pad(int(np.ceil(reach_px)) + 1).clip(grown)
-
-
-def _real_occluders(
-    area: Rect, sharp: RealPixels, real: Real, grid: np.ndarray, optics: Optics, pyramid: Pyramid, params: DofParams
-) -> tuple[list[OccluderLayer], np.ndarray]:
-    """Real planes of limited size, farthest first, and (h, w) what fraction of every pixel behind them stays visible."""
-    if not real.finite_planes:
-        return [], _NONE
-    visibility, occluders = np.ones((area.height, area.width), np.float32), []
-    for plane in reversed(real.finite_planes):  # the nearest hides the others
-        radius, inside = np.empty(visibility.shape, np.float32), np.empty(visibility.shape, np.float32)
-        square_radius(radius, inside, area.x0, area.y0, plane.positions(grid), np.float32(plane.half_m), optics)
-        inside *= visibility
-        radius[inside == 0] = -1
-        visibility -= inside
-        if inside.any():
-            colour_of = lambda part: sharp.crop(part) * inside[part.slices][..., None]  # noqa: B023, E731
-            occluders.append(_real_occluder(area, radius, inside, colour_of, pyramid, params))
-    return occluders[::-1], visibility
-
-
-def box_of(mask: np.ndarray) -> Rect:
-    """Smallest rectangle that holds what is not 0."""
-    ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    return Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1) if len(ys) else EMPTY

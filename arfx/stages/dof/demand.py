@@ -8,9 +8,10 @@ from arfx.core.facts import FrameFacts
 from arfx.core.real_depth import TILE_PX
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.stage import Demand
-from arfx.stages.dof.corrected import box_of, depth_range, object_box
+from arfx.stages.dof.mipmap import reach_px
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.pyramid import SHARP_PX
+from arfx.stages.dof.sharp_frame import box_of, depth_range, object_box
 from arfx.stages.dof.surfaces import GRID_PX, Real
 
 
@@ -59,21 +60,23 @@ def blurred_rect(real: Real, grid: np.ndarray, coc: CircleOfConfusion) -> Rect:
     return Rect(box.x0 * GRID_PX, box.y0 * GRID_PX, (box.x1 - 1) * GRID_PX + 1, (box.y1 - 1) * GRID_PX + 1).pad(pad)
 
 
-def needs(out: Rect, facts: FrameFacts, coc: CircleOfConfusion, real: Real | None, grid: np.ndarray, frame: Rect) -> Rect:
+def needs(
+    out: Rect, facts: FrameFacts, coc: CircleOfConfusion, real: Real | None, grid: np.ndarray, frame: Rect, draft: bool
+) -> Rect:
     """Pixels whose light can reach `out`, and those that decide how far it is spread."""
     if real is not None and real.tiles is not None:
         return frame  # what is hidden is filled in from wherever something is known
     on_object = object_radius_px(facts, coc)
     on_real = 0.0 if real is None else coc.largest_px(real.dioptre_range(grid))
     # cells of the pyramid and interpolation between them reach a little beyond the disc
-    need = out.pad(_margin_px(on_real)) if on_real > SHARP_PX else out
+    need = out.pad(_margin_px(on_real, draft)) if on_real > SHARP_PX else out
     if real is not None and real.finite_planes:
-        need = need.union(out.pad(3 * _margin_px(on_real)))
+        need = need.union(out.pad(3 * _margin_px(on_real, draft)))
     if on_object > SHARP_PX:
         # an edge's disc is continued outside of it: light, its own continuation, and what that is taken from
-        need = need.union(out.clip(object_box(facts, frame, on_object)).pad(3 * _margin_px(on_object)))
+        need = need.union(out.clip(object_box(facts, frame, on_object)).pad(3 * _margin_px(on_object, draft)))
     return need.clip(frame)
 
 
-def _margin_px(radius_px: float) -> int:
-    return int(np.ceil(1.25 * radius_px)) + 2 * GRID_PX
+def _margin_px(radius_px: float, draft: bool) -> int:
+    return max(int(np.ceil(1.25 * radius_px)) + 2 * GRID_PX, reach_px(radius_px) if draft else 0)

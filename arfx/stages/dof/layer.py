@@ -80,7 +80,7 @@ class BlurLayer:
     @property
     def buffers(self) -> SplatBuffers:
         at, to = (self.offset_y, self.offset_x), (self.finest, self.occupied)
-        return SplatBuffers(self.pyramid.fade, self.cells, self.meta, *at, *to, self.pyramid.stays)
+        return SplatBuffers(self.pyramid.fade, self.cells, self.meta, *at, *to)
 
     def record(self, strip: tuple[int, int], any_light: bool) -> None:
         """What a splat kernel returned for a strip."""

@@ -3,8 +3,7 @@
 Level k works on cells of 2^k x 2^k px: a large disc costs there what a small one costs at full resolution. Between two
 levels a pixel's light is shared, so that nothing pops when its radius changes. Averaging over a cell and interpolating back
 blur too; the disc of a level is made smaller by just that variance. A highlight far above white shows the disc itself: it
-is spread one level finer. Without level 0 a disc that is smaller than what the cells of level 1 blur has its variance: a part
-of the light goes to a cell, the rest stays where it is."""
+is spread one level finer."""
 
 from __future__ import annotations
 
@@ -21,15 +20,11 @@ ALIGN_PX = 1 << (MAX_LEVELS - 1)  # cells of every level begin at multiples of t
 class Pyramid:
     """fade : (n - 1, 2) float32, radius in px at which level k begins to hand over to k + 1, and at which it has done so
     filter_px2 : (n,) float32, to be taken from a squared radius, px, for what the level's own cells blur
-    hides : the real scene does not spread what the object hides
-    slanted : the discs of a plane that is seen at a slant are moved to where its light goes (`surfaces.move_light`)
-    stays : (a, b), the fraction a - b r^2 of the light of a radius r above SHARP_PX stays in its pixel; (0, 0) = none"""
+    slanted : the discs of a plane that is seen at a slant are moved to where its light goes (`surfaces.move_light`)"""
 
     fade: np.ndarray
     filter_px2: np.ndarray
-    hides: bool
     slanted: bool
-    stays: tuple[np.float32, np.float32]
 
     def levels(self, largest_px: float) -> int:
         """How many levels discs up to this radius use, >= 1."""
@@ -57,20 +52,15 @@ def _filter_px2(level: int) -> float:
     return float(4 * (2 * (s * s - 1) / 12 + s * s * (t * (1 - t)).mean()))
 
 
-def _pyramid(*fade: tuple[float, float], slanted: bool = False, without_finest: bool = False) -> Pyramid:
-    whole_px2, stays = _filter_px2(1), (np.float32(0), np.float32(0))
-    if without_finest:
-        b = 1 / (whole_px2 - SHARP_PX**2)
-        fade, stays = ((SHARP_PX, whole_px2**0.5), *fade), (np.float32(whole_px2 * b), np.float32(b))
+def _pyramid(*fade: tuple[float, float], slanted: bool = False) -> Pyramid:
     ranges = list(fade)
     while len(ranges) < MAX_LEVELS - 1:
         ranges.append((ranges[-1][0] * 2, ranges[-1][1] * 2))
     filter_px2 = np.array([_filter_px2(k) for k in range(MAX_LEVELS)], np.float32)
-    return Pyramid(np.array(ranges, np.float32), filter_px2, not without_finest, slanted, stays)
+    return Pyramid(np.array(ranges, np.float32), filter_px2, slanted)
 
 
 PYRAMIDS = {
-    "draft": _pyramid((5.0, 6.5), (10.0, 13.0), (20.0, 26.0), without_finest=True),
     "standard": _pyramid((1.6, 2.1), (6.5, 8.5), (18.0, 23.5)),
     "high": _pyramid((28.0, 36.0), (80.0, 104.0), (160.0, 208.0), slanted=True),
 }

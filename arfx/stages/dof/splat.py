@@ -18,19 +18,16 @@ CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; 
 
 
 class OccluderPixels(NamedTuple):
-    """Of an occluder: blur radius (h, w) px, premultiplied colour (h, w, 3), which is read-only, and coverage (h, w).
-
-    stays : of the `Pyramid`"""
+    """Of an occluder: blur radius (h, w) px, premultiplied colour (h, w, 3), which is read-only, and coverage (h, w)."""
 
     radius: np.ndarray
     colour: np.ndarray
     coverage: np.ndarray
     opacity: np.float32
-    stays: tuple[np.float32, np.float32]
 
 
 @line_kernel(fastmath=_FLAGS)
-def _boosted(red, green, blue, boost):  # pragma: no cover - compiled
+def boosted(red, green, blue, boost):  # pragma: no cover - compiled
     largest = max(red, max(green, blue))
     return np.float32(1) + boost * min(max((largest - CLIPPED) / (np.float32(1) - CLIPPED), np.float32(0)), np.float32(1))
 
@@ -86,7 +83,7 @@ def splat_real(
                 continue
             xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
             light, up, along = (patch, box[1], box[0]) if patched[i] else (image, 0, 0)
-            if plain[i] and _alike(lowest[i], highest[i], buffers):
+            if plain[i] and _alike(lowest[i], highest[i]):
                 after = i + 1  # as many tiles as there are alike: memory is read along the rows
                 while (
                     after < tiles
@@ -109,27 +106,25 @@ def splat_real(
                             weight = visibility[y, x]
                             k = weight
                         if boost > 0:
-                            k *= _boosted(red, green, blue, boost)
+                            k *= boosted(red, green, blue, boost)
                     to = source[y - ya, x - xa]
                     to[0], to[1], to[2], to[3] = red * k, green * k, blue * k, weight
             splat_tile(source, radius, ya, xa, yb, xb, buffers)
     return blurred
 
 
-@line_kernel(fastmath=_FLAGS)
-def _alike(low, high, buffers: SplatBuffers):  # pragma: no cover - compiled
+@line_kernel()
+def _alike(low, high):  # pragma: no cover - compiled
     """Whether `_to_cells` takes a tile of these levels."""
-    return high <= low + 1 and (low > 0 or (high > 0 and buffers.stays[0] > 0))
+    return 0 < low <= high <= low + 1
 
 
 @line_kernel(fastmath=_FLAGS)
 def _to_cells(low, high, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
-    """Tiles of weight 1 to level low, or to low and low + 1 = high; to none below 1.
+    """Tiles of weight 1 to level low, or to low and low + 1 = high.
 
     part : (rows, 3 columns) light from row ya, column xa"""
-    if low == 0 or (high == 1 and buffers.stays[0] > 0):
-        _share_cells(ya, xa, radius, part, work, buffers)
-    elif high == low:
+    if high == low:
         _sum_cells(low, ya, xa, radius, part, work, buffers)
     else:
         _split_cells(low, ya, xa, radius, part, work, buffers)
@@ -172,33 +167,6 @@ def _sum_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma:
                         sums[n] -= r
                         weight[n] -= np.float32(1)
         _columns_to_cells(k, cy, xa, line, weight, sums, buffers)
-
-
-@line_kernel(fastmath=_FLAGS)
-def _share_cells(ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
-    """As `_sum_cells`, of tiles of which all or a part goes to level 1 and the rest stays in its pixels."""
-    count, end, one, zero = part.shape[1] // 3, ya + part.shape[0], np.float32(1), np.float32(0)
-    offset_y, offset_x, (a, b), meta, cells = buffers.offset_y, buffers.offset_x, buffers.stays, buffers.meta, buffers.cells
-    upper, lower = work[:count], work[count : 2 * count]  # fractions that go, of both rows of the cells
-    for cy in range((ya + offset_y) >> 1, ((end - 1 + offset_y) >> 1) + 1):
-        y, z = max(2 * cy - offset_y, ya), min(2 * cy + 1 - offset_y, end - 1)
-        p, q, r, s = part[y - ya], part[z - ya], radius[y, xa : xa + count], radius[z, xa : xa + count]
-        for n in range(count):
-            upper[n] = min(max(one - a + b * r[n] * r[n], zero), one)
-            lower[n] = min(max(one - a + b * s[n] * s[n], zero), one) if z > y else zero
-        row = meta[1, 0] + cy * meta[1, 1]
-        for cx in range((xa + offset_x) >> 1, ((xa + count - 1 + offset_x) >> 1) + 1):
-            first = max(2 * cx - offset_x - xa, 0)
-            last = min(2 * cx + 1 - offset_x - xa, count - 1)
-            at, n, m = np.uintp(row + cx), np.uintp(first), np.uintp(last)
-            i, j, t, u, v, w = np.uintp(3) * n, np.uintp(3) * m, upper[n], lower[n], upper[m], lower[m]
-            if last == first:
-                v, w = zero, zero
-            for c in range(3):
-                k = np.uintp(c)
-                cells[at, k] += t * p[i + k] + u * q[i + k] + v * p[j + k] + w * q[j + k]
-            cells[at, 3] += t + u + v + w
-            cells[at, 4] += t * r[n] + u * s[n] + v * r[m] + w * s[m]
 
 
 @line_kernel(fastmath=_FLAGS)
@@ -285,7 +253,7 @@ def _columns_to_cells(k, cy, xa, line, weight, sums, buffers: SplatBuffers):  # 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Rows top..bottom. Returns whether there is any light."""
-    radius, colour, coverage, opacity, _ = occluder
+    radius, colour, coverage, opacity = occluder
     fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
     width, found = radius.shape[1], False
     bits, covered, ends = radius.view(np.int32), coverage.view(np.int32), np.empty(2, np.int32)
@@ -313,7 +281,7 @@ def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
             if i < after or highest[i] < 0:
                 continue
             xa, xb = max(left + i * TILE_PX, 0), min(left + (i + 1) * TILE_PX, width)
-            if _alike(lowest[i], highest[i], buffers):  # as of the real scene
+            if _alike(lowest[i], highest[i]):  # as of the real scene
                 after = i + 1
                 while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]):
                     after += 1
@@ -333,7 +301,7 @@ def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def splat_occluded(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers):  # pragma: no cover - compiled
     """Rows top..bottom of what a layer lets through: weight only, in the last channel. Returns whether there is any."""
-    radius, _, coverage, opacity, _ = occluder
+    radius, _, coverage, opacity = occluder
     offset_y, offset_x = buffers.offset_y, buffers.offset_x
     width, found = radius.shape[1], False
     source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)

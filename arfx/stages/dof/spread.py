@@ -23,7 +23,7 @@ MIN_RUN = 4  # discs of one size side by side that are worth marking together
 
 
 class SplatBuffers(NamedTuple):
-    """Where a layer's light goes. fade, stays : of the `Pyramid`
+    """Where a layer's light goes. fade : of the `Pyramid`
 
     finest : (h, w, 4) light of level 0, set where SHARP_PX < radius < fade[0, 1] in tiles that are `occupied` (th, tw) uint8
     cells : (n, 5) red, green, blue, weight, weight x radius of all further levels;  meta : (levels, 3) first cell, width,
@@ -36,7 +36,6 @@ class SplatBuffers(NamedTuple):
     offset_x: int
     finest: np.ndarray
     occupied: np.ndarray
-    stays: tuple[np.float32, np.float32]
 
 
 class BlurredRows(NamedTuple):
@@ -82,12 +81,6 @@ def highlight(level):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=_FLAGS)
-def staying(r, stays):  # pragma: no cover - compiled
-    """Fraction of the light of a radius that stays in its pixel. stays : of the `Pyramid`"""
-    return np.float32(1) if r <= SHARP_PX else max(stays[0] - stays[1] * r * r, np.float32(0))
-
-
-@line_kernel(fastmath=_FLAGS)
 def to_cell(buffers: SplatBuffers, level, y, x, a, b, c, d, r):  # pragma: no cover - compiled
     """Light a, b, c, d (weight) of one pixel with radius r to the level's cell that holds it."""
     meta, cells = buffers.meta, buffers.cells
@@ -104,7 +97,7 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
     """Hand light of the pixels y0..y1, x0..x1 (within one tile) to the one or two levels that their radii ask for.
 
     source : (TILE_PX, TILE_PX, 4) premultiplied light and weight;  radius : (h, w) px, at most SHARP_PX = none"""
-    fade, cells, meta, offset_y, offset_x, finest, occupied, stays = buffers
+    fade, cells, meta, offset_y, offset_x, finest, occupied = buffers
     levels = meta.shape[0]
     smallest, largest = extremes(radius, y0, x0, y1, x1)
     if largest <= SHARP_PX:
@@ -135,8 +128,7 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
                 cells[at, 3] += d
                 cells[at, 4] += e
         return
-    any_finest = stays[0] <= 0
-    if k == 0 and any_finest:
+    if k == 0:
         occupied[(y0 + offset_y) // TILE_PX - offset_y // TILE_PX, (x0 + offset_x) // TILE_PX - offset_x // TILE_PX] = 1
     if alone:
         for y in range(y0, y1):
@@ -156,8 +148,6 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
             onward = np.float32(0)
             if k < levels - 1 and r > fade[k, 0]:
                 onward = (r - fade[k, 0]) / (fade[k, 1] - fade[k, 0])
-            if k == 0 and not any_finest:
-                onward = np.float32(1) - staying(r, stays)
             j, i = np.uintp(y - y0), np.uintp(x - x0)
             if k > 0 and max(source[j, i, 0], max(source[j, i, 1], source[j, i, 2])) > highlight(k + 1):
                 k, onward = max(k - 1, 1), onward if k > 1 else np.float32(0)
@@ -166,10 +156,10 @@ def splat_tile(source, radius, y0, x0, y1, x1, buffers: SplatBuffers):  # pragma
                 level = k + step
                 if fraction <= 0:
                     continue
-                if level == 0 and any_finest:
+                if level == 0:
                     for n in range(4):
                         finest[np.uintp(y), np.uintp(x), n] = source[j, i, n] * fraction
-                elif level > 0:
+                else:
                     s = source[j, i]
                     to_cell(buffers, level, y, x, s[0] * fraction, s[1] * fraction, s[2] * fraction, s[3] * fraction, r)
 

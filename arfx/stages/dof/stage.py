@@ -23,8 +23,8 @@ from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, Demand, JobView, Stage, View
+from arfx.stages.dof import corrected, draft
 from arfx.stages.dof import demand as called
-from arfx.stages.dof.corrected import render
 from arfx.stages.dof.optics import CircleOfConfusion, circle_of_confusion, unknown_lens
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.pyramid import PYRAMIDS
@@ -53,8 +53,8 @@ class Dof(Stage):
         if facts.camera_from_world is None or unknown_lens(self.params, facts):
             return out
         coc, real = self._frame(facts, scene)
-        grid = direction_grid(scene.camera)
-        return called.needs(out, facts, coc, real if self.params.scope == "all" else None, grid, scene.camera.rect)
+        grid, frame = direction_grid(scene.camera), scene.camera.rect
+        return called.needs(out, facts, coc, real if self.params.scope == "all" else None, grid, frame, level == "draft")
 
     def health(self, job: JobView) -> Iterator[Check]:
         """The lens of the blur: given, or measured from the footage's edges."""
@@ -86,8 +86,10 @@ class Dof(Stage):
             from arfx.stages.dof import reference
 
             return {Layer.IMAGE: reference.render(now, facts, scene, real, coc, self.params, prepared)}
-        pyramid = PYRAMIDS[view.level]
-        return {Layer.IMAGE: render(now, facts, scene.camera.rect, view.out, real, prepared, coc, pyramid, self.params)}
+        args = now, facts, scene.camera.rect, view.out, real, prepared, coc
+        if view.level == "draft":
+            return {Layer.IMAGE: draft.render(*args, self.params)}
+        return {Layer.IMAGE: corrected.render(*args, PYRAMIDS[view.level], self.params)}
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[CircleOfConfusion, Real]:
         p, measured = self.params, facts.real_depth
