@@ -52,6 +52,7 @@ REAL: dict[str, dict[str, Any]] = {
 WITH_DEPTH = ("0001-orbit", "0003-several-tilted-markers", "0903-partial-occlusion")
 NOISE, HOLES, EDGE_PX = 0.004, 0.03, 1  # of that depth, as of scene 0022's
 APERTURE = 1 / 30  # of the picture's width, where a clip does not say how large its blur is
+SHIPPED = ROOT / "arfx" / "plan" / "default_errors.json"
 FEWEST_PX, LEAST_ERROR = 200, 0.02  # that an effect must touch, and its cheapest level be off by, in grey levels, to show
 NINE_IN_TEN = (5, 95)  # percentiles
 STEP, HALF = 1.6, 0.5  # what a step up costs at least, or else what is left of the error at most
@@ -82,8 +83,9 @@ def main() -> int:
     (given.output / "table.md").write_text(table(found, stages), encoding="utf-8")
     plot(found, stages, given.output / "hulls.png")
     if given.write:
-        text = json.dumps(document(found, stages, given.frames), indent=1)
-        (ROOT / "arfx" / "plan" / "default_errors.json").write_text(text + "\n", encoding="utf-8")
+        shipped, now = json.loads(SHIPPED.read_text(encoding="utf-8")), document(found, stages, given.frames)
+        now |= {key: {**shipped[key], **now[key]} for key in ("errors", "clips")}
+        SHIPPED.write_text(json.dumps(now, indent=1) + "\n", encoding="utf-8")
     print(table(found, stages).partition("\n\n##")[0])
     return 0
 

@@ -3,8 +3,9 @@
 Every pixel's light is spread over its blur circle (disc or n-blade), energy kept, at a resolution that fits the circle's
 size; the real scene and the virtual object are two layers, so that a blurred silhouette lets through what is behind it.
 Where the circle stays below 1 px nothing changes, bit for bit. While the object fades in or out the lens opens with it.
-Levels differ in the resolution at which a disc is spread (pyramid.py): draft has no full one; high has it up to 28 px, and
-moves the discs of slanted planes to where their light goes; reference is the integral over the lens.
+Levels: draft looks light up in an image pyramid (mipmap.py), where highlights become soft spots. standard and high differ in the
+resolution at which a disc is spread (pyramid.py); high has the full one up to 28 px, and moves the discs of slanted planes to
+where their light goes. reference is the integral over the lens.
 Cost: O(blurred pixels), nearly independent of the radius. Leaves out: what real things hide behind their edges, that a
 blurred object lets through light of one side of the lens only, what is blurred before the object and reaches over it, lens
 aberrations, vignetting, motion. Source: docs/methods/dof.md."""

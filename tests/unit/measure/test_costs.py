@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from arfx.core.cost import UNCALIBRATED, load_prices, shipped_prices
-from arfx.measure import costs_output
-from arfx.measure.bench import Runs, Stopwatch
+from arfx.errors import ConfigError
+from arfx.measure import costs, costs_output
+from arfx.measure.bench import Runs, Stopwatch, bench
 from arfx.measure.costs import calibrate, fit, save_prices
 from arfx.media.codecs import CODECS
 
@@ -69,6 +70,15 @@ def test_what_there_is_no_time_for_keeps_the_shipped_price_and_its_wide_interval
     assert all(p.spread >= UNCALIBRATED for p in prices.prices.values())
     alone = calibrate(output=False, limit_s=0.0, stage="dof")
     assert {k.removeprefix("prepare ").split("/")[0] for k in alone.prices} == {"dof"}
+
+
+def test_a_scene_that_is_too_small_for_a_stage_is_passed_over(monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(costs, "SCENES", ((64, 64, 0.1, (20, 19), "ball", False),))
+    monkeypatch.setattr(costs, "SLOW_SCENES", ())
+    assert all(p.spread >= UNCALIBRATED for p in calibrate(output=False, stage="dof").prices.values()), "as it was shipped"
+    assert calibrate(output=False, stage="raster").prices["raster/draft"].runs > 0
+    with pytest.raises(ConfigError, match="64x64 px there is nothing for 'dof'"):
+        bench([(64, 64)], "dof")
 
 
 def test_every_codec_is_priced_and_one_that_this_machine_lacks_is_unknown(monkeypatch) -> None:  # type: ignore[no-untyped-def]
