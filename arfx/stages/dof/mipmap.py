@@ -1,8 +1,9 @@
 """Compiled: blur by an image pyramid, whose levels are mixed by each pixel's blur radius.
 
-Level k holds the means over cells of 2^k x 2^k px. Looked up linearly between cells, level by level down to the picture, its
-variance is (4^k - 1) / 3 px^2 on each axis, that of a disc of the radius sqrt(4 (4^k - 1) / 3); between two levels the squared
-radius shares. So a pixel costs the same at any radius; a highlight becomes a soft spot and no disc.
+Level 1 holds the means over 2 x 2 px, each further one those of 4 x 4 cells of the level before with the weights 1, 3, 3, 1 on
+each axis, so that little flickers that moves over the cells. Looked up linearly, level by level down to the picture, level k has
+the variance 4^k / 2 - 1 px^2 on each axis, that of a disc of the radius sqrt(2 4^k - 4); between two levels the squared radius
+shares. So a pixel costs the same at any radius; a highlight becomes a soft spot and no disc.
 Source: pyramidal parametrics (Williams 1983)."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg"
@@ -17,7 +18,7 @@ from arfx.stages.dof.compositing import BLURRED, SHARP, UNTOUCHED
 from arfx.stages.dof.pyramid import SHARP_PX
 from arfx.stages.dof.real_pixels import RealPixels
 from arfx.stages.dof.splat import OccluderPixels, boosted
-from arfx.stages.four import mix_between, put_four
+from arfx.stages.four import mix_between, put_four, put_mean
 
 _FLAGS = {"contract", "nsz", "arcp"}
 _LEAST = 32  # rows of cells below which threads cost more than they save
@@ -25,7 +26,7 @@ _LEAST = 32  # rows of cells below which threads cost more than they save
 
 def squared_radius(level: int) -> float:
     """Of the disc that a level blurs like, px^2; up to level 0's nothing is blurred."""
-    return 4 * (4.0**level - 1) / 3 if level else SHARP_PX**2
+    return 2 * 4.0**level - 4 if level else SHARP_PX**2
 
 
 def levels_for(largest_px: float) -> int:
@@ -38,7 +39,7 @@ def levels_for(largest_px: float) -> int:
 
 def reach_px(largest_px: float) -> int:
     """No light goes farther, cells that are partly outside of a rectangle included."""
-    return 3 << levels_for(largest_px)
+    return 4 << levels_for(largest_px)
 
 
 class Mipmap:
@@ -188,15 +189,21 @@ def halve_occluder(ya, yb, odd, occluder: OccluderPixels, out, out_radius):  # p
 def _halve_cells(ya, yb, odd, values, radius, out, out_radius):  # pragma: no cover - compiled
     """Rows ya..yb of the next level, from values (h, w, 4) and radius (h, w)."""
     height, width = radius.shape
-    quarter = np.float32(0.25)
+    near, far = np.float32(3 / 8), np.float32(1 / 8)
+    line, sums = np.empty(4 * width, np.float32), np.empty(width, np.float32)
     for j in range(ya, yb):
         y, z = max(2 * j - odd[0], 0), min(2 * j + 1 - odd[0], height - 1)
-        upper, lower, to = values[y].reshape(-1), values[z].reshape(-1), out[j].reshape(-1)
+        upper, lower = values[y].reshape(-1), values[z].reshape(-1)
+        above, below = values[max(y - 1, 0)].reshape(-1), values[min(z + 1, height - 1)].reshape(-1)
+        for n in range(4 * width):
+            line[n] = (upper[n] + lower[n]) * near + (above[n] + below[n]) * far
+        for n in range(width):
+            sums[n] = radius[y, n] + radius[z, n]
+        to = out[j].reshape(-1)
         for i in range(out_radius.shape[1]):
             a, b = max(2 * i - odd[1], 0), min(2 * i + 1 - odd[1], width - 1)
-            for c in range(4):
-                to[4 * i + c] = (upper[4 * a + c] + upper[4 * b + c] + lower[4 * a + c] + lower[4 * b + c]) * quarter
-            out_radius[j, i] = (radius[y, a] + radius[y, b] + radius[z, a] + radius[z, b]) * quarter
+            put_mean(to, i, line, (max(a - 1, 0), a, b, min(b + 1, width - 1)), near, far)
+            out_radius[j, i] = (sums[a] + sums[b]) * np.float32(0.25)
 
 
 @line_kernel(fastmath=_FLAGS)

@@ -32,7 +32,7 @@ class DofParams:
         60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (interpolated evenly in dioptres)
     plane_extent_m : side of the real plane around the marker; 0 = endless
     background_m : distance of whatever is behind the real plane, which ends there; 0 = endless
-    blades : blades of the aperture, 3 or more; 0 = round
+    blades : blades of the aperture, 3 or more; 0 = round. At level draft every aperture makes the same soft spots
     blade_turn_deg : direction of the aperture's first corner, clockwise from the picture's right
     max_radius_px : largest radius of the blur, at most 1500; 0 = a tenth of the picture's width
     highlight_boost : how much brighter than stored a clipped pixel is taken to be; 0 = as stored"""
