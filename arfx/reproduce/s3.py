@@ -20,7 +20,7 @@ from arfx.reproduce.work import Work, median_s
 from arfx.stages.watercolor.cells import means
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.sites import make_sites, still_field
-from arfx.stages.watercolor.toon import RAMP, ObjectLayers
+from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones
 from arfx.stages.watercolor.toon import toon as corrected_toon
 
 Pair = tuple[float | str, float | str | None]  # by the printed method, by the corrected one
@@ -155,7 +155,8 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     one, none = np.ones((1, n, 3), np.float32), np.zeros((1, n, 3), np.float32)
     hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
     layers = ObjectLayers(*map(packed, (none, one[..., 0], normal, one, none)))
-    soft = corrected_toon(none, layers, up, np.ones(3), np.zeros(3), c.toon_thresholds, c.toon_factors, 1.0, RAMP)[0, :, 0]
+    tones = Tones.of((up, np.ones(3)), np.zeros(3), c.toon_thresholds, c.toon_factors)
+    soft = corrected_toon(none, layers, tones)[0, :, 0]
     (low, high), (low_soft, high_soft) = _thresholds(hard, cosine), _thresholds(soft, cosine)
     yield _not_stated("toon listing, first threshold", high, high_soft, "the line with the first `if` is missing")
     yield number("toon listing, second threshold", "0.2", (low, low_soft), "n · l")

@@ -46,7 +46,7 @@ from arfx.stages.watercolor.reference import labels_within
 from arfx.stages.watercolor.rows import Cells, Picture, combine_labels, offset
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, SiteField, Sites, make_sites
 from arfx.stages.watercolor.temporal import backward_flow, temporal_blend
-from arfx.stages.watercolor.toon import EVEN, RAMP, ObjectLayers, toon, toon_light
+from arfx.stages.watercolor.toon import EVEN, ObjectLayers, Tones, toon, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
 
 PAD_PX = 4  # around the model's box: what its raster may touch, and the smoothing before lines
@@ -170,13 +170,11 @@ class Watercolor(Stage):
         if not shown.any():
             return Picture(image)
         light = view.light
-        direction, radiance = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
-        even = EVEN * np.clip(light.ambient_rgb, 0, radiance)
+        towards = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
+        even = EVEN * np.clip(light.ambient_rgb, 0, towards[1])
+        tones = Tones.of(towards, even, p.toon_thresholds, p.toon_factors, view.facts.opacity)
         (top, left), (h, w) = (-(-n // every) for n in (top, left)), shown.shape
-        patch = toon(
-            image[top : top + h, left : left + w], layers, direction, radiance, even, p.toon_thresholds, p.toon_factors,
-            view.facts.opacity, RAMP, first, every,
-        )  # fmt: skip
+        patch = toon(image[top : top + h, left : left + w], layers, tones, first, every)
         return Picture(image, patch, top, left)
 
     def _shown(self, view: View) -> Picture:

@@ -47,9 +47,9 @@ class ObjectLayers(NamedTuple):
     emissive: np.ndarray
 
 
-class _Tones(NamedTuple):
-    """light (3,) : towards it;  direct, even (3,) : radiance of a white surface;  at (2,), factors (3,) : of the tones
-    opacity : of the object;  ramp : of n . l over which a step is spread"""
+class Tones(NamedTuple):
+    """All float32. light (3,) : towards it;  direct, even (3,) : radiance of a white surface that faces it, of which `even` is in
+    every tone;  at (2,), factors (3,) : of the tones;  opacity : of the object;  ramp : of n . l over which a step is spread"""
 
     light: np.ndarray
     direct: np.ndarray
@@ -59,29 +59,30 @@ class _Tones(NamedTuple):
     opacity: np.float32
     ramp: np.float32
 
+    @staticmethod
+    def of(
+        light: tuple[np.ndarray, np.ndarray], even: np.ndarray, thresholds: tuple[float, float],
+        factors: tuple[float, float, float], opacity: float = 1.0,
+    ) -> Tones:  # fmt: skip
+        """light : of `toon_light`;  even : (3,) part of its radiance that every tone has"""
+        (direction, radiance), f32 = light, np.float32
+        direct, at = (radiance - even).astype(f32), np.array(thresholds, f32)
+        return Tones(direction.astype(f32), direct, even.astype(f32), at, np.array(factors, f32), f32(opacity), f32(RAMP))
+
 
 def toon(
-    image: np.ndarray, layers: ObjectLayers, direction: np.ndarray, radiance: np.ndarray, even: np.ndarray,
-    thresholds: tuple[float, float], factors: tuple[float, float, float], opacity: float, ramp: float,
-    first: tuple[int, int] = (0, 0), every: int = 1,
+    image: np.ndarray, layers: ObjectLayers, tones: Tones, first: tuple[int, int] = (0, 0), every: int = 1
 ) -> np.ndarray:  # fmt: skip
     """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
 
-    radiance, even : (3,) of a white surface that faces the light, and the part of it that every tone has
-    ramp : of n . l over which a step is spread, 0 = hard
     first, every : (row, column) in the layers that the image's first pixel stands for; each stands for so many along x and y"""
-    f32 = np.float32
     out: np.ndarray = image.copy()
-    tones = _Tones(
-        direction.astype(f32), (radiance - even).astype(f32), even.astype(f32), np.array(thresholds, f32),
-        np.array(factors, f32), f32(opacity), f32(ramp),
-    )  # fmt: skip
     parallel_rows(lambda a, b: _toon(layers, tones, first, every, a, b, out), len(out))
     return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _toon(layers: ObjectLayers, tones: _Tones, first, every, ya, yb, out):  # pragma: no cover - compiled
+def _toon(layers: ObjectLayers, tones: Tones, first, every, ya, yb, out):  # pragma: no cover - compiled
     virtual, coverage, normal, albedo, emissive = layers
     light, direct, even, at, factors, opacity, ramp = tones
     zero, one = np.float32(0), np.float32(1)

@@ -19,7 +19,7 @@ from arfx.stages.watercolor.pigment import paper_grain, repeat_tile, wobble_tile
 from arfx.stages.watercolor.rows import Picture
 from arfx.stages.watercolor.sites import STEPS, SiteField, still_field
 from arfx.stages.watercolor.temporal import backward_flow, temporal_blend
-from arfx.stages.watercolor.toon import RAMP, ObjectLayers, toon, toon_light
+from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, toon, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
 from tests.scenes import camera, facts, scene
 
@@ -130,10 +130,8 @@ def tones(ramp: float) -> np.ndarray:
     image = np.full((1, n, 3), 0.2, np.float32)
     albedo = np.full((1, n, 3), 0.5, np.float32)
     one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
-    light = np.array([0, 0, 1.0]), np.ones(3), np.zeros(3)
-    made = toon(
-        image, ObjectLayers(*map(packed, (image, one, normal, albedo, none))), *light, (0.5, 0.2), (1, 0.4, 0.1), 1.0, ramp
-    )
+    of = Tones.of((np.array([0, 0, 1.0]), np.ones(3)), np.zeros(3), (0.5, 0.2), (1, 0.4, 0.1))._replace(ramp=np.float32(ramp))
+    made = toon(image, ObjectLayers(*map(packed, (image, one, normal, albedo, none))), of)
     return made[0, :, 0]
 
 
