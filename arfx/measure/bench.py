@@ -88,9 +88,9 @@ def bench(
     for size in sizes:
         cells = make_cells(bench_scene(*size), stage, level, stages)
         if not cells:
-            raise ConfigError(
-                f"in the standard scene of {size[0]}x{size[1]} px there is nothing for {stage!r} to do", "a larger one: 1280x720"
-            )
+            what = stage or f"level {level}"
+            why = f"in the standard scene of {size[0]}x{size[1]} px there is nothing for {what} to do"
+            raise ConfigError(why, "another size, such as 1280x720")
         _interleave(cells, size, lambda done, total, size=size: progress(f"bench {size[0]}x{size[1]}", done, total))  # type: ignore[misc]
         rows += [c.to_json(errors or shipped_errors()) for c in cells]
     return rows
@@ -121,7 +121,7 @@ def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Map
 
 
 def _cells(at: BenchScene, stages: Mapping[str, Stage], wanted: Collection[str], level: str | None) -> list[Cell]:
-    """Of the stages with these names; none where the scene is too small for them."""
+    """Of the stages with these names; none where the scene does not call for them."""
     standard = {name: level_named(s.levels, "standard") for name, s in stages.items()}
     whole = at.scene.camera.rect
     plan = plan_frame(list(stages.values()), standard, at.facts, at.scene, whole)

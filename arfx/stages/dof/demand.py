@@ -23,6 +23,11 @@ def object_radius_px(facts: FrameFacts, coc: CircleOfConfusion) -> float:
     return coc.largest_px((1 / near, 1 / far))
 
 
+def _blurred_object_box(facts: FrameFacts, frame: Rect, radius_px: float) -> Rect:
+    """Pixels that the object's blur may change: at draft they lie up to twice the radius away, where its layer ends."""
+    return object_box(facts, frame, 2 * radius_px)
+
+
 def demand(facts: FrameFacts, frame: Rect, coc: CircleOfConfusion, real: Real | None, grid: np.ndarray) -> Demand:
     """real : None = the real scene keeps its own blur"""
     on_object = object_radius_px(facts, coc)
@@ -32,7 +37,7 @@ def demand(facts: FrameFacts, frame: Rect, coc: CircleOfConfusion, real: Real | 
         return Demand(EMPTY, f"largest blur circle {2 * largest:.1f} px < 1 px")
     rect = EMPTY
     if on_object > SHARP_PX:
-        rect = object_box(facts, frame, on_object)
+        rect = _blurred_object_box(facts, frame, on_object)
     if real is not None and on_real > SHARP_PX:
         rect = rect.union(blurred_rect(real, grid, coc).clip(frame))
     words = f"blur circles up to {2 * largest:.1f} px"
@@ -74,7 +79,7 @@ def needs(
         need = need.union(out.pad(3 * _margin_px(on_real, draft)))
     if on_object > SHARP_PX:
         # an edge's disc is continued outside of it: light, its own continuation, and what that is taken from
-        need = need.union(out.clip(object_box(facts, frame, on_object)).pad(3 * _margin_px(on_object, draft)))
+        need = need.union(out.clip(_blurred_object_box(facts, frame, on_object)).pad(3 * _margin_px(on_object, draft)))
     return need.clip(frame)
 
 

@@ -1,6 +1,7 @@
 """The corrected formula, level draft: each layer is looked up in its image pyramid, by the radius of the pixel that is made.
 
-That is the blur of the other levels wherever the radius changes slowly over the picture."""
+That is the blur of the other levels wherever the radius changes slowly over the picture. Behind a blurred object the plane's
+light counts whole, though the object takes a part of it (`sharp_frame._seen_behind`)."""
 
 from __future__ import annotations
 
@@ -72,7 +73,7 @@ def render(
             to[:, a:b] = at.real.crop(Rect(a, top, b, bottom))
         else:
             place, odd = (top, *base.window[:2]), base.odd[0]
-            columns = a, b, *at.reached[k]
+            columns = a, b, *at.blurred[k]  # beside them nothing is blurred, and parts of the plate may not be made
             mipmap.composite_real(to, state, columns, place, odd, _SHARE, base.values[0], radius, at.real, at.visibility)
         any_sharp = any([layer.composite(to, state, here) for layer in occluders])
         restore(to, state, top, (a, b), any_sharp, at.real, at.bits, at.at)

@@ -238,7 +238,7 @@ def composite_real(
     """Columns of out (rows, w, 3) = the real scene from its row at[0], blurred where its radius (h, w) asks for it, there state
     (rows, w) = BLURRED.
 
-    columns : first and behind the last; those between which the radius is known
+    columns : first and behind the last; those between which anything is blurred
     at : row that out begins with, corner x, y of the window of which coarse (m, n, 4) is level 1"""
     image, patch, box = real
     (begin, end, lo, hi), (top, left, first_row) = columns, at

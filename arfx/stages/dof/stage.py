@@ -1,7 +1,7 @@
 """Dof: the blur of a stated thin lens on real and virtual pixels alike, in linear light.
 
-Every pixel's light is spread over its blur circle (disc or n-blade), energy kept, at a resolution that fits the circle's
-size; the real scene and the virtual object are two layers, so that a blurred silhouette lets through what is behind it.
+Every pixel's light is spread over its blur circle (disc or n-blade), energy kept (but at draft), at a resolution that fits the
+circle's size; the real scene and the virtual object are two layers, so that a blurred silhouette lets through what is behind it.
 Where the circle stays below 1 px nothing changes, bit for bit. While the object fades in or out the lens opens with it.
 Levels: draft looks light up in an image pyramid (mipmap.py), where highlights become soft spots. standard and high differ in the
 resolution at which a disc is spread (pyramid.py); high has the full one up to 28 px, and moves the discs of slanted planes to

@@ -70,9 +70,7 @@ class Tones(NamedTuple):
         return Tones(direction.astype(f32), direct, even.astype(f32), at, np.array(factors, f32), f32(opacity), f32(RAMP))
 
 
-def toon(
-    image: np.ndarray, layers: ObjectLayers, tones: Tones, first: tuple[int, int] = (0, 0), every: int = 1
-) -> np.ndarray:  # fmt: skip
+def toon(image: np.ndarray, layers: ObjectLayers, tones: Tones, first: tuple[int, int] = (0, 0), every: int = 1) -> np.ndarray:
     """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
 
     first, every : (row, column) in the layers that the image's first pixel stands for; each stands for so many along x and y"""

@@ -77,7 +77,7 @@ def test_a_scene_that_is_too_small_for_a_stage_is_passed_over(monkeypatch) -> No
     monkeypatch.setattr(costs, "SLOW_SCENES", ())
     assert all(p.spread >= UNCALIBRATED for p in calibrate(output=False, stage="dof").prices.values()), "as it was shipped"
     assert calibrate(output=False, stage="raster").prices["raster/draft"].runs > 0
-    with pytest.raises(ConfigError, match="64x64 px there is nothing for 'dof'"):
+    with pytest.raises(ConfigError, match="64x64 px there is nothing for dof"):
         bench([(64, 64)], "dof")
 
 

@@ -194,6 +194,23 @@ def test_only_what_a_circle_reaches_changes(level: str) -> None:
     assert not np.array_equal(out, image)
 
 
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("aperture_px", [50.0, 150.0])
+def test_the_objects_blur_ends_within_what_is_called_for(level: str, aperture_px: float) -> None:
+    """A white box before a black plate, to 1/8 of a code."""
+    at = shot("bright", tilt_deg=0.0, fit_m=0.05)
+    black = np.zeros((*at.layers[Layer.COVERAGE].shape, 3), np.float32)
+    image = np.repeat(at.layers[Layer.COVERAGE][..., None], 3, 2)
+    at = with_layers(at, plate=black, image=image, virtual=image, shadow=np.ones_like(black))
+    params = {"aperture_px": aperture_px, "focus": "1.5m", "scope": "virtual"}
+    asked = Dof(DofParams(**params)).demand(at.facts, at.scene, at.scene.camera.rect).rect  # type: ignore[arg-type]
+    outside = np.ones(black.shape[:2], bool)
+    outside[asked.slices] = False
+    assert outside.sum() > 1000, "the picture goes on"
+    out = blurred(at, level, **params)
+    assert out[outside].max() < 4e-5 and out.sum() == pytest.approx(image.sum(), rel=0.06)
+
+
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
 def test_a_crop_gives_the_same_bits(level: str) -> None:
     """Also what the contract's laws ask for, here exactly and with every kind of layer."""
