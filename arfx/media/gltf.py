@@ -15,7 +15,41 @@ MAX_PARTS = 10_000  # mesh instances: each is a part with a transform of its own
 _LISTS = ("accessors", "bufferViews", "buffers", "images", "materials", "meshes", "nodes", "scenes", "textures")
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # glTF 2.0 section 3.6.2.2
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_PACKED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}  # without a decoder all vertices would be 0
+# What is done with each extension: "" = read, else what will be missing where it is only used.
+# Those that are not in the table, or not read, must not be in extensionsRequired.
+_EXTENSIONS = {
+    "KHR_materials_emissive_strength": "",
+    "KHR_materials_ior": "",
+    "KHR_materials_specular": "",
+    "EXT_texture_webp": "",
+    "KHR_xmp_json_ld": "",
+    "KHR_lights_punctual": "its lamps: the clip's own light is used",
+    "KHR_materials_variants": "its variants: the default one is shown",
+    "KHR_materials_clearcoat": "clear coat",
+    "KHR_materials_transmission": "transmission: glass looks solid",
+    "KHR_materials_volume": "colour by depth of glass",
+    "KHR_materials_sheen": "sheen of cloth",
+    "KHR_materials_iridescence": "iridescence",
+    "KHR_materials_anisotropy": "anisotropic highlights",
+    "KHR_materials_dispersion": "dispersion",
+    "KHR_materials_unlit": "light that is painted in: it is lit as any surface",
+    "KHR_materials_pbrSpecularGlossiness": "its colours: the metallic-roughness values beside them are used",
+    "KHR_mesh_quantization": "the scale of whole-numbered coordinates",
+    "KHR_texture_transform": "shifted, turned or scaled textures",
+    "KHR_node_visibility": "hidden nodes: they are shown",
+    "EXT_mesh_gpu_instancing": "copies of meshes: one of each is shown",
+    "KHR_animation_pointer": "animation",
+}
+_CONVERT = "npx @gltf-transform/cli"
+_CONVERTERS = {
+    "KHR_draco_mesh_compression": "copy",
+    "EXT_meshopt_compression": "copy",
+    "KHR_texture_basisu": "ktxdecompress",
+    "EXT_texture_avif": "png",
+    "KHR_mesh_quantization": "dequantize",
+    "KHR_materials_pbrSpecularGlossiness": "metalrough",
+}
+_MAPS = {"normalTexture": "normal maps", "occlusionTexture": "occlusion maps"}
 _TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TEXCOORD_0": "VEC2"}
 
 
@@ -34,6 +68,7 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
         raise _damaged(path, f"its JSON: {e}") from None
     if not isinstance(header, dict):
         raise _damaged(path, "its JSON is no object")
+    _check_version(header, path)
     for name in _LISTS:
         rows = header.get(name, [])
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
@@ -43,22 +78,57 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
 
 def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
     """Notices of what is left out. Raises InputError: damaged, or more faces or parts than can be handled."""
-    required = header.get("extensionsRequired")
-    if packed := _PACKED & set(map(str, required if isinstance(required, list) else ())):
-        raise InputError(f"model {path} is compressed ({', '.join(sorted(packed))})", "export it without mesh compression")
+    left_out = _check_extensions(header, path)
     try:
         faces = _faces_of_meshes(header, path)
         _count_instances(header, faces, path)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as e:
-        raise _damaged(path, f"{type(e).__name__}: {e}") from e
-    left_out = [
+        raise _damaged(path, _in_words(e)) from e
+    at_rest = [
         f"{len(header[key])} {what}{'s' if len(header[key]) > 1 else ''}"
         for key, what in (("animations", "animation"), ("skins", "skin"))
         if isinstance(header.get(key), list) and header[key]
     ]
     if any("targets" in p for m in header.get("meshes", []) for p in m["primitives"]):
-        left_out.append("morph targets")
-    return [f"model {path.name}: {' and '.join(left_out)} left out: it is shown as it stands at rest"] if left_out else []
+        at_rest.append("morph targets")
+    notices = []
+    if at_rest:
+        what = " and ".join(at_rest)
+        notices.append(f"model {path.name}: {what} left out: it is shown as it stands at rest")
+    left_out += [what for key, what in _MAPS.items() if any(key in m for m in header.get("materials", []))]
+    return notices + [f"model {path.name}: left out {what}" for what in left_out]
+
+
+def _check_version(header: dict[str, Any], path: Path) -> None:
+    asset = header.get("asset")
+    version = str(asset.get("version", "2.0") if isinstance(asset, dict) else "2.0")[:20]
+    if not version.startswith("2."):
+        hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
+        raise InputError(f"model {path} is glTF {version}, glTF 2.0 is read", hint)
+
+
+def _check_extensions(header: dict[str, Any], path: Path) -> list[str]:
+    """What extensions that are used leave out. Raises InputError: one that is required is not read."""
+    required, used = _names(header, "extensionsRequired"), _names(header, "extensionsUsed")
+    for name in required:
+        if _EXTENSIONS.get(name) != "":
+            how = f": {_CONVERT} {_CONVERTERS[name]} {path.name} NEW.glb" if name in _CONVERTERS else ""
+            raise InputError(f"model {path} requires {name}, which is not read", f"export it without{how}")
+    texts = {name: _EXTENSIONS.get(name, "an extension that is not read") for name in used}
+    return [f"{text} ({name})" for name, text in texts.items() if text]
+
+
+def _names(header: dict[str, Any], key: str) -> list[str]:
+    rows = header.get(key)
+    return [str(row)[:80] for row in rows] if isinstance(rows, list) else []
+
+
+def _in_words(e: Exception) -> str:
+    """What the JSON lacks, without Python's terms."""
+    if isinstance(e, KeyError):
+        return f"{e.args[0]} is missing" if isinstance(e.args[0], str) else f"{e.args[0]} is not known"
+    own = isinstance(e, (ValueError, IndexError)) and "list" not in str(e)
+    return str(e) if own else "a value in its JSON is of the wrong kind"
 
 
 def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]]:
