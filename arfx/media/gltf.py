@@ -32,12 +32,12 @@ _EXTENSIONS = {
     "KHR_materials_iridescence": "iridescence",
     "KHR_materials_anisotropy": "anisotropic highlights",
     "KHR_materials_dispersion": "dispersion",
-    "KHR_materials_unlit": "light that is painted in: it is lit as any surface",
-    "KHR_materials_pbrSpecularGlossiness": "its colours: the metallic-roughness values beside them are used",
-    "KHR_mesh_quantization": "the scale of whole-numbered coordinates",
-    "KHR_texture_transform": "shifted, turned or scaled textures",
-    "KHR_node_visibility": "hidden nodes: they are shown",
-    "EXT_mesh_gpu_instancing": "copies of meshes: one of each is shown",
+    "KHR_materials_unlit": "",
+    "KHR_materials_pbrSpecularGlossiness": "",
+    "KHR_mesh_quantization": "",
+    "KHR_texture_transform": "",
+    "KHR_node_visibility": "",
+    "EXT_mesh_gpu_instancing": "",
     "KHR_animation_pointer": "animation",
 }
 _CONVERT = "npx @gltf-transform/cli"
@@ -46,8 +46,6 @@ _CONVERTERS = {
     "EXT_meshopt_compression": "copy",
     "KHR_texture_basisu": "ktxdecompress",
     "EXT_texture_avif": "png",
-    "KHR_mesh_quantization": "dequantize",
-    "KHR_materials_pbrSpecularGlossiness": "metalrough",
 }
 _MAPS = {"normalTexture": "normal maps", "occlusionTexture": "occlusion maps"}
 _TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TEXCOORD_0": "VEC2"}

@@ -31,9 +31,12 @@ class ModelFolder:
         self.folder = path.absolute().parent.resolve()
         self.files: list[Path] = [path]
         self.left_out: dict[str, str] = {}
+        self.memory: dict[str, bytes] = {}  # by name, what was made from the file and is in none
 
     def get(self, name: str) -> bytes:
         """The file that a model calls `name`. Raises InputError: not in the folder, not a regular file, too large."""
+        if name in self.memory:
+            return self.memory[name]
         try:
             found = self._find(name)
             data = read_bytes(found, "model part")

@@ -18,6 +18,7 @@ from arfx.core.numerics import normalise
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import MAX_FACES, check_gltf, gltf_header
+from arfx.media.gltf_rewrite import rewrite
 from arfx.media.model_files import ModelFolder, restrict_pillow
 from arfx.media.model_materials import Textures, material_of, precise_factors, vertex_colours
 from arfx.media.model_normals import smooth_by_angle
@@ -60,14 +61,17 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     level = log.level
     log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
     try:
-        parts = _read(data, kind, folder, header, notices)
+        content, form, left_out = rewrite(data, kind, header, folder)
+        check_gltf(header, path)
+        parts = _read(content, form, folder, header, notices)
+        notices += left_out
     except ArfxError:
         raise
     except ImportError as e:
         raise InputError(f"cannot read model {path}: {e}", "convert it to GLB, OBJ, PLY or STL") from e
     except Exception as e:  # trimesh's parsers raise whatever they stumble over, and hand on what they did not look at
         what = str(e).split("\n")[0][:300]
-        if isinstance(e, (TypeError, AttributeError, AssertionError, LookupError)) or not what:
+        if isinstance(e, (TypeError, AttributeError, AssertionError, LookupError)) or not what or "shape" in what:
             what = "its values do not fit together"
         raise InputError(f"cannot read model {path} ({what})", "the file is damaged or not what its name says") from e
     finally:

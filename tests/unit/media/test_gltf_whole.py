@@ -95,3 +95,97 @@ def test_messages_hold_no_python(tmp_path, broken):
     with pytest.raises(InputError) as e:
         w.load(tmp_path)
     assert not any(t in str(e.value) for t in ("Error", "NoneType", "'int'", "object"))
+
+
+def corners(model):
+    return np.concatenate([p.vertices[p.faces] for p in model.parts])
+
+
+def same_surface(model):
+    got = corners(model)
+    assert len(got) == 2
+    assert np.cross(got[:, 1] - got[:, 0], got[:, 2] - got[:, 0])[:, 2] == pytest.approx([1, 1])
+
+
+@pytest.mark.parametrize(("mode", "order", "given"), [(6, [0, 1, 2, 3], True), (5, [0, 1, 3, 2], True), (6, [0, 1, 2, 3], False)])
+def test_fans_and_strips(tmp_path, mode, order, given):
+    w = Writer()
+    w.primitive(np.array(order, np.uint8) if given else None, mode, POSITION=w.accessor(SQUARE))
+    same_surface(w.load(tmp_path))
+
+
+def test_sparse_positions_with_and_without_a_base(tmp_path):
+    for base in (True, False):
+        w = Writer()
+        at = w.accessor(np.zeros((4, 3), np.float32))
+        row = w.tree["accessors"][at]
+        if not base:
+            del row["bufferView"]
+        rows, values = w.view(np.arange(1, 4, dtype=np.uint16).tobytes()), w.view(SQUARE[1:].tobytes())
+        row["sparse"] = {"count": 3, "indices": {"bufferView": rows, "componentType": 5123}, "values": {"bufferView": values}}
+        w.primitive(POSITION=at)
+        same_surface(w.load(tmp_path))
+
+
+def test_quantised_positions_and_coordinates(tmp_path):
+    w = Writer()
+    w.tree["extensionsRequired"] = ["KHR_mesh_quantization"]
+    w.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+    uv = w.accessor((SQUARE[:, :2] * 65535).astype(np.uint16), normalized=True)
+    place = w.accessor((SQUARE * 127).astype(np.int8), normalized=True)
+    w.primitive(POSITION=place, TEXCOORD_0=uv)["material"] = 0
+    model = w.load(tmp_path)
+    same_surface(model)
+    assert model.parts[0].uv == pytest.approx(model.parts[0].vertices[:, :2], abs=1e-6)
+
+
+def test_second_set_of_coordinates_and_transform(tmp_path):
+    w = Writer()
+    change = {"offset": [0.25, 0.5], "rotation": np.pi / 2, "scale": [0.5, 2.0], "texCoord": 1}
+    slot = {"index": 0, "texCoord": 0, "extensions": {"KHR_texture_transform": change}}
+    w.tree["extensionsRequired"] = ["KHR_texture_transform"]
+    w.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": slot}}]
+    zero, one = w.accessor(np.zeros((4, 2), np.float32)), w.accessor(np.ascontiguousarray(SQUARE[:, :2]))
+    w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=zero, TEXCOORD_1=one)["material"] = 0
+    part = w.load(tmp_path).parts[0]
+    u, v = part.vertices[:, 0] * 0.5, part.vertices[:, 1] * 2.0
+    assert part.uv == pytest.approx(np.stack([0.25 + v, 0.5 - u], 1), abs=1e-6)  # the extension's own matrices
+
+
+def test_hidden_node_and_instances(tmp_path):
+    w = square()
+    hidden = {"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": False}}}
+    places = w.accessor(np.array([[0, 0, 0], [5, 0, 0], [0, 7, 0]], np.float32))
+    copies = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places}}}
+    w.tree["nodes"] = [{"children": [1, 2]}, hidden, {"mesh": 0, "extensions": copies}]
+    model = w.load(tmp_path)
+    assert model.face_count == 6
+    assert model.bounds[1] == pytest.approx([6, 8, 0])
+
+
+def test_unlit_is_emission_and_glossy_is_converted(tmp_path):
+    w = square()
+    colour = {"baseColorFactor": [0.2, 0.4, 0.6, 1.0]}
+    glossy = {"diffuseFactor": [0.0, 0.0, 0.0, 1.0], "specularFactor": [0.9, 0.6, 0.3], "glossinessFactor": 0.75}
+    w.tree["materials"] = [
+        {"pbrMetallicRoughness": colour, "extensions": {"KHR_materials_unlit": {}}},
+        {"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}},
+    ]
+    w.tree["meshes"][0]["primitives"][0]["material"] = 0
+    w.primitive(POSITION=0)["material"] = 1
+    unlit, metal = (p.material for p in w.load(tmp_path).parts)
+    assert unlit.emissive == pytest.approx((0.2, 0.4, 0.6))
+    assert unlit.base_colour == (0, 0, 0, 1)
+    assert unlit.specular == 0
+    assert (metal.metallic, metal.roughness) == pytest.approx((1.0, 0.25))
+    assert metal.base_colour[:3] == pytest.approx((0.9, 0.6, 0.3))
+
+
+def test_wrap_modes_are_told_where_they_matter(tmp_path):
+    for scale, told in ((1, False), (2, True)):
+        w = Writer()
+        w.tree |= {"samplers": [{"wrapS": 33071}], "textures": [{"sampler": 0}]}
+        w.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+        uv = w.accessor(np.ascontiguousarray(SQUARE[:, :2] * scale, np.float32))
+        w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=uv)["material"] = 0
+        assert any("wrap" in n for n in w.load(tmp_path).notices) == told
