@@ -59,6 +59,9 @@ def explained(e: BaseException) -> tuple[int, str]:
         return e.exit_code, str(e)
     if isinstance(e, OSError):
         return 5, f"{e.strerror or e}{f': {e.filename}' if e.filename else ''}"
+    if isinstance(e, MemoryError):
+        what = f"there is not enough memory: {e}" if str(e) else "there is not enough memory"
+        return 5, f"{what}\nhelp: close programs, raise the limit (ulimit -v), or --workers 1"
     # a fault of arfx itself: one message all the same
     return 5, f"arfx failed: {type(e).__name__}: {e}\nhelp: ARFX_DEBUG=1 shows where; please report it"
 

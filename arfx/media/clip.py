@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import av
 import numpy as np
@@ -197,15 +198,39 @@ def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
     return int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3]) if m else None
 
 
-def match_by_time(taken_s: np.ndarray, times_s: list[float]) -> list[int | None]:
-    """Number of what was recorded nearest to each frame (a depth map, a pose), None where nothing is near. taken_s : rising"""
-    if len(taken_s) == 1:
-        return [0] * len(times_s)
-    most_s = 0.75 * float(np.median(np.diff(taken_s)))
-    times = np.asarray(times_s, float)
-    after = np.clip(np.searchsorted(taken_s, times), 1, len(taken_s) - 1)
-    nearest = after - (times - taken_s[after - 1] <= taken_s[after] - times)
-    return [int(k) if abs(taken_s[k] - t) <= most_s else None for k, t in zip(nearest, times, strict=True)]
+class Match(NamedTuple):
+    """What was recorded about a frame's time. before, after : numbers of the two around it, or twice the only one
+    share : of the way from one to the other, 0..1;  near : whether one of them was taken at the frame's time"""
+
+    before: int
+    after: int
+    share: float
+    near: bool
+
+    @property
+    def nearest(self) -> int:
+        return self.after if self.share > 0.5 else self.before
+
+
+def match_by_time(taken_s: np.ndarray, times_s: list[float], near_s: float, gap_s: float = 0.0) -> list[Match | None]:
+    """What was recorded (depth maps, poses) around each frame, None where nothing is near. taken_s : rising
+    near_s : so far from a frame it is still of the frame's time;  gap_s : longest time between two that tell what lies between"""
+    after = np.searchsorted(taken_s, times_s, "right")
+    found: list[Match | None] = []
+    for t, k in zip(times_s, after.tolist(), strict=True):
+        i, j = max(k - 1, 0), min(k, len(taken_s) - 1)
+        since, until = abs(t - taken_s[i]), abs(taken_s[j] - t)
+        near, between = bool(min(since, until) <= near_s), bool(i < j and taken_s[j] - taken_s[i] <= gap_s)
+        share = float(since / (since + until)) if i < j else 0.0
+        if near and not between:
+            share = float(share > 0.5)
+        found.append(Match(i, j, share, near) if near or between else None)
+    return found
+
+
+def spacing_s(times_s: Sequence[float]) -> float:
+    """Usual time from one to the next; 0 for a single one."""
+    return float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
 
 
 def match_in_order(what: str, held: int, frames: int, before: int, whole: bool, hint: str) -> list[int | None]:

@@ -38,6 +38,7 @@ def test_times_in_the_names_pair_with_the_nearest_frame(tmp_path: Path) -> None:
     found = open_depth(maps(tmp_path / "d", *names))
     assert found.of_frames([0.0, 0.02, 0.04, 0.07, 0.12, 0.16, 1.0], 0, whole=True) == [0, 1, 1, 2, None, 3, None]
     assert open_depth(tmp_path / "d", start_s=0.05).of_frames([0.0, 0.05, 0.08], 0, whole=True) == [None, 0, 1]
+    assert found.of_frames([0.081, 0.086, 0.15], 0, whole=True) == [2, None, 3]  # no farther than half of the spacing
 
 
 def test_one_map_is_for_all_frames(tmp_path: Path) -> None:
