@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Sequence
@@ -166,8 +167,7 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
     full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
     full = full or (layout.kind == "gray" and range_tag == 0)
     stated = stated and (layout.kind != "rgb" or space in (0, UNSPECIFIED))
-    sides: dict[str, Any] = {s.type.name: s for s in list(first.side_data)}  # type: ignore[attr-defined]
-    turn = struct.unpack("=9i", bytes(sides["DISPLAYMATRIX"])[:36]) if "DISPLAYMATRIX" in sides else None
+    turn = _display_matrix(first)
     orientation, exact = orientation_of(turn)
     if not exact:
         notices.append("the display matrix is no multiple of 90 degrees; the nearest is used")
@@ -190,6 +190,20 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
         None if duration is None else float(duration), of_video, stream.index,
         tuple(_describe(s, s.index == stream.index) for s in container.streams), tuple(notices),
     )  # fmt: skip
+
+
+def _display_matrix(picture: av.VideoFrame) -> tuple[int, ...] | None:
+    """FFmpeg's nine numbers (libavutil/display.h), None where the picture has none."""
+    try:
+        sides = picture.side_data
+    except ValueError:  # PyAV lists none where it does not know the type of one, as of EXIF; the turn alone it knows
+        if not picture.rotation:
+            return None
+        angle = math.radians(picture.rotation)
+        c, s = (round(f(angle) * (1 << 16)) for f in (math.cos, math.sin))
+        return c, -s, 0, s, c, 0, 0, 0, 1 << 30
+    named: dict[str, Any] = {s.type.name: s for s in list(sides)}  # type: ignore[attr-defined]
+    return struct.unpack("=9i", bytes(named["DISPLAYMATRIX"])[:36]) if "DISPLAYMATRIX" in named else None
 
 
 def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
