@@ -69,7 +69,7 @@ def test_the_marker_is_seen_in_the_same_directions_in_both(tmp_path: Path) -> No
         camera, _ = opened(info.path, file)
         (marker,) = MarkerDetector(["36h11"], 12.0).search(image[..., 1].copy())
         corners = pose_at(0, 2).apply(MARKER.corners_m)
-        np.testing.assert_allclose(camera.normalised(marker.quad_px), corners[:, :2] / corners[:, 2:], atol=6e-3)  # 1 px
+        np.testing.assert_allclose(camera.normalised(marker.quad_px), corners[:, :2] / corners[:, 2:], atol=0.012)  # 2 px
 
 
 def test_a_calibration_of_another_shape_is_refused_still(tmp_path: Path) -> None:
