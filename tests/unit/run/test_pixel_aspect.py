@@ -27,7 +27,7 @@ def squeezed(path: Path, width: int, aspect: Fraction, turned: bool = False) -> 
     """One frame of a scene that is 384x216 when it is displayed, and the picture that is stored, upright."""
     image = picture(pose_at(0, 2), clip_camera(*SHOWN))
     image = cv2.resize(image, (width, SHOWN[1]), interpolation=cv2.INTER_AREA)
-    stored = np.ascontiguousarray(np.rot90(image)) if turned else image
+    stored = np.ascontiguousarray(np.rot90(image) if turned else image, np.uint8)
     with av.open(str(path), "w") as out:
         stream = out.add_stream("libx264", rate=24, options={"crf": "4"})
         stream.height, stream.width = stored.shape[:2]
