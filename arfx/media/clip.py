@@ -21,6 +21,7 @@ from arfx.media.codecs import check_size, open_video
 from arfx.media.planes import FrameFormat, Orientation, PixelLayout, orientation_of, working_layout
 
 UNSPECIFIED = 2
+MAX_PIXEL_ASPECT = 10.0  # anamorphic video reaches 2
 _MATRIX = {1: "bt709", 4: "fcc", 5: "bt601", 6: "bt601", 7: "smpte240m", 9: "bt2020", 10: "bt2020"}  # ITU-T H.273 table 4
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # H.273 table 3
 _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
@@ -88,6 +89,14 @@ class ClipInfo(Document):
         return orientation_of(self.display_matrix)[0]
 
     @property
+    def pixel_aspect(self) -> float:
+        """Width of an upright pixel over its height. 1 also where the file states what no lens or screen has."""
+        if self.sample_aspect is None or not _plausible(self.sample_aspect):
+            return 1.0
+        stated = float(self.sample_aspect)
+        return 1 / stated if self.orientation.transpose else stated
+
+    @property
     def layout(self) -> PixelLayout:
         """The working format of its frames."""
         return working_layout(self.pixel_format)[0]
@@ -101,6 +110,10 @@ class ClipInfo(Document):
             self.layout, self.coded_width, self.coded_height, self.time_base, self.matrix, self.full_range,
             self.transfer, self.chroma_location, self.orientation,
         )  # fmt: skip
+
+
+def _plausible(aspect: Fraction) -> bool:
+    return 1 / MAX_PIXEL_ASPECT <= aspect <= MAX_PIXEL_ASPECT
 
 
 def _is_cover(stream: Any) -> bool:
@@ -174,7 +187,12 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
     if first.interlaced_frame:
         notices.append("the clip is interlaced; its fields are processed as one picture")
     w, h = (first.height, first.width) if orientation.transpose else (first.width, first.height)
-    sample = stream.sample_aspect_ratio
+    sample = Fraction(stream.sample_aspect_ratio or 1)
+    if sample != 1:
+        shown = f"{round(first.width * sample)}x{first.height}"
+        used = f"displayed as {shown}" if _plausible(sample) else "which is not plausible and not used"
+        stored = f"stored as {first.width}x{first.height}"
+        notices.append(f"the pixels are not square: {stored}, pixel aspect {sample.numerator}:{sample.denominator}, {used}")
     duration = stream.duration * stream.time_base if stream.duration else _tagged_duration(stream.metadata)
     of_video = duration is not None or len(container.streams) == 1
     if duration is None and container.duration:
@@ -185,7 +203,7 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
         container.format.name, first.format.name, layout.depth, matrix, full, Fraction(stream.time_base), stated,
         space, range_tag, int(trc), int(first.color_primaries or ctx.color_primaries),
         "center" if ctx.name in _MIDDLE_SITED else "left", transfer, turn,
-        Fraction(sample) if sample and sample not in (0, 1) else None,
+        sample if sample != 1 else None,
         first.pts if first.pts is not None else (first.dts or 0), stream.frames or None,
         None if duration is None else float(duration), of_video, stream.index,
         tuple(_describe(s, s.index == stream.index) for s in container.streams), tuple(notices),

@@ -143,14 +143,14 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
     info = probe(config.input.clip, Transfer(config.input.transfer))
     notices = list(info.notices)
     if config.input.camera is None:
-        camera = Camera.guess(info.width, info.height)
+        camera = Camera.guess(info.width, info.height, pixel_aspect=info.pixel_aspect)
         notices.append(
             f"no --camera: the focal length is a guess ({camera.fx:.0f} px, {camera.source}); sizes and perspective may be off"
         )
     else:
         loaded = load_camera(config.input.camera)
         notices += camera_warnings(loaded)
-        camera = loaded.scaled_to(info.width, info.height)
+        camera = loaded.scaled_to(info.width, info.height, info.pixel_aspect)
         if camera is not loaded:
             notices.append(f"camera calibration scaled from {loaded.width}x{loaded.height} to {info.width}x{info.height}")
     return info, camera, notices
