@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from arfx.core.numerics import divide
-from arfx.core.opener import folder_entries, is_folder, read_bytes
+from arfx.core.opener import folder_entries, is_folder, read_bytes, regular
 from arfx.errors import InputError
 from arfx.media.clip import match_by_time, match_in_order, spacing_s
 from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
@@ -106,6 +106,8 @@ def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.
     found = [p for p in folder_entries(path, "depth folder") if p.suffix.lower() in SUFFIXES]
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
+    for p in found:
+        regular(p, "depth map")  # a pipe would be waited for
     kinds = sorted({p.suffix.lower() for p in found})
     if len(kinds) > 1:
         raise InputError(f"depth folder {path} holds {' and '.join(kinds)} files", "maps of one kind only")

@@ -58,30 +58,30 @@ class CameraPath:
 def load_poses(path: Path) -> CameraPath:
     """Raises InputError: missing, a line that is no pose, times that do not rise."""
     text = read_text(path, "poses")
-    rows, columns = [], 0
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.split("#")[0].replace(",", " ").split()
-        if not words:
-            continue
-        try:
-            values = np.array([float(w) for w in words])
-        except ValueError:
-            values = np.zeros(0)
-        length = math.hypot(*values[-4:]) if len(values) in (7, 8) else 0.0
-        alike = len(values) in (7, 8) and columns in (0, len(values))
-        if not (alike and (np.abs(values) <= _MAX_VALUE).all() and abs(length - 1) <= _UNIT_TOLERANCE):
-            where, hint = f"poses {path}, line {number}", "tx ty tz qx qy qz qw, perhaps the time before them"
-            raise InputError(f"{where}: {line.strip()!r} is not a pose", hint)
-        columns = len(values)
-        rows.append(values)
-    if not rows:
+    given = [(n, words) for n, line in enumerate(text.splitlines(), 1) if (words := line.split("#")[0].replace(",", " ").split())]
+    if not given:
         raise InputError(f"poses {path} hold no line", "text lines of tx ty tz qx qy qz qw")
-    table = np.array(rows)
-    rotations = [rotation_from_quaternion(*(q / np.linalg.norm(q))[[3, 0, 1, 2]]) for q in table[:, -4:]]
-    poses = tuple(Pose(r, t).inverse() for r, t in zip(rotations, table[:, -7:-4], strict=True))
+    columns = len(given[0][1])
+    for number, words in given:
+        if len(words) != columns or columns not in (7, 8) or not _is_pose(words):
+            where, hint = f"poses {path}, line {number}", "tx ty tz qx qy qz qw, perhaps the time before them"
+            raise InputError(f"{where}: {' '.join(words[:9])[:200]!r} is not a pose", hint)
+    table = np.array([words for _, words in given], float)
+    q = table[:, -4:] / np.linalg.norm(table[:, -4:], axis=1, keepdims=True)
+    turned = np.moveaxis(rotation_from_quaternion(*q.T[[3, 0, 1, 2]]), -1, 0).transpose(0, 2, 1)
+    moved = -np.einsum("nij,nj->ni", turned, table[:, -7:-4])
+    poses = tuple(map(Pose, turned, moved))
     if columns == 7:
         return CameraPath(path, poses, None)
     times = table[:, 0] - table[0, 0]
     if (np.diff(times) <= 0).any():
         raise InputError(f"poses {path}: the times do not rise")
     return CameraPath(path, poses, tuple(times.tolist()))
+
+
+def _is_pose(words: list[str]) -> bool:
+    try:
+        values = [float(w) for w in words]
+    except ValueError:
+        return False
+    return all(abs(v) <= _MAX_VALUE for v in values) and abs(math.hypot(*values[-4:]) - 1) <= _UNIT_TOLERANCE

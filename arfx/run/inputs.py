@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from arfx.analyse.markers.pattern import check_turned, coded_luma
 from arfx.config.sections import JobConfig, PatternSection
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
@@ -94,10 +95,12 @@ def check_complete(config: JobConfig) -> None:
 
 
 def job_prints(config: JobConfig) -> tuple[JobConfig, dict[str, np.ndarray]]:
-    """The job with the heights of its patterns, and their pictures by key. Raises InputError."""
-    specs, prints = [], {}
+    """The job with the heights of its patterns, and their pictures by key.
+    Raises InputError, and ConfigError for one that looks the same turned."""
+    specs, prints, light = [], {}, config.params["light"]
     for spec in config.patterns:
         prints[spec.key], shape = load_print(spec.image)
+        check_turned(spec.key, coded_luma(prints[spec.key], light.ink, light.paper))
         specs.append(spec if spec.height_m else replace(spec, height_m=spec.size_m * shape))
     return config.model_copy(update={"pattern": tuple(PatternSection(spec=s) for s in specs)}), prints
 

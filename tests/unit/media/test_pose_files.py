@@ -68,3 +68,12 @@ def test_what_is_no_pose_is_said(text: str, tmp_path: Path) -> None:
         load_poses(path)
     with pytest.raises(InputError):
         load_poses(tmp_path / "none.txt")
+
+
+def test_a_message_does_not_hold_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "p.txt"
+    path.write_text("0 " * 100_000)
+    with pytest.raises(InputError, match="line 1") as e:
+        load_poses(path)
+    assert len(str(e.value)) < 1000
+    assert len(str(InputError("x" * 10**6, "y" * 10**6))) < 6000
