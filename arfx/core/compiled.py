@@ -14,6 +14,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -73,7 +74,7 @@ class CacheLocator:
 
     @classmethod
     def from_function(cls, py_func: FunctionType, py_file: str) -> CacheLocator | None:
-        _accept_indexes_of_removed_types()
+        _take_damaged_files_for_stale()
         ours = py_func.__module__.partition(".")[0] in _PACKAGES and os.path.exists(py_file)  # noqa: PTH110
         return cls(py_func, py_file) if ours else None
 
@@ -91,18 +92,24 @@ class CacheLocator:
 
 
 @functools.cache
-def _accept_indexes_of_removed_types() -> None:
-    """An index that names a type which the code no longer has is stale; numba alone fails when it reads one."""
+def _take_damaged_files_for_stale() -> None:
+    """numba alone fails when it reads one: cut short, or of a type that the code no longer has. It is compiled again."""
     index_file = import_module("numba.core.caching").IndexDataCacheFile
-    load = index_file._load_index
+    load_index, load_data = index_file._load_index, index_file._load_data
 
-    def load_or_empty(self: Any) -> Any:
+    def index_or_empty(self: Any) -> Any:
         try:
-            return load(self)
-        except (AttributeError, ImportError):
+            return dict(load_index(self))
+        except Exception:  # whatever damaged bytes make `pickle` raise
             return {}
 
-    index_file._load_index = load_or_empty
+    def data_or_missing(self: Any, name: str) -> Any:
+        try:
+            return load_data(self, name)
+        except Exception as e:
+            raise FileNotFoundError(name) from e
+
+    index_file._load_index, index_file._load_data = index_or_empty, data_or_missing
 
 
 class _Stamp:
@@ -173,12 +180,17 @@ def _file_digest(file: str) -> bytes:
     return hashlib.sha256(Path(file).read_bytes()).digest()
 
 
+# Folders of compiled code, of which files are unpickled, that are not used as others may write to them.
+open_folders: list[Path] = []
+
+
 @functools.cache
 def code_folder(folder: Path) -> Path:
     """Where the compiled code of the modules in this folder is kept: the first place that can be written of NUMBA_CACHE_DIR,
     beside the modules, the user's cache folder, and one for this run. Code that was shipped with the package is copied."""
     beside = folder / "__pycache__"
-    shipped = sorted(beside.glob("*.nb[ic]"))
+    trusted = not beside.exists() or not _open_to_others(beside)
+    shipped = sorted(beside.glob("*.nb[ic]")) if trusted else []
     state = [str(folder), *((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in shipped)]
     name = f"{folder.name}-{hashlib.sha256(repr(state).encode()).hexdigest()[:16]}"
     given = os.environ.get(_FOLDER)
@@ -212,19 +224,35 @@ def _folder_of_this_run() -> Path:
     return Path(folder)
 
 
+def _open_to_others(place: Path) -> bool:
+    """Whether another user owns the folder, or may write or replace it. One of the user's own group may not be another."""
+    if os.name != "posix":
+        return False
+    status, above = place.stat(), place.parent.stat()
+    alone = {os.getgid()} if os.getuid() == os.getgid() else set()
+    shared = [s.st_mode & (0o002 if s.st_gid in alone else 0o022) for s in (status, above)]
+    replaceable = shared[1] and not above.st_mode & stat.S_ISVTX
+    owners = {0, os.getuid(), Path(__file__).stat().st_uid}
+    return bool(shared[0] or replaceable or status.st_uid not in owners)
+
+
 def _prepare_folder(place: Path, shipped: list[Path]) -> bool:
-    """Make the folder, with copies of these files if it is new. False if it cannot be written."""
+    """Make the folder, with copies of these files if it is new. False if it cannot be written, or others may write to it."""
     try:
+        place.parent.mkdir(parents=True, exist_ok=True)
         if shipped and not place.exists():
             aside = place.with_name(f"{place.name}.{os.getpid()}")
-            aside.mkdir(parents=True, exist_ok=True)
+            aside.mkdir(0o755, exist_ok=True)
             for file in shipped:
                 shutil.copy2(file, aside / file.name)
             try:
                 aside.rename(place)
             except OSError:  # another process was quicker
                 shutil.rmtree(aside, ignore_errors=True)
-        place.mkdir(parents=True, exist_ok=True)
+        place.mkdir(0o755, exist_ok=True)
+        if _open_to_others(place):
+            open_folders.append(place)
+            return False
         tempfile.TemporaryFile(dir=place).close()
     except OSError:
         return False

@@ -85,15 +85,19 @@ def folder_entries(folder: Path, kind: str = "folder") -> list[Path]:
 def read_bytes(path: Path | str, kind: str) -> bytes:
     """The whole file. Raises InputError as `regular` does."""
     path = regular(path, kind)
+    limit = LIMITS[kind][0] * MIB
     try:
         # not blocking: what was a file a moment ago may be a pipe now
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with os.fdopen(handle, "rb") as f:
-            _check_status(os.fstat(handle), path, kind)
-            data = f.read(int(LIMITS[kind][0] * MIB) + 1)  # files of /proc say that they hold nothing
+            status = os.fstat(handle)
+            _check_status(status, path, kind)
+            data = f.read(status.st_size + 1)
+            while len(data) > status.st_size and len(data) <= limit and (more := f.read(MIB)):
+                data += more  # it grows, or is one of /proc, which say that they hold nothing
     except OSError as e:
         raise _unreadable(path, kind, e) from None
-    if len(data) > LIMITS[kind][0] * MIB:
+    if len(data) > limit:
         raise _too_large(path, kind, len(data))
     return data
 

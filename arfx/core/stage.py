@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -17,6 +18,7 @@ from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.errors import ArfxError, RenderError
 
 LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
 
@@ -122,6 +124,7 @@ class Stage:
     history: int = 0  # earlier frames that it looks at
     padding_px: int = 0  # input pixels that it takes around each output pixel
     terms: ClassVar[tuple[str, ...]] = ("frames", "mpx", "object_mpx")  # its price is linear in these (core/cost.py)
+    distribution: ClassVar[str] = ""  # of a plug-in, with its version: set when it is loaded
     without_object: ClassVar[bool] = False  # it also runs in frames in which the object is not visible
 
     def __init__(self, params: Any = None) -> None:
@@ -164,6 +167,22 @@ class Stage:
         raise NotImplementedError
 
 
+@contextlib.contextmanager
+def blamed(stage: Stage, when: str) -> Iterator[None]:
+    """What a plug-in raises in the body, arfx's errors apart, becomes a RenderError that names it."""
+    try:
+        yield
+    except ArfxError:
+        raise
+    except (Exception, SystemExit) as e:
+        if not stage.distribution:
+            raise
+        raise RenderError(
+            f"stage {stage.name!r} of {stage.distribution} fails {when}: {type(e).__name__}: {e}",
+            "tell its authors (ARFX_DEBUG=1 shows where), or leave it out",
+        ) from e
+
+
 @dataclass(frozen=True, eq=False)
 class ReadyStage:
     """A stage at one level, with what it prepared for a clip and what it keeps; threads may share it."""
@@ -176,7 +195,8 @@ class ReadyStage:
 
     @staticmethod
     def of(stage: Stage, scene: Scene, level: str) -> ReadyStage:
-        return ReadyStage(stage, scene, level, stage.prepare(scene, level))
+        with blamed(stage, "while it prepares"):
+            return ReadyStage(stage, scene, level, stage.prepare(scene, level))
 
     def view(self, layers: Layers, facts: FrameFacts, out: Rect | None = None, before: tuple[View, ...] = ()) -> View:
         """out : None = all"""

@@ -24,6 +24,7 @@ from arfx.core.codec import Document
 from arfx.core.machine import processor_name, usable_cores
 from arfx.errors import ArfxError
 from arfx.run.memory import free_mb
+from arfx.stages import STAGES
 
 PACKAGES = (
     "numpy", "opencv-contrib-python-headless", "av", "scipy", "numba", "scikit-image", "trimesh", "embreex",
@@ -50,7 +51,13 @@ def examine(folder: Path) -> list[Check]:
     from arfx.stages.raster import backend_report
 
     renderers = (Check("renderer", b.name, b.opens, b.detail, b.fix) for b in backend_report())
-    return [*_python(), *renderers, *_codecs(), *_resources(folder), _compiled()]
+    return [*_python(), *renderers, *_codecs(), *_resources(folder), _compiled(), *_plugins()]
+
+
+def _plugins() -> Iterator[Check]:
+    for name in STAGES.plugins:
+        wrong = STAGES.broken.get(name)
+        yield Check("plug-in", name, wrong is None, wrong.message if wrong else "loads", wrong.hint if wrong else "")
 
 
 def essentials_work(checks: list[Check]) -> bool:

@@ -51,7 +51,8 @@ def page(
 def full_page(title: str, sections: Sequence[str]) -> str:
     """page.html (style, and the slider before and after) with a title and these sections of HTML, empty ones left out."""
     frame = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-    return frame.replace("@TITLE@", escaped(title)).replace("@BODY@", "\n".join(s for s in sections if s))
+    before, _, after = frame.partition("@BODY@")
+    return before.replace("@TITLE@", escaped(title)) + "\n".join(s for s in sections if s) + after
 
 
 def escaped(value: Any) -> str:

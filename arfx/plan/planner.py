@@ -15,7 +15,7 @@ from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Skip, Step
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Demand, Stage
+from arfx.core.stage import Demand, Stage, blamed
 
 ABSENT = "marker not visible"
 UNREAD = "nobody reads what it writes"
@@ -75,7 +75,8 @@ def _changed(chosen: Sequence[tuple[Stage, Demand]]) -> Rect:
 def _demand(stage: Stage, facts: FrameFacts, scene: Scene, frame: Rect, skip: bool) -> Demand:
     if not (facts.present or stage.without_object):
         return Demand(EMPTY, ABSENT)
-    demand = stage.demand(facts, scene, frame)
+    with blamed(stage, f"when frame {facts.index} is planned"):
+        demand = stage.demand(facts, scene, frame)
     return demand if skip or not facts.present else Demand(frame, FORCED, demand.within_earlier)
 
 

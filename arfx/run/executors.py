@@ -114,6 +114,7 @@ def _serve(pipe: Any) -> None:
     import cv2
 
     cv2.setNumThreads(1)
+    sys.stdout = sys.stderr  # for results of the command
     with contextlib.suppress(EOFError, OSError):  # the parent has ended
         while True:
             work, task = pipe.recv()

@@ -17,7 +17,7 @@ from arfx.core.pixels import Attenuated, Pixels, Region
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import ReadyStage, Stage
+from arfx.core.stage import ReadyStage, Stage, blamed
 from arfx.errors import RenderError
 from arfx.media.frame import Frame
 
@@ -110,7 +110,8 @@ def run_frame(
     past : layers of the frames before, oldest first, as many as the longest history asks for
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
-    Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite."""
+    Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite; with the distribution, what a
+    plug-in raises, and a layer that it does not say it writes."""
     layers = FrameLayers(plate, plan.rect)
     if real_depth_m is not None:
         layers.put(Layer.REAL_DEPTH, real_depth_m, plan.rect, plan.rect)
@@ -129,10 +130,15 @@ def run_frame(
         before = tuple(at.view(c.read.get(stage.name) or c.view(stage.reads, step.need), f) for c, f in earlier)
         if stage.history:
             layers.read[stage.name] = seen
-        for name, output in stage.run(at.view(seen, facts, step.out, before), at.prepared).items():
-            new = layers.put(name, output, step.need, step.out)
-            if name is not Layer.DEPTH:  # infinite where nothing is
-                _require_finite(new, name, stage.name, facts.index)
+        with blamed(stage, f"in frame {facts.index}"):
+            for name, output in stage.run(at.view(seen, facts, step.out, before), at.prepared).items():
+                if name not in stage.writes:
+                    writes = ", ".join(sorted(stage.writes))
+                    raise ValueError(f"it returns a layer {name!r}; it writes {writes}")
+                layer = Layer(name)
+                new = layers.put(layer, output, step.need, step.out)
+                if layer is not Layer.DEPTH:  # infinite where nothing is
+                    _require_finite(new, layer, stage.name, facts.index)
         seconds[stage.name] = seconds.get(stage.name, 0.0) + own_time() - start
     return FrameResult(plan.changed, seconds, layers)
 

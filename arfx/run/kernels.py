@@ -115,6 +115,11 @@ def compiling(first: Sequence[Kernel], then: Sequence[Kernel], progress: Progres
     with interrupt.deferred():  # to look at a kernel imports its module
         needed = [kernel for kernel in first if not kernel.is_cached]
         missing = needed + [kernel for kernel in then if not kernel.is_cached]
+    if compiled.open_folders:
+        notice(
+            f"compiled code in {compiled.open_folders[0]} is not used, others may write there: chmod go-w takes that from them"
+        )
+        compiled.open_folders.clear()
     if missing:
         if not compiled.cache_persists():
             notice("compiled code cannot be kept, every run compiles again: set NUMBA_CACHE_DIR to a folder that can be written")

@@ -5,7 +5,9 @@ Modules are imported when a stage is looked up, so that help stays quick."""
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import sys
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
@@ -45,10 +47,16 @@ class Classes(Mapping[str, Any]):
 class Table(Classes):
     """Stages in running order.
 
-    Raises ConfigError, with the distribution, for a plug-in that cannot be loaded or placed, or whose name is taken."""
+    Raises ConfigError, with the distribution, for a plug-in whose name is taken, and when one is looked up that cannot be loaded
+    or placed: jobs that do not name it are done without it."""
 
     def __getitem__(self, name: str) -> Any:
-        return super().__getitem__(name) if name in self._paths else self._loaded(name, self.plugins[name])
+        if name in self._paths:
+            return super().__getitem__(name)
+        point = self.plugins[name]
+        if name in self.broken:
+            raise self.broken[name]
+        return self._loaded(name, point)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._order)
@@ -73,35 +81,57 @@ class Table(Classes):
             path = path.parent
         return path, "" if dist is None else dist.version
 
-    @cached_property
+    @property
+    def broken(self) -> Mapping[str, ConfigError]:
+        """Plug-ins that cannot be loaded or placed, with what is wrong."""
+        return self._placed[1]
+
+    @property
     def _order(self) -> tuple[str, ...]:
-        order, waiting = list(self._paths), sorted(self.plugins)
+        return self._placed[0]
+
+    @cached_property
+    def _placed(self) -> tuple[tuple[str, ...], Mapping[str, ConfigError]]:
+        order, waiting, broken = list(self._paths), [], {}
+        loaded: dict[str, Any] = {}
+        for name, point in sorted(self.plugins.items()):
+            try:
+                loaded[name] = self._loaded(name, point)
+                waiting.append(name)
+            except ConfigError as e:
+                broken[name] = e
         while waiting:
-            name = next((n for n in waiting if not self[n].after or self[n].after in order), None)
-            if name is None:
-                name, after = waiting[0], self[waiting[0]].after
-                raise ConfigError(
+            ready = [n for n in waiting if not loaded[n].after or loaded[n].after in order]
+            if not ready:
+                name = waiting.pop(0)
+                after = loaded[name].after
+                broken[name] = ConfigError(
                     f"stage {name!r} of {_distribution(self.plugins[name])} is to run after {after!r}, which there is not",
                     f"one of {', '.join(order)}",
                 )
+                continue
+            name = ready[0]
             waiting.remove(name)
-            stage = self[name]
-            before = [stage.after] if stage.after else [n for n in order if self[n].writes & stage.reads]
+            stage = loaded[name]
+            known = {n: loaded[n] if n in loaded else Classes.__getitem__(self, n) for n in order}
+            before = [stage.after] if stage.after else [n for n in order if known[n].writes & stage.reads]
             order.insert(order.index(before[-1]) + 1 if before else 0, name)
-        return tuple(order)
+        return tuple(order), broken
 
     def _loaded(self, name: str, point: EntryPoint) -> Any:
         from arfx.core.stage import Stage
 
         try:
-            stage = point.load()
-        except Exception as e:  # whatever another's module raises
+            with contextlib.redirect_stdout(sys.stderr):  # standard output is for results
+                stage = point.load()
+        except (Exception, SystemExit) as e:  # whatever another's module raises
             raise ConfigError(
                 f"stage {name!r} of {_distribution(point)} cannot be loaded: {type(e).__name__}: {e}",
                 "uninstall it, or install a version that fits this arfx",
             ) from e
         if not (isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name):
             raise ConfigError(f"{point.value} of {_distribution(point)} is not a Stage named {name!r}", "uninstall it")
+        stage.distribution = _distribution(point)
         return stage
 
 

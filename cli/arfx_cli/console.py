@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -14,6 +15,7 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 COMPILING = "compiling kernels for this processor, once"
+_OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 
 
@@ -23,6 +25,14 @@ def _set_level(context: click.Context, parameter: click.Parameter, given: bool) 
     level = -1 if parameter.name == "quiet" else 1
     if context.meta.setdefault(_LEVEL, level) != level:
         raise click.UsageError("--verbose and --quiet contradict each other: give one of them", context)
+
+
+def _keep_output(context: click.Context, parameter: click.Parameter, given: bool) -> bool:
+    """With --json, what plug-ins and libraries print goes to standard error while the command runs."""
+    if given:
+        context.meta[_OUTPUT] = sys.stdout
+        context.with_resource(contextlib.redirect_stdout(sys.stderr))
+    return given
 
 
 def _level() -> int:
@@ -37,7 +47,7 @@ def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
                      help="Only warnings and errors on standard error."),
         click.option("-v", "--verbose", is_flag=True, expose_value=False, callback=_set_level,
                      help="More detail on standard error."),
-        click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output."),
+        click.option("--json", "as_json", is_flag=True, callback=_keep_output, help="One JSON document on standard output."),
     ):  # fmt: skip
         f = option(f)
     return f
@@ -73,8 +83,10 @@ def detail(message: str) -> None:
 def emit_json(document: Any) -> None:
     from arfx.core.numerics import finite
 
-    json.dump(finite(document), sys.stdout, indent=1)
-    sys.stdout.write("\n")
+    context = click.get_current_context(silent=True)
+    output: Any = context.meta.get(_OUTPUT, sys.stdout) if context else sys.stdout
+    json.dump(finite(document), output, indent=1)
+    output.write("\n")
 
 
 def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> None:

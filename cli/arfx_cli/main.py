@@ -98,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             code = cli.main(args=arguments, prog_name="arfx", standalone_mode=False)
             with interrupt.committing():  # a signal that came before counts, also one that a library swallowed
                 pass
-        except (Exception, KeyboardInterrupt) as e:
+        except (Exception, KeyboardInterrupt, SystemExit) as e:
             code = _report_error(e)
         code = code if isinstance(code, int) else 0
         interrupt.commit(code)
@@ -109,6 +109,8 @@ def _report_error(e: BaseException) -> int:
     """Say what went wrong in one message. Returns the exit code; raises `e` again where tracebacks are wanted."""
     if interrupt.pending() and not isinstance(e, JobInterruptedError):  # whatever a library has made of it
         e = KeyboardInterrupt()
+    elif isinstance(e, click.Abort) and isinstance(e.__cause__, EOFError):  # which click takes for Ctrl-D
+        e = e.__cause__
     if isinstance(e, (KeyboardInterrupt, click.Abort)):
         code = interrupt.exit_code() or 130
         click.echo(interrupt.cause(), err=True)
@@ -116,7 +118,7 @@ def _report_error(e: BaseException) -> int:
     if isinstance(e, click.ClickException):
         e.show()
         return e.exit_code
-    if os.environ.get("ARFX_DEBUG") == "1":
+    if os.environ.get("ARFX_DEBUG") == "1" and not isinstance(e, SystemExit):
         raise e
     code, message = explained(e)
     click.echo(f"error: {message}", err=True)

@@ -12,6 +12,7 @@ import click
 import cv2
 import pytest
 
+from arfx.core import lens
 from arfx_cli.main import COMMANDS, cli, main
 from tests.cli.conftest import Material, Result, Run
 from tests.unit.calibrate.boards import CHESS, poses, render
@@ -161,3 +162,22 @@ def test_terminated_leaves_no_temporary_folder(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(tmp_path)}, check=False)
     assert done.returncode == 143 and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("raised", [EOFError("Ran out of input"), SystemExit(0)])
+def test_what_a_library_raises_is_neither_an_interruption_nor_success(
+    raised: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(**_: object) -> None:
+        raise raised
+
+    monkeypatch.setattr("arfx_cli.doctor.command.callback", fail)
+    with pytest.raises(SystemExit) as ended:
+        main(["doctor"])
+    assert ended.value.code == 5 and f"arfx failed: {type(raised).__name__}" in capsys.readouterr().err
+
+
+def test_what_is_printed_on_the_way_does_not_spoil_json(arfx: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("arfx.papers.s2_lens.printed_limits", lambda *_: print("hello") or lens.depth_of_field(*_))
+    r = arfx("lens", "--focal", "50mm", "--fnumber", "2.8", "--distance", "2m", "--json")
+    assert r.json["fnumber"] == 2.8 and "hello" in r.err

@@ -198,3 +198,37 @@ def test_nothing_else_names_the_flag() -> None:
     root = Path(compiled.__file__).parents[2]
     naming = [p.name for folder in ("arfx", "cli", "tools") for p in (root / folder).rglob("*.py") if "_nrt" in p.read_text()]
     assert naming == ["compiled.py"]
+
+
+@pytest.mark.parametrize("ending", [".nbi", ".1.nbc"])
+@pytest.mark.parametrize("how", ["empty", "cut", "noise"])
+def test_a_damaged_file_is_stale(tmp_path: Path, ending: str, how: str) -> None:
+    compiled.CacheLocator.from_function(test_a_damaged_file_is_stale, __file__)  # which teaches numba
+    kept = IndexDataCacheFile(str(tmp_path), "f", "stamp")
+    kept.save("key", list(range(100)))
+    file = tmp_path / f"f{ending}"
+    whole = file.read_bytes()
+    file.write_bytes({"empty": b"", "cut": whole[: len(whole) // 2], "noise": whole[:-8] + b"\xff" * 8}[how])
+    assert kept.load("key") is None
+    kept.save("key", [1])
+    assert kept.load("key") == [1], "it is compiled again, and kept"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
+def test_a_folder_that_others_may_write_to_is_not_used_and_nothing_is_copied_from_it(
+    tree: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "open_folders", [])
+    (tree / "__pycache__").chmod(0o777)
+    kept = compiled.code_folder(tree)
+    assert kept.is_relative_to(tmp_path / "home") and not [*kept.iterdir()]
+    named = tmp_path / "named"
+    named.mkdir()
+    named.chmod(0o777)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(named))
+    compiled.code_folder.cache_clear()
+    assert compiled.code_folder(tree) == kept
+    assert named in {folder.parent for folder in compiled.open_folders}
+    named.chmod(0o1777)  # as /tmp is: nobody replaces another's folder
+    compiled.code_folder.cache_clear()
+    assert compiled.code_folder(tree).parent == named

@@ -117,3 +117,17 @@ def test_a_folder_is_listed_without_what_is_hidden_or_refused(tmp_path: Path, mo
     monkeypatch.setattr(Path, "iterdir", refused)
     with pytest.raises(InputError, match=r"folder .* cannot be read: Permission denied"):
         folder_entries(tmp_path)
+
+
+def test_memory_is_asked_for_by_the_files_size(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    (tmp_path / "a.json").write_bytes(b"1" * 3000)
+    with Path("/proc/self/statm").open() as f:
+        used = int(f.read().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + 64 * MIB, before[1]))
+    try:
+        assert len(read_bytes(tmp_path / "a.json", "report")) == 3000
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+    assert read_bytes("/proc/self/stat", "report"), "which says that it holds nothing"

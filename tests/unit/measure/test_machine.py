@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from arfx.errors import ConfigError
 from arfx.measure import machine
 from arfx.measure.machine import Check, essentials_work, examine
 
@@ -41,3 +43,10 @@ def test_sound_needs_the_essential_and_one_renderer() -> None:
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
     (disk,) = [c for c in machine._resources(tmp_path / "none") if c.name == "disk"]
     assert not disk.ok and disk.fix
+
+
+def test_a_plug_in_that_does_not_load_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = {"mist": ConfigError("stage 'mist' of one 1.2 cannot be loaded", "uninstall it")}
+    monkeypatch.setattr(machine, "STAGES", SimpleNamespace(plugins={"mist": None, "haze": None}, broken=broken))
+    haze, mist = sorted(machine._plugins(), key=lambda c: c.name)
+    assert haze.ok and not mist.ok and "one 1.2" in mist.detail and mist.fix == "uninstall it"

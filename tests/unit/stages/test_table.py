@@ -5,11 +5,19 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
-from arfx.errors import ConfigError
+from arfx.core.layers import Layer
+from arfx.core.plan import FramePlan, Step
+from arfx.core.rect import Rect
+from arfx.core.stage import ReadyStage, Stage, View
+from arfx.errors import ConfigError, RenderError
 from arfx.run.folder import code_digest
+from arfx.run.frame import run_frame
 from arfx.stages import Table
 
 BUILT_IN = {
@@ -86,11 +94,51 @@ def test_a_built_in_name_is_taken(install: Install) -> None:
     [
         ({"source": "import a_module_that_is_not_there"}, r"'mist' of one 1\.2 cannot be loaded: ModuleNotFoundError"),
         ({"source": "class Effect: pass"}, r"one_of_mist:Effect of one 1\.2 is not a Stage named 'mist'"),
+        ({"source": "raise SystemExit(0)"}, r"'mist' of one 1\.2 cannot be loaded: SystemExit: 0"),
         ({"cls": "Other"}, r"'mist' of one 1\.2 cannot be loaded: AttributeError"),
         ({"after": "fog"}, r"'mist' of one 1\.2 is to run after 'fog', which there is not"),
     ],
 )
 def test_what_is_wrong_with_one_is_said_in_one_message(install: Install, what: dict[str, str], said: str) -> None:
     install("one", "mist", **what)
+    table = Table(BUILT_IN)
     with pytest.raises(ConfigError, match=said):
-        list(Table(BUILT_IN))
+        table["mist"]
+    assert list(table) == list(BUILT_IN), "jobs that do not name it go on"
+    assert list(table.broken) == ["mist"]
+
+
+def test_prints_of_a_plug_in_that_is_loaded_are_no_results(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+    install("one", "mist", source="print('hello')\n" + STAGE)
+    assert "mist" in list(Table(BUILT_IN))
+    assert capsys.readouterr() == ("", "hello\n")
+
+
+class Plug(Stage):
+    name, distribution = "plug", "one 1.2"
+    reads = writes = frozenset({Layer.IMAGE})
+    result: Any = SystemExit(0)
+
+    def run(self, view: View, prepared: Any) -> Any:
+        if isinstance(self.result, BaseException):
+            raise self.result
+        return self.result
+
+
+@pytest.mark.parametrize(
+    ("result", "said"),
+    [
+        (SystemExit(0), r"'plug' of one 1\.2 fails in frame 7: SystemExit: 0"),
+        (ZeroDivisionError("by 0"), r"'plug' of one 1\.2 fails in frame 7: ZeroDivisionError: by 0"),
+        ({"imaeg": None}, r"'plug' of one 1\.2 fails in frame 7: .*layer 'imaeg'; it writes image"),
+        (None, r"'plug' of one 1\.2 fails in frame 7: AttributeError"),
+    ],
+)
+def test_what_a_plug_in_raises_or_returns_wrong_names_it_and_the_frame(result: Any, said: str) -> None:
+    stage, rect = Plug(), Rect(0, 0, 4, 4)
+    stage.result = result
+    scene, facts = SimpleNamespace(seed=0), SimpleNamespace(index=7)
+    ready = {"plug": ReadyStage.of(stage, scene, "standard")}
+    plan = FramePlan(7, rect, rect, (Step("plug", "standard", rect, rect, "", None),), ())
+    with pytest.raises(RenderError, match=said):
+        run_frame(np.zeros((4, 4, 3), np.float32), facts, plan, ready)
