@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections import deque
 from pathlib import Path
@@ -62,6 +63,10 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
         text = data[20 : 20 + struct.unpack("<I", data[12:16])[0]]
     try:
         header = parse_json(text)
+    except UnicodeDecodeError:
+        raise _damaged(path, "its JSON is not UTF-8") from None
+    except json.JSONDecodeError as e:
+        raise _damaged(path, f"its JSON breaks off or is wrong at line {e.lineno}, column {e.colno}") from None
     except ValueError as e:
         raise _damaged(path, f"its JSON: {e}") from None
     if not isinstance(header, dict):
@@ -135,7 +140,8 @@ def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]
     sizes = []
     for number, a in enumerate(accessors):
         if a.get("componentType") not in _COMPONENTS or a.get("type") not in _SHAPES:
-            raise _damaged(path, f"accessor {number} is of type {a.get('componentType')} {a.get('type')!r}")
+            what = "its componentType or type is missing or not one of glTF 2.0"
+            raise _damaged(path, f"accessor {number}: {what}")
         count = _whole(a["count"])
         size = count * _COMPONENTS[a["componentType"]] * _SHAPES[a["type"]]
         if "bufferView" in a and "byteStride" not in (view := views[_index(a["bufferView"], views)]):
@@ -148,6 +154,8 @@ def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]
     for number, mesh in enumerate(header.get("meshes", [])):
         total = 0
         for p in mesh["primitives"]:
+            if _whole(p.get("mode", 4)) > 6:
+                raise _damaged(path, f"mesh {number}: mode {p['mode']} is not known")
             for name, at in p["attributes"].items():
                 a = accessors[_index(at, accessors)]
                 if a["type"] != _TYPES.get(name, a["type"]):
@@ -185,7 +193,7 @@ def _count_instances(header: dict[str, Any], of_mesh: list[tuple[int, int]], pat
 
 def _index(value: Any, rows: list) -> int:
     if _whole(value) >= len(rows):
-        raise IndexError(f"number {value} of {len(rows)}")
+        raise IndexError(f"it refers to entry {value}, counted from 0, of a list of {len(rows)}")
     return int(value)
 
 

@@ -1,11 +1,13 @@
 """glTF brought into the form that trimesh reads whole: plain float accessors, lists of triangles, one set of
-texture coordinates, nodes without extensions. Files that are in that form already are handed on as they are.
+texture coordinates that repeats, metallic-roughness materials, nodes without extensions.
 
-Sections of glTF 2.0: 3.6.2 accessors, 3.7.2 meshes, 3.9 materials."""
+Sections of glTF 2.0: 3.6.2 accessors, 3.7.2 meshes, 3.8.4 samplers, 3.9 materials."""
 
 from __future__ import annotations
 
 import base64
+import collections
+import io
 import json
 import struct
 from collections.abc import Iterator
@@ -13,58 +15,42 @@ from typing import Any
 
 import numpy as np
 
+from arfx.core.colour import SRGB
 from arfx.errors import InputError
 from arfx.media.gltf import MAX_PARTS
-from arfx.media.model_files import ModelFolder
+from arfx.media.model_files import PICTURES, ModelFolder
 
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _FLOAT, _INDEX = 5126, 5125
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_REPEAT = 10497
+_TRIANGLES, _STRIP = 4, 5
+_REPEAT, _CLAMP, _MIRROR = 10497, 33071, 33648
+_LARGEST = 4096**2  # texels of a picture that is made anew
+_ROWS = 256  # of a picture, worked on at a time
+_DIELECTRIC = 0.04  # reflected by what is no metal
 _UNLIT, _GLOSSY = "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness"
 _TRANSFORM, _VISIBLE = "KHR_texture_transform", "KHR_node_visibility"
-_INSTANCES = "EXT_mesh_gpu_instancing"
+_INSTANCES, _WEBP = "EXT_mesh_gpu_instancing", "EXT_texture_webp"
 
 
 def rewrite(data: bytes, kind: str, header: dict[str, Any], folder: ModelFolder) -> tuple[bytes, str, list[str]]:
     """The file as trimesh reads it, its kind, and notices. header : of a glTF file, is changed; {} of other files."""
-    if not header or not _is_needed(header):
+    if not header:
         return data, kind, []
     rewriting = _Rewriting(data, kind, header, folder)
-    rewriting.nodes()
     rewriting.materials()
     rewriting.meshes()
+    rewriting.nodes()
     notices = [f"model {folder.path.name}: {what}" for what in dict.fromkeys(rewriting.notices)]
     return rewriting.result(), "gltf", notices
 
 
-def _is_needed(header: dict[str, Any]) -> bool:
-    accessors = header.get("accessors", [])
-    primitives = [p for m in header.get("meshes", []) for p in m["primitives"]]
-    plain = {"POSITION", "NORMAL", "TEXCOORD_0"}
-    return (
-        any("sparse" in a for a in accessors)
-        or any(p.get("mode", _TRIANGLES) != _TRIANGLES for p in primitives)
-        or any(
-            accessors[at]["componentType"] != _FLOAT for p in primitives for name, at in p["attributes"].items() if name in plain
-        )
-        or any("extensions" in n or "camera" in n for n in header.get("nodes", []))
-        or "scenes" not in header
-        or any(
-            "extensions" in m or any(t.get("texCoord") or "extensions" in t for t in _slots(m))
-            for m in header.get("materials", [])
-        )
-        or any(s.get("wrapS", _REPEAT) != _REPEAT or s.get("wrapT", _REPEAT) != _REPEAT for s in header.get("samplers", []))
-    )
-
-
-def _slots(material: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """The textures of a material that are drawn, colour first."""
+def _slots(material: dict[str, Any]) -> Iterator[tuple[dict[str, Any], str]]:
+    """(owner, key) of the textures of a material that are drawn, colour first."""
     pbr = material.get("pbrMetallicRoughness", {})
     for owner, key in ((pbr, "baseColorTexture"), (pbr, "metallicRoughnessTexture"), (material, "emissiveTexture")):
         if key in owner:
-            yield owner[key]
+            yield owner, key
 
 
 class _Rewriting:
@@ -73,11 +59,9 @@ class _Rewriting:
         self.notices: list[str] = []
         self._added = bytearray()
         self._made: dict[Any, int] = {}
-        header.setdefault("bufferViews", [])
-        header.setdefault("accessors", [])
-        buffers = header.setdefault("buffers", [])
-        self._buffers = [self._bytes_of(b.get("uri"), data, kind) for b in buffers]
-        self._views = len(buffers)
+        for name in ("bufferViews", "accessors", "buffers", "images", "textures", "materials", "meshes", "nodes"):
+            header.setdefault(name, [])
+        self._buffers = [self._bytes_of(b.get("uri"), data, kind) for b in header["buffers"]]
 
     def _bytes_of(self, uri: str | None, data: bytes, kind: str) -> bytes:
         if uri is None:
@@ -89,11 +73,15 @@ class _Rewriting:
 
     def result(self) -> bytes:
         self.header["buffers"] = []
-        for number, content in enumerate([*self._buffers, bytes(self._added)]):
-            name = f"arfx-buffer:{number}"
-            self.folder.memory[name] = content
-            self.header["buffers"].append({"uri": name, "byteLength": len(content)})
+        for content in [*self._buffers, bytes(self._added)]:
+            self.header["buffers"].append({"uri": self._keep(content), "byteLength": len(content)})
         return json.dumps(self.header).encode()
+
+    def _keep(self, content: bytes) -> str:
+        """The name by which trimesh will ask for it."""
+        name = f"arfx:{len(self.folder.memory)}"
+        self.folder.memory[name] = content
+        return name
 
     def read(self, at: int) -> np.ndarray:
         """(count, columns) of an accessor, sparse values put in, normalised whole numbers as floats."""
@@ -126,7 +114,7 @@ class _Rewriting:
             return self._made[key]
         whole = values.dtype.kind in "iu"
         content = np.ascontiguousarray(values, "<u4" if whole else "<f4").tobytes()
-        view = {"buffer": self._views, "byteOffset": len(self._added), "byteLength": len(content)}
+        view = {"buffer": len(self._buffers), "byteOffset": len(self._added), "byteLength": len(content)}
         self._added += content
         self.header["bufferViews"].append(view)
         shape = "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}"
@@ -137,17 +125,22 @@ class _Rewriting:
 
     def nodes(self) -> None:
         """Hidden nodes lose what they show, copies of a mesh become nodes, without scenes every root is shown."""
-        nodes = self.header.get("nodes", [])
-        if "scenes" not in self.header:
+        nodes, scenes = self.header["nodes"], self.header.get("scenes")
+        if not scenes:
             below = {c for n in nodes for c in n.get("children", [])}
             self.header["scenes"] = [{"nodes": [i for i in range(len(nodes)) if i not in below]}]
+            self.header["scene"] = 0
+        elif len(scenes) > 1:
+            self.notices.append(f"{len(scenes)} scenes, number {self.header.get('scene', 0)} is shown (from 0 on)")
         copies = 0
         for node in list(nodes):
-            node.pop("camera", None)
+            node.pop("camera", None)  # trimesh leaves out such a node, and what is below it
             extensions = node.pop("extensions", {})
             if extensions.get(_VISIBLE, {}).get("visible") is False:
                 node.pop("mesh", None)
                 node.pop("children", None)
+            if "mesh" in node and not self.header["meshes"][node["mesh"]]["primitives"]:
+                del node["mesh"]
             where = extensions.get(_INSTANCES, {}).get("attributes", {})
             keys = [k for k in ("TRANSLATION", "ROTATION", "SCALE") if k in where]
             if not keys or "mesh" not in node:
@@ -164,43 +157,100 @@ class _Rewriting:
 
     def materials(self) -> None:
         """Unlit and glossy ones in terms of metallic-roughness."""
-        for number, m in enumerate(self.header.get("materials", [])):
-            m["name"] = f"{m.get('name', 'material')} {number}"  # one of its own: factors are looked up by it
+        names = collections.Counter(m.get("name") for m in self.header["materials"])
+        primitives = [p for m in self.header["meshes"] for p in m["primitives"]]
+        coloured = {p.get("material") for p in primitives if "COLOR_0" in p["attributes"]}
+        for number, m in enumerate(self.header["materials"]):
+            if names[m.get("name")] > 1 or not isinstance(m.get("name"), str):
+                m["name"] = f"{m.get('name', 'material')} {number}"  # one of its own: factors are looked up by it
             extensions = m.get("extensions", {})
             if (glossy := extensions.pop(_GLOSSY, None)) is not None:
                 self._convert_glossy(m, glossy)
-            if extensions.pop(_UNLIT, None) is not None:
-                pbr = m.setdefault("pbrMetallicRoughness", {})
-                r, g, b, alpha = pbr.get("baseColorFactor", [1.0, 1.0, 1.0, 1.0])
-                m["emissiveFactor"] = [r, g, b]
-                m.pop("emissiveTexture", None)
-                if "baseColorTexture" in pbr:
-                    m["emissiveTexture"] = dict(pbr["baseColorTexture"])
-                pbr |= {"baseColorFactor": [0.0, 0.0, 0.0, alpha], "metallicFactor": 0.0, "roughnessFactor": 1.0}
-                m["extensions"] = {"KHR_materials_specular": {"specularFactor": 0.0}}
+            if extensions.pop(_UNLIT, None) is None:
+                continue
+            if number in coloured:  # they are not part of what shines
+                self.notices.append(f"material {m['name']} is unlit with colours by vertex: it is shown lit")
+                continue
+            pbr = m.setdefault("pbrMetallicRoughness", {})
+            r, g, b, alpha = pbr.get("baseColorFactor", [1.0, 1.0, 1.0, 1.0])
+            m["emissiveFactor"] = [r, g, b]
+            m.pop("emissiveTexture", None)
+            if "baseColorTexture" in pbr:
+                m["emissiveTexture"] = dict(pbr["baseColorTexture"])
+            pbr |= {"baseColorFactor": [0.0, 0.0, 0.0, alpha], "metallicFactor": 0.0, "roughnessFactor": 1.0}
+            m["extensions"] = {"KHR_materials_specular": {"specularFactor": 0.0}}
 
     def _convert_glossy(self, m: dict[str, Any], glossy: dict[str, Any]) -> None:
-        """Metal where the specular colour is above a dielectric's 4 % (Khronos' conversion, by factors)."""
-        diffuse = np.array(glossy.get("diffuseFactor", [1.0, 1.0, 1.0, 1.0]), float)
-        specular = np.array(glossy.get("specularFactor", [1.0, 1.0, 1.0]), float)
-        pbr: dict[str, Any] = {"roughnessFactor": 1.0 - float(glossy.get("glossinessFactor", 1.0)), "metallicFactor": 0.0}
-        if "specularGlossinessTexture" in glossy:
-            self.notices.append("left out textures of shine (specular-glossiness)")
-        else:
-            metal = float(np.clip((specular.max() - 0.04) / max(diffuse[:3].max() + specular.max() - 0.04, 1e-6), 0, 1))
-            pbr["metallicFactor"] = metal
-            diffuse[:3] = np.clip(diffuse[:3] / 0.96 * (1.0 - metal) + specular * metal, 0, 1)
-        pbr["baseColorFactor"] = diffuse.tolist()
-        if "diffuseTexture" in glossy:
-            pbr["baseColorTexture"] = glossy["diffuseTexture"]
-        m["pbrMetallicRoughness"] = pbr
+        """Specular-glossiness to metallic-roughness, texel by texel where it has textures."""
+        diffuse = np.array(glossy.get("diffuseFactor", [1.0] * 4), np.float32)
+        shine = np.array([*glossy.get("specularFactor", [1.0] * 3), glossy.get("glossinessFactor", 1.0)], np.float32)
+        slots = [glossy[k] for k in ("diffuseTexture", "specularGlossinessTexture") if k in glossy]
+        pictures = [self._picture(glossy.get(k)) for k in ("diffuseTexture", "specularGlossinessTexture")]
+        given = [p for p in pictures if p is not None]
+        m["pbrMetallicRoughness"] = pbr = {}
+        if not given:
+            base, metal = _metallic(diffuse[None], shine[None])
+            pbr |= {"baseColorFactor": base[0].tolist(), "metallicFactor": float(metal[0])}
+            pbr["roughnessFactor"] = 1.0 - float(shine[3])
+            return
+        size = max(p.size for p in given)
+        texels = [None if p is None else np.asarray(p.resize(size)) for p in pictures]
+        base, rough = np.empty((size[1], size[0], 4), np.uint8), np.zeros((size[1], size[0], 3), np.uint8)
+        for a in range(0, size[1], _ROWS):
+            d, s = (_linear(t, a, f) for t, f in zip(texels, (diffuse, shine), strict=True))
+            d, s = np.broadcast_arrays(d, s)
+            colour, metal = _metallic(d, s)
+            base[a : a + _ROWS, :, :3] = np.round(SRGB.encode(colour[..., :3]) * 255)
+            base[a : a + _ROWS, :, 3] = np.round(colour[..., 3] * 255)
+            rough[a : a + _ROWS, :, 1] = np.round((1.0 - s[..., 3]) * 255)
+            rough[a : a + _ROWS, :, 2] = np.round(metal * 255)
+        pbr["baseColorTexture"] = self._texture(base, slots[0])
+        pbr["metallicRoughnessTexture"] = self._texture(rough, slots[-1])
+
+    def _picture(self, slot: dict[str, Any] | None) -> Any:
+        """The Pillow picture, RGBA, of a texture; None: there is none that can be read, of which trimesh tells, or too large."""
+        from PIL import Image
+
+        if slot is None:
+            return None
+        texture = self.header["textures"][slot["index"]]
+        at = texture.get("extensions", {}).get(_WEBP, texture).get("source")
+        if at is None:
+            return None
+        image = self.header["images"][at]
+        try:
+            if "bufferView" in image:
+                view = self.header["bufferViews"][image["bufferView"]]
+                start = view.get("byteOffset", 0)
+                content = self._buffers[view["buffer"]][start : start + view["byteLength"]]
+            else:
+                content = self._bytes_of(image["uri"], b"", "gltf")
+            picture = Image.open(io.BytesIO(content), formats=PICTURES)
+            return picture.convert("RGBA") if picture.width * picture.height <= _LARGEST else None
+        except (InputError, OSError, ValueError, SyntaxError):
+            return None
+
+    def _texture(self, texels: np.ndarray, like: dict[str, Any]) -> dict[str, Any]:
+        """Reference to a new texture, laid as another one is."""
+        from PIL import Image
+
+        file = io.BytesIO()
+        Image.fromarray(texels).save(file, "TIFF")
+        self.header["images"].append({"uri": self._keep(file.getvalue())})
+        sampler = {k: v for k, v in self.header["textures"][like["index"]].items() if k == "sampler"}
+        self.header["textures"].append(sampler | {"source": len(self.header["images"]) - 1})
+        return like | {"index": len(self.header["textures"]) - 1}
 
     def meshes(self) -> None:
         """Lists of triangles with float coordinates."""
-        materials = self.header.get("materials", [])
-        for p in (p for m in self.header.get("meshes", []) for p in m["primitives"]):
+        laid: dict[int, list[dict[str, int]]] = collections.defaultdict(list)  # attributes by material
+        for m in self.header["meshes"]:
+            m["primitives"] = [p for p in m["primitives"] if "POSITION" in p["attributes"]]
+        for p in (p for m in self.header["meshes"] for p in m["primitives"]):
             at, mode = p["attributes"], p.get("mode", _TRIANGLES)
-            if "POSITION" not in at or mode < _TRIANGLES:
+            p.pop("extensions", None)
+            if mode < _TRIANGLES:
+                p["mode"] = 0  # lines are left out as points are: counted
                 continue
             if mode != _TRIANGLES:
                 p["mode"] = _TRIANGLES
@@ -209,41 +259,104 @@ class _Rewriting:
             elif "indices" in p and "sparse" in self.header["accessors"][p["indices"]]:
                 p["indices"] = self.add(self.read(p["indices"])[:, 0], ("index", p["indices"]))
             if "material" in p:
-                self._texture_coordinates(at, materials[p["material"]])
+                laid[p["material"]].append(at)
             for name in at.keys() & {"POSITION", "NORMAL", "COLOR_0"}:
                 a = self.header["accessors"][at[name]]
                 if "sparse" in a or (a["componentType"] != _FLOAT and name != "COLOR_0"):
                     at[name] = self.add(self.read(at[name]).astype(np.float32), ("values", at[name]))
+        for number, rows in laid.items():
+            self._texture_coordinates(rows, self.header["materials"][number])
 
-    def _texture_coordinates(self, at: dict[str, int], material: dict[str, Any]) -> None:
-        """Those of the colour's texture, transformed, become TEXCOORD_0."""
+    def _texture_coordinates(self, rows: list[dict[str, int]], material: dict[str, Any]) -> None:
+        """Those of the colour's texture, transformed, become TEXCOORD_0 of all that the material covers."""
         slots = list(_slots(material))
         if not slots:
             return
         ways = []
-        for slot in slots:
-            change = slot.get("extensions", {}).get(_TRANSFORM, {})
-            number = change.get("texCoord", slot.get("texCoord", 0))
-            moved = (*change.get("offset", [0, 0]), float(change.get("rotation", 0)), *change.get("scale", [1, 1]))
-            ways.append((number, moved))
+        for owner, key in slots:
+            change = owner[key].get("extensions", {}).get(_TRANSFORM, {})
+            number = change.get("texCoord", owner[key].get("texCoord", 0))
+            ways.append((number, *change.get("offset", [0, 0]), change.get("rotation", 0), *change.get("scale", [1, 1])))
         if len(set(ways)) > 1:
             self.notices.append(f"material {material['name']}: its textures are laid differently, all are shown as the first")
-        name, moved = f"TEXCOORD_{ways[0][0]}", ways[0][1]
-        if name not in at:
-            return
-        uv = self.read(at[name]).astype(float)
-        x, y, angle, wide, high = moved
+        number, x, y, angle, wide, high = ways[0]
+        name = f"TEXCOORD_{number}"
+        rows = [at for at in rows if name in at]
         c, s = np.cos(angle), np.sin(angle)
-        uv = uv * [wide, high] @ np.array([[c, -s], [s, c]]) + [x, y]
-        at["TEXCOORD_0"] = self.add(uv, (name, at[name], moved))
-        beyond = bool((uv < -1e-4).any() or (uv > 1 + 1e-4).any())
-        if beyond and any(self._is_cut(slot) for slot in slots):
-            self.notices.append("textures that end or are mirrored beyond their edge (sampler wrap modes) are repeated")
+        matrix = np.array([[wide * c, -wide * s], [high * s, high * c]])
+        laid = {at[name]: self.read(at[name]) @ matrix + [x, y] for at in rows}
+        low, size = self._repeating(material, slots, list(laid.values()))
+        for at in rows:
+            uv = laid[at[name]]
+            at["TEXCOORD_0"] = self.add((uv - low) / size, (name, at[name], ways[0], *low, *size))
 
-    def _is_cut(self, slot: dict[str, Any]) -> bool:
+    def _repeating(self, material: dict, slots: list, laid: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Makes textures that end or are mirrored beyond their edges into larger ones that repeat.
+
+        Returns low, size : (2,) what part of the texture plane they cover, where one picture is 1 x 1."""
+        low, size = np.zeros(2), np.ones(2)
+        every = np.concatenate([np.zeros((1, 2)), *laid])
+        every = every[np.isfinite(every).all(1)]
+        modes = [self._wraps(owner[key]) for owner, key in slots]
+        for axis in range(2):
+            least, most = every[:, axis].min(), every[:, axis].max()
+            found = {m[axis] for m in modes}
+            if least < -1e-4 or most > 1 + 1e-4:
+                if _CLAMP in found:
+                    low[axis] = np.floor(least)
+                    size[axis] = max(np.ceil(most), 1) - low[axis]
+                elif _MIRROR in found:
+                    size[axis] = 2
+        pictures = [self._picture(owner[key]) for owner, key in slots] if (size > 1).any() else []
+        if any(p is not None and p.width * p.height * size.prod() > _LARGEST for p in pictures):
+            what = "end or are mirrored beyond their edges (sampler wrap modes): they are repeated"
+            self.notices.append(f"material {material['name']}: its textures {what}")
+            return np.zeros(2), np.ones(2)
+        for (owner, key), mode, picture in zip(slots, modes, pictures, strict=False):
+            if picture is not None:
+                texels = np.asarray(picture)
+                across, down = (_texels_of(n, low[i], size[i], mode[i]) for i, n in enumerate(picture.size))
+                owner[key] = self._texture(texels[down][:, across], owner[key])
+        return low, size
+
+    def _wraps(self, slot: dict[str, Any]) -> tuple[int, int]:
         texture = self.header["textures"][slot["index"]]
         sampler = self.header["samplers"][texture["sampler"]] if "sampler" in texture else {}
-        return sampler.get("wrapS", _REPEAT) != _REPEAT or sampler.get("wrapT", _REPEAT) != _REPEAT
+        return sampler.get("wrapS", _REPEAT), sampler.get("wrapT", _REPEAT)
+
+
+def _texels_of(n: int, low: float, size: float, mode: int) -> np.ndarray:
+    """Columns (or rows) of a picture of n that lie along a stretch of the texture plane."""
+    i = np.arange(int(low) * n, int(low + size) * n)
+    if mode == _CLAMP:
+        return np.clip(i, 0, n - 1)
+    return np.minimum(i % (2 * n), 2 * n - 1 - i % (2 * n)) if mode == _MIRROR else i % n
+
+
+def _linear(texels: np.ndarray | None, a: int, factor: np.ndarray) -> np.ndarray:
+    """Some rows of a picture in linear light, alpha as it is, times a factor; of no picture the factor."""
+    if texels is None:
+        return factor[None, None]
+    rows = texels[a : a + _ROWS] / np.float32(255)
+    rows[..., :3] = SRGB.decode(rows[..., :3])
+    return rows * factor
+
+
+def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Base colour (..., 4) and metallic (...) of diffuse colour with alpha and specular colour with glossiness.
+
+    Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP)."""
+    weights = np.array([0.299, 0.587, 0.114])
+    d, s = (np.sqrt(x[..., :3] ** 2 @ weights) for x in (diffuse, shine))
+    rest = (1.0 - shine[..., :3].max(-1)) / (1.0 - _DIELECTRIC)
+    b = d * rest + s - 2 * _DIELECTRIC
+    root = np.sqrt(np.maximum(b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s), 0.0))
+    metal = np.where(s < _DIELECTRIC, 0.0, np.clip((root - b) / (2 * _DIELECTRIC), 0.0, 1.0))
+    m = metal[..., None]
+    matt = diffuse[..., :3] * rest[..., None] / np.maximum(1.0 - m, 1e-6)
+    shiny = (shine[..., :3] - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
+    colour = np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0)
+    return np.concatenate([colour, diffuse[..., 3:]], -1), metal
 
 
 def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:

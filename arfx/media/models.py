@@ -70,9 +70,8 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     except ImportError as e:
         raise InputError(f"cannot read model {path}: {e}", "convert it to GLB, OBJ, PLY or STL") from e
     except Exception as e:  # trimesh's parsers raise whatever they stumble over, and hand on what they did not look at
-        what = str(e).split("\n")[0][:300]
-        if isinstance(e, (TypeError, AttributeError, AssertionError, LookupError)) or not what or "shape" in what:
-            what = "its values do not fit together"
+        own = isinstance(e, (OSError, ValueError)) and not header
+        what = (own and str(e).split("\n")[0][:300]) or "its values do not fit together"
         raise InputError(f"cannot read model {path} ({what})", "the file is damaged or not what its name says") from e
     finally:
         log.setLevel(level)
