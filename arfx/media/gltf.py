@@ -81,8 +81,8 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
 
 def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
     """Notices of what is left out. Raises InputError: damaged, or more faces or parts than can be handled."""
-    left_out = _check_extensions(header, path)
     try:
+        left_out = _check_extensions(header, path)
         faces = _faces_of_meshes(header, path)
         _count_instances(header, faces, path)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as e:
@@ -104,7 +104,7 @@ def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
 
 def _check_version(header: dict[str, Any], path: Path) -> None:
     asset = header.get("asset")
-    version = str(asset.get("version", "2.0") if isinstance(asset, dict) else "2.0")[:20]
+    version = str((asset.get("version", "2.0") if isinstance(asset, dict) else "2.0") or "of no version")[:20]
     if not version.startswith("2."):
         hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
         raise InputError(f"model {path} is glTF {version}, glTF 2.0 is read", hint)
@@ -112,7 +112,8 @@ def _check_version(header: dict[str, Any], path: Path) -> None:
 
 def _check_extensions(header: dict[str, Any], path: Path) -> list[str]:
     """What extensions that are used leave out. Raises InputError: one that is required is not read."""
-    required, used = _names(header, "extensionsRequired"), _names(header, "extensionsUsed")
+    keys = ("extensionsRequired", "extensionsUsed")
+    required, used = ([name[:80] for name in header.get(key, [])] for key in keys)
     for name in required:
         if _EXTENSIONS.get(name) != "":
             how = f": {_CONVERT} {_CONVERTERS[name]} {path.name} NEW.glb" if name in _CONVERTERS else ""
@@ -121,17 +122,11 @@ def _check_extensions(header: dict[str, Any], path: Path) -> list[str]:
     return [f"{text} ({name})" for name, text in texts.items() if text]
 
 
-def _names(header: dict[str, Any], key: str) -> list[str]:
-    rows = header.get(key)
-    return [str(row)[:80] for row in rows] if isinstance(rows, list) else []
-
-
 def _in_words(e: Exception) -> str:
     """What the JSON lacks, without Python's terms."""
     if isinstance(e, KeyError):
-        return f"{e.args[0]} is missing" if isinstance(e.args[0], str) else f"{e.args[0]} is not known"
-    own = isinstance(e, (ValueError, IndexError)) and "list" not in str(e)
-    return str(e) if own else "a value in its JSON is of the wrong kind"
+        return f"{e.args[0]} is missing"
+    return str(e) if isinstance(e, (ValueError, IndexError)) else "a value in its JSON is of the wrong kind"
 
 
 def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]]:
@@ -199,7 +194,7 @@ def _index(value: Any, rows: list) -> int:
 
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r} is not a whole number, 0 or more")
+        raise ValueError(f"{json.dumps(value)[:80]} is not a whole number, 0 or more")
     return value
 
 

@@ -30,6 +30,7 @@ _ROWS = 256  # of a picture, worked on at a time
 _DIELECTRIC = 0.04  # reflected by what is no metal
 _UNLIT, _GLOSSY = "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness"
 _TRANSFORM, _VISIBLE = "KHR_texture_transform", "KHR_node_visibility"
+_PLACES = ("TRANSLATION", "ROTATION", "SCALE")
 _INSTANCES, _WEBP = "EXT_mesh_gpu_instancing", "EXT_texture_webp"
 
 
@@ -58,10 +59,14 @@ class _Rewriting:
         self.header, self.folder = header, folder
         self.notices: list[str] = []
         self._added = bytearray()
-        self._made: dict[Any, int] = {}
+        self._made: dict[tuple, int] = {}
         for name in ("bufferViews", "accessors", "buffers", "images", "textures", "materials", "meshes", "nodes"):
             header.setdefault(name, [])
         self._buffers = [self._bytes_of(b.get("uri"), data, kind) for b in header["buffers"]]
+        for b, content in zip(header["buffers"], self._buffers, strict=True):
+            if len(content) < b.get("byteLength", 0):
+                what = f"a buffer holds {len(content)} of {b['byteLength']} bytes"
+                raise InputError(f"model {folder.path}: {what}", "the file is cut short, or damaged")
 
     def _bytes_of(self, uri: str | None, data: bytes, kind: str) -> bytes:
         if uri is None:
@@ -92,8 +97,6 @@ class _Rewriting:
             out[:] = self._values(a, a["count"], columns)
         if sparse := a.get("sparse"):
             rows = self._values(sparse["indices"], sparse["count"], 1)[:, 0]
-            if len(rows) and rows.max() >= len(out):
-                raise InputError(f"model {self.folder.path}: accessor {at} replaces value {rows.max()} of {len(out)}")
             out[rows] = self._values({"componentType": a["componentType"], **sparse["values"]}, sparse["count"], columns)
         if a.get("normalized") and out.dtype.kind in "iu":
             return np.maximum(out / np.float32(np.iinfo(out.dtype).max), -1.0).astype(np.float32)
@@ -103,14 +106,11 @@ class _Rewriting:
         view, kind = self.header["bufferViews"][a["bufferView"]], np.dtype(_KINDS[a["componentType"]])
         start = view.get("byteOffset", 0) + a.get("byteOffset", 0)
         stride = view.get("byteStride", kind.itemsize * columns)
-        content = self._buffers[view["buffer"]]
-        if count and start + stride * (count - 1) + kind.itemsize * columns > len(content):
-            raise InputError(f"model {self.folder.path}: an accessor is longer than its buffer", "the file is damaged")
-        return np.ndarray((count, columns), kind, content, start, (stride, kind.itemsize))
+        return np.ndarray((count, columns), kind, self._buffers[view["buffer"]], start, (stride, kind.itemsize))
 
-    def add(self, values: np.ndarray, key: Any = None) -> int:
+    def add(self, values: np.ndarray, key: tuple) -> int:
         """The number of a new accessor. key : of values that are the same for all who ask"""
-        if key is not None and key in self._made:
+        if key in self._made:
             return self._made[key]
         whole = values.dtype.kind in "iu"
         content = np.ascontiguousarray(values, "<u4" if whole else "<f4").tobytes()
@@ -142,10 +142,9 @@ class _Rewriting:
             if "mesh" in node and not self.header["meshes"][node["mesh"]]["primitives"]:
                 del node["mesh"]
             where = extensions.get(_INSTANCES, {}).get("attributes", {})
-            keys = [k for k in ("TRANSLATION", "ROTATION", "SCALE") if k in where]
-            if not keys or "mesh" not in node:
+            columns = {k.lower(): self.read(at).tolist() for k, at in where.items() if k in _PLACES}
+            if not columns or "mesh" not in node:
                 continue
-            columns = {k.lower(): self.read(where[k]).tolist() for k in keys}
             count = min(map(len, columns.values()))
             copies += count
             if copies > MAX_PARTS:
@@ -157,12 +156,10 @@ class _Rewriting:
 
     def materials(self) -> None:
         """Unlit and glossy ones in terms of metallic-roughness."""
-        names = collections.Counter(m.get("name") for m in self.header["materials"])
         primitives = [p for m in self.header["meshes"] for p in m["primitives"]]
         coloured = {p.get("material") for p in primitives if "COLOR_0" in p["attributes"]}
         for number, m in enumerate(self.header["materials"]):
-            if names[m.get("name")] > 1 or not isinstance(m.get("name"), str):
-                m["name"] = f"{m.get('name', 'material')} {number}"  # one of its own: factors are looked up by it
+            m["name"] = f"{m.get('name', 'material')} {number}"  # one of its own: factors are looked up by it
             extensions = m.get("extensions", {})
             if (glossy := extensions.pop(_GLOSSY, None)) is not None:
                 self._convert_glossy(m, glossy)
@@ -184,28 +181,28 @@ class _Rewriting:
         """Specular-glossiness to metallic-roughness, texel by texel where it has textures."""
         diffuse = np.array(glossy.get("diffuseFactor", [1.0] * 4), np.float32)
         shine = np.array([*glossy.get("specularFactor", [1.0] * 3), glossy.get("glossinessFactor", 1.0)], np.float32)
-        slots = [glossy[k] for k in ("diffuseTexture", "specularGlossinessTexture") if k in glossy]
-        pictures = [self._picture(glossy.get(k)) for k in ("diffuseTexture", "specularGlossinessTexture")]
-        given = [p for p in pictures if p is not None]
-        m["pbrMetallicRoughness"] = pbr = {}
-        if not given:
-            base, metal = _metallic(diffuse[None], shine[None])
-            pbr |= {"baseColorFactor": base[0].tolist(), "metallicFactor": float(metal[0])}
+        slots = [glossy.get(k) for k in ("diffuseTexture", "specularGlossinessTexture")]
+        pictures = [self._picture(slot) for slot in slots]
+        sizes = [p.size for p in pictures if p is not None]
+        pbr: dict[str, Any] = {}
+        m["pbrMetallicRoughness"] = pbr
+        if not sizes:
+            colour, metal = _metallic(diffuse, shine)
+            pbr |= {"baseColorFactor": [*colour.tolist(), float(diffuse[3])], "metallicFactor": float(metal)}
             pbr["roughnessFactor"] = 1.0 - float(shine[3])
             return
-        size = max(p.size for p in given)
-        texels = [None if p is None else np.asarray(p.resize(size)) for p in pictures]
-        base, rough = np.empty((size[1], size[0], 4), np.uint8), np.zeros((size[1], size[0], 3), np.uint8)
-        for a in range(0, size[1], _ROWS):
+        wide, high = max(sizes)
+        texels = [None if p is None else np.asarray(p.resize((wide, high))) for p in pictures]
+        base, rough = np.empty((high, wide, 4), np.uint8), np.zeros((high, wide, 3), np.uint8)
+        for a in range(0, high, _ROWS):
             d, s = (_linear(t, a, f) for t, f in zip(texels, (diffuse, shine), strict=True))
-            d, s = np.broadcast_arrays(d, s)
             colour, metal = _metallic(d, s)
-            base[a : a + _ROWS, :, :3] = np.round(SRGB.encode(colour[..., :3]) * 255)
-            base[a : a + _ROWS, :, 3] = np.round(colour[..., 3] * 255)
+            base[a : a + _ROWS, :, :3] = np.round(SRGB.encode(colour) * 255)
+            base[a : a + _ROWS, :, 3] = np.round(d[..., 3] * 255)
             rough[a : a + _ROWS, :, 1] = np.round((1.0 - s[..., 3]) * 255)
             rough[a : a + _ROWS, :, 2] = np.round(metal * 255)
-        pbr["baseColorTexture"] = self._texture(base, slots[0])
-        pbr["metallicRoughnessTexture"] = self._texture(rough, slots[-1])
+        pbr["baseColorTexture"] = self._texture(base, slots[0] or slots[1] or {})
+        pbr["metallicRoughnessTexture"] = self._texture(rough, slots[1] or slots[0] or {})
 
     def _picture(self, slot: dict[str, Any] | None) -> Any:
         """The Pillow picture, RGBA, of a texture; None: there is none that can be read, of which trimesh tells, or too large."""
@@ -252,12 +249,10 @@ class _Rewriting:
             if mode < _TRIANGLES:
                 p["mode"] = 0  # lines are left out as points are: counted
                 continue
-            if mode != _TRIANGLES:
-                p["mode"] = _TRIANGLES
-                corners = self.read(p["indices"])[:, 0] if "indices" in p else np.arange(len(self.read(at["POSITION"])))
-                p["indices"] = self.add(_triangles(corners.astype(np.uint32), mode))
-            elif "indices" in p and "sparse" in self.header["accessors"][p["indices"]]:
-                p["indices"] = self.add(self.read(p["indices"])[:, 0], ("index", p["indices"]))
+            count = self.header["accessors"][at["POSITION"]]["count"]
+            corners = self.read(p["indices"])[:, 0] if "indices" in p else np.arange(count)
+            p["mode"] = _TRIANGLES
+            p["indices"] = self.add(_triangles(corners, mode), (mode, p.get("indices"), count))
             if "material" in p:
                 laid[p["material"]].append(at)
             for name in at.keys() & {"POSITION", "NORMAL", "COLOR_0"}:
@@ -343,7 +338,7 @@ def _linear(texels: np.ndarray | None, a: int, factor: np.ndarray) -> np.ndarray
 
 
 def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Base colour (..., 4) and metallic (...) of diffuse colour with alpha and specular colour with glossiness.
+    """Base colour (..., 3) and metallic (...) of diffuse colour with alpha and specular colour with glossiness.
 
     Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP)."""
     weights = np.array([0.299, 0.587, 0.114])
@@ -355,12 +350,13 @@ def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.nd
     m = metal[..., None]
     matt = diffuse[..., :3] * rest[..., None] / np.maximum(1.0 - m, 1e-6)
     shiny = (shine[..., :3] - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
-    colour = np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0)
-    return np.concatenate([colour, diffuse[..., 3:]], -1), metal
+    return np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), metal
 
 
 def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
     """Corners of a list of triangles, from those of a strip or fan (section 3.7.2.1)."""
+    if mode == _TRIANGLES:
+        return corners
     i = np.arange(max(len(corners) - 2, 0))
     odd = i % 2
     order = (i, i + 1 + odd, i + 2 - odd) if mode == _STRIP else (i + 1, i + 2, 0 * i)

@@ -2,7 +2,7 @@
 
 glTF/GLB (scene graph applied), OBJ with MTL, PLY, STL, and what else trimesh reads here. Errors say what is wrong with
 the file and how many vertices or faces it concerns; what was repaired is in `Model.notices`.
-Leaves out: skins, animation, morph targets, normal and occlusion textures, texture transforms, lines and points."""
+Leaves out: skins, animation, morph targets, normal and occlusion textures, lines and points."""
 
 from __future__ import annotations
 
