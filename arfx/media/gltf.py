@@ -13,9 +13,10 @@ from arfx.errors import InputError
 
 MAX_FACES = 5_000_000  # of all instances together: 1.5 GB while the edges are looked for
 MAX_PARTS = 10_000  # mesh instances: each is a part with a transform of its own, a hundred parts take a second
-_LISTS = ("accessors", "bufferViews", "buffers", "images", "materials", "meshes", "nodes", "scenes", "textures")
+_LISTS: tuple[str, ...] = ("accessors", "animations", "bufferViews", "buffers", "images", "materials", "meshes", "nodes")
+_LISTS += ("samplers", "scenes", "skins", "textures")
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # glTF 2.0 section 3.6.2.2
-_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # What is done with each extension: "" = read, else what will be missing where it is only used.
 # Those that are not in the table, or not read, must not be in extensionsRequired.
 _EXTENSIONS = {
@@ -40,6 +41,7 @@ _EXTENSIONS = {
     "KHR_node_visibility": "",
     "EXT_mesh_gpu_instancing": "",
     "KHR_animation_pointer": "animation",
+    "KHR_texture_basisu": "textures in the KTX2 format",
 }
 _CONVERT = "npx @gltf-transform/cli"
 _CONVERTERS = {
@@ -90,7 +92,7 @@ def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
     at_rest = [
         f"{len(header[key])} {what}{'s' if len(header[key]) > 1 else ''}"
         for key, what in (("animations", "animation"), ("skins", "skin"))
-        if isinstance(header.get(key), list) and header[key]
+        if header.get(key)
     ]
     if any("targets" in p for m in header.get("meshes", []) for p in m["primitives"]):
         at_rest.append("morph targets")
@@ -134,11 +136,11 @@ def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]
     accessors, views = header.get("accessors", []), header.get("bufferViews", [])
     sizes = []
     for number, a in enumerate(accessors):
-        if a.get("componentType") not in _COMPONENTS or a.get("type") not in _SHAPES:
+        if a.get("componentType") not in _COMPONENTS or a.get("type") not in SHAPES:
             what = "its componentType or type is missing or not one of glTF 2.0"
             raise _damaged(path, f"accessor {number}: {what}")
         count = _whole(a["count"])
-        size = count * _COMPONENTS[a["componentType"]] * _SHAPES[a["type"]]
+        size = count * _COMPONENTS[a["componentType"]] * SHAPES[a["type"]]
         if "bufferView" in a and "byteStride" not in (view := views[_index(a["bufferView"], views)]):
             if _whole(a.get("byteOffset", 0)) + size > _whole(view["byteLength"]):
                 raise _damaged(path, f"accessor {number} is longer than its buffer")

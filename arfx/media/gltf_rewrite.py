@@ -17,15 +17,15 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.errors import InputError
-from arfx.media.gltf import MAX_PARTS
+from arfx.media.gltf import MAX_PARTS, SHAPES
 from arfx.media.model_files import PICTURES, ModelFolder
+from arfx.media.model_materials import MAX_TEXTURE_PX
 
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _FLOAT, _INDEX = 5126, 5125
 _TRIANGLES, _STRIP = 4, 5
 _REPEAT, _CLAMP, _MIRROR = 10497, 33071, 33648
-_LARGEST = 4096**2  # texels of a picture that is made anew
+_SIDE = 4096  # of a picture that is made anew, in texels: larger ones are scaled down
 _ROWS = 256  # of a picture, worked on at a time
 _DIELECTRIC = 0.04  # reflected by what is no metal
 _UNLIT, _GLOSSY = "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness"
@@ -91,7 +91,7 @@ class _Rewriting:
     def read(self, at: int) -> np.ndarray:
         """(count, columns) of an accessor, sparse values put in, normalised whole numbers as floats."""
         a = self.header["accessors"][at]
-        columns = _SHAPES[a["type"]]
+        columns = SHAPES[a["type"]]
         out = np.zeros((a["count"], columns), _KINDS[a["componentType"]])
         if "bufferView" in a:
             out[:] = self._values(a, a["count"], columns)
@@ -184,6 +184,8 @@ class _Rewriting:
         slots = [glossy.get(k) for k in ("diffuseTexture", "specularGlossinessTexture")]
         pictures = [self._picture(slot) for slot in slots]
         sizes = [p.size for p in pictures if p is not None]
+        if len(sizes) < 2 - slots.count(None):
+            self.notices.append(f"material {m['name']}: a texture is missing, damaged or above {MAX_TEXTURE_PX} px a side")
         pbr: dict[str, Any] = {}
         m["pbrMetallicRoughness"] = pbr
         if not sizes:
@@ -205,7 +207,7 @@ class _Rewriting:
         pbr["metallicRoughnessTexture"] = self._texture(rough, slots[1] or slots[0] or {})
 
     def _picture(self, slot: dict[str, Any] | None) -> Any:
-        """The Pillow picture, RGBA, of a texture; None: there is none that can be read, of which trimesh tells, or too large."""
+        """The Pillow picture, RGBA, of a texture; None: none that can be read."""
         from PIL import Image
 
         if slot is None:
@@ -222,8 +224,12 @@ class _Rewriting:
                 content = self._buffers[view["buffer"]][start : start + view["byteLength"]]
             else:
                 content = self._bytes_of(image["uri"], b"", "gltf")
-            picture = Image.open(io.BytesIO(content), formats=PICTURES)
-            return picture.convert("RGBA") if picture.width * picture.height <= _LARGEST else None
+            given = Image.open(io.BytesIO(content), formats=PICTURES)
+            if max(given.size) > MAX_TEXTURE_PX:
+                return None
+            picture = given.convert("RGBA")
+            picture.thumbnail((_SIDE, _SIDE))
+            return picture
         except (InputError, OSError, ValueError, SyntaxError):
             return None
 
@@ -303,15 +309,13 @@ class _Rewriting:
                 elif _MIRROR in found:
                     size[axis] = 2
         pictures = [self._picture(owner[key]) for owner, key in slots] if (size > 1).any() else []
-        if any(p is not None and p.width * p.height * size.prod() > _LARGEST for p in pictures):
+        if any(p is None or p.width * p.height * size.prod() > _SIDE**2 for p in pictures):
             what = "end or are mirrored beyond their edges (sampler wrap modes): they are repeated"
             self.notices.append(f"material {material['name']}: its textures {what}")
             return np.zeros(2), np.ones(2)
         for (owner, key), mode, picture in zip(slots, modes, pictures, strict=False):
-            if picture is not None:
-                texels = np.asarray(picture)
-                across, down = (_texels_of(n, low[i], size[i], mode[i]) for i, n in enumerate(picture.size))
-                owner[key] = self._texture(texels[down][:, across], owner[key])
+            across, down = (_texels_of(n, low[i], size[i], mode[i]) for i, n in enumerate(picture.size))
+            owner[key] = self._texture(np.asarray(picture)[down][:, across], owner[key])
         return low, size
 
     def _wraps(self, slot: dict[str, Any]) -> tuple[int, int]:
