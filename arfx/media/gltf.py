@@ -106,7 +106,8 @@ def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
 
 def _check_version(header: dict[str, Any], path: Path) -> None:
     asset = header.get("asset")
-    version = str((asset.get("version", "2.0") if isinstance(asset, dict) else "2.0") or "of no version")[:20]
+    given = asset.get("version", "2.0") if isinstance(asset, dict) else "2.0"
+    version = json.dumps(given or "of no version").strip('"')[:20]
     if not version.startswith("2."):
         hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
         raise InputError(f"model {path} is glTF {version}, glTF 2.0 is read", hint)
@@ -137,8 +138,7 @@ def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]
     sizes = []
     for number, a in enumerate(accessors):
         if a.get("componentType") not in _COMPONENTS or a.get("type") not in SHAPES:
-            what = "its componentType or type is missing or not one of glTF 2.0"
-            raise _damaged(path, f"accessor {number}: {what}")
+            raise _damaged(path, f"accessor {number}: its componentType or type is missing or not one of glTF 2.0")
         count = _whole(a["count"])
         size = count * _COMPONENTS[a["componentType"]] * SHAPES[a["type"]]
         if "bufferView" in a and "byteStride" not in (view := views[_index(a["bufferView"], views)]):

@@ -6,7 +6,6 @@ Sections of glTF 2.0: 3.6.2 accessors, 3.7.2 meshes, 3.8.4 samplers, 3.9 materia
 from __future__ import annotations
 
 import base64
-import collections
 import io
 import json
 import struct
@@ -65,8 +64,8 @@ class _Rewriting:
         self._buffers = [self._bytes_of(b.get("uri"), data, kind) for b in header["buffers"]]
         for b, content in zip(header["buffers"], self._buffers, strict=True):
             if len(content) < b.get("byteLength", 0):
-                what = f"a buffer holds {len(content)} of {b['byteLength']} bytes"
-                raise InputError(f"model {folder.path}: {what}", "the file is cut short, or damaged")
+                text = f"model {folder.path}: a buffer holds {len(content)} of {b['byteLength']} bytes"
+                raise InputError(text, "the file is cut short, or damaged")
 
     def _bytes_of(self, uri: str | None, data: bytes, kind: str) -> bytes:
         if uri is None:
@@ -173,7 +172,7 @@ class _Rewriting:
             m["emissiveFactor"] = [r, g, b]
             m.pop("emissiveTexture", None)
             if "baseColorTexture" in pbr:
-                m["emissiveTexture"] = dict(pbr["baseColorTexture"])
+                m["emissiveTexture"] = pbr["baseColorTexture"]
             pbr |= {"baseColorFactor": [0.0, 0.0, 0.0, alpha], "metallicFactor": 0.0, "roughnessFactor": 1.0}
             m["extensions"] = {"KHR_materials_specular": {"specularFactor": 0.0}}
 
@@ -246,7 +245,7 @@ class _Rewriting:
 
     def meshes(self) -> None:
         """Lists of triangles with float coordinates."""
-        laid: dict[int, list[dict[str, int]]] = collections.defaultdict(list)  # attributes by material
+        laid: dict[int, list[dict[str, int]]] = {}  # attributes by material
         for m in self.header["meshes"]:
             m["primitives"] = [p for p in m["primitives"] if "POSITION" in p["attributes"]]
         for p in (p for m in self.header["meshes"] for p in m["primitives"]):
@@ -260,7 +259,7 @@ class _Rewriting:
             p["mode"] = _TRIANGLES
             p["indices"] = self.add(_triangles(corners, mode), (mode, p.get("indices"), count))
             if "material" in p:
-                laid[p["material"]].append(at)
+                laid.setdefault(p["material"], []).append(at)
             for name in at.keys() & {"POSITION", "NORMAL", "COLOR_0"}:
                 a = self.header["accessors"][at[name]]
                 if "sparse" in a or (a["componentType"] != _FLOAT and name != "COLOR_0"):

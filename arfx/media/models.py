@@ -61,9 +61,10 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     level = log.level
     log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
     try:
-        content, form, left_out = rewrite(data, kind, header, folder)
-        check_gltf(header, path)
-        parts = _read(content, form, folder, header, notices)
+        with np.errstate(all="ignore"):
+            content, form, left_out = rewrite(data, kind, header, folder)
+            check_gltf(header, path)
+            parts = _read(content, form, folder, header, notices)
         notices += left_out
     except ArfxError:
         raise
@@ -102,7 +103,7 @@ def _read(data: bytes, kind: str, folder: ModelFolder, header: dict[str, Any], n
     import trimesh
 
     refused: list[str] = []
-    with restrict_pillow(refused), np.errstate(all="ignore"):
+    with restrict_pillow(refused):
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=folder, process=False)  # type: ignore[arg-type]
         parts = _parts(scene, folder.path, kind, header, notices)
     for why in folder.left_out.values():
