@@ -13,8 +13,8 @@ from arfx.errors import InputError
 
 MAX_FACES = 5_000_000  # of all instances together: 1.5 GB while the edges are looked for
 MAX_PARTS = 10_000  # mesh instances: each is a part with a transform of its own, a hundred parts take a second
-_LISTS: tuple[str, ...] = ("accessors", "animations", "bufferViews", "buffers", "images", "materials", "meshes", "nodes")
-_LISTS += ("samplers", "scenes", "skins", "textures")
+LISTS: tuple[str, ...] = ("accessors", "animations", "bufferViews", "buffers", "images", "materials", "meshes", "nodes")
+LISTS += ("samplers", "scenes", "skins", "textures")
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # glTF 2.0 section 3.6.2.2
 SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # What is done with each extension: "" = read, else what will be missing where it is only used.
@@ -74,7 +74,7 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
     if not isinstance(header, dict):
         raise _damaged(path, "its JSON is no object")
     _check_version(header, path)
-    for name in _LISTS:
+    for name in LISTS:
         rows = header.get(name, [])
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
             raise _damaged(path, f"{name} is no list of objects")

@@ -16,7 +16,7 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.errors import InputError
-from arfx.media.gltf import MAX_PARTS, SHAPES
+from arfx.media.gltf import LISTS, MAX_PARTS, SHAPES
 from arfx.media.model_files import PICTURES, ModelFolder
 from arfx.media.model_materials import MAX_TEXTURE_PX
 
@@ -59,7 +59,7 @@ class _Rewriting:
         self.notices: list[str] = []
         self._added = bytearray()
         self._made: dict[tuple, int] = {}
-        for name in ("bufferViews", "accessors", "buffers", "images", "textures", "materials", "meshes", "nodes"):
+        for name in LISTS:
             header.setdefault(name, [])
         self._buffers = [self._bytes_of(b.get("uri"), data, kind) for b in header["buffers"]]
         for b, content in zip(header["buffers"], self._buffers, strict=True):
