@@ -51,12 +51,13 @@ def page(
 def full_page(title: str, sections: Sequence[str]) -> str:
     """page.html (style, and the slider before and after) with a title and these sections of HTML, empty ones left out."""
     frame = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-    return frame.replace("@TITLE@", escaped(title)).replace("@BODY@", "\n".join(s for s in sections if s))
+    before, _, after = frame.partition("@BODY@")  # a title may hold that too
+    return before.replace("@TITLE@", escaped(title)) + "\n".join(s for s in sections if s) + after
 
 
 def escaped(value: Any) -> str:
     """Text for HTML."""
-    return escape(str(value), quote=True)
+    return escape(printable(str(value)), quote=True)
 
 
 def number(value: Any, digits: int = 3) -> str:
