@@ -2,6 +2,15 @@
 
 from __future__ import annotations
 
+LONGEST = 4000  # characters of a message; what is wrong may be megabytes of somebody's file
+
+
+def cut(text: str) -> str:
+    """The text, or its ends where it is too long."""
+    if len(text) <= LONGEST:
+        return text
+    return f"{text[: LONGEST // 2]} … ({len(text)} characters) … {text[-200:]}"
+
 
 class ArfxError(Exception):
     """A failure with one clear message.
@@ -12,9 +21,9 @@ class ArfxError(Exception):
     exit_code = 5
 
     def __init__(self, message: str, hint: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.hint = hint
+        super().__init__(cut(message))
+        self.message = cut(message)
+        self.hint = cut(hint)
 
     def __str__(self) -> str:
         return f"{self.message}\nhelp: {self.hint}" if self.hint else self.message
@@ -63,7 +72,7 @@ def explained(e: BaseException) -> tuple[int, str]:
         what = f"there is not enough memory: {e}" if str(e) else "there is not enough memory"
         return 5, f"{what}\nhelp: close programs, raise the limit (ulimit -v), or --workers 1"
     # a fault of arfx itself: one message all the same
-    return 5, f"arfx failed: {type(e).__name__}: {e}\nhelp: ARFX_DEBUG=1 shows where; please report it"
+    return 5, f"arfx failed: {type(e).__name__}: {cut(str(e))}\nhelp: ARFX_DEBUG=1 shows where; please report it"
 
 
 def on_one_line(message: str) -> str:

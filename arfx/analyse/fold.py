@@ -54,6 +54,12 @@ class OfFrames(Protocol):
     def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[Any]: ...
 
 
+class Poses(Protocol):
+    """The camera's, as they were given (media.pose_files.CameraPath)."""
+
+    def of_frames(self, times_s: list[float], before: int, whole: bool, gap_s: float) -> list[Any]: ...
+
+
 class Maps(OfFrames, Protocol):
     """The clip's depth maps, as they are read here (media.depth_maps.DepthMaps is one)."""
 
@@ -96,7 +102,7 @@ class AnalysisJob:
     anchor: str = MARKER
     depth: Maps | None = None
     align: bool = True
-    poses: OfFrames | None = None
+    poses: Poses | None = None
     scene: Callable[[Analysis], Scene] | None = None
     progress: Callable[[str, int, int | None], None] = lambda *_: None
     kinds: Mapping[str, Any] = field(default_factory=dict)

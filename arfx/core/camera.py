@@ -160,12 +160,14 @@ class Camera(Document):
         n = self.normalised(pixels)
         return np.concatenate([n, np.ones_like(n[..., :1])], -1)
 
-    def scaled_to(self, width: int, height: int) -> Camera:
+    def scaled_to(self, width: int, height: int, pixel_aspect: float = 1.0) -> Camera:
         """The same lens for another picture size.
-        Raises InputError if the aspect ratio differs by more than 0.5 %."""
+        pixel_aspect : of the wanted pixels; the calibration may be of these or of the square ones that are displayed
+        Raises InputError if the aspect ratio differs by more than 0.5 % from both."""
         if (width, height) == (self.width, self.height):
             return self
-        if abs(width * self.height / (height * self.width) - 1) > 0.005:
+        stretch = width * self.height / (height * self.width)
+        if min(abs(stretch - 1), abs(stretch * pixel_aspect - 1)) > 0.005:
             raise InputError(
                 f"camera calibration {self.source or ''} is for {self.width}x{self.height}, the clip is {width}x{height}",
                 "the aspect ratios differ: calibrate with the same camera mode (crop) as the clip",
@@ -184,10 +186,11 @@ class Camera(Document):
         return Camera(self.width, self.height, self.matrix, np.zeros(0), BROWN, self.source, self.guessed)
 
     @staticmethod
-    def guess(width: int, height: int, horizontal_fov_deg: float = 65.0) -> Camera:
-        """A pinhole with a typical phone's field of view along the long side; `guessed` is set."""
-        f = max(width, height) / 2 / np.tan(np.radians(horizontal_fov_deg) / 2)
-        m = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])
+    def guess(width: int, height: int, horizontal_fov_deg: float = 65.0, pixel_aspect: float = 1.0) -> Camera:
+        """A pinhole with a typical phone's field of view along the long side as displayed; `guessed` is set.
+        pixel_aspect : width of a pixel over its height"""
+        f = max(width * pixel_aspect, height) / 2 / np.tan(np.radians(horizontal_fov_deg) / 2)
+        m = np.array([[f / pixel_aspect, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])
         return Camera(width, height, m, source=f"guess ({horizontal_fov_deg:g} deg along the long side)", guessed=True)
 
 

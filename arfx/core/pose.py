@@ -110,6 +110,12 @@ class Pose:
     def inverse(self) -> Pose:
         return Pose(self.rotation.T, -self.rotation.T @ self.translation_m)
 
+    def towards(self, other: Pose, share: float) -> Pose:
+        """Between this pose (0) and another (1): the shortest rotation, and the straight line."""
+        turn = share * rotvec_from_rotation(self.rotation.T @ other.rotation)
+        moved = (1 - share) * self.translation_m + share * other.translation_m
+        return Pose(self.rotation @ rotation_from_rotvec(turn), moved)
+
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) of the source in destination coordinates."""
         return np.asarray(points, float) @ self.rotation.T + self.translation_m

@@ -14,6 +14,7 @@ import numpy as np
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
+from arfx.core.opener import printable
 from arfx.errors import RenderError
 
 POSE_FIGURES = (
@@ -51,13 +52,13 @@ def page(
 def full_page(title: str, sections: Sequence[str]) -> str:
     """page.html (style, and the slider before and after) with a title and these sections of HTML, empty ones left out."""
     frame = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-    before, _, after = frame.partition("@BODY@")  # a title may hold that too
+    before, _, after = frame.partition("@BODY@")
     return before.replace("@TITLE@", escaped(title)) + "\n".join(s for s in sections if s) + after
 
 
 def escaped(value: Any) -> str:
     """Text for HTML."""
-    return escape(printable(str(value)), quote=True)
+    return escape(str(value), quote=True)
 
 
 def number(value: Any, digits: int = 3) -> str:

@@ -77,7 +77,7 @@ def verify(
     family, number = key.split(":")
     assert config.input.clip is not None and config.input.camera is not None
     info = probe(config.input.clip)
-    camera = load_camera(config.input.camera).scaled_to(info.width, info.height)
+    camera = load_camera(config.input.camera).scaled_to(info.width, info.height, info.pixel_aspect)
     plain = single_frame_poses(config.input.clip, camera, MarkerSpec(family, int(number), truth.header["markers"][key]))
     figures = compare(facts, world, truth, plain)
     figures["static"] = meta["static"]

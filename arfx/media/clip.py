@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import av
 import numpy as np
@@ -19,6 +21,7 @@ from arfx.media.codecs import check_size, open_video
 from arfx.media.planes import FrameFormat, Orientation, PixelLayout, orientation_of, working_layout
 
 UNSPECIFIED = 2
+MAX_PIXEL_ASPECT = 10.0  # anamorphic video reaches 2
 _MATRIX = {1: "bt709", 4: "fcc", 5: "bt601", 6: "bt601", 7: "smpte240m", 9: "bt2020", 10: "bt2020"}  # ITU-T H.273 table 4
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # H.273 table 3
 _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
@@ -86,6 +89,14 @@ class ClipInfo(Document):
         return orientation_of(self.display_matrix)[0]
 
     @property
+    def pixel_aspect(self) -> float:
+        """Width of an upright pixel over its height. 1 also where the file states what no lens or screen has."""
+        if self.sample_aspect is None or not _plausible(self.sample_aspect):
+            return 1.0
+        stated = float(self.sample_aspect)
+        return 1 / stated if self.orientation.transpose else stated
+
+    @property
     def layout(self) -> PixelLayout:
         """The working format of its frames."""
         return working_layout(self.pixel_format)[0]
@@ -99,6 +110,10 @@ class ClipInfo(Document):
             self.layout, self.coded_width, self.coded_height, self.time_base, self.matrix, self.full_range,
             self.transfer, self.chroma_location, self.orientation,
         )  # fmt: skip
+
+
+def _plausible(aspect: Fraction) -> bool:
+    return 1 / MAX_PIXEL_ASPECT <= aspect <= MAX_PIXEL_ASPECT
 
 
 def _is_cover(stream: Any) -> bool:
@@ -165,15 +180,19 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
     full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
     full = full or (layout.kind == "gray" and range_tag == 0)
     stated = stated and (layout.kind != "rgb" or space in (0, UNSPECIFIED))
-    sides: dict[str, Any] = {s.type.name: s for s in list(first.side_data)}  # type: ignore[attr-defined]
-    turn = struct.unpack("=9i", bytes(sides["DISPLAYMATRIX"])[:36]) if "DISPLAYMATRIX" in sides else None
+    turn = _display_matrix(first)
     orientation, exact = orientation_of(turn)
     if not exact:
         notices.append("the display matrix is no multiple of 90 degrees; the nearest is used")
     if first.interlaced_frame:
         notices.append("the clip is interlaced; its fields are processed as one picture")
     w, h = (first.height, first.width) if orientation.transpose else (first.width, first.height)
-    sample = stream.sample_aspect_ratio
+    sample = Fraction(stream.sample_aspect_ratio or 1)
+    if sample != 1:
+        shown = f"{round(first.width * sample)}x{first.height}"
+        used = f"displayed as {shown}" if _plausible(sample) else "which is not plausible and not used"
+        stored = f"stored as {first.width}x{first.height}"
+        notices.append(f"the pixels are not square: {stored}, pixel aspect {sample.numerator}:{sample.denominator}, {used}")
     duration = stream.duration * stream.time_base if stream.duration else _tagged_duration(stream.metadata)
     of_video = duration is not None or len(container.streams) == 1
     if duration is None and container.duration:
@@ -184,11 +203,25 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
         container.format.name, first.format.name, layout.depth, matrix, full, Fraction(stream.time_base), stated,
         space, range_tag, int(trc), int(first.color_primaries or ctx.color_primaries),
         "center" if ctx.name in _MIDDLE_SITED else "left", transfer, turn,
-        Fraction(sample) if sample and sample not in (0, 1) else None,
+        sample if sample != 1 else None,
         first.pts if first.pts is not None else (first.dts or 0), stream.frames or None,
         None if duration is None else float(duration), of_video, stream.index,
         tuple(_describe(s, s.index == stream.index) for s in container.streams), tuple(notices),
     )  # fmt: skip
+
+
+def _display_matrix(picture: av.VideoFrame) -> tuple[int, ...] | None:
+    """FFmpeg's nine numbers (libavutil/display.h), None where the picture has none."""
+    try:
+        sides = picture.side_data
+    except ValueError:  # PyAV lists none where it does not know the type of one, as of EXIF; the turn alone it knows
+        if not picture.rotation:
+            return None
+        angle = math.radians(picture.rotation)
+        c, s = (round(f(angle) * (1 << 16)) for f in (math.cos, math.sin))
+        return c, -s, 0, s, c, 0, 0, 0, 1 << 30
+    named: dict[str, Any] = {s.type.name: s for s in list(sides)}  # type: ignore[attr-defined]
+    return struct.unpack("=9i", bytes(named["DISPLAYMATRIX"])[:36]) if "DISPLAYMATRIX" in named else None
 
 
 def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
@@ -197,15 +230,39 @@ def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
     return int(m[1]) * 3600 + int(m[2]) * 60 + Fraction(m[3]) if m else None
 
 
-def match_by_time(taken_s: np.ndarray, times_s: list[float]) -> list[int | None]:
-    """Number of what was recorded nearest to each frame (a depth map, a pose), None where nothing is near. taken_s : rising"""
-    if len(taken_s) == 1:
-        return [0] * len(times_s)
-    most_s = 0.75 * float(np.median(np.diff(taken_s)))
-    times = np.asarray(times_s, float)
-    after = np.clip(np.searchsorted(taken_s, times), 1, len(taken_s) - 1)
-    nearest = after - (times - taken_s[after - 1] <= taken_s[after] - times)
-    return [int(k) if abs(taken_s[k] - t) <= most_s else None for k, t in zip(nearest, times, strict=True)]
+class Match(NamedTuple):
+    """What was recorded about a frame's time. before, after : numbers of the two around it, or twice the only one
+    share : of the way from one to the other, 0..1;  near : whether one of them was taken at the frame's time"""
+
+    before: int
+    after: int
+    share: float
+    near: bool
+
+    @property
+    def nearest(self) -> int:
+        return self.after if self.share > 0.5 else self.before
+
+
+def match_by_time(taken_s: np.ndarray, times_s: list[float], near_s: float, gap_s: float = 0.0) -> list[Match | None]:
+    """What was recorded (depth maps, poses) around each frame, None where nothing is near. taken_s : rising
+    near_s : so far from a frame it is still of the frame's time;  gap_s : longest time between two that tell what lies between"""
+    after = np.searchsorted(taken_s, times_s, "right")
+    found: list[Match | None] = []
+    for t, k in zip(times_s, after.tolist(), strict=True):
+        i, j = max(k - 1, 0), min(k, len(taken_s) - 1)
+        since, until = abs(t - taken_s[i]), abs(taken_s[j] - t)
+        near, between = bool(min(since, until) <= near_s), bool(i < j and taken_s[j] - taken_s[i] <= gap_s)
+        share = float(since / (since + until)) if i < j else 0.0
+        if near and not between:
+            share = float(share > 0.5)
+        found.append(Match(i, j, share, near) if near or between else None)
+    return found
+
+
+def spacing_s(times_s: Sequence[float]) -> float:
+    """Usual time from one to the next; 0 for a single one."""
+    return float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
 
 
 def match_in_order(what: str, held: int, frames: int, before: int, whole: bool, hint: str) -> list[int | None]:

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 
 from arfx.core.numerics import divide
-from arfx.core.opener import folder_entries, is_folder, read_bytes
+from arfx.core.opener import folder_entries, is_folder, read_bytes, regular
 from arfx.errors import InputError
-from arfx.media.clip import match_by_time, match_in_order
+from arfx.media.clip import match_by_time, match_in_order, spacing_s
 from arfx.media.depth_frames import TIFF, VIDEO, DepthPages, DepthVideo, open_frames
 from arfx.media.images import decode_picture, read_exr
 
@@ -26,6 +26,7 @@ SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
 _KINDS = "16-bit PNG or PGM, TIFF, EXR"
 _STEPS_A_METRE = 1000.0  # of integers, where the job does not say otherwise: millimetres
 _ASPECT = 0.005
+_REACH = 0.55  # of the maps' spacing: a map is of the frames nearer than half of it, and cameras are not on time to a tenth
 LAMBDA = 10.0  # radius of the smoother: about its square root, px, where the picture is even
 SIGMA = 6.0  # grey levels that count as an edge
 _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
@@ -63,7 +64,9 @@ class DepthMaps:
         if self.still:
             return [0] * len(times_s)
         if self.times_s is not None:
-            return match_by_time(np.array(self.times_s) + self.start_s, times_s)
+            taken_s = np.array(self.times_s) + self.start_s
+            found = match_by_time(taken_s, times_s, _REACH * spacing_s(self.times_s))
+            return [None if m is None else m.nearest for m in found]
         hint = "one map for each frame, or times in their names (1305031102.160407.png), or a single map"
         return match_in_order(f"depth {self.path} holds {self.count} maps", self.count, len(times_s), before, whole, hint)
 
@@ -103,6 +106,8 @@ def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.
     found = [p for p in folder_entries(path, "depth folder") if p.suffix.lower() in SUFFIXES]
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
+    for p in found:
+        regular(p, "depth map")  # a pipe would be waited for
     kinds = sorted({p.suffix.lower() for p in found})
     if len(kinds) > 1:
         raise InputError(f"depth folder {path} holds {' and '.join(kinds)} files", "maps of one kind only")

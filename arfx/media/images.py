@@ -32,6 +32,8 @@ MAX_PIXELS: dict[str, tuple[int, str]] = {
 PRINT_PX = 1024  # longest side of a print's picture that is kept: twice what it is searched for with
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
+_DEPTH_CHANNELS = (b"Z", b"V", b"Y", b"R")
 _pillow_lock = threading.Lock()
 _HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
@@ -95,10 +97,44 @@ def read_exr(path: Path, kind: str) -> np.ndarray:
     data = read_bytes(path, kind)
     check_pixels(data, path, kind)
     try:
+        if kind == "depth map":
+            data = _one_channel(data, path, kind)
         with av.open(io.BytesIO(data), "r", format="exr_pipe") as c:
             return np.asarray(next(c.decode(video=0)).to_ndarray())
-    except (av.error.FFmpegError, StopIteration, ValueError) as e:
-        raise InputError(f"{kind} {path} cannot be read as an EXR image: {e}") from e
+    except (av.error.FFmpegError, StopIteration, IndexError, struct.error, ValueError) as e:
+        raise InputError(f"{kind} {path} cannot be read as an EXR image: {str(e) or 'its header is damaged'}") from e
+
+
+def _exr_header(data: bytes) -> list[tuple[bytes, int, int]]:
+    """(name, where its value begins, bytes) of every attribute. Raises ValueError, IndexError or struct.error where it is cut."""
+    at, found = 8, []
+    while data[at]:
+        name, kind = data[at : at + 512].split(b"\0", 2)[:2]
+        at += len(name) + len(kind) + 6
+        (size,) = struct.unpack_from("<i", data, at - 4)
+        if size < 0:
+            raise ValueError("its header is damaged")
+        found.append((name, at, size))
+        at += size
+    return found
+
+
+def _one_channel(data: bytes, path: Path, kind: str) -> bytes:
+    """The EXR with the channel that holds depth called Y, and no other that FFmpeg knows: Y is the only single one it reads."""
+    start, size = next((at, size) for name, at, size in _exr_header(data) if name == b"channels")
+    names, at = dict[bytes, int](), start
+    while at < start + size and data[at]:
+        name = data[at : start + size].split(b"\0", 1)[0]
+        names[name] = at
+        at += len(name) + 17
+    wanted = next((n for n in _DEPTH_CHANNELS if n in names), None)
+    if wanted is None:
+        held = ", ".join(n.decode(errors="replace") for n in names)
+        raise InputError(f"{kind} {path} holds the channels {held}, none of which is known as depth", "one called Z, V, Y or R")
+    renamed = bytearray(data)
+    for name, at in names.items():
+        renamed[at + len(name) - 1] = ord("Y" if name == wanted else "_")
+    return bytes(renamed)
 
 
 def write_failed(path: Path, error: BaseException) -> RenderError:
@@ -172,9 +208,8 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
         found = _HDR.search(data[:65536])
         return [(int(found[2]), int(found[1]))] if found else []
     if data.startswith(b"v/1\x01"):
-        at = data.index(b"dataWindow\0box2i\0") + 21
-        left, top, right, bottom = struct.unpack("<4i", data[at : at + 16])
-        return [(right - left + 1, bottom - top + 1)]
+        windows = [struct.unpack_from("<4i", data, at) for name, at, _ in _exr_header(data) if name in _WINDOWS]
+        return [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
     from PIL import Image
 
     with _pillow_lock:

@@ -1,8 +1,9 @@
 """Joining encoded chunks into the final file without encoding again: exact times, tags, rotation, further streams.
 
 The chunks' own times are not used, only their order: packet i of the clip, in decoding order, shows the frame whose
-rank among the chunk's presentation times it has. With all presentation times sorted into S and reorder depth d,
-decode times are given anew as S[i - d] (before that, S[0] minus small steps), so that they rise over chunk borders."""
+rank among the chunk's presentation times it has. With all presentation times sorted into S, packet i is decoded at S[i] less
+the longest time that a frame waits: so decode times rise over chunk borders, and the lengths of samples that MP4 and MOV take
+from them are those of the frames."""
 
 from __future__ import annotations
 
@@ -105,7 +106,8 @@ def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
 def _video_packets(
     chunks: Sequence[Path], pts: Sequence[int], ranks: Sequence[int], time_base: Fraction, stream: Any
 ) -> Iterator[tuple[Fraction, Any]]:
-    i, d = 0, max(i - r for i, r in enumerate(ranks))
+    """(decode time in seconds, packet). What is decoded last has the last frame's length, since MP4 and MOV end with it."""
+    i, wait = 0, max(pts[i] - pts[r] for i, r in enumerate(ranks))
     last = pts[-1] - pts[-2] if len(pts) > 1 else 0
     for chunk in chunks:
         with _packets_of(chunk) as c:
@@ -113,10 +115,11 @@ def _video_packets(
                 if not p.size:
                     continue
                 shown = ranks[i]
-                decoded = pts[i - d] if i >= d else pts[0] - (d - i)
+                decoded = pts[i] - wait
                 p.time_base = time_base
                 p.pts, p.dts = pts[shown], decoded
-                p.duration = pts[shown + 1] - pts[shown] if shown + 1 < len(pts) else last
+                shows_to_end = len(pts) - 1 in (i, shown)
+                p.duration = last if shows_to_end else pts[shown + 1] - pts[shown]
                 p.stream = stream
                 yield decoded * time_base, p
                 i += 1

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from arfx.analyse.markers.pattern import check_turned, coded_luma
 from arfx.config.sections import JobConfig, PatternSection
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
@@ -94,10 +95,12 @@ def check_complete(config: JobConfig) -> None:
 
 
 def job_prints(config: JobConfig) -> tuple[JobConfig, dict[str, np.ndarray]]:
-    """The job with the heights of its patterns, and their pictures by key. Raises InputError."""
-    specs, prints = [], {}
+    """The job with the heights of its patterns, and their pictures by key.
+    Raises InputError, and ConfigError for one that looks the same turned."""
+    specs, prints, light = [], {}, config.params["light"]
     for spec in config.patterns:
         prints[spec.key], shape = load_print(spec.image)
+        check_turned(spec.key, coded_luma(prints[spec.key], light.ink, light.paper))
         specs.append(spec if spec.height_m else replace(spec, height_m=spec.size_m * shape))
     return config.model_copy(update={"pattern": tuple(PatternSection(spec=s) for s in specs)}), prints
 
@@ -143,14 +146,14 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
     info = probe(config.input.clip, Transfer(config.input.transfer))
     notices = list(info.notices)
     if config.input.camera is None:
-        camera = Camera.guess(info.width, info.height)
+        camera = Camera.guess(info.width, info.height, pixel_aspect=info.pixel_aspect)
         notices.append(
             f"no --camera: the focal length is a guess ({camera.fx:.0f} px, {camera.source}); sizes and perspective may be off"
         )
     else:
         loaded = load_camera(config.input.camera)
         notices += camera_warnings(loaded)
-        camera = loaded.scaled_to(info.width, info.height)
+        camera = loaded.scaled_to(info.width, info.height, info.pixel_aspect)
         if camera is not loaded:
             notices.append(f"camera calibration scaled from {loaded.width}x{loaded.height} to {info.width}x{info.height}")
     return info, camera, notices

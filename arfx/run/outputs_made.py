@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 from arfx.core.guard import TIMES, fingerprint
+from arfx.errors import ConfigError
 from arfx.media.output import image_names, names_sequence
 from arfx.run.folder import append_line, digest, disk_error, read_lines
 from arfx.run.place import default_folder
@@ -47,13 +48,20 @@ class OutputsMade:
     def note(self, output: Path, key: str, seconds: float, frames: int) -> None:
         """Raises RenderError where it cannot be written."""
         row = {"output": place(output).name, "key": key, "files": _files(output), "seconds": seconds, "frames": frames}
+        self._check_link()
         try:
             append_line(self._path, row)
         except OSError as e:
             raise disk_error(e, self._path) from None
 
+    def _check_link(self) -> None:
+        """What was made is never written to, nor read from, a file elsewhere."""
+        if self._path.is_symlink():
+            raise ConfigError(f"{self._path} is a link", "remove it: batches keep there what they have made")
+
     @cached_property
     def _rows(self) -> Mapping[str, Made]:
+        self._check_link()
         out: dict[str, Made] = {}
         for row in read_lines(self._path):
             with contextlib.suppress(ValueError, KeyError, TypeError, OverflowError):

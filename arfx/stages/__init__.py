@@ -101,8 +101,8 @@ class Table(Classes):
             except ConfigError as e:
                 broken[name] = e
         while waiting:
-            name = next((n for n in waiting if not loaded[n].after or loaded[n].after in order), None)
-            if name is None:
+            ready = [n for n in waiting if not loaded[n].after or loaded[n].after in order]
+            if not ready:
                 name = waiting.pop(0)
                 after = loaded[name].after
                 broken[name] = ConfigError(
@@ -110,6 +110,7 @@ class Table(Classes):
                     f"one of {', '.join(order)}",
                 )
                 continue
+            name = ready[0]
             waiting.remove(name)
             stage = loaded[name]
             known = {n: loaded[n] if n in loaded else Classes.__getitem__(self, n) for n in order}

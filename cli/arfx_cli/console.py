@@ -84,7 +84,7 @@ def emit_json(document: Any) -> None:
     from arfx.core.numerics import finite
 
     context = click.get_current_context(silent=True)
-    output = context.meta.get(_OUTPUT, sys.stdout) if context else sys.stdout
+    output: Any = context.meta.get(_OUTPUT, sys.stdout) if context else sys.stdout
     json.dump(finite(document), output, indent=1)
     output.write("\n")
 

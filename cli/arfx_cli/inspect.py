@@ -26,7 +26,7 @@ def command(clip: Path, camera: Path | None, samples: int, as_json: bool) -> Non
     from arfx.media.clip import probe
 
     info = probe(clip)
-    lens = None if camera is None else load_camera(camera).scaled_to(info.width, info.height)
+    lens = None if camera is None else load_camera(camera).scaled_to(info.width, info.height, info.pixel_aspect)
     document = inspect(info, lens, samples)
     document["suggestion"] = suggestion(document, clip, camera)
     _detail(document)

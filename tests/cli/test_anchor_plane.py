@@ -11,7 +11,7 @@ import pytest
 
 from arfx.analyse.fold import PLANE, AnalysisJob
 from arfx.config.load import load
-from arfx.core.facts import write_facts
+from arfx.core.facts import read_facts, write_facts
 from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg
 from arfx.run import analysis, stretches
 from arfx.run.folder import JobFolder
@@ -78,6 +78,19 @@ def test_given_poses_hold_it_in_place(material: Material, still: Path, arfx: Run
     plain = frames(still)[0][1].astype(float)
     at = [np.argwhere(np.abs(f.astype(float) - plain).max(-1) > 40).mean(0)[1] for _, f in frames(tmp_path / "out.mkv")]
     assert 12 < at[0] - at[15] < 30
+
+
+def test_poses_sparser_than_frames_are_bridged(material: Material, still: Path, arfx: Run, tmp_path: Path) -> None:
+    """A pose each sixth frame: the camera moves on evenly between them, and those frames are not called measured."""
+    w, x, y, z = quaternion_from_rotation(rotation_from_euler_deg(-90 - DOWN_DEG, 0, 0))
+    (tmp_path / "poses.txt").write_text("".join(f"{k / 30} {0.005 * k} 0 {HEIGHT_M} {x} {y} {z} {w}\n" for k in (0, 6, 12, 18)))
+    cv2.imwrite(str(tmp_path / "one.png"), depth_map())
+    more = ("--depth", "one.png", "--poses", "poses.txt", "--pipeline", "lightmap", "--job", "job", "--json")
+    r = arfx(*arguments(material, still, *more))
+    assert r.code == 0 and "bridged" in r.err, r.err
+    assert (r.json["pose"]["frames_measured"], r.json["pose"]["frames_interpolated"]) == (3, 15)
+    moved = np.diff([f.pose.translation_m for f in read_facts(tmp_path / "job" / "facts.jsonl")], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 0.005, atol=2e-4)
 
 
 def test_an_interrupted_analysis_leaves_the_same_bytes(

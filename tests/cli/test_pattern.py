@@ -28,6 +28,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, camera, picture = tmp_path_factory.mktemp("pattern"), clip_camera(), poster(300, 200, seed=2)
     coded = lambda linear: (255 * np.clip(linear, 0, 1) ** (1 / 2.2) + 0.5).astype(np.uint8)  # noqa: E731
     cv2.imwrite(str(folder / "poster.png"), coded(picture)[..., ::-1])
+    card = np.where(np.arange(200)[:, None, None] < 100, picture, picture[::-1, ::-1])
+    cv2.imwrite(str(folder / "card.png"), coded(card)[..., ::-1])
     cv2.imwrite(str(folder / "plain.png"), np.full((200, 300, 3), 220, np.uint8))
     back = np.repeat(background(camera.width, camera.height)[..., None], 3, 2)
     with av.open(str(folder / "clip.mkv"), "w") as out:
@@ -89,6 +91,7 @@ def test_another_picture_of_the_same_name_is_another_job(place: Path, arfx: Run,
         (["--pattern", "none.png:15cm"], 3, "pattern none.png: no such file"),
         (["--pattern", "camera.yaml:15cm"], 3, "pattern camera.yaml is not a picture"),
         (["--pattern", "plain.png:15cm"], 3, "pattern plain.png is too plain"),
+        (["--pattern", "card.png:15cm"], 2, "pattern card.png looks the same when it is turned by 180 degrees"),
     ],
 )
 def test_what_is_no_pattern_is_one_message(place: Path, arfx: Run, options: list[str], code: int, words: str) -> None:

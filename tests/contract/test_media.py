@@ -371,3 +371,28 @@ def test_a_frame_that_lasts_longer_than_mp4_can_say_is_told_before_rendering(tmp
         check_times(plan, pts, Fraction(1, 1000))
     with pytest.raises(ConfigError, match=r"24\.9 days.*\.mp4"):
         check_times(mp4, [0, MAX_TICKS + 1], Fraction(1, 1000))
+
+
+@pytest.mark.parametrize("pts", [STEADY, VARIABLE], ids=["steady", "variable"])
+@pytest.mark.parametrize(
+    ("codec", "suffix"),
+    [
+        *itertools.product(("h264", "h265"), (".mp4", ".mov", ".mkv")),
+        *itertools.product(("av1",), (".mp4", ".mkv")),
+        ("prores", ".mov"),
+        ("ffv1", ".mkv"),
+    ],
+)
+def test_files_state_their_frames_rate_and_length(tmp_path: Path, codec: str, suffix: str, pts: list[int]) -> None:
+    """As players read them, frames that are shown in another order than they are decoded in included."""
+    source = make_clip(tmp_path / "in.mp4", pts)
+    through(source, tmp_path / f"out{suffix}", [0, 7], codec=codec)
+    length_s = float((pts[-1] - pts[0] + pts[-1] - pts[-2]) * probe(source).time_base)
+    with av.open(str(tmp_path / f"out{suffix}")) as out:
+        stream = out.streams.video[0]
+        if suffix == ".mkv":
+            assert out.duration / av.time_base - out.start_time / av.time_base == pytest.approx(length_s, abs=0.002)
+        else:
+            assert stream.frames == len(pts)
+            assert float(stream.duration * stream.time_base) == pytest.approx(length_s, abs=1e-3)
+            assert float(stream.average_rate) == pytest.approx(len(pts) / length_s, rel=1e-3)

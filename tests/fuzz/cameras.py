@@ -92,6 +92,9 @@ def others(rng: random.Random, folder: Path, material: Path) -> Case:
         what = rng.randrange(4)
         if what == 0:
             victim.unlink()
+        elif what == 3:
+            victim.unlink()
+            os.mkfifo(victim)
         elif what == 1:
             victim.rename(victim.with_name(rng.choice(("a.exr", "1e309.5.png", "nan.png", "9" * 200 + ".png"))))
         else:

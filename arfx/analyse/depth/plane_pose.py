@@ -12,7 +12,7 @@ from arfx.analyse.depth.planes import facing_up, scene_planes
 from arfx.analyse.fold import PLANE, PLANE_MARKER, Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.pose.fold import figures
-from arfx.core.facts import MEASURED, FrameFacts
+from arfx.core.facts import INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.pose import Pose
 from arfx.errors import NothingToDoError
 
@@ -49,13 +49,20 @@ class PlanePose(Fold):
                 f"--anchor plane: the camera moves ({self.rest.moved_px:.1f} px), and no poses are given",
                 "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a marker",
             )
-        poses: list[Pose | None] = [Pose.identity()] * len(self.times_s) if given is None else given.of_frames(*clip.frame_span)
+        poses: list[tuple[Pose, bool] | None] = [(Pose.identity(), True)] * len(self.times_s)
+        if given is not None:
+            poses = given.of_frames(*clip.frame_span, self.job.params.max_gap_s)
+        if not any(poses):
+            raise NothingToDoError(
+                "--anchor plane: no pose is of the clip's time", "--poses FILE with times that begin with the clip"
+            )
         numbers = maps.of_frames(*clip.frame_span)
-        both = [(k, p) for k, p in zip(numbers, poses, strict=True) if k is not None and p is not None]
+        known = [(k, *p) for k, p in zip(numbers, poses, strict=True) if k is not None and p is not None]
+        both = [(k, pose) for k, pose, taken in known if taken] or [(k, pose) for k, pose, _ in known]
         if maps.still and given is None:
             both = both[:1]
         planes = scene_planes([(maps.load(k, camera.width, camera.height), p) for k, p in spread(both)], camera)
-        level = facing_up(planes, [p for p in poses if p is not None])
+        level = facing_up(planes, [p[0] for p in poses if p is not None])
         if not level:
             found = f"{len(planes)} planes, none of which faces up" if planes else "no plane"
             raise NothingToDoError(
@@ -66,11 +73,15 @@ class PlanePose(Fold):
         facts = [FrameFacts(k, t) for k, t in enumerate(self.times_s)]
         for k, pose in enumerate(poses):
             if pose is not None:
-                stands = pose @ plane.world_from_plane
-                facts[k] = facts[k].with_(status=MEASURED, camera_from_world=stands, raw_camera_from_world=stands, opacity=1.0)
+                stands, status = pose[0] @ plane.world_from_plane, MEASURED if pose[1] else INTERPOLATED
+                facts[k] = facts[k].with_(status=status, camera_from_world=stands, raw_camera_from_world=stands, opacity=1.0)
         evidence = {"moved_px": self.rest.moved_px} if given is None else {}
         about = {"kind": PLANE, "poses": "a camera at rest" if given is None else "given", **plane.to_json()}
-        return replace(clip, anchor=PLANE_MARKER).adding(facts, **figures(facts, (), static_evidence=evidence, anchor=about))
+        bridged = sum(f.status == INTERPOLATED for f in facts)
+        notice = f"{bridged} frames without a pose at their time bridged: interpolated between poses" if bridged else None
+        return replace(clip, anchor=PLANE_MARKER).adding(
+            facts, notice, **figures(facts, (), static_evidence=evidence, anchor=about)
+        )
 
 
 class RealPlanes(Fold):

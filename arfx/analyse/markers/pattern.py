@@ -19,7 +19,7 @@ from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
-from arfx.errors import InputError
+from arfx.errors import ConfigError, InputError
 
 BASE_PX, LEVEL = 512, 0.5**0.5  # longest side of the finest level; ratio of one to the next
 LEAST_LEVEL_PX = 32  # longest side of the coarsest level
@@ -38,6 +38,8 @@ _RETURN_PX, _AGREE_PX = 0.7, 2.0  # there and back; and to a homography at first
 _CORNERS = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])  # order of MarkerSpec.corners_m
 # Scale, direction and factor of foreshortening of the views whose features are matched.
 _VIEWS = ((1.0, 0.0, 1.0), (0.5, 0.0, 1.0), (0.25, 0.0, 1.0), *((0.7, a, 0.5) for a in (0.0, 45.0, 90.0, 135.0)))
+_TURNS = (180, 120, 90, 72)  # degrees: prints are square, or logos of up to six-fold symmetry; 270 is 90 seen from the other
+_AGREEING, _SAME = 0.5, 0.7  # share of corners; correlation of the even pictures: 0.66 where half of a print tells its turn
 _NODE_PX = 8  # between points for which lens distortion is computed
 
 
@@ -130,6 +132,29 @@ class PatternPicture:
         side = float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).max())
         finest = max((i for i, k in enumerate(self.levels) if max(k.even.shape) >= 0.9 * side), default=0)
         return self.levels[finest::_BLURRED][:2]
+
+
+def check_turned(name: str, luma: np.ndarray) -> None:
+    """Raises ConfigError for a print that looks the same turned about its middle: it would be found in several poses.
+    luma : (h, w) uint8
+
+    A print that is its own mirror image passes: its front is never seen mirrored. Two mirror lines are a turn by 180 degrees."""
+    picture = PatternPicture(name, luma)
+    h, w = picture.levels[0].even.shape
+    luma, camera = cv2.resize(luma, (w, h), interpolation=cv2.INTER_AREA), Camera.guess(w, h)
+    ideal_from_unit = homography_of(camera.normalised(_CORNERS * [w, h] - 0.5))
+    for degrees in _TURNS:
+        m = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
+        turned = cv2.warpAffine(luma, m, (w, h), borderMode=cv2.BORDER_REPLICATE)
+        there = picture.align(turned, camera, ideal_from_unit)
+        if there is None or there.share < _AGREEING:
+            continue
+        seen = _cut_out(turned, camera, there.ideal_from_unit @ picture.levels[0].unit_from_level, (w, h))
+        if np.corrcoef(picture.levels[0].even.ravel(), _even(seen).ravel())[0, 1] >= _SAME:
+            raise ConfigError(
+                f"pattern {name} looks the same when it is turned by {degrees} degrees: its pose would be a guess",
+                "a print without such a symmetry: add a word or a picture at one side, or use a marker",
+            )
 
 
 @dataclass(frozen=True, eq=False)

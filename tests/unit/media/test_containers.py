@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import socket
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageOps
 
 from arfx.errors import InputError
 from arfx.media.clip import probe
@@ -101,3 +104,24 @@ def test_empty_files_devices_and_huge_pictures_are_refused(tmp_path: Path) -> No
         probe("/dev/zero")
     with pytest.raises(InputError, match="at most 8192"):
         check_size(100_000, 16, tmp_path)
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_pictures_with_exif_in_motion_jpeg_are_read_and_turned(tmp_path: Path, orientation: int) -> None:
+    """PyAV does not know EXIF among a picture's side data."""
+    stored = Image.fromarray(np.repeat(np.arange(64 * 96, dtype=np.uint16).reshape(64, 96, 1) // 25, 3, 2).astype(np.uint8))
+    exif = stored.getexif()
+    exif[0x0112] = orientation
+    coded = io.BytesIO()
+    stored.save(coded, "jpeg", exif=exif.tobytes(), quality=95)
+    with av.open(str(tmp_path / "a.avi"), "w") as c:
+        stream = c.add_stream("mjpeg", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuvj420p"
+        for k in range(2):
+            packet = av.Packet(coded.getvalue())
+            packet.pts, packet.dts, packet.time_base, packet.stream = k, k, Fraction(1, 25), stream
+            c.mux(packet)
+    info = probe(tmp_path / "a.avi")
+    with ClipReader(info) as reader:
+        shown = next(reader.frames()).rgb8()
+    assert np.abs(shown.astype(int) - np.asarray(ImageOps.exif_transpose(Image.open(coded)))).mean() < 2

@@ -2,6 +2,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from arfx.errors import ConfigError
 from arfx.run.outputs_made import NAME, OutputsMade, place
 
 
@@ -38,3 +41,17 @@ def test_damaged_lines_lose_themselves_alone(tmp_path: Path) -> None:
     (tmp_path / NAME).write_bytes(b'{"output": 3}\n[]\n' + endless + b'\n\xff\n{"output": "b.mp4", "key": "k", "fi')
     OutputsMade(tmp_path).note(out, "key", 1.0, 1)
     assert OutputsMade(tmp_path).files() == {out}
+
+
+def test_a_link_is_refused(tmp_path: Path) -> None:
+    """Nothing is written to, or read from, a file elsewhere."""
+    other = tmp_path / "other"
+    other.write_bytes(b"kept")
+    (tmp_path / NAME).symlink_to(other)
+    out = tmp_path / "a.mp4"
+    out.write_bytes(b"1")
+    with pytest.raises(ConfigError, match="is a link"):
+        OutputsMade(tmp_path).note(out, "key", 1.0, 1)
+    with pytest.raises(ConfigError, match="is a link"):
+        OutputsMade(tmp_path).files()
+    assert other.read_bytes() == b"kept"

@@ -11,13 +11,13 @@ import pytest
 from arfx.analyse.fold import AnalysisJob
 from arfx.analyse.folds import Analyser, AnalysisFrame
 from arfx.analyse.markers.detect import Detection
-from arfx.analyse.markers.pattern import PatternPicture, coded_luma, plausible
+from arfx.analyse.markers.pattern import PatternPicture, check_turned, coded_luma, plausible
 from arfx.analyse.markers.pattern_tracker import PatternTracker
 from arfx.analyse.params import AnalyseParams
 from arfx.core.camera import Camera
 from arfx.core.marker import PatternSpec
 from arfx.core.pose import Pose, rotation_angle_rad
-from arfx.errors import InputError, NothingToDoError
+from arfx.errors import ConfigError, InputError, NothingToDoError
 from tests.unit.analyse.synthetic import background, camera, hung, picture, poster, tilted
 
 CAM = camera(320, 240, 330.0)
@@ -132,3 +132,20 @@ def test_a_print_that_is_never_seen_is_said() -> None:
     analyser.step(AnalysisFrame(0, 0.0, frame(None)))
     with pytest.raises(NothingToDoError, match=r"no configured marker \(poster.png\) in 1 frames"):
         analyser.finish()
+
+
+def test_a_print_that_looks_the_same_turned_is_refused_and_no_other() -> None:
+    grey = coded_luma(poster(300, 200), INK, PAPER)
+    card = np.where(np.arange(len(grey))[:, None] < len(grey) / 2, grey, grey[::-1, ::-1]).astype(np.uint8)
+    scanned = np.pad(card, ((3, 9), (8, 2)), constant_values=240)
+    marked = card.copy()
+    marked[20:45, 20:45] = 255
+    square = grey[:, :200]
+    four = np.mean([np.rot90(square, k) for k in range(4)], 0).astype(np.uint8)
+    logo = np.pad(four, ((0, 0), (60, 60)), constant_values=240)
+    for same in (card, scanned, marked, four, logo):
+        with pytest.raises(ConfigError, match="looks the same when it is turned by 180 degrees"):
+            check_turned("card", same)
+    half = np.where(np.arange(300) < 150, grey, card).astype(np.uint8)
+    for told in (grey, half, np.concatenate([square, square[:, ::-1]], 1)):  # the last one is its own mirror image
+        check_turned("poster", told)
