@@ -14,6 +14,7 @@ import numpy as np
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
+from arfx.core.opener import printable
 from arfx.errors import RenderError
 
 POSE_FIGURES = (
