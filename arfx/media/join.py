@@ -190,6 +190,8 @@ def _add_video(out: Any, template: Any, source: Any, plan: OutputPlan, info: Cli
     ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
     if info.fps:
         ctx.framerate = Fraction(info.fps).limit_denominator(1001)
+    if info.fields:
+        ctx.field_order = info.field_order
     if info.sample_aspect is not None:
         ctx.sample_aspect_ratio = info.sample_aspect
     if plan.codec == "h265" and plan.container in ("mp4", "mov"):
