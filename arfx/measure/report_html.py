@@ -58,7 +58,7 @@ def full_page(title: str, sections: Sequence[str]) -> str:
 
 def escaped(value: Any) -> str:
     """Text for HTML."""
-    return escape(str(value), quote=True)
+    return escape(printable(str(value)), quote=True)
 
 
 def number(value: Any, digits: int = 3) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ import click
 from arfx import __version__
 from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
-from arfx.core.opener import check_name, printable
+from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
 from arfx_cli.console import tell
 
@@ -117,8 +118,9 @@ def _report_error(e: BaseException) -> int:
         tell(interrupt.cause())
         return code
     if isinstance(e, click.ClickException):
-        e.message = printable(e.message)
-        e.show()
+        shown = io.StringIO()
+        e.show(shown)
+        tell(shown.getvalue().rstrip())
         return e.exit_code
     if os.environ.get("ARFX_DEBUG") == "1" and not isinstance(e, SystemExit):
         raise e
