@@ -6,6 +6,8 @@ Left out: XML, and lens models that OpenCV's polynomials cannot express (field-o
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -30,6 +32,10 @@ DISTORTION_NAMES = ("distortioncoefficients", "distcoeffs", "distortioncoeffs", 
 SIZE_NAMES = ("imagesize", "imgsize", "resolution", "size")
 WIDTH_NAMES, HEIGHT_NAMES = ("imagewidth", "width", "w"), ("imageheight", "height", "h")
 MODEL_NAMES = ("distortionmodel", "cameramodel", "model")
+ERROR_NAMES = (
+    "reprojectionrmspx", "avgreprojectionerror", "meanreprojectionerror", "rmsreprojectionerror", "reprojectionerror",
+    "reprojerror", "rmserror", "rms",
+)  # fmt: skip
 FISHEYE_WORDS = {"fisheye", "equidistant", "kannala_brandt", "kannalabrandt", "kb4"}
 BROWN_WORDS = {
     "", "pinhole", "plumb_bob", "radtan", "rational_polynomial", "brown", "brown_conrady", "opencv", "none",
@@ -55,6 +61,7 @@ _USUAL_FOCAL = (0.15, 100.0)
 _ASPECT, _USUAL_ASPECT = 10.0, 1.5  # of the pixels: anamorphic video reaches 2
 _CENTRE = 5.0  # picture sides by which a crop of a picture may lie off its principal point
 _COEFFICIENT = 1e6
+MOST_ERROR_PX = 2.0  # of reprojection: below 1 is usual; of pictures longer than 2000 px a thousandth
 _USUAL_VISIBLE, _MIN_VISIBLE = (
     0.5,
     0.05,
@@ -123,7 +130,7 @@ def _parse(text: str, where: str) -> Mapping[str, Any]:
 
 def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     """OpenCV, ROS, WPILib, PhotonVision: the same things under different names."""
-    flat = {str(k).lower().replace("_", ""): v for k, v in document.items()}
+    flat = _flat(document)
     matrix = _numbers(_first(flat, MATRIX_NAMES), where, "the camera matrix")
     if matrix is None:
         keys = ", ".join(map(str, list(document)[:8])) or "nothing"
@@ -214,6 +221,10 @@ def _size(flat: Mapping[str, Any], where: str) -> tuple[int, int]:
     if values is None or not np.isfinite(values).all() or np.any(values != np.round(values)):
         raise _error(where, f"picture size {width} x {height}", "two whole numbers of pixels")
     return int(values[0]), int(values[1])
+
+
+def _flat(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {str(k).lower().replace("_", ""): v for k, v in document.items()}
 
 
 def _first(flat: Mapping[str, Any], names: Sequence[str]) -> Any:
@@ -328,6 +339,37 @@ def camera_warnings(camera: Camera) -> list[str]:
     if (seen := _visible_fraction(camera)) < _USUAL_VISIBLE:
         out.append(f"the distortion holds for {seen:.0%} of the picture only")
     return [f"camera calibration {camera.source}: {text}" for text in out]
+
+
+def calibration_claims(path: str | Path) -> dict[str, Any]:
+    """What a calibration file says of its own worth, where it does: verdict, reasons, condition, error_px (of reprojection).
+    {} for one camera of a file that holds several, and for a file that cannot be read."""
+    try:
+        flat = _flat(_parse(read_text(path, "camera file"), str(path)))
+    except InputError:
+        return {}
+    out: dict[str, Any] = {k: str(flat[k]) for k in ("verdict",) if flat.get(k)}
+    if isinstance(reasons := flat.get("reasons"), list):
+        out["reasons"] = [str(r) for r in reasons]
+    for key, value in (("condition", flat.get("condition")), ("error_px", _first(flat, ERROR_NAMES))):
+        with contextlib.suppress(TypeError, ValueError):
+            if math.isfinite(number := _number(value)):
+                out[key] = number
+    return out
+
+
+def claim_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
+    """Notices of what a calibration (of this camera) admits of itself."""
+    out = []
+    if claims.get("verdict") == "poor":
+        why = "".join(f" ({r[:200]})" for r in claims.get("reasons", ())[:1])
+        out.append(f"its own verdict is poor{why}")
+    if (error := claims.get("error_px", 0.0)) > max(MOST_ERROR_PX, 1e-3 * max(camera.width, camera.height)):
+        out.append(f"its reprojection error is {error:.3g} px; below 1 px is usual")
+    if not out:
+        return []
+    text = "; ".join(out)
+    return [f"camera calibration {camera.source}: {text}: sizes and perspective may be off; better calibrate again"]
 
 
 def _visible_fraction(camera: Camera) -> float:

@@ -12,7 +12,7 @@ import yaml
 
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.errors import InputError
-from arfx.media.cameras import load_camera, save_camera
+from arfx.media.cameras import calibration_claims, claim_warnings, load_camera, save_camera
 
 K = np.array([[801.5, 0, 322.25], [0, 799.125, 239.75], [0, 0, 1]])
 D5 = np.array([-0.2664, 0.0386, 0.00178, -0.00028, 0.2384])
@@ -195,3 +195,27 @@ def test_a_failed_save_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         save_camera(tmp_path / "missing" / "c.yaml", Camera(640, 480, K, D5))
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_calibration_says_of_itself_is_read(tmp_path: Path) -> None:
+    a = write(tmp_path, "a.yaml", "%YAML:1.0\n---\nverdict: usable\ncondition: 3.5e+04\nimage_width: 640\n")
+    assert calibration_claims(a) == {"verdict": "usable", "condition": 3.5e4}
+    assert calibration_claims(write(tmp_path, "c.yaml", "condition: e.e\nrms: .nan\n")) == {}
+    assert calibration_claims(write(tmp_path, "b.yaml", "image_width: 640\n")) == {}
+    assert calibration_claims(tmp_path / "none") == {}
+
+
+@pytest.mark.parametrize(
+    ("claims", "said"),
+    [
+        ({"verdict": "poor", "reasons": ["only 3 views"], "reprojection_rms_px": 0.03}, ["verdict is poor (only 3 views)"]),
+        ({"verdict": "poor", "reprojection_rms_px": 9.4}, ["verdict is poor", "error is 9.4 px"]),
+        ({"avg_reprojection_error": 9.4}, ["error is 9.4 px"]),  # OpenCV's sample
+        ({"verdict": "usable", "reprojection_rms_px": 0.9}, []),
+    ],
+)
+def test_a_calibration_that_calls_itself_poor_is_one_notice(tmp_path: Path, claims: dict[str, object], said: list[str]) -> None:
+    path = tmp_path / "camera.yaml"
+    save_camera(path, Camera(640, 480, K, D5), **claims)
+    notices = claim_warnings(load_camera(path), calibration_claims(path))
+    assert len(notices) == bool(said) and all(words in notices[0] for words in said)
