@@ -32,10 +32,6 @@ DISTORTION_NAMES = ("distortioncoefficients", "distcoeffs", "distortioncoeffs", 
 SIZE_NAMES = ("imagesize", "imgsize", "resolution", "size")
 WIDTH_NAMES, HEIGHT_NAMES = ("imagewidth", "width", "w"), ("imageheight", "height", "h")
 MODEL_NAMES = ("distortionmodel", "cameramodel", "model")
-ERROR_NAMES = (
-    "reprojectionrmspx", "avgreprojectionerror", "meanreprojectionerror", "rmsreprojectionerror", "reprojectionerror",
-    "reprojerror", "rmserror", "rms",
-)  # fmt: skip
 FISHEYE_WORDS = {"fisheye", "equidistant", "kannala_brandt", "kannalabrandt", "kb4"}
 BROWN_WORDS = {
     "", "pinhole", "plumb_bob", "radtan", "rational_polynomial", "brown", "brown_conrady", "opencv", "none",
@@ -61,7 +57,6 @@ _USUAL_FOCAL = (0.15, 100.0)
 _ASPECT, _USUAL_ASPECT = 10.0, 1.5  # of the pixels: anamorphic video reaches 2
 _CENTRE = 5.0  # picture sides by which a crop of a picture may lie off its principal point
 _COEFFICIENT = 1e6
-MOST_ERROR_PX = 2.0  # of reprojection: below 1 is usual; of pictures longer than 2000 px a thousandth
 _USUAL_VISIBLE, _MIN_VISIBLE = (
     0.5,
     0.05,
@@ -342,34 +337,25 @@ def camera_warnings(camera: Camera) -> list[str]:
 
 
 def calibration_claims(path: str | Path) -> dict[str, Any]:
-    """What a calibration file says of its own worth, where it does: verdict, reasons, condition, error_px (of reprojection).
-    {} for one camera of a file that holds several, and for a file that cannot be read."""
+    """What `arfx calibrate` wrote of itself into a camera file: verdict, reasons, condition; {} for files of others."""
     try:
         flat = _flat(_parse(read_text(path, "camera file"), str(path)))
-    except InputError:
+    except InputError:  # one camera of a file that holds several
         return {}
-    out: dict[str, Any] = {k: str(flat[k]) for k in ("verdict",) if flat.get(k)}
-    if isinstance(reasons := flat.get("reasons"), list):
-        out["reasons"] = [str(r) for r in reasons]
-    for key, value in (("condition", flat.get("condition")), ("error_px", _first(flat, ERROR_NAMES))):
-        with contextlib.suppress(TypeError, ValueError):
-            if math.isfinite(number := _number(value)):
-                out[key] = number
+    out = {key: flat[key] for key, kind in (("verdict", str), ("reasons", list)) if isinstance(flat.get(key), kind)}
+    with contextlib.suppress(TypeError, ValueError):
+        if math.isfinite(condition := _number(flat.get("condition"))):
+            out["condition"] = condition
     return out
 
 
 def claim_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
     """Notices of what a calibration (of this camera) admits of itself."""
-    out = []
-    if claims.get("verdict") == "poor":
-        why = "".join(f" ({r[:200]})" for r in claims.get("reasons", ())[:1])
-        out.append(f"its own verdict is poor{why}")
-    if (error := claims.get("error_px", 0.0)) > max(MOST_ERROR_PX, 1e-3 * max(camera.width, camera.height)):
-        out.append(f"its reprojection error is {error:.3g} px; below 1 px is usual")
-    if not out:
+    if claims.get("verdict") != "poor":
         return []
-    text = "; ".join(out)
-    return [f"camera calibration {camera.source}: {text}: sizes and perspective may be off; better calibrate again"]
+    why = "".join(f" ({str(r)[:200]})" for r in claims.get("reasons", ())[:1])
+    text = f"its own verdict is poor{why}: sizes and perspective may be off; better calibrate again"
+    return [f"camera calibration {camera.source}: {text}"]
 
 
 def _visible_fraction(camera: Camera) -> float:
