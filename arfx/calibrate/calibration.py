@@ -23,12 +23,11 @@ LOOKED_AT = 4  # pictures without the board that are searched for other boards
 
 
 class Picture(NamedTuple):
-    """gray : (h, w) uint8 upright; None where it cannot be read, and `damage` says why;  turn : EXIF's orientation"""
+    """gray : (h, w) uint8 upright, or why it cannot be read;  turn : EXIF's orientation"""
 
     name: str
-    gray: np.ndarray | None
+    gray: np.ndarray | InputError
     turn: int = 1
-    damage: InputError | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +81,9 @@ def find_board(pictures: Iterable[Picture], spec: BoardSpec, progress: Callable[
     samples: list[tuple[str, np.ndarray]] = []
     kinds: dict[str, tuple[int, int, int]] = {}
     searched = 0
-    for name, gray, turn, why in pictures:
-        if gray is None:
-            why = why or InputError(f"{name} cannot be read")
-            damage[why.hint].append((name, why.message))
+    for name, gray, turn in pictures:
+        if isinstance(gray, InputError):
+            damage[gray.hint].append((name, gray.message))
             continue
         kinds[name] = (gray.shape[1], gray.shape[0], turn)
         searched += 1

@@ -6,7 +6,6 @@ import contextlib
 import io
 import re
 import struct
-import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -92,10 +91,9 @@ def _numpy(data: bytes, where: str) -> Mapping[str, Any]:
     """Arrays by name, without those that hold Python objects."""
     out: dict[str, Any] = {}
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as file:
-            if sum(member.file_size for member in file.infolist()) > 4 * MIB:
-                raise ValueError("it unpacks to more than 4 MiB")
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            if sum(member.file_size for member in arrays.zip.infolist()) > 4 * MIB:
+                raise ValueError("it unpacks to more than 4 MiB")
             for name in arrays.files:
                 with contextlib.suppress(ValueError):
                     out[name] = arrays[name].tolist()

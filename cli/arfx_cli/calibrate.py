@@ -207,7 +207,7 @@ def _pictures(paths: list[Path]) -> Iterator[Picture]:
         try:
             yield Picture(name, decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE), exif_turn(path))
         except InputError as e:
-            yield Picture(name, None, damage=e)
+            yield Picture(name, e)
 
 
 def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:

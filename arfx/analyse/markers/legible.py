@@ -17,7 +17,6 @@ from arfx.core.numerics import divide
 SAMPLES = 4  # a side of a cell; those at its border are mixed with its neighbour
 CLEAN = 0.95  # share of the cells around that are paper, and of the border's that are ink
 MARGIN = 0.25  # of the bits from half way between ink and paper; 1 = as ink and paper themselves
-CONTRAST = 15  # coded levels between ink and paper, at least
 HOLDS_FRAMES = 3  # a reading that is not sure by itself has to be in so many frames
 HOLDS, SURE = 1e-2, 1e-4  # chance at which a reading counts, and at which one is enough
 
@@ -39,7 +38,7 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
     wrong = int((bits <= 0).sum())
     clean = min((paper_like[depth == 0] > 0).mean(), (paper_like[depth == 1] < 0).mean()) >= CLEAN
     chance = _chance(seen.family, seen.id, wrong)
-    sure = (clean and abs(paper - ink) >= CONTRAST and float(bits.min()) >= MARGIN) or chance <= SURE
+    sure = bool(clean and bits.min() >= MARGIN) or chance <= SURE
     return sure or wrong == 0 or chance <= HOLDS, sure
 
 

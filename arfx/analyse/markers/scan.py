@@ -8,39 +8,34 @@ import numpy as np
 
 from arfx.analyse.fold import Stateful
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, MarkerDetector
-from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
+from arfx.analyse.markers.legible import legible
 
 LOOKS = (0, 1, 2, *(6 << k for k in range(9)))  # the numbers of the frames searched: all of a photo, few of a long clip
 MIN_SIDE_PX = 14.0  # smaller squares of weak dictionaries are found in any texture
 
 
 class DictionaryScan(Stateful):
-    """Counts markers of all families in a few frames."""
+    """Counts plain markers of all families in a few frames."""
 
     def __init__(self) -> None:
         self.looked = 0
         self.counts: Counter[str] = Counter()
-        self.sure: Counter[str] = Counter()
 
     def step(self, frame: int, luma: np.ndarray) -> None:
         if frame not in LOOKS:
             return
         self.looked += 1
         seen = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX, inverted=False).search(luma)
-        read = [(c.key, *legible(luma, c)) for c in seen]
-        self.counts.update({key for key, counts, _ in read if counts})
-        self.sure.update(key for key, _, sure in read if sure)
+        self.counts.update({c.key for c in seen if legible(luma, c)[1]})
 
     def join(self, later: DictionaryScan) -> None:
         self.looked += later.looked
         self.counts.update(later.counts)
-        self.sure.update(later.sure)
 
     def text(self) -> str:
         """ "4X4_1000:7 (2 of 3 sampled frames), ..." likeliest first, or an empty string."""
         return ", ".join(f"{k} ({self.counts[k]} of {self.looked} sampled frames)" for k in self.likeliest()[:6])
 
     def likeliest(self) -> list[str]:
-        """Keys to trust: most often seen first; among equals the families that are hardest to misread first."""
-        known = [k for k in self.counts if k in self.sure or self.counts[k] >= HOLDS_FRAMES]
-        return sorted(known, key=lambda k: (-self.counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k))
+        """Keys seen: most often seen first; among equals the families that are hardest to misread first."""
+        return sorted(self.counts, key=lambda k: (-self.counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k))

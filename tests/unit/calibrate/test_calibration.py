@@ -212,7 +212,7 @@ def test_what_cannot_be_read_or_is_of_another_kind_is_left_out_and_all_of_it_is_
     good = [Picture(f"g{i}", render(CHESS, p), turn=(1, 6)[i % 2]) for i, p in enumerate(poses(9)[:5])]
     turned = Picture("turned", render(CHESS, poses(9)[5]), turn=3)
     small = Picture("small", np.zeros((200, 300), np.uint8))
-    bad = [Picture(n, None, damage=InputError(f"{n} is damaged", "save it again")) for n in ("bad", "worse")]
+    bad = [Picture(n, InputError(f"{n} is damaged", "save it again")) for n in ("bad", "worse")]
     got = find_board([bad[0], *good, small, turned, bad[1]], CHESS)
     assert [v.name for v in got.views] == [g.name for g in good]
     assert got.notices[0] == "left out: bad is damaged; likewise worse (save it again)"
