@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +18,16 @@ from arfx.errors import InputError, NothingToDoError
 
 KEEP_VIEWS = 40  # more add little (errors fall with the root) and cost linearly
 SECOND_OPINIONS = 60  # pictures searched with both chessboard finders; of a video's frames the first ones
+UPSIDE_DOWN = (3, 4, 7, 8)  # EXIF's orientations of a camera held the other way up than by 1, 2, 5 and 6
 LOOKED_AT = 4  # pictures without the board that are searched for other boards
+
+
+class Picture(NamedTuple):
+    """gray : (h, w) uint8 upright, or why it cannot be read;  turn : EXIF's orientation"""
+
+    name: str
+    gray: np.ndarray | InputError
+    turn: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,25 +69,23 @@ class Calibration:
         return np.hypot(self.known.standard_deviations, self.finder_sd)
 
 
-def find_board(
-    pictures: Iterable[tuple[str, np.ndarray]], spec: BoardSpec, progress: Callable[[int, int], None] = lambda *_: None
-) -> Found:
-    """Search pictures (name, (h, w) uint8 upright) for the board.
+def find_board(pictures: Iterable[Picture], spec: BoardSpec, progress: Callable[[int, int], None] = lambda *_: None) -> Found:
+    """Search pictures for the board. Those that cannot be read, or are not of the camera's usual size and orientation, are
+    left out with a notice.
 
     progress : called with pictures searched and boards found
-    Raises InputError for pictures of different sizes, NothingToDoError, saying what is seen instead, if no board is found."""
+    Raises InputError where none can be read, or no size and orientation is that of most; NothingToDoError, saying what is seen
+    instead, if no board is found."""
     views, empty, notices = list[View](), list[str](), list[str]()
+    damage: dict[str, list[tuple[str, str]]] = defaultdict(list)
     samples: list[tuple[str, np.ndarray]] = []
-    first: tuple[str, tuple[int, int]] | None = None
+    kinds: dict[str, tuple[int, int, int]] = {}
     searched = 0
-    for name, gray in pictures:
-        size = (gray.shape[1], gray.shape[0])
-        first = first or (name, size)
-        if size != first[1]:
-            raise InputError(
-                f"pictures of different sizes: {first[0]} is {first[1][0]}x{first[1][1]}, {name} is {size[0]}x{size[1]}",
-                "a calibration belongs to one size and orientation; give those of one camera mode",
-            )
+    for name, gray, turn in pictures:
+        if isinstance(gray, InputError):
+            damage[gray.hint].append((name, gray.message))
+            continue
+        kinds[name] = (gray.shape[1], gray.shape[0], turn)
         searched += 1
         view = find_view(gray, spec, name, second_opinion=searched <= SECOND_OPINIONS)
         if view is None and spec.kind == CHARUCO and not views:
@@ -92,11 +101,18 @@ def find_board(
         else:
             views.append(view)
         progress(searched, len(views))
+    bad = ["; likewise ".join([rows[0][1], *(name for name, _ in rows[1:])]) for rows in damage.values()]
+    if bad and not kinds:
+        raise InputError("; ".join(bad), "; ".join(damage))
+    notices += [f"left out: {text} ({hint})" for text, hint in zip(bad, damage, strict=True)]
+    others = _of_other_kinds(kinds, notices)
+    views = [v for v in views if v.name not in others]
     instead = tuple(f"{name}: {what}" for name, gray in samples if (what := seen_instead(gray, spec)))
     if not views:
-        if first is None:
+        if not kinds:
             raise NothingToDoError("no pictures to search", "give images or a video of the board")
         saw = f"; instead {'; '.join(instead)}" if instead else "; no other board or marker either"
+        saw += "".join(f"; {n}" for n in notices)
         raise NothingToDoError(
             f"board {spec} is in none of {searched} pictures{saw}",
             "give the --board that was printed; a chessboard must be wholly in the picture, with a white margin",
@@ -106,6 +122,33 @@ def find_board(
     return Found(spec, tuple(views), searched, tuple(empty), instead, tuple(notices))
 
 
+def _of_other_kinds(kinds: Mapping[str, tuple[int, int, int]], notices: list[str]) -> set[str]:
+    """Names of the pictures that are not of the usual size, or upside down against the others; a notice says so.
+
+    kinds : width, height and EXIF orientation by name. Raises InputError where no kind is that of most."""
+    groups: dict[tuple[int, int, bool], list[str]] = defaultdict(list)
+    for name, (width, height, turn) in kinds.items():
+        groups[width, height, turn in UPSIDE_DOWN].append(name)
+    if len(groups) < 2:
+        return set()
+    mixed = len({turn for _, _, turn in kinds.values()}) > 1
+    words = {}
+    for (width, height, _), names in groups.items():
+        tags = f" by EXIF orientation {', '.join(map(str, sorted({kinds[n][2] for n in names})))}" if mixed else ""
+        words[names[0]] = f"{_first_names(names)} {'is' if len(names) == 1 else 'are'} {width}x{height}{tags}"
+    most = max(groups.values(), key=len)
+    cause = "; their EXIF orientations are mixed: the camera was turned, or its tags are wrong" if mixed else ""
+    if 2 * len(most) <= len(kinds):
+        raise InputError(
+            f"pictures of different sizes or orientations: {', '.join(words.values())}{cause}",
+            "a calibration belongs to one size and orientation: give those of one camera mode, held one way"
+            + (" (if they are, exiftool -Orientation=1 -n mends the tags)" if mixed else ""),
+        )
+    usual = words.pop(most[0])
+    notices.append(f"left out: {', '.join(words.values())}; {usual}{cause}")
+    return set(kinds) - set(most)
+
+
 def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     """Intrinsics from the views found. Raises NothingToDoError if fewer than three different views agree."""
     notices = list(found.notices)
@@ -113,7 +156,8 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     unique = most_varied(unique, keep)
     if len(unique) < 3:
         raise NothingToDoError(
-            f"board {found.spec} is seen in {len(found.views)} of {found.searched} pictures, {len(unique)} of them different",
+            f"board {found.spec} is seen in {len(found.views)} of {found.searched} pictures, {len(unique)} of them different"
+            + "".join(f"; {n}" for n in found.notices),
             "at least 3 different views are needed, 15 are good",
         )
     # twice: with a rich model the views' errors are smaller, and a bad view stands out that hid behind the lens's distortion

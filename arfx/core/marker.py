@@ -112,6 +112,15 @@ FAMILIES: dict[str, int] = {
 }  # fmt: skip
 
 
+def smallest_family(family: str, highest_id: int) -> str:
+    """The smallest of a family's nested dictionaries that holds ids up to `highest_id`: 4X4_1000 -> 4X4_50."""
+    root, _, size = family.partition("_")
+    if family.startswith("MIP") or not size:
+        return family
+    sizes = sorted(n for name, n in FAMILIES.items() if name.partition("_")[0] == root)
+    return f"{root}_{next(n for n in sizes if n > highest_id)}"
+
+
 def opencv_name(family: str) -> str:
     """What OpenCV calls the dictionary of a FAMILIES key: DICT_4X4_50, DICT_APRILTAG_36h11, DICT_ARUCO_ORIGINAL."""
     maker = "ARUCO_" if family.startswith(("ORIGINAL", "MIP")) else "APRILTAG_" if "h" in family else ""

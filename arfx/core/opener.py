@@ -112,7 +112,11 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
 
 def read_text(path: Path | str, kind: str) -> str:
     """The whole file as UTF-8, without a byte order mark. Raises InputError also where it is not text."""
-    data = read_bytes(path, kind)
+    return as_text(read_bytes(path, kind), path, kind)
+
+
+def as_text(data: bytes, path: Path | str, kind: str) -> str:
+    """The bytes of a file as `read_text` gives them. Raises InputError."""
     try:
         return data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as e:

@@ -19,10 +19,11 @@ import numpy as np
 
 from arfx.analyse.lens import side_blurs
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector, cells_per_side
+from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
 from arfx.analyse.pose.visibility import ShotDetector, find_cuts
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
-from arfx.core.marker import FAMILIES, MarkerSpec
+from arfx.core.marker import MarkerSpec, smallest_family
 from arfx.core.numerics import angle_between, divide
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import open_video
@@ -31,13 +32,12 @@ from arfx.media.frames import ClipReader
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
 _LIGHT = 255 * SRGB.decode(np.arange(256) / 255)
 READ_WHOLE = 900  # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
-# Codes of few cells turn up in texture: such a marker must be in this many samples. AprilTag 36h11 and the like need one.
-_WEAK = {"16h5": 4, "4X4_1000": 3, "ORIGINAL": 3, "25h9": 2, "5X5_1000": 2}
 
 
 @dataclass
 class Found:
-    """One marker over the samples. sides_px, blurs_px, tilts_deg : one each per sighting (blur and tilt where measurable)"""
+    """One marker over the samples. sides_px, blurs_px, tilts_deg : one each per sample (blur and tilt where measurable)
+    quads : all of its sightings, by sample;  counted : samples in which one counts;  sure : one is plain by itself"""
 
     family: str
     id: int
@@ -45,14 +45,21 @@ class Found:
     sides_px: list[float] = field(default_factory=list)
     blurs_px: list[float] = field(default_factory=list)
     tilts_deg: list[float] = field(default_factory=list)
-    quads: dict[int, np.ndarray] = field(default_factory=dict)
+    quads: dict[int, list[np.ndarray]] = field(default_factory=dict)
     twice: int = 0
+    counted: set[int] = field(default_factory=set)
+    sure: bool = False
+    why: str = ""
+
+    @property
+    def key(self) -> str:
+        return f"{self.family}:{self.id}"
 
     def to_json(self, looked: int) -> dict[str, Any]:
         return {
-            "marker": f"{self.family}:{self.id}", "family": self.family, "id": self.id, "frames": len(self.frames),
+            "marker": self.key, "family": self.family, "id": self.id, "frames": len(self.frames),
             "looked": looked, "side_px": _spread(self.sides_px), "blur_px": _spread(self.blurs_px),
-            "tilt_deg": _spread(self.tilts_deg), "twice_in_a_frame": self.twice,
+            "tilt_deg": _spread(self.tilts_deg), "twice_in_a_frame": self.twice, **({"why": self.why} if self.why else {}),
         }  # fmt: skip
 
 
@@ -84,12 +91,13 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
             dark.append(float((luma <= lowest).mean()))
             _record(found, detector.search(luma), frame.index, luma, camera)
         truncated = reader.truncated
-    markers = confirmed(found, len(looked))
+    markers, left_out = confirmed(found)
     seen = {i for m in markers for i in m.frames}
     return {
         "clip": {**info.to_json(), "frames": read if whole else len(pts), **_times(pts, info), "truncated": truncated},
         "samples": looked,
         "markers": [m.to_json(len(looked)) for m in markers],
+        "left_out": [m.to_json(len(looked)) for m in left_out],
         "marker_coverage": float(divide(len(seen), len(looked))),
         "light": {
             "mean_level": _spread(levels),
@@ -129,11 +137,15 @@ def _times(pts: Sequence[int], info: ClipInfo) -> dict[str, Any]:
 def _record(found: dict[str, Found], seen: list[Candidate], index: int, luma: np.ndarray, camera: Camera | None) -> None:
     for c in seen:
         m = found.setdefault(c.key, Found(c.family, c.id))
+        counts, sure = legible(luma, c)
+        m.counted |= {index} if counts else set()
+        m.sure |= sure
         if index in m.quads:
             m.twice += 1
+            m.quads[index].append(c.quad_px)
             continue
         m.frames.append(index)
-        m.quads[index] = c.quad_px
+        m.quads[index] = [c.quad_px]
         m.sides_px.append(c.side_px)
         blurs = side_blurs(luma, c.quad_px, cells_per_side(c.family), _LIGHT)
         if np.isfinite(blurs).any():
@@ -156,35 +168,36 @@ def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
     return float(np.degrees(angle_between(normal, -shifts[0].ravel())))
 
 
-def confirmed(found: dict[str, Found], looked: int) -> list[Found]:
-    """The markers to trust, most often seen first, under the smallest dictionary that holds them.
-
-    Left out: weak codes in too few samples, and a code read where a better supported one was read."""
-    kept: list[Found] = []
-    for m in sorted(found.values(), key=lambda m: (-len(m.frames), m.family, m.id)):
-        often = len(m.frames) >= min(_WEAK.get(m.family, 1), looked)
-        if often and not any(_same_print(m, better) for better in kept):
+def confirmed(found: dict[str, Found]) -> tuple[list[Found], list[Found]]:
+    """The markers to trust, most often seen first, under the smallest dictionary that holds them; and what is left out, with
+    `why`: what lies in or around a better one, and what is neither plain by itself nor in HOLDS_FRAMES samples."""
+    kept, left_out = list[Found](), list[tuple[Found, Found | None]]()
+    for m in sorted(found.values(), key=lambda m: (-len(m.counted), not m.sure, -len(m.frames), m.family, m.id)):
+        better = next((k for k in kept if _same_place(m, k)), None)
+        if better is None and (m.sure or len(m.counted) >= HOLDS_FRAMES):
             kept.append(m)
-    highest = {m.family: max(k.id for k in kept if k.family == m.family) for m in kept}
-    for m in kept:
-        m.family = smallest_family(m.family, highest[m.family])
-    return kept
+        else:
+            left_out.append((m, better))
+    for some in (kept, [m for m, _ in left_out]):
+        highest = {m.family: max(k.id for k in some if k.family == m.family) for m in some}
+        for m in some:
+            m.family = smallest_family(m.family, highest[m.family])
+    for m, better in left_out:
+        m.why = "not plain (white margin, clear cells), and in too few frames"
+        if better is not None:
+            m.why = f"read in the place of {better.key}"
+    return kept, [m for m, _ in left_out]
 
 
-def _same_print(m: Found, better: Found) -> bool:
-    """Whether most sightings of `m` lie on one of `better`: two dictionaries read one print."""
-    pairs = ((m.quads[i], better.quads[i]) for i in m.frames if i in better.quads)
-    on = sum(np.linalg.norm(a.mean(0) - b.mean(0)) < 0.3 * np.linalg.norm(np.ptp(a, axis=0)) for a, b in pairs)
-    return bool(2 * on > len(m.frames))
+def _same_place(m: Found, better: Found) -> bool:
+    """Whether most sightings of `m` lie in or around one of `better`: two dictionaries read one print, or what is in it."""
+    on = [any(_inside(q, b) or _inside(b, q) for b in better.quads.get(i, ())) for i, quads in m.quads.items() for q in quads]
+    return 2 * sum(on) > len(on)
 
 
-def smallest_family(family: str, highest_id: int) -> str:
-    """The smallest of a family's nested dictionaries that holds ids up to `highest_id`: 4X4_1000 -> 4X4_50."""
-    root, _, size = family.partition("_")
-    if family.startswith("MIP") or not size:
-        return family
-    sizes = sorted(n for name, n in FAMILIES.items() if name.partition("_")[0] == root)
-    return f"{root}_{next(n for n in sizes if n > highest_id)}"
+def _inside(quad: np.ndarray, other: np.ndarray) -> bool:
+    x, y = quad.mean(0)
+    return cv2.pointPolygonTest(other.astype(np.float32), (float(x), float(y)), False) >= 0
 
 
 def _spread(values: Sequence[float]) -> dict[str, float] | None:

@@ -1,13 +1,15 @@
 """Camera calibration files: reads what other tools write, writes a file that OpenCV, ROS and people can read.
 
-Read: OpenCV YAML/JSON, ROS camera_info YAML, COLMAP cameras.txt, Kalibr camchain YAML, WPILib and PhotonVision JSON.
+Read: OpenCV YAML/XML/JSON, NumPy .npz, ROS camera_info YAML, COLMAP cameras.txt and .bin, Kalibr camchain YAML, WPILib and
+PhotonVision JSON; each also packed by gzip.
 Pixel centres: all of these put them at integers, except COLMAP, whose centres lie at .5 (corrected here).
-Left out: XML, and lens models that OpenCV's polynomials cannot express (field-of-view, omnidirectional, division)."""
+Left out: lens models that OpenCV's polynomials cannot express (field-of-view, omnidirectional, division)."""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,16 +19,12 @@ import yaml
 
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import atomic_write
-from arfx.core.opener import MAX_NESTING, bounded, parse_json, read_text
 from arfx.errors import InputError
+from arfx.media.camera_documents import SUPPORTED, read_document
 
-SUPPORTED = (
-    "OpenCV YAML or JSON (camera_matrix, distortion_coefficients, image_width, image_height), ROS camera_info YAML, "
-    "COLMAP cameras.txt, Kalibr camchain YAML, WPILib or PhotonVision JSON"
-)
 # Every name that the formats above give to the same thing, lower case, without underscores.
 MATRIX_NAMES = ("cameramatrix", "cameraintrinsics", "intrinsicmatrix", "k", "mtx")
-DISTORTION_NAMES = ("distortioncoefficients", "distcoeffs", "distortioncoeffs", "distortion", "dist", "d")
+DISTORTION_NAMES = ("distortioncoefficients", "distcoeffs", "distcoefs", "distortioncoeffs", "distortion", "dist", "d")
 SIZE_NAMES = ("imagesize", "imgsize", "resolution", "size")
 WIDTH_NAMES, HEIGHT_NAMES = ("imagewidth", "width", "w"), ("imageheight", "height", "h")
 MODEL_NAMES = ("distortionmodel", "cameramodel", "model")
@@ -55,32 +53,9 @@ _USUAL_FOCAL = (0.15, 100.0)
 _ASPECT, _USUAL_ASPECT = 10.0, 1.5  # of the pixels: anamorphic video reaches 2
 _CENTRE = 5.0  # picture sides by which a crop of a picture may lie off its principal point
 _COEFFICIENT = 1e6
-_USUAL_VISIBLE, _MIN_VISIBLE = (
-    0.5,
-    0.05,
-)  # share of the picture with a viewing direction: a full circle of a fisheye lens has 0.55
+# share of the picture with a viewing direction: a full circle of a fisheye lens has 0.55
+_USUAL_VISIBLE, _MIN_VISIBLE = 0.5, 0.05
 COLMAP_CENTRE_PX = 0.5  # the middle of the top left pixel is (0.5, 0.5) there and (0, 0) here
-
-
-class _Loader(yaml.SafeLoader):
-    """Plain YAML, with OpenCV's `!!opencv-matrix` read as the mapping that it is.
-    No aliases, of which a few lines unfold to gigabytes, and no deep nesting, on which the library recurses."""
-
-    depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("aliases (*name) are not read: write the value out")
-        if self.depth > MAX_NESTING:
-            raise yaml.YAMLError(f"nested deeper than {MAX_NESTING}")
-        self.depth += 1
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
-
-
-for _tag in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
 
 
 def load_camera(path: str | Path) -> Camera:
@@ -93,10 +68,9 @@ def load_camera(path: str | Path) -> Camera:
         name, _, chosen = file.name.rpartition("#")
         file = file.with_name(name)
     where = str(path)
-    text = read_text(file, "camera file")
-    if (rows := _colmap_rows(text)) is not None:
-        return _from_colmap(rows, chosen, where)
-    document = _parse(text, where)
+    document = read_document(file, where)
+    if isinstance(document, list):
+        return _from_colmap(document, chosen, where)
     camchain = {k: v for k, v in document.items() if isinstance(v, Mapping) and "intrinsics" in v}
     if camchain:
         return _from_kalibr(_choose(camchain, chosen, where), where)
@@ -105,25 +79,9 @@ def load_camera(path: str | Path) -> Camera:
     return _from_names(document, where)
 
 
-def _parse(text: str, where: str) -> Mapping[str, Any]:
-    try:
-        if text.lstrip().startswith("{"):
-            document = parse_json(text)
-        else:  # OpenCV writes "%YAML:1.0", which is not a YAML directive; messages echoed by ROS end in "---"
-            body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
-            parts = [p for p in yaml.load_all(body, _Loader) if p is not None]
-            document = bounded(parts[0] if parts else None)
-    except (ValueError, TypeError, yaml.YAMLError) as e:  # TypeError: a key that is a list
-        first = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise InputError(f"camera file {where} is neither valid YAML nor JSON: {first}", f"supported: {SUPPORTED}") from None
-    if not isinstance(document, Mapping):
-        raise InputError(f"camera file {where} holds no camera calibration", f"supported: {SUPPORTED}")
-    return document
-
-
 def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     """OpenCV, ROS, WPILib, PhotonVision: the same things under different names."""
-    flat = {str(k).lower().replace("_", ""): v for k, v in document.items()}
+    flat = _flat(document)
     matrix = _numbers(_first(flat, MATRIX_NAMES), where, "the camera matrix")
     if matrix is None:
         keys = ", ".join(map(str, list(document)[:8])) or "nothing"
@@ -152,14 +110,6 @@ def _from_kalibr(entry: Mapping[str, Any], where: str) -> Camera:
         raise _error(where, "pinhole intrinsics are 4 numbers", "fx, fy, cx, cy")
     flat = {"resolution": entry.get("resolution")}
     return _camera(_matrix(*k), np.zeros(0) if d is None else d, _size(flat, where), models[lens], where)
-
-
-def _colmap_rows(text: str) -> list[list[str]] | None:
-    """The rows of a cameras.txt, or None if the text is something else."""
-    rows = [line.split() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not rows or any(len(r) < 5 or not r[0].isdigit() or not re.fullmatch(r"[A-Z][A-Z_]+", r[1]) for r in rows):
-        return None
-    return rows
 
 
 def _from_colmap(rows: list[list[str]], chosen: str, where: str) -> Camera:
@@ -209,11 +159,17 @@ def _size(flat: Mapping[str, Any], where: str) -> tuple[int, int]:
         width, height = stated
     if width is None or height is None:
         hint = 'add it: "image_width": 1920, "image_height": 1080 (YAML: without the quotation marks)'
+        if where.endswith(".npz"):
+            hint = "np.savez(…, image_width=1920, image_height=1080)"
         raise InputError(f"camera file {where} does not state the picture size that it was made for", hint)
     values = _numbers([width, height], where, "the picture size")
     if values is None or not np.isfinite(values).all() or np.any(values != np.round(values)):
         raise _error(where, f"picture size {width} x {height}", "two whole numbers of pixels")
     return int(values[0]), int(values[1])
+
+
+def _flat(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {str(k).lower().replace("_", ""): v for k, v in document.items()}
 
 
 def _first(flat: Mapping[str, Any], names: Sequence[str]) -> Any:
@@ -328,6 +284,29 @@ def camera_warnings(camera: Camera) -> list[str]:
     if (seen := _visible_fraction(camera)) < _USUAL_VISIBLE:
         out.append(f"the distortion holds for {seen:.0%} of the picture only")
     return [f"camera calibration {camera.source}: {text}" for text in out]
+
+
+def calibration_claims(path: str | Path) -> dict[str, Any]:
+    """What `arfx calibrate` wrote of itself into a camera file: verdict, reasons, condition; {} for files of others."""
+    try:
+        document = read_document(Path(path), str(path))
+    except InputError:  # one camera of a file that holds several
+        return {}
+    flat = _flat(document) if isinstance(document, Mapping) else {}
+    out = {key: flat[key] for key, kind in (("verdict", str), ("reasons", list)) if isinstance(flat.get(key), kind)}
+    with contextlib.suppress(TypeError, ValueError):
+        if math.isfinite(condition := _number(flat.get("condition"))):
+            out["condition"] = condition
+    return out
+
+
+def claim_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
+    """Notices of what a calibration (of this camera) admits of itself."""
+    if claims.get("verdict") != "poor":
+        return []
+    why = "".join(f" ({str(r)[:200]})" for r in claims.get("reasons", ())[:1])
+    text = f"its own verdict is poor{why}: sizes and perspective may be off; better calibrate again"
+    return [f"camera calibration {camera.source}: {text}"]
 
 
 def _visible_fraction(camera: Camera) -> float:

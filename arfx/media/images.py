@@ -6,6 +6,7 @@ anything is decoded: a few kilobytes can state gigabytes."""
 
 from __future__ import annotations
 
+import importlib
 import io
 import re
 import struct
@@ -31,6 +32,7 @@ MAX_PIXELS: dict[str, tuple[int, str]] = {
 }
 PRINT_PX = 1024  # longest side of a print's picture that is kept: twice what it is searched for with
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
+_HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
 _DEPTH_CHANNELS = (b"Z", b"V", b"Y", b"R")
@@ -155,6 +157,8 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     import cv2
 
     data = read_bytes(path, kind)
+    if data[4:8] == b"ftyp" and data[8:12] in _HEIF:
+        return _decode_heif(data, path, kind, flags)
     check_pixels(data, path, kind)
     try:
         raw: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -163,6 +167,39 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     if raw is None:
         raise InputError(f"{kind} {path} cannot be read: it is damaged, or of a variant that is not known", "save it again")
     return raw
+
+
+def _decode_heif(data: bytes, path: Path, kind: str, flags: int) -> np.ndarray:
+    """By Pillow's plug-in, upright: grey, or blue, green and red."""
+    import cv2
+    from PIL import Image
+
+    try:
+        plug_in = importlib.import_module("pillow_heif")
+    except ImportError:
+        text = f"{kind} {path} is HEIC, which needs the package pillow-heif"
+        raise InputError(text, "pip install pillow-heif, or save it as JPEG") from None
+    plug_in.register_heif_opener()
+    try:
+        with Image.open(io.BytesIO(data), formats=["HEIF"]) as picture:
+            _check_size(lambda: [picture.size], path, kind)
+            if flags == cv2.IMREAD_GRAYSCALE:
+                return np.asarray(picture.convert("L"))
+            return np.asarray(picture.convert("RGB"))[..., ::-1]
+    except (OSError, ValueError, EOFError, RuntimeError, SyntaxError) as e:
+        raise InputError(f"{kind} {path} cannot be read: {str(e)[:200]}", "is it damaged?") from None
+
+
+def exif_turn(path: Path) -> int:
+    """EXIF's orientation of a picture that was decoded upright; 1 = as stored, also where none is stated."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            turn = picture.info.get("original_orientation") or picture.getexif().get(0x0112, 1)
+            return int(turn) if turn in range(1, 9) else 1
+    except Exception:  # whatever its header holds: the pixels were read
+        return 1
 
 
 def check_pixels(data: bytes, path: Path, kind: str) -> None:

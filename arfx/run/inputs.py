@@ -22,7 +22,7 @@ from arfx.core.real_depth import RealPlane
 from arfx.core.scene import Placement, Scene
 from arfx.core.units import MAX_LENGTH_M, length_m
 from arfx.errors import ConfigError, InputError
-from arfx.media.cameras import camera_warnings, load_camera
+from arfx.media.cameras import calibration_claims, camera_warnings, claim_warnings, load_camera
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.depth_maps import DepthMaps, open_depth
 from arfx.media.images import load_image, load_print
@@ -152,7 +152,7 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
         )
     else:
         loaded = load_camera(config.input.camera)
-        notices += camera_warnings(loaded)
+        notices += [*camera_warnings(loaded), *claim_warnings(loaded, calibration_claims(config.input.camera))]
         camera = loaded.scaled_to(info.width, info.height, info.pixel_aspect)
         if camera is not loaded:
             notices.append(f"camera calibration scaled from {loaded.width}x{loaded.height} to {info.width}x{info.height}")

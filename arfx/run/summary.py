@@ -4,10 +4,8 @@
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -17,11 +15,10 @@ from arfx.analyse.folds import FOLDS
 from arfx.analyse.pose.visibility import jitter_px, with_model
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.layers import Layer, Layers
-from arfx.core.opener import read_text
 from arfx.core.plan import levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, JobView, Stage
-from arfx.errors import InputError
+from arfx.media.cameras import calibration_claims
 from arfx.plan.explain import summarise
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import ready_stages, run_frame
@@ -149,17 +146,3 @@ def picture(
     plate = np.ones((plan.rect.height, plan.rect.width, 3), np.float32)
     layers = run_frame(plate, facts, plan, ready_stages(plan, stages, scene)).layers
     return layers.view(frozenset(Layer), plan.rect)
-
-
-def calibration_claims(path: Path) -> dict[str, Any]:
-    """What `arfx calibrate` wrote of itself into a camera file; {} for files of others."""
-    try:
-        text = read_text(path, "camera file")
-    except InputError:  # one camera of a file that holds several
-        return {}
-    out: dict[str, Any] = {}
-    if found := re.search(r"^\W*verdict\W+(\w+)", text, re.MULTILINE):
-        out["verdict"] = found[1]
-    if found := re.search(r"^\W*condition\W+(\d+(?:\.\d*)?(?:[eE][+-]?\d{1,3})?)(?:\s|,|$)", text, re.MULTILINE):
-        out["condition"] = float(found[1])
-    return out

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from arfx.calibrate.board import BoardSpec
+    from arfx.calibrate.calibration import Picture
 
-STILLS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2"}
+STILLS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2", ".heic", ".heif"}
 VIDEO_SEARCHED = 120  # frames of a video that are searched for the board: the sharpest of equal intervals
 
 
@@ -138,6 +139,8 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
     for line in summary(result):
         say(line)
+    for notice in found.notices * quiet():
+        note(notice)
     if quiet() and result.verdict.word != "good":
         note(f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}")
     for row in document(result)["models"]:
@@ -189,19 +192,23 @@ def _flatten(inputs: tuple[Path, ...]) -> list[Path]:
     return out
 
 
-def _pictures(paths: list[Path]) -> Iterator[tuple[str, np.ndarray]]:
-    """(name, (h, w) uint8 upright) of every still, and of sharp frames of every video."""
+def _pictures(paths: list[Path]) -> Iterator[Picture]:
+    """Every still, turned upright as EXIF says, and sharp frames of every video."""
     import cv2
 
-    from arfx.media.images import decode_picture
+    from arfx.calibrate.calibration import Picture
+    from arfx.media.images import decode_picture, exif_turn
 
     names = [p.name for p in paths]
     for path in paths:
         name = path.name if names.count(path.name) == 1 else str(path)
-        if path.suffix.lower() in STILLS:
-            yield name, decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE)  # turned upright as EXIF says
-        else:
-            yield from _video(path, name)
+        if path.suffix.lower() not in STILLS:
+            yield from (Picture(*frame) for frame in _video(path, name))
+            continue
+        try:
+            yield Picture(name, decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE), exif_turn(path))
+        except InputError as e:
+            yield Picture(name, e)
 
 
 def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:

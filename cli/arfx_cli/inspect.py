@@ -9,6 +9,8 @@ import click
 
 from arfx_cli.console import FILE, detail, emit_json, message_options, print_table, tell
 
+LEFT_OUT_SHOWN = 8
+
 
 @click.command()
 @click.argument("clip", type=FILE)
@@ -86,6 +88,7 @@ def _print(document: dict[str, Any]) -> None:
     looked = len(document["samples"])
     if not document["markers"]:
         console.print(f"\nNo marker was found in {looked} sampled frames (dictionaries tried: {', '.join(SCANNED_FAMILIES)}).")
+        _print_left_out(document)
         help_text = "a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames"
         tell(f"help: {help_text}")
         return
@@ -95,11 +98,20 @@ def _print(document: dict[str, Any]) -> None:
         for m in document["markers"]
     ]  # fmt: skip
     print_table(f"\nmarkers in {looked} sampled frames", ("marker", "seen", "side, px", "edge blur, px", "tilt, °"), rows)
+    _print_left_out(document)
     console.print(f"A marker is in {document['marker_coverage']:.0%} of the sampled frames.")
     if document["camera"] is None:
         console.print("Calibrate the camera with `arfx calibrate`; without --camera the field of view is guessed.")
     console.print("\nNext, with SIZE = the measured side of the black square (such as 165mm):")
     click.echo("  " + document["suggestion"])
+
+
+def _print_left_out(document: dict[str, Any]) -> None:
+    rows = document["left_out"]
+    for m in rows[:LEFT_OUT_SHOWN]:
+        click.echo(f"left out: {m['marker']}, in {m['frames']} of {m['looked']}: {m['why']}")
+    if len(rows) > LEFT_OUT_SHOWN:
+        click.echo(f"left out: {len(rows) - LEFT_OUT_SHOWN} more (--json lists them)")
 
 
 def _range(spread: dict[str, float] | None) -> str:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import shutil
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import av
 import cv2
@@ -11,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
 
 from arfx.media.cameras import load_camera
 from tests.cli.conftest import Run
@@ -138,3 +142,46 @@ def test_wrong_input_is_one_message(arfx: Run, folder: Path, tmp_path: Path) -> 
     assert mixed.code == 3
     assert "640x480, small.png is 100x100" in mixed.err
     assert arfx("calibrate", str(folder), "--board", "chessboard:9x6", "-o", str(tmp_path / "c.yaml")).code == 2
+
+
+def test_pictures_that_are_no_use_are_left_out_with_a_note(arfx: Run, folder: Path, tmp_path: Path) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for i, path in enumerate(sorted(folder.glob("*.png"))):
+        with Image.open(path) as image:
+            exif = Image.Exif()
+            exif[0x0112] = 3 if i == 4 else 1
+            image.resize((320, 240) if i == 3 else SIZE).save(photos / f"{i}.jpg", quality=95, exif=exif)
+    (photos / "5.jpg").write_bytes((photos / "5.jpg").read_bytes()[:3000])
+    (photos / "p.HEIC").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
+    command = ["calibrate", "photos", "--board", "chessboard:9x6:25mm", "-o", "c.yaml", "--overwrite"]
+    r = arfx(*command)
+    assert r.code == 0, r.err
+    assert "5.jpg cannot be read" in r.err and "3.jpg is 320x240" in r.err and "4.jpg is 640x480 by EXIF orientation 3" in r.err
+    assert "p.HEIC" in r.err and load_camera(tmp_path / "c.yaml").fx == pytest.approx(TRUE.fx, rel=0.02)
+    assert "note: left out" in arfx(*command, "-q").err
+
+
+def test_heic_is_read_by_pillows_plug_in_or_names_it(
+    arfx: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By name and in a folder; a plug-in that stands in for it here knows PNG behind the first bytes."""
+    (tmp_path / "photos").mkdir()
+    for path in sorted(folder.glob("*.png"))[:4]:
+        (tmp_path / "photos" / f"{path.stem}.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + path.read_bytes())
+    command = ["--board", "chessboard:9x6:25mm", "-o", "c.yaml", "--overwrite"]
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    for inputs in (["photos"], [f"photos/{p.name}" for p in (tmp_path / "photos").iterdir()]):
+        r = arfx("calibrate", *inputs, *command)
+        assert r.code == 3 and "needs the package pillow-heif" in r.err and "pip install pillow-heif" in r.err
+
+    def register() -> None:
+        Image.register_open(
+            "HEIF", lambda file, name: PngImageFile(io.BytesIO(file.read()[12:])), lambda head: head[4:8] == b"ftyp"
+        )
+
+    monkeypatch.setattr(Image, "OPEN", Image.OPEN.copy())
+    monkeypatch.setattr(Image, "ID", Image.ID.copy())
+    monkeypatch.setitem(sys.modules, "pillow_heif", SimpleNamespace(register_heif_opener=register))
+    r = arfx("calibrate", "photos", *command)
+    assert r.code == 0 and "4 views" in r.err, r.err

@@ -5,6 +5,9 @@ from __future__ import annotations
 from fractions import Fraction
 from pathlib import Path
 
+import av
+import cv2
+import numpy as np
 import pytest
 
 from tests.cli.conftest import FRAMES, Material, Run
@@ -75,3 +78,20 @@ def test_what_cannot_be_read_is_one_message(arfx: Run, tmp_path: Path) -> None:
     for name in ("notes.mp4", "absent.mp4"):
         r = arfx("inspect", name)
         assert r.code == 3 and r.err.startswith("error:") and "help:" in r.err and not r.out and "Traceback" not in r.err
+
+
+def test_what_is_left_out_is_listed_and_not_suggested(arfx: Run, tmp_path: Path) -> None:
+    """One frame: a tag, and a code of few bits with one wrong."""
+    page = np.full((240, 320), 230, np.uint8)
+    for at, name, wrong in ((40, "DICT_APRILTAG_36h11", 0), (180, "DICT_APRILTAG_16h5", 1)):
+        cells = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), 4, 8 - 2 * wrong)
+        cells[1, 1 : 1 + wrong] = 255 - cells[1, 1 : 1 + wrong]
+        block = np.kron(cells, np.ones((12, 12), np.uint8))
+        page[60 : 60 + len(block), at : at + len(block)] = block
+    with av.open(str(tmp_path / "one.mkv"), "w") as file:
+        stream = file.add_stream("ffv1", 25, width=320, height=240, pix_fmt="gray")
+        file.mux([*stream.encode(av.VideoFrame.from_ndarray(page, "gray")), *stream.encode()])
+    out = arfx("inspect", "one.mkv").out
+    assert "left out: 16h5:4, in 1 of 1: not plain" in out and "--marker 36h11:4:SIZE --model" in out
+    d = arfx("inspect", "one.mkv", "--json").json
+    assert [m["marker"] for m in d["markers"]] == ["36h11:4"] and [m["marker"] for m in d["left_out"]] == ["16h5:4"]

@@ -237,6 +237,19 @@ def test_a_camera_of_another_size_is_scaled_with_a_notice(material: Material, ar
     assert r.json["pose"]["reprojection_px"]["median"] < 0.5
 
 
+def test_a_poor_calibration_is_a_notice_in_plan_and_report(material: Material, arfx: Run, tmp_path: Path) -> None:
+    from arfx.media.cameras import load_camera, save_camera
+
+    camera = load_camera(material.camera)
+    save_camera(tmp_path / "poor.yaml", camera, verdict="poor", reasons=["only 3 views"])
+    args = material.arguments("-o", "out.mp4", "--end", "0.1", "--json")
+    args[args.index("--camera") + 1] = "poor.yaml"
+    said = "its own verdict is poor (only 3 views)"
+    assert arfx("plan", *args[1:]).err.count(said) == 1
+    r = arfx(*args)
+    assert sum(said in n for n in r.json["notices"]) == r.err.count(said) == 1, r.err
+
+
 def test_without_a_camera_the_guess_is_said(material: Material, arfx: Run) -> None:
     args = material.arguments("-o", "out.mp4", "--end", "0.3", "--json")
     at = args.index("--camera")

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import gzip
+import io
 import itertools
 import json
 import os
 import random
 import shutil
+import struct
 from pathlib import Path
+
+import numpy as np
 
 from tests.fuzz.case import Build, Case, mutated_bytes, mutated_text, mutated_tree, process
 from tests.fuzz.material import CAMERAS
@@ -66,6 +71,28 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
     return Case(folder, process(folder, material, camera=name), note=f"damaged {name}")
 
 
+def packed(rng: random.Random, folder: Path, material: Path) -> Case:
+    """NumPy's archive, OpenCV's XML, gzip, COLMAP's binary model."""
+    k = np.array([[152.0, 0, 79.5], [0, 152, 59.5], [0, 0, 1]])
+    archive = io.BytesIO()
+    np.savez(archive, mtx=k, dist=np.zeros(5), image_width=160, image_height=120)
+    numbers = " ".join(map(str, k.ravel()))
+    xml = (
+        f"<opencv_storage><image_size>160 120</image_size><camera_matrix><data>{numbers}</data></camera_matrix></opencv_storage>"
+    )
+    colmap = struct.pack("<QIIQQ4d", 1, 1, 1, 160, 120, 152, 152, 80, 60)
+    name, data = rng.choice(
+        (
+            ("c.npz", archive.getvalue()),
+            ("c.xml", xml.encode()),
+            ("c.xml.gz", gzip.compress(xml.encode())),
+            ("cameras.bin", colmap),
+        )
+    )
+    (folder / name).write_bytes(mutated_bytes(rng, data))
+    return Case(folder, process(folder, material, camera=name), note=f"damaged {name}")
+
+
 def absurd(rng: random.Random, folder: Path, material: Path) -> Case:
     """A calibration that is well formed and says what no lens does."""
     k = [152.0, 0, 79.5, 0, 152.0, 59.5, 0, 0, 1]
@@ -116,7 +143,7 @@ def others(rng: random.Random, folder: Path, material: Path) -> Case:
 
 
 def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
-    return rng.choices((damaged, absurd, others), (3, 2, 2))[0](rng, folder, material)
+    return rng.choices((damaged, packed, absurd, others), (3, 1, 2, 2))[0](rng, folder, material)
 
 
 SEEDS: dict[str, Build] = {

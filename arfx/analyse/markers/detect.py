@@ -6,7 +6,6 @@ Cost: about 3 ms per 640x360 image and family, 7 to 10 ms at 720p, 10 to 20 ms a
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
@@ -14,7 +13,6 @@ from functools import cache
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Stateful
 from arfx.core.codec import serialisable
 from arfx.core.marker import opencv_name
 from arfx.core.rect import Rect
@@ -25,7 +23,6 @@ SCANNED_FAMILIES = (
 )  # fmt: skip
 
 _REDUCED_WINDOW_PX = 9
-_FIRST = 3  # looks at frames 3, 6, 12, 24 ...: few even in a long clip
 
 
 @dataclass(frozen=True)
@@ -129,32 +126,3 @@ class MarkerDetector:
                 px = (np.asarray(quad, float).reshape(4, 2) + 0.5) * scale - 0.5 + [area.x0, area.y0]
                 out.append(Candidate(family, int(number), px))
         return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))
-
-
-class DictionaryScan(Stateful):
-    """Counts markers of all families in a few frames."""
-
-    def __init__(self) -> None:
-        self.looked = 0
-        self.counts: Counter[str] = Counter()
-
-    def step(self, frame: int, luma: np.ndarray) -> None:
-        times, rest = divmod(frame, _FIRST)
-        if rest or times.bit_count() != 1:
-            return
-        self.looked += 1
-        # 14 px: smaller squares of weak dictionaries are found in any texture
-        found = MarkerDetector(SCANNED_FAMILIES, min_side_px=14.0, inverted=False).search(luma)
-        self.counts.update({c.key for c in found})
-
-    def join(self, later: DictionaryScan) -> None:
-        self.looked += later.looked
-        self.counts.update(later.counts)
-
-    def text(self) -> str:
-        """ "4X4_1000:7 (2 of 3 sampled frames), ..." likeliest first, or an empty string."""
-        return ", ".join(f"{k} ({self.counts[k]} of {self.looked} sampled frames)" for k in self.likeliest()[:6])
-
-    def likeliest(self) -> list[str]:
-        """Keys seen: most often first; among equals the families that are hardest to misread first."""
-        return sorted(self.counts, key=lambda k: (-self.counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k))

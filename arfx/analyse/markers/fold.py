@@ -10,9 +10,10 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
 from arfx.analyse.markers.corners import EdgeRefiner
-from arfx.analyse.markers.detect import Detection, DictionaryScan, Record
+from arfx.analyse.markers.detect import Detection, Record
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
 from arfx.analyse.markers.pattern_tracker import PatternTracker
+from arfx.analyse.markers.scan import DictionaryScan
 from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.visibility import ShotDetector
 from arfx.core.marker import MarkerSpec

@@ -35,6 +35,7 @@ from arfx.errors import NothingToDoError
 _COMMON_PX = 0.005  # of a corner, at least, that no smoothing averages away: the print's edges, the optics
 # What covers a print comes and goes. Beside a frame where it is told, what is not told may be left; half of it so far away.
 _COVERS_S = 1 / 30
+USUAL_PX = 2.0  # of reprojection, at most; of pictures longer than 2000 px a thousandth
 _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
 
 
@@ -240,6 +241,10 @@ def solve(
         facts, keys, **errors, flips_resolved=int(path.flips), sigma_factor=views.sigma_factor, duplicates=duplicates,
         dropped=len(path.dropped), static_evidence=evidence, map=placed, motion_noise=[d.tolist() for d in density],
     )  # fmt: skip
+    misfit, usual = summary["reprojection_px"]["raw"]["median"], max(USUAL_PX, 1e-3 * max(camera.width, camera.height))
+    if misfit is not None and misfit > usual:
+        notices.append(f"the markers' corners miss their pose by {misfit:.3g} px (below 1 is usual): does the camera calibration "
+                       "fit this clip, and are the sizes of the prints right?")  # fmt: skip
     anchor = anchor_marker(markers, layout.world_from_marker)
     return Analysis(facts, layout.world_from_marker, static, summary, tuple(notices), anchor)
 

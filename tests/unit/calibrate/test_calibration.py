@@ -12,7 +12,7 @@ import pytest
 
 from arfx.calibrate.advice import GOOD, LIMITS, POOR, USABLE, coverage, judge, projection_uncertainty_px
 from arfx.calibrate.board import BoardSpec
-from arfx.calibrate.calibration import Calibration, Found, calibrate, find_board
+from arfx.calibrate.calibration import Calibration, Found, Picture, calibrate, find_board
 from arfx.calibrate.corners import View
 from arfx.calibrate.document import document, file_extras, summary
 from arfx.calibrate.plots import write_plots
@@ -175,35 +175,59 @@ def flat(spec: BoardSpec, px_per_square: int = 30) -> np.ndarray:
 def test_no_board_says_what_is_there_instead() -> None:
     small = BoardSpec.parse("charuco:6x4:25mm:18mm:5X5_100")  # every marker is looked up in dictionaries of a thousand
     with pytest.raises(NothingToDoError, match=r"none of 1 pictures.*chessboard with 5x4 inner corners"):
-        find_board([("a", flat(BoardSpec.parse("chessboard:5x4:20mm")))], CHESS)
+        find_board([Picture("a", flat(BoardSpec.parse("chessboard:5x4:20mm")))], CHESS)
     with pytest.raises(NothingToDoError, match=r"a\.png: 10 markers of 5X5_1000"):
-        find_board([("a.png", flat(BoardSpec.parse("charuco:5x4:25mm:18mm:5X5_100")))], CHESS)
+        find_board([Picture("a.png", flat(BoardSpec.parse("charuco:5x4:25mm:18mm:5X5_100")))], CHESS)
     with pytest.raises(NothingToDoError, match="no other board or marker"):
-        find_board([("a", np.full((200, 300), 128, np.uint8))], CHARUCO)
+        find_board([Picture("a", np.full((200, 300), 128, np.uint8))], CHARUCO)
     with pytest.raises(NothingToDoError, match="fits charuco:6x4:25mm:18mm:5X5_50"):
-        find_board([("a", flat(small))], BoardSpec.parse("charuco:6x4:25mm:18mm:4X4_100"))
+        find_board([Picture("a", flat(small))], BoardSpec.parse("charuco:6x4:25mm:18mm:4X4_100"))
     with pytest.raises(NothingToDoError, match="fits charuco:6x4"):
-        find_board([("a", flat(small))], BoardSpec.parse("charuco:4x6:25mm:18mm:5X5_100"))
+        find_board([Picture("a", flat(small))], BoardSpec.parse("charuco:4x6:25mm:18mm:5X5_100"))
     with pytest.raises(NothingToDoError, match="no pictures"):
         find_board([], CHESS)
 
 
 def test_the_other_charuco_pattern_is_tried_and_told() -> None:
     old = BoardSpec.parse("charuco:9x6:25mm:18mm:5X5_100:legacy")
-    got = find_board([("a", flat(old)), ("b", flat(old))], replace(old, legacy=not old.legacy))
+    got = find_board([Picture("a", flat(old)), Picture("b", flat(old))], replace(old, legacy=not old.legacy))
     assert got.spec == old
     assert len(got.views) == 2
     assert "legacy pattern" in got.notices[0]
 
 
 def test_mixed_boards_are_told() -> None:
-    pictures = [("a", render(CHESS, poses(8)[1])), ("b", render(BoardSpec.parse("chessboard:7x5:30mm"), poses(8)[2]))]
+    pictures = [
+        Picture("a", render(CHESS, poses(8)[1])),
+        Picture("b", render(BoardSpec.parse("chessboard:7x5:30mm"), poses(8)[2])),
+    ]
     got = find_board(pictures, CHESS)
     assert [v.name for v in got.views] == ["a"]
     assert got.empty == ("b",)
     assert any("mixed boards" in n and "7x5" in n for n in got.notices)
 
 
+def test_what_cannot_be_read_or_is_of_another_kind_is_left_out_and_all_of_it_is_told() -> None:
+    """A picture upside down by EXIF has the others' size, and its principal point on the other side."""
+    good = [Picture(f"g{i}", render(CHESS, p), turn=(1, 6)[i % 2]) for i, p in enumerate(poses(9)[:5])]
+    turned = Picture("turned", render(CHESS, poses(9)[5]), turn=3)
+    small = Picture("small", np.zeros((200, 300), np.uint8))
+    bad = [Picture(n, InputError(f"{n} is damaged", "save it again")) for n in ("bad", "worse")]
+    got = find_board([bad[0], *good, small, turned, bad[1]], CHESS)
+    assert [v.name for v in got.views] == [g.name for g in good]
+    assert got.notices[0] == "left out: bad is damaged; likewise worse (save it again)"
+    assert "small is 300x200" in got.notices[1] and "turned is 640x480 by EXIF orientation 3" in got.notices[1]
+    assert "EXIF orientations are mixed" in got.notices[1]
+    with pytest.raises(InputError, match="bad is damaged; likewise worse"):
+        find_board(bad, CHESS)
+    with pytest.raises(InputError, match=r"a is 640x480 by EXIF orientation 1, b is 640x480 by EXIF orientation 3; their EXIF"):
+        find_board([Picture("a", good[0].gray), Picture("b", good[1].gray, 3)], CHESS)
+    with pytest.raises(NothingToDoError, match="left out: bad is damaged"):
+        find_board([small, bad[0]], CHESS)
+    with pytest.raises(NothingToDoError, match="3 different views are needed"):
+        calibrate(find_board(good[:2], CHESS))
+
+
 def test_mixed_sizes_are_an_error_that_names_both() -> None:
     with pytest.raises(InputError, match="a is 300x200, b is 200x300"):
-        find_board([("a", np.zeros((200, 300), np.uint8)), ("b", np.zeros((300, 200), np.uint8))], CHARUCO)
+        find_board([Picture("a", np.zeros((200, 300), np.uint8)), Picture("b", np.zeros((300, 200), np.uint8))], CHARUCO)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import json
+import pickle
+import struct
 from pathlib import Path
 
 import cv2
@@ -12,7 +15,7 @@ import yaml
 
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.errors import InputError
-from arfx.media.cameras import load_camera, save_camera
+from arfx.media.cameras import calibration_claims, claim_warnings, load_camera, save_camera
 
 K = np.array([[801.5, 0, 322.25], [0, 799.125, 239.75], [0, 0, 1]])
 D5 = np.array([-0.2664, 0.0386, 0.00178, -0.00028, 0.2384])
@@ -195,3 +198,84 @@ def test_a_failed_save_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(OSError):
         save_camera(tmp_path / "missing" / "c.yaml", Camera(640, 480, K, D5))
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_calibration_says_of_itself_is_read(tmp_path: Path) -> None:
+    a = write(tmp_path, "a.yaml", "%YAML:1.0\n---\nverdict: usable\ncondition: 3.5e+04\nimage_width: 640\n")
+    assert calibration_claims(a) == {"verdict": "usable", "condition": 3.5e4}
+    assert calibration_claims(write(tmp_path, "c.yaml", "condition: e.e\n")) == {}
+    assert calibration_claims(write(tmp_path, "d.yaml", "condition: .nan\n")) == {}
+    assert calibration_claims(write(tmp_path, "b.yaml", "image_width: 640\n")) == {}
+    assert calibration_claims(tmp_path / "none") == {}
+
+
+@pytest.mark.parametrize(
+    ("claims", "said"),
+    [
+        ({"verdict": "poor", "reasons": ["only 3 views"]}, ["verdict is poor (only 3 views)"]),
+        ({"verdict": "poor"}, ["verdict is poor:"]),
+        ({"verdict": "usable", "reasons": ["only 9 views"]}, []),
+    ],
+)
+def test_a_calibration_that_calls_itself_poor_is_one_notice(tmp_path: Path, claims: dict[str, object], said: list[str]) -> None:
+    path = tmp_path / "camera.yaml"
+    save_camera(path, Camera(640, 480, K, D5), **claims)
+    notices = claim_warnings(load_camera(path), calibration_claims(path))
+    assert len(notices) == bool(said) and all(words in notices[0] for words in said)
+
+
+@pytest.mark.parametrize("name", ["c.xml", "c.yml.gz", "c.xml.gz"])
+def test_what_opencv_writes_as_xml_or_packed(tmp_path: Path, name: str) -> None:
+    fs = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_WRITE)
+    fs.write("calibration_time", "Mon 02 Jan 2023 10:00:00")
+    fs.write("image_width", 640)
+    fs.write("image_height", 480)
+    fs.write("camera_matrix", K)
+    fs.write("distortion_coefficients", D5[None])
+    fs.release()
+    same(load_camera(tmp_path / name), K, D5)
+
+
+def test_numpy_archives(tmp_path: Path) -> None:
+    path = tmp_path / "c.npz"
+    np.savez(path, mtx=K, dist=D5[None], image_width=640, image_height=480, rvecs=np.array([{}], object))
+    same(load_camera(path), K, D5)
+    np.savez_compressed(path, mtx=K, dist=D5, imageSize=(640, 480))
+    same(load_camera(path), K, D5)
+    np.savez(path, mtx=K, dist=D5)
+    with pytest.raises(InputError, match="does not state the picture size") as e:
+        load_camera(path)
+    assert "np.savez" in str(e.value.hint)
+
+
+def test_colmaps_binary_model(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.bin"
+    rows = [
+        struct.pack("<IIQQ4d", 1, 1, 640, 480, *K[[0, 1, 0, 1], [0, 1, 2, 2]]),
+        struct.pack("<IIQQ4d", 7, 2, 64, 48, 60, 32, 24, 0),
+    ]
+    path.write_bytes(struct.pack("<Q", 2) + b"".join(rows))
+    shifted = K.copy()
+    shifted[:2, 2] -= 0.5
+    same(load_camera(f"{path}#1"), shifted, np.zeros(4))
+    assert load_camera(f"{path}#7").fx == 60
+    path.write_bytes(struct.pack("<Q", 2) + rows[0])
+    with pytest.raises(InputError, match="not text"):
+        load_camera(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (pickle.dumps({"mtx": 1}), "a Python pickle"), (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
+        (b"\x93NUMPY\1\0", "a single NumPy array"), (b"PK\3\4nothing", "not a NumPy archive"),
+        (gzip.compress(b"a: 1\n" * 1000000), "unpacks to more than"), (gzip.compress(b"a: 1\n" * 100)[:20], "its end is missing"),
+        (b"\x1f\x8bnothing", "damaged gzip"), (b"<calibration><f>3</f></calibration>", "XML of another program"),
+        (b"<opencv_storage><K>", "neither valid"), (b"<!DOCTYPE a><opencv_storage/>", "a DOCTYPE is not read"),
+    ],
+)  # fmt: skip
+def test_files_that_are_not_read_are_named(tmp_path: Path, data: bytes, said: str) -> None:
+    path = tmp_path / "camera"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=said):
+        load_camera(path)

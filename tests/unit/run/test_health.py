@@ -12,7 +12,7 @@ from arfx.analyse.pose.fold import _deviation
 from arfx.core.cube import face_directions
 from arfx.core.pixels import Pixels
 from arfx.core.stage import Check, JobView
-from arfx.run.summary import calibration_claims, picture
+from arfx.run.summary import picture
 from arfx.stages.gi.health import LIMIT, furnace_mean, seam_ratio, seams
 from tests.scenes import facts, scene
 
@@ -65,16 +65,7 @@ def test_deviation_is_in_degrees_and_percent() -> None:
     assert _deviation(f.with_(pose_covariance=c * np.nan)) == (math.inf, math.inf)
 
 
-def test_what_a_calibration_says_of_itself_is_read(tmp_path) -> None:
-    (tmp_path / "a.yaml").write_text("%YAML:1.0\nverdict: usable\ncondition: 3.5e+04\nimage_width: 640\n")
-    (tmp_path / "b.yaml").write_text("image_width: 640\n")
-    assert calibration_claims(tmp_path / "a.yaml") == {"verdict": "usable", "condition": 3.5e4}
-    (tmp_path / "c.yaml").write_text("condition: e.e\n")
-    assert (
-        calibration_claims(tmp_path / "c.yaml") == {}
-        and calibration_claims(tmp_path / "b.yaml") == {}
-        and calibration_claims(tmp_path / "none") == {}
-    )
+def test_a_check_that_failed_says_what_was_done() -> None:
     assert (
         Check("a", 2, 1, False, "told").to_json()["action"] == "told"
         and Check("a", 0, 1, True, "told").to_json()["action"] == "none"

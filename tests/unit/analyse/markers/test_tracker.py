@@ -182,6 +182,10 @@ def test_no_configured_marker_says_what_is_there_instead() -> None:
         b.step(AnalysisFrame(k, k / 30, frame((M, at(300, 200)), seed=k)))
     with pytest.raises(NothingToDoError, match=r"tried: 5X5_50; other dictionaries saw: 36h11:3"):
         b.finish()
+    photo = Analyser(AnalysisJob((MarkerSpec("5X5_50", 2, 0.1),), CAM))
+    photo.step(AnalysisFrame(0, 0.0, frame((M, at(300, 200)))))
+    with pytest.raises(NothingToDoError, match=r"other dictionaries saw: 36h11:3 \(1 of 1"):
+        photo.finish()
     c = Analyser(AnalysisJob((M,), CAM))
     c.step(AnalysisFrame(0, 0.0, frame()))
     with pytest.raises(NothingToDoError, match="no marker of any dictionary") as e:

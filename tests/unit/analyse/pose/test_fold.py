@@ -78,6 +78,14 @@ def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
     assert np.degrees(rotation_angle_rad(a.facts[20].camera_from_world, ORBIT[20])) < 0.3  # type: ignore[arg-type]
 
 
+def test_a_camera_that_does_not_fit_the_clip_is_a_notice() -> None:
+    near = [replace(pose, translation_m=np.array([0, 0, 0.3])) for pose in ORBIT]
+    rec = records(CAM, near, T, {A: LAYOUT[A]}, 0.1)
+    squashed = replace(CAM, matrix=np.diag([1, 1.4, 1]) @ CAM.matrix)
+    told = [[n for n in solve(rec, [A], c, PARAMS, None, []).notices if "calibration" in n] for c in (CAM, squashed)]
+    assert told[0] == [] and len(told[1]) == 1
+
+
 def test_what_corners_are_misplaced_by_is_not_averaged_away() -> None:
     """A hand over a side moves the corners of many frames alike; beside these it may lie there untold, in gaps as well."""
 
