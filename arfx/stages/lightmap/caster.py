@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.core.numerics import arccos, divide, normalise
+from arfx.core.numerics import arccos, divide, normalise, same_rows
 from arfx.core.scene import Scene
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
@@ -68,8 +68,8 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         return np.zeros((0, 5), np.int32)
     low, size = vertices.min(0), float(np.ptp(vertices, axis=0).max())
     grid = np.round(divide(vertices - low, _WELD_DISTANCE * size))
-    _, first, vertex = np.unique(grid, axis=0, return_index=True, return_inverse=True)
-    at = first[vertex.ravel()[faces]]
+    first, vertex = same_rows(grid)
+    at = first[vertex[faces]]
     run = np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]])
     face = np.tile(np.arange(len(faces)), 3)
     keep = run[:, 0] != run[:, 1]
