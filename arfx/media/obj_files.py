@@ -16,9 +16,10 @@ from arfx.media.model_limits import check_faces, check_parts
 
 _MADE = "materials made by arfx.mtl"  # the list that trimesh is given
 _MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-# Options of maps and how many values they take at most; those of the second row change nothing here.
-_OPTIONS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-clamp": 1, "-imfchan": 1, "-cc": 1}
-_IDLE = {"-bm": 1, "-boost": 1, "-blendu": 1, "-blendv": 1, "-texres": 1, "-type": 1}
+# Options of maps, how many values they take at most, and those that change nothing here.
+_OPTIONS = dict.fromkeys(("-clamp", "-imfchan", "-cc", "-bm", "-boost", "-blendu", "-blendv", "-texres", "-type"), 1)
+_OPTIONS |= {"-s": 3, "-o": 3, "-t": 3, "-mm": 2}
+_IDLE = ("-bm", "-boost", "-blendu", "-blendv", "-texres", "-type")
 _FILE = re.compile(r'"([^"]+)"|(\S.*?\.mtl(?=\s|$)|\S+)', re.IGNORECASE)
 _OTHER_MAPS = ("map_", "bump", "disp", "decal", "refl", "norm")
 _UNREAD = ("ke", "pr", "pm", "ps", "pc")  # emission and what later exporters add; told where they are not 0
@@ -121,14 +122,14 @@ def _statements(lines: list[str], lost: dict[str, None]) -> Iterator[str]:
 def _map(value: str, lost: dict[str, None]) -> Iterator[str]:
     """`-s 2 2 -o .5 0 name of a file.png`"""
     place = {"-s": [1.0, 1.0], "-o": [0.0, 0.0]}
-    while (option := value.split(None, 1)[0].lower()) in _OPTIONS or option in _IDLE:
-        most = _OPTIONS.get(option) or _IDLE[option]
+    while (option := value.split(None, 1)[0].lower()) in _OPTIONS:
+        most = _OPTIONS[option]
         words = value.split(None, most + 1)
         count = next((k for k in range(most) if not _numbers(words[k + 1 : k + 2])), most) if most > 1 else 1
         if option in place:
             given = _numbers(words[1 : count + 1])[:2]
             place[option][: len(given)] = given
-        elif option in _OPTIONS and words[1:2] != ["off"]:
+        elif option not in _IDLE and words[1:2] != ["off"]:
             lost[f"{option} of map_Kd"] = None
         value = " ".join(value.split(None, count + 1)[count + 1 :])
         if not value:
