@@ -49,6 +49,19 @@ class Part:
     uv: np.ndarray | None = None
     colours: np.ndarray | None = None
 
+    @property
+    def opacity(self) -> float:
+        """Of where it lets the least light pass, 0..1."""
+        m = self.material
+        if m.alpha_mode == OPAQUE:
+            return 1.0
+        alpha = m.base_colour[3]
+        if m.base_texture is not None:
+            alpha *= int(m.base_texture[..., 3].max()) / 255
+        if self.colours is not None:
+            alpha *= float(self.colours[:, 3].max())
+        return float(alpha >= m.alpha_cutoff) if m.alpha_mode == MASK else min(alpha, 1.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Model:

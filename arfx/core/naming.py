@@ -19,8 +19,11 @@ def has_field(pattern: Path) -> bool:
 def named(pattern: Path, source: Path, numbered: bool = False) -> Path:
     """The pattern's path for one source, a file or a folder. numbered : its name is a format with a frame number in it
 
-    Raises ConfigError as `has_field`."""
+    Raises ConfigError as `has_field`, and where the source gives a field no name."""
     values = {"stem": source.name if source.is_dir() else source.stem, "parent": source.parent.resolve().name}
+    for field in {field for _, field in _parts(str(pattern)) if field is not None}:
+        if values[field] in ("", ".", ".."):
+            raise ConfigError(f"{source}: -o {pattern} needs its {{{field}}}, which is {values[field]!r}", "rename it")
     name = {field: v.replace("%", "%%") if numbered else v for field, v in values.items()}
     return Path(_filled(str(pattern.parent), values)) / _filled(pattern.name, name)
 

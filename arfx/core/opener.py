@@ -42,16 +42,24 @@ LIMITS: dict[str, tuple[float, str]] = {
 }
 MAX_NESTING = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse
 MAX_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
+_UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 _DOTTED = re.compile(r"(?<![^\s.=])(?:[^\s.=]++[ \t]*+\.[ \t]*+){64}")  # tomllib takes the square of a dotted key's parts
 
 
 def check_name(name: str | Path) -> None:
     """Raises ConfigError for a name that is not text in the system's encoding: job files cannot hold it, and OpenCV crashes."""
+    if "\0" in str(name):
+        raise ConfigError(f"the name {str(name)!r} holds a NUL character", "no file has such a name")
     try:
         str(name).encode()
     except UnicodeEncodeError:
         encoding = sys.getfilesystemencoding()
         raise ConfigError(f"the name {str(os.fsencode(name))[1:]} is not {encoding} text", "rename it") from None
+
+
+def printable(text: str) -> str:
+    """Text with what is no character, and what terminals obey, written as numbers; line ends and tabs stay."""
+    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def regular(path: Path | str, kind: str) -> Path:

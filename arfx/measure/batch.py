@@ -110,7 +110,7 @@ def _link(path: str, home: Path, text: str) -> str:
     if names_sequence(Path(path)):
         path = str(Path(path).parent)
     try:
-        address = quote(os.path.relpath(path, home).replace(os.sep, "/"))
+        address = quote(os.fsencode(os.path.relpath(path, home).replace(os.sep, "/")))
     except ValueError:  # on another drive
         address = Path(path).absolute().as_uri()
     return f'<a href="{address}">{escaped(text)}</a>'

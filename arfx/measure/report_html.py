@@ -14,6 +14,7 @@ import numpy as np
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
+from arfx.core.opener import printable
 from arfx.errors import RenderError
 
 POSE_FIGURES = (
@@ -57,7 +58,7 @@ def full_page(title: str, sections: Sequence[str]) -> str:
 
 def escaped(value: Any) -> str:
     """Text for HTML."""
-    return escape(str(value), quote=True)
+    return escape(printable(str(value)), quote=True)
 
 
 def number(value: Any, digits: int = 3) -> str:

@@ -183,7 +183,7 @@ def _open_renderers(work: _Work, wanted: Sequence[int], plans: Mapping[int, Fram
     facts = {f.index: f for f in job.facts}
     prepared, camera, maps = PreparedStages(job.scene, work.stages), job.inputs.camera, job.inputs.depth
     deep = maps is not None and any(Layer.REAL_DEPTH in work.stages[s.stage].reads for i in wanted for s in plans[i].steps)
-    with ClipReader(job.inputs.info) as reader:
+    with ClipReader(job.inputs.info, careful=job.analysed.careful) as reader:
         for frame in reader.frames(min(pts), max(pts)):
             if frame.pts in pts:
                 i = pts[frame.pts]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -24,6 +25,10 @@ UNSPECIFIED = 2
 MAX_PIXEL_ASPECT = 10.0  # anamorphic video reaches 2
 _MATRIX = {1: "bt709", 4: "fcc", 5: "bt601", 6: "bt601", 7: "smpte240m", 9: "bt2020", 10: "bt2020"}  # ITU-T H.273 table 4
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # H.273 table 3
+_FIELDS = 2  # from this field order on a clip is interlaced; the odd ones show the bottom field first
+_TO_SDR = (
+    "zscale=t=linear:npl=100,format=gbrpf32le,zscale=p=bt709,tonemap=hable:desat=0,zscale=t=bt709:m=bt709:r=tv,format=yuv420p"
+)
 _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
 
 
@@ -51,7 +56,7 @@ class ClipInfo(Document):
     full_range, matrix : as used; matrix_stated is False when the stream names none (bt709 from 720 lines up, else bt601)
     *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;  start_pts : of the first frame
     frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s is this stream's, not the file's;
-    notices : what a user should know"""
+    notices : what a user should know;  field_order : FFmpeg's number (libavcodec/defs.h)"""
 
     path: Path
     width: int
@@ -83,6 +88,12 @@ class ClipInfo(Document):
     stream_index: int = 0
     streams: tuple[StreamInfo, ...] = field(default_factory=tuple)
     notices: tuple[str, ...] = ()
+    field_order: int = 0
+
+    @property
+    def fields(self) -> str:
+        """Of an interlaced clip the field that is shown first: tff (the top one) or bff; else empty."""
+        return "" if self.field_order < _FIELDS else "bff" if self.field_order % 2 else "tff"
 
     @property
     def orientation(self) -> Orientation:
@@ -110,6 +121,12 @@ class ClipInfo(Document):
             self.layout, self.coded_width, self.coded_height, self.time_base, self.matrix, self.full_range,
             self.transfer, self.chroma_location, self.orientation,
         )  # fmt: skip
+
+
+def ffmpeg_command(path: Path, filters: str, ending: str) -> str:
+    """What makes another clip of one, as it is typed into a shell."""
+    out = path.with_name(f"{path.stem}-{ending}.mkv")
+    return f"ffmpeg -i {shlex.quote(str(path))} -vf {filters} -crf 14 -c:a copy {shlex.quote(str(out))}"
 
 
 def _plausible(aspect: Fraction) -> bool:
@@ -164,7 +181,7 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
     ctx = stream.codec_context
     trc = first.color_trc if first.color_trc not in (0, UNSPECIFIED) else ctx.color_trc
     if int(trc) in _HDR:
-        hint = "convert it to SDR first, for example with FFmpeg's zscale and tonemap filters"
+        hint = f"convert it to BT.709 first: {ffmpeg_command(path, _TO_SDR, 'sdr')}"
         raise InputError(f"{path} is HDR video with transfer {_HDR[int(trc)]}; only SDR video is processed", hint)
     layout, notice = working_layout(first.format.name)
     notices = [notice] if notice else []
@@ -184,7 +201,10 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
     orientation, exact = orientation_of(turn)
     if not exact:
         notices.append("the display matrix is no multiple of 90 degrees; the nearest is used")
-    if first.interlaced_frame:
+    order = int(ctx.field_order)
+    if first.interlaced_frame and order < _FIELDS:
+        order = _FIELDS
+    if order >= _FIELDS:
         notices.append("the clip is interlaced; its fields are processed as one picture")
     w, h = (first.height, first.width) if orientation.transpose else (first.width, first.height)
     sample = Fraction(stream.sample_aspect_ratio or 1)
@@ -206,7 +226,7 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
         sample if sample != 1 else None,
         first.pts if first.pts is not None else (first.dts or 0), stream.frames or None,
         None if duration is None else float(duration), of_video, stream.index,
-        tuple(_describe(s, s.index == stream.index) for s in container.streams), tuple(notices),
+        tuple(_describe(s, s.index == stream.index) for s in container.streams), tuple(notices), order,
     )  # fmt: skip
 
 

@@ -42,7 +42,8 @@ CONTAINER_SUFFIX = {"mp4": ".mp4", "matroska": ".mkv", "mov": ".mov", "webm": ".
 class Codec:
     """One output codec. encoder : FFmpeg's name;  containers : best first;  chunk : container of its chunks
     options : fixed ones;  crf, preset : defaults, None where there is no such setting;  threads : given to the encoder
-    full_range : whether full-range samples can be distinguished from limited ones in its files"""
+    full_range : whether full-range samples can be distinguished from limited ones in its files;  fields : and interlaced pictures
+    from others"""
 
     name: str
     encoder: str
@@ -55,6 +56,7 @@ class Codec:
     full_range: bool = True
     lossless: bool = False
     sequence: bool = False
+    fields: bool = True
 
     @cached_property
     def formats(self) -> tuple[str, ...]:
@@ -76,10 +78,11 @@ CODECS = {
     ),
     "h265": Codec(
         "h265", "libx265", ("mp4", "matroska", "mov"), crf=20, preset="veryfast",
-        options={"x265-params": "log-level=none:pools=2:frame-threads=1:info=0"},
+        options={"x265-params": "log-level=none:pools=2:frame-threads=1:info=0"}, fields=False,
     ),
     "av1": Codec(
         "av1", "libsvtav1", ("mp4", "matroska", "webm"), crf=28, preset="8", options={"svtav1-params": "lp=2"},
+        fields=False,
     ),
     "prores": Codec(
         "prores", "prores_ks", ("mov", "matroska"), chunk=".mkv", full_range=False, options={"profile": "4", "vendor": "apl0"},

@@ -1,13 +1,16 @@
-"""Reading a clip's frames in order of presentation, from any time on, up to the last good one; and their times alone."""
+"""Reading a clip's frames in order of presentation, from any time on, over what is damaged, up to the last good one; and their
+times alone."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import av
+import numpy as np
 
 from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
@@ -17,9 +20,21 @@ from arfx.media.planes import repacked
 
 _SHORT_S = 0.5  # a file that ends this much before its stated end was cut off; container durations are rounded, not this far
 
+JUMP_S = 0.5  # times that go back this far begin anew, as where two recordings were joined; the decoder's own order does not
+_MOST_FAILURES = 10  # to read on, in a row
+_STRANGERS = 10  # pictures of another size in a row are no damage
+_CHUNK_HEAD = 8  # bytes before the data of an AVI file's chunk
+_TS_PACKETS = (188, 192)  # bytes of a transport stream's packet, and of one with its time of arrival
+_HELD = 100  # packets of which something is lost, and that may be the last ones
+_APART = 0.6  # of the usual time between frames: a packet that is nearer to a frame is part of it, as a field is
+
 
 class FrameTimesError(InputError):
     """Times of frames go back, where only decoding from the start would tell how they are repaired."""
+
+
+class FrameDamageError(FrameTimesError):
+    """Frames are damaged: only careful readers agree on what is left of them."""
 
 
 @dataclass(frozen=True)
@@ -27,28 +42,32 @@ class FrameTimes:
     """What the packets of a clip say, without decoding: a frame that cannot be decoded is among these.
 
     pts : of all frames, rising;  keys : of those that decoding can begin at, rising
-    truncated : as of ClipReader, as far as packets tell"""
+    irregular : only a careful reader tells what there is;  truncated : as of ClipReader, as far as packets tell"""
 
     pts: list[int]
     keys: list[int]
     truncated: str | None
+    irregular: bool
 
 
 class ClipReader:
     """Context manager over one clip.
+    careful : all is decoded from the start, in one thread;  strict : no picture of which the decoder had to guess a part
     truncated : after iterating to the end, a message when the file ends in damage, else None
+    damaged : whether something could not be read, and more followed
     repaired : whether a frame had no time, or one that was not after the last one's, and was given another"""
 
-    def __init__(self, info: ClipInfo, threads: int = 0) -> None:
+    def __init__(self, info: ClipInfo, threads: int = 0, careful: bool = False, strict: bool = False) -> None:
         self.info = info
         self._format = info.frame_format()
-        self._threads = threads
+        self._threads = 1 if careful else threads
+        self._careful, self._strict = careful, strict
         self._container: Any = None
         self.truncated: str | None = None
-        self.repaired = False
+        self.damaged = self.repaired = False
         self._stopped = ""
         self._packets = 0
-        self._end = info.start_pts
+        self._end = self._first = info.start_pts
 
     def __enter__(self) -> ClipReader:
         return self
@@ -68,7 +87,10 @@ class ClipReader:
         stream.thread_type = "AUTO"
         if self._threads:
             stream.codec_context.thread_count = self._threads
+        if self._strict:
+            stream.codec_context.options = {"err_detect": "explode"}
         self._stopped, self._packets, self._end = "", 0, self.info.start_pts
+        self._first = self.info.start_pts
         return stream
 
     def frames(self, first_pts: int | None = None, last_pts: int | None = None, first_index: int = 0) -> Iterator[Frame]:
@@ -80,25 +102,46 @@ class ClipReader:
             index += 1
 
     def times(self) -> FrameTimes | None:
-        """None where packets do not tell: a time is missing or there twice."""
-        pts, keys, missing = list[int](), list[int](), False
+        """None where packets do not tell: a time is missing, there twice, or they go back."""
+        pts, keys, decoded = list[int](), list[int](), None
         for packet in self._demux(self._open()):
-            if packet.pts is None:
-                missing = True
-            elif not packet.is_discard and packet.pts >= self.info.start_pts:
+            if packet.pts is None or (self._by_decoding and packet.pts != packet.dts):
+                return None
+            if decoded is not None and packet.dts is not None and packet.dts < decoded:
+                return None
+            decoded = packet.dts
+            if not packet.is_discard and packet.pts >= self.info.start_pts:
                 pts.append(packet.pts)
                 if packet.is_keyframe:
                     keys.append(packet.pts)
-        if missing or len(set(pts)) < len(pts):
+        if len(set(pts)) < len(pts):
             return None
-        return FrameTimes(sorted(pts), sorted(keys), self._verdict(whole=True))
+        size = self.info.path.stat().st_size
+        cut = self.info.container == "mpegts" and all(size % packet for packet in _TS_PACKETS)
+        return FrameTimes(sorted(pts), sorted(keys), self._verdict(whole=True), self.damaged or cut)
+
+    def shifts(self) -> list[int]:
+        """What frames' times are given beside those of the file, after each place where these begin anew."""
+        found = list[int]()
+        decoded, end = None, self.info.start_pts
+        for packet in self._demux(self._open()):
+            if packet.dts is None or packet.pts is None:
+                continue
+            if decoded is not None and self._begins_anew(decoded, packet.dts):
+                found.append(end - packet.pts)
+            decoded = packet.dts
+            end = max(end, packet.pts + (packet.duration or 0) + (found[-1] if found else 0))
+        return found
+
+    def _begins_anew(self, before: int, after: int) -> bool:
+        return (before - after) * self.info.time_base > JUMP_S
 
     def seeks_to(self, pts: int) -> bool:
         """Whether decoding can begin at the key frame of that time, or one before it."""
         return next(self._from_key_frame(pts), None) is not None
 
     def _pictures(self, first_pts: int | None, last_pts: int | None) -> Iterator[tuple[av.VideoFrame, int]]:
-        if first_pts is not None and first_pts > self.info.start_pts:
+        if first_pts is not None and first_pts > self.info.start_pts and not self._careful:
             started = False
             for item in self._from_key_frame(first_pts):
                 started = True
@@ -117,6 +160,7 @@ class ClipReader:
     def _from_key_frame(self, first_pts: int) -> Iterator[tuple[av.VideoFrame, int]]:
         """Frames from first_pts on, or nothing at all when the key frame before it cannot be found for sure."""
         stream = self._open()
+        self._first = first_pts  # what is before it may lack what it was predicted from
         try:
             self._container.seek(first_pts, stream=stream, backward=True)
         except (av.error.FFmpegError, OSError):
@@ -142,23 +186,31 @@ class ClipReader:
         self.truncated = self._verdict(whole=False)
 
     def _decode(self, stream: Any) -> Iterator[av.VideoFrame]:
-        """Pictures until the end or the first damage that ends the file; concealed ones only if a good one follows."""
+        """Pictures until the end; concealed ones, and those of another size, only if a good one follows."""
         held: list[av.VideoFrame] = []
+        strange: list[av.VideoFrame] = []
         for picture in self._raw(stream):
             if picture.width != self.info.coded_width or picture.height != self.info.coded_height:
-                raise InputError(
-                    f"{self.info.path}: the picture changes from {self.info.coded_width}x{self.info.coded_height} "
-                    f"to {picture.width}x{picture.height} in the middle of the clip",
-                    "split the clip there, or convert it to one size",
-                )
+                strange.append(picture)
+                if len(strange) == _STRANGERS:
+                    break
+                continue
             if picture.is_corrupt:
                 held.append(picture)
                 continue
+            self.damaged |= bool(strange)  # a damaged header: left out
+            strange.clear()
             yield from held
             held.clear()
             yield picture
+        if strange:
+            raise InputError(
+                f"{self.info.path}: the picture changes from {self.info.coded_width}x{self.info.coded_height} "
+                f"to {strange[0].width}x{strange[0].height} in the middle of the clip",
+                "split the clip there, or convert it to one size",
+            )
         if held and not self._stopped:
-            self._stopped = f"the last {len(held)} frames are damaged"
+            self._stopped = "the last frames are damaged"
 
     def _raw(self, stream: Any) -> Iterator[av.VideoFrame]:
         for packet in itertools.chain(self._demux(stream), [None]):
@@ -167,38 +219,61 @@ class ClipReader:
             except av.error.EOFError:
                 return
             except (av.error.FFmpegError, OSError) as e:
+                self.damaged |= packet is None or packet.pts is None or packet.pts >= self._first
                 if packet is None:
                     self._stopped = self._stopped or f"the last frame cannot be decoded: {getattr(e, 'strerror', None) or e}"
 
     def _demux(self, stream: Any) -> Iterator[Any]:
-        """Packets until the end, or the first damage in the file."""
-        packets = self._container.demux(stream)
-        while True:
-            try:
-                packet = next(packets, None)
-            except (av.error.FFmpegError, OSError) as e:
-                self._stopped = f"reading stopped: {getattr(e, 'strerror', None) or e}"
-                return
-            if packet is None or packet.size == 0:
-                return
-            if packet.is_corrupt:
-                self._stopped = "the file ends in the middle of a frame"
-                return
-            self._packets += 1
-            if packet.pts is not None:
-                self._end = max(self._end, packet.pts + (packet.duration or 0))
-            yield packet
+        """Packets until the end. Damage that nothing follows is the end."""
+        held: list[Any] = []
+        stopped, late = "", 0
+        numbers = {e.pos + _CHUNK_HEAD: e.timestamp for e in stream.index_entries} if self._by_decoding else {}
+        for packet in read_on(self._container, [stream]):
+            if isinstance(packet, Exception):
+                stopped = f"reading stopped: {getattr(packet, 'strerror', None) or packet}"
+                continue
+            held.append(packet)
+            if packet.is_corrupt and len(held) < _HELD:
+                continue
+            self.damaged |= bool(stopped) or len(held) > 1
+            stopped = ""
+            for good in held:
+                self._packets += 1
+                if good.dts is not None and good.pos in numbers:
+                    late = numbers[good.pos] - good.dts
+                if late and good.dts is not None:  # those before that are lost were not counted
+                    self.damaged = True
+                    good.dts += late
+                    good.pts = None if good.pts is None else good.pts + late
+                if good.pts is not None:
+                    self._end = max(self._end, good.pts + (good.duration or 0))
+                yield good
+            held.clear()
+        self._stopped = "the file ends in the middle of a frame" if held else stopped
+
+    @property
+    def _by_decoding(self) -> bool:
+        """Whether the container counts frames in the order of decoding: the times that it seems to give are not those shown."""
+        return self.info.container == "avi"
 
     def _timed(self, pictures: Iterator[av.VideoFrame]) -> Iterator[tuple[av.VideoFrame, int]]:
-        """Gives each picture a time above the one before: a missing or repeated one follows by one frame (or one tick)."""
+        """Gives each picture a time above the one before: a missing or repeated one follows by one frame (or one tick), and
+        what begins anew goes on after it."""
         rate = self.info.fps or 25.0
         step = max(round(1 / (rate * float(self.info.time_base))), 1)
         last: int | None = None
+        shift = 0
         for picture in pictures:
-            if picture.pts is None:
-                pts = self.info.start_pts if last is None else last + step
+            stated = picture.dts if self._by_decoding else picture.pts
+            if last is None:
+                pts = self.info.start_pts if self._by_decoding or stated is None else stated
+                shift = pts - (pts if stated is None else stated)
+            elif stated is None:
+                pts = last + step
             else:
-                pts = picture.pts if last is None or picture.pts > last else last + 1
+                if self._begins_anew(last, stated + shift):
+                    shift = last + step - stated
+                pts = max(stated + shift, last + 1)
             self.repaired |= pts != picture.pts
             last = pts
             yield picture, pts
@@ -215,3 +290,48 @@ class ClipReader:
         if whole and counted and stated and self._packets and self._packets < stated:
             return f"{self.info.path}: {self._packets} of {stated} frames are in the file; processed to the last good frame"
         return None
+
+
+def read_on(container: Any, streams: list[Any]) -> Iterator[Any]:
+    """Packets, and, where one cannot be read, the error in its place, until nothing more can be read."""
+    failures, packets = 0, container.demux(streams)
+    while failures < _MOST_FAILURES:
+        try:
+            packet = next(packets, None)
+        except (av.error.FFmpegError, OSError) as e:
+            failures, packets = failures + 1, container.demux(streams)
+            yield e
+            continue
+        if packet is None:
+            return
+        failures = 0
+        if packet.size:
+            yield packet
+
+
+def missing_frames(shown: Sequence[int], stated: Sequence[int], gaps: bool = True) -> list[tuple[int, int]]:
+    """(time, number) of the frames that are missing between those shown, in time base units. stated : times of packets, rising
+
+    A packet apart from every frame shown gave none. gaps : packets may be lost too, which a gap tells, if the rate is constant"""
+    if len(shown) < 3:
+        return []
+    steps, usual = _steps(shown)
+    steady = gaps and np.mean(np.abs(steps - usual) <= usual / 4) >= 0.9
+    found = []
+    for k in np.flatnonzero(steps > 2 * _APART * usual).tolist():
+        first = bisect_right(stated, shown[k] + _APART * usual)
+        lost = stated[first : bisect_left(stated, shown[k + 1] - _APART * usual)]
+        count = max(len(lost), round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0)
+        if count:
+            found.append((lost[0] if lost else round(shown[k] + usual), count))
+    return found
+
+
+def late_frames(shown: Sequence[int], stated: Sequence[int]) -> int:
+    """How many packets after the last frame shown gave none."""
+    return len(stated) - bisect_right(stated, shown[-1] + _APART * _steps(shown)[1])
+
+
+def _steps(shown: Sequence[int]) -> tuple[np.ndarray, float]:
+    steps = np.diff(np.array(shown, dtype=object)).astype(float)
+    return steps, float(np.median(steps)) if len(steps) else 0.0

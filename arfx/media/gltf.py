@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections import deque
 from pathlib import Path
@@ -12,10 +13,44 @@ from arfx.errors import InputError
 
 MAX_FACES = 5_000_000  # of all instances together: 1.5 GB while the edges are looked for
 MAX_PARTS = 10_000  # mesh instances: each is a part with a transform of its own, a hundred parts take a second
-_LISTS = ("accessors", "bufferViews", "buffers", "images", "materials", "meshes", "nodes", "scenes", "textures")
+LISTS: tuple[str, ...] = ("accessors", "animations", "bufferViews", "buffers", "images", "materials", "meshes", "nodes")
+LISTS += ("samplers", "scenes", "skins", "textures")
 _COMPONENTS = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # glTF 2.0 section 3.6.2.2
-_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_PACKED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}  # without a decoder all vertices would be 0
+SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+# What is done with each extension: "" = read, else what will be missing where it is only used.
+# Those that are not in the table, or not read, must not be in extensionsRequired.
+_EXTENSIONS = {
+    "KHR_materials_emissive_strength": "",
+    "KHR_materials_ior": "",
+    "KHR_materials_specular": "",
+    "EXT_texture_webp": "",
+    "KHR_xmp_json_ld": "",
+    "KHR_lights_punctual": "its lamps: the clip's own light is used",
+    "KHR_materials_variants": "its variants: the default one is shown",
+    "KHR_materials_clearcoat": "clear coat",
+    "KHR_materials_transmission": "transmission: glass looks solid",
+    "KHR_materials_volume": "colour by depth of glass",
+    "KHR_materials_sheen": "sheen of cloth",
+    "KHR_materials_iridescence": "iridescence",
+    "KHR_materials_anisotropy": "anisotropic highlights",
+    "KHR_materials_dispersion": "dispersion",
+    "KHR_materials_unlit": "",
+    "KHR_materials_pbrSpecularGlossiness": "",
+    "KHR_mesh_quantization": "",
+    "KHR_texture_transform": "",
+    "KHR_node_visibility": "",
+    "EXT_mesh_gpu_instancing": "",
+    "KHR_animation_pointer": "animation",
+    "KHR_texture_basisu": "textures in the KTX2 format",
+}
+_CONVERT = "npx @gltf-transform/cli"
+_CONVERTERS = {
+    "KHR_draco_mesh_compression": "copy",
+    "EXT_meshopt_compression": "copy",
+    "KHR_texture_basisu": "ktxdecompress",
+    "EXT_texture_avif": "png",
+}
+_MAPS = {"normalTexture": "normal maps", "occlusionTexture": "occlusion maps"}
 _TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TEXCOORD_0": "VEC2"}
 
 
@@ -30,11 +65,16 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
         text = data[20 : 20 + struct.unpack("<I", data[12:16])[0]]
     try:
         header = parse_json(text)
+    except UnicodeDecodeError:
+        raise _damaged(path, "its JSON is not UTF-8") from None
+    except json.JSONDecodeError as e:
+        raise _damaged(path, f"its JSON breaks off or is wrong at line {e.lineno}, column {e.colno}") from None
     except ValueError as e:
         raise _damaged(path, f"its JSON: {e}") from None
     if not isinstance(header, dict):
         raise _damaged(path, "its JSON is no object")
-    for name in _LISTS:
+    _check_version(header, path)
+    for name in LISTS:
         rows = header.get(name, [])
         if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
             raise _damaged(path, f"{name} is no list of objects")
@@ -43,22 +83,53 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
 
 def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
     """Notices of what is left out. Raises InputError: damaged, or more faces or parts than can be handled."""
-    required = header.get("extensionsRequired")
-    if packed := _PACKED & set(map(str, required if isinstance(required, list) else ())):
-        raise InputError(f"model {path} is compressed ({', '.join(sorted(packed))})", "export it without mesh compression")
     try:
+        left_out = _check_extensions(header, path)
         faces = _faces_of_meshes(header, path)
         _count_instances(header, faces, path)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as e:
-        raise _damaged(path, f"{type(e).__name__}: {e}") from e
-    left_out = [
+        raise _damaged(path, _in_words(e)) from e
+    at_rest = [
         f"{len(header[key])} {what}{'s' if len(header[key]) > 1 else ''}"
         for key, what in (("animations", "animation"), ("skins", "skin"))
-        if isinstance(header.get(key), list) and header[key]
+        if header.get(key)
     ]
     if any("targets" in p for m in header.get("meshes", []) for p in m["primitives"]):
-        left_out.append("morph targets")
-    return [f"model {path.name}: {' and '.join(left_out)} left out: it is shown as it stands at rest"] if left_out else []
+        at_rest.append("morph targets")
+    notices = []
+    if at_rest:
+        what = " and ".join(at_rest)
+        notices.append(f"model {path.name}: {what} left out: it is shown as it stands at rest")
+    left_out += [what for key, what in _MAPS.items() if any(key in m for m in header.get("materials", []))]
+    return notices + [f"model {path.name}: left out {what}" for what in left_out]
+
+
+def _check_version(header: dict[str, Any], path: Path) -> None:
+    asset = header.get("asset")
+    given = asset.get("version", "2.0") if isinstance(asset, dict) else "2.0"
+    version = json.dumps(given or "of no version").strip('"')[:20]
+    if not version.startswith("2."):
+        hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
+        raise InputError(f"model {path} is glTF {version}, glTF 2.0 is read", hint)
+
+
+def _check_extensions(header: dict[str, Any], path: Path) -> list[str]:
+    """What extensions that are used leave out. Raises InputError: one that is required is not read."""
+    keys = ("extensionsRequired", "extensionsUsed")
+    required, used = ([name[:80] for name in header.get(key, [])] for key in keys)
+    for name in required:
+        if _EXTENSIONS.get(name) != "":
+            how = f": {_CONVERT} {_CONVERTERS[name]} {path.name} NEW.glb" if name in _CONVERTERS else ""
+            raise InputError(f"model {path} requires {name}, which is not read", f"export it without{how}")
+    texts = {name: _EXTENSIONS.get(name, "an extension that is not read") for name in used}
+    return [f"{text} ({name})" for name, text in texts.items() if text]
+
+
+def _in_words(e: Exception) -> str:
+    """What the JSON lacks, without Python's terms."""
+    if isinstance(e, KeyError):
+        return f"{e.args[0]} is missing"
+    return str(e) if isinstance(e, (ValueError, IndexError)) else "a value in its JSON is of the wrong kind"
 
 
 def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]]:
@@ -66,10 +137,10 @@ def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]
     accessors, views = header.get("accessors", []), header.get("bufferViews", [])
     sizes = []
     for number, a in enumerate(accessors):
-        if a.get("componentType") not in _COMPONENTS or a.get("type") not in _SHAPES:
-            raise _damaged(path, f"accessor {number} is of type {a.get('componentType')} {a.get('type')!r}")
+        if a.get("componentType") not in _COMPONENTS or a.get("type") not in SHAPES:
+            raise _damaged(path, f"accessor {number}: its componentType or type is missing or not one of glTF 2.0")
         count = _whole(a["count"])
-        size = count * _COMPONENTS[a["componentType"]] * _SHAPES[a["type"]]
+        size = count * _COMPONENTS[a["componentType"]] * SHAPES[a["type"]]
         if "bufferView" in a and "byteStride" not in (view := views[_index(a["bufferView"], views)]):
             if _whole(a.get("byteOffset", 0)) + size > _whole(view["byteLength"]):
                 raise _damaged(path, f"accessor {number} is longer than its buffer")
@@ -80,6 +151,8 @@ def _faces_of_meshes(header: dict[str, Any], path: Path) -> list[tuple[int, int]
     for number, mesh in enumerate(header.get("meshes", [])):
         total = 0
         for p in mesh["primitives"]:
+            if _whole(p.get("mode", 4)) > 6:
+                raise _damaged(path, f"mesh {number}: mode {p['mode']} is not known")
             for name, at in p["attributes"].items():
                 a = accessors[_index(at, accessors)]
                 if a["type"] != _TYPES.get(name, a["type"]):
@@ -117,13 +190,13 @@ def _count_instances(header: dict[str, Any], of_mesh: list[tuple[int, int]], pat
 
 def _index(value: Any, rows: list) -> int:
     if _whole(value) >= len(rows):
-        raise IndexError(f"number {value} of {len(rows)}")
+        raise IndexError(f"it refers to entry {value}, counted from 0, of a list of {len(rows)}")
     return int(value)
 
 
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r} is not a whole number, 0 or more")
+        raise ValueError(f"{json.dumps(value)[:80]} is not a whole number, 0 or more")
     return value
 
 

@@ -13,6 +13,7 @@ import itertools
 import math
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -26,6 +27,7 @@ from arfx.core.opener import ffmpeg_url
 from arfx.errors import RenderError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import create_container, open_video
+from arfx.media.frames import JUMP_S, ClipReader, read_on
 from arfx.media.images import write_failed
 from arfx.media.output import OutputPlan
 from arfx.media.writer import remove_output
@@ -188,6 +190,8 @@ def _add_video(out: Any, template: Any, source: Any, plan: OutputPlan, info: Cli
     ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
     if info.fps:
         ctx.framerate = Fraction(info.fps).limit_denominator(1001)
+    if info.fields:
+        ctx.field_order = info.field_order
     if info.sample_aspect is not None:
         ctx.sample_aspect_ratio = info.sample_aspect
     if plan.codec == "h265" and plan.container in ("mp4", "mov"):
@@ -203,21 +207,26 @@ def _copied_packets(
     """(decode time in seconds, packet) of the streams that the plan copies, in file order, for those of the output.
     start_s, end_s : seconds after the clip's first frame; a packet that ends before or begins after them is left out.
     A further video stream begins at its last key frame before start_s, so that it can be decoded.
-    A file that breaks off ends the copy where it breaks, like the frames."""
+    What begins anew goes on as the frames do."""
     zero = info.start_pts * info.time_base
     low = -math.inf if start_s is None else zero + Fraction(start_s)
     high = math.inf if end_s is None else zero + Fraction(end_s)
     waiting: dict[int, list[Any]] = {}
-    packets = container.demux([container.streams[i] for i in plan.streams])
-    while True:
-        try:
-            packet = next(packets, None)
-        except (av.error.FFmpegError, OSError):
-            return
-        if packet is None:
-            return
-        if packet.size == 0 or packet.is_corrupt or (packet.pts is None and packet.dts is None):
+    last, jumps, shifts = dict[int, Fraction](), Counter[int](), list[int]()
+    for packet in read_on(container, [container.streams[i] for i in plan.streams]):
+        if isinstance(packet, Exception) or packet.is_corrupt or (packet.pts is None and packet.dts is None):
             continue
+        stated = (packet.dts if packet.dts is not None else packet.pts) * packet.time_base
+        if last.get(packet.stream_index, stated) - stated > JUMP_S:
+            jumps[packet.stream_index] += 1
+            if not shifts:
+                with ClipReader(info) as reader:
+                    shifts += reader.shifts() or [0]
+        last[packet.stream_index] = stated
+        if jump := jumps[packet.stream_index]:
+            shift = round(shifts[min(jump, len(shifts)) - 1] * info.time_base / packet.time_base)
+            packet.pts = None if packet.pts is None else packet.pts + shift
+            packet.dts = None if packet.dts is None else packet.dts + shift
         at = (packet.pts if packet.pts is not None else packet.dts) * packet.time_base
         if at >= high:
             continue

@@ -77,7 +77,6 @@ def material_of(mesh: Any, textures: Textures, two_sided: bool, factors: dict[st
 def _from_pbr(given: Any, textures: Textures, factors: dict[str, Any]) -> Material:
     name = str(given.name or "default")
     own = factors.get(name, {})
-    base = _quad(own.get("base"), given.baseColorFactor)
     mode = str(given.alphaMode or OPAQUE).upper()
     texture = textures.of(given.baseColorTexture, "RGBA")
     mr = textures.of(given.metallicRoughnessTexture, "RGB")
@@ -87,7 +86,7 @@ def _from_pbr(given: Any, textures: Textures, factors: dict[str, Any]) -> Materi
     cutoff = given.alphaCutoff
     return Material(
         name=name,
-        base_colour=base,
+        base_colour=_quad(own.get("base", given.baseColorFactor)),
         base_texture=texture,
         metallic=_unit(given.metallicFactor, 1.0),
         roughness=_unit(given.roughnessFactor, 1.0),
@@ -172,24 +171,18 @@ def _linear(raw: np.ndarray, already: bool) -> np.ndarray:
 
 def precise_factors(header: dict[str, Any]) -> dict[str, Any]:
     """By material name, what trimesh rounds to 8 bits or leaves out of a glTF file: base colour, emissive strength.
-    header : JSON of a glTF file, {} of other files. Left out: names that are not unique."""
-    try:
-        materials = header.get("materials", [])
-        names = [m.get("name") for m in materials]
-        out: dict[str, Any] = {}
-        for m in materials:
-            if not isinstance(m.get("name"), str) or names.count(m["name"]) > 1:
-                continue
-            pbr, ext = m.get("pbrMetallicRoughness", {}), m.get("extensions", {})
-            own: dict[str, Any] = {"base": pbr.get("baseColorFactor", [1.0, 1.0, 1.0, 1.0])}
-            own["strength"] = float(ext.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0))
-            ior = float(ext.get("KHR_materials_ior", {}).get("ior", 1.5))
-            f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else 0.04
-            own["specular"] = float(ext.get("KHR_materials_specular", {}).get("specularFactor", 1.0)) * f0 / 0.08
-            out[m["name"]] = own
-        return out
-    except (ValueError, TypeError, AttributeError, KeyError):
-        return {}  # only a refinement: trimesh has read the file, so its own values stand
+    header : JSON of a glTF file in which every material has a name of its own, {} of other files"""
+    out: dict[str, Any] = {}
+    for m in header.get("materials", []):
+        pbr, ext = m.get("pbrMetallicRoughness", {}), m.get("extensions", {})
+        ior = float(ext.get("KHR_materials_ior", {}).get("ior", 1.5))
+        f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else 0.04
+        out[m["name"]] = {
+            "base": np.array(pbr.get("baseColorFactor", [1.0] * 4), float),
+            "strength": float(ext.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)),
+            "specular": float(ext.get("KHR_materials_specular", {}).get("specularFactor", 1.0)) * f0 / 0.08,
+        }
+    return out
 
 
 def _is_placeholder(given: Any) -> bool:
@@ -204,14 +197,9 @@ def _is_placeholder(given: Any) -> bool:
     )
 
 
-def _quad(exact: Any, rounded: Any) -> tuple[float, float, float, float]:
-    if exact is not None:
-        c = np.asarray(exact, float).ravel()
-    else:
-        c = np.ones(4) if rounded is None else np.asarray(rounded).ravel().astype(float)
-        if rounded is not None and np.asarray(rounded).dtype.kind in "ui":
-            c = c / 255.0
-    c = np.concatenate([c, np.ones(4)])[:4] if len(c) == 3 else c[:4]
+def _quad(value: Any) -> tuple[float, float, float, float]:
+    c = np.ones(4) if value is None else np.ravel(value)
+    c = np.append(c / 255.0 if c.dtype.kind in "ui" else c, 1.0)
     return float(c[0]), float(c[1]), float(c[2]), float(c[3])
 
 

@@ -2,7 +2,7 @@
 
 glTF/GLB (scene graph applied), OBJ with MTL, PLY, STL, and what else trimesh reads here. Errors say what is wrong with
 the file and how many vertices or faces it concerns; what was repaired is in `Model.notices`.
-Leaves out: skins, animation, morph targets, normal and occlusion textures, texture transforms, lines and points."""
+Leaves out: skins, animation, morph targets, normal and occlusion textures, lines and points."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from arfx.core.numerics import normalise
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import check_gltf, gltf_header
+from arfx.media.gltf_rewrite import rewrite
 from arfx.media.model_files import ModelFolder, restrict_pillow
 from arfx.media.model_limits import check_faces, check_parts, check_size
 from arfx.media.model_materials import Textures, material_of, precise_factors, vertex_colours
@@ -66,13 +67,18 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     level = log.level
     log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
     try:
-        parts = _read(data, kind, folder, header, notices)
+        with np.errstate(all="ignore"):
+            content, form, left_out = rewrite(data, kind, header, folder)
+            check_gltf(header, path)
+            parts = _read(content, form, folder, header, notices)
+        notices += left_out
     except ArfxError:
         raise
     except ImportError as e:
         raise InputError(f"cannot read model {path}: {e}", "convert it to GLB, OBJ, PLY or STL") from e
     except Exception as e:  # trimesh's parsers raise whatever they stumble over, and hand on what they did not look at
-        what = f"{type(e).__name__}: {e}".strip(": ").split("\n")[0][:300]
+        own = isinstance(e, (OSError, ValueError)) and not header
+        what = (own and str(e).split("\n")[0][:300]) or "its values do not fit together"
         raise InputError(f"cannot read model {path} ({what})", "the file is damaged or not what its name says") from e
     finally:
         log.setLevel(level)
@@ -107,7 +113,7 @@ def _read(data: bytes, kind: str, folder: ModelFolder, header: dict[str, Any], n
         data = obj_for_trimesh(data, folder, notices)
     head, end, body = data.partition(b"end_header") if kind == "ply" else (b"", b"", data)
     data = decoded(head).encode() + end + body
-    with restrict_pillow(refused), np.errstate(all="ignore"):
+    with restrict_pillow(refused):
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=folder, process=False)  # type: ignore[arg-type]
         parts = _parts(scene, folder.path, kind, header, notices)
     named = len(re.findall(rb"\ncomment\s+TextureFile\s", head, re.IGNORECASE))

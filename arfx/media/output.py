@@ -13,8 +13,8 @@ from typing import Any
 import av
 
 from arfx.core.codec import Document
-from arfx.errors import ConfigError
-from arfx.media.clip import UNSPECIFIED, ClipInfo
+from arfx.errors import ConfigError, InputError
+from arfx.media.clip import UNSPECIFIED, ClipInfo, ffmpeg_command
 from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, nearest_format, open_encoder, supported_codecs
 from arfx.media.planes import layout_named
 
@@ -64,7 +64,8 @@ class OutputPlan(Document):
 def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = None) -> OutputPlan:
     """Decides how a clip is written to `path`.
     Raises ConfigError: unknown extension, codec or pixel format; a container that cannot hold the codec, or the clip's
-    audio (the message names the ones that can); a picture size that the codec has no pixel format for."""
+    audio (the message names the ones that can); a picture size that the codec has no pixel format for.
+    InputError: an interlaced clip, for a codec without fields."""
     path, settings = Path(path), settings or OutputSettings()
     container, codec = _choose(path, settings)
     if codec.sequence:
@@ -72,6 +73,9 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
     if container not in codec.containers:
         hint = "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers)
         raise ConfigError(f"{path}: a {path.suffix} file cannot hold {codec.name}", hint)
+    if info.fields and not codec.fields:
+        hint = f"--codec h264 in another file than .webm, or first: {ffmpeg_command(info.path, 'bwdif', 'progressive')}"
+        raise InputError(f"{info.path} is interlaced, which {codec.name} files cannot say", hint)
     notices: list[str] = []
     streams = _further_streams(info, container, codec, path, notices)
     fmt = _pixel_format(info, codec, settings, notices)

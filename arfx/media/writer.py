@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import av
+import av.filter
 import numpy as np
+from av.codec.context import Flags
 
 from arfx.core.guard import TIMES
 from arfx.errors import RenderError
@@ -40,6 +42,7 @@ class ChunkWriter:
         self.part = self.path.with_name(self.path.name + ".part")
         self._container: Any = None
         self._stream: Any = None
+        self._fields: Any = None  # marks pictures as interlaced
         self._last: int | None = None
         self._shown: list[int] = []
         self._shift = 0
@@ -63,8 +66,9 @@ class ChunkWriter:
         kind = {".nut": "nut", ".mkv": "matroska"}[chunk_suffix(plan)]
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}  # no random identifiers: same frames, same bytes
         self._container = create_container(self.part, kind, container_options=options)
+        fields = {"x264-params": f"{info.fields}=1"} if info.fields and plan.codec == "h264" else {}
         rate = Fraction(info.fps or 25).limit_denominator(1001)
-        s = self._container.add_stream(CODECS[plan.codec].encoder, rate=rate, options=dict(plan.options))
+        s = self._container.add_stream(CODECS[plan.codec].encoder, rate=rate, options=fields | dict(plan.options))
         ctx = s.codec_context
         s.width, s.height = info.coded_width, info.coded_height
         s.pix_fmt = "bgr0" if plan.codec == "ffv1" and plan.pixel_format == "gbrp" else plan.pixel_format
@@ -72,6 +76,12 @@ class ChunkWriter:
         ctx.thread_count, ctx.thread_type = plan.encoder_threads, "FRAME"  # slice threads cost x264 half its speed
         ctx.colorspace, ctx.color_range = plan.matrix_tag, plan.range_tag
         ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
+        if info.fields:
+            ctx.flags |= Flags.interlaced_dct | Flags.interlaced_me
+            ctx.field_order = info.field_order
+            self._fields = av.filter.Graph()
+            source = self._fields.add_buffer(width=s.width, height=s.height, format=s.pix_fmt, time_base=info.time_base)
+            self._fields.link_nodes(source, self._fields.add("setfield", info.fields), self._fields.add("buffersink")).configure()
         if info.sample_aspect is not None:
             ctx.sample_aspect_ratio = info.sample_aspect
         open_encoder(ctx)
@@ -90,6 +100,9 @@ class ChunkWriter:
             self._shift = max(-frame.pts, 0)  # no chunk container holds times below 0; joining only needs their order
         self._shown.append(frame.pts + self._shift)
         picture.pts, picture.time_base = self._shown[-1], self.info.time_base
+        if self._fields is not None:
+            self._fields.vpush(picture)
+            picture = self._fields.vpull()
         picture.pict_type = 0  # the source's I/P/B would be forced on the encoder
         try:
             self._mux(self._stream.encode(picture))

@@ -13,7 +13,7 @@ from arfx.analyse.fold import Analysis, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.core import codec
 from arfx.media.clip import ClipInfo
-from arfx.media.frames import FrameTimesError
+from arfx.media.frames import ClipReader, FrameDamageError, FrameTimesError, late_frames, missing_frames
 from arfx.run.executors import Results, Task, run_serial
 from arfx.run.folder import JobFolder, digest, write
 from arfx.run.source import release
@@ -29,7 +29,7 @@ Run = Callable[[Iterator[Task], int, int, Callable[[int], None]], Results]
 @dataclass(frozen=True)
 class AnalysisPass:
     """pts : presentation times of the frames to render, in the clip's time base;  keys : which of them decoding can begin at
-    truncated : a message where the file ends in damage
+    truncated : a message where the file ends in damage;  careful, missing, damaged : as of `ClipAnalysis`
     seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)
     stretches : keys of their rows there"""
 
@@ -40,6 +40,9 @@ class AnalysisPass:
     seconds: Mapping[str, float]
     walls: Mapping[str, float]
     stretches: list[str]
+    careful: bool
+    missing: list[tuple[float, int]]
+    damaged: bool = False
 
 
 def in_order(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
@@ -58,11 +61,16 @@ def analyse_clip(
     Stretches that are there already are taken as they are. Raises NothingToDoError if the span holds no frame, or nothing is
     seen to stand on."""
     span, log = Span(info, *span_s), log or WorkLog(folder.timings)
-    stretches = cut(span)
+    with ClipReader(info) as reader:
+        times = reader.times()
+    stretches, stated = cut(span, times), [] if times is None else times.pts
+    damaged = reader.damaged
     try:
-        return _Pass(span, stretches, job, wanted, progress, folder, key, log).done(run if stretches.seeks else in_order)
-    except FrameTimesError:  # what the packets say of the times is not so
-        return _Pass(span, whole(span), job, wanted, progress, folder, key, log).done(in_order)
+        found = _Pass(span, stretches, job, wanted, progress, folder, key, log).done(run if stretches.seeks else in_order, stated)
+    except FrameTimesError as e:  # what the packets say of the frames is not so
+        damaged = isinstance(e, FrameDamageError)
+        found = _Pass(span, whole(span), job, wanted, progress, folder, key, log).done(in_order, stated)
+    return replace(found, damaged=damaged)
 
 
 class _Pass:
@@ -84,7 +92,8 @@ class _Pass:
         self._ready = {part.first for part in stretches.parts if self._path(part).exists()}
         self._rows = {row["key"]: row for row in log.rows() if row["work"] == STRETCH}
 
-    def done(self, run: Run) -> AnalysisPass:
+    def done(self, run: Run, stated: list[int]) -> AnalysisPass:
+        """stated : times of the clip's packets"""
         folder, parts, frames = self.folder, self.stretches.parts, self.stretches.frames
         folder.stretches.mkdir(exist_ok=True)
         keep(folder, self.key, self.context)
@@ -108,12 +117,19 @@ class _Pass:
         start = time.perf_counter()
         if not self.pts:
             raise self.context.span.nothing()
-        times = [self.context.span.since_s(t) for t in self.pts]
+        since_s, info = self.context.span.since_s, self.context.span.info
+        times = [since_s(t) for t in self.pts]
+        missing = missing_frames(self.pts, stated, gaps="mov" not in info.container)  # whose index says what a gap is
         truncated = (self.truncated or self.stretches.truncated) if self.ended else None
+        if self.ended and not truncated and (lost := late_frames(self.pts, stated)):
+            truncated = f"{info.path}: the last frames cannot be decoded ({lost}); processed to the last good frame"
         analysis = self.analyser.finish(Analysis(frame_span=(times, self.before, self.ended and not truncated)))
         self._spent({"analyse": time.perf_counter() - start})
         self._progress("analyse", len(self.pts), len(self.pts))
-        return AnalysisPass(analysis, self.pts, self.keys, truncated, self.seconds, self.walls, self.names)
+        return AnalysisPass(
+            analysis, self.pts, self.keys, truncated, self.seconds, self.walls, self.names,
+            self.stretches.careful, [(since_s(t), count) for t, count in missing],
+        )  # fmt: skip
 
     def _join_ready(self) -> None:
         """As far as the stretches are there. One that goes on with what would be lost is made here, with the next ones of its

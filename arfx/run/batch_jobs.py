@@ -115,6 +115,8 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
     kept : outputs that are there are not to be replaced
     Raises ConfigError, InputError."""
     for job in jobs:
+        if "\0" in f"{job.clip}{job.output}":
+            raise ConfigError(f"a name holds a NUL character: {str(job.clip)!r}, {str(job.output)!r}", "no file has such a name")
         check_complete(job.config)
         o = job.config.output
         check_format(job.output, OutputSettings(o.codec, o.crf, o.preset, o.pixel_format))

@@ -38,7 +38,7 @@ from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlis
 from arfx.run.keys import job_keys
 from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
 from arfx.run.place import Places
-from arfx.run.planned import ClipAnalysis, Job, JobPlan
+from arfx.run.planned import ClipAnalysis, Job, JobPlan, told
 from arfx.run.predict import JobSize, choose, level_policy
 from arfx.run.schedule import Chunk, borders
 from arfx.run.stretches import analyse_stretch
@@ -223,13 +223,18 @@ def _analyse(
         notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
     if done.truncated:
         notices.append(done.truncated)
+    if done.damaged and not done.missing:
+        notices.append(f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks is the decoder's guess")
+    if done.missing:
+        notices.append(f"{inputs.info.path}: frames are missing, damaged or not in the file: {told(done.missing)}")
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, clip.facts)
     write(folder.environment, codec.dumps(dict(clip.environment_maps)))
     ClipAnalysis(
         done.pts, done.keys, clip.anchor.key, clip.world_from_marker, clip.static, clip.summary, done.truncated,
-        pick_previews(clip.facts), [*inputs.notices, *notices], clip.real_planes,
+        pick_previews(clip.facts), [*inputs.notices, *notices], clip.real_planes, done.careful, done.missing,
+        done.damaged,
     ).write(folder)  # fmt: skip
     log.note(ANALYSIS, analysis_key, done.seconds, done.walls, stretches=done.stretches)
 

@@ -23,6 +23,8 @@ from arfx.run.folder import JobFolder, write
 from arfx.run.inputs import Inputs, make_scene
 from arfx.run.times import WorkLog
 
+_TOLD = 5  # places, of those where frames are missing
+
 
 @dataclass(frozen=True)
 class ClipAnalysis(Document):
@@ -31,7 +33,9 @@ class ClipAnalysis(Document):
     pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
     anchor : key of the marker, or of the plane, under the object;  static : what is at rest
     truncated : why the clip ends early, or None;  previews : frames of which the report shows a picture
-    summary : for the report"""
+    summary : for the report;  careful : frames are read as `ClipReader` says
+    missing : (seconds from the clip's first frame, number) of frames that the clip does not give, where they would be
+    damaged : parts of the clip cannot be read; the decoder may have had to guess them"""
 
     pts: list[int]
     keys: list[int]
@@ -43,6 +47,9 @@ class ClipAnalysis(Document):
     previews: Sequence[int]
     notices: Sequence[str]
     real_planes: Sequence[RealPlane]
+    careful: bool = False
+    missing: Sequence[tuple[float, int]] = ()
+    damaged: bool = False
 
     def scene(self, config: JobConfig, camera: Camera, model: Model, folder: JobFolder) -> Scene:
         scene = make_scene(config, camera, model, self.world_from_marker, self.anchor, self.static, self.real_planes)
@@ -83,3 +90,11 @@ class Job:
     prices: Prices
     plan: JobPlan
     log: WorkLog
+
+
+def told(missing: Sequence[tuple[float, int]]) -> str:
+    """Missing frames in words: how many, and when."""
+    places = [f"{count} at {time_s:.2f} s" for time_s, count in missing[:_TOLD]]
+    if more := missing[_TOLD:]:
+        places.append(f"{sum(count for _, count in more)} at {len(more)} later places")
+    return ", ".join(places)

@@ -23,15 +23,26 @@ from arfx.run.background_io import Prefetch
 
 class Source:
     """Frames of a clip from `index` on, in order. pts : presentation times of all of the job's frames;  threads : to decode,
-    0 = as many as it likes"""
+    0 = as many as it likes;  careful : as of `ClipReader`, which is turned to where a frame is not found otherwise"""
 
-    def __init__(self, info: ClipInfo, pts: list[int], index: int, threads: int = 0) -> None:
+    def __init__(self, info: ClipInfo, pts: list[int], index: int, threads: int = 0, careful: bool = False) -> None:
         self.info, self.pts, self.index = info, pts, index
-        self._reader = ClipReader(info, threads)
-        self._frames: Iterator[Frame] = self._reader.frames(pts[index], first_index=index)
+        self._read(threads, careful)
+
+    def _read(self, threads: int, careful: bool) -> None:
+        self.careful = careful
+        self._reader = ClipReader(self.info, threads, careful)
+        self._frames: Iterator[Frame] = self._reader.frames(self.pts[self.index], first_index=self.index)
 
     def next(self) -> Frame | None:
         """Frame number `index` of the job, which moves on; None where the file does not hold a frame of that time."""
+        frame = self._next()
+        if frame is None and not self.careful:
+            self._read(1, True)
+            frame = self._next()
+        return frame
+
+    def _next(self) -> Frame | None:
         for frame in self._frames:
             if frame.pts < self.pts[self.index]:
                 continue
@@ -53,9 +64,9 @@ class StretchFrames:
     alone : decoding gets threads of its own, and runs ahead
     frontier : where the last stretch ended: the next frame is the first at or after that time"""
 
-    def __init__(self, info: ClipInfo, first_pts: int | None, alone: bool) -> None:
+    def __init__(self, info: ClipInfo, first_pts: int | None, alone: bool, careful: bool = False) -> None:
         self.info, self.alone, self.frontier, self._seconds = info, alone, first_pts, 0.0
-        self.reader = ClipReader(info, threads=0 if alone else 1)
+        self.reader = ClipReader(info, 0 if alone else 1, careful, strict=not careful and (first_pts is None or not alone))
         frames = self.reader.frames(first_pts)
         self._ahead = Prefetch(frames) if alone else None
         self._frames: Iterator[Frame] = frames if self._ahead is None else self._ahead
@@ -92,23 +103,25 @@ class StretchFrames:
 _of_thread = threading.local()  # source, stretch : what the thread read from last
 
 
-def source_at(info: ClipInfo, pts: list[int], index: int, threads: int = 0) -> Source:
-    """The source that this thread read from last, if it is at `index` of the same job; else a new one."""
+def source_at(info: ClipInfo, pts: list[int], index: int, threads: int = 0, careful: bool = False) -> Source:
+    """The source that this thread read from last, if it is at `index` of the same job, or, a careful one, before it; else a
+    new one."""
     last: Source | None = getattr(_of_thread, "source", None)
-    if last is not None and last.info is info and last.pts is pts and last.index == index:
+    if last is not None and last.info is info and last.pts is pts and 0 <= index - last.index <= index * careful:
+        last.index = index
         return last
     release()
-    _of_thread.source = source = Source(info, pts, index, threads)
+    _of_thread.source = source = Source(info, pts, index, threads, careful)
     return source
 
 
-def stretch_at(info: ClipInfo, first_pts: int | None, alone: bool) -> StretchFrames:
+def stretch_at(info: ClipInfo, first_pts: int | None, alone: bool, careful: bool = False) -> StretchFrames:
     """The frames that this thread read last, if they go on at that time of the same clip; else new ones."""
     last: StretchFrames | None = getattr(_of_thread, "stretch", None)
     if last is not None and first_pts is not None and (last.info, last.alone, last.frontier) == (info, alone, first_pts):
         return last
     release()
-    _of_thread.stretch = source = StretchFrames(info, first_pts, alone)
+    _of_thread.stretch = source = StretchFrames(info, first_pts, alone, careful)
     return source
 
 

@@ -28,7 +28,7 @@ from arfx.core.colour import Transfer
 from arfx.errors import NothingToDoError
 from arfx.media.clip import ClipInfo, probe
 from arfx.media.frame import Frame
-from arfx.media.frames import ClipReader, FrameTimesError
+from arfx.media.frames import ClipReader, FrameDamageError, FrameTimes, FrameTimesError
 from arfx.media.pose_files import CameraPath
 from arfx.run.folder import JobFolder, write
 from arfx.run.memory import peak_mb
@@ -81,24 +81,24 @@ class Stretch(Document):
 @dataclass(frozen=True)
 class Stretches(Document):
     """How a clip is cut. before : frames of the clip before the first one;  truncated : why it ends early, or None
-    length_s : of all;  seeks : whether workers can begin anywhere, or only decode from the clip's start"""
+    length_s : of all;  seeks : whether workers can begin anywhere, or only decode from the clip's start
+    careful : in one thread (`ClipReader`)"""
 
     parts: tuple[Stretch, ...]
     before: int = 0
     truncated: str | None = None
     length_s: float = 0.0
     seeks: bool = True
+    careful: bool = False
 
     @property
     def frames(self) -> int:
         return self.parts[-1].last + 1
 
 
-def cut(span: Span) -> Stretches:
-    """The stretches of a span. Raises NothingToDoError where it holds no frame."""
-    with ClipReader(span.info) as reader:
-        times = reader.times()
-    if times is None:
+def cut(span: Span, times: FrameTimes | None) -> Stretches:
+    """The stretches of a span. times : `ClipReader.times`. Raises NothingToDoError where it holds no frame."""
+    if times is None or times.irregular:
         return whole(span)
     first = next((k for k, t in enumerate(times.pts) if not span.before(t)), len(times.pts))
     stop = next((k for k, t in enumerate(times.pts) if span.behind(t)), len(times.pts))
@@ -123,10 +123,10 @@ def cut(span: Span) -> Stretches:
 
 
 def whole(span: Span) -> Stretches:
-    """One stretch: of a clip in which the times of the frames tell themselves only when all are decoded."""
+    """One stretch: of a clip whose frames, or their times, tell themselves only when all are decoded."""
     info = span.info
     known = info.frame_count_stated or (round(info.duration_s * info.fps) if info.duration_s and info.fps else 0)
-    return Stretches((Stretch(0, max(known - 1, 0), None, None),), 0, None, info.duration_s or 0.0, False)
+    return Stretches((Stretch(0, max(known - 1, 0), None, None),), 0, None, info.duration_s or 0.0, False, True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,19 +223,27 @@ def made(
         analyser.go_on(lost)
     pts, keys = list[int](), list[int]()
     out: dict[str, Any] = {"lost": lost, "pts": pts, "keys": keys, "before": 0, "ended": False, "truncated": None}
-    source = stretch_at(context.span.info, stretch.begins, alone)
+    source = stretch_at(context.span.info, stretch.begins, alone, context.stretches.careful)
     decoded_s, analyse_s = source.seconds, 0.0
+
+    def check() -> None:
+        if context.stretches.careful:
+            return
+        if source.reader.damaged:
+            raise FrameDamageError(f"{context.span.info.path}: frames are damaged")
+        if source.reader.repaired:
+            raise FrameTimesError(f"{context.span.info.path}: frame times go backwards")
 
     def frames() -> Generator[Frame]:
         for frame in source:
-            if source.reader.repaired and (stretch.begins is not None or stretch.ends is not None):
-                raise FrameTimesError(f"{context.span.info.path}: frame times go backwards at {frame.pts}")
+            check()
             if context.span.behind(frame.pts):
                 return
             if context.span.before(frame.pts):
                 out["before"] += 1
             else:
                 yield frame
+        check()
         out["ended"], out["truncated"] = True, source.reader.truncated
 
     def shown(frame: Frame, following: Frame | None = None) -> AnalysisFrame:

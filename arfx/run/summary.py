@@ -26,7 +26,7 @@ from arfx.plan.explain import summarise
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import ready_stages, run_frame
 from arfx.run.parameters import stages_of
-from arfx.run.planned import Job
+from arfx.run.planned import Job, told
 from arfx.run.schedule import Chunk
 from arfx.run.times import TimeSpent
 from arfx.stages import STAGES
@@ -55,7 +55,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
         "input": {
             "path": str(info.path), "frames": len(facts), "seconds": seconds, "width": info.width, "height": info.height,
             "fps": info.fps, "vfr": uneven, "rotation": info.rotation_deg,
-            "audio": [str(s) for s in info.audio], "truncated": analysed.truncated,
+            "audio": [str(s) for s in info.audio], "truncated": analysed.truncated, "missing": analysed.missing,
             "camera": job.inputs.camera.source, "camera_guessed": job.inputs.camera.guessed, "stream": stream,
         },
         "output": {
@@ -129,7 +129,10 @@ def health(job: Job) -> Iterator[Check]:
         yield from stage.health(JobView(facts, job.scene, levels, picture))
     absent = sum(f.status == ABSENT for f in facts)
     yield Check("frames without a pose", absent, 0, absent == 0, "object left out there")
-    yield Check("source file", truncated or "whole", "whole", truncated is None, "processed to its last good frame")
+    missing = sum(count for _, count in job.analysed.missing)
+    state = truncated or ("damaged" if job.analysed.damaged else "incomplete" if missing else "whole")
+    yield Check("source file", state, "whole", state == "whole", "processed to its last good frame")
+    yield Check("frames missing in the source", missing, 0, missing == 0, f"left out: {told(job.analysed.missing)}")
     for where in ("facts", "pictures"):
         yield Check(f"values that are not finite in the {where}", 0, 0, True, "the job would have stopped there")
 

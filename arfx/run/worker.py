@@ -58,6 +58,7 @@ class Context:
     facts: Lines[FrameFacts]
     plans: Lines[FramePlan]
     depth: DepthMaps | None = None
+    careful: bool = False
     ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
 
 
@@ -112,6 +113,7 @@ def open_context(path: str, job_key: str, paths: Paths) -> Context:
     return Context(
         folder, info, output, scene, make_stages(config), analysed.pts, frozenset(analysed.previews),
         Lines(folder.facts, FrameFacts.from_line, header=1), Lines(folder.plan, FramePlan.from_line), job_depth(config),
+        analysed.careful,
     )  # fmt: skip
 
 
@@ -151,7 +153,7 @@ def render_chunk(
     final, suffix = Path(target), chunk_suffix(context.output)
     aside = final.with_name(f"{process_name()}-{threading.get_ident()}-{final.name}{suffix}")
     try:
-        source = source_at(context.info, context.pts, begin, threads=0 if alone else 1)
+        source = source_at(context.info, context.pts, begin, 0 if alone else 1, context.careful)
         with ChunkWriter(context.output, context.info, aside) as writer:
             with WriteBehind(encode) if alone else nullcontext() as later:
                 for index in range(begin, last + 1):

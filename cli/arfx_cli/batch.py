@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, print_table, say
+from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, print_table, say, tell
 from arfx_cli.job_options import job_config, job_options, run_options
 
 _HELP = {
@@ -59,7 +59,7 @@ def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any)
 
         def ended(k: int, row: dict[str, Any]) -> None:
             if row["exit_code"]:
-                click.echo(f"{k + 1} of {len(jobs)} {row['clip']}: error: {row['message']}", err=True)
+                tell(f"{k + 1} of {len(jobs)} {row['clip']}: error: {row['message']}")
             else:
                 say(f"{k + 1} of {len(jobs)} {row['clip']}: {row['message']}, {row['seconds']:.1f} s, to {row['output']}")
 

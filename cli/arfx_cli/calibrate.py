@@ -26,6 +26,7 @@ from arfx_cli.console import (
     print_table,
     quiet,
     say,
+    tell,
 )
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
                 raise
             code, message = explained(e)
             row |= {"exit_code": code, "message": on_one_line(message)}
-            click.echo(f"{k + 1} of {len(cameras)} {camera.named}: error: {row['message']}", err=True)
+            tell(f"{k + 1} of {len(cameras)} {camera.named}: error: {row['message']}")
         rows.append(row)
     failed = sum(row["exit_code"] != 0 for row in rows)
     if as_json:

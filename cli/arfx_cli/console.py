@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from arfx.core.opener import printable
 from arfx.core.waiting import WAITS
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -56,15 +57,20 @@ def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
     return f
 
 
+def tell(message: str) -> None:
+    """A line on standard error in any case; file names in it cannot steer the terminal."""
+    click.echo(printable(message), err=True)
+
+
 def say(message: str) -> None:
     """A line for people, on standard error (standard output is kept for results); not with --quiet."""
     if not quiet():
-        click.echo(message, err=True)
+        tell(message)
 
 
 def note(message: str) -> None:
     """A warning, with --quiet too."""
-    click.echo(f"note: {message}", err=True)
+    tell(f"note: {message}")
 
 
 def quiet() -> bool:
@@ -80,7 +86,7 @@ def verbose() -> bool:
 def detail(message: str) -> None:
     """A line that only --verbose shows."""
     if verbose():
-        click.echo(f"  {message}", err=True)
+        tell(f"  {message}")
 
 
 def emit_json(document: Any) -> None:
@@ -104,7 +110,7 @@ def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]],
         longest = max(len(word) for cell in column for word in [*cell.split(), ""])
         table.add_column(column[0], justify="left" if k < words else "right", min_width=longest)
     for row in lines:
-        table.add_row(*row) if row else table.add_section()
+        table.add_row(*map(printable, row)) if row else table.add_section()
     Console(highlight=False).print(table)
 
 
@@ -138,7 +144,7 @@ class Progress:
 
     def begin(self, title: str) -> None:
         """The phases that follow are those of another piece of work, which is named before each."""
-        self._title = f"{title}: "
+        self._title = f"{printable(title)}: "
         for task in self._tasks.values():
             self._rich.remove_task(task)
         self._tasks.clear()

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import FILE, detail, emit_json, message_options, print_table
+from arfx_cli.console import FILE, detail, emit_json, message_options, print_table, tell
 
 
 @click.command()
@@ -87,7 +87,7 @@ def _print(document: dict[str, Any]) -> None:
     if not document["markers"]:
         console.print(f"\nNo marker was found in {looked} sampled frames (dictionaries tried: {', '.join(SCANNED_FAMILIES)}).")
         help_text = "a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames"
-        click.echo(f"help: {help_text}", err=True)
+        tell(f"help: {help_text}")
         return
     rows = [
         (m["marker"] + (" (twice in a frame)" if m["twice_in_a_frame"] else ""), f"{m['frames']}",

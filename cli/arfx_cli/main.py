@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
 from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
+from arfx_cli.console import tell
 
 # command -> (module, one-line help). The module is imported only when its command runs.
 COMMANDS = {
@@ -113,13 +115,15 @@ def _report_error(e: BaseException) -> int:
         e = e.__cause__
     if isinstance(e, (KeyboardInterrupt, click.Abort)):
         code = interrupt.exit_code() or 130
-        click.echo(interrupt.cause(), err=True)
+        tell(interrupt.cause())
         return code
     if isinstance(e, click.ClickException):
-        e.show()
+        shown = io.StringIO()
+        e.show(shown)
+        tell(shown.getvalue().rstrip())
         return e.exit_code
     if os.environ.get("ARFX_DEBUG") == "1" and not isinstance(e, SystemExit):
         raise e
     code, message = explained(e)
-    click.echo(f"error: {message}", err=True)
+    tell(f"error: {message}")
     return code

@@ -12,7 +12,8 @@ from arfx.run.cluster import remote
 
 LOOK_S = 1.0  # between two looks at who is there
 _START_S = 60.0  # for the first worker to answer
-_ANSWER_S = 10.0  # for an answer that is there to be brought
+SILENT_S = 5.0  # a scheduler that says nothing for so long is gone
+_ANSWER_S = 5.0  # for an answer that is there to be brought
 
 
 @dataclass
@@ -50,7 +51,7 @@ class Crew:
         self._hear()
         if time.monotonic() - self._looked < LOOK_S:
             return {}
-        threads = scheduler_says(self._client, self._client.nthreads)
+        threads = scheduler_says(self._client, lambda: self._client.nthreads(callback_timeout=SILENT_S))
         self._looked = time.monotonic()
         gone = {address: self.members.pop(address) for address in [*self.members] if address not in threads}
         for address, slots in threads.items():
@@ -104,19 +105,23 @@ class Crew:
         return [m for m in self.members.values() if not m.refused]
 
 
+class SchedulerLostError(RenderError):
+    """Nothing that is said to the scheduler arrives."""
+
+
 def submit(client: Any, address: str, function: Callable[..., Any], *arguments: Any, key: str | None = None) -> Any:
     """The future of a call on this very worker."""
     return client.submit(function, *arguments, key=key, workers=[address], allow_other_workers=False, pure=False, retries=0)
 
 
 def scheduler_says(client: Any, ask: Callable[[], Any]) -> Any:
-    """What the scheduler answers. Raises RenderError where it is gone."""
+    """What the scheduler answers. Raises SchedulerLostError where it is gone."""
     try:
         if client.status == "running":
             return ask()
     except (OSError, TimeoutError):  # distributed's errors of connections are both
         pass
-    raise RenderError(
+    raise SchedulerLostError(
         f"the connection to the scheduler at {client.scheduler.address} is lost",
         "what is done is kept; --resume goes on, with the same cluster or another",
     )

@@ -21,7 +21,7 @@ from typing import Any
 from arfx.core import interrupt
 from arfx.errors import RenderError
 from arfx.run.cluster import remote
-from arfx.run.cluster.crew import Crew, Member, scheduler_says, submit
+from arfx.run.cluster.crew import Crew, Member, SchedulerLostError, scheduler_says, submit
 from arfx.run.cluster.store import Store
 from arfx.run.executors import Results, Task
 from arfx.run.folder import JobFolder
@@ -92,6 +92,9 @@ class Dispatch:
                             yield result
                 progress(self._frames_done())
                 time.sleep(ROUND_S)
+        except SchedulerLostError:
+            self._attempts.clear()  # nobody would hear that they are to be left
+            raise
         finally:
             with interrupt.deferred():
                 self._leave()

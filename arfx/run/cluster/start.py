@@ -36,7 +36,7 @@ from arfx.run.planned import Job
 from arfx.run.times import CHUNK, STRETCH
 from arfx.stages import STAGES
 
-CONNECT_S, CLOSE_S = 10, 5
+CONNECT_S, CLOSE_S = 7, 3
 _NOISY = ("distributed", "dask_jobqueue", "tornado", "asyncio")
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
@@ -150,9 +150,10 @@ def open_cluster(spec: ClusterSpec | None, maps: Sequence[PathMap], notice: Call
                 notice(f"dashboard: {cluster.dashboard_link}")
         try:
             client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False, name="arfx")
-        except (OSError, TimeoutError, ValueError) as e:
+        except Exception as e:  # what another's server says is taken for lengths of arrays, and more
+            said = f"{type(e).__name__}: {e}".splitlines()[0][:200]
             raise ConfigError(
-                f"no scheduler answers at {address}: {str(e).splitlines()[0][:200]}",
+                f"no scheduler answers at {address}: {said}",
                 "`dask scheduler` starts one and says its address; --executor local needs none",
             ) from None
         stack.callback(_close, client)

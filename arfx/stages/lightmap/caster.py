@@ -25,7 +25,8 @@ class Caster:
     edges (e, 5) int32 : of those, see `_edges`;  across (3, m') float32 : their normals, as long as twice their area
     outline (k, 3) float64 : points whose hull holds everything above the plane
     extent_m : largest side;  height_m : highest point over the plane, >= 0
-    sag_m, facet_slope : how far flat facets lie below the smooth surface of their normals, and by what slope"""
+    sag_m, facet_slope : how far flat facets lie below the smooth surface of their normals, and by what slope
+    opacity : of its shadow"""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -38,14 +39,17 @@ class Caster:
     height_m: float
     sag_m: float
     facet_slope: float
+    opacity: float = 1.0
 
 
 def make_caster(scene: Scene) -> Caster:
-    """All parts of the scene's model together, whatever their material: what is transparent casts a full shadow."""
+    """All parts of the scene's model together, less those that are less than half as opaque as the most opaque one."""
     anchor_from_world = scene.world_from_anchor.inverse()
     vertices = anchor_from_world.apply(scene.model_points_m)
     starts = np.cumsum([0, *(len(p.vertices) for p in scene.model.parts)])
-    every = np.concatenate([p.faces + k for p, k in zip(scene.model.parts, starts, strict=False)]).astype(np.int32)
+    opacity = max(p.opacity for p in scene.model.parts)
+    casting = [p.faces + k for p, k in zip(scene.model.parts, starts, strict=False) if p.opacity >= opacity / 2]
+    every = np.concatenate(casting).astype(np.int32)
     used = vertices[np.unique(every)]
     extent = float(np.ptp(used, axis=0).max())
     sunk = (used[:, 2] < -_SUNK * extent).any()
@@ -58,6 +62,7 @@ def make_caster(scene: Scene) -> Caster:
     return Caster(
         vertices.astype(np.float32), every, over.astype(np.float32), over_faces, _edges(over, over_faces),
         np.cross(b - a, c - a).T.astype(np.float32), _outline(over[np.unique(over_faces)]), extent, max(top, 0.0), sag, slope,
+        opacity,
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ direction of their light: a still light costs nothing per frame but the look-up.
 Soft light is hidden by what rays find once per clip: in `plane` and `self_occlusion`.
 `draft` looks light and shadow up for every 2 x 2 pixels: `coarse`, `lookup`.
 Cost: O(pixels of the shadow + covered pixels x taps); a light that moves adds O(directions x edges) a frame.
-Leaves out: other real surfaces, transparent shadows, light from the plane onto the object, caustics.
+Leaves out: other real surfaces, shadows of unlike opacity, light from the plane onto the object, caustics.
 Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ class Lightmap(Stage):
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> Pixels:
         scene = view.scene
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
-        strength = self.params.shadow_strength
+        strength = self.params.shadow_strength * prepared.region.caster.opacity
         if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
         make_soft = lambda: within_surface(prepared.ambient.under(light.shape), scene.surface_m)  # noqa: E731
@@ -219,7 +219,7 @@ class Lightmap(Stage):
         eye = scene.world_from_anchor.inverse().apply(facts.pose.inverse().translation_m)
         if eye[2] <= 0:
             return EMPTY, "no shadow: plane seen from behind"
-        most = self.params.shadow_strength * _darkest(light, scene)
+        most = self.params.shadow_strength * shadow_region(scene).caster.opacity * _darkest(light, scene)
         if most <= faint:
             return EMPTY, f"no shadow: the object takes at most {100 * most:.1f} % of the plane's light"
         beams = [(b, float(s.max())) for b, s in zip(light.beams, light.direct_fractions, strict=True)]

@@ -40,3 +40,11 @@ def test_other_fields_are_refused(pattern: str) -> None:
 def test_the_folder_of_all_outputs() -> None:
     assert fixed_folder(Path("out/{stem}.mp4")) == Path("out") == fixed_folder(Path("out/{stem}/{parent}/x.mp4"))
     assert fixed_folder(Path("{stem}.mp4")) == Path() and fixed_folder(Path("a/b.mp4")) == Path("a")
+
+
+def test_a_source_without_a_name_for_a_field_is_refused() -> None:
+    """A clip called "...mp4" would have its output go into the folder above."""
+    with pytest.raises(ConfigError, match=r"\{stem\}, which is '\.\.'"):
+        named(Path("out/{stem}/x.mp4"), Path("clips/...mp4"))
+    with pytest.raises(ConfigError, match=r"\{parent\}, which is ''"):
+        named(Path("{parent}.mp4"), Path("/a.mp4"))

@@ -202,7 +202,7 @@ class FakeClient:
         self.scheduler = SimpleNamespace(address="tcp://fake:1")
         self.calls: list[tuple[str, int]] = []
 
-    def nthreads(self) -> dict[str, int]:
+    def nthreads(self, callback_timeout: float) -> dict[str, int]:
         return dict(self.threads)
 
     def subscribe_topic(self, _: str, handler: Callable[[tuple[float, dict[str, Any]]], None]) -> None:

@@ -118,7 +118,7 @@ def test_decoding_from_a_border_gives_the_frames_of_the_clip(make: Make, clip_of
         every = [(f.pts, f.luma().copy()) for f in reader.frames()]
         times = reader.times()
     assert times is not None and times.pts == [pts for pts, _ in every] and len(every) == FRAMES and times.truncated is None
-    parts = cut(Span(info))
+    parts = cut(Span(info), times)
     assert parts.seeks and [p.first for p in parts.parts] == ([*range(0, FRAMES, LEAST)] if make is mjpeg else [0, 12, 24, 36])
     for part in parts.parts[1:]:
         with ClipReader(info, threads=1) as reader:
@@ -131,9 +131,9 @@ def test_decoding_from_a_border_gives_the_frames_of_the_clip(make: Make, clip_of
 def test_any_order_and_any_workers_leave_the_same_bytes(make: Make, clip_of: ClipOf, tmp_path: Path) -> None:
     clip, folds = clip_of(make), ("environment", "lens") if make is open_gop else ()
     first = written(analysed(clip, tmp_path / "first", folds=folds), tmp_path / "first.jsonl")
-    assert len(first[2]) == FRAMES - (make is damaged) and len([*(tmp_path / "first" / "stretches").iterdir()]) == 4 + (
-        make is damaged
-    )
+    made = [path.name[:13] for path in (tmp_path / "first" / "stretches").iterdir()]
+    assert len(first[2]) == FRAMES - (make is damaged)
+    assert "000000-000047" in made if make is damaged else len(made) == 4
     for run in (shuffled, threads(2), threads(3)) if make is open_gop else (shuffled,):
         again = written(analysed(clip, tmp_path / "again", run, folds), tmp_path / "again.jsonl")
         assert again == first
@@ -252,7 +252,7 @@ def test_a_span_is_cut_within(clip_of: ClipOf) -> None:
     with ClipReader(span.info) as reader:
         pts = [f.pts for f in reader.frames() if 0.6 <= span.since_s(f.pts) <= 2.6]
         every = [f.pts for f in reader.frames()]
-    parts = cut(span)
+        parts = cut(span, reader.times())
     assert parts.before == every.index(pts[0]) and parts.frames == len(pts) and parts.parts[0].begins == pts[0]
     assert [pts[p.first] for p in parts.parts] == [p.begins for p in parts.parts] and len(parts.parts) > 1
     assert whole(span).parts == (Stretch(0, FRAMES - 1, None, None),) or whole(span).parts[0].begins is None

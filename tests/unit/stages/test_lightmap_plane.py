@@ -15,6 +15,7 @@ from arfx.core.colour import SRGB
 from arfx.core.facts import PlaneShadow
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
+from arfx.core.model import BLEND, MASK, Material
 from arfx.core.stage import ReadyStage
 from arfx.errors import RenderError
 from arfx.stages.lightmap import Lightmap, LightmapParams
@@ -388,6 +389,27 @@ def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str)
     assert np.abs(made - truth).max() < {"standard": 0.06, "high": 0.045}[level]
     assert np.diff(made).min() > -0.01, "a ramp without steps back"
     assert np.diff(made).max() < 1.8 * np.diff(truth).max(), "and without steps"
+
+
+@pytest.mark.parametrize("level", ["draft", "standard"])
+def test_a_shadow_is_as_dark_as_its_object_is_opaque(level: str) -> None:
+    light = lamp(30, 50, 5.0)
+
+    def shadow(*materials: Material) -> np.ndarray:
+        boxes = [box_model(material=m).parts[0] for m in materials]
+        model = replace(box_model(), parts=tuple(replace(b, vertices=b.vertices / (k + 1)) for k, b in enumerate(boxes)))
+        return run_stage(on_plane(model, light), level, params=PURE)[Layer.SHADOW]
+
+    def made_of(alpha: float, mode: str = BLEND) -> Material:
+        return Material(base_colour=(1.0, 1.0, 1.0, alpha), alpha_mode=mode)
+
+    full = shadow(Material())
+    assert full.min() < 0.7
+    assert np.allclose(shadow(made_of(0.25)), 1 - 0.25 * (1 - full), atol=1e-3)
+    assert (shadow(made_of(0.0)) == 1).all() and (shadow(made_of(0.3, MASK)) == 1).all(), "nothing to see casts no shadow"
+    assert np.array_equal(shadow(made_of(0.8, MASK)), full)
+    small = shadow(made_of(0.0), Material())
+    assert 0 < (1 - small).sum() < 0.6 * (1 - full).sum(), "what lies in an invisible hull casts its own shadow"
 
 
 def test_what_is_sunk_under_the_plane_casts_nothing_on_it() -> None:
