@@ -9,7 +9,7 @@ import difflib
 import os
 import re
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
@@ -185,8 +185,13 @@ def _out_of_range(value: Any) -> float | None:
 
 def suggestion(name: str, known: Any) -> str:
     """'did you mean …?' or the list of what is known."""
-    hit = difflib.get_close_matches(str(name), list(known), 1)
+    hit = _closest(str(name), tuple(known))
     return f"did you mean {hit[0]!r}?" if hit else "known: " + ", ".join(sorted(known))
+
+
+@lru_cache(maxsize=64)  # a misspelt head of a table is met in every row
+def _closest(name: str, known: tuple[str, ...]) -> list[str]:
+    return difflib.get_close_matches(name, known, 1)
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -211,10 +216,17 @@ def line_of(text: str, path: KeyPath) -> int:
     """1-based line of a key path such as ("marker", 1, "spec"); its nearest written parent, or 0 if none.
     Knows tables, arrays of tables and dotted keys, which is what job files hold; a key inside an inline
     table is found at the line of that table."""
+    lines = _key_lines(text)
+    return next((lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in lines), 0)
+
+
+@lru_cache(maxsize=4)  # a manifest is asked for every row that is wrong
+def _key_lines(text: str) -> dict[KeyPath, int]:
+    """Key path -> the line where it is written first."""
     prefix: KeyPath = ()
     seen: dict[KeyPath, int] = {}
-    best_depth, best_line = 0, 0
-    for number, raw in enumerate(text.splitlines(), 1):
+    found: dict[KeyPath, int] = {}
+    for number, raw in enumerate(_lines(text), 1):
         m = re.match(r"(?P<array>\[?)(?P<table>\[)\s*([^\]]+?)\s*\]|([\w\-.\"']+)\s*=", raw.strip())
         if not m:
             continue
@@ -227,9 +239,13 @@ def line_of(text: str, path: KeyPath) -> int:
             prefix = here = _numbered(name, seen)
         else:
             here = (*prefix, *name)
-        if here == path[: len(here)] and len(here) > best_depth:
-            best_depth, best_line = len(here), number
-    return best_line
+        found.setdefault(here, number)
+    return found
+
+
+@lru_cache(maxsize=4)
+def _lines(text: str) -> list[str]:
+    return text.splitlines()
 
 
 def _numbered(name: KeyPath, seen: Mapping[KeyPath, int]) -> KeyPath:
@@ -246,7 +262,7 @@ def with_location(message: str, file: str, text: str, path: KeyPath, hint: str =
     number = line or line_of(text, path)
     shown = [message, f"  --> {file}"]
     if number:
-        source = text.splitlines()[number - 1]
+        source = _lines(text)[number - 1]
         start, length = len(source) - len(source.lstrip()), max(len(source.strip()), 1)
         for key in path:
             if isinstance(key, str) and (m := re.search(rf"(?<![\w-]){re.escape(key)}(?![\w-])", source)):

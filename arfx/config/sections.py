@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
@@ -180,8 +181,13 @@ class Setting(NamedTuple):
         return self.flags[-1].lower().lstrip("-").replace("-", "_")
 
 
-def settings() -> Iterator[Setting]:
+@cache
+def settings() -> tuple[Setting, ...]:
     """Every setting of a job file but those of the stages."""
+    return tuple(_settings())
+
+
+def _settings() -> Iterator[Setting]:
     for section, outer in JobConfig.model_fields.items():
         repeated = get_origin(outer.annotation) is tuple
         for key, field in getattr(kinds(outer.annotation)[int(repeated)], "model_fields", {}).items():

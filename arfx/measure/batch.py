@@ -17,6 +17,7 @@ import numpy as np
 from arfx.core import interrupt
 from arfx.core.guard import Guard
 from arfx.core.numerics import finite
+from arfx.core.waiting import wait_for
 from arfx.errors import RenderError
 from arfx.measure.report import report_of_job
 from arfx.measure.report_html import escaped, full_page, html_table, jpeg, number, section
@@ -41,7 +42,8 @@ def run_batch(
 
     options : as of `process_all`;  started, ended : called for each job, from 0
     Returns {"jobs": [...], "failed": N}. Raises ConfigError and InputError before any work, JobInterruptedError."""
-    check_batch(jobs, kept=not (options.resume or options.overwrite))
+    kept = not (options.resume or options.overwrite)
+    wait_for("check", lambda: check_batch(jobs, kept), options.progress)
     home = options.report or home_of(jobs)
     guard = Guard({read for job in jobs for read in files_named(job.config)}, options.overwrite or options.resume)
     rows: list[Row] = []
@@ -62,7 +64,7 @@ def plan_batch(
     jobs: Sequence[BatchJob], options: Options, started: Started, ended: Callable[[int, Row], None]
 ) -> dict[str, Any]:  # fmt: skip
     """{"jobs": [... with "plan"], "failed": N, "predicted": {s, low_s, high_s} of all or null}; nothing is written."""
-    check_batch(jobs, kept=False)
+    wait_for("check", lambda: check_batch(jobs, kept=False), options.progress)
     rows = []
     for k, row in enumerate(plan_all(jobs, options, started)):
         rows.append(row)

@@ -9,6 +9,7 @@ import functools
 import os
 import re
 import threading
+import unicodedata
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -32,13 +33,14 @@ class ModelFolder:
         self.files: list[Path] = [path]
         self.left_out: dict[str, str] = {}
         self.memory: dict[str, bytes] = {}  # by name, what was made from the file and is in none
+        self._names: dict[Path, dict[str, str]] = {}
 
     def get(self, name: str) -> bytes:
         """The file that a model calls `name`. Raises InputError: not in the folder, not a regular file, too large."""
         if name in self.memory:
             return self.memory[name]
         try:
-            found = self._find(name)
+            found = self.find(name)
             data = read_bytes(found, "model part")
         except InputError as e:
             self.left_out[name] = e.message
@@ -49,17 +51,20 @@ class ModelFolder:
 
     __getitem__ = get
 
-    def _find(self, name: str) -> Path:
-        """Exporters write names with %20, and paths of the machine that they ran on: the file may lie beside the model."""
+    def find(self, name: str) -> Path:
+        """Exporters write names with %20, in quotation marks, in other case, with umlauts composed or not, and paths of the
+        machine that they ran on: the file may lie beside the model. Raises InputError."""
         name = name.strip()
-        bare = re.split(r"[/\\]", unquote(name))[-1]
+        plain = name.strip("\"'")
+        bare = re.split(r"[/\\]", unquote(plain))[-1]
+        candidates = dict.fromkeys((name, plain, unquote(plain), plain.replace("\\", "/"), bare))
         outside = False
-        for candidate in dict.fromkeys((name, unquote(name), name.replace("\\", "/"), bare)):
+        for candidate in candidates:
             with contextlib.suppress(OSError, ValueError):  # too long, a NUL in it
                 place = Path(os.path.normpath(self.folder / candidate))
                 if not place.is_relative_to(self.folder):  # not even looked for: the system may ask another machine (//host/x)
                     outside = True
-                elif (real := place.resolve()).exists() and real != self.folder:
+                elif (real := self._alike(place).resolve()).exists() and real != self.folder:
                     if real.is_relative_to(self.folder):
                         return real
                     outside = True
@@ -67,6 +72,20 @@ class ModelFolder:
         if outside:
             raise InputError(f"{shown}, which lies outside its folder {self.folder}", "put it into the model's folder")
         raise InputError(f"{shown}, which is not in its folder {self.folder}", "put it there")
+
+    def _alike(self, place: Path) -> Path:
+        """The same path; under the names that are on the disk, where they differ in case or in how umlauts are written."""
+        at = self.folder
+        for part in place.relative_to(self.folder).parts:
+            if at not in self._names:
+                on_disk = sorted(os.listdir(at)) if at.resolve().is_relative_to(self.folder) and at.is_dir() else []  # noqa: PTH208
+                self._names[at] = {_folded(n): n for n in on_disk} | {n: n for n in on_disk}
+            at /= self._names[at].get(part) or self._names[at].get(_folded(part), part)
+        return at
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 @contextlib.contextmanager

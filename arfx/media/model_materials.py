@@ -103,11 +103,12 @@ def _from_pbr(given: Any, textures: Textures, factors: dict[str, Any]) -> Materi
 def _from_simple(given: Any, textures: Textures, two_sided: bool) -> Material:
     kwargs = {str(k).lower(): v for k, v in (getattr(given, "kwargs", None) or {}).items()}
     diffuse = getattr(given, "diffuse", None)
-    colour = np.ones(4) if diffuse is None else np.asarray(diffuse, float).ravel() / 255.0
+    texture = textures.of(getattr(given, "image", None), "RGBA")
+    white = diffuse is None or (texture is not None and "kd" not in kwargs)  # trimesh fills in a grey
+    colour = np.ones(4) if white else np.asarray(diffuse, float).ravel() / 255.0
     rgb = SRGB.decode(colour[:3])
     alpha = _first_number(kwargs.get("d"), 1.0)
     shininess = _first_number(kwargs.get("ns"), 0.0)
-    texture = textures.of(getattr(given, "image", None), "RGBA")
     return Material(
         name=str(getattr(given, "name", None) or "default"),
         base_colour=(float(rgb[0]), float(rgb[1]), float(rgb[2]), float(np.clip(alpha, 0.0, 1.0))),
@@ -126,6 +127,8 @@ def vertex_colours(mesh: Any, keep: np.ndarray) -> tuple[np.ndarray | None, np.n
         raw, linear = np.asarray(visual.vertex_colors), mesh.metadata.get("from_gltf_primitive") is not None
     elif visual.kind == "face":
         return None, _linear(np.asarray(visual.face_colors)[keep], False)
+    elif "_ply_raw" in mesh.metadata:
+        return _ply_colours(mesh, keep)
     else:
         attributes = getattr(visual, "vertex_attributes", {})
         if "color" not in attributes:
@@ -134,6 +137,26 @@ def vertex_colours(mesh: Any, keep: np.ndarray) -> tuple[np.ndarray | None, np.n
     if len(raw) != len(mesh.vertices):
         return None, None
     return _linear(raw, linear), None
+
+
+def _ply_colours(mesh: Any, keep: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """As `vertex_colours`, of a PLY file with texture coordinates: trimesh reads its colours, and drops them."""
+    from trimesh.geometry import triangulate_quads
+
+    elements = mesh.metadata["_ply_raw"]
+    colours = {}
+    for name in ("vertex", "face"):
+        channels = [c for c in ("red", "green", "blue", "alpha") if c in elements[name]["properties"]]
+        if len(channels) > 2:
+            colours[name] = _linear(np.column_stack([elements[name]["data"][c] for c in channels]), False)
+    if "vertex" not in colours:
+        return None, colours["face"][keep] if len(colours.get("face", ())) == len(keep) else None
+    data = elements["face"]["data"]
+    index = next(c for c in elements["face"]["properties"] if c in ("vertex_index", "vertex_indices"))
+    given = triangulate_quads(data[index]["f1"] if isinstance(data, np.ndarray) else data[index])
+    source = np.zeros(len(mesh.vertices), int)  # trimesh parts vertices, and leaves the order of the faces
+    source[mesh.faces.ravel()] = given.ravel()
+    return colours["vertex"][source], None
 
 
 def _linear(raw: np.ndarray, already: bool) -> np.ndarray:
@@ -169,6 +192,7 @@ def _is_placeholder(given: Any) -> bool:
         type(given).__name__ == "SimpleMaterial"
         and image is not None
         and image.size == (2, 2)
+        and image.format is None  # read from no file
         and not getattr(given, "kwargs", None)
     )
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arfx.core.numerics import angle_between, normalise
+from arfx.core.numerics import angle_between, normalise, same_rows
 
 CREASE_DEG = 40.0
 
@@ -21,8 +21,7 @@ def smooth_by_angle(vertices: np.ndarray, faces: np.ndarray, split: bool) -> tup
     from scipy.sparse.csgraph import connected_components
 
     m = len(faces)
-    _, place = np.unique(vertices, axis=0, return_inverse=True)
-    at = place.ravel()[faces]  # (m, 3) place of each corner
+    at = same_rows(vertices)[1][faces]  # (m, 3) place of each corner
     p = vertices[faces]
     normal = normalise(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
     corner = np.arange(3 * m).reshape(m, 3)
@@ -54,8 +53,8 @@ def smooth_by_angle(vertices: np.ndarray, faces: np.ndarray, split: bool) -> tup
         normals[lost] = normal[first[lost] // 3]
     old = faces.ravel()
     if split:
-        pairs, new = np.unique(np.stack([group, old], 1), axis=0, return_inverse=True)
-        return new.reshape(m, 3), pairs[:, 1], normals[pairs[:, 0]]
+        first, new = same_rows(np.stack([group, old], 1))
+        return new.reshape(m, 3), old[first], normals[group[first]]
     source = np.empty(count, int)
     source[group] = old
     return group.reshape(m, 3), source, normals

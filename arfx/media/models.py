@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import io
 import logging
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,13 @@ from arfx.core.model import Model, Part
 from arfx.core.numerics import normalise
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
-from arfx.media.gltf import MAX_FACES, check_gltf, gltf_header
+from arfx.media.gltf import check_gltf, gltf_header
 from arfx.media.gltf_rewrite import rewrite
 from arfx.media.model_files import ModelFolder, restrict_pillow
+from arfx.media.model_limits import check_faces, check_parts, check_size
 from arfx.media.model_materials import Textures, material_of, precise_factors, vertex_colours
 from arfx.media.model_normals import smooth_by_angle
+from arfx.media.obj_files import decoded, obj_for_trimesh
 
 # Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters default to it; scans and
 # CAD use z. Others that trimesh knows are left out: archives, which may unpack to anything, and formats without faces.
@@ -34,6 +38,7 @@ MAX_EXTENT = 1e9
 # Squared double area below which a triangle has no plane, as a fraction of the model's extent to the fourth power:
 # float32 coordinates are exact to 6e-8 of the extent, so a height below that is rounding.
 _DEGENERATE = (6e-8) ** 4
+_MOST_TOLD = 10  # files that are missing, by name
 
 
 def load_model(path: Path | str | None, up: str | None = None) -> Model:
@@ -56,6 +61,7 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     kind = _kind(path, data)
     header = gltf_header(data, kind, path)
     notices = check_gltf(header, path)
+    check_size(data, kind, header, path)
     folder = ModelFolder(path)
     log = logging.getLogger("trimesh")
     level = log.level
@@ -103,11 +109,21 @@ def _read(data: bytes, kind: str, folder: ModelFolder, header: dict[str, Any], n
     import trimesh
 
     refused: list[str] = []
+    if kind == "obj":
+        data = obj_for_trimesh(data, folder, notices)
+    head, end, body = data.partition(b"end_header") if kind == "ply" else (b"", b"", data)
+    data = decoded(head).encode() + end + body
     with restrict_pillow(refused):
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=folder, process=False)  # type: ignore[arg-type]
         parts = _parts(scene, folder.path, kind, header, notices)
-    for why in folder.left_out.values():
-        notices.append(f"model {folder.path.name}: left out {why}")
+    named = len(re.findall(rb"\ncomment\s+TextureFile\s", head, re.IGNORECASE))
+    shown = int(any(p.material.base_texture is not None for p in parts))
+    if named > 1 or (named > shown and not (refused or folder.left_out)):
+        notices.append(f"model {folder.path.name}: {named - shown} of its textures left out: one, with coordinates, is shown")
+    missing = list(folder.left_out.values())
+    notices += [f"model {folder.path.name}: left out {why}" for why in missing[:_MOST_TOLD]]
+    if len(missing) > _MOST_TOLD:
+        notices.append(f"model {folder.path.name}: left out {len(missing) - _MOST_TOLD} more files")
     if refused:
         notices.append(f"model {folder.path.name}: {len(refused)} textures left out: {refused[0]}")
     return parts
@@ -118,20 +134,28 @@ def _parts(scene: Any, path: Path, kind: str, header: dict[str, Any], notices: l
     materials: dict[int, Any] = {}  # parts of one file material share it
     textures = Textures(path)
     parts: list[Part] = []
-    dropped = skipped = 0
+    dropped = skipped = faces = covered = 0
+    check_parts(len(scene.graph.nodes_geometry), path)
     for node in scene.graph.nodes_geometry:
         world_from_mesh, name = scene.graph[node]
         mesh = scene.geometry[name]
         if not hasattr(mesh, "faces"):
             skipped += 1
             continue
+        faces += len(mesh.faces)
+        check_faces(faces, path)
         part, lost = _part(mesh, np.asarray(world_from_mesh, float), textures, kind in _TWO_SIDED, factors, materials)
         dropped += lost
+        if part is not None and part.material.base_texture is not None and "_ply_raw" in mesh.metadata:
+            covered += part.colours is not None  # both show the same surface
+            part = replace(part, colours=None)
         if part is not None:
             parts.append(part)
     textures.close()
     if dropped:
         notices.append(f"model {path.name}: {dropped} faces without area left out")
+    if covered:
+        notices.append(f"model {path.name}: its colours by vertex are left out: its texture is shown")
     if skipped:
         notices.append(f"model {path.name}: {skipped} sets of points or lines left out")
     return parts
@@ -146,8 +170,6 @@ def _part(
     faces = np.asarray(mesh.faces)
     if not len(faces):
         return None, 0
-    if len(faces) > MAX_FACES:
-        raise InputError(f"model {path} has {len(faces)} faces in one mesh", f"at most {MAX_FACES}: simplify it first")
     if faces.min() < 0 or faces.max() >= len(given):
         raise InputError(f"model {path}: faces refer to vertex {faces.max()}, there are {len(given)}", "the file is damaged")
     if not np.isfinite(transform).all():
@@ -197,5 +219,8 @@ def _uv(mesh: Any, n: int) -> np.ndarray | None:
     if uv is None or np.shape(uv)[:1] != (n,):
         return None
     uv = np.array(uv, float)[:, :2]
+    kwargs = getattr(getattr(mesh.visual, "material", None), "kwargs", None) or {}
+    su, sv, ou, ov = map(float, kwargs.get("map_uv", (1, 1, 0, 0)))  # options of an MTL file's map
+    uv = uv * (su, sv) + (ou, ov)
     uv[~np.isfinite(uv).all(1)] = 0.0
     return np.stack([uv[:, 0], 1.0 - uv[:, 1]], 1)  # trimesh counts v from the bottom

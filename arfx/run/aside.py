@@ -31,7 +31,7 @@ def planned_aside(
         named = config.output.path is not None
         if not named:  # only where it would go is open; mkv holds what any clip has
             config = config.model_copy(update={"output": config.output.model_copy(update={"path": Path("out.mkv")})})
-        inputs = open_inputs(config)
+        inputs = open_inputs(config, options.progress)
         if named and placed:
             Places(inputs, None, None, overwrite=True).check_output()
         if check is not None:

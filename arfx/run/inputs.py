@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +21,7 @@ from arfx.core.pose import Pose, rotation_from_euler_deg, rotation_from_quaterni
 from arfx.core.real_depth import RealPlane
 from arfx.core.scene import Placement, Scene
 from arfx.core.units import MAX_LENGTH_M, length_m
+from arfx.core.waiting import wait_for
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import calibration_claims, camera_warnings, claim_warnings, load_camera
 from arfx.media.clip import ClipInfo, probe
@@ -51,15 +52,16 @@ class Inputs:
     prints: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
-def open_inputs(config: JobConfig) -> Inputs:
-    """Probe, load and check. Raises ConfigError for what is missing, InputError for what cannot be read."""
+def open_inputs(config: JobConfig, progress: Callable[[str, int, int | None], object] = lambda *_: None) -> Inputs:
+    """Probe, load and check. progress : as of `wait_for`, while the model is read
+    Raises ConfigError for what is missing, InputError for what cannot be read."""
     check_complete(config)
     clip, camera, notices = open_clip(config)
     assert config.output.path is not None
     settings = OutputSettings(config.output.codec, config.output.crf, config.output.preset, config.output.pixel_format)
     output = plan_output(clip, config.output.path, settings)
     config, prints = job_prints(config)
-    model = job_model(config)
+    model = wait_for("model", lambda: job_model(config), progress)
     Scene(camera, model, placement(config).world_from_model(model, config.model.up)).check_extent()
     maps = job_depth(config)
     if maps is not None:  # an error in all of them is reported before the clip is analysed

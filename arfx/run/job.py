@@ -21,6 +21,7 @@ from arfx.core.layers import Layer
 from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.stage import Stage
+from arfx.core.waiting import wait_for
 from arfx.errors import JobInterruptedError
 from arfx.media.join import join_chunks
 from arfx.media.output import check_times
@@ -86,7 +87,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     keep_memory()
     if (options.workers or 1) > 1 and options.executor is None:
         options.processes.prepare()
-    inputs = open_inputs(config)
+    inputs = open_inputs(config, options.progress)
     for notice in inputs.notices:
         options.notice(notice)
     places = Places(inputs, options.folder, options.report, options.overwrite)
@@ -157,7 +158,12 @@ def plan_job(
     start = time.perf_counter()
     if fresh:
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
-        plans, document = choose(config, stages, facts, scene, policy, errors, prices, size, options.notice)
+        notices: list[str] = []
+        plans, document = wait_for(
+            "plan", lambda: choose(config, stages, facts, scene, policy, errors, prices, size, notices.append), options.progress
+        )
+        for notice in notices:
+            options.notice(notice)
         write(folder.plan_summary, json.dumps(document, indent=1))
         write(folder.plan, (json.dumps(p.to_json()) + "\n" for p in plans))
         folder.seal(job_key)

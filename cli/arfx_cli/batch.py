@@ -44,6 +44,7 @@ def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any)
     Example:
       arfx batch shots --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm \\
         -o 'out/{stem}.mp4' --report report"""
+    from arfx.core.waiting import wait_for
     from arfx.measure.batch import plan_batch, run_batch
     from arfx.run.batch_jobs import batch_jobs, home_of
 
@@ -51,7 +52,7 @@ def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any)
         options = run_options(given, progress)
         pattern = given["output"]
         given |= {"clip": None, "output": None}
-        jobs = batch_jobs(inputs, lambda files: job_config(given, files), pattern)
+        jobs = wait_for("table", lambda: batch_jobs(inputs, lambda files: job_config(given, files), pattern), progress)
 
         def started(k: int, job: Any) -> None:
             progress.begin(f"{k + 1} of {len(jobs)} {job.clip}")

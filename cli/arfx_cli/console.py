@@ -12,11 +12,13 @@ from typing import Any
 import click
 
 from arfx.core.opener import printable
+from arfx.core.waiting import WAITS
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 COMPILING = "compiling kernels for this processor, once"
+_PHASES = {"compile": COMPILING, **WAITS}
 _OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
 _LEVEL = "arfx_cli.level"  # in the context of the running command: -1 quiet, 0, 1 verbose
 
@@ -154,16 +156,17 @@ class Progress:
             return
         if self._rich:
             if phase not in self._tasks:
-                self._tasks[phase] = self._rich.add_task(self._title + (COMPILING if phase == "compile" else phase), total=total)
+                self._tasks[phase] = self._rich.add_task(self._title + _PHASES.get(phase, phase), total=total)
             self._rich.update(self._tasks[phase], completed=done, total=total)
             return
-        tenth = done * 10 // total if total else done // 100
+        tenth = done * 10 // total if total else done // (10 if phase in WAITS else 100)
         if tenth != self._last.get(phase) and (done or total):
             self._last[phase] = tenth
             if phase == "compile":
                 say(f"{self._title}{COMPILING}: {done} of {total}")
                 return
-            say(f"{self._title}{phase}: {done}{f'/{total}' if total else ''} {self._unit}")
+            unit = "s" if phase in WAITS else self._unit
+            say(f"{self._title}{_PHASES.get(phase, phase)}: {done}{f'/{total}' if total else ''} {unit}")
 
 
 def say_job(report: dict[str, Any]) -> None:

@@ -6,6 +6,8 @@ import contextlib
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -101,3 +103,16 @@ def test_a_signal_before_anything_is_imported() -> None:
     lines += ["sys.argv = ['arfx', 'doctor']", "__main__.start()"]
     r = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
     assert (r.returncode, r.stdout, r.stderr) == (143, "", "stopped by SIGTERM\n")
+
+
+def test_ctrl_c_is_heard_and_progress_told_while_a_model_is_read(
+    material: Material, arfx: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+    monkeypatch.setattr("arfx.run.inputs.job_model", lambda _: go_on.wait(20))
+    monkeypatch.setattr("arfx.core.waiting._SOON_S", 1)
+    threading.Timer(1.5, signal.raise_signal, [signal.SIGINT]).start()
+    began = time.monotonic()
+    r = arfx(*material.arguments("-o", "out.mp4"))
+    go_on.set()
+    assert r.code == 130 and "reading the model: 1 s" in r.err and time.monotonic() - began < 10, r.err

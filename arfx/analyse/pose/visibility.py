@@ -216,7 +216,8 @@ def _outline(points: np.ndarray) -> np.ndarray:
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        return points[ConvexHull(points).vertices]
+        # moved by rounding (QJ), far below a pixel: else Qhull takes the square of points on a circle
+        return points[ConvexHull(points, qhull_options="QJ").vertices]
     except QhullError:  # all in one plane or line: no volume, and no need
         return points
 

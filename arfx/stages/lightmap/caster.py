@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.core.numerics import arccos, divide, normalise
+from arfx.core.numerics import arccos, divide, normalise, same_rows
 from arfx.core.scene import Scene
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
 _WELD_DISTANCE = 1e-6  # of the extent: a seam's two vertices differ by rounding
 _COARSEST_SAG = 0.02  # of the extent; facets that stand off further are not taken for a smooth surface
 _HULL_POINTS = 64
+_FREED = 2000  # vertices of a hull, at most, that are freed of those on its faces
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +73,8 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         return np.zeros((0, 5), np.int32)
     low, size = vertices.min(0), float(np.ptp(vertices, axis=0).max())
     grid = np.round(divide(vertices - low, _WELD_DISTANCE * size))
-    _, first, vertex = np.unique(grid, axis=0, return_index=True, return_inverse=True)
-    at = first[vertex.ravel()[faces]]
+    first, vertex = same_rows(grid)
+    at = first[vertex[faces]]
     run = np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]])
     face = np.tile(np.arange(len(faces)), 3)
     keep = run[:, 0] != run[:, 1]
@@ -127,7 +128,10 @@ def _outline(points: np.ndarray) -> np.ndarray:
     if not len(points):
         return np.zeros((1, 3))
     try:
-        hull = points[ConvexHull(points).vertices]
+        # moved by rounding (QJ): else Qhull takes the square of points on a circle, 0.2 s for _FREED of them
+        hull = points[ConvexHull(points, qhull_options="QJ").vertices]
+        if len(hull) <= _FREED:
+            hull = hull[ConvexHull(hull).vertices]
     except QhullError:
         hull = points
     if len(hull) <= _HULL_POINTS:

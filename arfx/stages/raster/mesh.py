@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from arfx.core.model import BLEND, MASK, OPAQUE
-from arfx.core.numerics import divide, normalise
+from arfx.core.numerics import divide, normalise, same_rows
 from arfx.core.scene import Scene
 from arfx.stages.raster.arrays import Surfaces
 from arfx.stages.raster.textures import StackBuilder, TextureStack
@@ -119,8 +119,8 @@ def _uv_slopes(uv: np.ndarray, corners: np.ndarray, cross: np.ndarray) -> np.nda
 
 def _edges(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, face_normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Edges between positions, with their two faces. Edges of one face, or of more than two, are listed by face: always sharp."""
-    _, first, position = np.unique(vertices.astype(np.float32), axis=0, return_index=True, return_inverse=True)
-    at = position.ravel()[faces]
+    first, position = same_rows(vertices.astype(np.float32))
+    at = position[faces]
     e = np.sort(np.concatenate([at[:, [0, 1]], at[:, [1, 2]], at[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)
     order = np.lexsort((e[:, 1], e[:, 0]))

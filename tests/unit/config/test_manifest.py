@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -130,3 +131,14 @@ def test_many_problems_are_counted(tmp_path: Path) -> None:
 def test_a_manifest_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_manifest(tmp_path / "none.csv", parameters())
+
+
+@pytest.mark.parametrize("name", ["m.csv", "m.toml"])
+def test_a_misspelt_head_of_20000_rows_is_told_within_seconds(tmp_path: Path, name: str) -> None:
+    rows = range(20_000)  # each looked the whole table through: minutes
+    csv = "clip,outptu\n" + "".join(f"c{i}.mp4,o{i}.mp4\n" for i in rows)
+    toml = "".join(f'[[job]]\nclip = "c{i}.mp4"\noutptu = "o{i}.mp4"\n' for i in rows)
+    began = time.process_time()
+    with pytest.raises(ConfigError, match="did you mean 'output'"):
+        read(tmp_path / name, csv if name == "m.csv" else toml)
+    assert time.process_time() - began < 5

@@ -261,3 +261,14 @@ def test_a_picture_that_materials_share_is_decoded_once_and_all_are_counted(
     monkeypatch.setattr("arfx.media.model_materials.MAX_TEXELS", 5000)
     with pytest.raises(InputError, match="textures hold more"):
         load_model(tmp_path / "a.gltf")
+
+
+def test_nodes_in_a_long_chain_are_refused(tmp_path: Path) -> None:
+    for depth in (200, 40_000):  # trimesh takes the square of it: minutes
+        chain = [{"children": [k + 1]} for k in range(depth - 1)]
+        path = gltf(tmp_path, header(nodes=[*chain, {"mesh": 0}]))
+        if depth == 200:
+            assert load_model(path).face_count == 1
+        else:
+            with pytest.raises(InputError, match="nodes more than 256 deep"):
+                load_model(path)

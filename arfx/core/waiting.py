@@ -1,0 +1,41 @@
+"""Long work that counts no steps: it is told to go on, and Ctrl-C is heard in the middle of a library's loop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+# Phases of progress that count seconds, and what they are
+WAITS = {"model": "reading the model", "plan": "planning the frames", "table": "reading the jobs", "check": "checking the jobs"}
+_SOON_S = 2  # before that nothing is said
+
+
+def wait_for(phase: str, work: Callable[[], T], progress: Callable[[str, int, int | None], object]) -> T:
+    """What `work` returns or raises. It runs in a thread: a signal ends the wait at once, the thread ends with the process.
+
+    phase : of WAITS;  progress(phase, seconds, None) : called every second"""
+    if threading.current_thread() is not threading.main_thread():
+        return work()
+    made: list[T] = []
+    failed: list[BaseException] = []
+    ended = threading.Event()
+
+    def run() -> None:
+        try:
+            made.append(work())
+        except BaseException as e:
+            failed.append(e)
+        ended.set()
+
+    began, told = time.monotonic(), _SOON_S - 1
+    threading.Thread(target=run, name=phase, daemon=True).start()
+    while not ended.wait(0.1):
+        if (seconds := int(time.monotonic() - began)) > told:
+            told = seconds
+            progress(phase, seconds, None)
+    if failed:
+        raise failed.pop()
+    return made.pop()

@@ -1,0 +1,45 @@
+"""How many parts and faces a model may have, and how deep its nodes may lie: held before anything is made of it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+from arfx.errors import InputError
+from arfx.media.gltf import MAX_FACES, MAX_PARTS
+
+MAX_DEPTH = 256  # of nodes below each other: trimesh follows the way down to each, and people's have less than 30
+_FACES_OF = {"ply": rb"\belement\s+face\s+(\d+)", "off": rb"OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d+)"}
+
+
+def check_size(data: bytes, kind: str, header: dict[str, Any], path: Path) -> None:
+    """Raises InputError: more faces than can be handled, or nodes too deep. header : of a glTF file that was checked"""
+    check_faces(_faces(data, kind), path)
+    nodes = header.get("nodes", [])
+    below = [child for scene in header.get("scenes", []) for child in scene.get("nodes", [])]
+    for _ in range(MAX_DEPTH):
+        below = [child for at in below for child in nodes[at].get("children", [])]
+    if below:
+        raise InputError(f"model {path} has nodes more than {MAX_DEPTH} deep", "flatten them, or join its meshes")
+
+
+def check_faces(count: int, path: Path) -> None:
+    """Raises InputError."""
+    if count > MAX_FACES:
+        raise InputError(f"model {path} has {count} faces", f"at most {MAX_FACES}: simplify it first")
+
+
+def check_parts(count: int, path: Path) -> None:
+    """Raises InputError."""
+    if count > MAX_PARTS:
+        raise InputError(f"model {path} has {count} parts or materials", f"at most {MAX_PARTS}: join them first")
+
+
+def _faces(data: bytes, kind: str) -> int:
+    """As the file's beginning says; counted where it says nothing."""
+    if kind == "stl":
+        declared = int.from_bytes(data[80:84], "little")
+        return declared if len(data) >= 84 + 50 * declared else data.count(b"endfacet")
+    found = re.search(_FACES_OF[kind], data[:65536]) if kind in _FACES_OF else None
+    return int(found[1][:18]) if found else 0
