@@ -13,7 +13,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import av
 import cv2
 import numpy as np
 
@@ -27,7 +26,7 @@ from arfx.core.marker import MarkerSpec, smallest_family
 from arfx.core.numerics import angle_between, divide
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import open_video
-from arfx.media.frames import ClipReader
+from arfx.media.frames import ClipReader, read_on
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
 _LIGHT = 255 * SRGB.decode(np.arange(256) / 255)
@@ -114,13 +113,10 @@ def presentation_times(info: ClipInfo) -> list[int]:
     with open_video(info.path) as container:
         stream = container.streams[info.stream_index]
         times = []
-        try:
-            for packet in container.demux(stream):
-                t = packet.pts if packet.pts is not None else packet.dts
-                if t is not None and packet.size and t >= info.start_pts:
-                    times.append(int(t))
-        except av.error.FFmpegError:
-            pass  # damage at the end: the reader says so in `truncated`
+        for packet in read_on(container, [stream]):
+            t = None if isinstance(packet, Exception) else packet.pts if packet.pts is not None else packet.dts
+            if t is not None and t >= info.start_pts:
+                times.append(int(t))
     return sorted(set(times)) or [info.start_pts]
 
 

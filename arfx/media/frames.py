@@ -62,6 +62,7 @@ class ClipReader:
         self._format = info.frame_format()
         self._threads = 1 if careful else threads
         self._careful, self._strict = careful, strict
+        self._by_decoding = info.container == "avi"  # which counts frames in that order, and has no other times
         self._container: Any = None
         self.truncated: str | None = None
         self.damaged = self.repaired = False
@@ -116,9 +117,7 @@ class ClipReader:
                     keys.append(packet.pts)
         if len(set(pts)) < len(pts):
             return None
-        size = self.info.path.stat().st_size
-        cut = self.info.container == "mpegts" and all(size % packet for packet in _TS_PACKETS)
-        return FrameTimes(sorted(pts), sorted(keys), self._verdict(whole=True), self.damaged or cut)
+        return FrameTimes(sorted(pts), sorted(keys), self._verdict(whole=True), self.damaged or bool(self._stopped))
 
     def shifts(self) -> list[int]:
         """What frames' times are given beside those of the file, after each place where these begin anew."""
@@ -239,9 +238,9 @@ class ClipReader:
             stopped = ""
             for good in held:
                 self._packets += 1
-                if good.dts is not None and good.pos in numbers:
+                if good.pos in numbers:
                     late = numbers[good.pos] - good.dts
-                if late and good.dts is not None:  # those before that are lost were not counted
+                if late:  # those before that are lost were not counted
                     self.damaged = True
                     good.dts += late
                     good.pts = None if good.pts is None else good.pts + late
@@ -249,12 +248,10 @@ class ClipReader:
                     self._end = max(self._end, good.pts + (good.duration or 0))
                 yield good
             held.clear()
-        self._stopped = "the file ends in the middle of a frame" if held else stopped
-
-    @property
-    def _by_decoding(self) -> bool:
-        """Whether the container counts frames in the order of decoding: the times that it seems to give are not those shown."""
-        return self.info.container == "avi"
+        size = self.info.path.stat().st_size
+        if held or (self.info.container == "mpegts" and all(size % packet for packet in _TS_PACKETS)):
+            stopped = "the file ends in the middle of a frame"
+        self._stopped = stopped
 
     def _timed(self, pictures: Iterator[av.VideoFrame]) -> Iterator[tuple[av.VideoFrame, int]]:
         """Gives each picture a time above the one before: a missing or repeated one follows by one frame (or one tick), and

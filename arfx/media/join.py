@@ -216,18 +216,18 @@ def _copied_packets(
     for packet in read_on(container, [container.streams[i] for i in plan.streams]):
         if isinstance(packet, Exception) or packet.is_corrupt or (packet.pts is None and packet.dts is None):
             continue
-        stated = (packet.dts if packet.dts is not None else packet.pts) * packet.time_base
-        if last.get(packet.stream_index, stated) - stated > JUMP_S:
-            jumps[packet.stream_index] += 1
+        number, at = packet.stream_index, (packet.pts if packet.pts is not None else packet.dts) * packet.time_base
+        if last.get(number, at) - at > JUMP_S:
+            jumps[number] += 1
             if not shifts:
                 with ClipReader(info) as reader:
                     shifts += reader.shifts() or [0]
-        last[packet.stream_index] = stated
-        if jump := jumps[packet.stream_index]:
-            shift = round(shifts[min(jump, len(shifts)) - 1] * info.time_base / packet.time_base)
-            packet.pts = None if packet.pts is None else packet.pts + shift
-            packet.dts = None if packet.dts is None else packet.dts + shift
-        at = (packet.pts if packet.pts is not None else packet.dts) * packet.time_base
+        last[number] = at
+        if jumps[number]:
+            shift = shifts[min(jumps[number], len(shifts)) - 1] * info.time_base
+            ticks, at = round(shift / packet.time_base), at + shift
+            packet.pts = None if packet.pts is None else packet.pts + ticks
+            packet.dts = None if packet.dts is None else packet.dts + ticks
         if at >= high:
             continue
         if at + (packet.duration or 0) * packet.time_base <= low:

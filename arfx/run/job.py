@@ -226,7 +226,8 @@ def _analyse(
     if done.damaged and not done.missing:
         notices.append(f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks is the decoder's guess")
     if done.missing:
-        notices.append(f"{inputs.info.path}: frames are missing, damaged or not in the file: {told(done.missing)}")
+        count = sum(count for _, count in done.missing)
+        notices.append(f"{inputs.info.path}: {count} frames are missing, damaged or not in the file: {told(done.missing)}")
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, clip.facts)

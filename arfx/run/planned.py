@@ -94,7 +94,5 @@ class Job:
 
 def told(missing: Sequence[tuple[float, int]]) -> str:
     """Missing frames in words: how many, and when."""
-    places = [f"{count} at {time_s:.2f} s" for time_s, count in missing[:_TOLD]]
-    if more := missing[_TOLD:]:
-        places.append(f"{sum(count for _, count in more)} at {len(more)} later places")
-    return ", ".join(places)
+    places = ", ".join(f"{count} at {time_s:.2f} s" for time_s, count in missing[:_TOLD])
+    return places + ", …" * (len(missing) > _TOLD)

@@ -12,7 +12,7 @@ import av
 import numpy as np
 
 from tests.clips import clip_camera, picture, pose_at
-from tests.fuzz.case import Build, Case, mutated_bytes, process
+from tests.fuzz.case import REFUSED, Build, Case, mutated_bytes, process
 from tests.fuzz.material import CLIPS
 
 # Scripts that name other files; {} = a file. FFmpeg opens each of them as a video unless it is told not to.
@@ -108,6 +108,19 @@ def damaged_sound(rng: random.Random, folder: Path, material: Path) -> Case:
     return Case(folder, process(folder, material, clip="clip.ts"), codes=frozenset({0}))
 
 
+def stream(rng: random.Random, folder: Path, material: Path) -> Case:
+    """A transport stream without some packets, joined with itself or with a part of itself."""
+    data = (material / "clip.ts").read_bytes()
+    packets = [data[k : k + 188] for k in range(0, len(data), 188)]
+    first = packets[: rng.choice((len(packets), len(packets), rng.randrange(3, len(packets))))]
+    whole = [*first, *packets] if rng.random() < 0.7 else packets
+    lost = set(rng.sample(range(3, len(whole)), min(rng.choice((0, 1, 1, 3, 20)), len(whole) - 3)))
+    (folder / "clip.ts").write_bytes(b"".join(p for k, p in enumerate(whole) if k not in lost))
+    codes = REFUSED if lost else frozenset({0})
+    note = f"{len(whole)} packets, without {sorted(lost)}"
+    return Case(folder, process(folder, material, clip="clip.ts"), codes=codes, note=note)
+
+
 def odd(rng: random.Random, folder: Path, material: Path) -> Case:
     """Odd sizes, pixel formats, rates, and gaps of hours."""
     n, at = rng.choice((1, 2, 3, 5)), 0
@@ -136,7 +149,7 @@ def listed(rng: random.Random, folder: Path, material: Path) -> Case:
 
 
 def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
-    return rng.choices((damaged, odd, listed, huge_header), (6, 2, 2, 1))[0](rng, folder, material)
+    return rng.choices((damaged, odd, listed, huge_header, stream), (6, 2, 2, 1, 2))[0](rng, folder, material)
 
 
 SEEDS: dict[str, Build] = {
@@ -149,6 +162,7 @@ SEEDS: dict[str, Build] = {
     "sdp": script("sdp", "", ".sdp"),
     "edl": script("edl", "part.mp4", ".mp4"),
     "ts with a damaged packet of sound": damaged_sound,
+    "ts without some packets, joined": stream,
     "tiff as a clip": as_suffix("clip.tif", "clip.tif"),
     "tiff named mp4": as_suffix("clip.tif", "clip.mp4"),
     "png as a clip": as_suffix("picture.png", "clip.png"),

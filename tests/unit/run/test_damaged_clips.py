@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from arfx.config.load import load
+from arfx.core.machine import preserve_scheduling
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader, late_frames, missing_frames
 from arfx.run import stretches
@@ -28,7 +29,7 @@ PACKET = 188
 def damaged(path: Path, suffix: str, codec: str, how: str = "flip") -> Path:
     """A clip of N frames, key frames each 12, in whose middle 1500 bytes are wrong."""
     whole = path / f"whole{suffix}"
-    with av.open(str(whole), "w") as out:
+    with preserve_scheduling(), av.open(str(whole), "w") as out:
         s = out.add_stream(codec, rate=30)
         s.width, s.height, s.pix_fmt = 320, 240, "yuvj420p" if codec == "mjpeg" else "yuv420p"
         s.codec_context.gop_size = 1 if codec == "ffv1" else 12
