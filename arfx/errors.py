@@ -75,6 +75,11 @@ def explained(e: BaseException) -> tuple[int, str]:
     return 5, f"arfx failed: {type(e).__name__}: {cut(str(e))}\nhelp: ARFX_DEBUG=1 shows where; please report it"
 
 
+def counted(number: int, things: str) -> str:
+    """ "1 frame", "2 frames"."""
+    return f"{number} {things[:-1] if number == 1 else things}"
+
+
 def on_one_line(message: str) -> str:
     """A message and its help, for a list of several."""
     return " ".join(filter(None, map(str.strip, message.replace("\nhelp: ", "; ").splitlines())))

@@ -48,8 +48,6 @@ _DOTTED = re.compile(r"(?<![^\s.=])(?:[^\s.=]++[ \t]*+\.[ \t]*+){64}")  # tomlli
 
 def check_name(name: str | Path) -> None:
     """Raises ConfigError for a name that is not text in the system's encoding: job files cannot hold it, and OpenCV crashes."""
-    if "\0" in str(name):
-        raise ConfigError(f"the name {str(name)!r} holds a NUL character", "no file has such a name")
     try:
         str(name).encode()
     except UnicodeEncodeError:

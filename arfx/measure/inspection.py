@@ -24,7 +24,7 @@ from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, smallest_family
 from arfx.core.numerics import angle_between, divide
-from arfx.media.clip import ClipInfo
+from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import open_video
 from arfx.media.frames import ClipReader, read_on
 
@@ -207,4 +207,5 @@ def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str
     """The `arfx process` command for the markers found; empty without one. SIZE is to be measured on the print."""
     markers = [f"--marker {m['marker']}:SIZE" for m in document["markers"][:8]]
     files = f"{shlex.quote(str(clip))} --camera {shlex.quote(str(camera or 'camera.yaml'))}"
-    return f"arfx process {files} {' '.join(markers)} --model MODEL.glb --fit 15cm -o out.mp4" if markers else ""
+    out = "out.png" if document["clip"]["container"] == PHOTO else "out.mp4"
+    return f"arfx process {files} {' '.join(markers)} --model MODEL.glb --fit 15cm -o {out}" if markers else ""

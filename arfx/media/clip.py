@@ -7,7 +7,7 @@ import re
 import shlex
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,9 +19,11 @@ from arfx.core.codec import Document
 from arfx.core.colour import SRGB, Transfer
 from arfx.errors import InputError
 from arfx.media.codecs import check_size, open_video
+from arfx.media.photos import is_photo
 from arfx.media.planes import FrameFormat, Orientation, PixelLayout, orientation_of, working_layout
 
 UNSPECIFIED = 2
+PHOTO = "photo"  # container of one picture
 MAX_PIXEL_ASPECT = 10.0  # anamorphic video reaches 2
 _MATRIX = {1: "bt709", 4: "fcc", 5: "bt601", 6: "bt601", 7: "smpte240m", 9: "bt2020", 10: "bt2020"}  # ITU-T H.273 table 4
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # H.273 table 3
@@ -157,7 +159,8 @@ def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:
         if stream.codec_context is None:
             raise InputError(f"{path}: no decoder for its video", "convert it to H.264 first")
         check_size(stream.codec_context.width, stream.codec_context.height, path)
-        return _info(container, stream, _first_picture(container, stream, path), path, transfer)
+        info = _info(container, stream, _first_picture(container, stream, path), path, transfer)
+    return replace(info, container=PHOTO, codec=PHOTO, fps=None, duration_s=None) if is_photo(path) else info
 
 
 def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:

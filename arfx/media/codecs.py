@@ -15,6 +15,7 @@ import av
 from arfx.core.machine import preserve_scheduling
 from arfx.core.opener import ffmpeg_url, regular
 from arfx.errors import InputError
+from arfx.media.photos import is_photo, open_photo
 from arfx.media.planes import PixelLayout, layout_named
 
 os.environ.setdefault("SVT_LOG", "1")  # errors only: the AV1 encoder prints its settings otherwise
@@ -130,9 +131,11 @@ def nearest_format(layout: PixelLayout, formats: tuple[str, ...], odd: tuple[boo
 
 
 def open_video(path: Path, kind: str = "clip") -> Any:
-    """A container for reading. kind : as in opener.LIMITS
+    """A container for reading; a photo is a clip of one frame. kind : as in opener.LIMITS
     Raises InputError: not a regular file, not a video, or a list of other files (playlist, concat script)."""
     regular(path, kind)
+    if kind == "clip" and is_photo(path):
+        return open_photo(path)
     try:
         return av.open(ffmpeg_url(path), metadata_errors="replace", container_options=_OPTIONS)
     except (av.error.FFmpegError, OSError, ValueError) as e:
@@ -163,7 +166,7 @@ def _diagnose(path: Path) -> tuple[str, str]:
     if not head:
         return "it is empty", "is the recording complete?"
     if head.startswith(_PICTURES) or head[8:12] == b"WEBP":
-        return "it is a picture, not a video", "a clip of several frames; make one of pictures with FFmpeg"
+        return "it is a picture of a kind that is not read", "save it as PNG or JPEG"
     if all(b >= 32 or b in b"\t\r\n\f" for b in head.removeprefix(b"\xef\xbb\xbf")):
         return "it is text, not a video", "a playlist or script is not followed: join what it names into one file"
     return "", ""

@@ -32,7 +32,7 @@ MAX_PIXELS: dict[str, tuple[int, str]] = {
 }
 PRINT_PX = 1024  # longest side of a print's picture that is kept: twice what it is searched for with
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
-_HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
 _DEPTH_CHANNELS = (b"Z", b"V", b"Y", b"R")
@@ -157,7 +157,7 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     import cv2
 
     data = read_bytes(path, kind)
-    if data[4:8] == b"ftyp" and data[8:12] in _HEIF:
+    if data[4:8] == b"ftyp" and data[8:12] in HEIF:
         return _decode_heif(data, path, kind, flags)
     check_pixels(data, path, kind)
     try:
@@ -172,6 +172,19 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
 def _decode_heif(data: bytes, path: Path, kind: str, flags: int) -> np.ndarray:
     """By Pillow's plug-in, upright: grey, or blue, green and red."""
     import cv2
+
+    try:
+        with open_heif(data, path, kind) as picture:
+            _check_size(lambda: [picture.size], path, kind)
+            if flags == cv2.IMREAD_GRAYSCALE:
+                return np.asarray(picture.convert("L"))
+            return np.asarray(picture.convert("RGB"))[..., ::-1]
+    except (OSError, ValueError, EOFError, RuntimeError, SyntaxError) as e:
+        raise InputError(f"{kind} {path} cannot be read: {str(e)[:200]}", "is it damaged?") from None
+
+
+def open_heif(data: bytes, path: Path, kind: str) -> Any:
+    """Pillow's picture. Raises InputError where its plug-in is absent, and what that raises."""
     from PIL import Image
 
     try:
@@ -180,14 +193,7 @@ def _decode_heif(data: bytes, path: Path, kind: str, flags: int) -> np.ndarray:
         text = f"{kind} {path} is HEIC, which needs the package pillow-heif"
         raise InputError(text, "pip install pillow-heif, or save it as JPEG") from None
     plug_in.register_heif_opener()
-    try:
-        with Image.open(io.BytesIO(data), formats=["HEIF"]) as picture:
-            _check_size(lambda: [picture.size], path, kind)
-            if flags == cv2.IMREAD_GRAYSCALE:
-                return np.asarray(picture.convert("L"))
-            return np.asarray(picture.convert("RGB"))[..., ::-1]
-    except (OSError, ValueError, EOFError, RuntimeError, SyntaxError) as e:
-        raise InputError(f"{kind} {path} cannot be read: {str(e)[:200]}", "is it damaged?") from None
+    return Image.open(io.BytesIO(data), formats=["HEIF"])
 
 
 def exif_turn(path: Path) -> int:

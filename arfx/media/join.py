@@ -25,11 +25,12 @@ from arfx.core import interrupt
 from arfx.core.guard import TIMES, part_name
 from arfx.core.opener import ffmpeg_url
 from arfx.errors import RenderError
-from arfx.media.clip import ClipInfo
+from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import create_container, open_video
 from arfx.media.frames import JUMP_S, ClipReader, read_on
 from arfx.media.images import write_failed
 from arfx.media.output import OutputPlan
+from arfx.media.photos import write_photo
 from arfx.media.writer import remove_output
 
 _MAX_TIMESCALE = (1 << 31) - 1
@@ -59,7 +60,11 @@ def join_chunks(
         return 0
     part = part or part_name(out)
     with _temporary_output(part, out):
-        left_out = _remux(chunks, pts, _ranks_of(chunks, len(pts)), plan, info, part, start_s, end_s)
+        left_out = 0
+        if plan.container == PHOTO:
+            write_photo(part, chunks[0], info.path, out.suffix.lower())
+        else:
+            left_out = _remux(chunks, pts, _ranks_of(chunks, len(pts)), plan, info, part, start_s, end_s)
         if made is not None:
             made()
         with interrupt.committing():

@@ -14,8 +14,9 @@ import av
 
 from arfx.core.codec import Document
 from arfx.errors import ConfigError, InputError
-from arfx.media.clip import UNSPECIFIED, ClipInfo, ffmpeg_command
+from arfx.media.clip import PHOTO, UNSPECIFIED, ClipInfo, ffmpeg_command
 from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, nearest_format, open_encoder, supported_codecs
+from arfx.media.photos import WRITTEN
 from arfx.media.planes import layout_named
 
 MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
@@ -36,7 +37,8 @@ class OutputSettings:
 
 @dataclass(frozen=True)
 class OutputPlan(Document):
-    """What will be written. container : FFmpeg's muxer, "" for an image sequence;  options : the encoder's, in order
+    """What will be written. container : FFmpeg's muxer, "" for an image sequence, PHOTO for one picture
+    options : the encoder's, in order
     matrix, full_range : of the written samples;  *_tag : as written into the file (ITU-T H.273)
     streams : indices of the source's further streams that are copied"""
 
@@ -70,6 +72,12 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
     container, codec = _choose(path, settings)
     if codec.sequence:
         return _plan_sequence(info, path, codec, settings)
+    if container == PHOTO:
+        if info.container != PHOTO:
+            hint = "out.mp4, or images with a number in their names, for example frames/%06d.png"
+            raise ConfigError(f"{path} is one picture, {info.path} is a clip", hint)
+        fmt = _pixel_format(info, codec, settings, [])
+        return OutputPlan(path, codec.name, PHOTO, fmt, _options(codec, OutputSettings()), codec.threads, info.matrix, True)
     if container not in codec.containers:
         hint = "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers)
         raise ConfigError(f"{path}: a {path.suffix} file cannot hold {codec.name}", hint)
@@ -103,7 +111,7 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
 
 
 def check_format(path: Path, settings: OutputSettings) -> None:
-    """Raises ConfigError for an extension or a codec that does not exist, or images without a number in their name."""
+    """Raises ConfigError for an extension or a codec that does not exist, or images without a number in their names."""
     _choose(path, settings)
 
 
@@ -113,6 +121,10 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
     name = _ALIASES.get(name, name) if name else None
     if name is not None and name not in CODECS:
         raise ConfigError(f"unknown codec {settings.codec!r}", "one of " + ", ".join(CODECS))
+    if suffix in WRITTEN and not names_sequence(path):
+        if given := next((o for o in ("codec", "crf", "preset") if getattr(settings, o) is not None), None):
+            raise ConfigError(f"{path}: one picture has no setting {given!r}", "leave it out")
+        return PHOTO, CODECS["ffv1"]
     if names_sequence(path) or (name is not None and CODECS[name].sequence):
         kind = name or suffix[1:]
         if kind in CODECS and not CODECS[kind].sequence:
@@ -131,7 +143,8 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
 
 def names_sequence(path: Path) -> bool:
     """Whether an output name stands for a folder of images."""
-    return path.suffix.lower() in (".png", ".exr")
+    suffix = path.suffix.lower()
+    return suffix == ".exr" or (suffix == ".png" and "%" in path.name)
 
 
 def image_names(pattern: str) -> Callable[[str], bool]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from arfx.core import interrupt
-from arfx.errors import ConfigError, JobInterruptedError, explained, on_one_line
+from arfx.errors import ConfigError, JobInterruptedError, counted, explained, on_one_line
 from arfx.run.aside import plan_document, planned_aside
 from arfx.run.batch_jobs import BatchJob, names_of
 from arfx.run.folder import JobFolder
@@ -89,7 +89,7 @@ def _process(job: BatchJob, name: Path, options: Options, finish: Callable[[Path
     if options.resume and (before := _made_before(job, made, options.overwrite)) is not None:
         JobFolder(default_folder(job.output)).clear()  # of a process that was killed when all was done
         page = None if report is None or not (report / PAGE).exists() else str(report / PAGE)
-        return {"message": f"{before.frames} frames, done before", "seconds": before.seconds, "report": page}
+        return {"message": f"{counted(before.frames, 'frames')}, done before", "seconds": before.seconds, "report": page}
     began = time.perf_counter()
 
     def finish_job(path: Path) -> None:
@@ -102,7 +102,7 @@ def _process(job: BatchJob, name: Path, options: Options, finish: Callable[[Path
     own = None if options.folder is None else options.folder / name
     with _folders_for(job.output):
         done = process(job.config, replace(_of(job, options), folder=own, report=report, finish=finish_job))
-    return {"message": f"{done['output']['frames']} frames", "report": None if report is None else str(report / PAGE)}
+    return {"message": counted(done["output"]["frames"], "frames"), "report": None if report is None else str(report / PAGE)}
 
 
 def _made_before(job: BatchJob, made: OutputsMade, overwrite: bool) -> Made | None:
@@ -125,7 +125,7 @@ def _plan(job: BatchJob, options: Options) -> Row:
         return {"message": "done before", "plan": None}
     with planned_aside(job.config, _of(job, options), placed=False) as planned:
         document = plan_document(planned)
-    return {"message": f"{document['frames']} frames", "plan": document}
+    return {"message": counted(document["frames"], "frames"), "plan": document}
 
 
 def _of(job: BatchJob, options: Options) -> Options:

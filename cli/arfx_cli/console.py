@@ -13,6 +13,7 @@ import click
 
 from arfx.core.opener import printable
 from arfx.core.waiting import WAITS
+from arfx.errors import counted
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -165,8 +166,9 @@ class Progress:
             if phase == "compile":
                 say(f"{self._title}{COMPILING}: {done} of {total}")
                 return
-            unit = "s" if phase in WAITS else self._unit
-            say(f"{self._title}{_PHASES.get(phase, phase)}: {done}{f'/{total}' if total else ''} {unit}")
+            unit = "seconds" if phase in WAITS else self._unit
+            amount = f"{done}/{counted(total, unit)}" if total else counted(done, unit)
+            say(f"{self._title}{_PHASES.get(phase, phase)}: {amount}")
 
 
 def say_job(report: dict[str, Any]) -> None:
@@ -174,7 +176,7 @@ def say_job(report: dict[str, Any]) -> None:
     pose, timing = report["pose"], report["timing"]
     reprojection = (pose.get("reprojection_px") or {}).get("median")
     say(
-        f"{report['output']['frames']} frames to {report['output']['path']}: object in "
+        f"{counted(report['output']['frames'], 'frames')} to {report['output']['path']}: object in "
         f"{pose['frames_measured']} measured and {pose['frames_interpolated']} bridged frames, absent in {pose['frames_absent']}"
         + (f"; reprojection {reprojection:.2f} px" if reprojection is not None else "")
         + f"; {timing['wall_s']:.1f} s ({timing['frames_per_s']:.1f} frames/s)"

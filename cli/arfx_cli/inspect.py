@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from arfx.errors import counted
 from arfx_cli.console import FILE, detail, emit_json, message_options, print_table, tell
 
 LEFT_OUT_SHOWN = 8
@@ -57,7 +58,7 @@ def _print(document: dict[str, Any]) -> None:
     console, c, light = Console(highlight=False), document["clip"], document["light"]
     pixels = f"{c['pixel_format']}, {'full' if c['full_range'] else 'limited'} range, {c['matrix']}"
     rate = "unknown rate" if c["fps"] is None else f"{c['fps']:.3f} frames/s"
-    times = f"{c['frames']} frames, {c['seconds']:.2f} s from {c['start_s']:.3f} s, {rate}"
+    times = f"{counted(c['frames'], 'frames')}, {c['seconds']:.2f} s from {c['start_s']:.3f} s, {rate}"
     times += ", variable" if c["vfr"] else ", even"
     if c["gaps"]:
         times += f"; {c['gaps']} gaps, the longest {c['longest_gap_s']:.3f} s"
@@ -87,7 +88,9 @@ def _print(document: dict[str, Any]) -> None:
     console.print(table)
     looked = len(document["samples"])
     if not document["markers"]:
-        console.print(f"\nNo marker was found in {looked} sampled frames (dictionaries tried: {', '.join(SCANNED_FAMILIES)}).")
+        console.print(
+            f"\nNo marker was found in {counted(looked, 'sampled frames')} (dictionaries tried: {', '.join(SCANNED_FAMILIES)})."
+        )
         _print_left_out(document)
         help_text = "a marker needs a white margin, sides of 12 px or more and even light; --samples looks at more frames"
         tell(f"help: {help_text}")
@@ -97,7 +100,9 @@ def _print(document: dict[str, Any]) -> None:
          *(_range(m[k]) for k in ("side_px", "blur_px", "tilt_deg")))
         for m in document["markers"]
     ]  # fmt: skip
-    print_table(f"\nmarkers in {looked} sampled frames", ("marker", "seen", "side, px", "edge blur, px", "tilt, °"), rows)
+    print_table(
+        f"\nmarkers in {counted(looked, 'sampled frames')}", ("marker", "seen", "side, px", "edge blur, px", "tilt, °"), rows
+    )
     _print_left_out(document)
     console.print(f"A marker is in {document['marker_coverage']:.0%} of the sampled frames.")
     if document["camera"] is None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from arfx.errors import counted
 from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, print_table, say, verbose
 from arfx_cli.job_options import job_config, job_options, run_options
 
@@ -38,7 +39,7 @@ def command(as_json: bool, **given: Any) -> None:
         emit_json(document)
         return
     heads = ("stage", "level", "runs", "area", "predicted", "left out, and why")
-    print_table(f"plan of {len(job.plan.frames)} frames", heads, map(_cells, rows), words=2)
+    print_table(f"plan of {counted(len(job.plan.frames), 'frames')}", heads, map(_cells, rows), words=2)
     for line in frame_by_frame(job.plan.frames):
         detail(line)
     for line in level_lines(job.plan.levels):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from arfx.errors import counted
 from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, print_table, say
 from arfx_cli.job_options import job_config, job_options, run_options
 
@@ -74,7 +75,7 @@ def _show(measured: dict[str, Any]) -> None:
         effects.append(("" if r["name"] == last else r["name"], *_columns(r), f"{r['delta_e']:.2f}", f"{r['ssim']:.3f}", flicker))
         last = r["name"]
     heads = ("level", "time a frame", "mean", "99 %", "FLIP")
-    title = f"error against reference, grey levels; {len(measured['frames'])} frames"
+    title = f"error against reference, grey levels; {counted(len(measured['frames']), 'frames')}"
     print_table(title, ("effect", *heads, "ΔE", "SSIM", "flicker"), effects, words=2)
     names = {r["name"] for r in measured["effects"]}
     pipelines = [(name, levels_in_words(r, names), *rest) for r in measured["pipelines"] for name, *rest in [_columns(r)]]

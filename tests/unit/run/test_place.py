@@ -40,7 +40,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_camera(d / "camera.yaml")
     place = 'position = ["0m", "0m", "0m"]'
     (d / "map.toml").write_text(f'[[marker]]\nspec = "{MARKER}"\n{place}\n[[marker]]\nspec = "poster.png"\n{place}\n')
-    cv2.imwrite(str(d / "poster.png"), np.full((80, 90, 3), 90, np.uint8))
+    cv2.imwrite(str(d / "poster.png"), np.random.default_rng(0).integers(0, 256, (200, 240, 3), np.uint8))
     (d / "poses.txt").write_text("0 0 0 0 0 0 1\n" * 2)
     (d / "errors.json").write_text('{"errors": {}, "source": "a test"}')
     cv2.imwrite(str(d / "sky.hdr"), np.ones((8, 16, 3), np.float32))
