@@ -15,6 +15,7 @@ from arfx.run.cluster.start import planned_workers
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs, open_inputs
 from arfx.run.job import Options, plan_job
+from arfx.run.model_size import model_size
 from arfx.run.place import Places
 from arfx.run.planned import Job
 
@@ -45,9 +46,10 @@ def planned_aside(
 
 
 def plan_document(job: Job) -> dict[str, Any]:
-    """{frames, stages [...], predicted_s of these, predicted {wall, phases, ...}, levels}"""
+    """{frames, stages [...], predicted_s of these, model's size, predicted {wall, phases, ...}, levels}"""
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     stages = [r["predicted_s"] for r in rows]
     total = None if any(p is None for p in stages) else sum(stages)
     document: dict[str, Any] = {"frames": len(job.plan.frames), "stages": rows, "predicted_s": total}
+    document |= {"model": model_size(job.scene, job.facts)}
     return document | {"predicted": job.plan.predicted, "levels": job.plan.levels}

@@ -36,6 +36,7 @@ from arfx.run.folder import MARK, JobFolder, Lines, digest, disk_error, pick_pre
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlisted
 from arfx.run.keys import job_keys
+from arfx.run.model_size import check_size
 from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
 from arfx.run.place import Places
 from arfx.run.planned import ClipAnalysis, Job, JobPlan, told
@@ -228,6 +229,8 @@ def _analyse(
     if done.missing:
         count = sum(count for _, count in done.missing)
         notices.append(f"{inputs.info.path}: {count} frames are missing, damaged or not in the file: {told(done.missing)}")
+    scene = make_scene(config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static)
+    notices += check_size(scene, clip.facts)
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, clip.facts)

@@ -22,6 +22,7 @@ from arfx.media.cameras import calibration_claims
 from arfx.plan.explain import summarise
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import ready_stages, run_frame
+from arfx.run.model_size import model_size
 from arfx.run.parameters import stages_of
 from arfx.run.planned import Job, told
 from arfx.run.schedule import Chunk
@@ -59,6 +60,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
             "path": str(output), "frames": len(facts), "seconds": seconds, "bytes": size,
             "codec": plan.codec, "pixel_format": plan.pixel_format,
         },
+        "model": model_size(job.scene, facts),
         "pose": _pose(job),
         "light": analysed.summary["light"] | {"frames_shaded": sum(f.light is not None and f.index in lit for f in facts)},
         "depth": analysed.summary.get("depth"),

@@ -174,12 +174,15 @@ class Progress:
 def say_job(report: dict[str, Any]) -> None:
     """The job in a line; with --verbose also its stages, phases and the health of every estimate."""
     pose, timing = report["pose"], report["timing"]
+    from arfx.run.model_size import size_in_words
+
+    size = size_in_words(report["model"])
     reprojection = (pose.get("reprojection_px") or {}).get("median")
     say(
         f"{counted(report['output']['frames'], 'frames')} to {report['output']['path']}: object in "
         f"{pose['frames_measured']} measured and {pose['frames_interpolated']} bridged frames, absent in {pose['frames_absent']}"
         + (f"; reprojection {reprojection:.2f} px" if reprojection is not None else "")
-        + f"; {timing['wall_s']:.1f} s ({timing['frames_per_s']:.1f} frames/s)"
+        + f"; {size}; {timing['wall_s']:.1f} s ({timing['frames_per_s']:.1f} frames/s)"
         + (f", resumed: the time of {timing['processes']} processes" if timing["resumed"] else "")
     )
     detail_job(report)

@@ -27,6 +27,7 @@ def command(as_json: bool, **given: Any) -> None:
       arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm"""
     from arfx.plan.explain import level_lines, total_line
     from arfx.run.aside import plan_document, planned_aside
+    from arfx.run.model_size import size_in_words
 
     with Progress() as progress:
         options = run_options(given, progress)
@@ -42,6 +43,7 @@ def command(as_json: bool, **given: Any) -> None:
     print_table(f"plan of {counted(len(job.plan.frames), 'frames')}", heads, map(_cells, rows), words=2)
     for line in frame_by_frame(job.plan.frames):
         detail(line)
+    say(size_in_words(document["model"]))
     for line in level_lines(job.plan.levels):
         say(line)
     say(total_line(job.plan.predicted, len(job.plan.frames), [r["name"] for r in rows if r["predicted_s"] is None]))
