@@ -386,3 +386,11 @@ def test_workers_are_started_by_slurm(
     assert "cancel 42" in (tmp_path / "calls").read_text()
     ended([int(pid) for pid in (tmp_path / "pids").read_text().split()])
     assert (tmp_path / "out.mkv").read_bytes() == whole
+
+
+def test_workers_that_exit_at_start_are_told(arfx: Run, material: Material, tmp_path: Path) -> None:
+    """Red without a look at the processes: the job waits for two minutes."""
+    (tmp_path / "end.py").write_text("import os\nos._exit(3)\n")
+    env = {"DASK_DISTRIBUTED__WORKER__PRELOAD": repr([str(tmp_path / "end.py")])}
+    done = arfx(*material.arguments("-o", "out.mp4", "--executor", "local:1"), env=env)
+    assert done.code == 5 and "no worker of the local cluster starts" in done.err

@@ -51,14 +51,14 @@ class Dispatch:
     """One run of tasks.
 
     suffix : of their files, None = stretches, whose files are the targets themselves;  most_lost : workers that a chunk may lose
-    local : they were started here"""
+    own : whether workers that were started here run, or may yet; None = they are others'"""
 
     def __init__(
         self, client: Any, crew: Crew, tasks: Sequence[Task], run: str, suffix: str | None, store: Store | None, most_lost: int,
-        local: bool, notice: Callable[[str], None],
+        own: Callable[[], bool] | None, notice: Callable[[str], None],
     ) -> None:  # fmt: skip
         self._client, self._crew, self._tasks, self._run = client, crew, tasks, run
-        self._suffix, self._store, self._most_lost, self._local, self._notice = suffix, store, most_lost, local, notice
+        self._suffix, self._store, self._most_lost, self._own, self._notice = suffix, store, most_lost, own, notice
         self._targets = [Path(target) for *_, target in tasks]
         self._frames = [last - first + 1 for _, _, first, last, _ in tasks]
         self._waiting = [*range(len(tasks))]
@@ -128,9 +128,9 @@ class Dispatch:
             self._crew.check()
         if self._attempts or any(m.ready for m in members):
             self._worked, self._said_waiting = time.monotonic(), False
-        elif self._local and time.monotonic() - self._worked > START_S:
+        elif self._own is not None and (not self._own() or time.monotonic() - self._worked > START_S):
             raise RenderError("no worker of the local cluster starts", "--workers N renders without a cluster")
-        elif not members and not self._said_waiting and not self._local:
+        elif not members and not self._said_waiting and self._own is None:
             self._notice("the cluster has no worker: waiting for one")
             self._said_waiting = True
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import importlib.util
 import logging
@@ -46,12 +47,16 @@ _SETTINGS = {
 
 
 class Cluster:
-    """A cluster that is there. workers : how many stretches or chunks are done at once, as far as that is known"""
+    """A cluster that is there. workers : how many stretches or chunks are done at once, as far as that is known
+
+    own : as in Dispatch"""
 
     def __init__(
-        self, client: Any, spec: ClusterSpec, maps: Sequence[PathMap], most_lost: int, notice: Callable[[str], None]
-    ) -> None:
+        self, client: Any, spec: ClusterSpec, maps: Sequence[PathMap], most_lost: int, notice: Callable[[str], None],
+        own: Callable[[], bool] | None = None,
+    ) -> None:  # fmt: skip
         self._client, self._spec, self._maps, self._most_lost, self._notice = client, spec, maps, most_lost, notice
+        self._own = own
         self.workers = spec.workers
         if spec.kind == ADDRESS:  # it is said before any work if none of its workers can be used
             self.workers = sum(m.slots for m in Crew(client, environment(), None, notice).compared()) or 1
@@ -105,8 +110,7 @@ class Cluster:
         self, tasks: Sequence[Task], progress: Callable[[int], None], crew: Crew, job: JobReference, suffix: str | None,
         store: Store | None,
     ) -> Results:  # fmt: skip
-        local = self._spec.kind == LOCAL
-        dispatch = Dispatch(self._client, crew, tasks, job.run, suffix, store, self._most_lost, local, self._notice)
+        dispatch = Dispatch(self._client, crew, tasks, job.run, suffix, store, self._most_lost, self._own, self._notice)
         with contextlib.closing(dispatch.results(progress)) as results:
             yield from results
 
@@ -149,6 +153,8 @@ def open_cluster(spec: ClusterSpec | None, maps: Sequence[PathMap], notice: Call
             if importlib.util.find_spec("bokeh") is not None:
                 notice(f"dashboard: {cluster.dashboard_link}")
         try:
+            if spec.kind == ADDRESS:
+                asyncio.run(asyncio.wait_for(_greet(address), CONNECT_S))
             client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False, name="arfx")
         except Exception as e:  # what another's server says is taken for lengths of arrays, and more
             said = f"{type(e).__name__}: {e}".splitlines()[0][:200]
@@ -159,7 +165,17 @@ def open_cluster(spec: ClusterSpec | None, maps: Sequence[PathMap], notice: Call
         stack.callback(_close, client)
         if spec.kind == ADDRESS and client.dashboard_link:
             notice(f"dashboard: {client.dashboard_link}")
-        yield Cluster(client, spec, maps, most_lost, notice)
+        own = (lambda: _is_running(cluster)) if spec.kind == LOCAL else None
+        yield Cluster(client, spec, maps, most_lost, notice, own)
+
+
+async def _greet(address: str) -> None:
+    """Raises what distributed raises where nobody answers; a client would wait for ever for one who is there and silent."""
+    from distributed.comm import connect
+    from distributed.security import Security
+
+    comm = await connect(address, timeout=CONNECT_S, **Security().get_connection_args("client"))
+    comm.abort()
 
 
 def _start_local(spec: ClusterSpec, scratch: str) -> Any:
@@ -198,6 +214,12 @@ def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
             raise ConfigError(f"Slurm's settings: {e}", "docs/limits.md lists them") from None
         cluster.scale(jobs=spec.settings["jobs"])
     return cluster
+
+
+def _is_running(cluster: Any) -> bool:
+    """Whether not all processes of a local cluster ended before they were workers."""
+    workers = cluster.workers.values()
+    return not workers or any(w.status.name != "failed" for w in workers)
 
 
 def _close(opened: Any) -> None:

@@ -234,7 +234,7 @@ def dispatched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
 
     def run(client: FakeClient, suffix: str | None = ".nut", at: Callable[[int], object] = lambda first: None) -> list[int]:
         crew_ = crew.Crew(client, {}, None, print)
-        d = dispatch.Dispatch(client, crew_, tasks, "run", suffix, None, 3, False, print)
+        d = dispatch.Dispatch(client, crew_, tasks, "run", suffix, None, 3, None, print)
         return [at(r["first"]) or r["first"] for r in d.results(lambda done: None)]
 
     return run
