@@ -226,7 +226,7 @@ def _folder_of_this_run() -> Path:
 
 def _open_to_others(place: Path) -> bool:
     """Whether another user owns the folder, or may write or replace it. One of the user's own group may not be another."""
-    if os.name != "posix":
+    if not hasattr(os, "getuid"):
         return False
     status, above = place.stat(), place.parent.stat()
     alone = {os.getgid()} if os.getuid() == os.getgid() else set()

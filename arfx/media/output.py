@@ -74,7 +74,7 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
         return _plan_sequence(info, path, codec, settings)
     if container == PHOTO:
         if info.container != PHOTO:
-            hint = "out.mp4, or images with a number in their names, for example frames/%06d.png"
+            hint = "out.mp4, or images with a number in its name, for example frames/%06d.png"
             raise ConfigError(f"{path} is one picture, {info.path} is a clip", hint)
         fmt = _pixel_format(info, codec, settings, [])
         return OutputPlan(path, codec.name, PHOTO, fmt, _options(codec, OutputSettings()), codec.threads, info.matrix, True)

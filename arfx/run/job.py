@@ -22,7 +22,7 @@ from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.stage import Stage
 from arfx.core.waiting import wait_for
-from arfx.errors import JobInterruptedError
+from arfx.errors import JobInterruptedError, counted
 from arfx.media.join import join_chunks
 from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
@@ -228,7 +228,9 @@ def _analyse(
         notices.append(f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks is the decoder's guess")
     if done.missing:
         count = sum(count for _, count in done.missing)
-        notices.append(f"{inputs.info.path}: {count} frames are missing, damaged or not in the file: {told(done.missing)}")
+        notices.append(
+            f"{inputs.info.path}: {counted(count, 'frames')} missing, damaged or not in the file: {told(done.missing)}"
+        )
     scene = make_scene(config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static)
     notices += check_size(scene, clip.facts)
     for notice in notices:

@@ -21,12 +21,12 @@ pytestmark = [pytest.mark.real, pytest.mark.skipif(not DATA.is_dir(), reason=f"r
 OPENCV_FX, OPENCV_RMS = 535.916, 0.393
 
 
-def pictures(folder: Path, pattern: str) -> list[tuple[str, np.ndarray]]:
+def pictures(folder: Path, pattern: str) -> list[tuple[str, np.ndarray, int]]:
     out = []
     for p in sorted(folder.glob(pattern)):
         gray = cv2.imread(str(p), cv2.IMREAD_GRAYSCALE)
         assert gray is not None
-        out.append((p.name, gray))
+        out.append((p.name, gray, 1))
     assert out, f"{folder} holds no {pattern}"
     return out
 
@@ -51,7 +51,7 @@ def test_our_corners_predict_unseen_views_better_than_the_published_window(openc
     assert opencv_set.chosen.held_out_rms_px < 0.55 * OPENCV_RMS
     folder = DATA / "calibration" / "opencv-left-via-mvtb-data"
     views = []
-    for view, (_, gray) in zip(opencv_set.fitted.views, pictures(folder, "left*.jpg"), strict=True):
+    for view, (_, gray, _) in zip(opencv_set.fitted.views, pictures(folder, "left*.jpg"), strict=True):
         wide = cv2.cornerSubPix(gray, view.pixels.astype(np.float32).reshape(-1, 1, 2), (11, 11), (-1, -1), STOP)
         views.append(type(view)(view.name, view.size, view.ids, view.board_m, wide.reshape(-1, 2).astype(float), "11 px"))
     sampled = fit(views, MODELS[4])
@@ -74,11 +74,11 @@ def test_the_29_picture_set() -> None:
 def test_the_frontal_clip_is_poor_and_says_why() -> None:
     info = probe(DATA / "marker_clips" / "wpilibsuite-allwpilib" / "testcalibration.mp4")
 
-    def frames() -> Iterator[tuple[str, np.ndarray]]:
+    def frames() -> Iterator[tuple[str, np.ndarray, int]]:
         with ClipReader(info) as reader:
             for f in reader.frames():
                 if f.index % 10 == 0:
-                    yield f"{f.time_s:.2f}", np.ascontiguousarray(f.luma())
+                    yield f"{f.time_s:.2f}", np.ascontiguousarray(f.luma()), 1
 
     result = calibrate(find_board(frames(), BoardSpec.parse("charuco:12x8:15.585mm:12.123mm:5X5_100")))
     assert result.verdict.word == "poor"

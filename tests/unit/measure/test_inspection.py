@@ -123,7 +123,7 @@ def test_the_suggestion_is_a_command_that_a_shell_takes(tmp_path_factory: pytest
     import shlex
     from pathlib import Path
 
-    document = {"markers": [{"marker": "36h11:3"}, {"marker": "4X4_50:0"}]}
+    document = {"clip": {"container": "mov"}, "markers": [{"marker": "36h11:3"}, {"marker": "4X4_50:0"}]}
     words = shlex.split(suggestion(document, Path("my clip.mp4"), Path("a b.yaml")))
     assert words[:5] == ["arfx", "process", "my clip.mp4", "--camera", "a b.yaml"]
     assert [words[i + 1] for i, w in enumerate(words) if w == "--marker"] == ["36h11:3:SIZE", "4X4_50:0:SIZE"]
