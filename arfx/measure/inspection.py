@@ -207,5 +207,7 @@ def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str
     """The `arfx process` command for the markers found; empty without one. SIZE is to be measured on the print."""
     markers = [f"--marker {m['marker']}:SIZE" for m in document["markers"][:8]]
     files = f"{shlex.quote(str(clip))} --camera {shlex.quote(str(camera or 'camera.yaml'))}"
+    if not markers:
+        return ""
     out = "out.png" if document["clip"]["container"] == PHOTO else "out.mp4"
-    return f"arfx process {files} {' '.join(markers)} --model MODEL.glb --fit 15cm -o {out}" if markers else ""
+    return f"arfx process {files} {' '.join(markers)} --model MODEL.glb --fit 15cm -o {out}"

@@ -227,10 +227,8 @@ def _analyse(
     if done.damaged and not done.missing:
         notices.append(f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks is the decoder's guess")
     if done.missing:
-        count = sum(count for _, count in done.missing)
-        notices.append(
-            f"{inputs.info.path}: {counted(count, 'frames')} missing, damaged or not in the file: {told(done.missing)}"
-        )
+        count = counted(sum(count for _, count in done.missing), "frames")
+        notices.append(f"{inputs.info.path}: {count} missing, damaged or not in the file: {told(done.missing)}")
     scene = make_scene(config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static)
     notices += check_size(scene, clip.facts)
     for notice in notices:
