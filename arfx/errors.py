@@ -68,6 +68,8 @@ def explained(e: BaseException) -> tuple[int, str]:
         return e.exit_code, str(e)
     if isinstance(e, OSError):
         return 5, f"{e.strerror or e}{f': {e.filename}' if e.filename else ''}"
+    if isinstance(e, RuntimeError) and str(e).startswith("Symlink loop"):  # pathlib's
+        return 2, f"{str(e).removeprefix('Symlink loop from ')} is a link to itself\nhelp: remove it, or name another place"
     if isinstance(e, MemoryError):
         what = f"there is not enough memory: {e}" if str(e) else "there is not enough memory"
         return 5, f"{what}\nhelp: close programs, raise the limit (ulimit -v), or --workers 1"

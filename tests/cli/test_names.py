@@ -64,3 +64,14 @@ def test_names_in_any_script_where_the_locale_is_plain(material: Material, arfx:
     r = arfx(*arguments, "--fit", "8cm", "-o", "Ergebnis ±.mp4", "--end", "0.1", "--json", cwd=folder, env=plain)
     assert r.code == 0 and "Traceback" not in r.err, r.err
     assert (folder / "Ergebnis ±.mp4").exists() and r.json["input"]["path"].endswith("Übung.mp4")
+
+
+def test_a_job_folder_that_links_to_itself_is_one_message(material: Material, arfx: Run, tmp_path: Path) -> None:
+    (tmp_path / "o.mp4.job").symlink_to("o.mp4.job")
+    r = arfx(*material.arguments("-o", "o.mp4"))
+    assert r.code == 2 and "o.mp4.job" in r.err and "arfx failed" not in r.err
+
+
+def test_names_cannot_steer_the_terminal(material: Material, arfx: Run, tmp_path: Path) -> None:
+    r = arfx(*material.arguments("-o", "o.mp4", clip=tmp_path / "\x1b[31mred\r.mp4"))
+    assert r.code == 3 and "\x1b" not in r.err and "\\x1b[31mred\\r.mp4" in r.err

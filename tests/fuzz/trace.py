@@ -82,6 +82,8 @@ class Trace:
         def hook(event: str, args: tuple[Any, ...]) -> None:
             if event == "open" and isinstance(args[0], (str, bytes)):
                 told = ["open", os.path.realpath(os.fsdecode(args[0]))]
+            elif event == "socket.connect" and isinstance(args[-1], (str, bytes)):  # between processes of one machine
+                return
             elif event in ("socket.connect", "socket.getaddrinfo"):
                 told = ["connect", str(args[-1] if event == "socket.connect" else args[0])]
             elif event in ("subprocess.Popen", "os.exec", "os.posix_spawn", "os.system"):

@@ -71,3 +71,9 @@ def test_the_folder_of_all_outputs_does_not_change_with_the_clips(tmp_path: Path
     assert home_of(jobs(tmp_path / "a.mp4", pattern=pattern)) == home_of(jobs(tmp_path, pattern=pattern)) == tmp_path / "out"
     images = str(tmp_path / "out/{stem}/%04d.png")
     assert home_of(jobs(tmp_path / "a.mp4", pattern=images)) == tmp_path / "out"
+
+
+def test_a_folder_that_links_to_itself_gives_each_clip_once(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").touch()
+    (tmp_path / "loop").symlink_to(".")
+    assert clips_at(f"{tmp_path}/**/*.mp4") == [tmp_path / "a.mp4"] == clips_at(str(tmp_path))
