@@ -25,7 +25,7 @@ LARGE_FRACTION = 0.001
 _TIMES = re.compile(
     r"timing|measured_s|wall_s|prepare_s|encode_s|render_s|analyse_s|decode_s|plan_s|frames_per_s|rss|report\.version"
     r"|bytes|machine|cores|jobs\[\*\]\.seconds|rows\[\*\]\.(reason|seconds)|workers\[\*\]"
-    r"|predicted\.(wall|phases\.(before|decode|prepare|edit|encode))"  # from a speed that the job measures
+    r"|predicted\.(wall|share|phases\.(before|decode|prepare|edit|encode))"  # from a speed that the job measures
 )
 _PREDICTED = re.compile(r"predict|between|\.seconds$|_s$")
 _LIGHT = re.compile(r"light|bias|environment|ambient|gain|rgb|photometry")
