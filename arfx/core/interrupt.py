@@ -151,6 +151,10 @@ def resume() -> None:
 @contextlib.contextmanager
 def starting_workers() -> Iterator[None]:
     """No process started in the body is left half started, nor sees Ctrl-C before `in_worker` turns that off."""
+    if os.name == "posix":  # Python's tracker of shared memory goes first: its start unblocks Ctrl-C again
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()
     with deferred():
         previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
         try:

@@ -12,7 +12,7 @@ from typing import Any
 import av
 import numpy as np
 
-from arfx.core.opener import ffmpeg_url
+from arfx.core.opener import ffmpeg_url, read_bytes
 from arfx.errors import InputError
 from arfx.media.images import HEIF, decode_picture, open_heif
 
@@ -75,7 +75,7 @@ def _origin(source: Path) -> tuple[bytes, bytes]:
     from PIL import Image
 
     try:
-        data = source.read_bytes()
+        data = read_bytes(source, "picture")
         with open_heif(data, source, "photo") if data[8:12] in HEIF else Image.open(io.BytesIO(data)) as picture:
             exif = picture.getexif()
             if _ORIENTATION in exif:

@@ -191,11 +191,10 @@ class Processes:
 
         if sys.platform != "linux":
             return multiprocessing.get_context("spawn")
-        from multiprocessing import forkserver, resource_tracker
+        from multiprocessing import forkserver
 
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["arfx.run.preload"])
-        resource_tracker.ensure_running()  # before: its start unblocks Ctrl-C
         with _starting():
             forkserver.ensure_running()
         return context

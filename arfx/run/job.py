@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from arfx.analyse.fold import MARKER, AnalysisJob
+from arfx.analyse.fold import MARKER, Analysis, AnalysisJob
 from arfx.config.sections import JobConfig, frozen, to_toml
 from arfx.core import codec, interrupt
 from arfx.core.cost import load_prices
@@ -20,6 +20,7 @@ from arfx.core.facts import read_facts, write_facts
 from arfx.core.layers import Layer
 from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
+from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.core.waiting import wait_for
 from arfx.errors import JobInterruptedError, counted
@@ -39,7 +40,7 @@ from arfx.run.keys import job_keys
 from arfx.run.model_size import check_size
 from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
 from arfx.run.place import Places
-from arfx.run.planned import ClipAnalysis, Job, JobPlan, told
+from arfx.run.planned import ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
 from arfx.run.schedule import Chunk, borders
 from arfx.run.stretches import analyse_stretch
@@ -204,13 +205,14 @@ def _analyse(
     inputs: Inputs, folder: JobFolder, analysis_key: str, options: Options, log: WorkLog, cluster: Cluster | None = None
 ) -> None:
     config, anchor = inputs.config, inputs.config.model.anchor
+
+    def scene_of(clip: Analysis) -> Scene:
+        return make_scene(config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static)
+
     job = AnalysisJob(
         config.markers, inputs.camera, config.params["analyse"], config.params["light"], inputs.marker_map, inputs.panorama,
         anchor, inputs.depth, config.input.depth_align == anchor == MARKER, inputs.poses,
-        lambda clip: make_scene(
-            config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static
-        ),
-        options.progress, fold_classes(config), inputs.prints,
+        scene_of, options.progress, fold_classes(config), inputs.prints,
     )  # fmt: skip
     span = (config.input.start, config.input.end)
     run = _in_parallel(inputs.camera.rect.area, options)
@@ -228,9 +230,8 @@ def _analyse(
         notices.append(f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks is the decoder's guess")
     if done.missing:
         count = counted(sum(count for _, count in done.missing), "frames")
-        notices.append(f"{inputs.info.path}: {count} missing, damaged or not in the file: {told(done.missing)}")
-    scene = make_scene(config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static)
-    notices += check_size(scene, clip.facts)
+        notices.append(f"{inputs.info.path}: {count} missing, damaged or not in the file: {places_in_words(done.missing)}")
+    notices += check_size(scene_of(clip), clip.facts)
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, clip.facts)

@@ -23,7 +23,7 @@ from arfx.run.folder import JobFolder, write
 from arfx.run.inputs import Inputs, make_scene
 from arfx.run.times import WorkLog
 
-_TOLD = 5  # places, of those where frames are missing
+_PLACES_SAID = 5  # places, of those where frames are missing
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Job:
     log: WorkLog
 
 
-def told(missing: Sequence[tuple[float, int]]) -> str:
+def places_in_words(missing: Sequence[tuple[float, int]]) -> str:
     """Missing frames in words: how many, and when."""
-    places = ", ".join(f"{count} at {time_s:.2f} s" for time_s, count in missing[:_TOLD])
-    return places + ", …" * (len(missing) > _TOLD)
+    places = ", ".join(f"{count} at {time_s:.2f} s" for time_s, count in missing[:_PLACES_SAID])
+    return places + ", …" * (len(missing) > _PLACES_SAID)

@@ -24,7 +24,7 @@ from arfx.plan.planner import plan_frame
 from arfx.run.frame import ready_stages, run_frame
 from arfx.run.model_size import model_size
 from arfx.run.parameters import stages_of
-from arfx.run.planned import Job, told
+from arfx.run.planned import Job, places_in_words
 from arfx.run.schedule import Chunk
 from arfx.run.times import TimeSpent
 from arfx.stages import STAGES
@@ -131,7 +131,7 @@ def health(job: Job) -> Iterator[Check]:
     missing = sum(count for _, count in job.analysed.missing)
     state = truncated or ("damaged" if job.analysed.damaged else "incomplete" if missing else "whole")
     yield Check("source file", state, "whole", state == "whole", "processed to its last good frame")
-    yield Check("frames missing in the source", missing, 0, missing == 0, f"left out: {told(job.analysed.missing)}")
+    yield Check("frames missing in the source", missing, 0, missing == 0, f"left out: {places_in_words(job.analysed.missing)}")
     for where in ("facts", "pictures"):
         yield Check(f"values that are not finite in the {where}", 0, 0, True, "the job would have stopped there")
 

@@ -6,14 +6,12 @@ import asyncio
 import contextlib
 import importlib.util
 import logging
-import os
 import shutil
 import tempfile
 import uuid
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from multiprocessing import resource_tracker
 from typing import Any
 
 from arfx.core import interrupt
@@ -182,10 +180,7 @@ def _start_local(spec: ClusterSpec, scratch: str) -> Any:
     """Processes of one thread each, which end with this one; reached from this machine alone."""
     from distributed import LocalCluster
 
-    # the threads of the cluster, and what they start, never see Ctrl-C: that is this process's affair. Python's tracker of
-    # shared memory goes first, as it takes that back for the thread that happens to start it
-    if os.name == "posix":
-        resource_tracker.ensure_running()
+    # the threads of the cluster, and what they start, never see Ctrl-C: that is this process's affair
     with interrupt.starting_workers():
         cluster = LocalCluster(
             n_workers=0, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0",
