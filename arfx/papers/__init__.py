@@ -21,5 +21,7 @@ FORMULAS: Mapping[str, Classes] = {
             "watercolor": "arfx.papers.s3_watercolor.PrintedWatercolor",
         }
     ),
-    "gaussian": Classes({"dof": "arfx.papers.s2_gaussian.GaussianDof"}),  # what Zhao et al. compare themselves with
+    "gaussian": Classes(
+        {"dof": "arfx.papers.s2_gaussian.GaussianDof"}
+    ),  # what Zhao et al. compare themselves with
 }

@@ -17,12 +17,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.light.photometry import INK, PAPER, Photometry, assemble, fallback, of_channels, weights
+from arfx.analyse.light.photometry import (
+    INK,
+    PAPER,
+    Photometry,
+    assemble,
+    fallback,
+    of_channels,
+    weights,
+)
 from arfx.core.numerics import divide
 
 DENSE = 300  # frames
 LEAST_GAP = 3.0  # of the two smallest singular values: less is nullity 2 beside noise
-NULL = 1e-10  # of the largest singular value: below it one counts as zero (1e-7 by the normal matrix)
+NULL = (
+    1e-10  # of the largest singular value: below it one counts as zero (1e-7 by the normal matrix)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +55,9 @@ class SmallestVector:
     gap: float
 
 
-def eq6_smallest_vector(intensity: np.ndarray, albedo: np.ndarray, dense: int = DENSE) -> SmallestVector:
+def eq6_smallest_vector(
+    intensity: np.ndarray, albedo: np.ndarray, dense: int = DENSE
+) -> SmallestVector:
     """One channel. intensity : (t, p), NaN = not measured;  albedo : (p,) or (t, p). Frames without any patch get y = 0.
 
     Up to `dense` frames by singular value decomposition; beyond, by the normal matrix, whose x part is diagonal: its smallest
@@ -59,7 +71,11 @@ def eq6_smallest_vector(intensity: np.ndarray, albedo: np.ndarray, dense: int = 
     seen = valid.any(1)
     if not seen.any():
         raise ValueError("no finite intensity")
-    grey, r, m = np.where(valid, value, 0)[seen], np.where(valid, rho, 0)[seen], valid[seen].astype(float)
+    grey, r, m = (
+        np.where(valid, value, 0)[seen],
+        np.where(valid, rho, 0)[seen],
+        valid[seen].astype(float),
+    )
     frames = len(grey)
     if frames <= dense:
         rows = np.zeros((grey.size, frames + 2))
@@ -78,9 +94,16 @@ def eq6_smallest_vector(intensity: np.ndarray, albedo: np.ndarray, dense: int = 
     others = s[:-1]
     condition = min(float(divide(others[0], others[-1], where_zero=1e12)), 1e12)
     return SmallestVector(
-        float(divide(1, v[0])), float(divide(v[1], v[0])), float(divide(1, v[1])), y, nullity, frames + 2 - nullity,
-        smallest, condition, min(float(divide(others[-1], smallest, where_zero=1e12)), 1e12),
-    )  # fmt: skip
+        float(divide(1, v[0])),
+        float(divide(v[1], v[0])),
+        float(divide(1, v[1])),
+        y,
+        nullity,
+        frames + 2 - nullity,
+        smallest,
+        condition,
+        min(float(divide(others[-1], smallest, where_zero=1e12)), 1e12),
+    )
 
 
 def brightness(intensity: np.ndarray) -> np.ndarray:
@@ -88,13 +111,22 @@ def brightness(intensity: np.ndarray) -> np.ndarray:
     the print; of the patches that it lacks NaN. intensity : (t, p, 3), NaN = not measured"""
     value = np.asarray(intensity, float)
     shown = np.isfinite(value).all(-1)
-    return value[int(shown.sum(1).argmax())].mean(-1) if len(value) else np.full(value.shape[1], np.nan)
+    return (
+        value[int(shown.sum(1).argmax())].mean(-1)
+        if len(value)
+        else np.full(value.shape[1], np.nan)
+    )
 
 
 def gain_and_bias(
-    intensity: np.ndarray, white: np.ndarray | None = None, albedo: np.ndarray | None = None,
-    clipped: np.ndarray | None = None, printed_bias: bool = False, ink: float = INK, paper: float = PAPER,
-) -> Photometry:  # fmt: skip
+    intensity: np.ndarray,
+    white: np.ndarray | None = None,
+    albedo: np.ndarray | None = None,
+    clipped: np.ndarray | None = None,
+    printed_bias: bool = False,
+    ink: float = INK,
+    paper: float = PAPER,
+) -> Photometry:
     """(4) to (6) for all channels, arguments as in photometry.solve. No variances: the paper has none; those reported are of the
     residuals. printed_bias : b = 1/b' in place of b'/g' (y stays as solved)."""
     value = np.asarray(intensity, float)
@@ -106,12 +138,25 @@ def gain_and_bias(
     for c in range(3):
         grey, weight, rho = np.where(w[..., c] > 0, value[..., c], 0.0), w[..., c], every[..., c]
         if not weight.any():
-            parts.append(fallback(grey, weight, rho, "no patch is usable: all are clipped, missing or not finite", 0, 1e12))
+            parts.append(
+                fallback(
+                    grey,
+                    weight,
+                    rho,
+                    "no patch is usable: all are clipped, missing or not finite",
+                    0,
+                    1e12,
+                )
+            )
             continue
         solution = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
         seen = weight.any(1)
         one = solution.nullity < 2
-        why = "only noise singles out the solution" if one else f"the system has nullity {solution.nullity}, not 1"
+        why = (
+            "only noise singles out the solution"
+            if one
+            else f"the system has nullity {solution.nullity}, not 1"
+        )
         # g' = 0: b' and x alone, of one albedo
         blank = abs(solution.gain) > 1e8 * float(np.abs(grey).max()) or solution.gain == 0
         part = fallback(grey, weight, rho, why, solution.rank, solution.condition)
@@ -121,9 +166,14 @@ def gain_and_bias(
             spread = float((residual**2).sum() / max((weight > 0).sum() - seen.sum() - 1, 1))
             own = np.where(seen, divide(spread, (weight * rho * rho).sum(1)), part["var_y_own"])
             part |= {
-                "y": solution.y, "var_y_own": own, "bias": b, "bias_95": (b, b), "determined": True, "reason": "",
+                "y": solution.y,
+                "var_y_own": own,
+                "bias": b,
+                "bias_95": (b, b),
+                "determined": True,
+                "reason": "",
                 "misfit": float(np.sqrt(spread)),
-            }  # fmt: skip
+            }
         parts.append(part | {"unknowns": int(seen.sum()) + 2})
     share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
     return assemble(parts, share, ignored)
@@ -150,7 +200,17 @@ def _secular(grey: np.ndarray, r: np.ndarray, m: np.ndarray) -> tuple[np.ndarray
         if at[0] <= 0:
             roots.append(0.0)
         elif at[1] < 0:
-            roots.append(float(brentq(lambda low, k=k: np.linalg.eigvalsh(rest(low))[k], 0.0, end, xtol=1e-300, rtol=1e-14)))
+            roots.append(
+                float(
+                    brentq(
+                        lambda low, k=k: np.linalg.eigvalsh(rest(low))[k],
+                        0.0,
+                        end,
+                        xtol=1e-300,
+                        rtol=1e-14,
+                    )
+                )
+            )
         else:
             roots.append(end)
     vector = np.linalg.eigh(rest(roots[0]))[1][:, 0]

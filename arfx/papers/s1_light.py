@@ -39,10 +39,21 @@ from arfx.core.numerics import arccos, divide, normalise
 from arfx.errors import require_within
 from arfx.papers.s1_gain import brightness, gain_and_bias
 
-CUBE = {2: 9, 3: 17, 4: 33, 5: 49}  # side of a face by the map's level: odd, so that a texel lies on the axis
+CUBE = {
+    2: 9,
+    3: 17,
+    4: 33,
+    5: 49,
+}  # side of a face by the map's level: odd, so that a texel lies on the axis
 _EQUAL = 9  # decimals of the brightest, to which values are compared
 BRIGHTNESS = "brightness"
-UNUSED = ("most_lights", "claims", "limit_deg", "drift_per_s", "window_s")  # the paper knows nothing of them
+UNUSED = (
+    "most_lights",
+    "claims",
+    "limit_deg",
+    "drift_per_s",
+    "window_s",
+)  # the paper knows nothing of them
 
 
 @dataclass(frozen=True)
@@ -137,7 +148,9 @@ def eq9_lights(M: np.ndarray, n: np.ndarray, I_c: float, epsilon_deg: float) -> 
     rank[order] = np.arange(len(n))
     lights = []
     for i in order:
-        if free[i]:  # not yet close to a brighter one: few are, and only theirs are compared with all
+        if free[
+            i
+        ]:  # not yet close to a brighter one: few are, and only theirs are compared with all
             near = n @ n[i] > np.cos(np.radians(epsilon_deg))
             if rank[near].min(initial=rank[i]) == rank[i]:
                 lights.append(i)
@@ -149,11 +162,17 @@ def usable(seen: Observation) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """(normal (3,), light (3,)) of each reading that is finite and known."""
     for n, x, variance in zip(seen.normals, seen.irradiance, seen.variance, strict=True):
         length = float(np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]))
-        if np.isfinite([length, *x, *variance]).all() and length > 0 and ((variance >= 0) & (variance < UNKNOWN)).all():
+        if (
+            np.isfinite([length, *x, *variance]).all()
+            and length > 0
+            and ((variance >= 0) & (variance < UNKNOWN)).all()
+        ):
             yield n / length, x
 
 
-def lights_of(seen: Sequence[Observation], params: PrintedLightParams) -> tuple[list[Light], list[np.ndarray], np.ndarray]:
+def lights_of(
+    seen: Sequence[Observation], params: PrintedLightParams
+) -> tuple[list[Light], list[np.ndarray], np.ndarray]:
     """(one light per observation, and M as a cube (6, n, n, 3), (3, 3) rotation to the cube's axes from the normals').
 
     The hemisphere's axis is the mean of all normals."""
@@ -171,7 +190,10 @@ def lights_of(seen: Sequence[Observation], params: PrintedLightParams) -> tuple[
         towards, rgb = map_.middles[peaks], np.clip(M[peaks], 0, None)
         if readings:
             beyond = np.mean([x - np.clip(towards @ n, 0, None) @ rgb for n, x in readings], 0)
-        lights = tuple(DirectionalLight(triple(turn.T @ d), triple(c), 0.0) for d, c in zip(towards, rgb, strict=True))
+        lights = tuple(
+            DirectionalLight(triple(turn.T @ d), triple(c), 0.0)
+            for d, c in zip(towards, rgb, strict=True)
+        )
         out.append(Light(triple(np.clip(beyond, 0, None)), lights, "marker"))
         cubes.append(map_.cube)
     return out, cubes, turn
@@ -183,13 +205,18 @@ class PrintedStaticFrameLight(StaticFrameLight):
     params: PrintedLightParams
     maps: Mapping[int, CubeMap] = MappingProxyType({})
 
-    def from_markers(self, rests: bool, samples: Sequence[EnvironmentSample]) -> tuple[Lights, dict[str, Any]]:
+    def from_markers(
+        self, rests: bool, samples: Sequence[EnvironmentSample]
+    ) -> tuple[Lights, dict[str, Any]]:
         """Each frame's light map and its peaks; frames without a reading have those before them."""
         if not self.lit:
             return super().from_markers(rests, samples)
         solution, cubes, turn = lights_of(self.observations, self.params)
         last = np.clip(np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None)
-        self.maps = {k: CubeMap.of(cubes[i], turn @ self.static_from_world[k]) for k, i in zip(self.frames, last, strict=True)}
+        self.maps = {
+            k: CubeMap.of(cubes[i], turn @ self.static_from_world[k])
+            for k, i in zip(self.frames, last, strict=True)
+        }
         middle = solution[len(solution) // 2]
         peaks = f"{len(middle.lights)} peak{'s' * (len(middle.lights) != 1)} of the light map, as printed: no confidence is known"
         verdict = MEASURED if middle.lights else REFUSED
@@ -212,12 +239,21 @@ class PrintedLight(LightOfMarkers):
         def solve(
             grey: np.ndarray, _: np.ndarray, clipped: np.ndarray, rho: np.ndarray, p: LightParams
         ) -> tuple[Photometry, None]:
-            if p.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all():  # one kind of print, without colour
+            if (
+                p.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()
+            ):  # one kind of print, without colour
                 rho = brightness(grey)
-            return gain_and_bias(grey, albedo=rho, clipped=clipped, printed_bias=params.printed_bias), None
+            return gain_and_bias(
+                grey, albedo=rho, clipped=clipped, printed_bias=params.printed_bias
+            ), None
 
-        clip = with_light(clip, self.readings, self.samples, params, self.job.panorama, solve, printed_part)
+        clip = with_light(
+            clip, self.readings, self.samples, params, self.job.panorama, solve, printed_part
+        )
         maps = {k: cube for part in parts for k, cube in part.maps.items()}
         unused = ", ".join(params.without_effect)
         notice = f'light: {unused} without effect under formula = "paper"' if unused else None
-        return clip.adding((f.with_(light_map=maps[k]) if k in maps else f for k, f in enumerate(clip.facts)), notice)
+        return clip.adding(
+            (f.with_(light_map=maps[k]) if k in maps else f for k, f in enumerate(clip.facts)),
+            notice,
+        )

@@ -63,21 +63,41 @@ class PrintedLightmap(Lightmap):
     hard = True
 
     def shaded(
-        self, surface: Surface, soft_visibility: np.ndarray, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight,
-        eye: np.ndarray, facts: FrameFacts,
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        surface: Surface,
+        soft_visibility: np.ndarray,
+        visibility: np.ndarray,
+        reaching: Sequence[int],
+        light: FrameLight,
+        eye: np.ndarray,
+        facts: FrameFacts,
+    ) -> np.ndarray:
         """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is not hidden."""
         covered = surface.coverage > 0
         n, rho_v, position, glow, material = (
-            a[covered] for a in (surface.normal, surface.albedo, surface.position, surface.emissive, surface.material)
+            a[covered]
+            for a in (
+                surface.normal,
+                surface.albedo,
+                surface.position,
+                surface.emissive,
+                surface.material,
+            )
         )
         metal, roughness, specular = material[:, 0, None], material[:, 1], material[:, 2, None]
         mirrored = 0.08 * specular * (1 - metal) + rho_v * metal
         rho_v, v = rho_v * (1 - metal), normalise(eye - position)
-        even = np.clip(harmonics(n) @ light.soft, 0, None) if len(light.soft) else np.broadcast_to(light.ambient, n.shape)
+        even = (
+            np.clip(harmonics(n) @ light.soft, 0, None)
+            if len(light.soft)
+            else np.broadcast_to(light.ambient, n.shape)
+        )
         received, highlight = even * self.params.ambient, np.zeros(n.shape)
         for k, visible in zip(reaching, visibility, strict=True):
-            d, arrives = light.towards[k], light.rgb[k] * light.on_object[k] * visible[covered][:, None]
+            d, arrives = (
+                light.towards[k],
+                light.rgb[k] * light.on_object[k] * visible[covered][:, None],
+            )
             received = received + arrives * np.maximum(n @ d, 0)[:, None]
             highlight += arrives * phong(n, v, d, roughness)[:, None]
         light_map_ = printed_map(facts.light_map)
@@ -88,5 +108,7 @@ class PrintedLightmap(Lightmap):
             received = M * divide(received, unhidden, where_zero=float(self.params.ambient))
         I_v = rho_v * received + mirrored * highlight
         virtual = np.zeros(surface.normal.shape, np.float32)
-        virtual[covered] = surface.coverage[covered][:, None] * (I_v + glow + np.array(facts.bias_rgb))
+        virtual[covered] = surface.coverage[covered][:, None] * (
+            I_v + glow + np.array(facts.bias_rgb)
+        )
         return virtual

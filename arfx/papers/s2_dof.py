@@ -74,7 +74,9 @@ def eq7_circle(dioptre: np.ndarray | float, at: CircleOfConfusion) -> np.ndarray
     return at.px_per_dioptre * at.coc_mm_per_px * np.abs(at.focus - np.asarray(dioptre))
 
 
-def blur_factor(dioptre: np.ndarray, clip: tuple[float, float], at: CircleOfConfusion) -> np.ndarray:
+def blur_factor(
+    dioptre: np.ndarray, clip: tuple[float, float], at: CircleOfConfusion
+) -> np.ndarray:
     """a = C / max(C_near, C_far), 0..1. clip : dioptres of both clip planes"""
     largest = max(float(eq7_circle(d, at)) for d in clip)
     return np.minimum(eq7_circle(dioptre, at) * float(divide(1.0, largest)), 1.0)
@@ -83,7 +85,9 @@ def blur_factor(dioptre: np.ndarray, clip: tuple[float, float], at: CircleOfConf
 def sharp_range(at: CircleOfConfusion, F: float, C: float) -> tuple[float, float]:
     """The limits U + (5) and U - (4) as dioptres, 1/m, farthest first: 1/U -+ N C / F^2, of which the first may be negative.
     F, C : mm"""
-    focal_dioptre = at.px_per_dioptre * at.coc_mm_per_px * (1 - min(1e-3 * F * at.focus, 1.0))  # F^2 / N, by (7)
+    focal_dioptre = (
+        at.px_per_dioptre * at.coc_mm_per_px * (1 - min(1e-3 * F * at.focus, 1.0))
+    )  # F^2 / N, by (7)
     reach = float(divide(C, focal_dioptre, where_zero=np.inf))
     return at.focus - reach, at.focus + reach
 
@@ -94,13 +98,19 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
     out = np.full((rect.height, rect.width), real.background, np.float32)
     if real.tiles is not None:
         out = dioptre_of(now[Layer.REAL_DEPTH])
-    itself = np.float32(1), np.float32(0), np.float32(np.inf)  # a radius of 1 px a dioptre from a focus at infinity
+    itself = (
+        np.float32(1),
+        np.float32(0),
+        np.float32(np.inf),
+    )  # a radius of 1 px a dioptre from a focus at infinity
     if real.base is not None:
         nodes, behind = real.base.dioptres(grid), np.float32(real.background)
         plane_radius(out, 0, rect.height, 0, rect.width, rect.x0, rect.y0, nodes, behind, itself)
     for plane in real.finite_planes:
         own, inside = np.empty_like(out), np.empty_like(out)
-        square_radius(own, inside, rect.x0, rect.y0, plane.positions(grid), np.float32(plane.half_m), itself)
+        square_radius(
+            own, inside, rect.x0, rect.y0, plane.positions(grid), np.float32(plane.half_m), itself
+        )
         out = np.where(inside > 0, own, out)
     near, far = depth_range(facts)
     depth = np.clip(now[Layer.DEPTH], near, far)
@@ -115,13 +125,20 @@ def mean_filter(colour: np.ndarray, dioptre: np.ndarray, weights: np.ndarray) ->
     weights : (n,) float32 of a row and of a column, n odd; equal ones = the mean"""
     weights = (weights / weights.sum()).astype(np.float32)
     out = cv2.sepFilter2D(colour, -1, weights, weights, borderType=cv2.BORDER_REPLICATE)
-    any_in_front = cv2.dilate(dioptre, np.ones((len(weights), len(weights)), np.uint8)) > dioptre * _NEARER
-    parallel_rows(lambda a, b: _mean_without_front(out, a, b, colour, dioptre, weights, any_in_front), len(out))
+    any_in_front = (
+        cv2.dilate(dioptre, np.ones((len(weights), len(weights)), np.uint8)) > dioptre * _NEARER
+    )
+    parallel_rows(
+        lambda a, b: _mean_without_front(out, a, b, colour, dioptre, weights, any_in_front),
+        len(out),
+    )
     return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _mean_without_front(out, top, bottom, colour, dioptre, weights, any_in_front):  # pragma: no cover - compiled
+def _mean_without_front(
+    out, top, bottom, colour, dioptre, weights, any_in_front
+):  # pragma: no cover - compiled
     h, w = dioptre.shape
     half = len(weights) // 2
     for y in range(top, bottom):
@@ -176,10 +193,14 @@ def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compi
 # 3.4 Blend
 
 
-def within_depth_of_field(dioptre: np.ndarray, sharp: tuple[float, float], border: float) -> np.ndarray:
+def within_depth_of_field(
+    dioptre: np.ndarray, sharp: tuple[float, float], border: float
+) -> np.ndarray:
     """By how much the blur factor counts: 2/3 within the limits `sharp`, 1 outside, smoothly between around them."""
     focus, reach = 0.5 * (sharp[0] + sharp[1]), 0.5 * (sharp[1] - sharp[0])
-    place = np.abs(dioptre - focus) / reach if np.isfinite(reach) else np.zeros_like(dioptre)  # 1 on both limits
+    place = (
+        np.abs(dioptre - focus) / reach if np.isfinite(reach) else np.zeros_like(dioptre)
+    )  # 1 on both limits
     if border == 0:
         return np.where(place <= 1, INSIDE, 1.0)
     return INSIDE + (1 - INSIDE) * smoothstep(0.5 + (place - 1) / (2 * border))
@@ -196,7 +217,9 @@ def _blended(a: np.ndarray, blur: np.ndarray, coded: np.ndarray, image: np.ndarr
 
 def _by_rows(work: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
     """work(arrays), a band of rows on each thread."""
-    done = parallel_rows(lambda top, bottom: work(*(array[top:bottom] for array in arrays)), len(arrays[0]))
+    done = parallel_rows(
+        lambda top, bottom: work(*(array[top:bottom] for array in arrays)), len(arrays[0])
+    )
     return np.concatenate(done).astype(np.float32, copy=False)
 
 
@@ -209,7 +232,9 @@ class PrintedDof(Dof):
         asked = super().demand(facts, scene, frame)
         if asked.rect.empty:
             return asked
-        return Demand(frame if self.params.scope == "all" else object_box(facts, frame, 0.0), asked.reason)
+        return Demand(
+            frame if self.params.scope == "all" else object_box(facts, frame, 0.0), asked.reason
+        )
 
     @property
     def weights(self) -> np.ndarray:
@@ -225,13 +250,18 @@ class PrintedDof(Dof):
     def run(self, view: View, prepared: np.ndarray) -> Mapping[Layer, Any]:
         facts, now = view.facts, view.layers
         image = now[Layer.IMAGE]
-        if not facts.present or super().demand(facts, view.scene, view.scene.camera.rect).rect.empty:
+        if (
+            not facts.present
+            or super().demand(facts, view.scene, view.scene.camera.rect).rect.empty
+        ):
             return {Layer.IMAGE: image.copy()}
         dioptre, a = self.depth_and_blur(now, facts, view.scene, prepared)
         coded = _by_rows(SRGB.encode, image)
         return {Layer.IMAGE: _by_rows(_blended, a, self.blurred(coded, dioptre), coded, image)}
 
-    def depth_and_blur(self, now: Layers, facts: FrameFacts, scene: Scene, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def depth_and_blur(
+        self, now: Layers, facts: FrameFacts, scene: Scene, grid: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """What one texture of Figure 6 holds: (h, w) dioptre, 1/m, and factor of the blend. grid : what `prepare` made"""
         p, (at, real) = self.params, self._frame(facts, scene)
         dioptre = dioptres(now, facts, real, grid)

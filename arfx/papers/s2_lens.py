@@ -49,5 +49,9 @@ def printed_limits(lens: Lens, C: float) -> Limits:
     checked(lens, C)
     F, N, L = lens.focal_mm, lens.fnumber, lens.focus_mm
     return Limits(
-        eq4_front(N, C, L, F), eq5_back(N, C, L, F), eq6_total(N, C, L, F), hyperfocal(N, C, F), lens.coc_at_infinity_mm
+        eq4_front(N, C, L, F),
+        eq5_back(N, C, L, F),
+        eq6_total(N, C, L, F),
+        hyperfocal(N, C, F),
+        lens.coc_at_infinity_mm,
     )

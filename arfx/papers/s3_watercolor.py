@@ -54,7 +54,9 @@ class PrintedWatercolorParams(WatercolorParams):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_within("watercolor", self, m=(0, 4096), n=(0, 4096), near_m=(0, 1e3), line_threshold=(0, 2))
+        require_within(
+            "watercolor", self, m=(0, 4096), n=(0, 4096), near_m=(0, 1e3), line_threshold=(0, 2)
+        )
 
 
 # 3.1.1 Voronoi diagram
@@ -69,7 +71,9 @@ def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
     y = rect.y0 - 0.5 + rect.height / m * (np.arange(m)[:, None] + r[1])
     position = [np.round(a.ravel() * STEPS).astype(np.float32) for a in (x, y)]
     zero = np.zeros(m * n, np.float32)
-    return Sites(position[0], position[1], zero, np.arange(m * n), position[0] / STEPS, position[1] / STEPS)
+    return Sites(
+        position[0], position[1], zero, np.arange(m * n), position[0] / STEPS, position[1] / STEPS
+    )
 
 
 # 3.1.2 Stylised frame
@@ -84,7 +88,9 @@ def depth_buffer(view: View, near_m: float) -> np.ndarray:
         dioptre = dioptre_of(now[Layer.REAL_DEPTH])
     elif facts.camera_from_world is not None:
         x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)[:, None]
-        dioptre = plane_dioptre(x, y, view.scene.camera, facts.camera_from_world @ view.scene.world_from_anchor)
+        dioptre = plane_dioptre(
+            x, y, view.scene.camera, facts.camera_from_world @ view.scene.world_from_anchor
+        )
     dioptre = np.where(now[Layer.COVERAGE] >= 0.5, dioptre_of(now[Layer.DEPTH]), dioptre)
     return np.clip(1 - near_m * dioptre, LEAST, 1).astype(np.float32)
 
@@ -106,8 +112,12 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
     h, w = labels.shape
     for k in range(x.shape[0]):
         radius, slope = length * size[k], 1 / (size[k] * size[k])
-        for j in range(max(int(np.ceil(y[k] - radius)), 0), min(int(np.floor(y[k] + radius)) + 1, h)):
-            for i in range(max(int(np.ceil(x[k] - radius)), 0), min(int(np.floor(x[k] + radius)) + 1, w)):
+        for j in range(
+            max(int(np.ceil(y[k] - radius)), 0), min(int(np.floor(y[k] + radius)) + 1, h)
+        ):
+            for i in range(
+                max(int(np.ceil(x[k] - radius)), 0), min(int(np.floor(x[k] + radius)) + 1, w)
+            ):
                 z = ((i - x[k]) ** 2 + (j - y[k]) ** 2) * slope
                 if z < depth[j, i]:
                     depth[j, i], labels[j, i] = z, k
@@ -120,9 +130,13 @@ def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
     return pixels[y, x]
 
 
-def named_by_colour(coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect) -> tuple[np.ndarray, int]:
+def named_by_colour(
+    coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect
+) -> tuple[np.ndarray, int]:
     """(labels, count) in which cells whose sites show one 8-bit colour are one cell. coded : (h, w, 3) 0..1."""
-    colour = np.round(np.clip(at_sites(coded, sites, rect), 0, 1) * 255).astype(np.int64) @ np.array([65536, 256, 1])
+    colour = np.round(np.clip(at_sites(coded, sites, rect), 0, 1) * 255).astype(
+        np.int64
+    ) @ np.array([65536, 256, 1])
     unique, number = np.unique(colour, return_inverse=True)
     return number.ravel().astype(np.int32)[labels], len(unique)
 
@@ -131,14 +145,21 @@ def named_by_colour(coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: R
 
 
 def toon(
-    myColor: np.ndarray, normal: np.ndarray, lightDir: np.ndarray, threshold: tuple[float, float],
+    myColor: np.ndarray,
+    normal: np.ndarray,
+    lightDir: np.ndarray,
+    threshold: tuple[float, float],
     factor: tuple[float, float, float],
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """The listing. (h, w, 3) coded: the colour itself where n . l is above the first threshold, .4 of it above .2, else .1.
 
     myColor : (h, w, 3) coded;  threshold, factor : `toon_thresholds` and `toon_factors`"""
     intensity = normalise(normal) @ normalise(lightDir)
-    tone = np.where(intensity > threshold[0], factor[0], np.where(intensity > threshold[1], factor[1], factor[2]))
+    tone = np.where(
+        intensity > threshold[0],
+        factor[0],
+        np.where(intensity > threshold[1], factor[1], factor[2]),
+    )
     return tone[..., None] * myColor
 
 
@@ -184,7 +205,10 @@ class PrintedWatercolor(Watercolor):
     def run(self, view: View, prepared: None) -> Mapping[Layer, np.ndarray]:
         p, rect = self.params, view.rect
         coded = self.frame(view)
-        m, n = p.m or max(round(rect.height / p.cell_px), 1), p.n or max(round(rect.width / p.cell_px), 1)
+        m, n = (
+            p.m or max(round(rect.height / p.cell_px), 1),
+            p.n or max(round(rect.width / p.cell_px), 1),
+        )
         sites = eq1_sites(rect, m, n, view.key)
         labels = cones(sites, at_sites(depth_buffer(view, p.near_m), sites, rect), rect, m, n)
         number, count = named_by_colour(coded, labels, sites, rect)
@@ -200,7 +224,9 @@ class PrintedWatercolor(Watercolor):
             part, image = now.crop(box), image.copy()
             lightDir, _ = toon_light(view.light, view.scene.world_from_anchor.rotation[:, 2])
             myColor = SRGB.encode(np.clip(part[Layer.ALBEDO], 0, 1))
-            shaded = SRGB.decode(toon(myColor, part[Layer.NORMAL], lightDir, p.toon_thresholds, p.toon_factors))
+            shaded = SRGB.decode(
+                toon(myColor, part[Layer.NORMAL], lightDir, p.toon_thresholds, p.toon_factors)
+            )
             covered = part[Layer.COVERAGE][..., None] * shaded
             image[box.slices_in(view.rect)] += view.facts.opacity * (covered - part[Layer.VIRTUAL])
         return SRGB.encode(np.clip(image, 0, 1)).astype(np.float32)

@@ -37,11 +37,19 @@ def cone_steps(tan_half: float, n: int) -> np.ndarray:
     return np.array(out, np.float32)
 
 
-def cone_trace(volumes: Volumes, V: np.ndarray, steps: np.ndarray, positions_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def cone_trace(
+    volumes: Volumes,
+    V: np.ndarray,
+    steps: np.ndarray,
+    positions_m: np.ndarray,
+    directions: np.ndarray,
+) -> np.ndarray:
     """(m, k, 4) radiance of V, and share of the background that is left, of cones from positions (m, 3), metres, anchor axes, in
     directions (m, k, 3), unit. V (nodes, 3) float32;  steps : of `cone_steps`"""
     start, d = volumes.in_voxels(positions_m), np.ascontiguousarray(directions, np.float32)
-    parts = parallel_rows(lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b]), len(start), least=_FEW)
+    parts = parallel_rows(
+        lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b]), len(start), least=_FEW
+    )
     return np.concatenate([np.zeros((0, d.shape[1], 4), np.float32), *parts])
 
 
@@ -78,7 +86,11 @@ def _cone_trace(tree: Octree, V, steps, start, directions):  # pragma: no cover 
                 vr, vg, vb, alpha = sample(tree, V, level, at, d)
                 if coarser > 0:
                     wr, wg, wb, beta = sample(tree, V, level + 1, at, d)
-                    vr, vg, vb = vr + coarser * (wr - vr), vg + coarser * (wg - vg), vb + coarser * (wb - vb)
+                    vr, vg, vb = (
+                        vr + coarser * (wr - vr),
+                        vg + coarser * (wg - vg),
+                        vb + coarser * (wb - vb),
+                    )
                     alpha += coarser * (beta - alpha)
                 if alpha <= 0:
                     continue
@@ -112,7 +124,11 @@ def sample(tree: Octree, V, level, at, d):  # pragma: no cover - compiled
         return r, g, b, opacity
     for corner in range(8):
         jx, jy, jz = ix + (corner & 1), iy + (corner >> 1 & 1), iz + (corner >> 2)
-        w = (fx if jx > ix else one - fx) * (fy if jy > iy else one - fy) * (fz if jz > iz else one - fz)
+        w = (
+            (fx if jx > ix else one - fx)
+            * (fy if jy > iy else one - fy)
+            * (fz if jz > iz else one - fz)
+        )
         if w <= 0:
             continue
         if min(jx, jy, jz) < 0 or max(jx, jy, jz) >> bits:

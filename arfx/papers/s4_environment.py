@@ -28,7 +28,10 @@ def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     h, w = picture.shape[:2]
     ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
     part = lambda row, column: picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]  # noqa: E731
-    shrink = lambda p: cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)  # noqa: E731
+
+    def shrink(p):
+        return cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)
+
     # a side's first line is the one that touches the front
     right, left = shrink(part(1, 2)), shrink(part(1, 0))[:, ::-1]
     down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
@@ -69,7 +72,9 @@ def mip_level(half_angle_deg: float, size: int = FACE_PX) -> float:
     return max(0.5 * float(np.log2(cone / (4 * np.pi / (6 * size**2)))), 0.0)
 
 
-def step4_environment(mipmap: list[np.ndarray], directions: np.ndarray, half_angle_deg: float) -> np.ndarray:
+def step4_environment(
+    mipmap: list[np.ndarray], directions: np.ndarray, half_angle_deg: float
+) -> np.ndarray:
     """(n, 3) radiance about the middles of cones (n, 3), camera axes, by their aperture."""
     level = min(mip_level(half_angle_deg, mipmap[0].shape[1] - 2), len(mipmap) - 1)
     below = min(int(level), len(mipmap) - 2)
@@ -85,4 +90,7 @@ def _bilinear(faces: np.ndarray, face: np.ndarray, u: np.ndarray, v: np.ndarray)
     i, j = np.minimum(x.astype(int), n), np.minimum(y.astype(int), n)
     fx, fy = (x - i)[:, None], (y - j)[:, None]
     top = faces[face, j, i, :3] * (1 - fx) + faces[face, j, i + 1, :3] * fx
-    return np.asarray(top * (1 - fy) + (faces[face, j + 1, i, :3] * (1 - fx) + faces[face, j + 1, i + 1, :3] * fx) * fy)
+    return np.asarray(
+        top * (1 - fy)
+        + (faces[face, j + 1, i, :3] * (1 - fx) + faces[face, j + 1, i + 1, :3] * fx) * fy
+    )

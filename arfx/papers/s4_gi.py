@@ -63,7 +63,9 @@ class PrintedGiParams(GiParams):
         super().__post_init__()
         require_within("gi", self, plane_albedo=(0, 1))
         if self.voxels not in VOXELS:
-            raise ConfigError(f"gi.voxels is {self.voxels}", f"one of {', '.join(map(str, VOXELS))}")
+            raise ConfigError(
+                f"gi.voxels is {self.voxels}", f"one of {', '.join(map(str, VOXELS))}"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +116,18 @@ class PrintedGi(Gi):
     def prepare(self, scene: Scene, level: str) -> Any:
         parts = step1_mesh(planes_of(scene), self.params.plane_albedo)
         volumes = step2_volumes(real_and_virtual(scene, parts), scene, self.params.voxels)
-        return PrintedPrepared(RayScene(real_scene(scene, parts)), RayScene(scene), volumes, direction_grid(scene.camera))
+        return PrintedPrepared(
+            RayScene(real_scene(scene, parts)),
+            RayScene(scene),
+            volumes,
+            direction_grid(scene.camera),
+        )
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         light = rounded(view.light)
-        radiance = view.memo.of_light.get(repr(light), lambda: step2_of(prepared, light, view.scene))
+        radiance = view.memo.of_light.get(
+            repr(light), lambda: step2_of(prepared, light, view.scene)
+        )
         virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
         picture = np.clip(view[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32), 0, None)
         wanted = view.out.clip(view.rect)
@@ -127,11 +136,19 @@ class PrintedGi(Gi):
             for band in bands(within):
                 at, surfels = real_surfels(view, prepared, band)
                 change, light = -self.step4_real(prepared, radiance, surfels), picture[at]
-                shadow[at] += self.params.strength * np.maximum(change, -light) / np.maximum(light, DARKEST)
+                shadow[at] += (
+                    self.params.strength * np.maximum(change, -light) / np.maximum(light, DARKEST)
+                )
         environment = step3_mipmap(step3_environment(picture, FACE_PX))
         rows, surfels = virtual_surfels(view, wanted.clip(view.facts.raster_box))
         virtual[rows] += view[Layer.COVERAGE][rows][:, None] * self.step4_virtual(
-            view, prepared, radiance, environment, surfels, view[Layer.ALBEDO][rows], view[Layer.MATERIAL][rows]
+            view,
+            prepared,
+            radiance,
+            environment,
+            surfels,
+            view[Layer.ALBEDO][rows],
+            view[Layer.MATERIAL][rows],
         )
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
 
@@ -147,9 +164,15 @@ class PrintedGi(Gi):
         return out
 
     def step4_virtual(
-        self, view: View, prepared: PrintedPrepared, radiance: Radiance, environment: list[np.ndarray], at: Surfels,
-        rho: np.ndarray, material: np.ndarray,
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        view: View,
+        prepared: PrintedPrepared,
+        radiance: Radiance,
+        environment: list[np.ndarray],
+        at: Surfels,
+        rho: np.ndarray,
+        material: np.ndarray,
+    ) -> np.ndarray:
         """(m, 3) of V_mu, the rebuilt volume, and the environment behind it, on the object's surfaces."""
         camera_from_anchor = (view.pose @ view.scene.world_from_anchor).rotation
         metal, roughness = material[:, :1], material[:, 1]
@@ -157,18 +180,27 @@ class PrintedGi(Gi):
         mirrored, half_deg = mirror_cones(prepared.volumes, radiance.V_mu, at, roughness)
         for deg in np.unique(half_deg):
             k = half_deg == deg
-            mirrored[k, :3] += mirrored[k, 3:] * step4_environment(environment, at.mirrored[k] @ camera_from_anchor.T, deg)
+            mirrored[k, :3] += mirrored[k, 3:] * step4_environment(
+                environment, at.mirrored[k] @ camera_from_anchor.T, deg
+            )
         a, b = fresnel(roughness, at)
         f0 = 0.08 * material[:, 2:3] * (1 - metal)
         gloss = np.where(f0 + metal > 0, (f0 + rho * metal) * a + b, 0)
-        return rho * (1 - metal) * (1 - np.where(f0 > 0, f0 * a + b, 0)) * six[..., :3] + gloss * mirrored[:, :3]
+        return (
+            rho * (1 - metal) * (1 - np.where(f0 > 0, f0 * a + b, 0)) * six[..., :3]
+            + gloss * mirrored[:, :3]
+        )
 
     def _mesh_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
         """Pixels in which the mesh of the real planes can be seen."""
         if self.params.strength <= 0:
             return EMPTY
-        corners = np.concatenate([p.vertices for p in step1_mesh(planes_of(scene), self.params.plane_albedo)])
-        return seen_rect(scene.camera, (facts.pose @ scene.world_from_anchor).apply(corners), 1.0).clip(frame)
+        corners = np.concatenate(
+            [p.vertices for p in step1_mesh(planes_of(scene), self.params.plane_albedo)]
+        )
+        return seen_rect(
+            scene.camera, (facts.pose @ scene.world_from_anchor).apply(corners), 1.0
+        ).clip(frame)
 
 
 def step2_of(prepared: PrintedPrepared, light: Light, scene: Scene) -> Radiance:
@@ -178,13 +210,19 @@ def step2_of(prepared: PrintedPrepared, light: Light, scene: Scene) -> Radiance:
     return step2_radiance(prepared.volumes, prepared.real, prepared.virtual, lamps)
 
 
-def real_surfels(view: View, prepared: PrintedPrepared, within: Rect) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
+def real_surfels(
+    view: View, prepared: PrintedPrepared, within: Rect
+) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
     """(rows and columns, points) where the picture shows the mesh and not the object alone."""
     anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
     d = viewing(prepared.grid, within)  # z = 1: distances are depths
     seen = d.reshape(-1, 3) @ anchor_from_camera.rotation.T
     hit = prepared.real.first(np.broadcast_to(anchor_from_camera.translation_m, seen.shape), seen)
-    on = hit.met & ((hit.normal * seen).sum(-1) < 0) & (view[Layer.COVERAGE][within.slices_in(view.rect)].ravel() < 1)
+    on = (
+        hit.met
+        & ((hit.normal * seen).sum(-1) < 0)
+        & (view[Layer.COVERAGE][within.slices_in(view.rect)].ravel() < 1)
+    )
     if (real := measured(view.layers)).size:
         depth = real[within.slices_in(view.rect)].ravel()
         with np.errstate(invalid="ignore"):
@@ -208,7 +246,11 @@ def virtual_surfels(view: View, within: Rect) -> tuple[tuple[np.ndarray, np.ndar
 
 
 def wide_cones(
-    volumes: Volumes, V: np.ndarray, at: Surfels, environment: list[np.ndarray] | None = None, turn: np.ndarray | None = None
+    volumes: Volumes,
+    V: np.ndarray,
+    at: Surfels,
+    environment: list[np.ndarray] | None = None,
+    turn: np.ndarray | None = None,
 ) -> np.ndarray:
     """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five around, and of the environment
     behind them. turn (3, 3) : camera from anchor axes"""
@@ -217,17 +259,23 @@ def wide_cones(
     out = cone_trace(volumes, V, cone_steps(tan_half, volumes.volume.n), at.position, d)
     if environment is not None and turn is not None:
         half_deg = float(np.degrees(np.arctan(tan_half)))
-        out[..., :3] += out[..., 3:] * step4_environment(environment, d.reshape(-1, 3) @ turn.T, half_deg).reshape(d.shape)
+        out[..., :3] += out[..., 3:] * step4_environment(
+            environment, d.reshape(-1, 3) @ turn.T, half_deg
+        ).reshape(d.shape)
     return np.asarray((weights[:, None] * out).sum(1))
 
 
-def mirror_cones(volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mirror_cones(
+    volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle). roughness (m,) : in steps"""
     tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
     out = np.zeros((len(tangent), 4), np.float32)
     for one in np.unique(tangent):
         rows, steps = tangent == one, cone_steps(float(one), volumes.volume.n)
-        out[rows] = cone_trace(volumes, V, steps, at.position[rows], at.mirrored[rows][:, None])[:, 0]
+        out[rows] = cone_trace(volumes, V, steps, at.position[rows], at.mirrored[rows][:, None])[
+            :, 0
+        ]
     return out, np.degrees(np.arctan(tangent))
 
 
@@ -235,7 +283,10 @@ def fresnel(roughness: np.ndarray, at: Surfels) -> tuple[np.ndarray, np.ndarray]
     """(a, b), (m, 1) each: F0 a + b of the mirrored light is reflected."""
     table = split_sum()
     cosine = np.clip(-(at.seen * at.normal).sum(-1), 0, 1)
-    i, j = (np.rint(np.clip(v, 0, 1) * (n - 1)).astype(int) for v, n in zip((roughness, cosine), table.shape[:2], strict=True))
+    i, j = (
+        np.rint(np.clip(v, 0, 1) * (n - 1)).astype(int)
+        for v, n in zip((roughness, cosine), table.shape[:2], strict=True)
+    )
     return table[i, j, :1], table[i, j, 1:]
 
 

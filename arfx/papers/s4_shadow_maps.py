@@ -39,14 +39,18 @@ def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
     """(k, 3) where the rays of a light from `direction` (3,), unit, anchor axes, begin: a grid over the volume."""
     half = np.sqrt(3) / 2 * volume.n * volume.voxel_m
     side = int(np.ceil(np.sqrt(3) * volume.n * TEXELS))
-    u = normalise(np.cross(direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0]))
+    u = normalise(
+        np.cross(direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0])
+    )
     v = np.cross(direction, u)
     a = ((np.arange(side) + 0.5) / side * 2 - 1) * half
     middle = np.asarray(volume.low_m) + volume.n * volume.voxel_m / 2 + 2 * half * direction
     return np.asarray(middle + (a[:, None, None] * v + a[:, None] * u)).reshape(-1, 3)
 
 
-def shadow_map(rays: RayScene, origins: np.ndarray, direction: np.ndarray, rgb: np.ndarray) -> ShadowMap:
+def shadow_map(
+    rays: RayScene, origins: np.ndarray, direction: np.ndarray, rgb: np.ndarray
+) -> ShadowMap:
     """What light `rgb` (3,) from `direction` (3,) meets: diffuse surfaces send rho x light x cosine."""
     hit = rays.first(origins, np.broadcast_to(-direction, origins.shape))
     rho = hit.diffuse + hit.specular
@@ -61,7 +65,10 @@ def shadow_maps(
     origins = texel_rays(volume, direction)
     R_rho, alone = (shadow_map(rays, origins, direction, rgb) for rays in (real, virtual))
     shows = alone.distance < R_rho.distance
-    mixed = (np.where(shows[:, None], a, b) for a, b in ((alone.position, R_rho.position), (alone.radiance, R_rho.radiance)))
+    mixed = (
+        np.where(shows[:, None], a, b)
+        for a, b in ((alone.position, R_rho.position), (alone.radiance, R_rho.radiance))
+    )
     return R_rho, ShadowMap(np.minimum(alone.distance, R_rho.distance), *mixed), shows
 
 
@@ -84,7 +91,9 @@ class Radiance:
     V_delta: np.ndarray
 
 
-def step2_radiance(volumes: Volumes, real: RayScene, virtual: RayScene, lights: list[tuple[np.ndarray, np.ndarray]]) -> Radiance:
+def step2_radiance(
+    volumes: Volumes, real: RayScene, virtual: RayScene, lights: list[tuple[np.ndarray, np.ndarray]]
+) -> Radiance:
     """lights : direction (3,), unit, anchor axes, and rgb (3,) of each"""
     V_rho, V_mu, V_delta = np.zeros((3, len(volumes.codes), 3))
     for direction, rgb in lights:
@@ -92,5 +101,7 @@ def step2_radiance(volumes: Volumes, real: RayScene, virtual: RayScene, lights: 
         every = np.ones_like(shows)
         V_rho += injected(volumes, R_rho, every)
         V_mu += injected(volumes, R_mu, every)
-        V_delta += injected(volumes, R_rho, shows) - injected(volumes, R_mu, shows)  # split injection
+        V_delta += injected(volumes, R_rho, shows) - injected(
+            volumes, R_mu, shows
+        )  # split injection
     return Radiance(*(volumes.filtered(v) for v in (V_rho, V_mu, V_delta)))

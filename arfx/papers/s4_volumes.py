@@ -95,11 +95,17 @@ def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
 def cube_around(scene: Scene, n: int) -> Volume:
     """The object and the plane under it, MARGIN radii to each side."""
     (x, y, _), radius = bounding_ball(scene)
-    foot = [(x + i * MARGIN * radius, y + j * MARGIN * radius, 0.0) for i in (-1, 1) for j in (-1, 1)]
-    return volume_around(np.concatenate([scene.world_from_anchor.inverse().apply(scene.model_points_m), foot]), n)
+    foot = [
+        (x + i * MARGIN * radius, y + j * MARGIN * radius, 0.0) for i in (-1, 1) for j in (-1, 1)
+    ]
+    return volume_around(
+        np.concatenate([scene.world_from_anchor.inverse().apply(scene.model_points_m), foot]), n
+    )
 
 
-def octree_of(volume: Volume, cells: np.ndarray, normal: np.ndarray, opacity: np.ndarray) -> Volumes:
+def octree_of(
+    volume: Volume, cells: np.ndarray, normal: np.ndarray, opacity: np.ndarray
+) -> Volumes:
     """cells (v, 3) int;  normal (v, 3);  opacity (v,)"""
     code = morton(cells.astype(np.int64))
     order = np.argsort(code, kind="stable")
@@ -114,7 +120,12 @@ def octree_of(volume: Volume, cells: np.ndarray, normal: np.ndarray, opacity: np
         below = sum(count[k + 1 :])  # nodes before the level of the children
         first.append((below + start).astype(np.int32))
         mask.append(np.add.reduceat(1 << (levels[k] & 7), start).astype(np.uint8))
-    bare = Octree(np.concatenate(first[::-1]), np.concatenate(mask[::-1]), np.zeros((0, 4), np.float32), len(starts))
+    bare = Octree(
+        np.concatenate(first[::-1]),
+        np.concatenate(mask[::-1]),
+        np.zeros((0, 4), np.float32),
+        len(starts),
+    )
     out = Volumes(volume, bare, levels[0], tuple(starts))
     eta = out.filtered(np.concatenate([normal * opacity[:, None], opacity[:, None]], 1)[order])
     return Volumes(volume, bare._replace(eta=eta), levels[0], tuple(starts))

@@ -13,7 +13,15 @@ from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage, level_named
 from arfx.plan.errors import Errors
-from arfx.plan.levels import LevelChoice, Option, ShotStage, best_within_budget, by_quality, cheapest_within_error, sum_correlated
+from arfx.plan.levels import (
+    LevelChoice,
+    Option,
+    ShotStage,
+    best_within_budget,
+    by_quality,
+    cheapest_within_error,
+    sum_correlated,
+)
 from arfx.plan.planner import new_terms, plan_frame, terms_of
 
 PrepareCost = Callable[[str, str], Prediction | None]
@@ -42,18 +50,27 @@ class ClipPlan:
         """Of every shot and stage: the level, and the error that the table gives it, None = not measured."""
         return [
             {
-                "shot": shot, "first_frame": self.shots[shot], "stage": stage, "level": level,
+                "shot": shot,
+                "first_frame": self.shots[shot],
+                "stage": stage,
+                "level": level,
                 "error": errors.known(stage, level, stages[stage].levels[-1]),
             }
             for (shot, stage), level in self.choice.levels.items()
-        ]  # fmt: skip
+        ]
 
 
 def plan_clip(
-    stages: Sequence[Stage], facts: Sequence[FrameFacts], scene: Scene, policy: LevelPolicy, errors: Errors, prices: Prices,
-    seconds_of: Callable[[Sequence[FramePlan], Prediction], float], skip: bool = True,
+    stages: Sequence[Stage],
+    facts: Sequence[FrameFacts],
+    scene: Scene,
+    policy: LevelPolicy,
+    errors: Errors,
+    prices: Prices,
+    seconds_of: Callable[[Sequence[FramePlan], Prediction], float],
+    skip: bool = True,
     prepare_cost: PrepareCost = lambda stage, level: measured(0.0),
-) -> ClipPlan:  # fmt: skip
+) -> ClipPlan:
     """seconds_of : upper end of the whole job's time, from plans (for what is not the stages') and the stages' prediction
     prepare_cost : of a stage at a level, in the same seconds as its work; None = not known"""
     new = list(new_terms(stages, facts))
@@ -64,7 +81,10 @@ def plan_clip(
 
     def plans_at(by_shot: Mapping[int, Mapping[str, str]]) -> list[FramePlan]:
         frame = scene.camera.rect
-        return [plan_frame(stages, by_shot[f.shot], f, scene, frame, skip, prices, n) for f, n in zip(facts, new, strict=True)]
+        return [
+            plan_frame(stages, by_shot[f.shot], f, scene, frame, skip, prices, n)
+            for f, n in zip(facts, new, strict=True)
+        ]
 
     plans = plans_at(dict.fromkeys(shots, usual))
     options = _options(stages, plans, facts, new, scene, prices, errors, prepare_cost)
@@ -74,14 +94,23 @@ def plan_clip(
         choice = cheapest_within_error(options, policy.max_error)
     else:
         return ClipPlan(plans, by_quality(options, usual), shots)
-    by_shot = {shot: {name: choice.levels.get((shot, name), level) for name, level in usual.items()} for shot in shots}
+    by_shot = {
+        shot: {name: choice.levels.get((shot, name), level) for name, level in usual.items()}
+        for shot in shots
+    }
     return ClipPlan(plans_at(by_shot), choice, shots)
 
 
 def _options(
-    stages: Sequence[Stage], plans: Sequence[FramePlan], facts: Sequence[FrameFacts], new: Sequence[frozenset[str]],
-    scene: Scene, prices: Prices, errors: Errors, prepare_cost: PrepareCost,
-) -> dict[ShotStage, list[Option]]:  # fmt: skip
+    stages: Sequence[Stage],
+    plans: Sequence[FramePlan],
+    facts: Sequence[FrameFacts],
+    new: Sequence[frozenset[str]],
+    scene: Scene,
+    prices: Prices,
+    errors: Errors,
+    prepare_cost: PrepareCost,
+) -> dict[ShotStage, list[Option]]:
     """Every level of every stage that runs, shot by shot. A level without a price cannot be chosen by a budget."""
     levels = {s.name: s.levels for s in stages}
     work: dict[ShotStage, list[dict[str, float]]] = {}
@@ -96,6 +125,12 @@ def _options(
             prepare = prepare_cost(name, level)
             costs.append(None if prepare is None else prepare.times(1 / shots[name]))
             known = [c for c in costs if c is not None]
-            cost = sum_correlated(known) if len(known) == len(costs) else Prediction(float("inf"), 0.0, float("inf"))
-            out.setdefault((shot, name), []).append(Option(level, cost, errors.of(name, level, levels[name][-1]), len(runs)))
+            cost = (
+                sum_correlated(known)
+                if len(known) == len(costs)
+                else Prediction(float("inf"), 0.0, float("inf"))
+            )
+            out.setdefault((shot, name), []).append(
+                Option(level, cost, errors.of(name, level, levels[name][-1]), len(runs))
+            )
     return out

@@ -47,7 +47,9 @@ def errors_of_clip(file: Path) -> Errors:
     try:
         own, shipped = _read(text), shipped_errors()
     except (ValueError, KeyError, TypeError, AttributeError) as e:
-        raise InputError(f"{file} is not a tradeoff.json: {e}", "make one: arfx tradeoff CLIP … --report DIR") from None
+        raise InputError(
+            f"{file} is not a tradeoff.json: {e}", "make one: arfx tradeoff CLIP … --report DIR"
+        ) from None
     return Errors({**shipped.by_level, **own.by_level}, own.source)
 
 

@@ -12,7 +12,9 @@ from arfx.core.plan import FramePlan
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])")
 
 
-def summarise(plans: Iterable[FramePlan], names: Iterable[str], frame_area: int) -> list[dict[str, Any]]:
+def summarise(
+    plans: Iterable[FramePlan], names: Iterable[str], frame_area: int
+) -> list[dict[str, Any]]:
     """One row per stage, in the fields of report.json's `stages`, without the measured time.
 
     area_fraction : mean over the frames in which the stage runs of its output area / picture area
@@ -27,15 +29,26 @@ def summarise(plans: Iterable[FramePlan], names: Iterable[str], frame_area: int)
     rows = []
     for name in names:
         steps = runs[name]
-        seconds, between = [s.seconds for s in steps], [s.between for s in steps]  # steps are all wrong by the same factor
-        rows.append({
-            "name": name, "levels": dict(Counter(s.level for s in steps)),
-            "frames_run": len(steps), "frames_skipped": len(skips[name]),
-            "area_fraction": sum(s.out.area for s in steps) / (frame_area * len(steps)) if steps else 0.0,
-            "predicted_s": None if None in seconds else float(sum(seconds)),
-            "predicted_between_s": None if None in between else [float(sum(b[k] for b in between)) for k in (0, 1)],
-            "reasons": group_reasons(skips[name]),
-        })  # fmt: skip
+        seconds, between = (
+            [s.seconds for s in steps],
+            [s.between for s in steps],
+        )  # steps are all wrong by the same factor
+        rows.append(
+            {
+                "name": name,
+                "levels": dict(Counter(s.level for s in steps)),
+                "frames_run": len(steps),
+                "frames_skipped": len(skips[name]),
+                "area_fraction": sum(s.out.area for s in steps) / (frame_area * len(steps))
+                if steps
+                else 0.0,
+                "predicted_s": None if None in seconds else float(sum(seconds)),
+                "predicted_between_s": None
+                if None in between
+                else [float(sum(b[k] for b in between)) for k in (0, 1)],
+                "reasons": group_reasons(skips[name]),
+            }
+        )
     return rows
 
 
@@ -65,7 +78,11 @@ def level_lines(levels: dict[str, Any]) -> list[str]:
     for row in levels["chosen"]:
         shots[row["shot"]].append(row)
     for rows in shots.values():
-        words = (f"{r['stage']} {r['level']}" + (f" ({r['error']:.2f} grey levels)" if r["error"] else "") for r in rows)
+        words = (
+            f"{r['stage']} {r['level']}"
+            + (f" ({r['error']:.2f} grey levels)" if r["error"] else "")
+            for r in rows
+        )
         lines.append(f"from frame {rows[0]['first_frame']}: {', '.join(words)}")
     return lines
 
@@ -74,7 +91,10 @@ def without_price(stages: Sequence[str]) -> tuple[str, str]:
     """In words: what is not known, and the command that measures it."""
     one = len(stages) == 1
     command = "arfx bench --calibrate" + (f" --stage {stages[0]}" if one else "")
-    return f"{', '.join(stages)} {'has' if one else 'have'} no price here", f"`{command}` measures it"
+    return (
+        f"{', '.join(stages)} {'has' if one else 'have'} no price here",
+        f"`{command}` measures it",
+    )
 
 
 def total_line(predicted: dict[str, Any], frames: int, unknown: Sequence[str] = ()) -> str:
@@ -85,7 +105,11 @@ def total_line(predicted: dict[str, Any], frames: int, unknown: Sequence[str] = 
     if wall is None:
         missing = ", ".join(name for name, p in predicted["phases"].items() if p is None)
         return f"time of the whole job: unknown ({missing} has no price)"
-    prices = predicted["prices"] if predicted["calibrated"] else f"{predicted['prices']}; `arfx bench --calibrate` narrows them"
+    prices = (
+        predicted["prices"]
+        if predicted["calibrated"]
+        else f"{predicted['prices']}; `arfx bench --calibrate` narrows them"
+    )
     return (
         f"whole job: {wall['s']:.1f} s, {wall['low_s']:.1f} to {wall['high_s']:.1f} nine times in ten, "
         f"{frames / max(wall['s'], 1e-9):.1f} frames/s with {workers} at once (prices: {prices})"

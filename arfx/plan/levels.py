@@ -46,7 +46,9 @@ def convex_hull(options: Iterable[Option]) -> list[Option]:
     hull: list[Option] = []
     for option in sorted(options, key=lambda o: (-o.cost.seconds, o.error)):
         # a level with no more error for less time makes those above it pointless
-        while hull and option.error <= hull[-1].error and option.cost.seconds <= hull[-1].cost.seconds:
+        while (
+            hull and option.error <= hull[-1].error and option.cost.seconds <= hull[-1].cost.seconds
+        ):
             hull.pop()
         while len(hull) > 1 and _rate(hull[-2], hull[-1]) >= _rate(hull[-2], option):
             hull.pop()
@@ -61,7 +63,9 @@ def _rate(a: Option, b: Option) -> float:
 
 
 def best_within_budget(
-    options: Mapping[ShotStage, Sequence[Option]], seconds_of: Callable[[Prediction], float], budget_s: float
+    options: Mapping[ShotStage, Sequence[Option]],
+    seconds_of: Callable[[Prediction], float],
+    budget_s: float,
 ) -> LevelChoice:
     """The best levels with which a job stays within its budget.
 
@@ -80,11 +84,17 @@ def best_within_budget(
     count = bisect_left(range(len(steps)), True, key=lambda k: upper_s(k) <= budget_s)
     state, upper = after(count), upper_s(count)
     if upper <= budget_s:
-        return _choice(state, True, f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s")
-    return _choice(state, False, f"even the cheapest levels take up to {upper:.1f} s, not {budget_s:.1f} s")
+        return _choice(
+            state, True, f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s"
+        )
+    return _choice(
+        state, False, f"even the cheapest levels take up to {upper:.1f} s, not {budget_s:.1f} s"
+    )
 
 
-def cheapest_within_error(options: Mapping[ShotStage, Sequence[Option]], limit: float) -> LevelChoice:
+def cheapest_within_error(
+    options: Mapping[ShotStage, Sequence[Option]], limit: float
+) -> LevelChoice:
     """The cheapest levels whose errors add up to at most `limit` grey levels in every shot.
 
     Differences of pictures add up to no more than the sum of their sizes, so the sum over the stages is a bound."""
@@ -94,17 +104,26 @@ def cheapest_within_error(options: Mapping[ShotStage, Sequence[Option]], limit: 
         stages.setdefault(key[0], []).append(key)
     blocked: set[ShotStage] = set()
     for _, key, option in steps:
-        if key not in blocked and sum((option if k == key else state[k]).error for k in stages[key[0]]) <= limit:
+        if (
+            key not in blocked
+            and sum((option if k == key else state[k]).error for k in stages[key[0]]) <= limit
+        ):
             state[key] = option
         else:
             blocked.add(key)
     error = _worst(state)
-    return _choice(state, error <= limit, f"errors add up to {error:.2f} of {limit:.2f} grey levels")
+    return _choice(
+        state, error <= limit, f"errors add up to {error:.2f} of {limit:.2f} grey levels"
+    )
 
 
-def by_quality(options: Mapping[ShotStage, Sequence[Option]], levels: Mapping[str, str]) -> LevelChoice:
+def by_quality(
+    options: Mapping[ShotStage, Sequence[Option]], levels: Mapping[str, str]
+) -> LevelChoice:
     """levels : by stage, as a quality names them"""
-    state = {key: next(o for o in every if o.level == levels[key[1]]) for key, every in options.items()}
+    state = {
+        key: next(o for o in every if o.level == levels[key[1]]) for key, every in options.items()
+    }
     return _choice(state, True, "levels named by the quality")
 
 
@@ -122,7 +141,9 @@ def _start(
 ) -> tuple[dict[ShotStage, Option], list[tuple[float, ShotStage, Option]]]:
     """The most expensive levels worth taking, and every step down from them: (rate, of what, to what), lowest rate first."""
     hulls = {key: convex_hull(every) for key, every in options.items()}
-    steps = [(_rate(a, b), key, b) for key, hull in hulls.items() for a, b in itertools.pairwise(hull)]
+    steps = [
+        (_rate(a, b), key, b) for key, hull in hulls.items() for a, b in itertools.pairwise(hull)
+    ]
     # sorted() keeps the order of equal rates: those of one stage go down one by one
     return {key: hull[0] for key, hull in hulls.items()}, sorted(steps, key=lambda step: step[0])
 
@@ -146,8 +167,12 @@ def total(state: Mapping[ShotStage, Option]) -> Prediction:
 def sum_correlated(parts: Iterable[Prediction]) -> Prediction:
     """The sum of predictions that are all wrong by the same factor."""
     every = list(parts)
-    return Prediction(*(float(sum(getattr(p, end) for p in every)) for end in ("seconds", "low_s", "high_s")))
+    return Prediction(
+        *(float(sum(getattr(p, end) for p in every)) for end in ("seconds", "low_s", "high_s"))
+    )
 
 
 def _choice(state: Mapping[ShotStage, Option], met: bool, why: str) -> LevelChoice:
-    return LevelChoice({key: o.level for key, o in state.items()}, total(state), _worst(state), met, why)
+    return LevelChoice(
+        {key: o.level for key, o in state.items()}, total(state), _worst(state), met, why
+    )

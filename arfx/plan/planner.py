@@ -25,9 +25,15 @@ NO_PRICES = Prices()
 
 
 def plan_frame(
-    stages: Sequence[Stage], levels: Mapping[str, str], facts: FrameFacts, scene: Scene, frame: Rect, skip: bool = True,
-    prices: Prices = NO_PRICES, new: frozenset[str] = frozenset(),
-) -> FramePlan:  # fmt: skip
+    stages: Sequence[Stage],
+    levels: Mapping[str, str],
+    facts: FrameFacts,
+    scene: Scene,
+    frame: Rect,
+    skip: bool = True,
+    prices: Prices = NO_PRICES,
+    new: frozenset[str] = frozenset(),
+) -> FramePlan:
     """The plan of one frame.
 
     stages : in the order in which they run;  levels : by stage name;  frame : the whole picture
@@ -55,7 +61,9 @@ def plan_frame(
         level = levels[stage.name]
         need = stage.needs(out, facts, scene, level).union(out).clip(frame)
         cost = prices.predict(f"{stage.name}/{level}", terms_of(need, facts, scene, new))
-        seconds, between = (None, None) if cost is None else (cost.seconds, (cost.low_s, cost.high_s))
+        seconds, between = (
+            (None, None) if cost is None else (cost.seconds, (cost.low_s, cost.high_s))
+        )
         steps.append(Step(stage.name, level, out, need, demand.reason, seconds, between))
         read = read.union(need)
         want = want.union(need)
@@ -69,7 +77,9 @@ def plan_frame(
 
 def _changed(chosen: Sequence[tuple[Stage, Demand]]) -> Rect:
     """What the stages change by themselves."""
-    return reduce(Rect.union, (demand.rect for _, demand in chosen if not demand.within_earlier), EMPTY)
+    return reduce(
+        Rect.union, (demand.rect for _, demand in chosen if not demand.within_earlier), EMPTY
+    )
 
 
 def _demand(stage: Stage, facts: FrameFacts, scene: Scene, frame: Rect, skip: bool) -> Demand:
@@ -80,15 +90,22 @@ def _demand(stage: Stage, facts: FrameFacts, scene: Scene, frame: Rect, skip: bo
     return demand if skip or not facts.present else Demand(frame, FORCED, demand.within_earlier)
 
 
-def terms_of(need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()) -> dict[str, float]:
+def terms_of(
+    need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()
+) -> dict[str, float]:
     """Work of a step in the terms of the price list (core/cost.py). new : of `new_terms`, those of the frame"""
     lamps = float(sum(any(c > 0 for c in li.rgb) for li in scene.light_of(facts).lights))
     object_mpx = facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0
     return {
-        "frames": 1.0, "mpx": need.area / 1e6, "object_mpx": object_mpx, "lamps": lamps, "lamp_mpx": lamps * object_mpx,
+        "frames": 1.0,
+        "mpx": need.area / 1e6,
+        "object_mpx": object_mpx,
+        "lamps": lamps,
+        "lamp_mpx": lamps * object_mpx,
         "depth_mpx": 0.0 if facts.real_depth is None else need.area / 1e6,
-        "mfaces": scene.model.face_count / 1e6, **{name: 1.0 for name in sorted(new)},
-    }  # fmt: skip
+        "mfaces": scene.model.face_count / 1e6,
+        **{name: 1.0 for name in sorted(new)},
+    }
 
 
 def new_terms(stages: Iterable[Stage], facts: Iterable[FrameFacts]) -> Iterator[frozenset[str]]:
@@ -96,6 +113,10 @@ def new_terms(stages: Iterable[Stage], facts: Iterable[FrameFacts]) -> Iterator[
     every: list[Stage] = list(stages)
     done: set[tuple[str, Hashable]] = set()
     for f in facts:
-        new = {item for stage in every for item in stage.once(f).items()} - done if f.visible else set()
+        new = (
+            {item for stage in every for item in stage.once(f).items()} - done
+            if f.visible
+            else set()
+        )
         done |= new
         yield frozenset(name for name, _ in new)

@@ -69,8 +69,13 @@ class Table(Classes):
         entries: dict[str, EntryPoint] = {}
         for point in entry_points(group=GROUP):
             if point.name in self._paths or point.name in entries:
-                first = _distribution(entries[point.name]) if point.name in entries else "arfx itself"
-                raise ConfigError(f"stage {point.name!r} is in {first} and in {_distribution(point)}", "uninstall one of them")
+                first = (
+                    _distribution(entries[point.name]) if point.name in entries else "arfx itself"
+                )
+                raise ConfigError(
+                    f"stage {point.name!r} is in {first} and in {_distribution(point)}",
+                    "uninstall one of them",
+                )
             entries[point.name] = point
         return entries
 
@@ -114,7 +119,11 @@ class Table(Classes):
             waiting.remove(name)
             stage = loaded[name]
             known = {n: loaded[n] if n in loaded else Classes.__getitem__(self, n) for n in order}
-            before = [stage.after] if stage.after else [n for n in order if known[n].writes & stage.reads]
+            before = (
+                [stage.after]
+                if stage.after
+                else [n for n in order if known[n].writes & stage.reads]
+            )
             order.insert(order.index(before[-1]) + 1 if before else 0, name)
         return tuple(order), broken
 
@@ -130,13 +139,20 @@ class Table(Classes):
                 "uninstall it, or install a version that fits this arfx",
             ) from e
         if not (isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name):
-            raise ConfigError(f"{point.value} of {_distribution(point)} is not a Stage named {name!r}", "uninstall it")
+            raise ConfigError(
+                f"{point.value} of {_distribution(point)} is not a Stage named {name!r}",
+                "uninstall it",
+            )
         stage.distribution = _distribution(point)
         return stage
 
 
 def _distribution(point: EntryPoint) -> str:
-    return "a distribution without a name" if point.dist is None else f"{point.dist.name} {point.dist.version}"
+    return (
+        "a distribution without a name"
+        if point.dist is None
+        else f"{point.dist.name} {point.dist.version}"
+    )
 
 
 # In the order in which they run. Configuration can leave effects out, never reorder them.
@@ -157,4 +173,8 @@ STAGES = Table(
 def stages_with(effects: Collection[str], inputs: Collection[str] = ()) -> tuple[str, ...]:
     """Names of the stages of a job with these effects, in running order. inputs : that the job has and a stage may require"""
     inputs = set(inputs)
-    return tuple(name for name, stage in STAGES.items() if (stage.always or name in effects) and stage.requires <= inputs)
+    return tuple(
+        name
+        for name, stage in STAGES.items()
+        if (stage.always or name in effects) and stage.requires <= inputs
+    )

@@ -35,24 +35,40 @@ class Composite(Stage):
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
         """The object's box; the shadow beside it is worked out only where a later stage asks for it."""
         now, facts = view.layers, view.facts
-        box = now.crop(now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.raster_box))
+        box = now.crop(
+            now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE)).clip(facts.raster_box)
+        )
         shaded, plate = now.crop(now.extent(Layer.SHADOW)), now.written[Layer.PLATE]
         opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
         mixed = np.empty((box.rect.height, box.rect.width, 3), np.float32)
         if not box.rect.empty:
             virtual, transmittance = box[Layer.VIRTUAL], box.one_channel(Layer.SHADOW)
-            _over(box[Layer.PLATE], virtual, box[Layer.COVERAGE], transmittance, opacity, bias, mixed)
-        rest = Attenuated(plate, shaded.rect, shaded.one_channel(Layer.SHADOW), opacity, bias, shade)
+            _over(
+                box[Layer.PLATE], virtual, box[Layer.COVERAGE], transmittance, opacity, bias, mixed
+            )
+        rest = Attenuated(
+            plate, shaded.rect, shaded.one_channel(Layer.SHADOW), opacity, bias, shade
+        )
         return {Layer.IMAGE: Pixels(now.rect, mixed, rest, box.rect)}
 
 
 # Both take differences, so that a pixel with nothing virtual keeps its exact value.
 
 
-def shade(plate: np.ndarray, shadow: np.ndarray, opacity: np.float32, bias: np.ndarray, out: np.ndarray) -> None:
+def shade(
+    plate: np.ndarray, shadow: np.ndarray, opacity: np.float32, bias: np.ndarray, out: np.ndarray
+) -> None:
     """The plane's pixels without an object before it: the same as `_over` with coverage 0. shadow : (h, w, 3 or 1)"""
     if plate.size:
-        _shade(*_lines(plate), *_lines(shadow), shadow.shape[2] == 1, opacity, bias, *_lines(out), plate.shape[1])
+        _shade(
+            *_lines(plate),
+            *_lines(shadow),
+            shadow.shape[2] == 1,
+            opacity,
+            bias,
+            *_lines(out),
+            plate.shape[1],
+        )
 
 
 def _lines(a: np.ndarray) -> tuple[np.ndarray, int]:
@@ -60,13 +76,15 @@ def _lines(a: np.ndarray) -> tuple[np.ndarray, int]:
     h, w, c = a.shape
     if a.strides[1] != 4 * c or (c > 1 and a.strides[2] != 4):
         a = np.ascontiguousarray(a)
-    return np.lib.stride_tricks.as_strided(a, ((h - 1) * (a.strides[0] // 4) + w * c,), (4,)), a.strides[0] // 4
+    return np.lib.stride_tricks.as_strided(
+        a, ((h - 1) * (a.strides[0] // 4) + w * c,), (4,)
+    ), a.strides[0] // 4
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _shade(
     plate, plate_step, shadow, shadow_step, single, opacity, bias, out, out_step, width
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     n, one = 3 * width, np.float32(1)
     below, thrice = np.empty(n, np.float32), np.empty(n, np.float32)
     for k in range(n):

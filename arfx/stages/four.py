@@ -43,7 +43,12 @@ def mix_between(out, cell, line, p, q, t, share):  # pragma: no cover - compiled
 @numba.njit(nogil=True)
 def put_mean(out, cell, line, cells, near, far):  # pragma: no cover - compiled
     """out[cell] = the sum of four cells of line, the middle two times `near`, the others times `far`. out, line : flat"""
-    i, j, k, m = _U(4) * _U(cells[0]), _U(4) * _U(cells[1]), _U(4) * _U(cells[2]), _U(4) * _U(cells[3])
+    i, j, k, m = (
+        _U(4) * _U(cells[0]),
+        _U(4) * _U(cells[1]),
+        _U(4) * _U(cells[2]),
+        _U(4) * _U(cells[3]),
+    )
     a, b, c, d = (
         line[j] + line[k],
         line[j + _U(1)] + line[k + _U(1)],
@@ -56,7 +61,14 @@ def put_mean(out, cell, line, cells, near, far):  # pragma: no cover - compiled
         line[i + _U(2)] + line[m + _U(2)],
         line[i + _U(3)] + line[m + _U(3)],
     )
-    put_four(out, _U(4) * _U(cell), a * near + e * far, b * near + f * far, c * near + g * far, d * near + h * far)
+    put_four(
+        out,
+        _U(4) * _U(cell),
+        a * near + e * far,
+        b * near + f * far,
+        c * near + g * far,
+        d * near + h * far,
+    )
 
 
 @numba.njit(nogil=True)

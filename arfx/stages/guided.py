@@ -36,12 +36,18 @@ def refined(mask: np.ndarray, valid: np.ndarray, plate: np.ndarray, radius_px: i
     reach = 2 * _PASSES * radius_px
     around = np.ones((2 * reach + 1,) * 2, np.uint8)
     least = cv2.erode(np.where(valid > 0, mask, 1).astype(np.float32), around)
-    mixed = (cv2.dilate(np.where(valid > 0, mask, 0).astype(np.float32), around) > least) & (valid > 0)
+    mixed = (cv2.dilate(np.where(valid > 0, mask, 0).astype(np.float32), around) > least) & (
+        valid > 0
+    )
     rows, columns = np.flatnonzero(mixed.any(1)), np.flatnonzero(mixed.any(0))
     if not len(rows):
         return mask
     whole = Rect(0, 0, mask.shape[1], mask.shape[0])
-    rect = Rect(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1).pad(reach).clip(whole)
+    rect = (
+        Rect(int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1)
+        .pad(reach)
+        .clip(whole)
+    )
     box = rect.slices
     # about as the eye grades it: square root of linear light, at most 2
     guide = [np.sqrt(np.clip(plate[box][..., c], 0, 4)).astype(np.float32) for c in range(3)]
@@ -52,7 +58,9 @@ def refined(mask: np.ndarray, valid: np.ndarray, plate: np.ndarray, radius_px: i
     return out
 
 
-def _guided(mask: np.ndarray, i: list[np.ndarray], radius_px: int, weight: np.ndarray) -> np.ndarray:
+def _guided(
+    mask: np.ndarray, i: list[np.ndarray], radius_px: int, weight: np.ndarray
+) -> np.ndarray:
     """(h, w) float32, 0..1, after _PASSES.  i : three channels (h, w);  weight : (h, w), of each pixel in the means"""
     side = 2 * radius_px + 1
 

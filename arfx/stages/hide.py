@@ -37,7 +37,10 @@ class HideParams:
 
     def __post_init__(self) -> None:
         if not 0 < self.margin <= 1:
-            raise ConfigError(f"hide.margin must be above 0 and at most 1, is {self.margin}", "a share of the distance: 0.03")
+            raise ConfigError(
+                f"hide.margin must be above 0 and at most 1, is {self.margin}",
+                "a share of the distance: 0.03",
+            )
 
 
 class Hide(Stage):
@@ -63,18 +66,25 @@ class Hide(Stage):
             rect = rect.union(Rect(*(TILE_PX * int(v) for v in corners)).clip(box))
         if rect.empty:
             return Demand(EMPTY, f"nothing real is nearer than the object's {farthest:.2f} m")
-        return Demand(rect.pad(reach_px(scene)).clip(box), "something real may be in front of the object")
+        return Demand(
+            rect.pad(reach_px(scene)).clip(box), "something real may be in front of the object"
+        )
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out if level == "draft" else out.pad(reach_px(scene)).clip(scene.camera.rect)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         coverage, virtual = view[Layer.COVERAGE], view[Layer.VIRTUAL]
-        visibility = rough_mask(coverage, view[Layer.DEPTH], view[Layer.REAL_DEPTH], np.float32(self.params.margin))
+        visibility = rough_mask(
+            coverage, view[Layer.DEPTH], view[Layer.REAL_DEPTH], np.float32(self.params.margin)
+        )
         valid = (coverage > 0).astype(np.float32)
         if view.level != "draft" and (visibility < 1).any():
             visibility = refined(visibility, valid, view[Layer.PLATE], window_px(view.scene))
-        return {Layer.COVERAGE: coverage * visibility, Layer.VIRTUAL: virtual * visibility[..., None]}
+        return {
+            Layer.COVERAGE: coverage * visibility,
+            Layer.VIRTUAL: virtual * visibility[..., None],
+        }
 
 
 @numba.njit(cache=True, nogil=True)

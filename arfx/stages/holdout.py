@@ -42,7 +42,8 @@ class HoldoutParams:
     def __post_init__(self) -> None:
         if not 0 < self.tolerance <= 1:
             raise ConfigError(
-                f"holdout.tolerance must be above 0 and at most 1, is {self.tolerance:g}", "a share of the distance: 0.01"
+                f"holdout.tolerance must be above 0 and at most 1, is {self.tolerance:g}",
+                "a share of the distance: 0.01",
             )
 
 
@@ -76,10 +77,14 @@ class Holdout(Stage):
         dioptres = plane_dioptres(prepared, view.pose @ scene.world_from_anchor, around)
         fraction = on_plane(part[Layer.REAL_DEPTH], dioptres, tolerance)
         if view.level != "draft" and (fraction < 1).any():
-            fraction = refined(fraction, np.ones_like(fraction), part[Layer.PLATE], window_px(scene))
+            fraction = refined(
+                fraction, np.ones_like(fraction), part[Layer.PLATE], window_px(scene)
+            )
         fraction = fraction[inside.slices_in(around)]
         shadow = now.crop(inside).one_channel(Layer.SHADOW)
-        ratio = shadow + (1 - shadow) * (1 - fraction[..., None])  # the same bits where the fraction is 1
+        ratio = shadow + (1 - shadow) * (
+            1 - fraction[..., None]
+        )  # the same bits where the fraction is 1
         return {Layer.SHADOW: Pixels(inside, np.broadcast_to(ratio, (*fraction.shape, 3)))}
 
 

@@ -24,22 +24,36 @@ class Triangles:
 
         self._scene = rtcore_scene.EmbreeScene(robust=robust)
         self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32))
-        low, high = (corners.min((0, 1)), corners.max((0, 1))) if len(corners) else (np.ones(3), -np.ones(3))
+        low, high = (
+            (corners.min((0, 1)), corners.max((0, 1)))
+            if len(corners)
+            else (np.ones(3), -np.ones(3))
+        )
         slack = _SLACK * np.abs(high - low).max()
         self._box = np.array([low - slack, high + slack], np.float32)
 
     def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Mapping[str, np.ndarray]:
         """primID (-1 = none), u, v, tfar of rays (n, 3)."""
-        o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
+        o, d = (
+            np.ascontiguousarray(origins, np.float32),
+            np.ascontiguousarray(directions, np.float32),
+        )
         return self._scene.run(o, d, query="INTERSECT", output=True)
 
     def blocked(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(n,) bool: whether rays (n, 3) meet anything."""
-        o, d = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
+        o, d = (
+            np.ascontiguousarray(origins, np.float32),
+            np.ascontiguousarray(directions, np.float32),
+        )
         return np.asarray(self._scene.run(o, d, query="OCCLUDED")) >= 0
 
     def visible_fraction(
-        self, points: np.ndarray, directions: np.ndarray, normals: np.ndarray | None = None, first: int = 1
+        self,
+        points: np.ndarray,
+        directions: np.ndarray,
+        normals: np.ndarray | None = None,
+        first: int = 1,
     ) -> np.ndarray:
         """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met from each point (n, 3).
 
@@ -48,7 +62,9 @@ class Triangles:
         if first > 1:
             out = self.visible_fraction(points, directions[first // 2 :: first], normals)
             mixed = (out > 0) & (out < 1)
-            out[mixed] = self.visible_fraction(points[mixed], directions, None if normals is None else normals[mixed])
+            out[mixed] = self.visible_fraction(
+                points[mixed], directions, None if normals is None else normals[mixed]
+            )
             return out
 
         def of(part: slice, met: np.ndarray) -> np.ndarray:
@@ -61,7 +77,9 @@ class Triangles:
 
         return self._by_parts(points, directions, of, np.zeros(0))
 
-    def hidden_sum(self, points: np.ndarray, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def hidden_sum(
+        self, points: np.ndarray, directions: np.ndarray, weights: np.ndarray
+    ) -> np.ndarray:
         """(n, c) float64: sum of the weights (k, c) of those `directions` in which something is met from each point."""
 
         def of(part: slice, met: np.ndarray) -> np.ndarray:
@@ -71,7 +89,11 @@ class Triangles:
         return self._by_parts(points, directions, of, np.zeros((0, weights.shape[1])))
 
     def _by_parts(
-        self, points: np.ndarray, directions: np.ndarray, of: Callable[[slice, np.ndarray], np.ndarray], none: np.ndarray
+        self,
+        points: np.ndarray,
+        directions: np.ndarray,
+        of: Callable[[slice, np.ndarray], np.ndarray],
+        none: np.ndarray,
     ) -> np.ndarray:
         """What `of` makes of points and of the numbers, point by point, of those rays (m k) that meet something, part by part.
 
@@ -85,7 +107,9 @@ class Triangles:
             return of(part, number[:count][self.blocked(starts[:count], along[:count])])
 
         step = max(_BATCH // k, 1)
-        return np.concatenate([none, *parallel_map(one, [slice(a, a + step) for a in range(0, len(points), step)])])
+        return np.concatenate(
+            [none, *parallel_map(one, [slice(a, a + step) for a in range(0, len(points), step)])]
+        )
 
 
 _RAYS = (((3,), np.float32), ((3,), np.float32), ((), np.int64))
@@ -117,7 +141,9 @@ def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
     anchor axes; triangles that are not finite are left out. Normals have the length that the model's scale gives them."""
     anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
     parts = scene.model.parts
-    corners = np.concatenate([(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in parts])
+    corners = np.concatenate(
+        [(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in parts]
+    )
     normals = np.concatenate([(p.normals @ anchor[:3, :3].T)[p.faces] for p in parts])
     part = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
     face = np.concatenate([np.arange(len(p.faces)) for p in parts])

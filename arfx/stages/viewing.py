@@ -14,7 +14,10 @@ def direction_grid(camera: Camera, pixel: int = 1) -> np.ndarray:
     """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step beyond the picture.
 
     pixel : side, px, of the squares that count as pixels"""
-    x, y = (pixel * np.arange(0, -(-n // pixel) + GRID_PX, GRID_PX) + (pixel - 1) / 2 for n in (camera.width, camera.height))
+    x, y = (
+        pixel * np.arange(0, -(-n // pixel) + GRID_PX, GRID_PX) + (pixel - 1) / 2
+        for n in (camera.width, camera.height)
+    )
     return camera.directions(np.stack(np.meshgrid(x, y), -1))
 
 

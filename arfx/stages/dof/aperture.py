@@ -68,7 +68,9 @@ def _rows_of(left, right, places, changes):  # pragma: no cover - compiled
             if run == 0:
                 for k in range(lines):
                     for x in range(width):
-                        part = min(right[j, k], x - middle + 0.5) - max(left[j, k], x - middle - 0.5)
+                        part = min(right[j, k], x - middle + 0.5) - max(
+                            left[j, k], x - middle - 0.5
+                        )
                         row[x] += max(part, 0.0) / lines
             else:
                 inside, begin, end = 0, 0.0, 0.0
@@ -77,7 +79,11 @@ def _rows_of(left, right, places, changes):  # pragma: no cover - compiled
                         inside, begin, end = inside + 1, begin + left[j, k], end + right[j, k]
                 begin, end = begin / max(inside, 1), end / max(inside, 1)
                 for x in range(width):
-                    row[x] = max(min(end, x - middle + 0.5) - max(begin, x - middle - 0.5), 0.0) * inside / lines
+                    row[x] = (
+                        max(min(end, x - middle + 0.5) - max(begin, x - middle - 0.5), 0.0)
+                        * inside
+                        / lines
+                    )
             before, used, after = 0.0, 0, -1
             for x in range(width + 1):
                 now = np.rint(row[x] * _UNITS) / _UNITS if x < width else 0.0
@@ -102,13 +108,17 @@ def circumradius(blades: int) -> float:
     return 1.0 if blades < 3 else float(np.sqrt(2 * np.pi / (blades * np.sin(2 * np.pi / blades))))
 
 
-def chords(radius: float, half_rows: int, blades: int, turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
+def chords(
+    radius: float, half_rows: int, blades: int, turn_deg: float
+) -> tuple[np.ndarray, np.ndarray]:
     """(rows, SUBROWS) left and right ends of the shape on lines of each row of pixels; left >= right where it does not reach."""
     rows = np.arange(-half_rows, half_rows + 1.0)[:, None]
     return chord(rows + (np.arange(SUBROWS) + 0.5) / SUBROWS - 0.5, radius, blades, turn_deg)
 
 
-def chord(y: np.ndarray, radius: float, blades: int, turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
+def chord(
+    y: np.ndarray, radius: float, blades: int, turn_deg: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Left and right end of the disc or polygon at heights y; left >= right where it does not reach."""
     if blades < 3:
         half = np.sqrt(np.maximum(radius**2 - y**2, 0.0))
@@ -117,7 +127,9 @@ def chord(y: np.ndarray, radius: float, blades: int, turn_deg: float) -> tuple[n
     middle = np.radians(turn_deg) + (np.arange(blades) + 0.5) * 2 * np.pi / blades
     apothem = circumradius_px * np.cos(np.pi / blades)
     left, right = np.full(y.shape, -2 * circumradius_px), np.full(y.shape, 2 * circumradius_px)
-    for nx, ny in zip(np.cos(middle), np.sin(middle), strict=True):  # inside: nx x + ny y <= apothem
+    for nx, ny in zip(
+        np.cos(middle), np.sin(middle), strict=True
+    ):  # inside: nx x + ny y <= apothem
         if abs(nx) < 1e-9:
             outside = ny * y > apothem
             left, right = np.where(outside, 0.0, left), np.where(outside, 0.0, right)

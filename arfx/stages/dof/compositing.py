@@ -23,21 +23,32 @@ UNTOUCHED, SHARP, BLURRED = np.uint8(0), np.uint8(1), np.uint8(2)
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_real(
     out, state, top, begin, end, shed: BlurredRows, radius, real: RealPixels, visibility
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """Columns begin..end of out (rows, w, 3) = the real scene from its row `top`, blurred where light of it was spread to, there
     state (rows, w) = BLURRED. The columns of `shed` lie within begin..end."""
     image, patch, box = real
     lo, hi = shed.lo, shed.hi
-    light, between = np.empty(4 * out.shape[1], np.float32), np.empty(4 * (out.shape[1] + ALIGN_PX), np.float32)
+    light, between = (
+        np.empty(4 * out.shape[1], np.float32),
+        np.empty(4 * (out.shape[1] + ALIGN_PX), np.float32),
+    )
     for j in range(out.shape[0]):
         y = top + j
         light_of_row(light, y, shed, lo, hi, between)
         line, sharp, r = out[j].reshape(-1), image[y].reshape(-1), radius[y]
         whole = visibility.shape[0] == 0
         visible = r if whole else visibility[y]
-        a, b = (min(max(box[0], begin), end), min(max(box[2], begin), end)) if box[1] <= y < box[3] else (end, end)
+        a, b = (
+            (min(max(box[0], begin), end), min(max(box[2], begin), end))
+            if box[1] <= y < box[3]
+            else (end, end)
+        )
         behind = patch[y - box[1]].reshape(-1) if a < b else sharp
-        for first, last, source, left in ((begin, a, sharp, 0), (a, b, behind, box[0]), (b, end, sharp, 0)):
+        for first, last, source, left in (
+            (begin, a, sharp, 0),
+            (a, b, behind, box[0]),
+            (b, end, sharp, 0),
+        ):
             p, q = min(max(lo, first), last), min(max(hi, first), last)  # columns with light
             line[3 * first : 3 * p] = source[3 * (first - left) : 3 * (p - left)]
             _add_sharp(line, state[j], light, r, source, (p, q, left), visible, whole)
@@ -45,14 +56,21 @@ def composite_real(
 
 
 @line_kernel(fastmath=_FLAGS)
-def _add_sharp(out, state, light, radius, sharp, columns, visible, whole):  # pragma: no cover - compiled
+def _add_sharp(
+    out, state, light, radius, sharp, columns, visible, whole
+):  # pragma: no cover - compiled
     """Where there is light (4 w,): that and what stays of sharp (3 n,), together 1; elsewhere sharp; to out (3 w,).
 
     columns : first, behind the last, and that at which `sharp` begins;  visible : (w,) fraction of what is sharp, unless whole"""
     first = 3 * columns[2]
     for x in range(columns[0], columns[1]):
         i, j, k, n = np.uintp(4 * x), np.uintp(3 * x), np.uintp(3 * x - first), np.uintp(x)
-        w, d, e, f = light[i + np.uintp(3)], sharp[k], sharp[k + np.uintp(1)], sharp[k + np.uintp(2)]
+        w, d, e, f = (
+            light[i + np.uintp(3)],
+            sharp[k],
+            sharp[k + np.uintp(1)],
+            sharp[k + np.uintp(2)],
+        )
         if not w > 0:
             out[j], out[j + np.uintp(1)], out[j + np.uintp(2)] = d, e, f
             continue
@@ -62,14 +80,18 @@ def _add_sharp(out, state, light, radius, sharp, columns, visible, whole):  # pr
             fraction = np.float32(1) if whole else visible[n]
         inverse = np.float32(1) / (w + fraction)
         a, b, c = light[i], light[i + np.uintp(1)], light[i + np.uintp(2)]
-        a, b, c = (a + fraction * d) * inverse, (b + fraction * e) * inverse, (c + fraction * f) * inverse
+        a, b, c = (
+            (a + fraction * d) * inverse,
+            (b + fraction * e) * inverse,
+            (c + fraction * f) * inverse,
+        )
         out[j], out[j + np.uintp(1)], out[j + np.uintp(2)] = a, b, c
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def composite_occluder(
     out, state, columns, at, own: BlurredRows, occluded: BlurredRows, pixels: OccluderPixels
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """Columns (begin, end) of rows of an occluder over out (rows, w, 3).
 
     at : the rows begin at row `first` of the layer, the layer's column 0 is `left` of out's
@@ -107,7 +129,9 @@ def composite_occluder(
 
 
 @line_kernel()
-def restore(out, state, top, columns, any_sharp, real: RealPixels, own, at):  # pragma: no cover - compiled
+def restore(
+    out, state, top, columns, any_sharp, real: RealPixels, own, at
+):  # pragma: no cover - compiled
     """The composite's own bits where nothing was spread to after all. out (rows, w, 3) : its row 0 is the picture's row `top`
 
     columns : (begin, end) of out;  any_sharp : whether any pixel is SHARP, else those outside of `own` are right already
@@ -121,7 +145,9 @@ def restore(out, state, top, columns, any_sharp, real: RealPixels, own, at):  # 
                 if state[j, x] == SHARP:
                     behind = box[0] <= x < box[2] and box[1] <= y < box[3]
                     for c in range(3):
-                        out[j, x, c] = patch[y - box[1], x - box[0], c] if behind else image[y, x, c]
+                        out[j, x, c] = (
+                            patch[y - box[1], x - box[0], c] if behind else image[y, x, c]
+                        )
         if at[1] <= y < at[3]:
             for x in range(max(begin, at[0]), min(end, at[2])):
                 if state[j, x] != BLURRED:

@@ -28,7 +28,9 @@ def _blurred_object_box(facts: FrameFacts, frame: Rect, radius_px: float) -> Rec
     return object_box(facts, frame, 2 * radius_px)
 
 
-def demand(facts: FrameFacts, frame: Rect, coc: CircleOfConfusion, real: Real | None, grid: np.ndarray) -> Demand:
+def demand(
+    facts: FrameFacts, frame: Rect, coc: CircleOfConfusion, real: Real | None, grid: np.ndarray
+) -> Demand:
     """real : None = the real scene keeps its own blur"""
     on_object = object_radius_px(facts, coc)
     on_real = 0.0 if real is None else coc.largest_px(real.dioptre_range(grid))
@@ -47,9 +49,13 @@ def demand(facts: FrameFacts, frame: Rect, coc: CircleOfConfusion, real: Real | 
 def blurred_rect(real: Real, grid: np.ndarray, coc: CircleOfConfusion) -> Rect:
     """Rectangle of the grid's tiles with a blur circle of 1 px or more, and what their discs reach."""
     if real.tiles is not None:
-        radius = coc.radius_px(real.tiles).max(0)  # the largest circle of a range is at one of its ends
+        radius = coc.radius_px(real.tiles).max(
+            0
+        )  # the largest circle of a range is at one of its ends
         box = box_of(radius > SHARP_PX)
-        return Rect(*(TILE_PX * v for v in (box.x0, box.y0, box.x1, box.y1))).pad(int(np.ceil(float(radius.max()))) + 1)
+        return Rect(*(TILE_PX * v for v in (box.x0, box.y0, box.x1, box.y1))).pad(
+            int(np.ceil(float(radius.max()))) + 1
+        )
     dioptre = np.full(grid.shape[:2], real.background)
     if real.base is not None:
         dioptre = np.maximum(real.base.dioptres(grid), real.background)
@@ -62,11 +68,19 @@ def blurred_rect(real: Real, grid: np.ndarray, coc: CircleOfConfusion) -> Rect:
     if box.empty:
         return EMPTY
     pad = GRID_PX + int(np.ceil(float(radius.max())))  # a node stands for the tiles around it
-    return Rect(box.x0 * GRID_PX, box.y0 * GRID_PX, (box.x1 - 1) * GRID_PX + 1, (box.y1 - 1) * GRID_PX + 1).pad(pad)
+    return Rect(
+        box.x0 * GRID_PX, box.y0 * GRID_PX, (box.x1 - 1) * GRID_PX + 1, (box.y1 - 1) * GRID_PX + 1
+    ).pad(pad)
 
 
 def needs(
-    out: Rect, facts: FrameFacts, coc: CircleOfConfusion, real: Real | None, grid: np.ndarray, frame: Rect, draft: bool
+    out: Rect,
+    facts: FrameFacts,
+    coc: CircleOfConfusion,
+    real: Real | None,
+    grid: np.ndarray,
+    frame: Rect,
+    draft: bool,
 ) -> Rect:
     """Pixels whose light can reach `out`, and those that decide how far it is spread."""
     if real is not None and real.tiles is not None:
@@ -79,7 +93,11 @@ def needs(
         need = need.union(out.pad(3 * _margin_px(on_real, draft)))
     if on_object > SHARP_PX:
         # an edge's disc is continued outside of it: light, its own continuation, and what that is taken from
-        need = need.union(out.clip(_blurred_object_box(facts, frame, on_object)).pad(3 * _margin_px(on_object, draft)))
+        need = need.union(
+            out.clip(_blurred_object_box(facts, frame, on_object)).pad(
+                3 * _margin_px(on_object, draft)
+            )
+        )
     return need.clip(frame)
 
 

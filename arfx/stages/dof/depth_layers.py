@@ -60,12 +60,22 @@ def depth_layers(colour: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
         sharp_colour, coverage = cv2.copyTo(colour, sharp.view(np.uint8)), sharp.astype(np.float32)
         if near.any():
             sharp_colour, coverage = fill(sharp_colour, coverage, ~near)
-        fronts.append(FrontLayer(np.where(coverage > 0, np.float32(0), np.float32(-1)), sharp_colour, coverage))
+        fronts.append(
+            FrontLayer(
+                np.where(coverage > 0, np.float32(0), np.float32(-1)), sharp_colour, coverage
+            )
+        )
     if near.any():
         if not (far.any() or sharp.any()):
             return DepthLayers(colour, radius, ())
         coverage = near.astype(np.float32)
-        fronts.append(FrontLayer(np.where(near, radius, np.float32(-1)), cv2.copyTo(colour, near.view(np.uint8)), coverage))
+        fronts.append(
+            FrontLayer(
+                np.where(near, radius, np.float32(-1)),
+                cv2.copyTo(colour, near.view(np.uint8)),
+                coverage,
+            )
+        )
     return DepthLayers(base, base_radius, tuple(fronts))
 
 
@@ -84,7 +94,9 @@ def fill(colour: np.ndarray, more: np.ndarray, known: np.ndarray) -> tuple[np.nd
     value, weight = sums.pop()
     out = divide(value, weight[..., None]).astype(np.float32)
     for value, weight in reversed(sums):
-        out = np.asarray(cv2.resize(out, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+        out = np.asarray(
+            cv2.resize(out, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32
+        )
         parallel_rows(partial(_lay_over, out, value, weight), len(weight))
     filled = np.empty((h, w, 3), np.float32), np.empty((h, w), np.float32)
     parallel_rows(lambda a, b: _fill_rows(colour, more, known, out, a, b, *filled), h)
@@ -129,18 +141,30 @@ def _fill_rows(colour, more, known, small, ya, yb, out, out_more):  # pragma: no
     between = np.empty(4 * small.shape[1], np.float32)
     for y in range(ya, yb):
         t = np.float32(0.25) if y % 2 else np.float32(0.75)
-        top, bottom = small[max((y - 1) // 2, 0)].reshape(-1), small[min((y + 1) // 2, last)].reshape(-1)
+        top, bottom = (
+            small[max((y - 1) // 2, 0)].reshape(-1),
+            small[min((y + 1) // 2, last)].reshape(-1),
+        )
         for k in range(between.shape[0]):
             between[k] = top[k] + (bottom[k] - top[k]) * t
         line, to, here = colour[y].reshape(-1), out[y].reshape(-1), known[y]
         for x in range(known.shape[1]):
             n, i = np.uintp(x), np.uintp(3) * np.uintp(x)
             if here[n]:
-                to[i], to[i + np.uintp(1)], to[i + np.uintp(2)] = line[i], line[i + np.uintp(1)], line[i + np.uintp(2)]
+                to[i], to[i + np.uintp(1)], to[i + np.uintp(2)] = (
+                    line[i],
+                    line[i + np.uintp(1)],
+                    line[i + np.uintp(2)],
+                )
                 out_more[y, n] = more[y, n]
                 continue
             a, b = np.uintp(4 * max((x - 1) // 2, 0)), np.uintp(4 * min((x + 1) // 2, end))
             s = np.float32(0.25) if x % 2 else np.float32(0.75)
             for c in range(3):
-                to[i + np.uintp(c)] = between[a + np.uintp(c)] + (between[b + np.uintp(c)] - between[a + np.uintp(c)]) * s
-            out_more[y, n] = between[a + np.uintp(3)] + (between[b + np.uintp(3)] - between[a + np.uintp(3)]) * s
+                to[i + np.uintp(c)] = (
+                    between[a + np.uintp(c)]
+                    + (between[b + np.uintp(c)] - between[a + np.uintp(c)]) * s
+                )
+            out_more[y, n] = (
+                between[a + np.uintp(3)] + (between[b + np.uintp(3)] - between[a + np.uintp(3)]) * s
+            )

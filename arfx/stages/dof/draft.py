@@ -31,8 +31,12 @@ class _Blurred:
 
     def __init__(self, occluder: Occluder) -> None:
         rect = self.rect = occluder.rect
-        self.pixels = OccluderPixels(occluder.radius, occluder.colour, occluder.coverage, occluder.opacity)
-        self.mipmap = Mipmap((rect.x0, rect.y0), (0, 0, rect.width, rect.height), occluder.largest_px)
+        self.pixels = OccluderPixels(
+            occluder.radius, occluder.colour, occluder.coverage, occluder.opacity
+        )
+        self.mipmap = Mipmap(
+            (rect.x0, rect.y0), (0, 0, rect.width, rect.height), occluder.largest_px
+        )
         self.mipmap.fill_occluder(self.pixels)
         self.coarse = self.mipmap.mix()
 
@@ -41,15 +45,28 @@ class _Blurred:
         part, left = self.rect.clip(rows), self.rect.x0
         if part.empty:
             return False
-        to, at = slice(part.y0 - rows.y0, part.y1 - rows.y0), (part.y0 - self.rect.y0, left - rows.x0)
+        to, at = (
+            slice(part.y0 - rows.y0, part.y1 - rows.y0),
+            (part.y0 - self.rect.y0, left - rows.x0),
+        )
         columns, odd = (part.x0 - left, part.x1 - left), self.mipmap.odd[0]
-        return bool(mipmap.composite_occluder(out[to], state[to], columns, at, odd, _SHARE, self.coarse, self.pixels))
+        return bool(
+            mipmap.composite_occluder(
+                out[to], state[to], columns, at, odd, _SHARE, self.coarse, self.pixels
+            )
+        )
 
 
 def render(
-    now: Layers, facts: FrameFacts, frame: Rect, out: Rect, real: Real, grid: np.ndarray, coc: CircleOfConfusion,
+    now: Layers,
+    facts: FrameFacts,
+    frame: Rect,
+    out: Rect,
+    real: Real,
+    grid: np.ndarray,
+    coc: CircleOfConfusion,
     params: DofParams,
-) -> Pixels:  # fmt: skip
+) -> Pixels:
     """IMAGE of a frame with a pose over `out`, and somewhat more of the same rows. frame : the whole picture"""
     largest = max(real_radius_px(real, grid, coc, params), SHARP_PX)
     at = sharp_frame(now, facts, frame, real, grid, coc, params, reach_px(largest), False)
@@ -73,8 +90,23 @@ def render(
             to[:, a:b] = at.real.crop(Rect(a, top, b, bottom))
         else:
             place, odd = (top, *base.window[:2]), base.odd[0]
-            columns = a, b, *at.blurred[k]  # beside them nothing is blurred, and parts of the plate may not be made
-            mipmap.composite_real(to, state, columns, place, odd, _SHARE, base.values[0], radius, at.real, at.visibility)
+            columns = (
+                a,
+                b,
+                *at.blurred[k],
+            )  # beside them nothing is blurred, and parts of the plate may not be made
+            mipmap.composite_real(
+                to,
+                state,
+                columns,
+                place,
+                odd,
+                _SHARE,
+                base.values[0],
+                radius,
+                at.real,
+                at.visibility,
+            )
         any_sharp = any([layer.composite(to, state, here) for layer in occluders])
         restore(to, state, top, (a, b), any_sharp, at.real, at.bits, at.at)
         return Rect(rect.x0 + a, here.y0, rect.x0 + b, here.y1)
@@ -84,12 +116,19 @@ def render(
     return Pixels(rect, result, now.written[Layer.IMAGE], written=made)
 
 
-def _real_mipmap(at: SharpFrame, radius: np.ndarray, largest_px: float, boost: np.float32) -> Mipmap | None:
+def _real_mipmap(
+    at: SharpFrame, radius: np.ndarray, largest_px: float, boost: np.float32
+) -> Mipmap | None:
     """Pyramid of the real scene, and its radius (h, w) filled, where any of it is blurred; None = nowhere."""
     reached = [(k, a, b) for k, (a, b) in enumerate(at.reached) if a < b]
     if not reached:
         return None
-    window = min(a for _, a, _ in reached), at.rows[reached[0][0]][0], max(b for *_, b in reached), at.rows[reached[-1][0]][1]
+    window = (
+        min(a for _, a, _ in reached),
+        at.rows[reached[0][0]][0],
+        max(b for *_, b in reached),
+        at.rows[reached[-1][0]][1],
+    )
     radius[window[1] : window[3], window[0] : window[2]] = 0
     parallel_map(lambda k: at.fill_radius(k, radius), [k for k, *_ in reached])
     made = Mipmap((at.rect.x0, at.rect.y0), window, largest_px)

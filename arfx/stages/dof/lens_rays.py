@@ -50,7 +50,9 @@ class RayScene:
     @staticmethod
     def of(scene: Scene) -> RayScene:
         mesh = build_mesh(scene)
-        return RayScene(Triangles(mesh.corners_m, robust=True), mesh.centre_m, LensTable(scene.camera))
+        return RayScene(
+            Triangles(mesh.corners_m, robust=True), mesh.centre_m, LensTable(scene.camera)
+        )
 
 
 @lru_cache(maxsize=4)
@@ -60,7 +62,9 @@ def lens_points(count: int, blades: int, turn_deg: float) -> np.ndarray:
 
     square = Sobol(4, seed=0).random(count)
     radius, angle = np.sqrt(square[:, 0]), 2 * np.pi * square[:, 1]
-    if blades >= 3:  # stretch every ray from the centre to the polygon's edge, at the same fraction of the area
+    if (
+        blades >= 3
+    ):  # stretch every ray from the centre to the polygon's edge, at the same fraction of the area
         wedge = 2 * np.pi / blades
         number, part = np.divmod(angle, wedge)
         # angles whose density follows the polygon's squared edge distance, as its area does
@@ -71,9 +75,16 @@ def lens_points(count: int, blades: int, turn_deg: float) -> np.ndarray:
 
 
 def seen_object(
-    now: Layers, facts: FrameFacts, camera: Camera, coc: CircleOfConfusion, params: DofParams, scene: RayScene,
-    sharp: np.ndarray, blurred: np.ndarray, real: Real,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    now: Layers,
+    facts: FrameFacts,
+    camera: Camera,
+    coc: CircleOfConfusion,
+    params: DofParams,
+    scene: RayScene,
+    sharp: np.ndarray,
+    blurred: np.ndarray,
+    real: Real,
+) -> tuple[np.ndarray, np.ndarray]:
     """Fraction of the lens that sees the object (h, w), and what its light adds (h, w, 3), together with the correction of
     what passes by it. sharp, blurred : (h, w, 3) the real scene"""
     shape = (now.rect.height, now.rect.width)
@@ -115,7 +126,9 @@ class _Rays:
 
     def trace(self, part: Rect, behind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of the pixels of a rectangle: fraction of rays that meet the object (n, 1), and what `seen_object` adds (n, 3)."""
-        corners = self.scene.directions.at(np.arange(part.y0, part.y1 + 1) - 0.5, np.arange(part.x0, part.x1 + 1) - 0.5)
+        corners = self.scene.directions.at(
+            np.arange(part.y0, part.y1 + 1) - 0.5, np.arange(part.x0, part.x1 + 1) - 0.5
+        )
         known = np.isfinite(corners).all(-1)
         active = np.flatnonzero(known[1:, 1:] & known[:-1, 1:] & known[1:, :-1] & known[:-1, :-1])
         sums, count = np.zeros((part.area, 12)), np.ones((part.area, 1))
@@ -133,7 +146,9 @@ class _Rays:
         fraction = sums[:, :1] / count
         return fraction, fraction * divide(sums[:, 2:5], sums[:, 1:2]) + sums[:, 8:11] / count
 
-    def _add(self, sums: np.ndarray, active: np.ndarray, corners: np.ndarray, points: np.ndarray) -> None:
+    def _add(
+        self, sums: np.ndarray, active: np.ndarray, corners: np.ndarray, points: np.ndarray
+    ) -> None:
         """More rays of the pixels `active`, from these points."""
         n, pose, now = len(points), self.facts.pose, self.now
         eye = pose.inverse().translation_m - self.scene.centre_m
@@ -141,12 +156,18 @@ class _Rays:
         _aim(active, corners, points, eye, pose.rotation, self.focus, origins, directions)
         hit = self.scene.triangles.first_hits(origins, directions)
         met = np.flatnonzero(hit["primID"] >= 0)
-        along = np.asarray(hit["tfar"], float)[met, None]  # directions have z = 1: distance along the axis
-        place = self.camera.project((origins[met] + along * directions[met] - eye) @ pose.rotation.T)
+        along = np.asarray(hit["tfar"], float)[
+            met, None
+        ]  # directions have z = 1: distance along the axis
+        place = self.camera.project(
+            (origins[met] + along * directions[met] - eye) @ pose.rotation.T
+        )
         place -= [now.rect.x0, now.rect.y0]
         picture = tuple(packed(now[name]) for name in (Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH))
         opaque = np.zeros(len(origins), bool)
-        _look_up(sums, active[met // n], place, along[:, 0], points[met % n, 2:], picture, opaque, met)
+        _look_up(
+            sums, active[met // n], place, along[:, 0], points[met % n, 2:], picture, opaque, met
+        )
         if self.real is not None:
             passing = 1.0 - opaque.reshape(-1, n)
             passing -= passing.mean(1, keepdims=True)
@@ -162,14 +183,18 @@ class _Rays:
         form = real.base.forms[2]
         dioptre = np.maximum(divide(rays @ form, 1 - points[:, :2] @ form[:2]), real.background)
         rays = rays + dioptre[..., None] * np.pad(points[:, :2], ((0, 0), (0, 1)))
-        place = self.camera.project(rays) - [self.now.rect.x0, self.now.rect.y0] - (points[:, 2:] - 0.5)
+        place = (
+            self.camera.project(rays) - [self.now.rect.x0, self.now.rect.y0] - (points[:, 2:] - 0.5)
+        )
         h, w = self.behind.shape[:2]
         x, y = np.rint(np.where(np.isfinite(place), place, 0.0)).astype(int).transpose(2, 0, 1)
         return self.behind[y.clip(0, h - 1), x.clip(0, w - 1)]
 
 
 @numba.njit(cache=True, nogil=True)
-def _aim(active, corners, points, eye, rotation, focus, origins, directions):  # pragma: no cover - compiled
+def _aim(
+    active, corners, points, eye, rotation, focus, origins, directions
+):  # pragma: no cover - compiled
     """Rays (pixels x points, 3) in world axes. corners : (h + 1, w + 1, 2) directions of the pixels' corners"""
     w, n = corners.shape[1] - 1, len(points)
     for i in range(len(active)):
@@ -177,11 +202,21 @@ def _aim(active, corners, points, eye, rotation, focus, origins, directions):  #
         a, b, c, d = corners[y, x], corners[y, x + 1], corners[y + 1, x], corners[y + 1, x + 1]
         for k in range(n):
             lens_x, lens_y, s, t = points[k]
-            dx = (a[0] * (1 - s) + b[0] * s) * (1 - t) + (c[0] * (1 - s) + d[0] * s) * t - focus * lens_x
-            dy = (a[1] * (1 - s) + b[1] * s) * (1 - t) + (c[1] * (1 - s) + d[1] * s) * t - focus * lens_y
+            dx = (
+                (a[0] * (1 - s) + b[0] * s) * (1 - t)
+                + (c[0] * (1 - s) + d[0] * s) * t
+                - focus * lens_x
+            )
+            dy = (
+                (a[1] * (1 - s) + b[1] * s) * (1 - t)
+                + (c[1] * (1 - s) + d[1] * s) * t
+                - focus * lens_y
+            )
             for m in range(3):
                 origins[i * n + k, m] = eye[m] + lens_x * rotation[0, m] + lens_y * rotation[1, m]
-                directions[i * n + k, m] = dx * rotation[0, m] + dy * rotation[1, m] + rotation[2, m]
+                directions[i * n + k, m] = (
+                    dx * rotation[0, m] + dy * rotation[1, m] + rotation[2, m]
+                )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -202,13 +237,24 @@ def _look_up(sums, pixel, place, z, within, picture, opaque, met):  # pragma: no
         if 0 <= u <= w - 1 and 0 <= v <= h - 1:
             y, x = int(v), int(u)
             b, r = min(y + 1, h - 1), min(x + 1, w - 1)
-            if max(max(coverage[y, x], coverage[y, r]), max(coverage[b, x], coverage[b, r])) < _HOLE:
+            if (
+                max(max(coverage[y, x], coverage[y, r]), max(coverage[b, x], coverage[b, r]))
+                < _HOLE
+            ):
                 continue
         to[0] += 1
         opaque[met[i]] = True
         for shift in (1.0, 0.0):
-            x, y = int(np.rint(u - shift * (within[i, 0] - 0.5))), int(np.rint(v - shift * (within[i, 1] - 0.5)))
-            if 0 <= x < w and 0 <= y < h and coverage[y, x] > 0 and abs(depth[y, x] - z[i]) < 0.02 * z[i]:
+            x, y = (
+                int(np.rint(u - shift * (within[i, 0] - 0.5))),
+                int(np.rint(v - shift * (within[i, 1] - 0.5))),
+            )
+            if (
+                0 <= x < w
+                and 0 <= y < h
+                and coverage[y, x] > 0
+                and abs(depth[y, x] - z[i]) < 0.02 * z[i]
+            ):
                 to[1] += 1
                 for c in range(3):
                     value = virtual[y, x, c] / coverage[y, x]

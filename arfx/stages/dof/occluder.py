@@ -44,7 +44,9 @@ def extrapolate_radius(radius: np.ndarray, coverage: np.ndarray, rect: Rect, cov
     Farther away no light of the layer comes together with what is let through there."""
     offset_x, offset_y = rect.x0 % TILE_PX, rect.y0 % TILE_PX
     part = covered.shift(-rect.x0, -rect.y0)
-    mean, left_px, known = _tile_means(radius, coverage, offset_x, offset_y, (part.x0, part.y0, part.x1, part.y1))
+    mean, left_px, known = _tile_means(
+        radius, coverage, offset_x, offset_y, (part.x0, part.y0, part.x1, part.y1)
+    )
     _grow(mean, left_px, known)
     _fill(radius, mean, known, offset_x, offset_y)
 
@@ -54,11 +56,23 @@ def _tile_means(radius, coverage, offset_x, offset_y, covered):  # pragma: no co
     """Of each tile: mean radius, how far it is to go on (px), and whether anything is in it."""
     h, w = radius.shape
     th, tw = (offset_y + h - 1) // TILE_PX + 1, (offset_x + w - 1) // TILE_PX + 1
-    mean, left_px, known = np.zeros((th, tw), np.float32), np.zeros((th, tw), np.float32), np.zeros((th, tw), np.bool_)
+    mean, left_px, known = (
+        np.zeros((th, tw), np.float32),
+        np.zeros((th, tw), np.float32),
+        np.zeros((th, tw), np.bool_),
+    )
     for j in range((covered[1] + offset_y) // TILE_PX, (covered[3] - 1 + offset_y) // TILE_PX + 1):
-        ya, yb = max(j * TILE_PX - offset_y, covered[1]), min((j + 1) * TILE_PX - offset_y, covered[3])
-        for i in range((covered[0] + offset_x) // TILE_PX, (covered[2] - 1 + offset_x) // TILE_PX + 1):
-            xa, xb = max(i * TILE_PX - offset_x, covered[0]), min((i + 1) * TILE_PX - offset_x, covered[2])
+        ya, yb = (
+            max(j * TILE_PX - offset_y, covered[1]),
+            min((j + 1) * TILE_PX - offset_y, covered[3]),
+        )
+        for i in range(
+            (covered[0] + offset_x) // TILE_PX, (covered[2] - 1 + offset_x) // TILE_PX + 1
+        ):
+            xa, xb = (
+                max(i * TILE_PX - offset_x, covered[0]),
+                min((i + 1) * TILE_PX - offset_x, covered[2]),
+            )
             total, weight, largest = np.float64(0), np.float64(0), np.float32(0)
             for y in range(ya, yb):
                 for x in range(xa, xb):
@@ -77,7 +91,10 @@ def _grow(mean, left_px, known):  # pragma: no cover - compiled
     """Tile by tile outwards, two tiles farther than left_px, in place: each time the mean of the known ones among the eight
     around. left_px : of a tile, how much farther it is to go on"""
     h, w = mean.shape
-    edge, asked = np.empty((h * w, 2), np.int32), np.zeros((h, w), np.bool_)  # tiles found last, then those beside them
+    edge, asked = (
+        np.empty((h * w, 2), np.int32),
+        np.zeros((h, w), np.bool_),
+    )  # tiles found last, then those beside them
     count = 0
     for y in range(h):
         for x in range(w):
@@ -119,14 +136,20 @@ def _fill(radius, mean, known, offset_x, offset_y):  # pragma: no cover - compil
     h, w = radius.shape
     th, tw = mean.shape
     step, half, middle = np.float32(1.0 / TILE_PX), np.float32(0.5), TILE_PX // 2
-    total, weight = np.empty(tw, np.float32), np.empty(tw, np.float32)  # of a row, by column of tiles
+    total, weight = (
+        np.empty(tw, np.float32),
+        np.empty(tw, np.float32),
+    )  # of a row, by column of tiles
     for y in range(h):
         v = (np.float32(y + offset_y) + half) * step - half
         j = int(np.floor(v))
         t = v - np.float32(j)
         a, b = min(max(j, 0), th - 1), min(max(j + 1, 0), th - 1)
         for i in range(tw):
-            above, below = (np.float32(1) - t) * np.float32(known[a, i]), t * np.float32(known[b, i])
+            above, below = (
+                (np.float32(1) - t) * np.float32(known[a, i]),
+                t * np.float32(known[b, i]),
+            )
             total[i], weight[i] = above * mean[a, i] + below * mean[b, i], above + below
         for i in range(-1, tw):  # pixels from the middle of tile i to that of the next
             p, q = max(i, 0), min(i + 1, tw - 1)
@@ -137,5 +160,9 @@ def _fill(radius, mean, known, offset_x, offset_y):  # pragma: no cover - compil
                 s = (np.float32(x - first) + half) * step
                 weight_here = weight[p] + (weight[q] - weight[p]) * s
                 r = (total[p] + (total[q] - total[p]) * s) / weight_here
-                known_here = radius[np.uintp(y), np.uintp(x)] >= 0 or weight_here <= np.float32(1e-6)
-                radius[np.uintp(y), np.uintp(x)] = radius[np.uintp(y), np.uintp(x)] if known_here else r
+                known_here = radius[np.uintp(y), np.uintp(x)] >= 0 or weight_here <= np.float32(
+                    1e-6
+                )
+                radius[np.uintp(y), np.uintp(x)] = (
+                    radius[np.uintp(y), np.uintp(x)] if known_here else r
+                )

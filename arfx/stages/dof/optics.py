@@ -12,7 +12,16 @@ from arfx.core.lens import Lens
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.scene import Scene
 from arfx.errors import ConfigError
-from arfx.stages.dof.params import MARKER, OBJECT, DofParams, fnumber_keys, focal_keys, focus_keys, interpolate, interpolate_ratio
+from arfx.stages.dof.params import (
+    MARKER,
+    OBJECT,
+    DofParams,
+    fnumber_keys,
+    focal_keys,
+    focus_keys,
+    interpolate,
+    interpolate_ratio,
+)
 
 _BOUND_SHARE = 0.1  # of the picture's width: bound of the radius where none is set
 
@@ -29,7 +38,9 @@ class CircleOfConfusion:
     coc_mm_per_px: float
 
     def radius_px(self, dioptre: np.ndarray | float) -> np.ndarray:
-        return np.minimum(self.px_per_dioptre * np.abs(self.focus - np.asarray(dioptre, float)), self.limit_px)
+        return np.minimum(
+            self.px_per_dioptre * np.abs(self.focus - np.asarray(dioptre, float)), self.limit_px
+        )
 
     def largest_px(self, dioptres: tuple[float, float]) -> float:
         """Bound of the radius in a range of dioptres."""
@@ -42,7 +53,11 @@ def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
         return None
     if facts.lens is None:
         return "the lens of the footage was not measured"
-    return None if facts.lens.known else f"the lens cannot be measured from the footage: {facts.lens.reason}"
+    return (
+        None
+        if facts.lens.known
+        else f"the lens cannot be measured from the footage: {facts.lens.reason}"
+    )
 
 
 def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> CircleOfConfusion:
@@ -54,10 +69,14 @@ def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> C
     fade, mm_per_px = min(facts.opacity, 1.0), 2 * params.sensor_width_mm / width
     if params.lens == "footage":
         assert facts.lens is not None
-        return CircleOfConfusion(facts.lens.px_per_dioptre * fade, facts.lens.focus, limit, mm_per_px)
+        return CircleOfConfusion(
+            facts.lens.px_per_dioptre * fade, facts.lens.focus, limit, mm_per_px
+        )
     focus = focus_dioptre(params, facts, scene)
     if params.aperture_px > 0:
-        px_per_dioptre = 0.5 * params.aperture_px / max(focus, 1e-3)  # focus beyond 1 km: as at 1 km
+        px_per_dioptre = (
+            0.5 * params.aperture_px / max(focus, 1e-3)
+        )  # focus beyond 1 km: as at 1 km
     else:
         fnumber = interpolate_ratio(fnumber_keys(params.fnumber), facts.time_s)
         lens = Lens(focal_mm(params, facts, scene), fnumber, 1e3 / focus if focus > 0 else math.inf)
@@ -68,7 +87,9 @@ def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> C
 def focal_mm(params: DofParams, facts: FrameFacts, scene: Scene) -> float:
     """Focal length at the frame's time."""
     calibrated = scene.camera.fx * params.sensor_width_mm / scene.camera.width
-    return interpolate_ratio([(t, f or calibrated) for t, f in focal_keys(params.focal_mm)], facts.time_s)
+    return interpolate_ratio(
+        [(t, f or calibrated) for t, f in focal_keys(params.focal_mm)], facts.time_s
+    )
 
 
 def focus_dioptre(params: DofParams, facts: FrameFacts, scene: Scene) -> float:
@@ -87,7 +108,9 @@ def _dioptre(what: str | float, facts: FrameFacts, scene: Scene) -> float:
     elif what == MARKER:
         point = float(pose.apply(scene.world_from_anchor.translation_m)[2])
     else:
-        point = float(pose.apply(scene.world_from_marker[marker_key(what[3:], scene)].translation_m)[2])
+        point = float(
+            pose.apply(scene.world_from_marker[marker_key(what[3:], scene)].translation_m)[2]
+        )
     return float(divide(1.0, max(point, EPS_DEPTH_M)))
 
 
@@ -96,5 +119,8 @@ def marker_key(name: str, scene: Scene) -> str:
     found = [k for k in scene.world_from_marker if name in (k, k.rpartition(":")[2])]
     if len(found) != 1:
         known = ", ".join(scene.world_from_marker) or "none"
-        raise ConfigError(f"dof.focus: {'several markers have' if found else 'there is no marker'} {name!r}", f"known: {known}")
+        raise ConfigError(
+            f"dof.focus: {'several markers have' if found else 'there is no marker'} {name!r}",
+            f"known: {known}",
+        )
     return found[0]

@@ -13,7 +13,9 @@ from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError, require_within
 
 OBJECT, MARKER = "object", "marker"
-MAX_RADIUS_PX = 1500  # the table of such an aperture's rows takes over a gigabyte, and grows with the square
+MAX_RADIUS_PX = (
+    1500  # the table of such an aperture's rows takes over a gigabyte, and grows with the square
+)
 _T = TypeVar("_T")
 
 
@@ -56,19 +58,29 @@ class DofParams:
         _one_of("scope", self.scope, ("all", "virtual"))
         _one_of("lens", self.lens, ("given", "footage"))
         if self.lens == "footage" and self.scope == "all":
-            raise ConfigError("dof.lens = footage would blur the footage twice", "use it with dof.scope = virtual")
+            raise ConfigError(
+                "dof.lens = footage would blur the footage twice", "use it with dof.scope = virtual"
+            )
         if not 0 < self.sensor_width_mm <= 1e4:
-            raise ConfigError(f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}")
+            raise ConfigError(
+                f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}"
+            )
         lengths = ("aperture_px", "plane_extent_m", "background_m", "highlight_boost")
-        require_within("dof", self, **dict.fromkeys(lengths, (0, 1e6)), max_radius_px=(0, MAX_RADIUS_PX))
+        require_within(
+            "dof", self, **dict.fromkeys(lengths, (0, 1e6)), max_radius_px=(0, MAX_RADIUS_PX)
+        )
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
         for time, focal_mm in focal_keys(self.focal_mm):
             if not 0 <= focal_mm <= 1e6:
-                raise ConfigError(f"dof.focal_mm must be between 0 and 1000000, is {focal_mm:g} at {time:g} s")
+                raise ConfigError(
+                    f"dof.focal_mm must be between 0 and 1000000, is {focal_mm:g} at {time:g} s"
+                )
         for time, fnumber in fnumber_keys(self.fnumber):
             if not fnumber >= 1e-3:
-                raise ConfigError(f"dof.fnumber must be above 0 (0.001 or more), is {fnumber:g} at {time:g} s")
+                raise ConfigError(
+                    f"dof.fnumber must be above 0 (0.001 or more), is {fnumber:g} at {time:g} s"
+                )
         focus_keys(self.focus)
 
 
@@ -79,19 +91,29 @@ def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
 
 def focal_keys(value: float | str) -> list[tuple[float, float]]:
     """[(time s, focal length mm, 0 = the calibration's)] in order of time. Raises ConfigError."""
-    return _keys(str(value), "focal_mm", lambda text: _number(text, text.lower().removesuffix("mm"), "focal_mm", "35@0s, 85@2s"))
+    return _keys(
+        str(value),
+        "focal_mm",
+        lambda text: _number(text, text.lower().removesuffix("mm"), "focal_mm", "35@0s, 85@2s"),
+    )
 
 
 def fnumber_keys(value: float | str) -> list[tuple[float, float]]:
     """[(time s, f-number)] in order of time. Raises ConfigError."""
-    return _keys(str(value), "fnumber", lambda text: _number(text, text.lower().removeprefix("f/"), "fnumber", "2.8@0s, 11@3s"))
+    return _keys(
+        str(value),
+        "fnumber",
+        lambda text: _number(text, text.lower().removeprefix("f/"), "fnumber", "2.8@0s, 11@3s"),
+    )
 
 
 def _number(text: str, bare: str, name: str, example: str) -> float:
     try:
         return float(bare)
     except ValueError:
-        raise ConfigError(f"dof.{name}: {text!r} is not a number", f"such as 50, or key frames {example}") from None
+        raise ConfigError(
+            f"dof.{name}: {text!r} is not a number", f"such as 50, or key frames {example}"
+        ) from None
 
 
 def focus_keys(value: int | float | str) -> list[tuple[float, str | float]]:
@@ -108,7 +130,8 @@ def focus_keys(value: int | float | str) -> list[tuple[float, str | float]]:
             distance = length_m(text, "dof.focus")
         except ConfigError:
             raise ConfigError(
-                f"dof.focus: {text!r} is neither object, marker, a marker's id nor a length", "such as object, 36h11:3 or 60cm"
+                f"dof.focus: {text!r} is neither object, marker, a marker's id nor a length",
+                "such as object, 36h11:3 or 60cm",
             ) from None
         if distance <= 0:
             raise ConfigError(f"dof.focus must be a distance above 0, is {text}")
@@ -122,7 +145,10 @@ def _keys(text: str, name: str, read: Callable[[str], _T]) -> list[tuple[float, 
     for part in text.split(","):
         value, at, moment = part.strip().partition("@")
         if not at and "," in text:
-            raise ConfigError(f"dof.{name}: key frame {part.strip()!r} has no time", f"write it as VALUE@TIME: {part.strip()}@2s")
+            raise ConfigError(
+                f"dof.{name}: key frame {part.strip()!r} has no time",
+                f"write it as VALUE@TIME: {part.strip()}@2s",
+            )
         keys.append((time_s(moment, f"dof.{name}") if at else 0.0, read(value.strip())))
     times = [t for t, _ in keys]
     if times != sorted(set(times)):

@@ -37,10 +37,15 @@ class RealPixels(NamedTuple):
             image, seen_through = composite.over(now.rect, parts), model
             shaded = now.crop(now.extent(Layer.SHADOW))
             opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-            light = Attenuated(plate, shaded.rect, shaded.one_channel(Layer.SHADOW), opacity, bias, shade)
+            light = Attenuated(
+                plate, shaded.rect, shaded.one_channel(Layer.SHADOW), opacity, bias, shade
+            )
         box = seen_through.align(TILE_PX, TILE_PX).clip(now.rect)
         patch = np.empty((box.height, box.width, 3), np.float32)
-        parallel_map(lambda r: light(Rect(box.x0, box.y0 + r[0], box.x1, box.y0 + r[1]), patch[slice(*r)]), strips(box))
+        parallel_map(
+            lambda r: light(Rect(box.x0, box.y0 + r[0], box.x1, box.y0 + r[1]), patch[slice(*r)]),
+            strips(box),
+        )
         if facts.opacity < 1 and not model.empty:
             # what shows through an object that fades has no shadow where it is covered, as in the composite
             part, at, opacity = now.crop(model), model.slices_in(box), np.float32(facts.opacity)

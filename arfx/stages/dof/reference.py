@@ -28,12 +28,20 @@ from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.pyramid import SHARP_PX
 from arfx.stages.dof.surfaces import Plane, Real
 
-_SIZES = 128  # circles of a radius of n^2 px: n times as many, a hundredth of a radius apart and less
+_SIZES = (
+    128  # circles of a radius of n^2 px: n times as many, a hundredth of a radius apart and less
+)
 _PLANE_POINTS = 256  # of the lens, for what it sees of a plane of limited size
 
 
 def render(
-    now: Layers, facts: FrameFacts, scene: Scene, real: Real, coc: CircleOfConfusion, params: DofParams, prepared: RayScene
+    now: Layers,
+    facts: FrameFacts,
+    scene: Scene,
+    real: Real,
+    coc: CircleOfConfusion,
+    params: DofParams,
+    prepared: RayScene,
 ) -> np.ndarray:
     """IMAGE (h, w, 3) of a frame with a pose."""
     rect, opacity = now.rect, float(facts.opacity)
@@ -46,17 +54,26 @@ def render(
     if params.scope == "all":
         pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
         ideal = scene.camera.normalised(np.stack(pixels, -1).astype(float))
-        directions = np.concatenate([np.where(np.isfinite(ideal), ideal, 0.0), np.ones((*ideal.shape[:2], 1))], -1)
+        directions = np.concatenate(
+            [np.where(np.isfinite(ideal), ideal, 0.0), np.ones((*ideal.shape[:2], 1))], -1
+        )
         depth = now[Layer.REAL_DEPTH] if real.tiles is not None else None
         out = _real(behind, directions, real, coc, params, scene.camera, depth)
-    fraction, colour = seen_object(now, facts, scene.camera, coc, params, prepared, behind, out, real)
+    fraction, colour = seen_object(
+        now, facts, scene.camera, coc, params, prepared, behind, out, real
+    )
     return (out * (1 - opacity * fraction[..., None]) + opacity * colour).astype(np.float32)
 
 
 def _real(
-    behind: np.ndarray, directions: np.ndarray, real: Real, coc: CircleOfConfusion, params: DofParams, camera: Camera,
+    behind: np.ndarray,
+    directions: np.ndarray,
+    real: Real,
+    coc: CircleOfConfusion,
+    params: DofParams,
+    camera: Camera,
     depth_m: np.ndarray | None,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """The real scene through the lens, (h, w, 3)."""
     if depth_m is not None:
         return _measured(behind, depth_m, coc, params)
@@ -70,7 +87,11 @@ def _real(
         free = free - shown
         layers.append((plane, shown))
     out = _normal(_scattered(behind, free, *_circles(dioptre, coc), params), behind)
-    lens = lens_points(_PLANE_POINTS, params.blades, params.blade_turn_deg)[:, :2] * coc.px_per_dioptre / camera.fx
+    lens = (
+        lens_points(_PLANE_POINTS, params.blades, params.blade_turn_deg)[:, :2]
+        * coc.px_per_dioptre
+        / camera.fx
+    )
     for plane, shown in reversed(layers):
         circles = _circles(np.maximum(directions @ plane.forms[2], 0), coc)
         front = _normal(_scattered(behind, shown, *circles, params), behind)
@@ -82,21 +103,36 @@ def _circles(dioptre: np.ndarray, coc: CircleOfConfusion) -> tuple[np.ndarray, n
     """Blur radius (h, w) px, and its gradient with its sign, as a fraction of it, (h, w, 2) along y and x, 1/px."""
     signed = coc.px_per_dioptre * (dioptre - coc.focus)
     radius = coc.radius_px(dioptre)
-    slope = np.stack([*np.gradient(signed)], -1) if min(signed.shape) > 1 else np.zeros((*signed.shape, 2))
+    slope = (
+        np.stack([*np.gradient(signed)], -1)
+        if min(signed.shape) > 1
+        else np.zeros((*signed.shape, 2))
+    )
     free = (np.abs(signed) <= radius) & (radius > SHARP_PX)
     return radius, np.where(free[..., None], divide(slope, signed[..., None]), 0.0)
 
 
-def _measured(behind: np.ndarray, depth_m: np.ndarray, coc: CircleOfConfusion, params: DofParams) -> np.ndarray:
+def _measured(
+    behind: np.ndarray, depth_m: np.ndarray, coc: CircleOfConfusion, params: DofParams
+) -> np.ndarray:
     """By measured depth: layers as in `depth_layers`, each spread by exact discs."""
     prepared = depth_layers(behind.astype(np.float32), dioptre_of(depth_m), coc)
     whole, level = np.ones(behind.shape[:2]), np.zeros((*behind.shape[:2], 2))
-    out = _normal(_scattered(prepared.base.astype(float), whole, prepared.radius.astype(float), level, params), behind)
+    out = _normal(
+        _scattered(
+            prepared.base.astype(float), whole, prepared.radius.astype(float), level, params
+        ),
+        behind,
+    )
     for front in prepared.fronts:
-        _, nearest = distance_transform_edt(front.radius < 0, return_indices=True)  # of the nearest pixel that has one
+        _, nearest = distance_transform_edt(
+            front.radius < 0, return_indices=True
+        )  # of the nearest pixel that has one
         radius = front.radius[tuple(nearest)].astype(float)
         coverage = front.coverage.astype(float)
-        light = _scattered(divide(front.colour, coverage[..., None]), coverage, radius, level, params)
+        light = _scattered(
+            divide(front.colour, coverage[..., None]), coverage, radius, level, params
+        )
         through = _scattered(np.zeros_like(behind), 1 - coverage, radius, level, params)[..., 3]
         fraction = divide(light[..., 3], light[..., 3] + through)[..., None]
         out = out + (_normal(light, out) - out) * fraction
@@ -132,13 +168,21 @@ def _square(out, along, shift, focus, half_m):  # pragma: no cover - compiled
 
 def _scattered(
     colour: np.ndarray, weight: np.ndarray, radius: np.ndarray, slope: np.ndarray, params: DofParams
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """(h, w, 4) sums of light and weight. radius, slope : of `_circles`"""
     boost = params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
-    light = np.concatenate([colour * (1 + boost[..., None]), np.ones_like(colour[..., :1])], -1) * weight[..., None]
-    sizes, which = np.unique(np.round(np.sqrt(radius) * _SIZES).astype(np.int64), return_inverse=True)
+    light = (
+        np.concatenate([colour * (1 + boost[..., None]), np.ones_like(colour[..., :1])], -1)
+        * weight[..., None]
+    )
+    sizes, which = np.unique(
+        np.round(np.sqrt(radius) * _SIZES).astype(np.int64), return_inverse=True
+    )
     ends = [_disc_ends((q / _SIZES) ** 2, params.blades, params.blade_turn_deg) for q in sizes]
-    first, reach = np.cumsum([0, *(len(e) for e in ends)]), max(int(np.abs(e[:, :2]).max()) for e in ends) + 2
+    first, reach = (
+        np.cumsum([0, *(len(e) for e in ends)]),
+        max(int(np.abs(e[:, :2]).max()) for e in ends) + 2,
+    )
     (h, w), table = radius.shape, np.concatenate(ends)
 
     def rows(top: int, bottom: int) -> np.ndarray:

@@ -78,10 +78,23 @@ class SharpFrame:
             radius[top:bottom] = self.measured.radius[top:bottom]
         else:
             radius[top:bottom, left:a], radius[top:bottom, b:right] = 0, 0
-            plane_radius(radius, top, bottom, a, b, self.rect.x0, self.rect.y0, self.nodes, self.background, self.optics)
+            plane_radius(
+                radius,
+                top,
+                bottom,
+                a,
+                b,
+                self.rect.x0,
+                self.rect.y0,
+                self.nodes,
+                self.background,
+                self.optics,
+            )
 
 
-def real_radius_px(real: Real, grid: np.ndarray, coc: CircleOfConfusion, params: DofParams) -> float:
+def real_radius_px(
+    real: Real, grid: np.ndarray, coc: CircleOfConfusion, params: DofParams
+) -> float:
     """Largest blur radius of the real scene; 0 where it keeps its own."""
     return coc.largest_px(real.dioptre_range(grid)) if params.scope == "all" else 0.0
 
@@ -99,17 +112,28 @@ def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
 
 
 def sharp_frame(
-    now: Layers, facts: FrameFacts, frame: Rect, real: Real, grid: np.ndarray, coc: CircleOfConfusion, params: DofParams,
-    margin_px: int, hides: bool,
-) -> SharpFrame:  # fmt: skip
+    now: Layers,
+    facts: FrameFacts,
+    frame: Rect,
+    real: Real,
+    grid: np.ndarray,
+    coc: CircleOfConfusion,
+    params: DofParams,
+    margin_px: int,
+    hides: bool,
+) -> SharpFrame:
     """Of a frame with a pose. frame : the whole picture;  margin_px : how far the real scene's light goes at most
     hides : light of it that the object takes is told apart (`SharpFrame.visibility`)"""
     optics = np.float32(coc.px_per_dioptre), np.float32(coc.focus), np.float32(coc.limit_px)
     real_blurs = real_radius_px(real, grid, coc, params) > SHARP_PX
     rect, everywhere = now.rect, real_blurs and (real.tiles is not None or bool(real.finite_planes))
     rows = strips(rect)
-    nodes = real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
-    blurred = [(0, rect.width if everywhere else 0)] * len(rows)  # columns of each strip that hold a circle of 1 px
+    nodes = (
+        real.base.dioptres(grid) if real.base is not None else np.zeros(grid.shape[:2], np.float32)
+    )
+    blurred = [(0, rect.width if everywhere else 0)] * len(
+        rows
+    )  # columns of each strip that hold a circle of 1 px
     if real_blurs and not everywhere:
         blurred = _blurred_columns(rows, rect, coc.radius_px(np.maximum(nodes, real.background)))
     boxed = _object(now, facts, frame, optics)
@@ -118,31 +142,55 @@ def sharp_frame(
     for (top, bottom), (a, b) in zip(rows, reached, strict=True):
         strip = Rect(rect.x0, rect.y0 + top, rect.x1, rect.y0 + bottom)
         under = EMPTY if boxed is None else boxed.rect.clip(strip)
-        parts += [Rect(rect.x0 + a, strip.y0, rect.x0 + b, strip.y1).union(Rect(under.x0, strip.y0, under.x1, strip.y1))]
+        parts += [
+            Rect(rect.x0 + a, strip.y0, rect.x0 + b, strip.y1).union(
+                Rect(under.x0, strip.y0, under.x1, strip.y1)
+            )
+        ]
     sharp = RealPixels.of(now, facts, parts)
     measured = None
-    occluders, visibility = _real_occluders(rect, sharp, real, grid, optics) if real_blurs else ([], _NONE)
+    occluders, visibility = (
+        _real_occluders(rect, sharp, real, grid, optics) if real_blurs else ([], _NONE)
+    )
     if boxed is not None and real_blurs and real.base is not None and not occluders and hides:
         visibility = _seen_behind(now, facts, real, nodes, coc)
     if real_blurs and real.tiles is not None:
-        measured = depth_layers(sharp.crop(Rect.of(rect.width, rect.height)), dioptre_of(now[Layer.REAL_DEPTH]), coc)
+        measured = depth_layers(
+            sharp.crop(Rect.of(rect.width, rect.height)), dioptre_of(now[Layer.REAL_DEPTH]), coc
+        )
         sharp = sharp.with_all(measured.base)
         for front in measured.fronts:
             colour_of = lambda part: front.colour[part.slices]  # noqa: B023, E731
             occluders.append(_real_occluder(rect, front.radius, front.coverage, colour_of))
     occluders += [boxed] if boxed else []
     # elsewhere the composite is the real scene: what `sharp` was before `with_all`
-    own = rect if measured is not None else now.extent(Layer.IMAGE).union(facts.raster_box.clip(rect))
+    own = (
+        rect if measured is not None else now.extent(Layer.IMAGE).union(facts.raster_box.clip(rect))
+    )
     bits = packed(np.zeros((0, 0, 3), np.float32) if own.empty else now.crop(own)[Layer.IMAGE])
     place = own.shift(-rect.x0, -rect.y0)
     at = place.x0, place.y0, place.x1, place.y1
     background = np.float32(real.background)
     return SharpFrame(
-        rect, rows, blurred, reached, nodes, optics, background, sharp, visibility, measured, occluders, bits, at
-    )  # fmt: skip
+        rect,
+        rows,
+        blurred,
+        reached,
+        nodes,
+        optics,
+        background,
+        sharp,
+        visibility,
+        measured,
+        occluders,
+        bits,
+        at,
+    )
 
 
-def _blurred_columns(rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarray) -> list[tuple[int, int]]:
+def _blurred_columns(
+    rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarray
+) -> list[tuple[int, int]]:
     """Columns of each strip outside which no pixel of the endless plane is blurred, from tile to tile: a pixel's dioptre lies
     between those of the nodes around.
 
@@ -150,7 +198,9 @@ def _blurred_columns(rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarr
     out, g0 = [], rect.x0 // GRID_PX
     blurred = on_nodes[:, g0 : (rect.x1 - 1) // GRID_PX + 2] > SHARP_PX
     for top, bottom in rows:
-        tiles = np.flatnonzero(blurred[(rect.y0 + top) // GRID_PX : (rect.y0 + bottom - 1) // GRID_PX + 2].any(0))
+        tiles = np.flatnonzero(
+            blurred[(rect.y0 + top) // GRID_PX : (rect.y0 + bottom - 1) // GRID_PX + 2].any(0)
+        )
         if not len(tiles):
             out.append((0, 0))
             continue
@@ -162,7 +212,7 @@ def _blurred_columns(rows: list[tuple[int, int]], rect: Rect, on_nodes: np.ndarr
 
 def _real_occluder(
     area: Rect, radius: np.ndarray, coverage: np.ndarray, colour_of: Callable[[Rect], np.ndarray]
-) -> Occluder:  # fmt: skip
+) -> Occluder:
     """Of a part of the real scene, over as much of `area` as it and its blur take. radius, coverage : over all of `area`
 
     colour_of : premultiplied colour of a rectangle, px from the area's corner"""
@@ -175,9 +225,15 @@ def _real_occluder(
 
 
 def _occluder(
-    rect: Rect, radius: np.ndarray, colour: np.ndarray, coverage: np.ndarray, opacity: np.float32, largest: float,
-    covered: Rect, sharp: Rect,
-) -> Occluder:  # fmt: skip
+    rect: Rect,
+    radius: np.ndarray,
+    colour: np.ndarray,
+    coverage: np.ndarray,
+    opacity: np.float32,
+    largest: float,
+    covered: Rect,
+    sharp: Rect,
+) -> Occluder:
     extrapolate_radius(radius, coverage, rect, covered)
     colour = colour.view()
     colour.flags.writeable = False  # as a picture's: what goes by colours is compiled once for both
@@ -192,7 +248,9 @@ def _object(now: Layers, facts: FrameFacts, frame: Rect, optics: Optics) -> Occl
     part = now.crop(box)
     radius = np.empty((box.height, box.width), np.float32)
     near, far = (np.float32(d) for d in depth_range(facts))
-    least, largest = object_radius(radius, part[Layer.COVERAGE], part[Layer.DEPTH], near, far, optics)
+    least, largest = object_radius(
+        radius, part[Layer.COVERAGE], part[Layer.DEPTH], near, far, optics
+    )
     if largest < 0:
         return None
     # a sharp object too is composited again where the real scene behind it is blurred
@@ -200,15 +258,21 @@ def _object(now: Layers, facts: FrameFacts, frame: Rect, optics: Optics) -> Occl
     padded = np.full((rect.height, rect.width), -1, np.float32)
     padded[box.slices_in(rect)] = radius
     coverage = np.zeros(padded.shape, np.float32)
-    coverage[box.slices_in(rect)] = np.fmax(part[Layer.COVERAGE], 0)  # as `object_radius` takes it: not a number is none
+    coverage[box.slices_in(rect)] = np.fmax(
+        part[Layer.COVERAGE], 0
+    )  # as `object_radius` takes it: not a number is none
     colour, tiles = np.empty((*padded.shape, 3), np.float32), box.align(TILE_PX, TILE_PX).clip(rect)
     colour[tiles.slices_in(rect)] = 0  # it is looked at in tiles that hold anything
     colour[box.slices_in(rect)] = part[Layer.VIRTUAL]
     opacity, sharp = np.float32(facts.opacity), box if least <= SHARP_PX else EMPTY
-    return _occluder(rect, padded, colour, coverage, opacity, max(float(largest), SHARP_PX), box, sharp)
+    return _occluder(
+        rect, padded, colour, coverage, opacity, max(float(largest), SHARP_PX), box, sharp
+    )
 
 
-def _seen_behind(now: Layers, facts: FrameFacts, real: Real, nodes: np.ndarray, coc: CircleOfConfusion) -> np.ndarray:
+def _seen_behind(
+    now: Layers, facts: FrameFacts, real: Real, nodes: np.ndarray, coc: CircleOfConfusion
+) -> np.ndarray:
     """(h, w) fraction of the light of each pixel of the real plane that comes past the object.
 
     Through the place o of the lens a pixel p sees the plane at p + s o, the object at p + s' o: with s = s' what the pinhole
@@ -216,10 +280,27 @@ def _seen_behind(now: Layers, facts: FrameFacts, real: Real, nodes: np.ndarray, 
     box = facts.raster_box.clip(now.rect)
     part, (near, far) = now.crop(box), depth_range(facts)
     plane, one = np.empty((box.height, box.width), np.float32), np.float32(1)
-    itself = one, np.float32(0), np.float32(np.inf)  # a radius of 1 px a dioptre from a focus at infinity
-    plane_radius(plane, 0, box.height, 0, box.width, box.x0, box.y0, nodes, np.float32(real.background), itself)
+    itself = (
+        one,
+        np.float32(0),
+        np.float32(np.inf),
+    )  # a radius of 1 px a dioptre from a focus at infinity
+    plane_radius(
+        plane,
+        0,
+        box.height,
+        0,
+        box.width,
+        box.x0,
+        box.y0,
+        nodes,
+        np.float32(real.background),
+        itself,
+    )
     plane -= np.float32(coc.focus)
-    own = one / np.clip(part[Layer.DEPTH], np.float32(near), np.float32(far)) - np.float32(coc.focus)
+    own = one / np.clip(part[Layer.DEPTH], np.float32(near), np.float32(far)) - np.float32(
+        coc.focus
+    )
     smaller, larger = np.minimum(np.abs(own), np.abs(plane)), np.maximum(np.abs(own), np.abs(plane))
     alike = np.where(own * plane > 0, divide(smaller, larger), 0).astype(np.float32)
     out = np.ones((now.rect.height, now.rect.width), np.float32)
@@ -231,9 +312,11 @@ def _around(facts: FrameFacts, rect: Rect, frame: Rect, reach_px: float) -> Rect
     """What surrounds the object in `rect`; beyond the picture's edge too, except where the object may go on there."""
     box, n = facts.raster_box, int(np.ceil(min(reach_px, max(frame.width, frame.height) / 4))) + 1
     grown = Rect(
-        rect.x0 - n if box.x0 > frame.x0 == rect.x0 else rect.x0, rect.y0 - n if box.y0 > frame.y0 == rect.y0 else rect.y0,
-        rect.x1 + n if box.x1 < frame.x1 == rect.x1 else rect.x1, rect.y1 + n if box.y1 < frame.y1 == rect.y1 else rect.y1,
-    )  # fmt: skip
+        rect.x0 - n if box.x0 > frame.x0 == rect.x0 else rect.x0,
+        rect.y0 - n if box.y0 > frame.y0 == rect.y0 else rect.y0,
+        rect.x1 + n if box.x1 < frame.x1 == rect.x1 else rect.x1,
+        rect.y1 + n if box.y1 < frame.y1 == rect.y1 else rect.y1,
+    )
     return box.pad(int(np.ceil(reach_px)) + 1).clip(grown)
 
 
@@ -245,8 +328,19 @@ def _real_occluders(
         return [], _NONE
     visibility, occluders = np.ones((area.height, area.width), np.float32), []
     for plane in reversed(real.finite_planes):  # the nearest hides the others
-        radius, inside = np.empty(visibility.shape, np.float32), np.empty(visibility.shape, np.float32)
-        square_radius(radius, inside, area.x0, area.y0, plane.positions(grid), np.float32(plane.half_m), optics)
+        radius, inside = (
+            np.empty(visibility.shape, np.float32),
+            np.empty(visibility.shape, np.float32),
+        )
+        square_radius(
+            radius,
+            inside,
+            area.x0,
+            area.y0,
+            plane.positions(grid),
+            np.float32(plane.half_m),
+            optics,
+        )
         inside *= visibility
         radius[inside == 0] = -1
         visibility -= inside

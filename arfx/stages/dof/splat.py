@@ -11,7 +11,15 @@ import numpy as np
 from arfx.core.compiled import line_kernel
 from arfx.stages.dof.pyramid import SHARP_PX
 from arfx.stages.dof.real_pixels import RealPixels
-from arfx.stages.dof.spread import TILE_PX, SplatBuffers, extremes, highlight, levels_of, splat_tile, to_cell
+from arfx.stages.dof.spread import (
+    TILE_PX,
+    SplatBuffers,
+    extremes,
+    highlight,
+    levels_of,
+    splat_tile,
+    to_cell,
+)
 
 _FLAGS = {"contract", "nsz", "arcp"}
 CLIPPED = np.float32(0.9)  # linear light from which a highlight boost sets in; full at 1
@@ -29,7 +37,9 @@ class OccluderPixels(NamedTuple):
 @line_kernel(fastmath=_FLAGS)
 def boosted(red, green, blue, boost):  # pragma: no cover - compiled
     largest = max(red, max(green, blue))
-    return np.float32(1) + boost * min(max((largest - CLIPPED) / (np.float32(1) - CLIPPED), np.float32(0)), np.float32(1))
+    return np.float32(1) + boost * min(
+        max((largest - CLIPPED) / (np.float32(1) - CLIPPED), np.float32(0)), np.float32(1)
+    )
 
 
 @line_kernel()
@@ -46,12 +56,17 @@ def _extremes(bits, y0, x0, y1, x1):  # pragma: no cover - compiled
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
 def splat_real(
     top, bottom, begin, end, radius, real: RealPixels, visibility, boost, buffers: SplatBuffers
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """Rows top..bottom, columns begin..end (borders of tiles) of the real scene; returns whether any of it is blurred.
 
     real : `flat`;  radius : (h, w) px, >= 0;  visibility : (h, w) fraction that no finite plane hides, (0, 0) = all"""
     image, patch, box = real
-    fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
+    fade, offset_y, offset_x, levels = (
+        buffers.fade,
+        buffers.offset_y,
+        buffers.offset_x,
+        buffers.meta.shape[0],
+    )
     whole = visibility.shape[0] == 0
     width, bits, seen = end, radius.view(np.int32), visibility.view(np.int32)
     source, ends = np.empty((TILE_PX, TILE_PX, 4), np.float32), np.empty(2, np.int32)
@@ -60,7 +75,10 @@ def splat_real(
     left = begin - ((begin + offset_x) & (TILE_PX - 1))
     blurred = False
     tiles = (width - left + TILE_PX - 1) // TILE_PX
-    lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # levels of each tile; -1 = nothing blurred
+    lowest, highest = (
+        np.empty(tiles, np.int64),
+        np.empty(tiles, np.int64),
+    )  # levels of each tile; -1 = nothing blurred
     patched, plain = np.empty(tiles, np.bool_), np.empty(tiles, np.bool_)
     for y0 in range(top - ((top + offset_y) & (TILE_PX - 1)), bottom, TILE_PX):
         ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
@@ -100,7 +118,11 @@ def splat_real(
                 for x in range(xa, xb):
                     weight, k = np.float32(1), np.float32(1)
                     first = 3 * (x - along)
-                    red, green, blue = light[y - up, first], light[y - up, first + 1], light[y - up, first + 2]
+                    red, green, blue = (
+                        light[y - up, first],
+                        light[y - up, first + 1],
+                        light[y - up, first + 2],
+                    )
                     if not plain[i]:
                         if not whole:
                             weight = visibility[y, x]
@@ -120,7 +142,9 @@ def _alike(low, high):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=_FLAGS)
-def _to_cells(low, high, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
+def _to_cells(
+    low, high, ya, xa, radius, part, work, buffers: SplatBuffers
+):  # pragma: no cover - compiled
     """Tiles of weight 1 to level low, or to low and low + 1 = high.
 
     part : (rows, 3 columns) light from row ya, column xa"""
@@ -157,7 +181,11 @@ def _sum_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma:
         if above > 0:  # take the highlights out again, and to the level below
             for y in range(top, bottom):
                 for n in range(count):
-                    red, green, blue = part[y - ya, 3 * n], part[y - ya, 3 * n + 1], part[y - ya, 3 * n + 2]
+                    red, green, blue = (
+                        part[y - ya, 3 * n],
+                        part[y - ya, 3 * n + 1],
+                        part[y - ya, 3 * n + 2],
+                    )
                     if max(red, max(green, blue)) > bright:
                         r = radius[y, xa + n]
                         to_cell(buffers, k - 1, y, xa + n, red, green, blue, np.float32(1), r)
@@ -170,15 +198,25 @@ def _sum_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma:
 
 
 @line_kernel(fastmath=_FLAGS)
-def _split_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragma: no cover - compiled
+def _split_cells(
+    k, ya, xa, radius, part, work, buffers: SplatBuffers
+):  # pragma: no cover - compiled
     """As `_sum_cells`, of tiles that levels k and k + 1 share by their radii."""
     side, count, end = 1 << k, part.shape[1] // 3, ya + part.shape[0]
     bright, one = highlight(k + 1), np.float32(1)
     fade, offset_y = buffers.fade, buffers.offset_y
     start, scale = fade[k, 0], np.float32(1) / (fade[k, 1] - fade[k, 0])
-    low, high, fractions = work[: 3 * count], work[3 * count : 6 * count], work[10 * count : 13 * count]
+    low, high, fractions = (
+        work[: 3 * count],
+        work[3 * count : 6 * count],
+        work[10 * count : 13 * count],
+    )
     weight_low, sum_low = work[6 * count : 7 * count], work[7 * count : 8 * count]
-    weight_high, sum_high, fraction = work[8 * count : 9 * count], work[9 * count : 10 * count], work[13 * count : 14 * count]
+    weight_high, sum_high, fraction = (
+        work[8 * count : 9 * count],
+        work[9 * count : 10 * count],
+        work[13 * count : 14 * count],
+    )
     for cy in range((ya + offset_y) >> k, ((end - 1 + offset_y) >> k) + 1):
         top, bottom = max(cy * side - offset_y, ya), min((cy + 1) * side - offset_y, end)
         for n in range(10 * count):
@@ -194,7 +232,11 @@ def _split_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragm
                 sum_low[n] += (one - t) * r[n]
                 sum_high[n] += t * r[n]
             for n in range(count):
-                fractions[3 * n], fractions[3 * n + 1], fractions[3 * n + 2] = fraction[n], fraction[n], fraction[n]
+                fractions[3 * n], fractions[3 * n + 1], fractions[3 * n + 2] = (
+                    fraction[n],
+                    fraction[n],
+                    fraction[n],
+                )
             for n in range(3 * count):
                 onward = p[n] * fractions[n]
                 high[n] += onward
@@ -205,7 +247,11 @@ def _split_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragm
             below = max(k - 1, 1)
             for y in range(top, bottom):
                 for n in range(count):
-                    red, green, blue = part[y - ya, 3 * n], part[y - ya, 3 * n + 1], part[y - ya, 3 * n + 2]
+                    red, green, blue = (
+                        part[y - ya, 3 * n],
+                        part[y - ya, 3 * n + 1],
+                        part[y - ya, 3 * n + 2],
+                    )
                     if max(red, max(green, blue)) <= bright:
                         continue
                     r = radius[y, xa + n]
@@ -228,14 +274,18 @@ def _split_cells(k, ya, xa, radius, part, work, buffers: SplatBuffers):  # pragm
 
 
 @line_kernel(fastmath=_FLAGS)
-def _columns_to_cells(k, cy, xa, line, weight, sums, buffers: SplatBuffers):  # pragma: no cover - compiled
+def _columns_to_cells(
+    k, cy, xa, line, weight, sums, buffers: SplatBuffers
+):  # pragma: no cover - compiled
     """Add columns, light line (3 n,), weight and weight x radius (n,), the first at xa, to row cy of level k."""
     side, end, offset_x = 1 << k, xa + len(weight), buffers.offset_x
     meta, cells = buffers.meta, buffers.cells
     row = meta[k, 0] + cy * meta[k, 1]
     for cx in range((xa + offset_x) >> k, ((end - 1 + offset_x) >> k) + 1):
         a, b, c, d, e = np.float32(0), np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-        for n in range(max(cx * side - offset_x, xa) - xa, min((cx + 1) * side - offset_x, end) - xa):
+        for n in range(
+            max(cx * side - offset_x, xa) - xa, min((cx + 1) * side - offset_x, end) - xa
+        ):
             m = np.uintp(3 * n)
             a += line[m]
             b += line[m + np.uintp(1)]
@@ -251,10 +301,17 @@ def _columns_to_cells(k, cy, xa, line, weight, sums, buffers: SplatBuffers):  # 
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers):  # pragma: no cover - compiled
+def splat_occluder(
+    top, bottom, occluder: OccluderPixels, buffers: SplatBuffers
+):  # pragma: no cover - compiled
     """Rows top..bottom. Returns whether there is any light."""
     radius, colour, coverage, opacity = occluder
-    fade, offset_y, offset_x, levels = buffers.fade, buffers.offset_y, buffers.offset_x, buffers.meta.shape[0]
+    fade, offset_y, offset_x, levels = (
+        buffers.fade,
+        buffers.offset_y,
+        buffers.offset_x,
+        buffers.meta.shape[0],
+    )
     width, found = radius.shape[1], False
     bits, covered, ends = radius.view(np.int32), coverage.view(np.int32), np.empty(2, np.int32)
     extreme = ends.view(np.float32)
@@ -262,7 +319,10 @@ def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
     flat = colour.reshape(colour.shape[0], 3 * width)
     left = -(offset_x & (TILE_PX - 1))
     tiles = (width - left + TILE_PX - 1) // TILE_PX
-    lowest, highest = np.empty(tiles, np.int64), np.empty(tiles, np.int64)  # levels of a tile all covered; -1 = nothing in it
+    lowest, highest = (
+        np.empty(tiles, np.int64),
+        np.empty(tiles, np.int64),
+    )  # levels of a tile all covered; -1 = nothing in it
     for y0 in range(top - ((top + offset_y) & (TILE_PX - 1)), bottom, TILE_PX):
         ya, yb = max(y0, top), min(y0 + TILE_PX, bottom)
         for i in range(tiles):
@@ -286,7 +346,16 @@ def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
                 while after < tiles and (lowest[after], highest[after]) == (lowest[i], highest[i]):
                     after += 1
                 xb = min(left + after * TILE_PX, width)
-                _to_cells(lowest[i], highest[i], ya, xa, radius, flat[ya:yb, 3 * xa : 3 * xb], work, buffers)
+                _to_cells(
+                    lowest[i],
+                    highest[i],
+                    ya,
+                    xa,
+                    radius,
+                    flat[ya:yb, 3 * xa : 3 * xb],
+                    work,
+                    buffers,
+                )
                 continue
             for y in range(ya, yb):
                 for x in range(xa, xb):
@@ -299,7 +368,9 @@ def splat_occluder(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FLAGS)
-def splat_occluded(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers):  # pragma: no cover - compiled
+def splat_occluded(
+    top, bottom, occluder: OccluderPixels, buffers: SplatBuffers
+):  # pragma: no cover - compiled
     """Rows top..bottom of what a layer lets through: weight only, in the last channel. Returns whether there is any."""
     radius, _, coverage, opacity = occluder
     offset_y, offset_x = buffers.offset_y, buffers.offset_x
@@ -307,7 +378,12 @@ def splat_occluded(top, bottom, occluder: OccluderPixels, buffers: SplatBuffers)
     source = np.zeros((TILE_PX, TILE_PX, 4), np.float32)
     for y0 in range(top - ((top + offset_y) & (TILE_PX - 1)), bottom, TILE_PX):
         for x0 in range(-(offset_x & (TILE_PX - 1)), width, TILE_PX):
-            ya, yb, xa, xb = max(y0, top), min(y0 + TILE_PX, bottom), max(x0, 0), min(x0 + TILE_PX, width)
+            ya, yb, xa, xb = (
+                max(y0, top),
+                min(y0 + TILE_PX, bottom),
+                max(x0, 0),
+                min(x0 + TILE_PX, width),
+            )
             if extremes(coverage, ya, xa, yb, xb)[0] * opacity >= 1:
                 continue
             found = True

@@ -34,7 +34,17 @@ from arfx.stages.dof.surfaces import Real, direction_grid, real_scene
 
 class Dof(Stage):
     name = "dof"
-    reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.SHADOW, Layer.REAL_DEPTH})
+    reads = frozenset(
+        {
+            Layer.PLATE,
+            Layer.IMAGE,
+            Layer.VIRTUAL,
+            Layer.COVERAGE,
+            Layer.DEPTH,
+            Layer.SHADOW,
+            Layer.REAL_DEPTH,
+        }
+    )
     writes = frozenset({Layer.IMAGE})
     levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
     Params = DofParams
@@ -48,14 +58,28 @@ class Dof(Stage):
         if unknown := unknown_lens(self.params, facts):
             return Demand(EMPTY, unknown)
         coc, real = self._frame(facts, scene)
-        return called.demand(facts, frame, coc, real if self.params.scope == "all" else None, direction_grid(scene.camera))
+        return called.demand(
+            facts,
+            frame,
+            coc,
+            real if self.params.scope == "all" else None,
+            direction_grid(scene.camera),
+        )
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         if facts.camera_from_world is None or unknown_lens(self.params, facts):
             return out
         coc, real = self._frame(facts, scene)
         grid, frame = direction_grid(scene.camera), scene.camera.rect
-        return called.needs(out, facts, coc, real if self.params.scope == "all" else None, grid, frame, level == "draft")
+        return called.needs(
+            out,
+            facts,
+            coc,
+            real if self.params.scope == "all" else None,
+            grid,
+            frame,
+            level == "draft",
+        )
 
     def health(self, job: JobView) -> Iterator[Check]:
         """The lens of the blur: given, or measured from the footage's edges."""
@@ -66,10 +90,22 @@ class Dof(Stage):
         fits = [f.lens for f in job.facts if f.lens is not None]
         known = [f for f in fits if f.known]
         reason = fits[0].reason if fits else "not measured"
-        yield Check(name, "measured" if known else "refused", "measured", bool(known), f"object stays sharp: {reason}")
+        yield Check(
+            name,
+            "measured" if known else "refused",
+            "measured",
+            bool(known),
+            f"object stays sharp: {reason}",
+        )
         if known:
             fraction = max(float(divide(f.px_per_dioptre_ci95, f.px_per_dioptre)) for f in known)
-            yield Check(f"{name}, half width of its interval", fraction, 0.5, fraction <= 0.5, "blur is a rough guess")
+            yield Check(
+                f"{name}, half width of its interval",
+                fraction,
+                0.5,
+                fraction <= 0.5,
+                "blur is a rough guess",
+            )
 
     def prepare(self, scene: Scene, level: str) -> Any:
         if level == "reference":
@@ -86,7 +122,9 @@ class Dof(Stage):
         if view.level == "reference":
             from arfx.stages.dof import reference
 
-            return {Layer.IMAGE: reference.render(now, facts, scene, real, coc, self.params, prepared)}
+            return {
+                Layer.IMAGE: reference.render(now, facts, scene, real, coc, self.params, prepared)
+            }
         args = now, facts, scene.camera.rect, view.out, real, prepared, coc
         if view.level == "draft":
             return {Layer.IMAGE: draft.render(*args, self.params)}
@@ -96,4 +134,6 @@ class Dof(Stage):
         p, measured = self.params, facts.real_depth
         if measured is not None:
             return circle_of_confusion(p, facts, scene), Real(None, (), 0.0, measured.tiles)
-        return circle_of_confusion(p, facts, scene), real_scene(scene, facts.pose, p.plane_extent_m, p.background_m)
+        return circle_of_confusion(p, facts, scene), real_scene(
+            scene, facts.pose, p.plane_extent_m, p.background_m
+        )

@@ -84,11 +84,16 @@ class Real:
             p = plane.positions(grid)
             inside = (p[..., 2] > 0) & (np.abs(p[..., :2]).max(-1) <= 2 * plane.half_m * p[..., 2])
             if inside.any():
-                low, high = min(low, float(p[..., 2][inside].min())), max(high, float(p[..., 2][inside].max()))
+                low, high = (
+                    min(low, float(p[..., 2][inside].min())),
+                    max(high, float(p[..., 2][inside].max())),
+                )
         return low, high
 
 
-def real_scene(scene: Scene, camera_from_world: Pose, plane_extent_m: float, background_m: float) -> Real:
+def real_scene(
+    scene: Scene, camera_from_world: Pose, plane_extent_m: float, background_m: float
+) -> Real:
     background = 0.0 if background_m <= 0 else 1.0 / background_m
     main = camera_from_world @ scene.world_from_anchor, plane_extent_m / 2
     squares = [main] if plane_extent_m > 0 else []
@@ -104,11 +109,17 @@ def real_scene(scene: Scene, camera_from_world: Pose, plane_extent_m: float, bac
             continue
         squares.append((camera_from_world @ pose, half * _MARGIN))
     squares.sort(key=lambda square: -float(square[0].translation_m[2]))
-    return Real(plane_of(*main) if plane_extent_m <= 0 else None, tuple(plane_of(*s) for s in squares), background)
+    return Real(
+        plane_of(*main) if plane_extent_m <= 0 else None,
+        tuple(plane_of(*s) for s in squares),
+        background,
+    )
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def plane_radius(out, top, bottom, begin, end, x0, y0, nodes, background, optics):  # pragma: no cover - compiled
+def plane_radius(
+    out, top, bottom, begin, end, x0, y0, nodes, background, optics
+):  # pragma: no cover - compiled
     """Rows top..bottom, columns begin..end of out (h, w): blur radius of the endless plane, px.
 
     x0, y0 : the rectangle's corner in the frame;  optics : px per dioptre, focus in dioptres, limit in px
@@ -137,7 +148,9 @@ def plane_radius(out, top, bottom, begin, end, x0, y0, nodes, background, optics
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"})
-def move_light(out, image, rows, columns, corner, nodes, background, optics):  # pragma: no cover - compiled
+def move_light(
+    out, image, rows, columns, corner, nodes, background, optics
+):  # pragma: no cover - compiled
     """Rows and columns (first, behind the last) of out (h, w, 3) = image (h, w, 3) moved so that discs around its pixels lie
     where the light of a slanted plane goes.
 
@@ -154,15 +167,24 @@ def move_light(out, image, rows, columns, corner, nodes, background, optics):  #
             left, right = a + (c - a) * fy, b + (d - b) * fy
             v = left + (right - left) * fx
             s = px_per_dioptre * (v - focus)
-            by = s * px_per_dioptre * step * np.float32(0.25) if v > background and abs(s) < limit else np.float32(0)
-            y = min(max(np.float32(j) - by * (c - a + (d - b - c + a) * fx), np.float32(0)), np.float32(h - 1))
+            by = (
+                s * px_per_dioptre * step * np.float32(0.25)
+                if v > background and abs(s) < limit
+                else np.float32(0)
+            )
+            y = min(
+                max(np.float32(j) - by * (c - a + (d - b - c + a) * fx), np.float32(0)),
+                np.float32(h - 1),
+            )
             x = min(max(np.float32(i) - by * (right - left), np.float32(0)), np.float32(w - 1))
             top, beside = np.uintp(min(int(y), h - 2)), np.uintp(min(int(x), w - 2))
             t, u = y - np.float32(top), x - np.float32(beside)
             below, after = top + np.uintp(1), beside + np.uintp(1)
             for k in range(3):
                 upper = image[top, beside, k] + (image[top, after, k] - image[top, beside, k]) * u
-                lower = image[below, beside, k] + (image[below, after, k] - image[below, beside, k]) * u
+                lower = (
+                    image[below, beside, k] + (image[below, after, k] - image[below, beside, k]) * u
+                )
                 out[j, i, k] = upper + (lower - upper) * t
 
 
@@ -183,8 +205,13 @@ def square_radius(radius, inside, x0, y0, positions, half, optics):  # pragma: n
             v = np.zeros(3, np.float32)
             for c in range(3):
                 a = positions[iy, ix, c] + (positions[iy, ix + 1, c] - positions[iy, ix, c]) * fx
-                b = positions[iy + 1, ix, c] + (positions[iy + 1, ix + 1, c] - positions[iy + 1, ix, c]) * fx
+                b = (
+                    positions[iy + 1, ix, c]
+                    + (positions[iy + 1, ix + 1, c] - positions[iy + 1, ix, c]) * fx
+                )
                 v[c] = a + (b - a) * fy
             shown = v[2] > 0 and abs(v[0]) <= half * v[2] and abs(v[1]) <= half * v[2]
             inside[j, i] = 1.0 if shown else 0.0
-            radius[j, i] = min(px_per_dioptre * abs(focus - v[2]), limit) if shown else np.float32(-1)
+            radius[j, i] = (
+                min(px_per_dioptre * abs(focus - v[2]), limit) if shown else np.float32(-1)
+            )

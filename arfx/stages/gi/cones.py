@@ -76,10 +76,16 @@ def cosine_cones(count: int) -> tuple[np.ndarray, np.ndarray, float]:
     """The same for `count` directions of equal weight, denser towards the normal as the cosine is."""
     # the mean solid angle of a direction is that of the cosine's lobe, pi, by count
     half = np.arccos(1 - 0.5 / count)
-    return hemisphere(count).astype(np.float32), np.full(count, 1 / count, np.float32), float(np.tan(half))
+    return (
+        hemisphere(count).astype(np.float32),
+        np.full(count, 1 / count, np.float32),
+        float(np.tan(half)),
+    )
 
 
-def steps_of(tan_half: float, n: int, spacing: float = 0.5, start: float | None = None) -> np.ndarray:
+def steps_of(
+    tan_half: float, n: int, spacing: float = 0.5, start: float | None = None
+) -> np.ndarray:
     """(k, 3) float32: distance of each sample, voxels; its level; the exponent ds / s of its opacity.
 
     spacing : of samples, in diameters of the cone there. Goes on to 8 n, beyond which nothing of the volume is larger than
@@ -134,11 +140,15 @@ def blend(values, at, width, scratch):  # pragma: no cover - compiled
     for k in range(width):
         q = np.uintp(k)
         near = w0 * values[at + q] + w1 * values[b + q] + w2 * values[c + q] + w3 * values[d + q]
-        scratch[q] = near + w4 * values[e + q] + w5 * values[f + q] + w6 * values[g + q] + w7 * values[h + q]
+        scratch[q] = (
+            near + w4 * values[e + q] + w5 * values[f + q] + w6 * values[g + q] + w7 * values[h + q]
+        )
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def trace(bricks: Bricks, steps, start, direction, point, normal, clip, scratch):  # pragma: no cover - compiled
+def trace(
+    bricks: Bricks, steps, start, direction, point, normal, clip, scratch
+):  # pragma: no cover - compiled
     """(r, g, b, share of the background that is left).
 
     start, unit direction, point and normal of the surface it starts on : x, y, z in voxels of level 0
@@ -161,7 +171,11 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip, scratch)
             e = s + s  # beyond what the next, larger samples feel
             if (x < -e and dx <= 0) or (y < -e and dy <= 0) or (z < -e and dz <= 0):
                 break
-            if (x > size + e and dx >= 0) or (y > size + e and dy >= 0) or (z > size + e and dz >= 0):
+            if (
+                (x > size + e and dx >= 0)
+                or (y > size + e and dy >= 0)
+                or (z > size + e and dz >= 0)
+            ):
                 break
             continue
         inv = one / s
@@ -170,7 +184,11 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip, scratch)
             h = (x - px) * nx + (y - py) * ny + (z - pz) * nz
             if h * inv <= -half_extent:
                 continue
-        x, y, z = x * inv + half, y * inv + half, z * inv + half  # sample i + 1 lies at cell i's centre
+        x, y, z = (
+            x * inv + half,
+            y * inv + half,
+            z * inv + half,
+        )  # sample i + 1 lies at cell i's centre
         ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
         cells = meta[level, 0]
         if ix < 0 or iy < 0 or iz < 0 or ix > cells or iy > cells or iz > cells:
@@ -181,7 +199,10 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip, scratch)
             continue
         fx, fy, fz = x - np.float32(ix), y - np.float32(iy), z - np.float32(iz)
         width = 4 if level == 0 else 24
-        at = meta[level, 3] + (np.int64(brick) * 125 + ((iz & 3) * 5 + (iy & 3)) * 5 + (ix & 3)) * width
+        at = (
+            meta[level, 3]
+            + (np.int64(brick) * 125 + ((iz & 3) * 5 + (iy & 3)) * 5 + (ix & 3)) * width
+        )
         # height of the cell centre of sample (ix, iy, iz) over the tangent plane, voxels of this level
         h0 = (np.float32(ix) - half - px * inv) * nx + (np.float32(iy) - half - py * inv) * ny
         h0 = h0 + (np.float32(iz) - half - pz * inv) * nz - half_extent
@@ -225,7 +246,14 @@ def trace(bricks: Bricks, steps, start, direction, point, normal, clip, scratch)
 def tangent_frame(nx, ny, nz):  # pragma: no cover - compiled
     """Two unit vectors that make a right-handed frame with the unit normal; continuous but at (0, 0, -1) (Frisvad 2012)."""
     if nz < np.float32(-0.99999):
-        return np.float32(0), np.float32(-1), np.float32(0), np.float32(-1), np.float32(0), np.float32(0)
+        return (
+            np.float32(0),
+            np.float32(-1),
+            np.float32(0),
+            np.float32(-1),
+            np.float32(0),
+            np.float32(0),
+        )
     a = np.float32(1) / (np.float32(1) + nz)
     b = -nx * ny * a
     return np.float32(1) - nx * nx * a, b, -nx, b, np.float32(1) - ny * ny * a, -ny
@@ -235,7 +263,11 @@ def around_normals(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(m, k, 3) float32: directions (k, 3) about +z turned to each of the unit normals (m, 3), as `tangent_frame` does."""
     frames = _tangent_frames(np.ascontiguousarray(normals, np.float32))
     u, v = frames[:, None, :3], frames[:, None, 3:]
-    out = directions[None, :, :1] * u + directions[None, :, 1:2] * v + directions[None, :, 2:] * normals[:, None]
+    out = (
+        directions[None, :, :1] * u
+        + directions[None, :, 1:2] * v
+        + directions[None, :, 2:] * normals[:, None]
+    )
     return np.asarray(out, np.float32)
 
 
@@ -249,7 +281,9 @@ def _tangent_frames(normals):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def trace_many(bricks: Bricks, steps, origins, directions, normals, start, clip):  # pragma: no cover - compiled
+def trace_many(
+    bricks: Bricks, steps, origins, directions, normals, start, clip
+):  # pragma: no cover - compiled
     """(m x k, 4) of cones from origins (m, 3), voxels, in directions (m, k, 3); they begin `start` voxels along normals."""
     count = directions.shape[1]
     scratch = np.empty(SCRATCH, np.float32)
@@ -260,7 +294,9 @@ def trace_many(bricks: Bricks, steps, origins, directions, normals, start, clip)
         for c in range(count):
             d = directions[i, c, 0], directions[i, c, 1], directions[i, c, 2]
             from_ = x + start * nx, y + start * ny, z + start * nz
-            r, g, b, transmittance = trace(bricks, steps, from_, d, (x, y, z), (nx, ny, nz), clip, scratch)
+            r, g, b, transmittance = trace(
+                bricks, steps, from_, d, (x, y, z), (nx, ny, nz), clip, scratch
+            )
             k = i * count + c
             out[k, 0], out[k, 1], out[k, 2], out[k, 3] = r, g, b, transmittance
     return out

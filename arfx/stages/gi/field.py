@@ -16,7 +16,16 @@ import numpy as np
 from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
-from arfx.stages.gi.cones import START, Bricks, Placed, around_normals, cosine_cones, six_cones, steps_of, trace_many
+from arfx.stages.gi.cones import (
+    START,
+    Bricks,
+    Placed,
+    around_normals,
+    cosine_cones,
+    six_cones,
+    steps_of,
+    trace_many,
+)
 from arfx.stages.gi.form_factors import Factors, factors_of, gather, solid
 from arfx.stages.gi.pyramid import Structure, atlas_of, structure_of
 from arfx.stages.gi.real_planes import mip_chain, texel_positions

@@ -27,7 +27,9 @@ METAL = 0.5  # metalness from which a part mirrors instead of scattering
 SHIFTS = 64  # different lattices
 _BATCH = 1 << 20  # rays at once: bounds memory
 _LIFT = 1e-4  # of the object's size: rays start off the plane by this
-_INSIDE = 0.5  # share of rays that leave the object from within: such a texel lies under it, in its solid
+_INSIDE = (
+    0.5  # share of rays that leave the object from within: such a texel lies under it, in its solid
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,14 @@ def solid(scene: Scene) -> bool:
     return all(p.material.alpha_mode == OPAQUE for p in scene.model.parts)
 
 
-def factors_of(scene: Scene, voxels: Voxels, positions: np.ndarray, axes: np.ndarray, cones: np.ndarray, rays: int) -> Factors:
+def factors_of(
+    scene: Scene,
+    voxels: Voxels,
+    positions: np.ndarray,
+    axes: np.ndarray,
+    cones: np.ndarray,
+    rays: int,
+) -> Factors:
     """positions (side, side, 3) : of a plane's texels, anchor axes;  axes (4, 3) : of the plane;  cones (k, 3) : directions about
     its normal, each ray counts for the nearest;  rays : of each texel"""
     side = positions.shape[0]
@@ -73,17 +82,24 @@ def factors_of(scene: Scene, voxels: Voxels, positions: np.ndarray, axes: np.nda
     lift = _LIFT * max(float((high - low).max()), 1e-9)
     points = (positions.reshape(-1, 3) + lift * axes[3]).astype(np.float32)
     mesh = Triangles(corners, robust=True)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float32)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(
+        np.float32
+    )
     frame = around_normals(axes[3][None].astype(np.float32), np.eye(3, dtype=np.float32))[0]
     lattice, nearest = lattices(rays, frame, cones)
-    covered, inside = np.zeros((side * side, len(cones)), np.float32), np.zeros(side * side, np.float32)
+    covered, inside = (
+        np.zeros((side * side, len(cones)), np.float32),
+        np.zeros(side * side, np.float32),
+    )
     metal = np.array([p.material.metallic >= METAL for p in scene.model.parts])
     texels, hits = [np.zeros(0, np.int32)], [np.zeros((0, 3), np.float32)]
     reflections, metals = [np.zeros((0, 3), np.float32)], [np.zeros((0, 2), np.int64)]
     step = max(_BATCH // rays, 1)
     box = np.stack([low, high]).astype(np.float32)
     for first in range(0, side * side, step):
-        texel, cone, direction = rays_towards_object(points[first : first + step], first, side, lattice, nearest, box)
+        texel, cone, direction = rays_towards_object(
+            points[first : first + step], first, side, lattice, nearest, box
+        )
         if not len(texel):
             continue
         result = mesh.first_hits(points[texel], direction)
@@ -102,7 +118,11 @@ def factors_of(scene: Scene, voxels: Voxels, positions: np.ndarray, axes: np.nda
         d = direction[shines]
         reflections.append(d - 2 * (d * n).sum(1, keepdims=True) * n)
         metals.append(np.stack([shines + sum(map(len, texels[:-1])), part_of[prim[shines]]], -1))
-    texel, position, directions = np.concatenate(texels), np.concatenate(hits), np.concatenate(reflections).astype(np.float32)
+    texel, position, directions = (
+        np.concatenate(texels),
+        np.concatenate(hits),
+        np.concatenate(reflections).astype(np.float32),
+    )
     rows, part = np.concatenate(metals).T
     mirrored = []
     for k in np.unique(part):
@@ -131,7 +151,10 @@ def voxel_at(voxels: Voxels, positions: np.ndarray) -> np.ndarray:
     n = voxels.volume.n
     row_of = np.full(n**3, -1, np.int32)  # for a moment: 8 MB at 128
     row_of[_keys(voxels.cells, n)] = np.arange(len(voxels.cells), dtype=np.int32)
-    cell = ((positions - np.asarray(voxels.volume.low_m, np.float32)) / np.float32(voxels.volume.voxel_m)).astype(np.int32)
+    cell = (
+        (positions - np.asarray(voxels.volume.low_m, np.float32))
+        / np.float32(voxels.volume.voxel_m)
+    ).astype(np.int32)
     out = row_of[_keys(np.clip(cell, 0, n - 1), n)]
     missing = np.flatnonzero(out < 0)
     if len(missing):
@@ -150,7 +173,9 @@ def _sources(inside: np.ndarray) -> np.ndarray:
     own = np.arange(inside.size, dtype=np.int32)
     if not inside.any() or inside.all():
         return own
-    from scipy.ndimage import distance_transform_edt  # 30 ms, which a job without this stage need not take
+    from scipy.ndimage import (
+        distance_transform_edt,
+    )  # 30 ms, which a job without this stage need not take
 
     row, column = distance_transform_edt(inside, return_distances=False, return_indices=True)
     return (row.ravel() * inside.shape[1] + column.ravel()).astype(np.int32)
@@ -175,7 +200,11 @@ def rays_towards_object(points, first, side, lattice, nearest, box):  # pragma: 
     box (2, 3) : lowest and highest corner of the object"""
     shifts, rays = lattice.shape[:2]
     most = points.shape[0] * rays
-    texel, cone, direction = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 3), np.float32)
+    texel, cone, direction = (
+        np.empty(most, np.int64),
+        np.empty(most, np.int64),
+        np.empty((most, 3), np.float32),
+    )
     m = 0
     for t in range(points.shape[0]):
         column, row = (first + t) % side, (first + t) // side

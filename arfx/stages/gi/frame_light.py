@@ -20,7 +20,15 @@ from arfx.errors import RenderError
 from arfx.stages.gi.field import Field, VoxelModel, make_field, upsampled, with_texture
 from arfx.stages.gi.plane_pixels import measured
 from arfx.stages.gi.real_planes import bounding_ball, filled, mip_chain, picture_on_planes
-from arfx.stages.gi.surroundings import COARSE_PX, HALF_ANGLES_DEG, Background, Planes, from_light, irradiance, octahedral
+from arfx.stages.gi.surroundings import (
+    COARSE_PX,
+    HALF_ANGLES_DEG,
+    Background,
+    Planes,
+    from_light,
+    irradiance,
+    octahedral,
+)
 
 SOFT_DEG = 25.0
 _LIGHT_STEP = 0.03
@@ -60,7 +68,11 @@ class IncomingLight:
         side = self.picture.shape[1]
         known = upsampled(visibility, side)
         # what the picture does not show is filled before there is a shadow on it, not with the shadow's mean
-        picture = filled(self.picture, self.known, self.mean) * upsampled(field.direct, side) * known[..., None]
+        picture = (
+            filled(self.picture, self.known, self.mean)
+            * upsampled(field.direct, side)
+            * known[..., None]
+        )
         return with_texture(self.background, picture, known, self.mean)
 
 
@@ -78,16 +90,22 @@ def surroundings_of(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.n
     n, up = rgba.shape[1], scene.world_from_anchor.rotation[:, 2]
     known, guess = rgba[..., 3:], _smooth(environment, n)
     shown, sky = rgba[..., :3] * light.mean_radiance.astype(np.float32), (1 - known) * guess
-    as_seen = divide(shown.mean((0, 1, 2)), (guess - sky).mean((0, 1, 2)), where_zero=1.0).astype(np.float32)
+    as_seen = divide(shown.mean((0, 1, 2)), (guess - sky).mean((0, 1, 2)), where_zero=1.0).astype(
+        np.float32
+    )
     if environment.plane_rgb is not None and np.isfinite(environment.plane_rgb).all():
         share = above_horizon(n, up).astype(np.float32)
-        shown += (1 - known) * (1 - share) * np.clip(environment.plane_rgb, 0, None).astype(np.float32)
+        shown += (
+            (1 - known) * (1 - share) * np.clip(environment.plane_rgb, 0, None).astype(np.float32)
+        )
         sky *= share
     want, narrow = light.soft_radiance(up), shown + as_seen * sky
     missing = divide(np.clip(want - irradiance(shown, up), 0, None), irradiance(sky, up))
     wide = shown + missing.astype(np.float32) * sky
     factor = divide(want, irradiance(wide, up), where_zero=-1.0)
-    if not ((factor >= 0).all() and (factor < 1e3).all()):  # black, or without a colour that the plane shows
+    if not (
+        (factor >= 0).all() and (factor < 1e3).all()
+    ):  # black, or without a colour that the plane shows
         cube, factor = environment_cube(facts, scene, light)
         wide = resampled(cube, n)
     wide = wide * factor.astype(np.float32)
@@ -97,14 +115,18 @@ def surroundings_of(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.n
 @lru_cache(maxsize=8)
 def _smooth(environment: CubeMap, size: int) -> np.ndarray:
     """(6, size, size, 3) float32 of a guess with few texels, none of which shows."""
-    return resampled(spread(resampled(checked(environment), COARSE_PX), 90 / environment.size / 2), size)
+    return resampled(
+        spread(resampled(checked(environment), COARSE_PX), 90 / environment.size / 2), size
+    )
 
 
 def seen_map(seen: SeenEnvironment, scene: Scene) -> np.ndarray:
     """(6, n, n, 4) of the scene's maps, WORLD axes. Raises RenderError where one is missing."""
     missing = [name for name in seen.maps if name not in scene.environment_maps]
     if missing:
-        raise RenderError(f"facts: environment map {missing[0]} is not among the job's", "analyse the clip again")
+        raise RenderError(
+            f"facts: environment map {missing[0]} is not among the job's", "analyse the clip again"
+        )
     first, second = (scene.environment_maps[name].astype(np.float32) for name in seen.maps)
     rgba = first + np.float32(seen.share) * (second - first)
     if not np.isfinite(rgba).all() or rgba.min() < 0:
@@ -115,7 +137,9 @@ def seen_map(seen: SeenEnvironment, scene: Scene) -> np.ndarray:
     return look_up(rgba, d @ np.array(seen.axes).reshape(3, 3).T).reshape(rgba.shape)
 
 
-def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
+def environment_cube(
+    facts: FrameFacts, scene: Scene, light: Light
+) -> tuple[np.ndarray, np.ndarray]:
     """((6, n, n, 3) radiance, WORLD axes, (3,) factor): the facts' environment, to be multiplied so that its irradiance on the
     anchor's plane is what the light has without its directional lights; the light's own soft part where there is none."""
     seen = facts.environment
@@ -123,7 +147,9 @@ def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.
     want = light.soft_radiance(up)
     if seen is not None:
         cube = checked(seen)
-        softened = None if seen.plane_rgb is None else at_horizon(cube, up, np.array(seen.plane_rgb), want)
+        softened = (
+            None if seen.plane_rgb is None else at_horizon(cube, up, np.array(seen.plane_rgb), want)
+        )
         if softened is not None:
             return softened
         factor = divide(want, irradiance(cube, up), where_zero=-1.0)
@@ -134,7 +160,9 @@ def environment_cube(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.
     return cube, divide(want, irradiance(cube, up))
 
 
-def at_horizon(cube: np.ndarray, up: np.ndarray, colour: np.ndarray, want: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def at_horizon(
+    cube: np.ndarray, up: np.ndarray, colour: np.ndarray, want: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
     """(cube, factor) of a guessed environment that begins at the plane's horizon with the plane's own radiance.
 
     A mirror would show a hard ring there, between a picture and a guess; so the lowest SOFT_DEG go over from one to the other,
@@ -161,15 +189,23 @@ def rounded(light: Light) -> Light:
 
     def coarse(li: DirectionalLight) -> DirectionalLight:
         rgb, size_deg = triple(_in_steps(li.rgb, _LIGHT_STEP)), round(li.angular_size_deg)
-        return replace(li, direction=triple(np.round(li.unit, 2)), rgb=rgb, angular_size_deg=size_deg)
+        return replace(
+            li, direction=triple(np.round(li.unit, 2)), rgb=rgb, angular_size_deg=size_deg
+        )
 
     soft = np.asarray(light.soft, float).reshape(-1, 3)
     if light.soft:
-        soft = np.round(divide(soft, soft[0]) / _LIGHT_STEP) * _LIGHT_STEP * _in_steps(soft[0], _LIGHT_STEP)
+        soft = (
+            np.round(divide(soft, soft[0]) / _LIGHT_STEP)
+            * _LIGHT_STEP
+            * _in_steps(soft[0], _LIGHT_STEP)
+        )
     return replace(
-        light, ambient_rgb=triple(_in_steps(light.ambient_rgb, _LIGHT_STEP)), lights=tuple(map(coarse, light.lights)),
+        light,
+        ambient_rgb=triple(_in_steps(light.ambient_rgb, _LIGHT_STEP)),
+        lights=tuple(map(coarse, light.lights)),
         soft=tuple(map(triple, soft)),
-    )  # fmt: skip
+    )
 
 
 def _in_steps(value: ArrayLike, step: float) -> np.ndarray:
@@ -191,26 +227,45 @@ def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray
     texels of the picture on the planes"""
     facts, scene, light = view.facts, view.scene, view.light
     picture, known = picture_on_planes(
-        view[Layer.PLATE], view.rect, seen, scene.camera, view.pose @ scene.world_from_anchor,
-        positions, planes.axes.astype(float), np.array(facts.bias_rgb, np.float32), measured(view.layers),
-    )  # fmt: skip
+        view[Layer.PLATE],
+        view.rect,
+        seen,
+        scene.camera,
+        view.pose @ scene.world_from_anchor,
+        positions,
+        planes.axes.astype(float),
+        np.array(facts.bias_rgb, np.float32),
+        measured(view.layers),
+    )
     up = scene.world_from_anchor.rotation[:, 2]
     mean = plane_mean(picture, known, positions, planes, scene, 0.4 * light.radiance(up))
     p = len(planes.axes)
-    textures, mips = mip_chain(np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean)
+    textures, mips = mip_chain(
+        np.zeros((p, 1, 1, 3), np.float32), np.zeros((p, 1, 1), np.float32), mean
+    )
     if facts.seen_environment is None:
         cube, factor = environment_cube(facts, scene, light)
-        maps = factor.astype(np.float32) * view.memo.of_light.get(cube.tobytes(), lambda: octahedral(cube))
+        maps = factor.astype(np.float32) * view.memo.of_light.get(
+            cube.tobytes(), lambda: octahedral(cube)
+        )
     else:  # another in each frame
         maps = octahedral(*surroundings_of(facts, scene, light))
-    widths, turn = np.array(HALF_ANGLES_DEG, np.float32), scene.world_from_anchor.rotation.astype(np.float32)
+    widths, turn = (
+        np.array(HALF_ANGLES_DEG, np.float32),
+        scene.world_from_anchor.rotation.astype(np.float32),
+    )
     extents = np.column_stack([np.full(p, planes.half_m), planes.bounds]).astype(np.float32)
     background = Background(planes.axes, extents, textures, mips, maps, widths, turn)
     return IncomingLight(picture, known, mean, background, float(light.soft_radiance(up).min()))
 
 
 def plane_mean(
-    picture: np.ndarray, known: np.ndarray, positions: np.ndarray, planes: Planes, scene: Scene, otherwise: np.ndarray
+    picture: np.ndarray,
+    known: np.ndarray,
+    positions: np.ndarray,
+    planes: Planes,
+    scene: Scene,
+    otherwise: np.ndarray,
 ) -> np.ndarray:
     """(3,) mean radiance of the first plane within three radii of the object, in steps of 5 %; `otherwise` if unknown."""
     radius = bounding_ball(scene)[1]
@@ -219,10 +274,14 @@ def plane_mean(
     weight = known[0, ::step, ::step] * near
     if not weight.sum() > 0:
         return otherwise
-    return _in_steps((picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum(), _STEP)
+    return _in_steps(
+        (picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum(), _STEP
+    )
 
 
-def frame_field(view: View, model: VoxelModel, planes: Planes, incoming: IncomingLight, at: LevelSettings) -> Field:
+def frame_field(
+    view: View, model: VoxelModel, planes: Planes, incoming: IncomingLight, at: LevelSettings
+) -> Field:
     """The voxels' light and the planes' change, cached by light, environment and plane. The guess of all surroundings is good
     enough for them, and stays."""
     coarse, memo = rounded(view.light), view.memo.of_light

@@ -28,10 +28,19 @@ T = TypeVar("T")
 
 def seams(job: JobView) -> Iterator[Check]:
     """Steps of environment maps across the edges of their cubes beside those between texels within a face."""
-    maps = [checked(f.environment) for f in _evenly([f for f in job.facts if f.environment is not None]) if f.environment]
+    maps = [
+        checked(f.environment)
+        for f in _evenly([f for f in job.facts if f.environment is not None])
+        if f.environment
+    ]
     for rgba in _evenly([*job.scene.environment_maps.values()]):
         block = rgba.shape[1] // COARSE_PX
-        maps.append(rgba[..., :3].astype(float).reshape(6, COARSE_PX, block, COARSE_PX, block, 3).mean((2, 4)))
+        maps.append(
+            rgba[..., :3]
+            .astype(float)
+            .reshape(6, COARSE_PX, block, COARSE_PX, block, 3)
+            .mean((2, 4))
+        )
     if maps:
         worst = max(map(seam_ratio, maps))
         name = "environment: steps across cube edges / within faces"
@@ -40,7 +49,11 @@ def seams(job: JobView) -> Iterator[Check]:
 
 def _evenly(things: Sequence[T]) -> list[T]:
     """_LOOKS of them, or fewer."""
-    return [things[i] for i in np.unique(np.linspace(0, len(things) - 1, _LOOKS).astype(int))] if things else []
+    return (
+        [things[i] for i in np.unique(np.linspace(0, len(things) - 1, _LOOKS).astype(int))]
+        if things
+        else []
+    )
 
 
 def seam_ratio(faces: np.ndarray) -> float:
@@ -63,7 +76,10 @@ def seam_ratio(faces: np.ndarray) -> float:
             apart_rad = np.maximum(angle_between(flat[own], flat[near]), 1e-6)
             steps.append(divide(np.abs(values[own] - values[near]).mean(1), apart_rad))
     least = max(1e-3 * float(np.abs(values).mean()) * n, 1e-9)
-    return float(max(np.median(np.concatenate(across)), least) / max(np.median(np.concatenate(within)), least))
+    return float(
+        max(np.median(np.concatenate(across)), least)
+        / max(np.median(np.concatenate(within)), least)
+    )
 
 
 def furnace(job: JobView) -> Iterator[Check]:
@@ -72,7 +88,13 @@ def furnace(job: JobView) -> Iterator[Check]:
         mean = furnace_mean(job, level)
         if mean is not None:
             ok = abs(mean - 1) <= LIMIT
-            yield Check(f"voxel furnace at {level}: mean of 1", mean, f"1 ± {LIMIT}", ok, "gi at a higher level")
+            yield Check(
+                f"voxel furnace at {level}: mean of 1",
+                mean,
+                f"1 ± {LIMIT}",
+                ok,
+                "gi at a higher level",
+            )
 
 
 def furnace_mean(job: JobView, level: str) -> float | None:
@@ -80,10 +102,17 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     invent is a mean other than 1. Over pixels inside its outline; None where it shows too few. Cost: one small picture."""
     scene = job.scene
     white = Material("white", base_colour=(1.0, 1.0, 1.0, 1.0), roughness=1.0, specular=0.0)
-    model = replace(scene.model, parts=tuple(replace(p, material=white, colours=None) for p in scene.model.parts))
+    model = replace(
+        scene.model,
+        parts=tuple(replace(p, material=white, colours=None) for p in scene.model.parts),
+    )
     width, height = SIZE
     focal = 0.9 * width
-    camera = Camera(width, height, np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]))
+    camera = Camera(
+        width,
+        height,
+        np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]),
+    )
     even = Light(ambient_rgb=(1.0, 1.0, 1.0), lights=())
     small = replace(scene, camera=camera, model=model, light=even, surface_m=None)
     box = scene.world_from_anchor.inverse().apply(scene.model_corners_m)

@@ -17,7 +17,16 @@ import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.core.parallel import parallel_rows
-from arfx.stages.gi.cones import LOBES, SCRATCH, START, DiffuseCones, Lobes, Placed, tangent_frame, trace
+from arfx.stages.gi.cones import (
+    LOBES,
+    SCRATCH,
+    START,
+    DiffuseCones,
+    Lobes,
+    Placed,
+    tangent_frame,
+    trace,
+)
 from arfx.stages.gi.surroundings import Background, background_radiance, wide_share
 from arfx.stages.lightmap.shading import Surface
 

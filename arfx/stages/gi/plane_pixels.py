@@ -20,15 +20,25 @@ from arfx.core.parallel import parallel_rows
 from arfx.stages.gi.cones import LOBES, SCRATCH, Lobes, Placed, trace
 from arfx.stages.gi.pixels import gloss_weights, split_sum
 from arfx.stages.gi.real_planes import SHOWS
-from arfx.stages.gi.surroundings import WARP, Background, background_radiance, first_plane, wide_share
+from arfx.stages.gi.surroundings import (
+    WARP,
+    Background,
+    background_radiance,
+    first_plane,
+    wide_share,
+)
 from arfx.stages.viewing import GRID_PX
 
 _FAST = {"contract", "nsz", "arcp"}
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
-_SAME = np.float32(0.02)  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
+_SAME = np.float32(
+    0.02
+)  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
 SHARPEST = 0.2  # roughness of the narrowest cone: a narrower one would show the voxels themselves
 _SHOWS = np.float32(SHOWS)
-_RIM = np.float32(0.85)  # share of the disc's radius from which on what is left (under half a grey level) fades out
+_RIM = np.float32(
+    0.85
+)  # share of the disc's radius from which on what is left (under half a grey level) fades out
 
 
 class PlaneChange(NamedTuple):
@@ -59,7 +69,9 @@ def measured(layers: Layers) -> np.ndarray:
     """The layer REAL_DEPTH as the kernels take it: empty where the job has none."""
     if layers.extent(Layer.REAL_DEPTH).empty or not np.isfinite(layers[Layer.REAL_DEPTH]).any():
         return np.zeros((0, 0), np.float32)
-    return np.array(layers[Layer.REAL_DEPTH], np.float32, order="C")  # writable, as the empty one: one form to compile for
+    return np.array(
+        layers[Layer.REAL_DEPTH], np.float32, order="C"
+    )  # writable, as the empty one: one form to compile for
 
 
 def cell_px(px_per_m: float, half_m: float, side: int) -> int:
@@ -69,9 +81,16 @@ def cell_px(px_per_m: float, half_m: float, side: int) -> int:
 
 
 def add_delta(
-    shadow: np.ndarray, x0: int, y0: int, within: np.ndarray, nodes: np.ndarray, origin: np.ndarray, axes: np.ndarray,
-    change: PlaneChange, real: np.ndarray,
-) -> None:  # fmt: skip
+    shadow: np.ndarray,
+    x0: int,
+    y0: int,
+    within: np.ndarray,
+    nodes: np.ndarray,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    change: PlaneChange,
+    real: np.ndarray,
+) -> None:
     """shadow (h, w, 3) float32 += weight x (delta - extra occlusion x what the shadow takes), never below 0.
 
     x0, y0 : its first pixel in the picture;  the other arguments as `_add_delta`"""
@@ -79,7 +98,9 @@ def add_delta(
     def rows(a: int, b: int) -> None:
         measured = real[a:b] if real.size else real
         scratch = np.zeros((2, shadow.shape[1] // int(change.cell) + 4, 8), np.float32)
-        _add_delta(shadow[a:b], (x0, y0 + a), within, nodes, origin, axes, change, measured, scratch)
+        _add_delta(
+            shadow[a:b], (x0, y0 + a), within, nodes, origin, axes, change, measured, scratch
+        )
 
     parallel_rows(rows, len(shadow))
 
@@ -91,7 +112,10 @@ def _direction(nodes, x, y):  # pragma: no cover - compiled
     fy, fx = np.float32(y % GRID_PX) * step, np.float32(x % GRID_PX) * step
     gy, gx = np.float32(1) - fy, np.float32(1) - fx
     a, b, c, d = gy * gx, gy * fx, fy * gx, fy * fx
-    below, right = min(j + 1, nodes.shape[0] - 1), min(i + 1, nodes.shape[1] - 1)  # a cell's last corner may be the last node
+    below, right = (
+        min(j + 1, nodes.shape[0] - 1),
+        min(i + 1, nodes.shape[1] - 1),
+    )  # a cell's last corner may be the last node
     n00, n01, n10, n11 = nodes[j, i], nodes[j, right], nodes[below, i], nodes[below, right]
     dx = a * n00[0] + b * n01[0] + c * n10[0] + d * n11[0]
     dy = a * n00[1] + b * n01[1] + c * n10[1] + d * n11[1]
@@ -128,7 +152,12 @@ def _change_at(nodes, x, y, origin, axes, change: PlaneChange, out):  # pragma: 
     fs, fq = s - np.float32(i), q - np.float32(j)
     w00, w01, w10, w11 = (one - fs) * (one - fq), fs * (one - fq), (one - fs) * fq, fs * fq
     for c in range(3):
-        value = w00 * delta[k, j, i, c] + w01 * delta[k, j, i1, c] + w10 * delta[k, j1, i, c] + w11 * delta[k, j1, i1, c]
+        value = (
+            w00 * delta[k, j, i, c]
+            + w01 * delta[k, j, i1, c]
+            + w10 * delta[k, j1, i, c]
+            + w11 * delta[k, j1, i1, c]
+        )
         out[c] = fade * value
         if extra_occlusion.shape[0]:
             more = w00 * extra_occlusion[k, j, i, c] + w01 * extra_occlusion[k, j, i1, c]
@@ -141,7 +170,7 @@ def _change_at(nodes, x, y, origin, axes, change: PlaneChange, out):  # pragma: 
 @line_kernel(fastmath=_FAST, error_model="numpy")
 def _add_delta(
     out, corner, within, nodes, origin, axes, change: PlaneChange, real, scratch
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """`add_delta` of some lines, to out (h, w, 3), the shadow, whose first pixel is `corner` (x, y) of the picture.
 
     Looked up at the corners of cells that are aligned with the picture; at each pixel where these do not show the same plane.
@@ -149,7 +178,11 @@ def _add_delta(
     origin (3,) : the camera, both anchor axes;  axes : of `Planes`;  real : as `depth_agreement`; what is not on a plane stays
     scratch (2, columns of cells + 2, 8)"""
     one, zero, cell = np.float32(1), np.float32(0), change.cell
-    deeper, uneven, step = change.extra_occlusion.shape[0] > 0, real.shape[0] > 0, one / np.float32(cell)
+    deeper, uneven, step = (
+        change.extra_occlusion.shape[0] > 0,
+        real.shape[0] > 0,
+        one / np.float32(cell),
+    )
     x0, y0 = corner
     x_from, x_to = max(within[0], x0), min(within[2], x0 + out.shape[1])
     y_from, y_to = max(within[1], y0), min(within[3], y0 + out.shape[0])
@@ -161,8 +194,12 @@ def _add_delta(
         above, below = scratch[j % 2], scratch[1 - j % 2]
         for i in range(first, last + 1):
             if j == y_from // cell:
-                above[i - first, 7] = _change_at(nodes, i * cell, j * cell, origin, axes, change, above[i - first])
-            below[i - first, 7] = _change_at(nodes, i * cell, (j + 1) * cell, origin, axes, change, below[i - first])
+                above[i - first, 7] = _change_at(
+                    nodes, i * cell, j * cell, origin, axes, change, above[i - first]
+                )
+            below[i - first, 7] = _change_at(
+                nodes, i * cell, (j + 1) * cell, origin, axes, change, below[i - first]
+            )
         for i in range(first, last):
             at = i - first
             p = above[at, 7]
@@ -186,7 +223,10 @@ def _add_delta(
                     if same:
                         fx = np.float32(x - i * cell) * step
                         for k in range(7):
-                            left, right = gy * above[at, k] + fy * below[at, k], gy * above[at + 1, k] + fy * below[at + 1, k]
+                            left, right = (
+                                gy * above[at, k] + fy * below[at, k],
+                                gy * above[at + 1, k] + fy * below[at + 1, k],
+                            )
                             here[k] = left + fx * (right - left)
                     elif _change_at(nodes, x, y, origin, axes, change, here) < 0:
                         continue
@@ -197,7 +237,9 @@ def _add_delta(
                         out[row, x - x0, c] = max(ratio + agreement * (here[c] - more), zero)
 
 
-def visible_radius_m(delta: np.ndarray, positions: np.ndarray, axes: np.ndarray, most_m: float) -> float:
+def visible_radius_m(
+    delta: np.ndarray, positions: np.ndarray, axes: np.ndarray, most_m: float
+) -> float:
     """Distance from the planes' origins beyond which no texel's change shows; at most `most_m`.
 
     delta, positions (p, side, side, 3);  axes (p, 4, 3)"""
@@ -228,7 +270,7 @@ def gloss_of(f0: float, roughness: float, lobes: Lobes) -> Gloss:
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def mirror_in_planes(
     plate, directions, origin, bias, gloss: Gloss, placed: Placed, background: Background, real
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """(h, w, 3) float32: radiance that the planes' mirror image of the object adds to the picture, or takes from it.
 
     plate (h, w, 3) : of the picture;  directions (h, w, 3) : viewing, z = 1, and origin (3,) : the camera, both anchor axes
@@ -260,10 +302,14 @@ def mirror_in_planes(
                 continue
             d = dx - 2 * along * nx, dy - 2 * along * ny, dz - 2 * along * nz
             at = (px - low[0]) / size, (py - low[1]) / size, (pz - low[2]) / size
-            r, g, b, transmittance = trace(bricks, gloss.walk, at, d, at, (zero, zero, zero), False, scratch)
+            r, g, b, transmittance = trace(
+                bricks, gloss.walk, at, d, at, (zero, zero, zero), False, scratch
+            )
             if transmittance >= one:
                 continue
-            er, eg, eb = background_radiance(background, p, (px, py, pz), d, tangent, half_deg, wide_share(half_deg))
+            er, eg, eb = background_radiance(
+                background, p, (px, py, pz), d, tangent, half_deg, wide_share(half_deg)
+            )
             out[i, j, 0] = f * (r - (one - transmittance) * er)
             out[i, j, 1] = f * (g - (one - transmittance) * eg)
             out[i, j, 2] = f * (b - (one - transmittance) * eb)

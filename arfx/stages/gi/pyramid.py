@@ -98,9 +98,17 @@ def levels_of(structure: Structure, values: np.ndarray) -> list[np.ndarray]:
 def atlas_of(structure: Structure, values: np.ndarray) -> Bricks:
     """The pyramid of `values` (v, 4), packed."""
     atlas = np.zeros(structure.floats, np.float32)
-    for k, (layer, level_values) in enumerate(zip(structure.layers, levels_of(structure, values), strict=True)):
+    for k, (layer, level_values) in enumerate(
+        zip(structure.layers, levels_of(structure, values), strict=True)
+    ):
         _, across, first, at = structure.meta[k]
-        _pack(layer.cells, level_values, structure.brick_of[first : first + across**3], across, atlas[at:])
+        _pack(
+            layer.cells,
+            level_values,
+            structure.brick_of[first : first + across**3],
+            across,
+            atlas[at:],
+        )
     return Bricks(atlas, structure.brick_of, structure.meta)
 
 

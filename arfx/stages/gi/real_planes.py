@@ -48,11 +48,15 @@ def planes_of(scene: Scene) -> Planes:
     bounds = [np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])]
     known: list[tuple[Pose, RealPlane | None, float, float]]
     known = [(pose, None, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
-    known += [(p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes]
+    known += [
+        (p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes
+    ]
     for pose, measured, cosine, apart_m in known:
         m = anchor_from_world @ pose
         n, o = m.rotation[:, 2], m.translation_m
-        same = [k for k, a in enumerate(axes) if n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m]
+        same = [
+            k for k, a in enumerate(axes) if n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m
+        ]
         distance = float((centre - o) @ n)
         if same and measured is not None and np.abs(bounds[same[0]]).min() >= ENDLESS:
             k = same[0]
@@ -95,7 +99,9 @@ def disc_rect(scene: Scene, planes: Planes, radius_m: float, pose: Pose, frame: 
         eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
         if (eye - axes[0]) @ axes[3] <= 0:
             continue
-        out = out.union(seen_rect(scene.camera, (pose @ scene.world_from_anchor).apply(points), 1.0))
+        out = out.union(
+            seen_rect(scene.camera, (pose @ scene.world_from_anchor).apply(points), 1.0)
+        )
     return out.clip(frame)
 
 
@@ -114,7 +120,9 @@ def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame:
             continue
         mirrored = corners - 2 * np.clip(height, 0, None)[:, None] * normal
         reach = BLUR * tangent * float(height.max())
-        spread = np.concatenate([mirrored + s * reach * a for s in (-1, 1) for a in (axes[1], axes[2])])
+        spread = np.concatenate(
+            [mirrored + s * reach * a for s in (-1, 1) for a in (axes[1], axes[2])]
+        )
         out = out.union(seen_rect(scene.camera, camera_from_anchor.apply(spread), 2.0))
     return out.clip(frame)
 
@@ -128,9 +136,16 @@ def texel_positions(planes: Planes, side: int) -> np.ndarray:
 
 
 def picture_on_planes(
-    plate: np.ndarray, rect: Rect, allowed: Rect, camera: Camera, camera_from_anchor: Pose, positions: np.ndarray,
-    axes: np.ndarray, bias: np.ndarray, real: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    plate: np.ndarray,
+    rect: Rect,
+    allowed: Rect,
+    camera: Camera,
+    camera_from_anchor: Pose,
+    positions: np.ndarray,
+    axes: np.ndarray,
+    bias: np.ndarray,
+    real: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """The picture's radiance on the planes (p, side, side, 3) float32 and whether it is known there (p, side, side).
 
     plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  positions : of `texel_positions`
@@ -147,14 +162,19 @@ def picture_on_planes(
         column, row = (np.rint(v[inside] - o).astype(int) for v, o in ((x, rect.x0), (y, rect.y0)))
         depth = real[np.clip(row, 0, rect.height - 1), np.clip(column, 0, rect.width - 1)]
         with np.errstate(invalid="ignore"):
-            inside[inside] = ~(np.abs(depth - placed[inside][:, 2]) > _SAME_DEPTH * placed[inside][:, 2]) | ~np.isfinite(depth)
+            inside[inside] = ~(
+                np.abs(depth - placed[inside][:, 2]) > _SAME_DEPTH * placed[inside][:, 2]
+            ) | ~np.isfinite(depth)
     out = np.zeros((*seen.shape[:3], 3), np.float32)
     for k in range(len(positions)):
         if inside[k].any():
             out[k] = cv2.remap(
-                plate, (x[k] - rect.x0).astype(np.float32), (y[k] - rect.y0).astype(np.float32), cv2.INTER_LINEAR,
+                plate,
+                (x[k] - rect.x0).astype(np.float32),
+                (y[k] - rect.y0).astype(np.float32),
+                cv2.INTER_LINEAR,
                 borderMode=cv2.BORDER_REPLICATE,
-            )  # fmt: skip
+            )
     out = np.clip(out - bias, 0, None) * inside[..., None]
     return np.asarray(out, np.float32), inside.astype(np.float32)
 
@@ -174,7 +194,9 @@ def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np
     return np.asarray(radiance + (1 - known)[..., None] * around, np.float32)
 
 
-def mip_chain(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mip_chain(
+    radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one texel; what is not known is filled from
     the coarser levels, and from `otherwise` (3,) where nothing is known at all."""
     p = len(known)
@@ -184,7 +206,9 @@ def mip_chain(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) ->
         n = s.shape[1] // 2
         sums.append(s.reshape(p, n, 2, n, 2, 3).mean((2, 4)))
         weights.append(w.reshape(p, n, 2, n, 2).mean((2, 4)))
-    level = np.where(weights[-1][..., None] > 0, divide(sums[-1], weights[-1][..., None]), otherwise)
+    level = np.where(
+        weights[-1][..., None] > 0, divide(sums[-1], weights[-1][..., None]), otherwise
+    )
     levels = [level]
     for s, w in zip(sums[-2::-1], weights[-2::-1], strict=True):
         up = np.stack([cv2.resize(x.astype(np.float32), (s.shape[2], s.shape[1])) for x in level])

@@ -150,7 +150,11 @@ def cone_of_ball(points, normals, ball, near_radii, u, v):  # pragma: no cover -
         a, b = _tangents(w0, w1, w2)
         r, phi = np.sqrt(max(1 - up * up, 0.0)), 2 * np.pi * v[i]
         s, t = r * np.cos(phi), r * np.sin(phi)
-        d0, d1, d2 = s * a[0] + t * b[0] + up * w0, s * a[1] + t * b[1] + up * w1, s * a[2] + t * b[2] + up * w2
+        d0, d1, d2 = (
+            s * a[0] + t * b[0] + up * w0,
+            s * a[1] + t * b[1] + up * w1,
+            s * a[2] + t * b[2] + up * w2,
+        )
         out[i, 0], out[i, 1], out[i, 2] = d0, d1, d2
         if near[i]:
             density[i] = max(n0 * d0 + n1 * d1 + n2 * d2, 1e-9) / np.pi
@@ -165,7 +169,9 @@ def first_plane(axes, bounds, endless, origins, directions):  # pragma: no cover
     for i in range(n):
         for k in range(len(axes)):
             a = axes[k]
-            falls = -(directions[i, 0] * a[3, 0] + directions[i, 1] * a[3, 1] + directions[i, 2] * a[3, 2])
+            falls = -(
+                directions[i, 0] * a[3, 0] + directions[i, 1] * a[3, 1] + directions[i, 2] * a[3, 2]
+            )
             if not falls > 1e-9:
                 continue
             x, y, z = origins[i, 0] - a[0, 0], origins[i, 1] - a[0, 1], origins[i, 2] - a[0, 2]
@@ -219,7 +225,10 @@ def _on_cube(x, y, z):  # pragma: no cover - compiled
 def _add_texel(faces, face, u, v, weight, out):  # pragma: no cover - compiled
     """out (3,) += weight x a cube (6, n, n, 3), linear between the texels of a face."""
     n = faces.shape[1]
-    x, y = min(max((u + 1) / 2 * n - 0.5, 0.0), n - 1.0), min(max((v + 1) / 2 * n - 0.5, 0.0), n - 1.0)
+    x, y = (
+        min(max((u + 1) / 2 * n - 0.5, 0.0), n - 1.0),
+        min(max((v + 1) / 2 * n - 0.5, 0.0), n - 1.0),
+    )
     i, j = max(min(int(x), n - 2), 0), max(min(int(y), n - 2), 0)
     i1, j1 = min(i + 1, n - 1), min(j + 1, n - 1)
     fx, fy = x - i, y - j
@@ -251,7 +260,10 @@ def cube_radiance(narrow, broad, turn, directions, wide):  # pragma: no cover - 
 def _times_texel(of: Surfaces, k, u, v, out):  # pragma: no cover - compiled
     """out (3,) *= the texel of texture k there."""
     first, w, h = of.table[k, 0], of.table[k, 1], of.table[k, 2]
-    x, y = max(min(int((u - np.floor(u)) * w), w - 1), 0), max(min(int((v - np.floor(v)) * h), h - 1), 0)
+    x, y = (
+        max(min(int((u - np.floor(u)) * w), w - 1), 0),
+        max(min(int((v - np.floor(v)) * h), h - 1), 0),
+    )
     for c in range(3):
         out[c] *= _CODE[of.texels[first + y * w + x, c]]
 
@@ -268,11 +280,14 @@ def surface_at(of: Surfaces, triangle, u, v):  # pragma: no cover - compiled
         p = 1 - q - r
         a = of.normals[t]
         normal[i] = _unit(
-            p * a[0, 0] + q * a[1, 0] + r * a[2, 0], p * a[0, 1] + q * a[1, 1] + r * a[2, 1],
+            p * a[0, 0] + q * a[1, 0] + r * a[2, 0],
+            p * a[0, 1] + q * a[1, 1] + r * a[2, 1],
             p * a[0, 2] + q * a[1, 2] + r * a[2, 2],
-        )  # fmt: skip
+        )
         for c in range(3):
-            diffuse[i, c] = p * of.colours[t, 0, c] + q * of.colours[t, 1, c] + r * of.colours[t, 2, c]
+            diffuse[i, c] = (
+                p * of.colours[t, 0, c] + q * of.colours[t, 1, c] + r * of.colours[t, 2, c]
+            )
             emission[i, c], face_normal[i, c] = of.emission[t, c], of.face_normal[t, c]
         if of.base[t] >= 0 or of.glow[t] >= 0:
             x = p * of.uv[t, 0, 0] + q * of.uv[t, 1, 0] + r * of.uv[t, 2, 0]
@@ -303,7 +318,11 @@ def facing(normal, towards, position, lift):  # pragma: no cover - compiled
     """Normals (n, 3) turned to the side of `towards`, positions that far over it, and the mirrored directions, (n, 3) each."""
     turned, start, mirrored = np.empty_like(normal), np.empty_like(normal), np.empty_like(normal)
     for i in range(len(normal)):
-        cosine = normal[i, 0] * towards[i, 0] + normal[i, 1] * towards[i, 1] + normal[i, 2] * towards[i, 2]
+        cosine = (
+            normal[i, 0] * towards[i, 0]
+            + normal[i, 1] * towards[i, 1]
+            + normal[i, 2] * towards[i, 2]
+        )
         side = -1.0 if cosine < 0 else 1.0
         for c in range(3):
             turned[i, c] = side * normal[i, c]

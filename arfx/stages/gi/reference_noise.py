@@ -15,15 +15,22 @@ NOISE = 0.5  # grey levels: standard deviation at which a pixel's samples end
 
 
 def settled(
-    draw: Callable[[np.ndarray, int], np.ndarray], noticed: Callable[[np.ndarray, np.ndarray], np.ndarray], most: np.ndarray,
+    draw: Callable[[np.ndarray, int], np.ndarray],
+    noticed: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    most: np.ndarray,
     width: int = 3,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """(n, width) means of at most so many samples (n,), fewer where the noise that is left is below NOISE grey levels.
 
     draw : sample s of some rows, (m, width);  noticed : what of such values of some rows shows, (m, 3) in grey levels
     The noise is estimated from the spread of batches, so that it counts what even sampling gains."""
     count, rows = len(most), np.arange(len(most))
-    out, taken, shown, squares = np.zeros((count, width)), np.zeros((count, 1)), np.zeros((count, 3)), np.zeros((count, 3))
+    out, taken, shown, squares = (
+        np.zeros((count, width)),
+        np.zeros((count, 1)),
+        np.zeros((count, 3)),
+        np.zeros((count, 3)),
+    )
     for first in range(0, int(most.max(initial=0)), BATCH_SAMPLES):
         before = out[rows]
         for s in range(first, first + BATCH_SAMPLES):

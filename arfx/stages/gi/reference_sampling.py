@@ -18,7 +18,15 @@ import numpy as np
 
 from arfx.core.cube import on_cube, solid_angles
 from arfx.core.numerics import divide, normalise
-from arfx.stages.gi.reference_kernels import cone_of_ball, cosine_about, disc_about, dots, hashed, in_frame_of, scrambled
+from arfx.stages.gi.reference_kernels import (
+    cone_of_ball,
+    cosine_about,
+    disc_about,
+    dots,
+    hashed,
+    in_frame_of,
+    scrambled,
+)
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
 
 NEAR = 1.3  # radii: from nearer a ball fills so much that the plane's own directions are better
@@ -36,7 +44,9 @@ def uniform(pixel: np.ndarray, sample: int, dimension: int, seed: int) -> np.nda
 
 
 def _mixed(sample: int, dimension: int, seed: int) -> np.uint32:
-    return np.uint32((sample * 0x9E3779B1 + dimension * 0x85EBCA77 + seed * 0xC2B2AE3D) & 0xFFFFFFFF)
+    return np.uint32(
+        (sample * 0x9E3779B1 + dimension * 0x85EBCA77 + seed * 0xC2B2AE3D) & 0xFFFFFFFF
+    )
 
 
 def _reversed_bits(x: int) -> int:
@@ -87,7 +97,11 @@ class Sampler:
 
 def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two (n, 3) that make a right-handed frame with the unit normals (n, 3)."""
-    u = normalise(np.cross(np.where(np.abs(normals[:, :1]) > 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]]), normals))
+    u = normalise(
+        np.cross(
+            np.where(np.abs(normals[:, :1]) > 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]]), normals
+        )
+    )
     return u, np.cross(normals, u)
 
 
@@ -130,12 +144,16 @@ def towards_ball(
 class Gloss:
     """GGX lobes about unit normals n, seen along unit v: rows (k, 3). f0 (k, 3);  roughness (k,) or one"""
 
-    def __init__(self, n: np.ndarray, v: np.ndarray, f0: np.ndarray, roughness: np.ndarray | float) -> None:
+    def __init__(
+        self, n: np.ndarray, v: np.ndarray, f0: np.ndarray, roughness: np.ndarray | float
+    ) -> None:
         self.n, self.f0 = n, f0
         self.a = np.broadcast_to(np.clip(roughness, SMOOTHEST, 1) ** 2, len(n)).astype(float)
         self._u, self._w = tangents(n)
         local = np.stack([(v * self._u).sum(1), (v * self._w).sum(1), (v * n).sum(1)], -1)
-        local[:, 2] = np.clip(local[:, 2], 1e-4, None)  # normals of a mesh may look away from what sees it
+        local[:, 2] = np.clip(
+            local[:, 2], 1e-4, None
+        )  # normals of a mesh may look away from what sees it
         self._v = normalise(local)
 
     def of(self, rows: np.ndarray) -> Gloss:
@@ -151,7 +169,14 @@ class Gloss:
         v, a = self._v, self.a[:, None]
         stretched = normalise(np.concatenate([a * v[:, :2], v[:, 2:]], 1))
         flat = np.hypot(stretched[:, 0], stretched[:, 1])
-        across = np.stack([-divide(stretched[:, 1], flat), divide(stretched[:, 0], flat, where_zero=1.0), 0 * flat], -1)
+        across = np.stack(
+            [
+                -divide(stretched[:, 1], flat),
+                divide(stretched[:, 0], flat, where_zero=1.0),
+                0 * flat,
+            ],
+            -1,
+        )
         across[flat < 1e-9] = [1, 0, 0]
         up = np.cross(stretched, across)
         r, phi = np.sqrt(u), 2 * np.pi * w
@@ -164,17 +189,28 @@ class Gloss:
         d = 2 * (v * h).sum(1, keepdims=True) * h - v
         rows = np.flatnonzero(d[:, 2] > 1e-5)
         value, density = self._at(rows, d[rows], h[rows])
-        return rows, in_frame_of(self.n[rows], *np.ascontiguousarray(d[rows].T)), divide(value, density[:, None]), density
+        return (
+            rows,
+            in_frame_of(self.n[rows], *np.ascontiguousarray(d[rows].T)),
+            divide(value, density[:, None]),
+            density,
+        )
 
-    def at(self, rows: np.ndarray | EllipsisType, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at(
+        self, rows: np.ndarray | EllipsisType, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(reflected share times cosine (m, 3), density (m,)) of unit directions (m, 3); 0 from below. rows (m,), or all"""
         u, w, n = self._u[rows], self._w[rows], self.n[rows]
-        d = np.stack([(directions * u).sum(1), (directions * w).sum(1), (directions * n).sum(1)], -1)
+        d = np.stack(
+            [(directions * u).sum(1), (directions * w).sum(1), (directions * n).sum(1)], -1
+        )
         value, density = self._at(rows, d, normalise(d + self._v[rows]))
         above = d[:, 2] > 1e-5
         return value * above[:, None], density * above
 
-    def _at(self, rows: np.ndarray | EllipsisType, d: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _at(
+        self, rows: np.ndarray | EllipsisType, d: np.ndarray, h: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         v, a2 = self._v[rows], self.a[rows] ** 2
         nl, nv, nh = np.clip(d[:, 2], 1e-5, None), v[:, 2], h[:, 2]
         vh = np.clip((v * h).sum(1), 0, 1)
@@ -190,7 +226,12 @@ class Lights:
     """Samples of environment and emitting triangles. bright, glows : whether there is a need for either"""
 
     def __init__(self, rays: RayScene, surroundings: Surroundings) -> None:
-        self._rays, self._surroundings, self._turn, self._size = rays, surroundings, surroundings.turn, surroundings.cube.shape[1]
+        self._rays, self._surroundings, self._turn, self._size = (
+            rays,
+            surroundings,
+            surroundings.turn,
+            surroundings.cube.shape[1],
+        )
         grey = np.asarray(surroundings.cube, float) @ _GREY
         solid = np.tile(solid_angles(self._size), (6, 1, 1))
         mean = float((grey * solid).sum() / solid.sum())
@@ -212,9 +253,13 @@ class Lights:
         face, u, v = on_cube(directions @ self._turn.T)
         n = self._size
         column, row = (np.clip(((t + 1) / 2 * n).astype(int), 0, n - 1) for t in (u, v))
-        return np.asarray(self._chance[(face * n + row) * n + column] * n**2 / 4 * (1 + u**2 + v**2) ** 1.5)
+        return np.asarray(
+            self._chance[(face * n + row) * n + column] * n**2 / 4 * (1 + u**2 + v**2) ** 1.5
+        )
 
-    def environment(self, directions: np.ndarray, density: np.ndarray | None, rows: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    def environment(
+        self, directions: np.ndarray, density: np.ndarray | None, rows: np.ndarray, wide: np.ndarray
+    ) -> np.ndarray:
         """(m, 3) radiance from directions[rows], weighted as `balance_weight`."""
         weight = balance_weight(density, rows, self.environment_density(directions[rows]))
         return self._surroundings.environment(directions[rows], wide[rows]) * weight

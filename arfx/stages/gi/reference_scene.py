@@ -13,7 +13,13 @@ from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.reference_kernels import Surfaces, cube_radiance, first_plane, picture_or, surface_at
+from arfx.stages.gi.reference_kernels import (
+    Surfaces,
+    cube_radiance,
+    first_plane,
+    picture_or,
+    surface_at,
+)
 from arfx.stages.gi.surroundings import ENDLESS, Planes, irradiance
 from arfx.stages.triangles import Triangles, model_triangles
 
@@ -67,10 +73,16 @@ class RayScene:
         self.blocked = self._triangles.blocked
         materials = [p.material for p in self.parts]
         metal, f0 = (
-            np.array(v, float) for v in zip(*((m.metallic, 0.08 * m.specular * (1 - m.metallic)) for m in materials), strict=True)
+            np.array(v, float)
+            for v in zip(
+                *((m.metallic, 0.08 * m.specular * (1 - m.metallic)) for m in materials),
+                strict=True,
+            )
         )
         of = self.part_of
-        colours = np.broadcast_to(np.array([m.base_colour[:3] for m in materials], float)[of][:, None], (len(of), 3, 3)).copy()
+        colours = np.broadcast_to(
+            np.array([m.base_colour[:3] for m in materials], float)[of][:, None], (len(of), 3, 3)
+        ).copy()
         for k, part in enumerate(self.parts):
             if part.colours is not None:
                 rows = np.flatnonzero(of == k)
@@ -78,8 +90,14 @@ class RayScene:
         shares = np.stack([(1 - metal) * (1 - f0), f0, metal], 1)[of]
         emission = np.array([m.emissive for m in materials], float)[of]
         self.surfaces = Surfaces(
-            self._normals, colours, shares, emission, self._face_normal, self._light_density, *self._textures()
-        )  # fmt: skip
+            self._normals,
+            colours,
+            shares,
+            emission,
+            self._face_normal,
+            self._light_density,
+            *self._textures(),
+        )
 
     def _textures(self) -> tuple[np.ndarray, ...]:
         """uv, base, glow, table, texels of `Surfaces`."""
@@ -87,7 +105,9 @@ class RayScene:
         table: list[tuple[int, int, int]] = []
         texels, count = [np.zeros((0, 3), np.uint8)], 0
         for k, part in enumerate(self.parts):
-            for which, texture in enumerate((part.material.base_texture, part.material.emissive_texture)):
+            for which, texture in enumerate(
+                (part.material.base_texture, part.material.emissive_texture)
+            ):
                 if part.uv is None or texture is None:
                     continue
                 rows = np.flatnonzero(self.part_of == k)
@@ -124,16 +144,24 @@ class RayScene:
         """Where the rays `rows` (m,) of those (n, 3) met something."""
         distance, d = met.distance[rows], directions[rows]
         surface = surface_at(self.surfaces, met.triangle[rows], met.u[rows], met.v[rows])
-        return Hit(np.ones(len(rows), bool), distance, origins[rows] + distance[:, None] * d, *surface)
+        return Hit(
+            np.ones(len(rows), bool), distance, origins[rows] + distance[:, None] * d, *surface
+        )
 
 
 class Surroundings:
     """Planes and environment, anchor axes."""
 
     def __init__(
-        self, now: Layers, seen: Rect, scene: Scene, facts: FrameFacts, cubes: tuple[np.ndarray, np.ndarray], planes: Planes,
+        self,
+        now: Layers,
+        seen: Rect,
+        scene: Scene,
+        facts: FrameFacts,
+        cubes: tuple[np.ndarray, np.ndarray],
+        planes: Planes,
         radius_m: float,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.axes, self._bounds = planes.axes.astype(float), planes.bounds.astype(float)
         self._endless = np.abs(self._bounds).min(1) >= ENDLESS
         self.narrow, cube = (np.ascontiguousarray(c, float) for c in cubes)
@@ -142,35 +170,49 @@ class Surroundings:
         self._eye = self._pose.inverse().translation_m
         inside = seen.clip(now.rect)
         self._at, plate = inside, now[Layer.PLATE]
-        self._plate = np.clip(plate[inside.slices_in(now.rect)] - np.array(facts.bias_rgb, np.float32), 0, None)
+        self._plate = np.clip(
+            plate[inside.slices_in(now.rect)] - np.array(facts.bias_rgb, np.float32), 0, None
+        )
         grid = np.linspace(-3, 3, 25) * radius_m
         u, v = (a.ravel()[:, None] for a in np.meshgrid(grid, grid))
         self._means = np.tile(0.4 * irradiance(cube, self.turn[:, 2]), (len(self.axes), 1))
         for k, axes in enumerate(self.axes):
-            sampled, known = self._picture_or(axes[0] + u * axes[1] + v * axes[2], np.full(len(u), k), np.zeros((len(u), 3)))
+            sampled, known = self._picture_or(
+                axes[0] + u * axes[1] + v * axes[2], np.full(len(u), k), np.zeros((len(u), 3))
+            )
             self._means[k] = sampled[known].mean(0) if known.any() else self._means[0]
-        part = max(cube.shape[1] // IRRADIANCE_PX, 1)  # irradiance is smooth: a cube of few texels gives the same
+        part = max(
+            cube.shape[1] // IRRADIANCE_PX, 1
+        )  # irradiance is smooth: a cube of few texels gives the same
         size = cube.shape[1] // part
-        coarse = cube[:, : size * part, : size * part].reshape(6, size, part, size, part, 3).mean((2, 4))
+        coarse = (
+            cube[:, : size * part, : size * part].reshape(6, size, part, size, part, 3).mean((2, 4))
+        )
         d, solid = face_directions(size).reshape(-1, 3), np.tile(solid_angles(size).ravel(), 6)
         below = (d @ self.turn[:, 2] < 0)[:, None]
         flat = np.where(below, self._means[0], coarse.reshape(-1, 3))
         facing = np.clip(face_directions(IRRADIANCE_PX).reshape(-1, 3) @ d.T, 0, None)
-        self._irradiance = divide(facing @ (flat * solid[:, None]), (facing @ solid)[:, None]).reshape(
-            6, IRRADIANCE_PX, IRRADIANCE_PX, 3
-        )
+        self._irradiance = divide(
+            facing @ (flat * solid[:, None]), (facing @ solid)[:, None]
+        ).reshape(6, IRRADIANCE_PX, IRRADIANCE_PX, 3)
 
-    def first_plane(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def first_plane(
+        self, origins: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(plane (n,), -1 = none; distance (n,), inf) of the nearest plane met from its front."""
         o, d = np.ascontiguousarray(origins), np.ascontiguousarray(directions)
-        found: tuple[np.ndarray, np.ndarray] = first_plane(self.axes, self._bounds, self._endless, o, d)
+        found: tuple[np.ndarray, np.ndarray] = first_plane(
+            self.axes, self._bounds, self._endless, o, d
+        )
         return found
 
     def picture(self, positions: np.ndarray, plane: np.ndarray) -> np.ndarray:
         """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does not."""
         return self._picture_or(positions, plane, self._means[plane])[0]
 
-    def _picture_or(self, positions: np.ndarray, plane: np.ndarray, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _picture_or(
+        self, positions: np.ndarray, plane: np.ndarray, means: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         at = self._camera.project(self._pose.apply(positions))
         front = ((self._eye - self.axes[:, 0]) * self.axes[:, 3]).sum(-1) > 0
         found: tuple[np.ndarray, np.ndarray] = picture_or(
@@ -184,4 +226,8 @@ class Surroundings:
 
     def unoccluded_irradiance(self, normals: np.ndarray) -> np.ndarray:
         """(n, 3) what a white surface gets from all around with nothing in the way: the end of a path."""
-        return np.asarray(cube_radiance(self._irradiance, self._irradiance, self.turn, normals, np.ones(len(normals))))
+        return np.asarray(
+            cube_radiance(
+                self._irradiance, self._irradiance, self.turn, normals, np.ones(len(normals))
+            )
+        )

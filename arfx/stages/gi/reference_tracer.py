@@ -45,18 +45,28 @@ class Of(Enum):
 class Tracer:
     """Radiance along rays. light : WORLD axes, taken into the anchor's"""
 
-    def __init__(self, rays: RayScene, surroundings: Surroundings, light: Light, scene: Scene) -> None:
+    def __init__(
+        self, rays: RayScene, surroundings: Surroundings, light: Light, scene: Scene
+    ) -> None:
         self.rays, self.surroundings, self.sampled = rays, surroundings, Lights(rays, surroundings)
         turn = scene.world_from_anchor.rotation
-        self.lights = [(turn.T @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights]
+        self.lights = [
+            (turn.T @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights
+        ]
         self.plane_light = np.array([light.radiance(turn @ axes[3]) for axes in surroundings.axes])
         self.ball = bounding_ball(scene)
         self._ball = np.append(*self.ball)
 
     def along(
-        self, origins: np.ndarray, directions: np.ndarray, draw: Sampler, bounces: int, wide: np.ndarray,
-        density: np.ndarray | None = None, of: Of = Of.ALL,
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        draw: Sampler,
+        bounces: int,
+        wide: np.ndarray,
+        density: np.ndarray | None = None,
+        of: Of = Of.ALL,
+    ) -> np.ndarray:
         """(n, 3) radiance that comes from `directions`, or a part `of` it. density (n,) : with which they were drawn, where
         lights are sampled as well; None = they are not"""
         hit = self.rays.nearest(origins, directions)
@@ -70,8 +80,12 @@ class Tracer:
         rows = np.flatnonzero(on_object)
         if len(rows):
             met = self.rays.hit(hit, rows, origins, directions)
-            glow = balance_weight(density, rows, self.sampled.emitter_density(met, directions[rows]))
-            out[rows] = self.outgoing_radiance(met, -directions[rows], draw.of(rows), bounces, glow, of)
+            glow = balance_weight(
+                density, rows, self.sampled.emitter_density(met, directions[rows])
+            )
+            out[rows] = self.outgoing_radiance(
+                met, -directions[rows], draw.of(rows), bounces, glow, of
+            )
         rows = np.flatnonzero(on_plane)
         if len(rows):
             positions = origins[rows] + distance[rows, None] * directions[rows]
@@ -80,7 +94,12 @@ class Tracer:
         return out
 
     def sampled_lights(
-        self, start: np.ndarray, draw: Sampler, value: Reflectance, wide: np.ndarray, change: bool = False
+        self,
+        start: np.ndarray,
+        draw: Sampler,
+        value: Reflectance,
+        wide: np.ndarray,
+        change: bool = False,
     ) -> np.ndarray:
         """(n, 3) light that samples of lights bring to positions (n, 3), weighed against the surface's own directions.
 
@@ -102,15 +121,29 @@ class Tracer:
             rows = np.flatnonzero(own > 0)
             plane, beyond = self.surroundings.first_plane(start[rows], d[rows])
             met = self.rays.nearest(start[rows], d[rows])
-            ok = (met.distance > distance[rows] * (1 - 1e-3)) & np.isfinite(met.distance) & (beyond > distance[rows])
+            ok = (
+                (met.distance > distance[rows] * (1 - 1e-3))
+                & np.isfinite(met.distance)
+                & (beyond > distance[rows])
+            )
             hit, rows = self.rays.hit(met, np.flatnonzero(ok), start[rows], d[rows]), rows[ok]
             density = self.sampled.emitter_density(hit, d[rows])
-            rows, hit, density = rows[density > 0], hit.of(np.flatnonzero(density > 0)), density[density > 0]
+            rows, hit, density = (
+                rows[density > 0],
+                hit.of(np.flatnonzero(density > 0)),
+                density[density > 0],
+            )
             out[rows] += hit.emission * reflected[rows] / (density + own[rows])[:, None]
         return out
 
     def outgoing_radiance(
-        self, hit: Hit, towards: np.ndarray, draw: Sampler, bounces: int, glow: np.ndarray | float = 1.0, of: Of = Of.ALL
+        self,
+        hit: Hit,
+        towards: np.ndarray,
+        draw: Sampler,
+        bounces: int,
+        glow: np.ndarray | float = 1.0,
+        of: Of = Of.ALL,
     ) -> np.ndarray:
         """(n, 3) that the object's surface sends `towards` a direction: emission, direct light, and one more bounce, or a part
         `of` it. Where a path ends, the light around is taken as if nothing were in its way.
@@ -128,13 +161,21 @@ class Tracer:
                 out = out + hit.specular * unoccluded
         if bounce:
             d = cosine_directions(normal, draw)
-            arriving = arriving + self.along(start, d, draw, bounces - 1, np.ones(len(d)), cosine_density(normal, d))
-            arriving = arriving + self.sampled_lights(start, draw, lambertian(normal), np.ones(len(d)))
+            arriving = arriving + self.along(
+                start, d, draw, bounces - 1, np.ones(len(d)), cosine_density(normal, d)
+            )
+            arriving = arriving + self.sampled_lights(
+                start, draw, lambertian(normal), np.ones(len(d))
+            )
         out = out + hit.diffuse * arriving
-        if bounce and specular:  # Russian roulette: what hardly mirrors is asked for it now and then
+        if (
+            bounce and specular
+        ):  # Russian roulette: what hardly mirrors is asked for it now and then
             asked = np.minimum(hit.specular.max(1) / MIRRORS, 1)
             rows = np.flatnonzero(draw.single() < asked)
-            mirrored = self.along(start[rows], mirror[rows], draw.of(rows), bounces - 1, np.zeros(len(rows)))
+            mirrored = self.along(
+                start[rows], mirror[rows], draw.of(rows), bounces - 1, np.zeros(len(rows))
+            )
             out[rows] += hit.specular[rows] / asked[rows, None] * mirrored
         return out
 
@@ -151,7 +192,9 @@ class Tracer:
                 add_scaled(out, rows, cosine[rows] * visible, rgb)
         return out
 
-    def shadow_ratio(self, positions: np.ndarray, plane: np.ndarray, draw: Sampler, bounces: int, of: Of = Of.ALL) -> np.ndarray:
+    def shadow_ratio(
+        self, positions: np.ndarray, plane: np.ndarray, draw: Sampler, bounces: int, of: Of = Of.ALL
+    ) -> np.ndarray:
         """(n, 3) share of a plane's light that is there with the object, or a part `of` it: what the picture on it is
         multiplied by."""
         normals = self.surroundings.axes[plane, 3]
@@ -163,17 +206,26 @@ class Tracer:
             cosine = normals @ d
             rows = np.flatnonzero(cosine > 0)
             if len(rows):
-                add_scaled(hidden_light, rows, cosine[rows] * self.rays.blocked(start[rows], towards[rows]), rgb)
+                add_scaled(
+                    hidden_light,
+                    rows,
+                    cosine[rows] * self.rays.blocked(start[rows], towards[rows]),
+                    rgb,
+                )
         if of is Of.FIRST:
             return np.asarray(1 - divide(hidden_light, plane_light))
         # Russian roulette: the less of the hemisphere the object may fill, the fewer are asked
         asked = share_of_ball(start, self._ball, ASKED, LEAST_ASKED)
         rows = np.flatnonzero(draw.single() < asked)
         change = np.zeros((len(start), 3))
-        change[rows] = self.change(start[rows], normals[rows], draw.of(rows), bounces) / asked[rows, None]
+        change[rows] = (
+            self.change(start[rows], normals[rows], draw.of(rows), bounces) / asked[rows, None]
+        )
         return np.asarray((of is Of.ALL) + divide(change - hidden_light, plane_light))
 
-    def change(self, start: np.ndarray, normals: np.ndarray, draw: Sampler, bounces: int) -> np.ndarray:
+    def change(
+        self, start: np.ndarray, normals: np.ndarray, draw: Sampler, bounces: int
+    ) -> np.ndarray:
         """(n, 3) indirect light of a white plane with the object less without it, by one ray towards the object, and where
         there are other planes, which it changes too, one towards those."""
         d, density, near = towards_ball(start, normals, *self.ball, draw)
@@ -190,7 +242,9 @@ class Tracer:
             out = out + self.change_of_planes(start, cosine_directions(normals, draw), draw)
         return np.asarray(out)
 
-    def from_other_planes(self, start: np.ndarray, normals: np.ndarray, draw: Sampler) -> np.ndarray:
+    def from_other_planes(
+        self, start: np.ndarray, normals: np.ndarray, draw: Sampler
+    ) -> np.ndarray:
         """(n, 3) light of a white plane that other planes give it less what they hide, without the object, by one ray."""
         out = np.zeros((len(start), 3))
         if len(self.surroundings.axes) > 1:
@@ -203,7 +257,13 @@ class Tracer:
         return out
 
     def change_along(
-        self, start: np.ndarray, d: np.ndarray, draw: Sampler, bounces: int, wide: np.ndarray, density: np.ndarray | None = None
+        self,
+        start: np.ndarray,
+        d: np.ndarray,
+        draw: Sampler,
+        bounces: int,
+        wide: np.ndarray,
+        density: np.ndarray | None = None,
     ) -> np.ndarray:
         """(n, 3) radiance from directions d with the object less without it. density : as for `along`"""
         hit = self.rays.nearest(start, d)

@@ -32,7 +32,16 @@ from arfx.stages.gi.cones import DiffuseCones, Lobes, diffuse_cones, lobes, mirr
 from arfx.stages.gi.field import Field, VoxelModel, make_voxel_model
 from arfx.stages.gi.frame_light import LevelSettings, frame_field, incoming_light, rounded
 from arfx.stages.gi.health import furnace, seams
-from arfx.stages.gi.pixels import Anchor, Blocks, Limits, gather_points, interpolate, reflected_light, select_points, split_sum
+from arfx.stages.gi.pixels import (
+    Anchor,
+    Blocks,
+    Limits,
+    gather_points,
+    interpolate,
+    reflected_light,
+    select_points,
+    split_sum,
+)
 from arfx.stages.gi.plane_pixels import (
     DARKEST,
     PlaneChange,
@@ -43,7 +52,14 @@ from arfx.stages.gi.plane_pixels import (
     mirror_in_planes,
     visible_radius_m,
 )
-from arfx.stages.gi.real_planes import SHOWS, disc_radius_m, disc_rect, mirror_rect, planes_of, texel_positions
+from arfx.stages.gi.real_planes import (
+    SHOWS,
+    disc_radius_m,
+    disc_rect,
+    mirror_rect,
+    planes_of,
+    texel_positions,
+)
 from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.surroundings import Background, Planes
 from arfx.stages.lightmap.shading import Surface

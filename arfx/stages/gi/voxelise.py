@@ -90,10 +90,19 @@ def voxelise(scene: Scene, n: int, within: Volume | None = None) -> Voxels:
     linear = anchor[:3, :3] / np.cbrt(abs(np.linalg.det(anchor[:3, :3])))
     tables = []
     for part in scene.model.parts:
-        v = (part.vertices @ anchor[:3, :3].T + anchor[:3, 3] - np.asarray(volume.low_m)) / volume.voxel_m
+        v = (
+            part.vertices @ anchor[:3, :3].T + anchor[:3, 3] - np.asarray(volume.low_m)
+        ) / volume.voxel_m
         v = v.astype(np.float32)
         faces = part.faces[np.isfinite(v[part.faces]).all((1, 2))]
-        tables.append((v, np.ascontiguousarray(faces, np.int32), (part.normals @ linear.T).astype(np.float32), part))
+        tables.append(
+            (
+                v,
+                np.ascontiguousarray(faces, np.int32),
+                (part.normals @ linear.T).astype(np.float32),
+                part,
+            )
+        )
     bricks = np.full(per_side**3, -1, np.int32)
     for v, faces, _, _ in tables:
         _mark(v, faces, n, per_side, bricks)
@@ -104,13 +113,19 @@ def voxelise(scene: Scene, n: int, within: Volume | None = None) -> Voxels:
         _accumulate(v, faces, normals, _material(part), n, per_side, bricks, sums)
     brick, cell = np.nonzero(sums[:, :, 0] > 0)
     s = sums[brick, cell].astype(float)
-    zyx = np.array(np.unravel_index(where[brick], (per_side,) * 3)) * BRICK + np.unravel_index(cell, (BRICK,) * 3)
+    zyx = np.array(np.unravel_index(where[brick], (per_side,) * 3)) * BRICK + np.unravel_index(
+        cell, (BRICK,) * 3
+    )
     mean = divide(s[:, 1:], s[:, :1])
     opacity = np.minimum(_GAIN * s[:, 0], 1) * np.clip(mean[:, 9], 0, 1)
     return Voxels(
-        volume, np.ascontiguousarray(zyx[::-1].T, np.int32), opacity.astype(np.float32), mean[:, :3].astype(np.float32),
-        mean[:, 3:6].astype(np.float32), normalise(mean[:, 6:9]).astype(np.float32),
-    )  # fmt: skip
+        volume,
+        np.ascontiguousarray(zyx[::-1].T, np.int32),
+        opacity.astype(np.float32),
+        mean[:, :3].astype(np.float32),
+        mean[:, 3:6].astype(np.float32),
+        normalise(mean[:, 6:9]).astype(np.float32),
+    )
 
 
 def _material(part: Part) -> _Material:
@@ -122,7 +137,9 @@ def _material(part: Part) -> _Material:
     base, glow = np.ones((1, 1, 4), np.float32), np.ones((1, 1, 3), np.float32)
     decode = SRGB.decode(np.arange(256) / 255).astype(np.float32)
     if m.base_texture is not None and part.uv is not None:
-        base = np.dstack([decode[m.base_texture[..., :3]], m.base_texture[..., 3:].astype(np.float32) / 255])
+        base = np.dstack(
+            [decode[m.base_texture[..., :3]], m.base_texture[..., 3:].astype(np.float32) / 255]
+        )
     if m.emissive_texture is not None and part.uv is not None:
         glow = decode[m.emissive_texture]
     f0 = 0.08 * m.specular * (1 - m.metallic)
@@ -131,9 +148,14 @@ def _material(part: Part) -> _Material:
     if m.alpha_mode not in (MASK, BLEND):
         colours[:, 3] = base[..., 3] = 1
     return _Material(
-        colours, uv, np.ascontiguousarray(base), np.ascontiguousarray(glow), np.asarray(m.emissive, np.float32), reflectance,
+        colours,
+        uv,
+        np.ascontiguousarray(base),
+        np.ascontiguousarray(glow),
+        np.asarray(m.emissive, np.float32),
+        reflectance,
         np.float32(cutoff),
-    )  # fmt: skip
+    )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -178,7 +200,9 @@ def _mark(v, faces, n, per_side, bricks):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _accumulate(v, faces, normals, look: _Material, n, per_side, bricks, sums):  # pragma: no cover - compiled
+def _accumulate(
+    v, faces, normals, look: _Material, n, per_side, bricks, sums
+):  # pragma: no cover - compiled
     """sums (b, 64, 11) += area, and times the area: albedo (3), emission (3), normal (3), alpha."""
     colours, uv, base, glow, emission, reflectance, cutoff = look
     rows, columns, grows, gcolumns = base.shape[0], base.shape[1], glow.shape[0], glow.shape[1]
@@ -208,8 +232,12 @@ def _accumulate(v, faces, normals, look: _Material, n, per_side, bricks, sums): 
                 to[0] += each
                 lit = glow[min(int(t * grows), grows - 1), min(int(s * gcolumns), gcolumns - 1)]
                 for k in range(3):
-                    colour = (colours[i0, k] * w + colours[i1, k] * p + colours[i2, k] * q) * texel[k]
+                    colour = (colours[i0, k] * w + colours[i1, k] * p + colours[i2, k] * q) * texel[
+                        k
+                    ]
                     to[1 + k] += each * (colour * reflectance[0] + reflectance[1])
                     to[4 + k] += each * emission[k] * lit[k]
-                    to[7 + k] += each * (normals[i0, k] * w + normals[i1, k] * p + normals[i2, k] * q)
+                    to[7 + k] += each * (
+                        normals[i0, k] * w + normals[i1, k] * p + normals[i2, k] * q
+                    )
                 to[10] += each * alpha

@@ -60,26 +60,50 @@ class FrameLight:
         return divide(self.plane_direct, self.plane_ambient + self.plane_direct.sum(0))
 
 
-def frame_light(light: Light, world_from_anchor: Pose, hard: bool, plane_blocks: bool) -> FrameLight:
+def frame_light(
+    light: Light, world_from_anchor: Pose, hard: bool, plane_blocks: bool
+) -> FrameLight:
     """hard : lights without size;  plane_blocks : what is behind the plane does not light the object.
 
     Lights without a direction or without finite colour are left out; negative colour counts as none, a size that is not finite as
     the smallest."""
-    lights = [(li.unit, np.clip(np.asarray(li.rgb, float), 0, None), li.angular_size_deg) for li in light.lights]
-    lights = [(d, rgb, size) for d, rgb, size in lights if d.any() and np.isfinite(rgb).all() and rgb.any()]
+    lights = [
+        (li.unit, np.clip(np.asarray(li.rgb, float), 0, None), li.angular_size_deg)
+        for li in light.lights
+    ]
+    lights = [
+        (d, rgb, size)
+        for d, rgb, size in lights
+        if d.any() and np.isfinite(rgb).all() and rgb.any()
+    ]
     t, c = (np.array([li[i] for li in lights], float).reshape(-1, 3) for i in (0, 1))
     sizes_deg = np.nan_to_num(np.array([li[2] for li in lights], float), posinf=0)
     s = np.zeros(len(lights)) if hard else np.clip(sizes_deg, SMALLEST_DEG, LARGEST_DEG)
-    beams = tuple(quantised(world_from_anchor.rotation.T @ d, size) for d, size in zip(t, s.tolist(), strict=True))
+    beams = tuple(
+        quantised(world_from_anchor.rotation.T @ d, size)
+        for d, size in zip(t, s.tolist(), strict=True)
+    )
     up = world_from_anchor.rotation[:, 2]
     rise = t @ up
     elevation_deg = np.degrees(np.arcsin(np.clip(rise, -1, 1)))
-    seen = np.clip(0.5 + elevation_deg / np.maximum(s, SMALLEST_DEG), 0, 1) if plane_blocks else np.ones(len(s))
+    seen = (
+        np.clip(0.5 + elevation_deg / np.maximum(s, SMALLEST_DEG), 0, 1)
+        if plane_blocks
+        else np.ones(len(s))
+    )
     soft = np.array(light.soft, float).reshape(-1, 3)
     return FrameLight(
-        t, c, seen, s, beams, soft, np.asarray(light.ambient_rgb, float), _shape(soft, world_from_anchor.rotation),
-        np.clip(light.soft_radiance(up), 0, None), c * np.clip(rise, 0, None)[:, None],
-    )  # fmt: skip
+        t,
+        c,
+        seen,
+        s,
+        beams,
+        soft,
+        np.asarray(light.ambient_rgb, float),
+        _shape(soft, world_from_anchor.rotation),
+        np.clip(light.soft_radiance(up), 0, None),
+        c * np.clip(rise, 0, None)[:, None],
+    )
 
 
 def _shape(soft: np.ndarray, world_from_anchor: np.ndarray) -> tuple[float, float, float]:
@@ -102,7 +126,9 @@ def quantised(direction: np.ndarray, size_deg: float) -> Beam:
         if (again == steps).all():
             break
         steps = again
-    return Beam((float(d[0]), float(d[1]), float(d[2])), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG)
+    return Beam(
+        (float(d[0]), float(d[1]), float(d[2])), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG
+    )
 
 
 def disc_directions(beam: Beam, points: np.ndarray, over_plane: bool = True) -> np.ndarray:

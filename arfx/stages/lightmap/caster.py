@@ -11,7 +11,9 @@ from arfx.core.scene import Scene
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
 _WELD_DISTANCE = 1e-6  # of the extent: a seam's two vertices differ by rounding
-_COARSEST_SAG = 0.02  # of the extent; facets that stand off further are not taken for a smooth surface
+_COARSEST_SAG = (
+    0.02  # of the extent; facets that stand off further are not taken for a smooth surface
+)
 _HULL_POINTS = 64
 _FREED = 2000  # vertices of a hull, at most, that are freed of those on its faces
 
@@ -48,7 +50,11 @@ def make_caster(scene: Scene) -> Caster:
     vertices = anchor_from_world.apply(scene.model_points_m)
     starts = np.cumsum([0, *(len(p.vertices) for p in scene.model.parts)])
     opacity = max(p.opacity for p in scene.model.parts)
-    casting = [p.faces + k for p, k in zip(scene.model.parts, starts, strict=False) if p.opacity >= opacity / 2]
+    casting = [
+        p.faces + k
+        for p, k in zip(scene.model.parts, starts, strict=False)
+        if p.opacity >= opacity / 2
+    ]
     every = np.concatenate(casting).astype(np.int32)
     used = vertices[np.unique(every)]
     extent = float(np.ptp(used, axis=0).max())
@@ -57,13 +63,25 @@ def make_caster(scene: Scene) -> Caster:
     a, b, c = (over[over_faces[:, i]] for i in range(3))
     top = float(over[:, 2].max(initial=0.0))
     linear = scene.world_from_model[:3, :3]
-    normals = np.concatenate([p.normals for p in scene.model.parts]) @ (linear / np.cbrt(abs(np.linalg.det(linear)))).T
+    normals = (
+        np.concatenate([p.normals for p in scene.model.parts])
+        @ (linear / np.cbrt(abs(np.linalg.det(linear)))).T
+    )
     sag, slope = _faceting(vertices, every, normals @ anchor_from_world.rotation.T, extent)
     return Caster(
-        vertices.astype(np.float32), every, over.astype(np.float32), over_faces, _edges(over, over_faces),
-        np.cross(b - a, c - a).T.astype(np.float32), _outline(over[np.unique(over_faces)]), extent, max(top, 0.0), sag, slope,
+        vertices.astype(np.float32),
+        every,
+        over.astype(np.float32),
+        over_faces,
+        _edges(over, over_faces),
+        np.cross(b - a, c - a).T.astype(np.float32),
+        _outline(over[np.unique(over_faces)]),
+        extent,
+        max(top, 0.0),
+        sag,
+        slope,
         opacity,
-    )  # fmt: skip
+    )
 
 
 def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -90,7 +108,9 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     paired = np.r_[rank[1:], 0][one] % 2 == 1
     two = np.where(paired, np.minimum(one + 1, len(run) - 1), one)
     ends = np.where(way[one, None] > 0, run[one], run[one, ::-1])
-    return np.column_stack([ends, face[one], np.where(paired, face[two], -1), way[one] * way[two]]).astype(np.int32)
+    return np.column_stack(
+        [ends, face[one], np.where(paired, face[two], -1), way[one] * way[two]]
+    ).astype(np.int32)
 
 
 def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,19 +161,25 @@ def _outline(points: np.ndarray) -> np.ndarray:
     i = np.arange(400) + 0.5
     z, phi = 1 - 2 * i / 400, i * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
-    extreme = np.unique(((hull - middle) @ np.stack([r * np.cos(phi), r * np.sin(phi), z])).argmax(0))
+    extreme = np.unique(
+        ((hull - middle) @ np.stack([r * np.cos(phi), r * np.sin(phi), z])).argmax(0)
+    )
     grown = middle + (hull[extreme] - middle) * 1.02
     grown[:, 2] = np.maximum(grown[:, 2], 0)
     return grown
 
 
-def _faceting(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, extent: float) -> tuple[float, float]:
+def _faceting(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, extent: float
+) -> tuple[float, float]:
     """95 % of the facets lie less than this below their smooth surface (metres), and lean from it by less than this slope."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     face = normalise(np.cross(b - a, c - a))
     cosine = np.abs((normals[faces] * face[:, None]).sum(-1)).min(1)
     angle = np.minimum(arccos(cosine), np.radians(45))
-    side = np.sqrt(np.stack([((a - b) ** 2).sum(1), ((b - c) ** 2).sum(1), ((c - a) ** 2).sum(1)]).max(0))
+    side = np.sqrt(
+        np.stack([((a - b) ** 2).sum(1), ((b - c) ** 2).sum(1), ((c - a) ** 2).sum(1)]).max(0)
+    )
     # a chord of length L that leans by the angle from the arc's tangent at its end lies L / 2 tan(angle / 2) below the arc
     sag = float(np.quantile(side / 2 * np.tan(angle / 2), 0.95)) if len(faces) else 0.0
     slope = float(np.quantile(np.tan(angle), 0.95)) if len(faces) else 0.0

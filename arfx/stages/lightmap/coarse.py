@@ -33,13 +33,29 @@ def block_surface(surface: Surface, y0: int, x0: int) -> Surface:
     h, w = surface.coverage.shape
     top, left = y0 % BLOCK_PX, x0 % BLOCK_PX
     shape = -(-(top + h) // BLOCK_PX), -(-(left + w) // BLOCK_PX)
-    coverage, (normal, position, material, nothing) = np.zeros(shape, np.float32), np.zeros((4, *shape, 3), np.float32)
-    _select(surface.coverage, surface.normal, surface.position, surface.material, top, left, coverage, normal, position, material)
+    coverage, (normal, position, material, nothing) = (
+        np.zeros(shape, np.float32),
+        np.zeros((4, *shape, 3), np.float32),
+    )
+    _select(
+        surface.coverage,
+        surface.normal,
+        surface.position,
+        surface.material,
+        top,
+        left,
+        coverage,
+        normal,
+        position,
+        material,
+    )
     return Surface(coverage, normal, position, nothing, material, nothing)
 
 
 @line_kernel()
-def _select(coverage, normal, position, material, top, left, whole, n, p, m):  # pragma: no cover - compiled
+def _select(
+    coverage, normal, position, material, top, left, whole, n, p, m
+):  # pragma: no cover - compiled
     """whole, n, p, m : of the blocks;  top, left : rows and columns of the first block that lie before the arrays' first"""
     rows, columns = coverage.shape
     none, one = np.float32(0), np.float32(1)
@@ -60,22 +76,38 @@ def _select(coverage, normal, position, material, top, left, whole, n, p, m):  #
             v, u = _U(j), _U(i)
             whole[v, u] = one
             n[v, u, 0], n[v, u, 1], n[v, u, 2] = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
-            p[v, u, 0], p[v, u, 1], p[v, u, 2] = position[y, x, 0], position[y, x, 1], position[y, x, 2]
-            m[v, u, 0], m[v, u, 1], m[v, u, 2] = material[y, x, 0], material[y, x, 1], material[y, x, 2]
+            p[v, u, 0], p[v, u, 1], p[v, u, 2] = (
+                position[y, x, 0],
+                position[y, x, 1],
+                position[y, x, 2],
+            )
+            m[v, u, 0], m[v, u, 1], m[v, u, 2] = (
+                material[y, x, 0],
+                material[y, x, 1],
+                material[y, x, 2],
+            )
 
 
-def colour(surface: Surface, y0: int, x0: int, whole: np.ndarray, white: np.ndarray, black: np.ndarray) -> np.ndarray:
+def colour(
+    surface: Surface, y0: int, x0: int, whole: np.ndarray, white: np.ndarray, black: np.ndarray
+) -> np.ndarray:
     """(h, w, 3) float32 radiance, premultiplied by the coverage.
 
     whole (rows, columns) : coverage of the blocks, 0 or 1;  white, black (rows, columns, 3) : radiance of such surfaces there"""
     out = np.zeros((*surface.coverage.shape, 3), np.float32)
-    coverage, albedo, emissive = (packed(a) for a in (surface.coverage, surface.albedo, surface.emissive))
-    _colour(coverage, albedo, emissive, y0 % BLOCK_PX, x0 % BLOCK_PX, whole, white - black, black, out)
+    coverage, albedo, emissive = (
+        packed(a) for a in (surface.coverage, surface.albedo, surface.emissive)
+    )
+    _colour(
+        coverage, albedo, emissive, y0 % BLOCK_PX, x0 % BLOCK_PX, whole, white - black, black, out
+    )
     return out
 
 
 @numba.njit(cache=True, nogil=True)
-def _colour(coverage, albedo, emissive, top, left, whole, slope, black, out):  # pragma: no cover - compiled
+def _colour(
+    coverage, albedo, emissive, top, left, whole, slope, black, out
+):  # pragma: no cover - compiled
     """slope : what albedo 1 adds"""
     rows, columns = coverage.shape
     n = whole.shape[1]

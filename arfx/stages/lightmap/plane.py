@@ -62,26 +62,40 @@ class SoftPicture:
 
     def under(self, shape: tuple[float, float, float]) -> PlaneTexture:
         """shape : anchor axes, no longer than 1"""
-        dark = np.tensordot(np.array([1.0, *shape], np.float32), self.hidden, 1) / (1 + 2 / 3 * shape[2])
+        dark = np.tensordot(np.array([1.0, *shape], np.float32), self.hidden, 1) / (
+            1 + 2 / 3 * shape[2]
+        )
         return PlaneTexture(_zero_border(dark), self.texel_from_m)
 
     def even_at(self, places_m: np.ndarray) -> np.ndarray:
         """(n, m) hidden share of even light at places (n, m, 2)"""
         (sx, _, x0), (_, sy, y0) = self.texel_from_m
-        x, y = ((places_m[..., i] * s + o).clip(-9, 9e3).astype(np.float32) for i, s, o in ((0, sx, x0), (1, sy, y0)))
+        x, y = (
+            (places_m[..., i] * s + o).clip(-9, 9e3).astype(np.float32)
+            for i, s, o in ((0, sx, x0), (1, sy, y0))
+        )
         return cv2.remap(self.hidden[0], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
 
 
 def soft_picture(
-    caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, texels: int, directions: int
-) -> SoftPicture:  # fmt: skip
+    caster: Caster,
+    rays: Triangles,
+    centre: np.ndarray,
+    half: np.ndarray,
+    texels: int,
+    directions: int,
+) -> SoftPicture:
     """Of a box of the plane. centre, half (2,) : metres
 
     Each of _SETS x _SETS neighbours turns the rays differently: what few rays leave, bands otherwise, is noise."""
     t = (np.arange(texels) + 0.5) / texels * 2 - 1
     x, y = np.meshgrid(centre[0] + half[0] * t, centre[1] + half[1] * t)
     points = np.stack([x, y, np.full(x.shape, _LIFT * caster.extent_m)], -1)
-    spiral, hidden, count = hemisphere(directions), np.empty((4, texels, texels), np.float32), _SETS**2
+    spiral, hidden, count = (
+        hemisphere(directions),
+        np.empty((4, texels, texels), np.float32),
+        _SETS**2,
+    )
     for k in range(count):
         v, u = (k * 5 % count) // _SETS, k % _SETS  # neighbours are far from each other in k
         c, s = np.cos(2 * np.pi * k / count), np.sin(2 * np.pi * k / count)
@@ -91,13 +105,22 @@ def soft_picture(
         taken = rays.hidden_sum(part.reshape(-1, 3), towards, weights)
         hidden[:, v::_SETS, u::_SETS] = taken.T.reshape(4, *part.shape[:2])
     scale, low = texels / (2 * half), centre - half
-    return SoftPicture(hidden, np.array([[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]]))
+    return SoftPicture(
+        hidden,
+        np.array(
+            [[scale[0], 0, -low[0] * scale[0] - 0.5], [0, scale[1], -low[1] * scale[1] - 0.5]]
+        ),
+    )
 
 
-def ambient_picture(caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel) -> SoftPicture:
+def ambient_picture(
+    caster: Caster, rays: Triangles, centre: np.ndarray, half: np.ndarray, level: PlaneLevel
+) -> SoftPicture:
     """Smoothed `soft_picture` of the same box."""
     made = soft_picture(caster, rays, centre, half, level.ambient_texels, level.ambient_rays)
-    smooth = [cv2.GaussianBlur(a, (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE) for a in made.hidden]
+    smooth = [
+        cv2.GaussianBlur(a, (0, 0), 0.8, borderType=cv2.BORDER_REPLICATE) for a in made.hidden
+    ]
     return SoftPicture(np.stack(smooth), made.texel_from_m)
 
 
@@ -108,12 +131,22 @@ def plane_shadow_texture(shadow: PlaneShadow, ambient_fraction: np.ndarray) -> P
     ratio = (ambient x V + direct x left x V_l) / (ambient + direct x left), so that the result is never darker than the
     ambient light alone with the object in it, however dark the plate is."""
     (x0, y0, x1, y1), ratio = shadow.box_m, np.array(shadow.ratio)
-    if ratio.ndim != 2 or not ratio.size or not np.isfinite(ratio).all() or not (x1 > x0 and y1 > y0):
-        raise RenderError("facts: the real shadow on the plane needs a box with an extent and a grid of finite numbers")
+    if (
+        ratio.ndim != 2
+        or not ratio.size
+        or not np.isfinite(ratio).all()
+        or not (x1 > x0 and y1 > y0)
+    ):
+        raise RenderError(
+            "facts: the real shadow on the plane needs a box with an extent and a grid of finite numbers"
+        )
     darkening = np.clip(divide(1 - ratio, 1 - float(ambient_fraction.mean())), 0, 1)
     rows, columns = darkening.shape
     sx, sy = columns / (x1 - x0), rows / (y1 - y0)
-    return PlaneTexture(np.pad(darkening, 1).astype(np.float32), np.array([[sx, 0, 0.5 - x0 * sx], [0, sy, 0.5 - y0 * sy]]))
+    return PlaneTexture(
+        np.pad(darkening, 1).astype(np.float32),
+        np.array([[sx, 0, 0.5 - x0 * sx], [0, sy, 0.5 - y0 * sy]]),
+    )
 
 
 def beam_texture(caster: Caster, beam: Beam, level: PlaneLevel, hard: bool) -> PlaneTexture:
@@ -124,7 +157,9 @@ def beam_texture(caster: Caster, beam: Beam, level: PlaneLevel, hard: bool) -> P
         away = np.array([1.0, 0.0])
     axes = np.stack([away, [-away[1], away[0]]])  # column axis falls away from the light
     soft = level.silhouettes > 1 and not hard
-    rim = disc_directions(beam, np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4]))
+    rim = disc_directions(
+        beam, np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
+    )
     outer = np.concatenate([middle[None], rim]) if soft else middle[None]
     slopes = -(outer[:, :2] @ axes.T) / outer[:, 2:]
     footprint = caster.outline[:, :2] @ axes.T
@@ -136,19 +171,35 @@ def beam_texture(caster: Caster, beam: Beam, level: PlaneLevel, hard: bool) -> P
     low = (low + high) / 2 - pitch * (np.array([columns, rows]) - 1) / 2  # place of texel (0, 0)
     matrix = np.column_stack([axes / pitch, -low / pitch])
     points = np.column_stack(
-        [caster.above_vertices[:, :2] @ (axes / pitch).T - low / pitch, caster.above_vertices[:, 2] / pitch]
+        [
+            caster.above_vertices[:, :2] @ (axes / pitch).T - low / pitch,
+            caster.above_vertices[:, 2] / pitch,
+        ]
     ).astype(np.float32)
     # without a size: 8 shifted sample points, antialiased
-    towards = disc_directions(beam, disc(level.silhouettes)) if soft else np.repeat(middle[None], 8, 0)
+    towards = (
+        disc_directions(beam, disc(level.silhouettes)) if soft else np.repeat(middle[None], 8, 0)
+    )
     displaced = -(towards[:, :2] @ axes.T) / towards[:, 2:]
-    dark = covered_fraction(points, caster.edges, caster.across, towards, displaced, (rows, columns))
+    dark = covered_fraction(
+        points, caster.edges, caster.across, towards, displaced, (rows, columns)
+    )
     if soft:
         radii = np.abs(slopes[1:] - slopes[0]).max(0)
-        dark = smoothed(dark, points, caster.above, slopes[0], (float(radii[0]), float(radii[1])), level.silhouettes)
+        dark = smoothed(
+            dark,
+            points,
+            caster.above,
+            slopes[0],
+            (float(radii[0]), float(radii[1])),
+            level.silhouettes,
+        )
     return PlaneTexture(_zero_border(dark), matrix)
 
 
-def within_surface(texture: PlaneTexture, surface_m: tuple[float, float, float, float] | None) -> PlaneTexture:
+def within_surface(
+    texture: PlaneTexture, surface_m: tuple[float, float, float, float] | None
+) -> PlaneTexture:
     """The same, with nothing beyond the surface (x0, y0, x1, y1), which ends within a texel; None = unlimited."""
     if surface_m is None:
         return texture
@@ -161,7 +212,10 @@ def within_surface(texture: PlaneTexture, surface_m: tuple[float, float, float, 
     x, y = position[..., 0], position[..., 1]
     inside = np.minimum(np.minimum(x - x0, x1 - x), np.minimum(y - y0, y1 - y))
     pitch = float(np.sqrt(abs(np.linalg.det(inverse))))
-    return PlaneTexture((texture.dark * np.clip(inside / pitch + 0.5, 0, 1)).astype(np.float32), texture.texel_from_m)
+    return PlaneTexture(
+        (texture.dark * np.clip(inside / pitch + 0.5, 0, 1)).astype(np.float32),
+        texture.texel_from_m,
+    )
 
 
 def _zero_border(dark: np.ndarray) -> np.ndarray:

@@ -77,8 +77,13 @@ class _Grid(NamedTuple):
 
 
 def hidden_parts(
-    rays: Triangles, plane: SoftPicture, points: np.ndarray, normals: np.ndarray, count: int, angles: np.ndarray | None = None
-) -> np.ndarray:  # fmt: skip
+    rays: Triangles,
+    plane: SoftPicture,
+    points: np.ndarray,
+    normals: np.ndarray,
+    count: int,
+    angles: np.ndarray | None = None,
+) -> np.ndarray:
     """(n, 4) of the light on a surface that is hidden: of 1 and of the three coordinates. Anchor axes.
 
     plane : what the plane is darkened by;  count : rays each;  angles (n,) : that the rays' pattern is turned by"""
@@ -86,15 +91,30 @@ def hidden_parts(
 
 
 def _hidden(
-    rays: Triangles, plane: SoftPicture, points: np.ndarray, normals: np.ndarray, count: int, angles: np.ndarray | None = None
-) -> np.ndarray:  # fmt: skip
+    rays: Triangles,
+    plane: SoftPicture,
+    points: np.ndarray,
+    normals: np.ndarray,
+    count: int,
+    angles: np.ndarray | None = None,
+) -> np.ndarray:
     """(n, 5) : `hidden_parts`, and the share of the rays that the object stops."""
     local, turned = hemisphere(count), np.zeros(len(points)) if angles is None else angles
-    parts = [slice(a, a + max(_BATCH // count, 1)) for a in range(0, len(points), max(_BATCH // count, 1))]
+    parts = [
+        slice(a, a + max(_BATCH // count, 1))
+        for a in range(0, len(points), max(_BATCH // count, 1))
+    ]
 
     def of(part: slice) -> np.ndarray:
         starts, towards, met = _rays_over(points[part], normals[part], turned[part], local)
-        return np.asarray(_sums(towards, rays.blocked(starts, towards), plane.even_at(met.reshape(-1, count, 2)).ravel(), count))
+        return np.asarray(
+            _sums(
+                towards,
+                rays.blocked(starts, towards),
+                plane.even_at(met.reshape(-1, count, 2)).ravel(),
+                count,
+            )
+        )
 
     return np.concatenate([np.zeros((0, 5)), *parallel_map(of, parts)])
 
@@ -104,7 +124,11 @@ def _rays_over(points, normals, angles, local):  # pragma: no cover - compiled
     """Starts and directions (n k, 3) of rays `local` (k, 3) over points with normals (n, 3), turned by angles (n,), and places on
     the plane (n k, 2) where they meet it, far away for those that do not."""
     n, k = len(points), len(local)
-    starts, towards, met = np.empty((n * k, 3), np.float32), np.empty((n * k, 3), np.float32), np.full((n * k, 2), 1e9)
+    starts, towards, met = (
+        np.empty((n * k, 3), np.float32),
+        np.empty((n * k, 3), np.float32),
+        np.full((n * k, 2), 1e9),
+    )
     for i in range(n):
         # an orthonormal basis that depends on the normal alone (Duff et al. 2017)
         x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
@@ -115,7 +139,11 @@ def _rays_over(points, normals, angles, local):  # pragma: no cover - compiled
         c, d = np.cos(angles[i]), np.sin(angles[i])
         height = abs(points[i, 2])  # under the plane, where it is not seen: no seam
         for j in range(k):
-            a, b, up = c * local[j, 0] - d * local[j, 1], d * local[j, 0] + c * local[j, 1], local[j, 2]
+            a, b, up = (
+                c * local[j, 0] - d * local[j, 1],
+                d * local[j, 0] + c * local[j, 1],
+                local[j, 2],
+            )
             at = i * k + j
             towards[at, 0] = a * s[0] + b * t[0] + up * x
             towards[at, 1] = a * s[1] + b * t[1] + up * y
@@ -124,7 +152,10 @@ def _rays_over(points, normals, angles, local):  # pragma: no cover - compiled
                 starts[at, m] = points[i, m]
             if towards[at, 2] < 0:
                 along = height / max(-towards[at, 2], 1e-6)
-                met[at, 0], met[at, 1] = points[i, 0] + along * towards[at, 0], points[i, 1] + along * towards[at, 1]
+                met[at, 0], met[at, 1] = (
+                    points[i, 0] + along * towards[at, 0],
+                    points[i, 1] + along * towards[at, 1],
+                )
     return starts, towards, met
 
 
@@ -145,7 +176,9 @@ def _sums(towards, blocked, darkened, count):  # pragma: no cover - compiled
     return out
 
 
-def occlusion_grid(caster: Caster, rays: Triangles, plane: SoftPicture, level: OcclusionLevel) -> OcclusionGrid:
+def occlusion_grid(
+    caster: Caster, rays: Triangles, plane: SoftPicture, level: OcclusionLevel
+) -> OcclusionGrid:
     """Of the surface's both sides."""
     from scipy.ndimage import uniform_filter
 
@@ -158,7 +191,9 @@ def occlusion_grid(caster: Caster, rays: Triangles, plane: SoftPicture, level: O
     sums, lift = np.zeros((int(counts.prod()), 5)), _lift_m(caster)
     for n in (normals, -normals):
         hidden = hidden_parts(rays, plane, points + lift * n, n, level.rays, angles)
-        values = np.column_stack([hidden, np.ones(len(hidden))]) * np.maximum(1 - hidden[:, :1], _LEAST_SEEN)
+        values = np.column_stack([hidden, np.ones(len(hidden))]) * np.maximum(
+            1 - hidden[:, :1], _LEAST_SEEN
+        )
         at = (points + pitch * n - low) / pitch
         first = at.astype(int)
         for corner in np.ndindex(2, 2, 2):
@@ -188,15 +223,23 @@ def _surface_points(caster: Caster, pitch: float, most: int) -> tuple[np.ndarray
     count = int(np.clip(_POINTS * upto[-1] / pitch**2, 64, most))
     i = np.arange(count) + 0.5
     face = np.minimum(np.searchsorted(upto, i / count * upto[-1]), len(upto) - 1)
-    u, v = (i * 0.7548776662466927) % 1, (i * 0.5698402909980532) % 1  # powers of the plastic number: low discrepancy
+    u, v = (
+        (i * 0.7548776662466927) % 1,
+        (i * 0.5698402909980532) % 1,
+    )  # powers of the plastic number: low discrepancy
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     return a[face] + u[:, None] * ab[face] + v[:, None] * ac[face], normalise(across[face])
 
 
 def soft_visibility(
-    coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, grid: OcclusionGrid, nodes: np.ndarray,
-    anchor_from_world: Pose, shape: tuple[float, float, float],
-) -> np.ndarray:  # fmt: skip
+    coverage: np.ndarray,
+    normal: np.ndarray,
+    position: np.ndarray,
+    grid: OcclusionGrid,
+    nodes: np.ndarray,
+    anchor_from_world: Pose,
+    shape: tuple[float, float, float],
+) -> np.ndarray:
     """(h, w) float32, 0..1: the share of the soft light that is left; any where the pixel is not covered.
 
     nodes : of the grid, `under` the light of this shape"""
@@ -209,9 +252,16 @@ def soft_visibility(
 
 
 def soft_visibility_by_rays(
-    coverage: np.ndarray, normal: np.ndarray, position: np.ndarray, rays: Triangles, plane: SoftPicture, caster: Caster,
-    anchor_from_world: Pose, shape: tuple[float, float, float], count: int,
-) -> np.ndarray:  # fmt: skip
+    coverage: np.ndarray,
+    normal: np.ndarray,
+    position: np.ndarray,
+    rays: Triangles,
+    plane: SoftPicture,
+    caster: Caster,
+    anchor_from_world: Pose,
+    shape: tuple[float, float, float],
+    count: int,
+) -> np.ndarray:
     """The same, with rays from every pixel: a part of them first, all where the object stops any of these."""
     out = np.ones(coverage.shape, np.float32)
     y, x = np.nonzero((coverage > 0) & (normal != 0).any(-1))
@@ -220,7 +270,9 @@ def soft_visibility_by_rays(
     hidden = _hidden(rays, plane, points, n, max(count // _FIRST, 1))
     uneven = np.flatnonzero(hidden[:, 4] > 0)
     hidden[uneven] = _hidden(rays, plane, points[uneven], n[uneven], count)
-    out[y, x] = np.clip(1 - hidden[:, :4] @ [1.0, *shape] / (1 + _DIFFUSE * n @ np.array(shape)), 0, 1)
+    out[y, x] = np.clip(
+        1 - hidden[:, :4] @ [1.0, *shape] / (1 + _DIFFUSE * n @ np.array(shape)), 0, 1
+    )
     return out
 
 
@@ -233,7 +285,11 @@ def _read(coverage, normal, position, grid: _Grid):  # pragma: no cover - compil
     nz, ny, nx = nodes.shape
     last_x, last_y, last_z = np.float32(nx - 1.001), np.float32(ny - 1.001), np.float32(nz - 1.001)
     flat, up, far = nodes.reshape(-1), np.int32(nx), np.int32(nx * ny)
-    u, v, w = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    u, v, w = (
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+    )
     hidden, light = np.empty(columns, np.float32), np.empty(columns, np.float32)
     cell = np.empty(columns, np.int32)
     for y in range(rows):
@@ -241,24 +297,66 @@ def _read(coverage, normal, position, grid: _Grid):  # pragma: no cover - compil
         n = last + 1 - first
         if n == 0:
             continue
-        normals, positions, line = normal[y, first : last + 1], position[y, first : last + 1], out[y, first : last + 1]
+        normals, positions, line = (
+            normal[y, first : last + 1],
+            position[y, first : last + 1],
+            out[y, first : last + 1],
+        )
         for i in range(n):
             a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
             x, r, s = positions[i, 0], positions[i, 1], positions[i, 2]
-            u[i] = m[0, 0] * x + m[0, 1] * r + m[0, 2] * s + m[0, 3] + m[0, 4] * a + m[0, 5] * b + m[0, 6] * c
-            v[i] = m[1, 0] * x + m[1, 1] * r + m[1, 2] * s + m[1, 3] + m[1, 4] * a + m[1, 5] * b + m[1, 6] * c
-            w[i] = m[2, 0] * x + m[2, 1] * r + m[2, 2] * s + m[2, 3] + m[2, 4] * a + m[2, 5] * b + m[2, 6] * c
+            u[i] = (
+                m[0, 0] * x
+                + m[0, 1] * r
+                + m[0, 2] * s
+                + m[0, 3]
+                + m[0, 4] * a
+                + m[0, 5] * b
+                + m[0, 6] * c
+            )
+            v[i] = (
+                m[1, 0] * x
+                + m[1, 1] * r
+                + m[1, 2] * s
+                + m[1, 3]
+                + m[1, 4] * a
+                + m[1, 5] * b
+                + m[1, 6] * c
+            )
+            w[i] = (
+                m[2, 0] * x
+                + m[2, 1] * r
+                + m[2, 2] * s
+                + m[2, 3]
+                + m[2, 4] * a
+                + m[2, 5] * b
+                + m[2, 6] * c
+            )
             light[i] = one + rise[0] * a + rise[1] * b + rise[2] * c
         for i in range(n):
-            px, py, pz = min(max(u[i], zero), last_x), min(max(v[i], zero), last_y), min(max(w[i], zero), last_z)
+            px, py, pz = (
+                min(max(u[i], zero), last_x),
+                min(max(v[i], zero), last_y),
+                min(max(w[i], zero), last_z),
+            )
             ix, iy, iz = np.int32(px), np.int32(py), np.int32(pz)
             u[i], v[i], w[i] = px - np.float32(ix), py - np.float32(iy), pz - np.float32(iz)
             cell[i] = (iz * np.int32(ny) + iy) * np.int32(nx) + ix
         for i in range(n):
             p = cell[i]
-            a0, a1, a2, a3 = flat[np.uintp(p)], flat[np.uintp(p + up)], flat[np.uintp(p + far)], flat[np.uintp(p + far + up)]
+            a0, a1, a2, a3 = (
+                flat[np.uintp(p)],
+                flat[np.uintp(p + up)],
+                flat[np.uintp(p + far)],
+                flat[np.uintp(p + far + up)],
+            )
             p += np.int32(1)
-            b0, b1, b2, b3 = flat[np.uintp(p)], flat[np.uintp(p + up)], flat[np.uintp(p + far)], flat[np.uintp(p + far + up)]
+            b0, b1, b2, b3 = (
+                flat[np.uintp(p)],
+                flat[np.uintp(p + up)],
+                flat[np.uintp(p + far)],
+                flat[np.uintp(p + far + up)],
+            )
             a0 += u[i] * (b0 - a0)
             a1 += u[i] * (b1 - a1)
             a2 += u[i] * (b2 - a2)

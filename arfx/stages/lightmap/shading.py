@@ -44,7 +44,13 @@ def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
     """(9, 3) float32 factors of 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2; without harmonics the first alone."""
     out = np.zeros((9, 3))
     if len(soft):
-        c = [0.28209479177387814, *[0.4886025119029199] * 3, 1.0925484305920792, 1.0925484305920792, 0.31539156525252005]
+        c = [
+            0.28209479177387814,
+            *[0.4886025119029199] * 3,
+            1.0925484305920792,
+            1.0925484305920792,
+            0.31539156525252005,
+        ]
         out[:] = soft * np.array([*c, 1.0925484305920792, 0.5462742152960396])[:, None]
     else:
         out[0] = ambient
@@ -71,7 +77,7 @@ def covered_span(coverage):  # pragma: no cover - compiled
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def shade(
     surface: Surface, eye, lights: Lights, soft, constant, bias
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """(h, w, 3) float32, premultiplied by the coverage.
 
     eye (3,) : the camera, WORLD frame;  soft (9, 3), constant : only its first row counts;  bias (3,)"""
@@ -80,30 +86,70 @@ def shade(
     rows, columns = coverage.shape
     out = np.zeros((rows, columns, 3), np.float32)
     zero, one, two = np.float32(0), np.float32(1), np.float32(2)
-    nx, ny, nz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
-    vx, vy, vz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
-    dr, dg, db = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
-    fr, fg, fb = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
-    r, g, b = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    nx, ny, nz = (
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+    )
+    vx, vy, vz = (
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+    )
+    dr, dg, db = (
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+    )
+    fr, fg, fb = (
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+    )
+    r, g, b = (
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+    )
     width4, shine = np.empty(columns, np.float32), np.empty(columns, np.float32)
     edge = np.empty(columns, np.float32)
-    lit, lobe, graze = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    lit, lobe, graze = (
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+        np.empty(columns, np.float32),
+    )
     mantissa, whole = np.empty(columns, np.float32), np.empty(columns, np.float32)
     cosine = np.empty(columns, np.float32)
-    cosine_bits, mantissa_bits, whole_bits = cosine.view(np.int32), mantissa.view(np.int32), whole.view(np.int32)
+    cosine_bits, mantissa_bits, whole_bits = (
+        cosine.view(np.int32),
+        mantissa.view(np.int32),
+        whole.view(np.int32),
+    )
     for y in range(rows):
         first, last = covered_span(coverage[y])
         n = last + 1 - first
         if n == 0:
             continue
-        normals, positions, colours = normal[y, first : last + 1], position[y, first : last + 1], albedo[y, first : last + 1]
-        kinds, glow, cover = material[y, first : last + 1], emissive[y, first : last + 1], coverage[y, first : last + 1]
+        normals, positions, colours = (
+            normal[y, first : last + 1],
+            position[y, first : last + 1],
+            albedo[y, first : last + 1],
+        )
+        kinds, glow, cover = (
+            material[y, first : last + 1],
+            emissive[y, first : last + 1],
+            coverage[y, first : last + 1],
+        )
         line = out[y, first : last + 1]
         for i in range(n):
             nx[i], ny[i], nz[i] = normals[i, 0], normals[i, 1], normals[i, 2]
         if towards.shape[0] > 0:  # the way to the eye and the gloss's width are theirs alone
             for i in range(n):
-                vx[i], vy[i], vz[i] = eye[0] - positions[i, 0], eye[1] - positions[i, 1], eye[2] - positions[i, 2]
+                vx[i], vy[i], vz[i] = (
+                    eye[0] - positions[i, 0],
+                    eye[1] - positions[i, 1],
+                    eye[2] - positions[i, 2],
+                )
             for i in range(n):
                 length = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i] + vz[i] * vz[i])
                 scale = one / max(length, np.float32(1e-12))
@@ -119,8 +165,16 @@ def shade(
             metal = kinds[i, 0]
             base = np.float32(0.08) * kinds[i, 2] * (one - metal)
             diffuse_weight = (one - metal) * (one - base)
-            dr[i], dg[i], db[i] = colours[i, 0] * diffuse_weight, colours[i, 1] * diffuse_weight, colours[i, 2] * diffuse_weight
-            fr[i], fg[i], fb[i] = base + colours[i, 0] * metal, base + colours[i, 1] * metal, base + colours[i, 2] * metal
+            dr[i], dg[i], db[i] = (
+                colours[i, 0] * diffuse_weight,
+                colours[i, 1] * diffuse_weight,
+                colours[i, 2] * diffuse_weight,
+            )
+            fr[i], fg[i], fb[i] = (
+                base + colours[i, 0] * metal,
+                base + colours[i, 1] * metal,
+                base + colours[i, 2] * metal,
+            )
         if constant:
             for i in range(n):
                 r[i] = (dr[i] + fr[i]) * soft[0, 0]
@@ -163,8 +217,12 @@ def shade(
                 exponent = max(shine[i] * (power + series), np.float32(-126))
                 nearest = np.int32(exponent + np.float32(128.5)) - np.int32(128)
                 f = exponent - np.float32(nearest)
-                rest = np.float32(0.00961813) + f * (np.float32(0.00133336) + f * np.float32(0.00015404))
-                rest = np.float32(0.69314718) + f * (np.float32(0.24022651) + f * (np.float32(0.05550411) + f * rest))
+                rest = np.float32(0.00961813) + f * (
+                    np.float32(0.00133336) + f * np.float32(0.00015404)
+                )
+                rest = np.float32(0.69314718) + f * (
+                    np.float32(0.24022651) + f * (np.float32(0.05550411) + f * rest)
+                )
                 lobe[i] = one + f * rest
                 whole_bits[i] = (nearest + np.int32(127)) << np.int32(23)
             for i in range(n):
@@ -194,6 +252,8 @@ def _soft_channel(out, diffuse, mirror, nx, ny, nz, s, n):  # pragma: no cover -
     s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]
     for i in range(n):
         x, y, z = nx[i], ny[i], nz[i]
-        light = s0 + s1 * y + s2 * z + s3 * x + (s4 * y + s7 * z + s8 * x) * x + (s5 * z - s8 * y) * y
+        light = (
+            s0 + s1 * y + s2 * z + s3 * x + (s4 * y + s7 * z + s8 * x) * x + (s5 * z - s8 * y) * y
+        )
         light = light + s6 * (np.float32(3) * z * z - np.float32(1))
         out[i] = (diffuse[i] + mirror[i]) * max(light, np.float32(0))

@@ -29,7 +29,12 @@ def sample_offsets(n: int) -> np.ndarray:
 
 
 def covered_fraction(
-    points: np.ndarray, edges: np.ndarray, across: np.ndarray, directions: np.ndarray, slopes: np.ndarray, shape: tuple[int, int]
+    points: np.ndarray,
+    edges: np.ndarray,
+    across: np.ndarray,
+    directions: np.ndarray,
+    slopes: np.ndarray,
+    shape: tuple[int, int],
 ) -> np.ndarray:
     """(rows, columns) float32: in what share of the directions a texel is covered.
 
@@ -39,13 +44,21 @@ def covered_fraction(
     rows, columns = shape
     offsets = sample_offsets(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
     return _count(
-        points, edges, across, directions.astype(np.float32), np.ascontiguousarray(slopes, np.float32),
-        offsets.astype(np.float32), rows, columns // 64,
-    )  # fmt: skip
+        points,
+        edges,
+        across,
+        directions.astype(np.float32),
+        np.ascontiguousarray(slopes, np.float32),
+        offsets.astype(np.float32),
+        rows,
+        columns // 64,
+    )
 
 
 @numba.njit(cache=True, nogil=True)
-def _count(points, edges, across, directions, slopes, offsets, rows, words):  # pragma: no cover - compiled
+def _count(
+    points, edges, across, directions, slopes, offsets, rows, words
+):  # pragma: no cover - compiled
     used = 1
     while (1 << used) <= slopes.shape[0]:
         used += 1
@@ -61,7 +74,11 @@ def _count(points, edges, across, directions, slopes, offsets, rows, words):  # 
             v[i] = points[i, 1] + sv * points[i, 2] + ov
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         for f in range(across.shape[1]):
-            side[f] = np.int32(1) if across[0, f] * dx + across[1, f] * dy + across[2, f] * dz > 0 else np.int32(-1)
+            side[f] = (
+                np.int32(1)
+                if across[0, f] * dx + across[1, f] * dy + across[2, f] * dz > 0
+                else np.int32(-1)
+            )
         side[across.shape[1]] = 0  # the face that an open edge lacks, found as -1
         n = 0
         for e in range(edges.shape[0]):
@@ -170,7 +187,17 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
     zero = np.int64(0)
     for f in range(faces.shape[0]):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        ua, va, ha, ub, vb, hb, uc, vc, hc = u[i], v[i], height[i], u[j], v[j], height[j], u[k], v[k], height[k]
+        ua, va, ha, ub, vb, hb, uc, vc, hc = (
+            u[i],
+            v[i],
+            height[i],
+            u[j],
+            v[j],
+            height[j],
+            u[k],
+            v[k],
+            height[k],
+        )
         area = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
         if vb < va:
             ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
@@ -192,7 +219,10 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
             at = np.float32(y)
             p = ua + (at - va) * long
             q = ua + (at - va) * lower if at < vb else ub + (at - vb) * upper
-            x0, x1 = max(np.int64(np.ceil(min(p, q))), zero), min(np.int64(np.ceil(max(p, q))), np.int64(columns))
+            x0, x1 = (
+                max(np.int64(np.ceil(min(p, q))), zero),
+                min(np.int64(np.ceil(max(p, q))), np.int64(columns)),
+            )
             start = ha + (at - va) * dv - ua * du
             for x in range(x0, x1):
                 # slivers have slopes without bound: never beyond the triangle's own corners
@@ -202,7 +232,12 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
 
 
 def smoothed(
-    fraction: np.ndarray, points: np.ndarray, faces: np.ndarray, slope: np.ndarray, radii: tuple[float, float], count: int
+    fraction: np.ndarray,
+    points: np.ndarray,
+    faces: np.ndarray,
+    slope: np.ndarray,
+    radii: tuple[float, float],
+    count: int,
 ) -> np.ndarray:
     """`fraction` (rows, columns) float32 after the boxes.
 
@@ -217,7 +252,9 @@ def smoothed(
     return _boxes(fraction, height, np.float32(half[0]), np.float32(half[1]))
 
 
-def _caster_height(points: np.ndarray, faces: np.ndarray, slope: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _caster_height(
+    points: np.ndarray, faces: np.ndarray, slope: np.ndarray, shape: tuple[int, ...]
+) -> np.ndarray:
     """(rows, columns) float32 texels: height of the highest caster over each texel, of the nearest one beside them."""
     rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
     h = np.ascontiguousarray(points[:, 2])
@@ -227,11 +264,15 @@ def _caster_height(points: np.ndarray, faces: np.ndarray, slope: np.ndarray, sha
     empty = height < 0
     if empty.all():
         return np.zeros(shape, np.float32)
-    _, label = cv2.distanceTransformWithLabels(empty.astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    _, label = cv2.distanceTransformWithLabels(
+        empty.astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
     table = np.zeros(int(label.max()) + 1, np.float32)
     table[label[~empty]] = height[~empty]
     grown = cv2.blur(table[label], (3, 3), borderType=cv2.BORDER_REPLICATE)
-    return cv2.resize(grown, (columns * COARSE, rows * COARSE), interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+    return cv2.resize(grown, (columns * COARSE, rows * COARSE), interpolation=cv2.INTER_LINEAR)[
+        : shape[0], : shape[1]
+    ]
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")

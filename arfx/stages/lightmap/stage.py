@@ -27,15 +27,33 @@ from arfx.errors import require_within
 from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.coarse import block_surface, blocks_around, colour
 from arfx.stages.lightmap.lookup import coarse_shadow_ratio, shadow_ratio
-from arfx.stages.lightmap.plane import PLANE_LEVELS, SoftPicture, beam_texture, plane_shadow_texture, within_surface
+from arfx.stages.lightmap.plane import (
+    PLANE_LEVELS,
+    SoftPicture,
+    beam_texture,
+    plane_shadow_texture,
+    within_surface,
+)
 from arfx.stages.lightmap.region import SHAPED, ShadowRegion, shadow_region
-from arfx.stages.lightmap.self_occlusion import OCCLUSION_LEVELS, OcclusionGrid, soft_visibility, soft_visibility_by_rays
-from arfx.stages.lightmap.self_shadow import SELF_LEVELS, depth_map, visibility_by_map, visibility_by_rays
+from arfx.stages.lightmap.self_occlusion import (
+    OCCLUSION_LEVELS,
+    OcclusionGrid,
+    soft_visibility,
+    soft_visibility_by_rays,
+)
+from arfx.stages.lightmap.self_shadow import (
+    SELF_LEVELS,
+    depth_map,
+    visibility_by_map,
+    visibility_by_rays,
+)
 from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
 from arfx.stages.viewing import direction_grid, seen_rect
 
 COARSE = frozenset({"draft"})  # levels that look light and shadow up for every 2 x 2 pixels
-_BEAM_STEP = np.radians(0.02)  # lights nearer to each other than this cast the shadow that was made for the first
+_BEAM_STEP = np.radians(
+    0.02
+)  # lights nearer to each other than this cast the shadow that was made for the first
 
 
 @dataclass(frozen=True)
@@ -71,7 +89,9 @@ class Prepared:
 
 class Lightmap(Stage):
     name = "lightmap"
-    reads = frozenset({Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE})
+    reads = frozenset(
+        {Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE}
+    )
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
     levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
     facts = frozenset({"pose", "light"})
@@ -86,7 +106,11 @@ class Lightmap(Stage):
         shadow, why = self._shadow_rect(facts, scene, frame, light)
         if model.empty and shadow.empty:
             return Demand(EMPTY, f"model out of view; {why}")
-        lit = f"model lit ({scene.light_of(facts).source})" if not model.empty else "model out of view"
+        lit = (
+            f"model lit ({scene.light_of(facts).source})"
+            if not model.empty
+            else "model out of view"
+        )
         return Demand(model.union(shadow), f"{lit}; {why}")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
@@ -97,7 +121,10 @@ class Lightmap(Stage):
         if facts.light is None:
             return {"new_directions": None}
         lights = [li for li in facts.light.lights if any(c > 0 for c in li.rgb)]
-        key = tuple((*np.round(li.unit / _BEAM_STEP).astype(int).tolist(), round(li.angular_size_deg, 1)) for li in lights)
+        key = tuple(
+            (*np.round(li.unit / _BEAM_STEP).astype(int).tolist(), round(li.angular_size_deg, 1))
+            for li in lights
+        )
         return {"new_directions": key} if key else {}
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
@@ -105,7 +132,12 @@ class Lightmap(Stage):
         grid = direction_grid(scene.camera, 2 if level in COARSE else 1).astype(np.float32)
         ambient = region.ambient_picture(self.params.faint, PLANE_LEVELS[level])
         by_grid = self._soft_occluded and OCCLUSION_LEVELS[level].cells > 0
-        return Prepared(region, ambient, region.occlusion_grid(OCCLUSION_LEVELS[level]) if by_grid else None, grid)
+        return Prepared(
+            region,
+            ambient,
+            region.occlusion_grid(OCCLUSION_LEVELS[level]) if by_grid else None,
+            grid,
+        )
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
         light = self._light(view.facts, view.scene)
@@ -115,7 +147,9 @@ class Lightmap(Stage):
             Layer.SHADOW: self._shadow(view, prepared, light),
         }
 
-    def _virtual(self, now: Layers, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
+    def _virtual(
+        self, now: Layers, view: View, prepared: Prepared, light: FrameLight
+    ) -> np.ndarray:
         """now : its part with the object"""
         if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
@@ -133,7 +167,13 @@ class Lightmap(Stage):
         return colour(surface, *at, black.coverage, *made)
 
     def _visibilities(
-        self, surface: Surface, view: View, prepared: Prepared, light: FrameLight, reaching: Sequence[int], eye: np.ndarray
+        self,
+        surface: Surface,
+        view: View,
+        prepared: Prepared,
+        light: FrameLight,
+        reaching: Sequence[int],
+        eye: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(h, w) and (k, h, w): shares of the soft light, and of the lights `reaching`, that the object leaves itself."""
         seen = surface.coverage, surface.normal, surface.position
@@ -145,29 +185,54 @@ class Lightmap(Stage):
                 beam = light.beams[k]
                 by_map = None
                 if level.texels:
-                    depths = view.memo.of_light.get(("depth", beam), partial(depth_map, caster, beam, level))
-                    by_map = visibility[i] = visibility_by_map(*seen, depths, anchor_from_world, level)
+                    depths = view.memo.of_light.get(
+                        ("depth", beam), partial(depth_map, caster, beam, level)
+                    )
+                    by_map = visibility[i] = visibility_by_map(
+                        *seen, depths, anchor_from_world, level
+                    )
                 if level.rays:
                     visibility[i] = visibility_by_rays(
-                        *seen, prepared.region.rays, caster, beam, anchor_from_world, level, eye, by_map
+                        *seen,
+                        prepared.region.rays,
+                        caster,
+                        beam,
+                        anchor_from_world,
+                        level,
+                        eye,
+                        by_map,
                     )
             if self.params.self_shadow < 1:
                 visibility = 1 + np.float32(self.params.self_shadow) * (visibility - 1)
         return self._soft_visibility(surface, view, prepared, light), visibility
 
-    def _soft_visibility(self, surface: Surface, view: View, prepared: Prepared, light: FrameLight) -> np.ndarray:
+    def _soft_visibility(
+        self, surface: Surface, view: View, prepared: Prepared, light: FrameLight
+    ) -> np.ndarray:
         """(h, w) share of the soft light that the object leaves itself."""
         seen = surface.coverage, surface.normal, surface.position
         if not self._soft_occluded:
             return np.ones(surface.coverage.shape, np.float32)
-        anchor_from_world, region, grid = view.scene.world_from_anchor.inverse(), prepared.region, prepared.occlusion
+        anchor_from_world, region, grid = (
+            view.scene.world_from_anchor.inverse(),
+            prepared.region,
+            prepared.occlusion,
+        )
         if grid is None:
             caster, count = region.caster, OCCLUSION_LEVELS[view.level].rays
             visible = soft_visibility_by_rays(
-                *seen, region.rays, region.soft_picture, caster, anchor_from_world, light.shape, count
+                *seen,
+                region.rays,
+                region.soft_picture,
+                caster,
+                anchor_from_world,
+                light.shape,
+                count,
             )
         else:
-            nodes = view.memo.of_light.get(("object", light.shape), lambda: grid.under(light.shape), "soft")
+            nodes = view.memo.of_light.get(
+                ("object", light.shape), lambda: grid.under(light.shape), "soft"
+            )
             visible = soft_visibility(*seen, grid, nodes, anchor_from_world, light.shape)
         strength = np.float32(self.params.self_shadow)
         return visible if strength == 1 else 1 + strength * (visible - 1)
@@ -177,23 +242,41 @@ class Lightmap(Stage):
         return self.params.ambient and self.params.self_shadow > 0 and not self.hard
 
     def shaded(
-        self, surface: Surface, soft_visibility: np.ndarray, visibility: np.ndarray, reaching: Sequence[int], light: FrameLight,
-        eye: np.ndarray, facts: FrameFacts,
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        surface: Surface,
+        soft_visibility: np.ndarray,
+        visibility: np.ndarray,
+        reaching: Sequence[int],
+        light: FrameLight,
+        eye: np.ndarray,
+        facts: FrameFacts,
+    ) -> np.ndarray:
         """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of each of the lights `reaching`, past
         the object;  eye (3,) : WORLD frame"""
         f32 = np.float32
         rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
         widths = highlight_width(light.sizes_deg[reaching])
-        lights = Lights(light.towards[reaching].astype(f32), rgb, widths, visibility, soft_visibility)
+        lights = Lights(
+            light.towards[reaching].astype(f32), rgb, widths, visibility, soft_visibility
+        )
         soft = f32(self.params.ambient) * harmonic_terms(light.soft, light.ambient)
-        return shade(surface, eye.astype(f32), lights, soft, not len(light.soft), np.array(facts.bias_rgb, f32))
+        return shade(
+            surface,
+            eye.astype(f32),
+            lights,
+            soft,
+            not len(light.soft),
+            np.array(facts.bias_rgb, f32),
+        )
 
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> Pixels:
         scene = view.scene
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         strength = self.params.shadow_strength * prepared.region.caster.opacity
-        if anchor_from_camera.translation_m[2] <= 0 or strength * _darkest(light, scene) <= self.params.faint:
+        if (
+            anchor_from_camera.translation_m[2] <= 0
+            or strength * _darkest(light, scene) <= self.params.faint
+        ):
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
         make_soft = lambda: within_surface(prepared.ambient.under(light.shape), scene.surface_m)  # noqa: E731
         soft = view.memo.of_light.get(("plane", light.shape), make_soft, "soft")
@@ -208,33 +291,65 @@ class Lightmap(Stage):
                 fractions.append(fraction)
         real = view.facts.plane_shadow
         blocked = None if real is None else plane_shadow_texture(real, light.ambient_fraction)
-        what = anchor_from_camera, textures, np.array(fractions), blocked, self.params.faint, strength
+        what = (
+            anchor_from_camera,
+            textures,
+            np.array(fractions),
+            blocked,
+            self.params.faint,
+            strength,
+        )
         if view.level in COARSE:
-            return Pixels(view.out, coarse_shadow_ratio(view.out, scene.camera.rect, prepared.grid, *what))
+            return Pixels(
+                view.out, coarse_shadow_ratio(view.out, scene.camera.rect, prepared.grid, *what)
+            )
         return Pixels(view.out, shadow_ratio(view.out, prepared.grid, *what))
 
-    def _shadow_rect(self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight) -> tuple[Rect, str]:
+    def _shadow_rect(
+        self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight
+    ) -> tuple[Rect, str]:
         """Pixels in which the shadow may show, and why those or none."""
         faint = self.params.faint
         eye = scene.world_from_anchor.inverse().apply(facts.pose.inverse().translation_m)
         if eye[2] <= 0:
             return EMPTY, "no shadow: plane seen from behind"
-        most = self.params.shadow_strength * shadow_region(scene).caster.opacity * _darkest(light, scene)
+        most = (
+            self.params.shadow_strength
+            * shadow_region(scene).caster.opacity
+            * _darkest(light, scene)
+        )
         if most <= faint:
-            return EMPTY, f"no shadow: the object takes at most {100 * most:.1f} % of the plane's light"
-        beams = [(b, float(s.max())) for b, s in zip(light.beams, light.direct_fractions, strict=True)]
+            return (
+                EMPTY,
+                f"no shadow: the object takes at most {100 * most:.1f} % of the plane's light",
+            )
+        beams = [
+            (b, float(s.max())) for b, s in zip(light.beams, light.direct_fractions, strict=True)
+        ]
         soft = float(light.ambient_fraction.max()) * _unevenness(light)
         outline = shadow_region(scene).outline_m(soft, beams, faint)
         if not len(outline):
-            return EMPTY, f"no shadow: nowhere does the object take {100 * faint:.1f} % of the plane's light"
+            return (
+                EMPTY,
+                f"no shadow: nowhere does the object take {100 * faint:.1f} % of the plane's light",
+            )
         rect = _plane_rect(outline, facts, scene).clip(frame)
         if scene.surface_m is not None:
             x0, y0, x1, y1 = scene.surface_m
-            rect = rect.clip(_plane_rect(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene))
-        return rect, f"shadow takes up to {100 * most:.0f} % of the plane's light" if not rect.empty else "shadow out of view"
+            rect = rect.clip(
+                _plane_rect(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene)
+            )
+        return (
+            rect,
+            f"shadow takes up to {100 * most:.0f} % of the plane's light"
+            if not rect.empty
+            else "shadow out of view",
+        )
 
     def _light(self, facts: FrameFacts, scene: Scene) -> FrameLight:
-        return frame_light(scene.light_of(facts), scene.world_from_anchor, self.hard, self.params.plane_blocks)
+        return frame_light(
+            scene.light_of(facts), scene.world_from_anchor, self.hard, self.params.plane_blocks
+        )
 
 
 def _plane_rect(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:

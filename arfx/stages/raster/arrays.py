@@ -75,7 +75,10 @@ class View(NamedTuple):
 
 def view(lens: np.ndarray, camera_from_world: Pose, pixel: float = 0.0, taps: int = 1) -> View:
     """lens : a part of a lens's table or not, the same type comes of it"""
-    rotation, eye = np.ascontiguousarray(camera_from_world.rotation), camera_from_world.inverse().translation_m
+    rotation, eye = (
+        np.ascontiguousarray(camera_from_world.rotation),
+        camera_from_world.inverse().translation_m,
+    )
     return View(np.ascontiguousarray(lens), rotation, eye, np.float32(pixel), taps)
 
 

@@ -44,7 +44,9 @@ def choose_backend(wanted: str = "auto") -> Backend:
     auto : pyrender where OpenGL runs on a graphics card, else rays. OpenGL in software is never taken unasked: at the same
     edge quality it takes two to three times as long as rays (measured with llvmpipe)."""
     if wanted not in ("auto", *BACKENDS):
-        raise ConfigError(f"unknown raster back end {wanted!r}", "one of auto, " + ", ".join(BACKENDS))
+        raise ConfigError(
+            f"unknown raster back end {wanted!r}", "one of auto, " + ", ".join(BACKENDS)
+        )
     if wanted == "rays":
         return _ray_backend("asked for")
     if wanted == "auto" and not _graphics_card():
@@ -92,7 +94,13 @@ def backend_report() -> list[BackendState]:
 
         rays = BackendState("rays", True, f"embreex {getattr(embreex, '__version__', '')}".strip())
     except ImportError as e:
-        rays = BackendState("rays", False, f"embreex cannot be imported: {e}", "pip install embreex")
+        rays = BackendState(
+            "rays", False, f"embreex cannot be imported: {e}", "pip install embreex"
+        )
     chosen = choose_backend()
     state = gl if chosen.name == "pyrender" else rays
-    return [gl, rays, BackendState("auto", state.opens, f"takes {chosen.name}: {chosen.why}", state.fix)]
+    return [
+        gl,
+        rays,
+        BackendState("auto", state.opens, f"takes {chosen.name}: {chosen.why}", state.fix),
+    ]

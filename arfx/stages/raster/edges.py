@@ -21,7 +21,9 @@ _MAX_POINTS = 400_000  # along all edges of a frame: bounds time and memory wher
 _BEHIND = 2e-2
 
 
-def edge_pixels(mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarray, rect: Rect, depth: np.ndarray) -> np.ndarray:
+def edge_pixels(
+    mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarray, rect: Rect, depth: np.ndarray
+) -> np.ndarray:
     """(h, w) bool, pixels of `rect` that a visible outline or sharp edge crosses.
 
     points : (n, 3) vertices in camera coordinates;  front : (m,) bool, face seen from its front
@@ -30,7 +32,9 @@ def edge_pixels(mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarra
     low, high = _bounds(camera, rect)
     shown = _shown(mesh.edges, mesh.sharp, front, mesh.hidden)
     longest = 4.0 * (rect.width + rect.height)
-    xy, z = _points_along(mesh.edges, shown, points, low, high, camera.fx, camera.fy, longest, camera.max_radius**2)
+    xy, z = _points_along(
+        mesh.edges, shown, points, low, high, camera.fx, camera.fy, longest, camera.max_radius**2
+    )
     if len(z):
         px = camera.distort(xy) * [camera.fx, camera.fy] + [camera.cx + 0.5, camera.cy + 0.5]
         _mark_seen(mask, px, z, depth, rect.x0, rect.y0, np.float32(1 + _BEHIND))
@@ -39,8 +43,13 @@ def edge_pixels(mesh: Mesh, camera: Camera, points: np.ndarray, front: np.ndarra
 
 def _bounds(camera: Camera, rect: Rect) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest (x/z, y/z) of the ideal picture of `rect`, generously; infinite where the lens folds."""
-    x, y = np.linspace(rect.x0 - 1, rect.x1, 9), np.linspace(rect.y0 - 1, rect.y1, 9)  # along all sides: straight lines bulge
-    sides = [np.stack([x, np.full(9, v)], 1) for v in y[[0, -1]]] + [np.stack([np.full(9, u), y], 1) for u in x[[0, -1]]]
+    x, y = (
+        np.linspace(rect.x0 - 1, rect.x1, 9),
+        np.linspace(rect.y0 - 1, rect.y1, 9),
+    )  # along all sides: straight lines bulge
+    sides = [np.stack([x, np.full(9, v)], 1) for v in y[[0, -1]]] + [
+        np.stack([np.full(9, u), y], 1) for u in x[[0, -1]]
+    ]
     n = camera.normalised(np.concatenate(sides))
     if not np.isfinite(n).all():
         return np.full(2, -np.inf), np.full(2, np.inf)
@@ -50,7 +59,9 @@ def _bounds(camera: Camera, rect: Rect) -> tuple[np.ndarray, np.ndarray]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _points_along(edges, shown, points, low, high, fx, fy, longest, fold2):  # pragma: no cover - compiled
+def _points_along(
+    edges, shown, points, low, high, fx, fy, longest, fold2
+):  # pragma: no cover - compiled
     """Points along the edges `shown` whose box meets low .. high: (n, 2) in the ideal picture, and their depths (n,).
 
     longest : steps of one edge at most;  fold2 : squared radius from which on the lens shows nothing"""
@@ -61,7 +72,12 @@ def _points_along(edges, shown, points, low, high, fx, fy, longest, fold2):  # p
         if not (shown[k] and za > EPS_DEPTH_M and zb > EPS_DEPTH_M):
             continue
         ax, ay, bx, by = points[i, 0] / za, points[i, 1] / za, points[j, 0] / zb, points[j, 1] / zb
-        if max(ax, bx) >= low[0] and max(ay, by) >= low[1] and min(ax, bx) <= high[0] and min(ay, by) <= high[1]:
+        if (
+            max(ax, bx) >= low[0]
+            and max(ay, by) >= low[1]
+            and min(ax, bx) <= high[0]
+            and min(ay, by) <= high[1]
+        ):
             length = max(abs((bx - ax) * fx), abs((by - ay) * fy))
             steps[k] = np.int64(min(np.ceil(length * _POINTS_PER_PX), longest)) + 1
     total = steps.sum()
@@ -81,7 +97,10 @@ def _points_along(edges, shown, points, low, high, fx, fy, longest, fold2):  # p
         ax, ay, bx, by = points[i, 0] / za, points[i, 1] / za, points[j, 0] / zb, points[j, 1] / zb
         for q in range(steps[k]):
             t = (q + 0.5) / steps[k]
-            x, y = ax * (1 - t) + bx * t, ay * (1 - t) + by * t  # straight in the ideal picture, bent by the lens after
+            x, y = (
+                ax * (1 - t) + bx * t,
+                ay * (1 - t) + by * t,
+            )  # straight in the ideal picture, bent by the lens after
             if x * x + y * y <= fold2:
                 xy[n, 0], xy[n, 1], depth[n] = x, y, 1 / ((1 - t) / za + t / zb)
                 n += 1
@@ -115,7 +134,9 @@ def _shown(edges, sharp, front, hidden):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def add_differences(edge, prim, depth, part, face_normal, lens, height, width, rotation, pixel):  # pragma: no cover - compiled
+def add_differences(
+    edge, prim, depth, part, face_normal, lens, height, width, rotation, pixel
+):  # pragma: no cover - compiled
     """Mark both pixels of every neighbouring pair whose first hits differ in a way no marked edge between them explains.
 
     lens : directions with one pixel of margin;  pixel : side of a pixel at depth 1"""
@@ -138,16 +159,22 @@ def add_differences(edge, prim, depth, part, face_normal, lens, height, width, r
                 differ = nothing or part[prim[k]] != part[prim[m]]
                 if before[k] or before[m]:
                     differ = differ and not nothing
-                elif not differ and abs(depth[m] - depth[k]) > depth[k] * (8.0 * pixel):  # else no slope makes it one
+                elif not differ and abs(depth[m] - depth[k]) > depth[k] * (
+                    8.0 * pixel
+                ):  # else no slope makes it one
                     # depth that the plane of k's face has at m
                     f = prim[k]
                     here, there = 0.0, 0.0
                     for c in range(3):
                         base = rotation[2, c]
                         near_x, near_y = lens[y + 1, x + 1, 0], lens[y + 1, x + 1, 1]
-                        here += face_normal[f, c] * (rotation[0, c] * near_x + rotation[1, c] * near_y + base)
+                        here += face_normal[f, c] * (
+                            rotation[0, c] * near_x + rotation[1, c] * near_y + base
+                        )
                         i, j = y + 1 + step, x + 2 - step
-                        there += face_normal[f, c] * (rotation[0, c] * lens[i, j, 0] + rotation[1, c] * lens[i, j, 1] + base)
+                        there += face_normal[f, c] * (
+                            rotation[0, c] * lens[i, j, 0] + rotation[1, c] * lens[i, j, 1] + base
+                        )
                     slope = abs(here - there) / max(abs(there), 1e-3)
                     differ = abs(depth[m] - depth[k]) > depth[k] * (3.0 * slope + 8.0 * pixel)
                 if differ:
@@ -158,7 +185,12 @@ def add_differences(edge, prim, depth, part, face_normal, lens, height, width, r
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _may_differ(prim, depth, start, across, n, slack, parts, maybe):  # pragma: no cover - compiled
     """maybe[:n] : may the pixels from `start` on and those `across` further be two sides of an edge? Returns how many may."""
-    here, there, near, far = prim[start : start + n], prim[start + across :], depth[start : start + n], depth[start + across :]
+    here, there, near, far = (
+        prim[start : start + n],
+        prim[start + across :],
+        depth[start : start + n],
+        depth[start + across :],
+    )
     count = np.int32(0)
     for x in range(n):
         other, gap = here[x] != there[x], abs(far[x] - near[x])

@@ -47,7 +47,8 @@ class GlRenderer:
     def __init__(self, mesh: Mesh, camera: Camera, samples: int) -> None:
         if len(mesh.ints) > MAX_PARTS:
             raise InputError(
-                f"the model has {len(mesh.ints)} parts", f"at most {MAX_PARTS} with OpenGL; --set raster.backend=rays"
+                f"the model has {len(mesh.ints)} parts",
+                f"at most {MAX_PARTS} with OpenGL; --set raster.backend=rays",
             )
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
         self.k = max(round(samples**0.5), 1)
@@ -58,7 +59,9 @@ class GlRenderer:
         self.blends = bool((mesh.ints[:, columns.MODE] == 2).any())
         self.context = open_context()
         self.drawing = _on_gl_thread(Drawing, self.context, mesh, self.glows)
-        weakref.finalize(self, discard, self.drawing.free).atexit = False  # the driver takes all back when the process ends
+        weakref.finalize(
+            self, discard, self.drawing.free
+        ).atexit = False  # the driver takes all back when the process ends
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers over `rect`, which lies in the frame. Raises RenderError where the driver refuses."""
@@ -68,7 +71,11 @@ class GlRenderer:
         rows = max(min(MAX_SIDE_PX // self.k, MAX_AREA_PX // (self.k**2 * rect.width)), 1)
         for top in range(rect.y0, rect.y1, rows):
             strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))
-            self._strip(strip, camera_from_world, GBuffer(*(out[name][strip.slices_in(rect)] for name in OUTPUTS)))
+            self._strip(
+                strip,
+                camera_from_world,
+                GBuffer(*(out[name][strip.slices_in(rect)] for name in OUTPUTS)),
+            )
         return out
 
     def _strip(self, rect: Rect, pose: Pose, out: GBuffer) -> None:
@@ -84,19 +91,31 @@ class GlRenderer:
         eye = pose.inverse().translation_m
         h, w, per = rect.height, rect.width, self.k**2
         directions, _ = hits.world_directions(lens[1:-1, 1:-1], rotation)
-        texels = gl_resolve.texel_map(lens, h, w, self.k, scale, shift, rows_px, columns_px, not self.camera.distorted)
+        texels = gl_resolve.texel_map(
+            lens, h, w, self.k, scale, shift, rows_px, columns_px, not self.camera.distorted
+        )
         from_mesh = np.diag([1.0, -1, -1, 1]) @ camera_from_mesh.matrix
         ideal = self.context.pyrender.IntrinsicsCamera(*scale, *(shift + 0.5), near, far)
         projection = ideal.get_projection_matrix(columns_px, rows_px)
-        grid = np.array([*scale, *shift, columns_px if self.camera.distorted else 0, rows_px], float)
+        grid = np.array(
+            [*scale, *shift, columns_px if self.camera.distorted else 0, rows_px], float
+        )
         if not self.blends:
-            buffers = Buffers(*_on_gl_thread(self.drawing, from_mesh, projection, columns_px, rows_px, None))
-            gl_resolve.resolve_opaque(texels, self.order, per, buffers, self.glows, grid, rotation, directions, eye, out)
+            buffers = Buffers(
+                *_on_gl_thread(self.drawing, from_mesh, projection, columns_px, rows_px, None)
+            )
+            gl_resolve.resolve_opaque(
+                texels, self.order, per, buffers, self.glows, grid, rotation, directions, eye, out
+            )
             return
         samples, peel = no_samples(h * w * per), None
         for _ in range(MAX_LAYERS):
-            buffers = Buffers(*_on_gl_thread(self.drawing, from_mesh, projection, columns_px, rows_px, peel))
-            if not gl_resolve.add_layer(texels, per, buffers, self.glows, grid, rotation, directions, samples):
+            buffers = Buffers(
+                *_on_gl_thread(self.drawing, from_mesh, projection, columns_px, rows_px, peel)
+            )
+            if not gl_resolve.add_layer(
+                texels, per, buffers, self.glows, grid, rotation, directions, samples
+            ):
                 break
             # nothing drawn at a texel: everything there has been peeled
             peel = np.where(buffers.surface[:, 3] > 0, buffers.geometry[:, 3], np.float32(3e38))
@@ -107,7 +126,9 @@ class GlRenderer:
         wide = view(self.lens.directions(rect.pad(2)), pose)
         hits.resolve_edges(numbers, self.order, samples, none.astype(np.float32), none, wide, out)
 
-    def _ideal_camera(self, rect: Rect, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, int] | None:
+    def _ideal_camera(
+        self, rect: Rect, lens: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, int, int] | None:
         """Ideal camera of the buffer: position = direction * scale + shift; its size. None where nothing is seen."""
         c, k = self.camera, self.k
         focal, centre = np.array([c.fx, c.fy]), np.array([c.cx, c.cy])
@@ -134,4 +155,6 @@ def _on_gl_thread(work: Callable[..., T], *args: Any) -> T:
     try:
         return on_gl_thread(work, *args)
     except Error as e:
-        raise RenderError(f"OpenGL failed: {e!r}", "the rays back end needs no OpenGL: --set raster.backend=rays") from e
+        raise RenderError(
+            f"OpenGL failed: {e!r}", "the rays back end needs no OpenGL: --set raster.backend=rays"
+        ) from e

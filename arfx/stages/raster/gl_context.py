@@ -38,7 +38,9 @@ class GlContext:
 _context: GlContext | None = None
 _failure = ""
 _thread = ThreadPoolExecutor(1, "opengl")  # Python's end waits for the draw that it is at
-_thread.submit(int).result()  # it starts now: Ctrl-C while it starts with work in hand would leave it running beside a second
+_thread.submit(
+    int
+).result()  # it starts now: Ctrl-C while it starts with work in hand would leave it running beside a second
 _discarded: deque[Callable[[], None]] = deque()
 _pid = os.getpid()
 
@@ -48,7 +50,9 @@ def on_gl_thread(work: Callable[..., T], *args: Any) -> T:
 
     Not to be called from that thread. Raises RenderError in a forked process, which has neither thread nor context."""
     if _pid != os.getpid():
-        raise RenderError("OpenGL was carried into a forked process", "start workers with the spawn method")
+        raise RenderError(
+            "OpenGL was carried into a forked process", "start workers with the spawn method"
+        )
     return _thread.submit(_free_then, work, args).result()
 
 
@@ -131,7 +135,9 @@ def _open(name: str) -> GlContext:
     if not version:
         raise RuntimeError("the context has no version")
     renderer = GL.glGetString(GL.GL_RENDERER) or b""
-    software = any(word in renderer.decode().lower() for word in ("llvmpipe", "softpipe", "swrast", "software"))
+    software = any(
+        word in renderer.decode().lower() for word in ("llvmpipe", "softpipe", "swrast", "software")
+    )
     detail = f"{name}, OpenGL {version.decode()}, {renderer.decode()}"
     platform.delete_context = lambda: None  # its __del__ would call it at Python's end
     return GlContext(pyrender, platform, detail, software)

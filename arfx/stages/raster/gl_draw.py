@@ -31,12 +31,19 @@ class Drawing:
             picture = mesh.textures.texels[start : start + w * h].reshape(h, w, 4)
             self.textures[t] = context.pyrender.Texture(source=picture, source_channels="RGBA")
             self.textures[t]._add_to_context()
-        self.parts = [_Part(context.pyrender, mesh, part, self.textures) for part in range(len(mesh.ints))]
+        self.parts = [
+            _Part(context.pyrender, mesh, part, self.textures) for part in range(len(mesh.ints))
+        ]
         self.buffer = _Buffer(4 if glows else 3)
         self.programs = ShaderProgramCache(shader_dir=_SHADERS)
 
     def __call__(
-        self, view: np.ndarray, projection: np.ndarray, width: int, height: int, peel: np.ndarray | None
+        self,
+        view: np.ndarray,
+        projection: np.ndarray,
+        width: int,
+        height: int,
+        peel: np.ndarray | None,
     ) -> list[np.ndarray]:
         """peel : (height * width,) depth at and before which nothing is drawn, None = draw all"""
         from OpenGL import GL
@@ -79,14 +86,20 @@ class _Buffer:
 
         if width > self.width or height > self.height:
             self.free()
-            self.width, self.height = max(self.width, -(-width // 64) * 64), max(self.height, -(-height // 64) * 64)
+            self.width, self.height = (
+                max(self.width, -(-width // 64) * 64),
+                max(self.height, -(-height // 64) * 64),
+            )
             formats = [GL.GL_RGBA32F, GL.GL_RGBA16, GL.GL_RGBA16, GL.GL_RGBA16F][: self.targets]
             self.framebuffer = GL.glGenFramebuffers(1)
             GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self.framebuffer)
             self.stores = [int(s) for s in np.atleast_1d(GL.glGenRenderbuffers(self.targets + 1))]
             targets = [GL.GL_COLOR_ATTACHMENT0 + i for i in range(self.targets)]
             for store, kind, at in zip(
-                self.stores, [*formats, GL.GL_DEPTH_COMPONENT32F], [*targets, GL.GL_DEPTH_ATTACHMENT], strict=True
+                self.stores,
+                [*formats, GL.GL_DEPTH_COMPONENT32F],
+                [*targets, GL.GL_DEPTH_ATTACHMENT],
+                strict=True,
             ):
                 GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, store)
                 GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, self.width, self.height)
@@ -109,7 +122,9 @@ class _Buffer:
         GL.glActiveTexture(GL.GL_TEXTURE0 + 7)
         GL.glBindTexture(GL.GL_TEXTURE_2D, self.peel)
         data = np.ascontiguousarray(depth, np.float32)
-        GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_R32F, width, height, 0, GL.GL_RED, GL.GL_FLOAT, data)
+        GL.glTexImage2D(
+            GL.GL_TEXTURE_2D, 0, GL.GL_R32F, width, height, 0, GL.GL_RED, GL.GL_FLOAT, data
+        )
         for name in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
             GL.glTexParameteri(GL.GL_TEXTURE_2D, name, GL.GL_NEAREST)
 
@@ -117,7 +132,10 @@ class _Buffer:
         """geometry float32, albedo uint16, material uint16 with the part number raw, emissive float32; (n, 4) each."""
         from OpenGL import GL
 
-        out = [np.empty((height * width, 4), t) for t in (np.float32, np.uint16, np.uint16, np.float32)[: self.targets]]
+        out = [
+            np.empty((height * width, 4), t)
+            for t in (np.float32, np.uint16, np.uint16, np.float32)[: self.targets]
+        ]
         for i, a in enumerate(out):
             GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0 + i)
             kind = GL.GL_FLOAT if a.dtype == np.float32 else GL.GL_UNSIGNED_SHORT
@@ -172,11 +190,21 @@ class _Part:
         }
 
     def __call__(
-        self, programs: Any, view: np.ndarray, projection: np.ndarray, eye: np.ndarray, peels: bool, glows: bool
+        self,
+        programs: Any,
+        view: np.ndarray,
+        projection: np.ndarray,
+        eye: np.ndarray,
+        peels: bool,
+        glows: bool,
     ) -> None:
         from OpenGL import GL
 
-        defines = {**self.defines, **({"PEEL": 1} if peels else {}), **({"GLOWS": 1} if glows else {})}
+        defines = {
+            **self.defines,
+            **({"PEEL": 1} if peels else {}),
+            **({"GLOWS": 1} if glows else {}),
+        }
         program = programs.get_program("gbuffer.vert", "gbuffer.frag", defines=defines)
         if not program._in_context():
             program._add_to_context()

@@ -13,7 +13,9 @@ from arfx.stages.raster.arrays import Buffers, GBuffer, Samples
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def texel_map(lens, height, width, k, scale, shift, rows, columns, exact):  # pragma: no cover - compiled
+def texel_map(
+    lens, height, width, k, scale, shift, rows, columns, exact
+):  # pragma: no cover - compiled
     """(h * w * k * k,) int32 index of the texel of every sample, -1 = none. Buffers are stored bottom row first.
 
     lens : directions with one pixel of margin;  scale, shift : (2,) buffer position = direction * scale + shift
@@ -47,7 +49,7 @@ def texel_map(lens, height, width, k, scale, shift, rows, columns, exact):  # pr
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_opaque(
     texels, order, per, buffers: Buffers, glows, grid, rotation, directions, eye, out: GBuffer
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """Means over the covering samples of each pixel; depth and number from the one next to the centre.
 
     grid : (6,) scale x y, shift x y, columns, rows of the buffer; columns = 0 where texels lie on the samples"""
@@ -82,10 +84,18 @@ def resolve_opaque(
             inverse = np.float32(1) / hits
             k = y * width + x
             coverage[y, x] = np.float32(hits) / per
-            albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = ar * unit * inverse, ag * unit * inverse, ab * unit * inverse
+            albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = (
+                ar * unit * inverse,
+                ag * unit * inverse,
+                ab * unit * inverse,
+            )
             material[y, x, 0], material[y, x, 1] = m0 * unit * inverse, m1 * unit * inverse
             material[y, x, 2], material[y, x, 3] = m2 * unit * inverse, 1
-            emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = e0 * inverse, e1 * inverse, e2 * inverse
+            emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = (
+                e0 * inverse,
+                e1 * inverse,
+                e2 * inverse,
+            )
             n = np.sqrt(nx * nx + ny * ny + nz * nz)
             z = geometry[nearest, 3]
             if grid[4] > 0:
@@ -98,7 +108,11 @@ def resolve_opaque(
             else:
                 n = -np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
                 normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = d0 / n, d1 / n, d2 / n
-            position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * d0, eye[1] + z * d1, eye[2] + z * d2
+            position[y, x, 0], position[y, x, 1], position[y, x, 2] = (
+                eye[0] + z * d0,
+                eye[1] + z * d1,
+                eye[2] + z * d2,
+            )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -121,7 +135,7 @@ def _tangent_depth(z, texel, geometry, grid, rotation, direction):  # pragma: no
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def add_layer(
     texels, per, buffers: Buffers, glows, grid, rotation, directions, samples: Samples
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """Put one peeled layer behind those in `samples`; returns whether any light is left behind it."""
     geometry, colour, surface, glow = buffers
     acc, depth, ident = samples
@@ -142,7 +156,9 @@ def add_layer(
         if ident[k] == 0:
             ident[k], depth[k] = int(surface[t, 3]), geometry[t, 3]
             if grid[4] > 0:
-                depth[k] = _tangent_depth(depth[k], t, geometry, grid, rotation, directions[k // per])
+                depth[k] = _tangent_depth(
+                    depth[k], t, geometry, grid, rotation, directions[k // per]
+                )
         if acc[k, 0] > 0.002:
             any_light = True
     return any_light

@@ -52,7 +52,7 @@ def sample_directions(lens, pixels, width, offsets):  # pragma: no cover - compi
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def accumulate(
     active, prim, z, values, directions, start, mesh: Surfaces, samples: Samples, masked, continuing
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """Add one layer of hits to the samples `active`; returns how many rays go on, listed in `continuing`.
 
     z, values : depth and attributes of the hits;  start : (samples,) moved behind the hit where the ray goes on
@@ -65,7 +65,9 @@ def accumulate(
             continue
         f, k = np.uintp(prim[a]), np.uintp(active[a])
         facing = (
-            face_normal[f, 0] * directions[k, 0] + face_normal[f, 1] * directions[k, 1] + face_normal[f, 2] * directions[k, 2]
+            face_normal[f, 0] * directions[k, 0]
+            + face_normal[f, 1] * directions[k, 1]
+            + face_normal[f, 2] * directions[k, 2]
         )
         if facing > 0 and ints[part[f], TWO_SIDED] == 0:
             start[k] = z[a]
@@ -90,7 +92,9 @@ def accumulate(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def write_pixel(y, x, acc, z, ident, direction, eye, sums, out: GBuffer):  # pragma: no cover - compiled
+def write_pixel(
+    y, x, acc, z, ident, direction, eye, sums, out: GBuffer
+):  # pragma: no cover - compiled
     """Mean of a pixel's samples, acc (n, COLUMNS), over the covering ones. z, ident : its depth and number
 
     sums : (12,) scratch"""
@@ -119,7 +123,9 @@ def write_pixel(y, x, acc, z, ident, direction, eye, sums, out: GBuffer):  # pra
         if n > 1e-6:
             out.normal[y, x, c] = sums[3 + c] / n
         else:  # opposite sides cancel in this pixel: straight towards the camera
-            out.normal[y, x, c] = -direction[c] / np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+            out.normal[y, x, c] = -direction[c] / np.sqrt(
+                direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2
+            )
     out.depth[y, x] = z
     for c in range(3):
         out.position[y, x, c] = eye[c] + z * direction[c]
@@ -129,7 +135,7 @@ def write_pixel(y, x, acc, z, ident, direction, eye, sums, out: GBuffer):  # pra
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_centres(
     height, width, edge, samples: Samples, directions, eye, out: GBuffer
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """Pixels that need one sample only; samples cover one pixel more on each side than the layers."""
     acc, depth, ident = samples
     sums = np.empty(12, np.float32)
@@ -143,7 +149,7 @@ def resolve_centres(
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def resolve_edges(
     pixels, order, samples: Samples, centre_depth, centre_ident, view: View, out: GBuffer
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     """Pixels of many samples; numbered with one pixel of margin.
 
     centre_depth, centre_ident : (pixels,) of the pixels' own centres;  order : (s,) sample numbers from the centre outwards"""

@@ -66,4 +66,6 @@ class LensTable:
     @cached_property
     def _table(self) -> np.ndarray:
         r = self.camera.rect.pad(MARGIN_PX)
-        return self.at(np.arange(r.y0, r.y1, dtype=float), np.arange(r.x0, r.x1, dtype=float)).astype(np.float32)
+        return self.at(
+            np.arange(r.y0, r.y1, dtype=float), np.arange(r.x0, r.x1, dtype=float)
+        ).astype(np.float32)

@@ -54,11 +54,24 @@ class Mesh:
     @cached_property
     def surfaces(self) -> Surfaces:
         """What the compiled loops read."""
-        slots = 1 + int(np.flatnonzero((self.ints[:, : EMISSIVE_TEXTURE + 1] >= 0).any(0)).max(initial=-1))
+        slots = 1 + int(
+            np.flatnonzero((self.ints[:, : EMISSIVE_TEXTURE + 1] >= 0).any(0)).max(initial=-1)
+        )
         return Surfaces(
-            self.faces, self.part, self.face_normal, self.normals, self.uv, self.colours, self.texels_per_m, self.uv_slopes,
-            self.floats, self.ints, slots, self.textures.linear, self.textures.table,
-        )  # fmt: skip
+            self.faces,
+            self.part,
+            self.face_normal,
+            self.normals,
+            self.uv,
+            self.colours,
+            self.texels_per_m,
+            self.uv_slopes,
+            self.floats,
+            self.ints,
+            slots,
+            self.textures.linear,
+            self.textures.table,
+        )
 
     @property
     def corners_m(self) -> np.ndarray:
@@ -89,9 +102,24 @@ def build_mesh(scene: Scene) -> Mesh:
         colours.append(np.ones((n, 4)) if p.colours is None else p.colours)
         faces.append(p.faces + start)
         parts.append(np.full(len(p.faces), k))
-        floats.append([*mat.base_colour, mat.metallic, mat.roughness, mat.specular, *mat.emissive, mat.alpha_cutoff])
-        images = (mat.base_texture, True), (mat.metallic_roughness_texture, False), (mat.emissive_texture, True)
-        numbers = [textures.add(image if p.uv is not None else None, srgb) for image, srgb in images]
+        floats.append(
+            [
+                *mat.base_colour,
+                mat.metallic,
+                mat.roughness,
+                mat.specular,
+                *mat.emissive,
+                mat.alpha_cutoff,
+            ]
+        )
+        images = (
+            (mat.base_texture, True),
+            (mat.metallic_roughness_texture, False),
+            (mat.emissive_texture, True),
+        )
+        numbers = [
+            textures.add(image if p.uv is not None else None, srgb) for image, srgb in images
+        ]
         ints.append([*numbers, MODES[mat.alpha_mode], int(mat.double_sided)])
         start += n
     v, f, uv = np.concatenate(vertices), np.concatenate(faces).astype(np.int32), np.concatenate(uvs)
@@ -99,14 +127,31 @@ def build_mesh(scene: Scene) -> Mesh:
     part = np.concatenate(parts).astype(np.int32)
     face_normal = normalise(cross)
     edges, sharp = _edges(v, f, part, face_normal)
-    slopes, stack, kinds = _uv_slopes(uv[f], v[f], cross), textures.build(), np.array(ints, np.int32)
-    sizes = np.append(stack.table[:, :2], [[0, 0]], 0)[kinds[:, :MODE]].max(1)  # -1, none, finds the zeros
+    slopes, stack, kinds = (
+        _uv_slopes(uv[f], v[f], cross),
+        textures.build(),
+        np.array(ints, np.int32),
+    )
+    sizes = np.append(stack.table[:, :2], [[0, 0]], 0)[kinds[:, :MODE]].max(
+        1
+    )  # -1, none, finds the zeros
     return Mesh(
-        centre, v, np.concatenate(normals).astype(np.float32), uv.astype(np.float32),
-        np.concatenate(colours).astype(np.float32), f, part, face_normal.astype(np.float32),
-        (np.linalg.norm(slopes, axis=2) * sizes[part]).max(1).astype(np.float32), slopes, np.array(floats, np.float32), kinds,
-        stack, edges, sharp,
-    )  # fmt: skip
+        centre,
+        v,
+        np.concatenate(normals).astype(np.float32),
+        uv.astype(np.float32),
+        np.concatenate(colours).astype(np.float32),
+        f,
+        part,
+        face_normal.astype(np.float32),
+        (np.linalg.norm(slopes, axis=2) * sizes[part]).max(1).astype(np.float32),
+        slopes,
+        np.array(floats, np.float32),
+        kinds,
+        stack,
+        edges,
+        sharp,
+    )
 
 
 def _uv_slopes(uv: np.ndarray, corners: np.ndarray, cross: np.ndarray) -> np.ndarray:
@@ -114,10 +159,15 @@ def _uv_slopes(uv: np.ndarray, corners: np.ndarray, cross: np.ndarray) -> np.nda
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     square = (cross**2).sum(1)[:, None]
     s, t = divide(np.cross(e2, cross), square), divide(np.cross(cross, e1), square)
-    return ((uv[:, 1] - uv[:, 0])[:, :, None] * s[:, None] + (uv[:, 2] - uv[:, 0])[:, :, None] * t[:, None]).astype(np.float32)
+    return (
+        (uv[:, 1] - uv[:, 0])[:, :, None] * s[:, None]
+        + (uv[:, 2] - uv[:, 0])[:, :, None] * t[:, None]
+    ).astype(np.float32)
 
 
-def _edges(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, face_normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _edges(
+    vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, face_normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Edges between positions, with their two faces. Edges of one face, or of more than two, are listed by face: always sharp."""
     first, position = same_rows(vertices.astype(np.float32))
     at = position[faces]

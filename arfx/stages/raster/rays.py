@@ -15,7 +15,17 @@ from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.raster import hits, surface
-from arfx.stages.raster.arrays import COLUMNS, OUTPUTS, GBuffer, Hits, Samples, View, fragments, no_samples, view
+from arfx.stages.raster.arrays import (
+    COLUMNS,
+    OUTPUTS,
+    GBuffer,
+    Hits,
+    Samples,
+    View,
+    fragments,
+    no_samples,
+    view,
+)
 from arfx.stages.raster.edges import add_differences, edge_pixels
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import CUTOFF, EMIT_R, Mesh
@@ -56,14 +66,21 @@ class RayRenderer:
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers of OUTPUTS over `rect`, which lies in the frame."""
-        clear = rect.empty or self.mesh.layered  # else each pixel is written; EMISSIVE only where something glows
-        out = {n: neutral(n, rect) if clear or n is Layer.EMISSIVE else uninitialised(n, rect) for n in OUTPUTS}
+        clear = (
+            rect.empty or self.mesh.layered
+        )  # else each pixel is written; EMISSIVE only where something glows
+        out = {
+            n: neutral(n, rect) if clear or n is Layer.EMISSIVE else uninitialised(n, rect)
+            for n in OUTPUTS
+        }
         if rect.empty:
             return out
         height = max(_TILE_RAYS // rect.width, 1)
         for top in range(rect.y0, rect.y1, height):
             strip = Rect(rect.x0, top, rect.x1, min(top + height, rect.y1))
-            self._strip(strip, camera_from_world, {k: v[strip.slices_in(rect)] for k, v in out.items()})
+            self._strip(
+                strip, camera_from_world, {k: v[strip.slices_in(rect)] for k, v in out.items()}
+            )
         return out
 
     def _strip(self, rect: Rect, camera_from_world: Pose, out: dict[Layer, np.ndarray]) -> None:
@@ -73,22 +90,38 @@ class RayRenderer:
         lens = np.ascontiguousarray(self.lens.directions(wide.pad(1)))
         seen_from = view(lens, camera_from_world, self.pixel, self.taps)
         eye = seen_from.eye - m.centre_m
-        points = Pose(camera_from_world.rotation, camera_from_world.apply(m.centre_m)).apply(m.vertices)
+        points = Pose(camera_from_world.rotation, camera_from_world.apply(m.centre_m)).apply(
+            m.vertices
+        )
         box = face_boxes(points, self.camera.project(points), m.faces, self.camera, wide)
         *nearest, front = nearest_faces(points, m.faces, m.hidden, box, lens, h, w, EPS_DEPTH_M)
         first_hits = Hits(*nearest)
         prim, depth = first_hits.face, first_hits.depth
         edge = edge_pixels(m, self.camera, points, front, wide, depth.reshape(h, w)).ravel()
-        add_differences(edge, prim, depth, m.part, m.face_normal, lens, h, w, seen_from.rotation, self.pixel)
+        add_differences(
+            edge, prim, depth, m.part, m.face_normal, lens, h, w, seen_from.rotation, self.pixel
+        )
         layers, centres = GBuffer(*(out[name] for name in OUTPUTS)), None
         if not m.layered:
             later = np.empty(h * w, np.int64)
-            later = later[: surface.write_centres(first_hits, edge, seen_from, self.glows, m.surfaces, later, layers)]
+            later = later[
+                : surface.write_centres(
+                    first_hits, edge, seen_from, self.glows, m.surfaces, later, layers
+                )
+            ]
             own = np.ascontiguousarray(lens[1:-1, 1:-1]).reshape(-1, 1, 2)[later]
             surface.write_edges(
-                later, own, np.zeros(1, np.int64), Hits(*(a[later] for a in first_hits)), first_hits, seen_from, self.glows,
-                m.surfaces, fragments(1), layers,
-            )  # fmt: skip
+                later,
+                own,
+                np.zeros(1, np.int64),
+                Hits(*(a[later] for a in first_hits)),
+                first_hits,
+                seen_from,
+                self.glows,
+                m.surfaces,
+                fragments(1),
+                layers,
+            )
         else:
             directions, valid = hits.world_directions(lens[1:-1, 1:-1], seen_from.rotation)
             centres, masked = self._trace(eye, directions, valid, first_hits, seen_from)
@@ -103,19 +136,43 @@ class RayRenderer:
             inside = hits.sample_directions(lens, chunk, w, self.offsets)
             slot = np.full(h * w, -1, np.int32)
             slot[chunk] = np.arange(len(chunk))
-            found = Hits(*nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M))
+            found = Hits(
+                *nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M)
+            )
             if centres is None:
                 surface.write_edges(
-                    chunk, inside, self.order, found, first_hits, seen_from, self.glows, m.surfaces, fragments(count), layers
-                )  # fmt: skip
+                    chunk,
+                    inside,
+                    self.order,
+                    found,
+                    first_hits,
+                    seen_from,
+                    self.glows,
+                    m.surfaces,
+                    fragments(count),
+                    layers,
+                )
                 continue
             finer = seen_from._replace(pixel=np.float32(self.pixel / np.sqrt(count)))
             rays, ok = hits.world_directions(inside, finer.rotation)
             samples, _ = self._trace(eye, rays, ok, found, finer)
-            hits.resolve_edges(chunk, self.order, samples, centres.depth[chunk], centres.ident[chunk], finer, layers)
+            hits.resolve_edges(
+                chunk,
+                self.order,
+                samples,
+                centres.depth[chunk],
+                centres.ident[chunk],
+                finer,
+                layers,
+            )
 
     def _trace(
-        self, eye: np.ndarray, directions: np.ndarray, valid: np.ndarray, first_hits: Hits, seen_from: View
+        self,
+        eye: np.ndarray,
+        directions: np.ndarray,
+        valid: np.ndarray,
+        first_hits: Hits,
+        seen_from: View,
     ) -> tuple[Samples, np.ndarray]:
         """Samples along rays from `eye`, and which met a cut-out.
 
@@ -129,7 +186,9 @@ class RayRenderer:
             if not len(active):
                 break
             if layer == 0:
-                face, u, v, distance = first_hits if len(active) == n else Hits(*(a[active] for a in first_hits))
+                face, u, v, distance = (
+                    first_hits if len(active) == n else Hits(*(a[active] for a in first_hits))
+                )
             else:
                 rays = directions[active]
                 start[active] *= 1 + _ONWARD
@@ -140,6 +199,8 @@ class RayRenderer:
             values = np.empty((len(active), COLUMNS), np.float32)
             rays = directions if len(active) == n else directions[active]
             surface.surfaces(Hits(face, u, v, z), rays, seen_from, m.surfaces, values)
-            count = hits.accumulate(active, face, z, values, directions, start, m.surfaces, samples, masked, continuing)
+            count = hits.accumulate(
+                active, face, z, values, directions, start, m.surfaces, samples, masked, continuing
+            )
             active = continuing[:count]
         return samples, masked

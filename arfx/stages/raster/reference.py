@@ -48,8 +48,12 @@ class ReferenceRenderer:
         """All layers over `rect`, which lies in the frame."""
         out = {name: neutral(name, rect) for name in OUTPUTS}
         rows = max(_STRIP_PX // max(rect.width, 1), 1)
-        strips = [Rect(rect.x0, y, rect.x1, min(y + rows, rect.y1)) for y in range(rect.y0, rect.y1, rows)]
-        for strip, made in zip(strips, parallel_map(lambda s: self._strip(s, camera_from_world), strips), strict=True):
+        strips = [
+            Rect(rect.x0, y, rect.x1, min(y + rows, rect.y1)) for y in range(rect.y0, rect.y1, rows)
+        ]
+        for strip, made in zip(
+            strips, parallel_map(lambda s: self._strip(s, camera_from_world), strips), strict=True
+        ):
             for name, array in made.items():
                 out[name][strip.slices_in(rect)] = array
         return out
@@ -68,7 +72,10 @@ class ReferenceRenderer:
             squares[active] += np.einsum("nkc,nkc->nc", own, own)
             hits[active] += (number > 0).sum(1)
             away = np.where(number > 0, (offsets**2).sum(1), np.inf)
-            first, row = away.argmin(1), np.arange(len(active))  # the covering sample next to the centre
+            first, row = (
+                away.argmin(1),
+                np.arange(len(active)),
+            )  # the covering sample next to the centre
             closer = away[row, first] < nearest[active]
             at, first, row = active[closer], first[closer], row[closer]
             nearest[at], depth[at], ident[at] = away[row, first], z[row, first], number[row, first]
@@ -76,7 +83,10 @@ class ReferenceRenderer:
             low, high = sums[active] / end, squares[active] / end
             if start == 0:  # what passes through a corner alone is seen there
                 corners = self._samples(x, y, _CORNERS, pose)[0]
-                low, high = (4 * low + corners.mean(1)) / 5, (4 * high + (corners * corners).mean(1)) / 5
+                low, high = (
+                    (4 * low + corners.mean(1)) / 5,
+                    (4 * high + (corners * corners).mean(1)) / 5,
+                )
             active = active[(high - low * low).max(1) > TOLERANCE**2 * end**1.5]
             start, end = end, 2 * end
         weight = sums[:, 0]
@@ -84,34 +94,55 @@ class ReferenceRenderer:
         centre, inside = self._rays(x, y, pose)
         covered = ((hits > 0) & inside)[:, None]
         centre = np.where(covered, centre, 0.0)
-        position = np.where(covered, eye + np.where(np.isfinite(depth), depth, 0)[:, None] * centre, 0.0)
+        position = np.where(
+            covered, eye + np.where(np.isfinite(depth), depth, 0)[:, None] * centre, 0.0
+        )
         normal = normalise(shown[:, 3:6])
-        normal = np.where(covered & (np.abs(normal).sum(1, keepdims=True) == 0), -normalise(centre), normal)
+        normal = np.where(
+            covered & (np.abs(normal).sum(1, keepdims=True) == 0), -normalise(centre), normal
+        )
         alpha = divide(weight, hits)
         values = {
-            Layer.COVERAGE: np.minimum(weight / taken, 1.0), Layer.DEPTH: depth, Layer.NORMAL: normal, Layer.POSITION: position,
-            Layer.ALBEDO: shown[:, :3], Layer.MATERIAL: np.concatenate([shown[:, 6:9], alpha[:, None]], 1),
+            Layer.COVERAGE: np.minimum(weight / taken, 1.0),
+            Layer.DEPTH: depth,
+            Layer.NORMAL: normal,
+            Layer.POSITION: position,
+            Layer.ALBEDO: shown[:, :3],
+            Layer.MATERIAL: np.concatenate([shown[:, 6:9], alpha[:, None]], 1),
             Layer.EMISSIVE: shown[:, 9:12],
-        }  # fmt: skip
+        }
         arrays: dict[Layer, np.ndarray] = {
-            k: v.reshape(rect.height, rect.width, *v.shape[1:]).astype(np.float32) for k, v in values.items()
+            k: v.reshape(rect.height, rect.width, *v.shape[1:]).astype(np.float32)
+            for k, v in values.items()
         }
         arrays[Layer.OBJECT_ID] = ident.reshape(rect.height, rect.width)
         return arrays
 
-    def _samples(self, x: np.ndarray, y: np.ndarray, offsets: np.ndarray, pose: Pose) -> tuple[np.ndarray, ...]:
+    def _samples(
+        self, x: np.ndarray, y: np.ndarray, offsets: np.ndarray, pose: Pose
+    ) -> tuple[np.ndarray, ...]:
         """What `_trace` gives, (n, k, ...), for pixels x, y (n,) at `offsets` (k, 2)."""
         across, down = (x[:, None] + offsets[:, 0]).ravel(), (y[:, None] + offsets[:, 1]).ravel()
-        sums, z, number = self._trace(pose.inverse().translation_m - self.mesh.centre_m, *self._rays(across, down, pose))
-        return sums.reshape(len(x), len(offsets), -1), z.reshape(len(x), -1), number.reshape(len(x), -1)
+        sums, z, number = self._trace(
+            pose.inverse().translation_m - self.mesh.centre_m, *self._rays(across, down, pose)
+        )
+        return (
+            sums.reshape(len(x), len(offsets), -1),
+            z.reshape(len(x), -1),
+            number.reshape(len(x), -1),
+        )
 
     def _rays(self, x: np.ndarray, y: np.ndarray, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Directions (n, 3), camera z = 1, in world axes through places (n,) px, and which are any."""
         d = self.lens.along(y, x)
         ok = np.isfinite(d).all(1)
-        return np.concatenate([np.where(ok[:, None], d, 0.0), np.ones((len(d), 1))], 1) @ pose.rotation, ok
+        return np.concatenate(
+            [np.where(ok[:, None], d, 0.0), np.ones((len(d), 1))], 1
+        ) @ pose.rotation, ok
 
-    def _trace(self, eye: np.ndarray, d: np.ndarray, ok: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _trace(
+        self, eye: np.ndarray, d: np.ndarray, ok: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sums (n, 13): weight, then weighted albedo, normal, material, emissive; depth; 1 + part."""
         m, n = self.mesh, len(d)
         sums, depth, ident = np.zeros((n, 13)), np.full(n, np.inf), np.zeros(n, np.int32)
@@ -121,7 +152,9 @@ class ReferenceRenderer:
             if not len(active):
                 break
             origins = eye + start[active, None] * d[active]
-            hit = self.scene.first_hits(origins.astype(np.float32), np.ascontiguousarray(d[active], np.float32))
+            hit = self.scene.first_hits(
+                origins.astype(np.float32), np.ascontiguousarray(d[active], np.float32)
+            )
             found = hit["primID"] >= 0
             active, f = active[found], hit["primID"][found]
             u, v = hit["u"][found].astype(float), hit["v"][found].astype(float)
@@ -136,12 +169,17 @@ class ReferenceRenderer:
             transmittance[active] -= weight
             shown = alpha > 1 / 512
             new = active[shown & (ident[active] == 0)]
-            depth[new], ident[new] = z[shown & (ident[active] == 0)], part[shown & (ident[active] == 0)] + 1
+            depth[new], ident[new] = (
+                z[shown & (ident[active] == 0)],
+                part[shown & (ident[active] == 0)] + 1,
+            )
             start[active] = z * (1 + 5e-7)
             active = active[transmittance[active] > 1 / 512]
         return sums, depth, ident
 
-    def _surface(self, f: np.ndarray, bary: np.ndarray, d: np.ndarray, back_side: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _surface(
+        self, f: np.ndarray, bary: np.ndarray, d: np.ndarray, back_side: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Albedo, normal, metallic roughness specular, emissive (n, 12), and opacity (n,)."""
         m = self.mesh
         corner = m.faces[f]
@@ -163,10 +201,16 @@ class ReferenceRenderer:
             use = kind[:, columns.EMISSIVE_TEXTURE] == t
             emissive[use] *= self._bilinear(t, uv[use], 1)[:, :3]
         mode = kind[:, columns.MODE]
-        alpha = np.where(mode == 0, 1.0, np.where(mode == 1, colour[:, 3] >= row[:, columns.CUTOFF], colour[:, 3]))
+        alpha = np.where(
+            mode == 0,
+            1.0,
+            np.where(mode == 1, colour[:, 3] >= row[:, columns.CUTOFF], colour[:, 3]),
+        )
         normal = normalise(mix(m.normals)) * np.where(back_side, -1.0, 1.0)[:, None]
         unit = normalise(d)
-        normal = normalise(normal - np.maximum(np.einsum("ij,ij->i", normal, unit), 0.0)[:, None] * unit)
+        normal = normalise(
+            normal - np.maximum(np.einsum("ij,ij->i", normal, unit), 0.0)[:, None] * unit
+        )
         return np.concatenate([colour[:, :3], normal, surface, emissive], 1), alpha
 
     def _bilinear(self, t: int, uv: np.ndarray, srgb: int) -> np.ndarray:
@@ -180,7 +224,9 @@ class ReferenceRenderer:
         for dy in (0, 1):
             for dx in (0, 1):
                 raw = texels[(low[:, 1] + dy) % h * w + (low[:, 0] + dx) % w]
-                fraction = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
+                fraction = (part[:, 0] if dx else 1 - part[:, 0]) * (
+                    part[:, 1] if dy else 1 - part[:, 1]
+                )
                 linear = CODE[srgb][raw]
                 linear[:, 3] = CODE[0][raw[:, 3]]
                 out += fraction[:, None] * linear

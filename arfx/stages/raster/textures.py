@@ -13,7 +13,10 @@ import numpy as np
 from arfx.core.colour import SRGB
 
 MAX_LEVELS = 15
-_ROWS, _TEXELS = 256, 1 << 20  # that are worked on at a time: of 8192 x 8192 texels every float copy takes a gigabyte
+_ROWS, _TEXELS = (
+    256,
+    1 << 20,
+)  # that are worked on at a time: of 8192 x 8192 texels every float copy takes a gigabyte
 # Decode tables by row: 0 linear, 1 sRGB.
 CODE = np.stack([np.arange(256) / 255.0, SRGB.decode(np.arange(256) / 255.0)]).astype(np.float32)
 _ENCODE = np.round(SRGB.encode(np.arange(8193) / 8192.0) * 255).astype(np.uint8)
@@ -99,7 +102,9 @@ def pyramid(image: np.ndarray, srgb: bool) -> list[np.ndarray]:
             rows, light = coded[a : a + _ROWS], linear[a : a + _ROWS]
             rows[..., 3] = np.round(light[..., 3] * 255)
             rows[..., :3] = (
-                np.take(_ENCODE, np.round(light[..., :3] * 8192).astype(np.intp)) if srgb else np.round(light[..., :3] * 255)
+                np.take(_ENCODE, np.round(light[..., :3] * 8192).astype(np.intp))
+                if srgb
+                else np.round(light[..., :3] * 255)
             )
         levels.append(coded)
     return levels
@@ -118,7 +123,9 @@ def _half_linear(full: np.ndarray, srgb: bool) -> np.ndarray:
 
 def _half_size(linear: np.ndarray) -> np.ndarray:
     w, h = max(linear.shape[1] // 2, 1), max(linear.shape[0] // 2, 1)
-    return np.asarray(cv2.resize(linear, (w, h), interpolation=cv2.INTER_AREA), np.float32).reshape(h, w, 4)
+    return np.asarray(cv2.resize(linear, (w, h), interpolation=cv2.INTER_AREA), np.float32).reshape(
+        h, w, 4
+    )
 
 
 def _decode(coded: np.ndarray, table: np.ndarray, srgb: bool) -> np.ndarray:

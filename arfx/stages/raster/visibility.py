@@ -50,7 +50,9 @@ def inside_eight(typingctx, directions, i, j, planes):
 
     directions : (h, w, 2) float32 whose last axis is contiguous; holds [i, j + 7];  not a number = outside
     planes : (9,) float64, their normals"""
-    signature = types.uint64(directions, types.uint64, types.uint64, types.UniTuple(types.float64, 9))
+    signature = types.uint64(
+        directions, types.uint64, types.uint64, types.UniTuple(types.float64, 9)
+    )
 
     def codegen(context, builder, signature, args):
         kind = signature.args[0]
@@ -61,7 +63,9 @@ def inside_eight(typingctx, directions, i, j, planes):
         x, y = (
             builder.fpext(
                 builder.shuffle_vector(
-                    pairs, ir.Constant(_PAIRS, ir.Undefined), ir.Constant(_INTS, [2 * k + part for k in range(LANES)])
+                    pairs,
+                    ir.Constant(_PAIRS, ir.Undefined),
+                    ir.Constant(_INTS, [2 * k + part for k in range(LANES)]),
                 ),
                 _DOUBLES,
             )
@@ -69,7 +73,9 @@ def inside_eight(typingctx, directions, i, j, planes):
         )
         inside = None
         for k in (0, 3, 6):
-            px, py, pz = (_broadcast(builder, builder.extract_value(args[3], k + axis)) for axis in range(3))
+            px, py, pz = (
+                _broadcast(builder, builder.extract_value(args[3], k + axis)) for axis in range(3)
+            )
             side = builder.fadd(builder.fadd(builder.fmul(px, x), builder.fmul(py, y)), pz)
             inner = builder.fcmp_ordered(">=", side, ir.Constant(_DOUBLES, LANES * [0.0]))
             inside = inner if inside is None else builder.and_(inside, inner)
@@ -85,7 +91,9 @@ def nonnegative_eight(typingctx, numbers, at):
 
     def codegen(context, builder, signature, args):
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        eight = builder.load(builder.bitcast(builder.gep(data, [args[1]]), _INTS.as_pointer()), align=4)
+        eight = builder.load(
+            builder.bitcast(builder.gep(data, [args[1]]), _INTS.as_pointer()), align=4
+        )
         return _bits(builder, builder.icmp_signed(">=", eight, ir.Constant(_INTS, LANES * [0])))
 
     return signature, codegen
@@ -102,27 +110,51 @@ def lowest_bit(typingctx, bits):
     return signature, codegen
 
 
-def face_boxes(points: np.ndarray, pixels: np.ndarray, faces: np.ndarray, camera: Camera, rect: Rect) -> np.ndarray:
+def face_boxes(
+    points: np.ndarray, pixels: np.ndarray, faces: np.ndarray, camera: Camera, rect: Rect
+) -> np.ndarray:
     """(m, 4) int32 half-open x0 y0 x1 y1 within `rect` (relative to it) of the pixels that a face may cover.
 
     points (n, 3) camera coordinates; pixels (n, 2) their projections, NaN behind the camera or beyond the lens"""
-    box, long = _boxes(points, pixels, faces, camera.distorted, rect.x0, rect.y0, rect.width, rect.height, EPS_DEPTH_M)
+    box, long = _boxes(
+        points,
+        pixels,
+        faces,
+        camera.distorted,
+        rect.x0,
+        rect.y0,
+        rect.width,
+        rect.height,
+        EPS_DEPTH_M,
+    )
     if long.any():
         at = np.flatnonzero(long)
         t = np.linspace(0, 1, _EDGE_STEPS + 1)[:, None]
         p = points[faces[at]]
-        around = np.concatenate([p[:, None, i] * (1 - t) + p[:, None, j] * t for i, j in ((0, 1), (1, 2), (2, 0))], 1)
+        around = np.concatenate(
+            [p[:, None, i] * (1 - t) + p[:, None, j] * t for i, j in ((0, 1), (1, 2), (2, 0))], 1
+        )
         followed = camera.project(around)
         low, high = followed.min(1), followed.max(1)
-        slack = _PAD_PX + _SAMPLE_PX + 0.02 * (high - low)  # bow between two points: at most 1/256 of the whole bow, times safety
-        ends = np.concatenate([np.ceil(low - slack) - [rect.x0, rect.y0], np.floor(high + slack) + 1 - [rect.x0, rect.y0]], 1)
+        slack = (
+            _PAD_PX + _SAMPLE_PX + 0.02 * (high - low)
+        )  # bow between two points: at most 1/256 of the whole bow, times safety
+        ends = np.concatenate(
+            [
+                np.ceil(low - slack) - [rect.x0, rect.y0],
+                np.floor(high + slack) + 1 - [rect.x0, rect.y0],
+            ],
+            1,
+        )
         ends = np.where(np.isnan(ends).any(1)[:, None], [0, 0, rect.width, rect.height], ends)
         box[at] = np.clip(ends, 0, [rect.width, rect.height] * 2).astype(np.int32)
     return box
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _boxes(points, pixels, faces, distorted, x0, y0, width, height, near):  # pragma: no cover - compiled
+def _boxes(
+    points, pixels, faces, distorted, x0, y0, width, height, near
+):  # pragma: no cover - compiled
     """Boxes from the corners alone, and which faces are so long that a lens bends their edges by more than the padding."""
     box = np.zeros((faces.shape[0], 4), np.int32)
     long = np.zeros(faces.shape[0], np.bool_)
@@ -131,11 +163,23 @@ def _boxes(points, pixels, faces, distorted, x0, y0, width, height, near):  # pr
         if points[i, 2] <= near and points[j, 2] <= near and points[k, 2] <= near:
             continue
         # a corner without a picture: let the planes decide
-        ax, bx, cx, ay, by, cy = pixels[i, 0], pixels[j, 0], pixels[k, 0], pixels[i, 1], pixels[j, 1], pixels[k, 1]
+        ax, bx, cx, ay, by, cy = (
+            pixels[i, 0],
+            pixels[j, 0],
+            pixels[k, 0],
+            pixels[i, 1],
+            pixels[j, 1],
+            pixels[k, 1],
+        )
         if np.isnan(ax + bx + cx + ay + by + cy):
             box[f, 2], box[f, 3] = width, height
             continue
-        low_x, high_x, low_y, high_y = min(ax, bx, cx), max(ax, bx, cx), min(ay, by, cy), max(ay, by, cy)
+        low_x, high_x, low_y, high_y = (
+            min(ax, bx, cx),
+            max(ax, bx, cx),
+            min(ay, by, cy),
+            max(ay, by, cy),
+        )
         side = max(high_x - low_x, high_y - low_y)
         long[f] = distorted and side > _SHORT_PX
         pad = _PAD_PX * ((side / _SHORT_PX) ** 2 if distorted else 0.0) + _SAMPLE_PX
@@ -157,11 +201,25 @@ def _planes(points, i, j, k):  # pragma: no cover - compiled
     pcx, pcy, pcz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     volume = ax * pax + ay * pay + az * paz
     s = -1.0 if volume < 0 else 1.0
-    return s * pax, s * pay, s * paz, s * pbx, s * pby, s * pbz, s * pcx, s * pcy, s * pcz, s * volume, volume < 0
+    return (
+        s * pax,
+        s * pay,
+        s * paz,
+        s * pbx,
+        s * pby,
+        s * pbz,
+        s * pcx,
+        s * pcy,
+        s * pcz,
+        s * volume,
+        volume < 0,
+    )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pragma: no cover - compiled
+def nearest_faces(
+    points, faces, hidden, box, lens, height, width, near
+):  # pragma: no cover - compiled
     """Per pixel the nearest face (-1 = none), its barycentric u, v and depth; and per face whether its front is seen.
 
     hidden : (m,) bool, faces that cannot be seen from behind;  lens : (h + 2, w + 2, 2) directions, one pixel of margin"""
@@ -170,7 +228,12 @@ def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pra
     depth = np.full(height * width, np.inf, np.float32)
     if lens.shape[1] < LANES:
         lens = _widened(lens)
-    one, row, lanes, most = np.uintp(1), np.uintp(width), np.uintp(LANES), np.uintp(lens.shape[1] - LANES)
+    one, row, lanes, most = (
+        np.uintp(1),
+        np.uintp(width),
+        np.uintp(LANES),
+        np.uintp(lens.shape[1] - LANES),
+    )
     front = np.zeros(faces.shape[0], np.bool_)
     for f in range(faces.shape[0]):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
@@ -182,14 +245,19 @@ def nearest_faces(points, faces, hidden, box, lens, height, width, near):  # pra
             for first in range(x0, x1, LANES):
                 column = np.uintp(first) + one
                 start = min(column, most)  # eight columns that the table holds
-                found = inside_eight(lens, np.uintp(y + one), start, (pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz))
+                found = inside_eight(
+                    lens, np.uintp(y + one), start, (pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz)
+                )
                 found = (found >> (column - start)) << (column - start)
                 if x1 + one - start < lanes:
                     found &= (one << (x1 + one - start)) - one
                 while found:
                     x = start + lowest_bit(found) - one
                     found &= found - one
-                    dx, dy = np.float64(lens[y + one, x + one, 0]), np.float64(lens[y + one, x + one, 1])
+                    dx, dy = (
+                        np.float64(lens[y + one, x + one, 0]),
+                        np.float64(lens[y + one, x + one, 1]),
+                    )
                     ea = pax * dx + pay * dy + paz
                     eb = pbx * dx + pby * dy + pbz
                     ec = pcx * dx + pcy * dy + pcz
@@ -214,7 +282,9 @@ def _widened(directions):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def nearest_faces_at(points, faces, hidden, box, slot, samples, width, near):  # pragma: no cover - compiled
+def nearest_faces_at(
+    points, faces, hidden, box, slot, samples, width, near
+):  # pragma: no cover - compiled
     """The same for several samples of some pixels.
 
     slot : (h * w,) int32, number of the pixel among those sampled, -1 = not sampled
@@ -247,7 +317,12 @@ def nearest_faces_at(points, faces, hidden, box, slot, samples, width, near):  #
                     a = np.uintp(slot[start + lowest_bit(sampled)])
                     sampled &= sampled - one
                     for eight in range(0, samples.shape[1], LANES):
-                        found = inside_eight(samples, a, np.uintp(eight), (pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz))
+                        found = inside_eight(
+                            samples,
+                            a,
+                            np.uintp(eight),
+                            (pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz),
+                        )
                         while found:
                             s = np.uintp(eight) + lowest_bit(found)
                             found &= found - one

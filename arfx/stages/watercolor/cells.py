@@ -17,7 +17,14 @@ from arfx.core.parallel import parallel_rows
 from arfx.stages.four import add_four
 from arfx.stages.watercolor.label_kernels import Buckets
 from arfx.stages.watercolor.labels import Labels, bucket_sites
-from arfx.stages.watercolor.rows import Cells, Picture, combine_labels, read_labels, read_pixels, union_span
+from arfx.stages.watercolor.rows import (
+    Cells,
+    Picture,
+    combine_labels,
+    read_labels,
+    read_pixels,
+    union_span,
+)
 from arfx.stages.watercolor.sites import STEPS
 
 NEIGHBOURS = 8  # stored of a cell; a Voronoi cell has 6 on average
@@ -55,7 +62,9 @@ def mean_colours(each: Sequence[np.ndarray]) -> np.ndarray:
     """`cell_colours` of cells whose pixels were counted at several places: mean of all, mean number."""
     if len(each) == 1:
         return each[0]
-    total = np.sum([np.column_stack([c[:, :3] * c[:, 3:], c[:, 3:]]) for c in each], axis=0, dtype=float)
+    total = np.sum(
+        [np.column_stack([c[:, :3] * c[:, 3:], c[:, 3:]]) for c in each], axis=0, dtype=float
+    )
     return np.asarray(_divided(total) / np.array([1, 1, 1, len(each)], np.float32))
 
 
@@ -65,7 +74,12 @@ def _divided(total):  # pragma: no cover - compiled
     out = np.empty(total.shape, np.float32)
     for k in range(total.shape[0]):
         n = max(total[k, 3], 1.0)
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = total[k, 0] / n, total[k, 1] / n, total[k, 2] / n, total[k, 3]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = (
+            total[k, 0] / n,
+            total[k, 1] / n,
+            total[k, 2] / n,
+            total[k, 3],
+        )
     return out
 
 
@@ -108,18 +122,29 @@ def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarr
     if n < 2:
         return near, weight
     left, right, top, bottom = float(x.min()), float(x.max()), float(y.min()), float(y.max())
-    side = max(REACH * np.sqrt((right - left) * (bottom - top) / n), (right - left) / 8192, (bottom - top) / 8192, float(STEPS))
+    side = max(
+        REACH * np.sqrt((right - left) * (bottom - top) / n),
+        (right - left) / 8192,
+        (bottom - top) / 8192,
+        float(STEPS),
+    )
     gw, gh = int((right - left) // side) + 1, int((bottom - top) // side) + 1
     start, order = bucket_sites(x, y, left / STEPS, top / STEPS, side / STEPS, gh, gw)
     position = np.zeros((3, n + _STEP), np.float32)
-    position[0, :n], position[1, :n], position[2, :n] = x[order], y[order], np.float32(1 / REACH**2) / (size[order] ** 2)
+    position[0, :n], position[1, :n], position[2, :n] = (
+        x[order],
+        y[order],
+        np.float32(1 / REACH**2) / (size[order] ** 2),
+    )
     buckets = Buckets(position, order, start, side, gh, gw)
     parallel_rows(lambda a, b: _find_neighbours(buckets, left, top, a, b, near, weight), n)
     return near, weight
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _find_neighbours(buckets: Buckets, left, top, a, b, near, weight):  # pragma: no cover - compiled
+def _find_neighbours(
+    buckets: Buckets, left, top, a, b, near, weight
+):  # pragma: no cover - compiled
     """Of the sites a ... b - 1 of the buckets' order; their position (3, n) : x, y, 1 / reach^2"""
     position, order, start, side, gh, gw = buckets
     one, capacity = np.float32(1), start[gh * gw] + 2 * _STEP
@@ -127,13 +152,21 @@ def _find_neighbours(buckets: Buckets, left, top, a, b, near, weight):  # pragma
     px, py, ps = position[0], position[1], position[2]
     for k in range(a, b):
         x, y, sharp, own = px[k], py[k], ps[k], one / np.sqrt(ps[k])
-        x0, x1 = max(np.int64((x - own - left) / side), 0), min(np.int64((x + own - left) / side), gw - 1)
-        y0, y1 = max(np.int64((y - own - top) / side), 0), min(np.int64((y + own - top) / side), gh - 1)
+        x0, x1 = (
+            max(np.int64((x - own - left) / side), 0),
+            min(np.int64((x + own - left) / side), gw - 1),
+        )
+        y0, y1 = (
+            max(np.int64((y - own - top) / side), 0),
+            min(np.int64((y + own - top) / side), gh - 1),
+        )
         n = _U(0)
         for i in range(y0, y1 + 1):  # type: ignore[call-overload, operator]
             begin, end = start[i * gw + x0], start[i * gw + x1 + 1]
             for c in range(begin, end, _STEP):
-                for q in range(_STEP):  # of fixed length; what is too much is overwritten by the next row
+                for q in range(
+                    _STEP
+                ):  # of fixed length; what is too much is overwritten by the next row
                     j, to = _U(c) + _U(q), n + _U(q)
                     ex, ey = px[j] - x, py[j] - y
                     # a pair reaches as far as the smaller of both
@@ -157,9 +190,14 @@ def _find_neighbours(buckets: Buckets, left, top, a, b, near, weight):  # pragma
 
 
 def smooth_washes(
-    colours: np.ndarray, near: np.ndarray, weight: np.ndarray, area: np.ndarray, contrast: float, rounds: int,
+    colours: np.ndarray,
+    near: np.ndarray,
+    weight: np.ndarray,
+    area: np.ndarray,
+    contrast: float,
+    rounds: int,
     step: float = 1.0,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """(n, 3) float32 square roots of the colours (near to what is coded), alike neighbours drawn together.
 
     colours : (n, 3) linear;  near, weight : of `neighbours`;  area (n,) : pixels of the cells: one of few counts little
@@ -172,7 +210,9 @@ def smooth_washes(
     sharp, own = np.float32(1 / max(contrast, 1e-3) ** 2), np.float32(1 / step)
     for _ in range(rounds):
         out = np.empty_like(root)
-        parallel_rows(partial(_smooth_washes, root, near, weight, confidence, (sharp, own), out), len(root))
+        parallel_rows(
+            partial(_smooth_washes, root, near, weight, confidence, (sharp, own), out), len(root)
+        )
         root = out
     return root
 
@@ -196,14 +236,20 @@ def _smooth_washes(root, near, weight, confidence, how, out, a, b):  # pragma: n
         out[k, 0], out[k, 1], out[k, 2] = sr / total, sg / total, sb / total
 
 
-def adjust_tone(root: np.ndarray, lightness: float, saturation: float, deepest: float) -> np.ndarray:
+def adjust_tone(
+    root: np.ndarray, lightness: float, saturation: float, deepest: float
+) -> np.ndarray:
     """(n, 3) float32 square roots of colours, thinner (paper shows through) and more or less saturated.
 
     lightness : v becomes 1 - (1 - v)^(1 + lightness);  saturation : factor on the distance from grey
     deepest : square root that black becomes: no wash is black"""
     if (lightness, saturation, deepest) == (0, 1, 0):
         return root
-    thin = deepest + (1 - deepest) * (1 - (1 - np.minimum(root, 1)) ** (1 + lightness))  # rounding may pass 1
+    thin = deepest + (1 - deepest) * (
+        1 - (1 - np.minimum(root, 1)) ** (1 + lightness)
+    )  # rounding may pass 1
     grey = thin @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-    out: np.ndarray = np.clip(grey[:, None] + saturation * (thin - grey[:, None]), 0, 1).astype(np.float32)
+    out: np.ndarray = np.clip(grey[:, None] + saturation * (thin - grey[:, None]), 0, 1).astype(
+        np.float32
+    )
     return out

@@ -13,7 +13,9 @@ ROW = 512  # words of 64 bits
 _SMALL = 4096  # rows: below it threads cost more than they save
 _U = np.uint64
 # Random; both halves are negative numbers, so that none hides a pixel by being its equal
-_KEYS = np.random.default_rng(0xD16E57).integers(0, 1 << 63, ROW, np.uint64) | _U(0x8000000080000000)
+_KEYS = np.random.default_rng(0xD16E57).integers(0, 1 << 63, ROW, np.uint64) | _U(
+    0x8000000080000000
+)
 
 
 def digest(array: np.ndarray) -> int:
@@ -22,8 +24,14 @@ def digest(array: np.ndarray) -> int:
     words = data[: data.size // 8 * 8].view(_U)
     rows = words.size // ROW
     whole, rest = words[: rows * ROW].reshape(-1, ROW), words[rows * ROW :]
-    parts = parallel_rows(lambda a, b: int(_digest(whole, a, b)), rows) if rows >= _SMALL else [int(_digest(whole, 0, rows))]
-    return hash((tuple(parts), int(_row(rest, rest.size)), data[words.size * 8 :].tobytes(), array.shape))
+    parts = (
+        parallel_rows(lambda a, b: int(_digest(whole, a, b)), rows)
+        if rows >= _SMALL
+        else [int(_digest(whole, 0, rows))]
+    )
+    return hash(
+        (tuple(parts), int(_row(rest, rest.size)), data[words.size * 8 :].tobytes(), array.shape)
+    )
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

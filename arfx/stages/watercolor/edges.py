@@ -25,7 +25,12 @@ def yuv_matrix(name: str = "bt601") -> np.ndarray:
 
 
 def trace_lines(
-    made: np.ndarray, low: float, high: float, width_px: float, virtual: np.ndarray | None = None, at: tuple[int, int] = (0, 0)
+    made: np.ndarray,
+    low: float,
+    high: float,
+    width_px: float,
+    virtual: np.ndarray | None = None,
+    at: tuple[int, int] = (0, 0),
 ) -> np.ndarray:
     """(ceil(h / 2), ceil(w / 2)) float32 strength of lines, 0..1, of what was `edge_measure`, which is changed where the object's
     own edges are.
@@ -42,14 +47,21 @@ def trace_lines(
     line = np.zeros((h, w), np.float32)
     weak = np.zeros((h, w), np.uint8)
     offset = np.float32(max(width_px / 2, 0.75))
-    parallel_rows(lambda a, b: _ridge(measure, dx, dy, offset, np.float32(low), np.float32(high), a, b, line, weak), h)
+    parallel_rows(
+        lambda a, b: _ridge(
+            measure, dx, dy, offset, np.float32(low), np.float32(high), a, b, line, weak
+        ),
+        h,
+    )
     count, parts = cv2.connectedComponents(weak, connectivity=8, ltype=cv2.CV_32S)
     strongest = np.zeros((BANDS, count), np.float32)
     rows = -(-h // BANDS)
     parallel_rows(lambda a, b: _strongest(measure, parts, a, b, strongest[a // rows]), h)
     most = strongest.max(0)
     most[0] = 0
-    parallel_rows(lambda a, b: _hysteresis(most, parts, np.float32(low), np.float32(high), a, b, line), h)
+    parallel_rows(
+        lambda a, b: _hysteresis(most, parts, np.float32(low), np.float32(high), a, b, line), h
+    )
     return line
 
 
@@ -74,7 +86,10 @@ def _ridge(measure, dx, dy, offset, low, high, ya, yb, line, weak):  # pragma: n
 @numba.njit(cache=True, nogil=True, inline="always")
 def _at(a, x, y):  # pragma: no cover - compiled
     h, w = a.shape
-    x, y = min(max(x, np.float32(0)), np.float32(w - 1)), min(max(y, np.float32(0)), np.float32(h - 1))
+    x, y = (
+        min(max(x, np.float32(0)), np.float32(w - 1)),
+        min(max(y, np.float32(0)), np.float32(h - 1)),
+    )
     i, j = np.int32(x), np.int32(y)
     s, t = x - np.float32(i), y - np.float32(j)
     k, m = min(i + 1, w - 1), min(j + 1, h - 1)
@@ -105,9 +120,14 @@ def _hysteresis(most, parts, low, high, ya, yb, line):  # pragma: no cover - com
 
 
 def virtual_edges(
-    coverage: np.ndarray, normal: np.ndarray, depth: np.ndarray, opacity: float, at: tuple[int, int] = (0, 0),
-    shape: tuple[int, int] | None = None, every: int = 1,
-) -> np.ndarray:  # fmt: skip
+    coverage: np.ndarray,
+    normal: np.ndarray,
+    depth: np.ndarray,
+    opacity: float,
+    at: tuple[int, int] = (0, 0),
+    shape: tuple[int, int] | None = None,
+    every: int = 1,
+) -> np.ndarray:
     """(ceil(h / 2), ceil(w / 2)) float32, 0..1: silhouettes from coverage and depth, creases from normals.
 
     coverage (bh, bw), normal (bh, bw, 3), depth (bh, bw) metres; a depth that is not finite is none
@@ -125,7 +145,7 @@ def virtual_edges(
 @numba.njit(cache=True, nogil=True)
 def _virtual(
     coverage, normal, depth, opacity, top, left, last_y, last_x, pitch, out
-):  # fmt: skip  # pragma: no cover - compiled
+):  # pragma: no cover - compiled
     bh, bw = coverage.shape
     zero, one = np.float32(0), np.float32(1)
     for j in range(out.shape[0]):
@@ -134,7 +154,11 @@ def _virtual(
             here = 0 <= y < bh and 0 <= x < bw
             best = zero
             for m in range(2):
-                y2, x2 = (y, min(x + pitch, last_x - left)) if m == 0 else (min(y + pitch, last_y - top), x)
+                y2, x2 = (
+                    (y, min(x + pitch, last_x - left))
+                    if m == 0
+                    else (min(y + pitch, last_y - top), x)
+                )
                 a = coverage[y, x] if here else zero
                 b = coverage[y2, x2] if 0 <= y2 < bh and 0 <= x2 < bw else zero
                 if a <= zero and b <= zero:
@@ -145,11 +169,18 @@ def _virtual(
                     for c in range(3):
                         dot += normal[y, x, c] * normal[y2, x2, c]
                     # a crease of 60 degrees counts as a whole edge
-                    e = max(e, min(max((np.float32(0.95) - dot) * np.float32(2.2), zero), one) * min(a, b))
+                    e = max(
+                        e,
+                        min(max((np.float32(0.95) - dot) * np.float32(2.2), zero), one) * min(a, b),
+                    )
                     za, zb = depth[y, x], depth[y2, x2]
                     if np.isfinite(za) and np.isfinite(zb) and za > 0 and zb > 0:
                         jump = abs(za - zb) / min(za, zb)
-                        e = max(e, min(max((jump - np.float32(0.03)) * np.float32(20), zero), one) * min(a, b))
+                        e = max(
+                            e,
+                            min(max((jump - np.float32(0.03)) * np.float32(20), zero), one)
+                            * min(a, b),
+                        )
                 best = max(best, e)
             out[j, i] = min(best * opacity, one)
 

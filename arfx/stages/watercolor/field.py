@@ -29,7 +29,9 @@ def pad_px(cell_px: float) -> int:
     return int(np.ceil(2.5 * _COARSEST * cell_px))
 
 
-def advection_directions(facts: FrameFacts, anchored: bool, both: bool) -> tuple[tuple[str, float], ...]:
+def advection_directions(
+    facts: FrameFacts, anchored: bool, both: bool
+) -> tuple[tuple[str, float], ...]:
     """(name of the field in the facts, its weight) of those to paint: one, or the two carried forward and backward."""
     found = facts.advection if anchored and both else None
     if found is None or not found.backward:
@@ -52,21 +54,31 @@ class RealDioptre:
         few = cv2.resize(depth_m, (w, h), interpolation=cv2.INTER_AREA)
         dioptre = divide(1.0, np.maximum(few, EPS_DEPTH_M)).astype(np.float32)
         side = 2 * GRID_PX // _EVERY_PX + 1
-        return RealDioptre(rect, cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w))
+        return RealDioptre(
+            rect, cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w)
+        )
 
     def at_nodes(self, field: SiteField) -> np.ndarray:
         """(gh, gw) 1/m; outside the picture that of its border."""
         (h, w), (gh, gw) = self.mean.shape, field.u.shape
         i = (field.y0 - self.rect.y0 + GRID_PX * np.arange(gh) + 0.5) * (h / self.rect.height)
         j = (field.x0 - self.rect.x0 + GRID_PX * np.arange(gw) + 0.5) * (w / self.rect.width)
-        out: np.ndarray = self.mean[np.clip(i, 0, h - 1).astype(int)[:, None], np.clip(j, 0, w - 1).astype(int)].astype(float)
+        out: np.ndarray = self.mean[
+            np.clip(i, 0, h - 1).astype(int)[:, None], np.clip(j, 0, w - 1).astype(int)
+        ].astype(float)
         return out
 
 
 def frame_field(
-    facts: FrameFacts, scene: Scene, cell_px: float, nearer_finer: float, anchored: bool, direction: str = "nodes",
-    detail: float = 0.0, real: RealDioptre | None = None,
-) -> tuple[SiteField, Pose | None]:  # fmt: skip
+    facts: FrameFacts,
+    scene: Scene,
+    cell_px: float,
+    nearer_finer: float,
+    anchored: bool,
+    direction: str = "nodes",
+    detail: float = 0.0,
+    real: RealDioptre | None = None,
+) -> tuple[SiteField, Pose | None]:
     """The field, and the pose that goes with it: the same as long as the field is.
 
     direction : of `advection_directions`;  real : measured depth, None = that of the marker's plane is taken"""
@@ -89,11 +101,15 @@ def frame_field(
 def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:
     """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where there is much. detail : 0..255"""
     fraction = np.minimum(detail / (255 * _MUCH), 1.0)
-    out: np.ndarray = 2.0 ** (strength * (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction))
+    out: np.ndarray = 2.0 ** (
+        strength * (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction)
+    )
     return out
 
 
-def nearness(field: SiteField, scene: Scene, pose: Pose | None, real: RealDioptre | None) -> np.ndarray | None:
+def nearness(
+    field: SiteField, scene: Scene, pose: Pose | None, real: RealDioptre | None
+) -> np.ndarray | None:
     """(gh, gw) depth of the marker / depth at the nodes, without a marker their mean / depth; None where nothing is known."""
     if pose is None:
         if real is None:
@@ -114,18 +130,24 @@ def marker_depth_m(camera_from_anchor: Pose) -> float:
     return max(float(camera_from_anchor.translation_m[2]), 1e-6)
 
 
-def plane_dioptre(x: np.ndarray, y: np.ndarray, camera: Camera, camera_from_anchor: Pose) -> np.ndarray:
+def plane_dioptre(
+    x: np.ndarray, y: np.ndarray, camera: Camera, camera_from_anchor: Pose
+) -> np.ndarray:
     """(h, w) 1 / depth of the marker's plane at columns x (w,) and rows y (h, 1), not above 0 where it is not seen.
 
     Linear along the picture: lens distortion is left out."""
     normal, at = camera_from_anchor.rotation[:, 2], camera_from_anchor.translation_m
-    facing = (x - camera.cx) * (normal[0] / camera.fx) + ((y - camera.cy) * (normal[1] / camera.fy) + normal[2])
+    facing = (x - camera.cx) * (normal[0] / camera.fx) + (
+        (y - camera.cy) * (normal[1] / camera.fy) + normal[2]
+    )
     return divide(facing, float(normal @ at))
 
 
 def nearness_limits(strength: float) -> tuple[float, float]:
     """Least and greatest nearness that counts: a cell is _COARSEST and _FINEST times as large there."""
-    low, high = (b ** min(1 / strength, 100.0) for b in (_FINEST, _COARSEST))  # below a strength of 0.01 sizes hardly differ
+    low, high = (
+        b ** min(1 / strength, 100.0) for b in (_FINEST, _COARSEST)
+    )  # below a strength of 0.01 sizes hardly differ
     return 1 / high, 1 / low
 
 

@@ -31,12 +31,18 @@ def halved(image: np.ndarray) -> np.ndarray:
 def _halve_rows(image, ya, yb, out):  # pragma: no cover - compiled
     last, wide, quarter = image.shape[0] - 1, image.shape[1] // 2, _F(0.25)
     for y in range(ya, yb):
-        top, bottom, to = image[2 * y].reshape(-1), image[min(2 * y + 1, last)].reshape(-1), out[y].reshape(-1)
+        top, bottom, to = (
+            image[2 * y].reshape(-1),
+            image[min(2 * y + 1, last)].reshape(-1),
+            out[y].reshape(-1),
+        )
         for x in range(wide):
             i, j = _U(6) * _U(x), _U(3) * _U(x)
             for c in range(3):
                 k = _U(c)
-                to[j + k] = quarter * ((top[i + k] + top[i + k + _U(3)]) + (bottom[i + k] + bottom[i + k + _U(3)]))
+                to[j + k] = quarter * (
+                    (top[i + k] + top[i + k + _U(3)]) + (bottom[i + k] + bottom[i + k + _U(3)])
+                )
         if image.shape[1] % 2:
             for c in range(3):
                 to[3 * wide + c] = _F(0.5) * (top[6 * wide + c] + bottom[6 * wide + c])
@@ -50,7 +56,9 @@ def half_rect(rect: Rect) -> Rect:
 def halve_sites(sites: Sites, rect: Rect) -> Sites:
     """In 1/STEPS of the pixels of `half_rect`."""
     x, y = (
-        np.rint((a - STEPS * first - STEPS // 2) / 2).astype(np.float32)  # a pixel lies in the middle of 2 x 2
+        np.rint((a - STEPS * first - STEPS // 2) / 2).astype(
+            np.float32
+        )  # a pixel lies in the middle of 2 x 2
         for a, first in ((sites.x, rect.x0), (sites.y, rect.y0))
     )
     return replace(sites, x=x, y=y, weight=np.rint(sites.weight / 4).astype(np.float32))
@@ -61,4 +69,6 @@ def double_lines(line: np.ndarray, height: int, width: int) -> np.ndarray:
     if not line.size:
         return line
     h, w = line.shape
-    return np.ascontiguousarray(cv2.resize(line, (2 * w, 2 * h), interpolation=cv2.INTER_LINEAR)[:height, :width])
+    return np.ascontiguousarray(
+        cv2.resize(line, (2 * w, 2 * h), interpolation=cv2.INTER_LINEAR)[:height, :width]
+    )

@@ -19,9 +19,16 @@ MIDDLE = STEPS * (TILE - 1) // 2  # of a tile, from its first pixel, 1/STEPS px
 SOLID = 255  # a pixel this far inside its cell takes nothing of its neighbour's colour
 STEP = 32  # sites
 EXACT = np.float32(1 << 24)  # whole numbers below it are float32's
-_FAR, _NONE = np.float32(1e9), np.float32(1e18)  # 1/STEPS px, farther than any site; of a packed number
+_FAR, _NONE = (
+    np.float32(1e9),
+    np.float32(1e18),
+)  # 1/STEPS px, farther than any site; of a packed number
 _MORE = np.float32(1 + 1e-5)  # squares may be rounded
-_F, _I, _U = np.float32, np.int32, np.uint64  # an index of type uint64 is not looked at for a minus: loops stay simple
+_F, _I, _U = (
+    np.float32,
+    np.int32,
+    np.uint64,
+)  # an index of type uint64 is not looked at for a minus: loops stay simple
 _FAST = {"contract", "nsz", "nnan", "ninf"}
 
 
@@ -63,11 +70,18 @@ def collect(buckets: Buckets, x, y, rx, ry, out: LocalSites):  # pragma: no cove
     position, _, start, side_px, gh, gw = buckets
     lx, ly, lw, number = out
     count, side = 0, _F(side_px * STEPS)
-    left, right = min(max(_I((x - rx) / side), 0), gw - 1), max(min(_I((x + rx) / side), gw - 1), 0) + 1
-    for i in range(min(max(_I((y - ry) / side), 0), gh - 1), max(min(_I((y + ry) / side), gh - 1), 0) + 1):
+    left, right = (
+        min(max(_I((x - rx) / side), 0), gw - 1),
+        max(min(_I((x + rx) / side), gw - 1), 0) + 1,
+    )
+    for i in range(
+        min(max(_I((y - ry) / side), 0), gh - 1), max(min(_I((y + ry) / side), gh - 1), 0) + 1
+    ):
         a, b = start[i * gw + left], start[i * gw + right]
         for at in range(a, b, STEP):
-            for m in range(STEP):  # of fixed length; what is too much is overwritten by the next row
+            for m in range(
+                STEP
+            ):  # of fixed length; what is too much is overwritten by the next row
                 k, to = _U(at) + _U(m), _U(count) + _U(m)
                 lx[to], ly[to], lw[to] = position[0, k] - x, position[1, k] - y, position[2, k]
                 number[to] = _I(k)
@@ -91,9 +105,22 @@ def bound(sites: LocalSites, count, box, best):  # pragma: no cover - compiled
         for m in range(STEP):
             k = _U(at) + _U(m)
             ex, ey, weight = lx[k] - mx, ly[k] - my, lw[k]
-            near_x, far_x, near_y, far_y = abs(ex + wx) + wx, abs(ex - wx) + wx, abs(ey + wy) + wy, abs(ey - wy) + wy
-            near_x, far_x, near_y, far_y = near_x * near_x, far_x * far_x, near_y * near_y - weight, far_y * far_y - weight
-            best[0, m], best[1, m] = min(best[0, m], near_x + near_y), min(best[1, m], far_x + near_y)
+            near_x, far_x, near_y, far_y = (
+                abs(ex + wx) + wx,
+                abs(ex - wx) + wx,
+                abs(ey + wy) + wy,
+                abs(ey - wy) + wy,
+            )
+            near_x, far_x, near_y, far_y = (
+                near_x * near_x,
+                far_x * far_x,
+                near_y * near_y - weight,
+                far_y * far_y - weight,
+            )
+            best[0, m], best[1, m] = (
+                min(best[0, m], near_x + near_y),
+                min(best[1, m], far_x + near_y),
+            )
             best[2, m], best[3, m] = min(best[2, m], near_x + far_y), min(best[3, m], far_x + far_y)
     farthest = _F(0)
     for quarter in range(4):
@@ -134,7 +161,11 @@ def pack(sites: LocalSites, found, n, reach, out: Candidates):  # pragma: no cov
         k = _U(found[m])
         ca[m], cb[m], cc[m] = lx[k], ly[k], lw[k]  # of its type from here on
         x, y = ca[m], cb[m]
-        ca[m], cb[m], cc[m] = _F(-2) * unit * x, _F(-2) * unit * y, unit * (x * x + y * y - cc[m]) + _F(m)
+        ca[m], cb[m], cc[m] = (
+            _F(-2) * unit * x,
+            _F(-2) * unit * y,
+            unit * (x * x + y * y - cc[m]) + _F(m),
+        )
         most = max(most, _F(abs(ca[m]) + abs(cb[m])) * reach + _F(cc[m]))
     return unit, most
 
@@ -146,7 +177,13 @@ def nearest(candidates: Candidates, n, unit, p, k1, n1):  # pragma: no cover - c
     ca, cb, cc = candidates
     k1[:] = _NONE
     for m in range(0, n, 5):  # five at a time; the last one up to five times
-        m0, m1, m2, m3, m4 = m, min(m + 1, n - 1), min(m + 2, n - 1), min(m + 3, n - 1), min(m + 4, n - 1)
+        m0, m1, m2, m3, m4 = (
+            m,
+            min(m + 1, n - 1),
+            min(m + 2, n - 1),
+            min(m + 3, n - 1),
+            min(m + 4, n - 1),
+        )
         a0, b0, c0, a1, b1, c1 = ca[m0], cb[m0], cc[m0], ca[m1], cb[m1], cc[m1]
         a2, b2, c2, a3, b3, c3 = ca[m2], cb[m2], cc[m2], ca[m3], cb[m3], cc[m3]
         a4, b4, c4 = ca[m4], cb[m4], cc[m4]
@@ -192,7 +229,11 @@ def border_insets(p, unit, k1, k2, blend, n1, n2, inset):  # pragma: no cover - 
     border between the two."""
     factor = _F(SOLID) / (_F(2) * blend)
     for q in range(PIXELS):
-        a, b, own = np.floor(k1[q] / unit), np.floor(k2[q] / unit), p[0, q] * p[0, q] + p[1, q] * p[1, q]
+        a, b, own = (
+            np.floor(k1[q] / unit),
+            np.floor(k2[q] / unit),
+            p[0, q] * p[0, q] + p[1, q] * p[1, q],
+        )
         s = _I(min((np.sqrt(b + own) - np.sqrt(a + own)) * factor, _F(SOLID)))
         n1[q] = _I(k1[q] - a * unit)
         n2[q] = _I(k2[q] - b * unit) if s < SOLID else n1[q]
@@ -200,7 +241,9 @@ def border_insets(p, unit, k1, k2, blend, n1, n2, inset):  # pragma: no cover - 
 
 
 @line_kernel()
-def nearest_sites(candidates: Candidates, n, unit, p, blend, packed, n1, n2, inset):  # pragma: no cover - compiled
+def nearest_sites(
+    candidates: Candidates, n, unit, p, blend, packed, n1, n2, inset
+):  # pragma: no cover - compiled
     """Of a tile's positions p (2, PIXELS) the nearest candidate; with a `blend` the next one as well, where it is near, and
     how far inside its cell a pixel lies. packed (2, PIXELS) : scratch"""
     if blend > 0:

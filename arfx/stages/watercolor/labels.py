@@ -29,7 +29,7 @@ from arfx.stages.watercolor.label_kernels import (
     nearest_sites,
     pack,
     prune,
-)  # fmt: skip
+)
 from arfx.stages.watercolor.sites import STEPS, Sites
 
 _U = np.uint64
@@ -77,7 +77,9 @@ def make_wobble(tile: np.ndarray) -> Wobble:
     """tile (2, n, n) whole numbers of 1/STEPS px, |.| <= 127; n a multiple of TILE."""
     n = tile.shape[1] // TILE
     own = np.arange(TILE, dtype=np.float32) * STEPS - MIDDLE
-    squares = tile.reshape(2, n, TILE, n, TILE).transpose(1, 3, 0, 2, 4) + np.stack(np.broadcast_arrays(own, own[:, None]))
+    squares = tile.reshape(2, n, TILE, n, TILE).transpose(1, 3, 0, 2, 4) + np.stack(
+        np.broadcast_arrays(own, own[:, None])
+    )
     positions = np.ascontiguousarray(squares, np.float32).reshape(n, n, 2, PIXELS)
     low, high = positions.min(-1), positions.max(-1)
     boxes = np.concatenate([(low + high) / 2, (high - low) / 2], -1)
@@ -100,13 +102,21 @@ def sort_sites(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
     if not len(sites) or rect.empty:
         return sites
     x, y, side, gh, gw = _grid(len(sites), rect, wobble)
-    _, order = bucket_sites(sites.x, sites.y, float(rect.x0 + x), float(rect.y0 + y), float(side), gh, gw)
-    return Sites(*(a.take(order) for a in (sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v)))
+    _, order = bucket_sites(
+        sites.x, sites.y, float(rect.x0 + x), float(rect.y0 + y), float(side), gh, gw
+    )
+    return Sites(
+        *(a.take(order) for a in (sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v))
+    )
 
 
 def label(
-    sites: Sites, rect: Rect, wobble: Wobble = STILL, blend_px: float = 0.0, mask: np.ndarray | None = None
-) -> Labels:  # fmt: skip
+    sites: Sites,
+    rect: Rect,
+    wobble: Wobble = STILL,
+    blend_px: float = 0.0,
+    mask: np.ndarray | None = None,
+) -> Labels:
     """Labels of the pixels of `rect`.
 
     blend_px : as in Labels, 0 = no borders;  mask (h, w) bool : only these are asked for, the others hold anything
@@ -119,15 +129,22 @@ def label(
     second = np.zeros((h, w) if borders else (0, 0), np.int32)
     inside = np.empty((h, w) if borders else (0, 0), np.uint8)
     x0, y0, side, gh, gw = _grid(n, rect, wobble)
-    start, order = bucket_sites(sites.x, sites.y, float(rect.x0 + x0), float(rect.y0 + y0), float(side), gh, gw)
+    start, order = bucket_sites(
+        sites.x, sites.y, float(rect.x0 + x0), float(rect.y0 + y0), float(side), gh, gw
+    )
     position = np.zeros((3, n + STEP), np.float32)
-    position[0, :n], position[1, :n] = sites.x[order] - STEPS * (rect.x0 + x0), sites.y[order] - STEPS * (rect.y0 + y0)
+    position[0, :n], position[1, :n] = (
+        sites.x[order] - STEPS * (rect.x0 + x0),
+        sites.y[order] - STEPS * (rect.y0 + y0),
+    )
     position[2, :n] = sites.weight[order]
     mask = np.zeros((0, 0), bool) if mask is None else mask
     tile = (wobble.y + rect.y0 + y0) // TILE, (wobble.x + rect.x0 + x0) // TILE
     buckets, blend = Buckets(position, order, start, side, gh, gw), np.float32(blend_px * STEPS)
     displaced, out = (wobble.positions, wobble.boxes, *tile), (first, second, inside)
-    parallel_rows(lambda a, b: _label(buckets, displaced, blend, mask, x0, y0, a, b, out), h - y0, TILE)
+    parallel_rows(
+        lambda a, b: _label(buckets, displaced, blend, mask, x0, y0, a, b, out), h - y0, TILE
+    )
     if (order[1:] < order[:-1]).any():
         first, second = order[first], order[second]
     return Labels(first, second, inside, n)
@@ -153,29 +170,53 @@ def bucket_sites(sx, sy, x0, y0, side, gh, gw):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _label(buckets: Buckets, displaced, blend, mask, x0, y0, y_first, y_last, out):  # pragma: no cover - compiled
+def _label(
+    buckets: Buckets, displaced, blend, mask, x0, y0, y_first, y_last, out
+):  # pragma: no cover - compiled
     """Rows y_first ... y_last - 1 of tiles that begin at (x0, y0). out : first, second, inside, of `Labels`
 
     displaced : positions and boxes of a `Wobble`, row and column there of the first tile"""
     (positions, boxes, row, column), (first, second, inside) = displaced, out
     h, w = first.shape
     packed, packed_wide = np.empty((2, PIXELS), np.float32), np.empty((2, PIXELS))
-    n1, n2, inset = np.empty(PIXELS, np.int32), np.empty(PIXELS, np.int32), np.empty(PIXELS, np.uint8)
+    n1, n2, inset = (
+        np.empty(PIXELS, np.int32),
+        np.empty(PIXELS, np.int32),
+        np.empty(PIXELS, np.uint8),
+    )
     size, borders = buckets.position.shape[1] + STEP, blend > 0
-    number, found, away = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.float32)
+    number, found, away = (
+        np.empty(size, np.int32),
+        np.empty(size, np.int32),
+        np.empty(size, np.float32),
+    )
     rows, more_rows = np.zeros((6, size), np.float32), np.empty((3, size))
-    sites, narrow = LocalSites(rows[0], rows[1], rows[2], number), Candidates(rows[3], rows[4], rows[5])
-    best, wide = np.empty((4, STEP), np.float32), Candidates(more_rows[0], more_rows[1], more_rows[2])
+    sites, narrow = (
+        LocalSites(rows[0], rows[1], rows[2], number),
+        Candidates(rows[3], rows[4], rows[5]),
+    )
+    best, wide = (
+        np.empty((4, STEP), np.float32),
+        Candidates(more_rows[0], more_rows[1], more_rows[2]),
+    )
     spacing = buckets.side * STEPS * np.sqrt(buckets.gh * buckets.gw / buckets.order.shape[0])
-    usual = np.float32(1.5 * spacing + 2 * blend)  # how far around a tile it looks at first: mostly enough
+    usual = np.float32(
+        1.5 * spacing + 2 * blend
+    )  # how far around a tile it looks at first: mostly enough
     for ty in range(y_first + y0, min(y_last + y0, h), TILE):
         for tx in range(x0, w, TILE):
             top, left, bottom, end = max(ty, 0), max(tx, 0), min(ty + TILE, h), min(tx + TILE, w)
             if mask.shape[0] > 0 and not mask[top:bottom, left:end].any():
                 continue
-            i, j = (row + (ty - y0) // TILE) % positions.shape[0], (column + (tx - x0) // TILE) % positions.shape[1]
+            i, j = (
+                (row + (ty - y0) // TILE) % positions.shape[0],
+                (column + (tx - x0) // TILE) % positions.shape[1],
+            )
             box = boxes[i, j, 0], boxes[i, j, 1], boxes[i, j, 2], boxes[i, j, 3]
-            x, y = np.float32((tx - x0) * STEPS + MIDDLE), np.float32((ty - y0) * STEPS + MIDDLE)  # its middle
+            x, y = (
+                np.float32((tx - x0) * STEPS + MIDDLE),
+                np.float32((ty - y0) * STEPS + MIDDLE),
+            )  # its middle
             reach = max(abs(box[0]) + box[2], abs(box[1]) + box[3])  # of its positions from there
             more, wanted, count, root = np.float32(-1), usual, 0, np.float32(0)
             while more < wanted:

@@ -17,7 +17,9 @@ REACH = 5  # px to each side that the taps go
 _RING = 16  # rows in the buffer: more than the taps reach over
 
 
-def edge_measure(picture: Picture, yuv: np.ndarray, alpha: float, beta: float, smooth_px: float) -> np.ndarray:
+def edge_measure(
+    picture: Picture, yuv: np.ndarray, alpha: float, beta: float, smooth_px: float
+) -> np.ndarray:
     """(3, ceil(h / 2), ceil(w / 2)) float32: the printed measure, and the direction across the edge (x, y).
 
     yuv : of `yuv_matrix`;  alpha, beta : as there;  smooth_px : of the full picture"""
@@ -38,11 +40,20 @@ def edge_measure(picture: Picture, yuv: np.ndarray, alpha: float, beta: float, s
 
 
 @numba.njit(cache=True, nogil=True)
-def _in_one_pass(picture: Picture, taps, luma, alpha, beta, ya, yb, out):  # pragma: no cover - compiled
+def _in_one_pass(
+    picture: Picture, taps, luma, alpha, beta, ya, yb, out
+):  # pragma: no cover - compiled
     """Rows ya ... yb - 1 of out (3, h, w)."""
     h, w = out.shape[1:]
-    half, ring, smooth = np.empty((1, 3, w), np.float32), np.empty((_RING, 3, w), np.float32), np.empty((4, 3, w), np.float32)
-    lines, both = np.empty((2, 3 * picture.image.shape[1]), np.float32), np.empty(3 * picture.image.shape[1], np.float32)
+    half, ring, smooth = (
+        np.empty((1, 3, w), np.float32),
+        np.empty((_RING, 3, w), np.float32),
+        np.empty((4, 3, w), np.float32),
+    )
+    lines, both = (
+        np.empty((2, 3 * picture.image.shape[1]), np.float32),
+        np.empty(3 * picture.image.shape[1], np.float32),
+    )
     padded, slope = np.empty(w + 2 * REACH, np.float32), np.empty((6, w), np.float32)
     first, last, how = max(ya - 1, 0), min(yb + 1, h), (luma, alpha, beta)
     to_come = max(first - REACH, 0)
@@ -56,15 +67,36 @@ def _in_one_pass(picture: Picture, taps, luma, alpha, beta, ya, yb, out):  # pra
             smooth_across(ring, c, y, h - 1, taps, smooth[y % 4, c])
         m = y - 1
         if m >= ya:
-            _measure_row(smooth[max(m - 1, 0) % 4], smooth[m % 4], smooth[y % 4], *how, slope, out[0, m], out[1, m], out[2, m])
+            _measure_row(
+                smooth[max(m - 1, 0) % 4],
+                smooth[m % 4],
+                smooth[y % 4],
+                *how,
+                slope,
+                out[0, m],
+                out[1, m],
+                out[2, m],
+            )
     if yb == h:
         m = h - 1
-        _measure_row(smooth[max(m - 1, 0) % 4], smooth[m % 4], smooth[m % 4], *how, slope, out[0, m], out[1, m], out[2, m])
+        _measure_row(
+            smooth[max(m - 1, 0) % 4],
+            smooth[m % 4],
+            smooth[m % 4],
+            *how,
+            slope,
+            out[0, m],
+            out[1, m],
+            out[2, m],
+        )
 
 
 @numba.njit(cache=True, nogil=True)
 def _halve_rows(picture: Picture, ya, yb, out):  # pragma: no cover - compiled
-    lines, both = np.empty((2, 3 * picture.image.shape[1]), np.float32), np.empty(3 * picture.image.shape[1], np.float32)
+    lines, both = (
+        np.empty((2, 3 * picture.image.shape[1]), np.float32),
+        np.empty(3 * picture.image.shape[1], np.float32),
+    )
     for y in range(ya, yb):
         _halve_row(picture, y, lines, both, out[y])
 
@@ -75,7 +107,16 @@ def _measure_rows(smooth, luma, alpha, beta, ya, yb, out):  # pragma: no cover -
     slope = np.empty((6, w), np.float32)
     for y in range(ya, yb):
         _measure_row(
-            smooth[max(y - 1, 0)], smooth[y], smooth[min(y + 1, h - 1)], luma, alpha, beta, slope, out[0, y], out[1, y], out[2, y]
+            smooth[max(y - 1, 0)],
+            smooth[y],
+            smooth[min(y + 1, h - 1)],
+            luma,
+            alpha,
+            beta,
+            slope,
+            out[0, y],
+            out[1, y],
+            out[2, y],
         )
 
 
@@ -89,11 +130,22 @@ def _halve_row(picture: Picture, y, lines, both, out):  # pragma: no cover - com
     if near:
         read_pixels(picture, y0, px, right, lines[0])
         read_pixels(picture, y1, px, right, lines[1])
-    _halve(image[y0].reshape(-1), image[y1].reshape(-1), lines[0], lines[1], px, right if near else px, both, out)
+    _halve(
+        image[y0].reshape(-1),
+        image[y1].reshape(-1),
+        lines[0],
+        lines[1],
+        px,
+        right if near else px,
+        both,
+        out,
+    )
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _halve(top, bottom, near_top, near_bottom, left, right, both, out):  # pragma: no cover - compiled
+def _halve(
+    top, bottom, near_top, near_bottom, left, right, both, out
+):  # pragma: no cover - compiled
     """Two rows of the picture, of which pixels left ... right - 1 are near_top and near_bottom. both (3 w,) is written."""
     w, n = top.shape[0] // 3, out.shape[1]
     zero, one, quarter = np.float32(0), np.float32(1), np.float32(0.25)
@@ -113,7 +165,9 @@ def _halve(top, bottom, near_top, near_bottom, left, right, both, out):  # pragm
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _measure_row(above, here, below, luma, alpha, beta, slope, measure, across_x, across_y):  # pragma: no cover - compiled
+def _measure_row(
+    above, here, below, luma, alpha, beta, slope, measure, across_x, across_y
+):  # pragma: no cover - compiled
     """measure (w,) : as printed, from central differences, per px of this grid;  across_x, across_y (w,) : direction across the
     edge. above, here, below (3, w);  slope (6, w) is written: along x and y, of each colour"""
     half, third, one = np.float32(0.5), np.float32(1.0 / 3.0), np.float32(1)
@@ -123,12 +177,23 @@ def _measure_row(above, here, below, luma, alpha, beta, slope, measure, across_x
     for c in range(3):
         _slopes(above[c], here[c], below[c], slope[2 * c], slope[2 * c + 1])
     for x in range(here.shape[1]):
-        ax, ay, bx, by, cx, cy = slope[0, x], slope[1, x], slope[2, x], slope[3, x], slope[4, x], slope[5, x]
+        ax, ay, bx, by, cx, cy = (
+            slope[0, x],
+            slope[1, x],
+            slope[2, x],
+            slope[3, x],
+            slope[4, x],
+            slope[5, x],
+        )
         a, b, c = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by), np.sqrt(cx * cx + cy * cy)
         yx, yy = y0 * ax + y1 * bx + y2 * cx, y0 * ay + y1 * by + y2 * cy
         ux, uy = u0 * ax + u1 * bx + u2 * cx, u0 * ay + u1 * by + u2 * cy
         vx, vy = v0 * ax + v1 * bx + v2 * cx, v0 * ay + v1 * by + v2 * cy
-        of_y, of_u, of_v = np.sqrt(yx * yx + yy * yy), np.sqrt(ux * ux + uy * uy), np.sqrt(vx * vx + vy * vy)
+        of_y, of_u, of_v = (
+            np.sqrt(yx * yx + yy * yy),
+            np.sqrt(ux * ux + uy * uy),
+            np.sqrt(vx * vx + vy * vy),
+        )
         of_yuv = (one - alpha) * of_y + alpha * half * (of_u + of_v)
         measure[x] = beta * of_yuv + (one - beta) * third * (a + b + c)
         # across: the strongest channel's
@@ -169,7 +234,9 @@ def smooth_along(row, padded, taps, out):  # pragma: no cover - compiled
     for x in range(w):
         i = _U(x)
         s = t0 * padded[i + _U(5)] + t1 * (padded[i + _U(4)] + padded[i + _U(6)])
-        s += t2 * (padded[i + _U(3)] + padded[i + _U(7)]) + t3 * (padded[i + _U(2)] + padded[i + _U(8)])
+        s += t2 * (padded[i + _U(3)] + padded[i + _U(7)]) + t3 * (
+            padded[i + _U(2)] + padded[i + _U(8)]
+        )
         s += t4 * (padded[i + _U(1)] + padded[i + _U(9)]) + t5 * (padded[i] + padded[i + _U(10)])
         out[x] = s
 

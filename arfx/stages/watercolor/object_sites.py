@@ -57,7 +57,11 @@ def sample_surface(scene: Scene, seed: int) -> Surface:
     at = np.searchsorted(np.cumsum(area) / area.sum(), rng.random(POINTS)).clip(0, len(area) - 1)
     s, t = rng.random((2, POINTS))
     s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
-    points = corner[at, 0] + s[:, None] * (corner[at, 1] - corner[at, 0]) + t[:, None] * (corner[at, 2] - corner[at, 0])
+    points = (
+        corner[at, 0]
+        + s[:, None] * (corner[at, 1] - corner[at, 0])
+        + t[:, None] * (corner[at, 2] - corner[at, 0])
+    )
     return Surface(points, normalise(across[at]), _importance(points, extent), extent)
 
 
@@ -95,24 +99,37 @@ class _CellSize(NamedTuple):
 
 
 def object_sites(
-    surface: Surface, scene: Scene, camera_from_world: Pose, cell_px: float, flow_px: float, nearer_finer: float
-) -> tuple[Sites, np.ndarray]:  # fmt: skip
+    surface: Surface,
+    scene: Scene,
+    camera_from_world: Pose,
+    cell_px: float,
+    flow_px: float,
+    nearer_finer: float,
+) -> tuple[Sites, np.ndarray]:
     """(sites of the points that face the camera, at about one per cell; (points,) float32 size of the cell of each, px).
 
     cell_px : where the surface is as far as the marker;  a site's key is its point. Places u, v are in px at which the model
     is four wavelengths of the flow wide, whatever its size in the picture."""
-    camera, row, at = scene.camera, camera_from_world.rotation[2], float(camera_from_world.translation_m[2])
+    camera, row, at = (
+        scene.camera,
+        camera_from_world.rotation[2],
+        float(camera_from_world.translation_m[2]),
+    )
     eye = camera_from_world.inverse().translation_m
     least, most = nearness_limits(nearer_finer) if nearer_finer > 0 else (1.0, 1.0)
     marker_m = marker_depth_m(camera_from_world @ scene.world_from_anchor)
-    wanted = _CellSize(log2(cell_px / camera.fx), log2(marker_m), float(nearer_finer), log2(least), log2(most))
+    wanted = _CellSize(
+        log2(cell_px / camera.fx), log2(marker_m), float(nearer_finer), log2(least), log2(most)
+    )
     points = surface.points, surface.normals, surface.importance, surface.max_cell_m
     keep, fade, factor = _visible(*points, eye, row, at, wanted)
     pixel = camera.project(camera_from_world.apply(surface.points[keep]))
     size = np.zeros(len(surface.points), np.float32)
     size[keep] = cell_px * factor
     grown = (1.2 * STEPS * cell_px * factor) ** 2
-    return Sites(*_sites(surface.points, keep, fade, pixel, grown, 4 * flow_px / surface.extent_m)), size
+    return Sites(
+        *_sites(surface.points, keep, fade, pixel, grown, 4 * flow_px / surface.extent_m)
+    ), size
 
 
 @numba.njit(cache=True, nogil=True)
@@ -125,16 +142,25 @@ def _sites(points, keep, fade, pixel, grown, scale):  # pragma: no cover - compi
         px, py = pixel[m, 0], pixel[m, 1]
         if not (np.isfinite(px) and np.isfinite(py)):
             continue
-        x[k], y[k] = np.rint(min(max(px, -1e5), 1e5) * STEPS), np.rint(min(max(py, -1e5), 1e5) * STEPS)
+        x[k], y[k] = (
+            np.rint(min(max(px, -1e5), 1e5) * STEPS),
+            np.rint(min(max(py, -1e5), 1e5) * STEPS),
+        )
         weight[k], key[k] = -np.rint((1 - fade[m]) * grown[m]), keep[m]
-        qx, qy, qz = points[keep[m], 0] * scale, points[keep[m], 1] * scale, points[keep[m], 2] * scale
+        qx, qy, qz = (
+            points[keep[m], 0] * scale,
+            points[keep[m], 1] * scale,
+            points[keep[m], 2] * scale,
+        )
         u[k], v[k] = qx + 0.6 * qz, qy + 0.4 * qz
         k += 1
     return x[:k], y[:k], weight[:k], key[:k], u[:k], v[:k]
 
 
 @numba.njit(cache=True, nogil=True)
-def _visible(points, normals, importance, max_cell, eye, row, at, wanted: _CellSize):  # pragma: no cover - compiled
+def _visible(
+    points, normals, importance, max_cell, eye, row, at, wanted: _CellSize
+):  # pragma: no cover - compiled
     """(which points face the camera and count at this density (k,), how far each has appeared (k,), 0..1], factor on the size
     of its cell (k,)).
 
@@ -154,7 +180,9 @@ def _visible(points, normals, importance, max_cell, eye, row, at, wanted: _CellS
         level = np.log2(depth)
         larger = -wanted.strength * min(max(wanted.marker - level, wanted.least), wanted.most)
         grown = (importance[m] - (level + wanted.at_marker + larger)) / FADE + 0.5
-        turned = facing / np.sqrt(x * x + y * y + z * z) / _GRAZING  # facing > 0: the distance is not 0
+        turned = (
+            facing / np.sqrt(x * x + y * y + z * z) / _GRAZING
+        )  # facing > 0: the distance is not 0
         if grown > 0:
             which[k], fade[k], factor[k] = m, min(grown, 1.0) * min(turned, 1.0), 2.0**larger
             k += 1

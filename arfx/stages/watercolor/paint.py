@@ -20,9 +20,16 @@ _FLOW = 4.0  # turbulence lies in -_FLOW .. _FLOW
 
 
 def paint(
-    picture: Picture, cells: Cells, mean: np.ndarray, root: np.ndarray, flow: np.ndarray,
-    paper: tuple[np.ndarray, int, int], line: np.ndarray, strengths: np.ndarray, ink_rgb: np.ndarray,
-) -> np.ndarray:  # fmt: skip
+    picture: Picture,
+    cells: Cells,
+    mean: np.ndarray,
+    root: np.ndarray,
+    flow: np.ndarray,
+    paper: tuple[np.ndarray, int, int],
+    line: np.ndarray,
+    strengths: np.ndarray,
+    ink_rgb: np.ndarray,
+) -> np.ndarray:
     """(h, w, 3) float32 linear: the picture with pigment.
 
     mean (n, 3) : linear means of the cells;  root (n, 3) : square roots of the colours to paint them in
@@ -32,8 +39,14 @@ def paint(
     strengths (6,) float32 : edge darkening, contrast at which it is whole, flow, grain, opacity of lines, grain in lines
     ink_rgb (3,) : linear colour of lines"""
     out = np.empty((*cells.first.shape, 3), np.float32)
-    means, tinted, lines = cell_table(mean, flow), cell_table(root, flow), (line, strengths, ink_rgb.astype(np.float32))
-    parallel_rows(lambda ya, yb: _paint(picture, cells, means, tinted, paper, lines, ya, yb, out), len(out))
+    means, tinted, lines = (
+        cell_table(mean, flow),
+        cell_table(root, flow),
+        (line, strengths, ink_rgb.astype(np.float32)),
+    )
+    parallel_rows(
+        lambda ya, yb: _paint(picture, cells, means, tinted, paper, lines, ya, yb, out), len(out)
+    )
     return out
 
 
@@ -44,12 +57,17 @@ def cell_table(colour, flow):  # pragma: no cover - compiled
     for k in range(colour.shape[0]):
         for c in range(3):
             out[k, c] = np.uint16(min(max(colour[k, c], _F(0)), _F(1)) * _F(65535) + _F(0.5))
-        out[k, 3] = np.uint16((min(max(flow[k], _F(-_FLOW)), _F(_FLOW)) + _F(_FLOW)) * _F(65535 / (2 * _FLOW)) + _F(0.5))
+        out[k, 3] = np.uint16(
+            (min(max(flow[k], _F(-_FLOW)), _F(_FLOW)) + _F(_FLOW)) * _F(65535 / (2 * _FLOW))
+            + _F(0.5)
+        )
     return out.reshape(-1).view(np.uint64)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _paint(picture: Picture, cells: Cells, means, tinted, paper, lines, ya, yb, out):  # pragma: no cover - compiled
+def _paint(
+    picture: Picture, cells: Cells, means, tinted, paper, lines, ya, yb, out
+):  # pragma: no cover - compiled
     """paper : grain, x, y of the first pixel;  lines : line, strengths, ink, as in `paint`"""
     first, second, inside, mask, ly = cells.first, cells.second, cells.inside, cells.mask, cells.y
     (grain, x0, y0), (line, strengths, ink) = paper, lines
@@ -68,7 +86,12 @@ def _paint(picture: Picture, cells: Cells, means, tinted, paper, lines, ya, yb, 
             a, k, near = both_a, both_k, both_near
         for x in range(w):
             at, to = _U(a[x]), _U(k[x])
-            cell_data[0, x], cell_data[1, x], cell_data[2, x], cell_data[3, x] = means[at], means[to], tinted[at], tinted[to]
+            cell_data[0, x], cell_data[1, x], cell_data[2, x], cell_data[3, x] = (
+                means[at],
+                means[to],
+                tinted[at],
+                tinted[to],
+            )
         grain_row(grain, y0 + y, x0, light[3, :w])
         if lh > 0 and not line_row(line, y, row, light[4]):
             light[4, :] = 0
@@ -103,7 +126,11 @@ def _paint_row(cell_data, near, light, strengths, ink):  # pragma: no cover - co
         # of the two colours a pixel takes the one that is like it: where it lies between the means of the cells
         mr, mg, mb = _channel(m1, 0), _channel(m1, 16), _channel(m1, 32)
         er, eg, eb = _channel(m2, 0) - mr, _channel(m2, 16) - mg, _channel(m2, 32) - mb
-        along = (light[0, x] * _F(65535) - mr) * er + (light[1, x] * _F(65535) - mg) * eg + (light[2, x] * _F(65535) - mb) * eb
+        along = (
+            (light[0, x] * _F(65535) - mr) * er
+            + (light[1, x] * _F(65535) - mg) * eg
+            + (light[2, x] * _F(65535) - mb) * eb
+        )
         like = along / (er * er + eg * eg + eb * eb + one)
         # a camera's edge, some 2 px wide, comes out 1 px wide: any steeper, and it would go from pixel to pixel in leaps
         like = min(max((like - half) * _F(2) + half * t, zero), one)
@@ -114,7 +141,11 @@ def _paint_row(cell_data, near, light, strengths, ink):  # pragma: no cover - co
         d += dark * apart * t * (one - _F(0.3) * t * t) + much_grain * light[3, x]
         pr, pg, pb = (r1 + mix * dr) * unit, (g1 + mix * dg) * unit, (b1 + mix * db) * unit
         pr, pg, pb = pr * pr, pg * pg, pb * pb
-        pr, pg, pb = pr * (one - (one - pr) * d), pg * (one - (one - pg) * d), pb * (one - (one - pb) * d)
+        pr, pg, pb = (
+            pr * (one - (one - pr) * d),
+            pg * (one - (one - pg) * d),
+            pb * (one - (one - pb) * d),
+        )
         s = min(max(light[4, x] * (one + dry * light[3, x]), zero), one) * opacity
         light[5, x] = max(pr + s * (ir - pr), zero)
         light[6, x] = max(pg + s * (ig - pg), zero)

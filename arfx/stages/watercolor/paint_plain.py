@@ -19,16 +19,24 @@ _U, _F = np.uint64, np.float32
 
 
 def paint_plain(
-    cells: Cells, root: np.ndarray, flow: np.ndarray, paper: tuple[np.ndarray, int, int], line: np.ndarray,
-    strengths: np.ndarray, ink_rgb: np.ndarray, shape: tuple[int, int],
-) -> np.ndarray:  # fmt: skip
+    cells: Cells,
+    root: np.ndarray,
+    flow: np.ndarray,
+    paper: tuple[np.ndarray, int, int],
+    line: np.ndarray,
+    strengths: np.ndarray,
+    ink_rgb: np.ndarray,
+    shape: tuple[int, int],
+) -> np.ndarray:
     """(h, w, 3) float32 linear, of that shape: that of the cells, or twice that (odd numbers rounded up).
 
     root, flow, paper, line, strengths, ink_rgb : as of `paint.paint`; strengths without pigment are 0"""
     (h, w), every = shape, 1 if cells.first.shape == shape else 2
     table, out = _pigments(root, flow, strengths[2], strengths[3]), np.empty((h, w, 3), np.float32)
     lines = line, strengths[4], strengths[5], np.tile(np.asarray(ink_rgb, np.float32), w)
-    parallel_rows(lambda ya, yb: _paint(cells, table, paper, lines, every, ya, yb, out), len(cells.first))
+    parallel_rows(
+        lambda ya, yb: _paint(cells, table, paper, lines, every, ya, yb, out), len(cells.first)
+    )
     return out
 
 
@@ -52,7 +60,10 @@ def _paint(cells: Cells, table, paper, lines, every, ya, yb, out):  # pragma: no
     h, w = out.shape[:2]
     n = cells.first.shape[1]
     labels, row = np.empty(n, np.int32), np.empty(max(line.shape[1], 1), np.float32)
-    pigment, taken = np.zeros(3 * n * every + 4, np.float32), np.zeros(3 * n * every + 4, np.float32)
+    pigment, taken = (
+        np.zeros(3 * n * every + 4, np.float32),
+        np.zeros(3 * n * every + 4, np.float32),
+    )
     height, ink_at = np.zeros(3 * w + 4, np.float32), np.zeros(3 * w + 4, np.float32)
     paper_row, drawn, flat = np.empty(w, np.float32), np.zeros(w + 1, np.float32), table.reshape(-1)
     for j in range(ya, yb):

@@ -73,19 +73,46 @@ class WatercolorParams:
 
     def __post_init__(self) -> None:
         require_within(
-            "watercolor", self, cell_px=(0.5, 4096), nearer_finer=(0, 1), detail=(0, 1), wash=(0, 1), lightness=(0, 2),
-            deepest=(0, 0.5), saturation=(0, 3), lines=(0, 1), line_width_px=(0.5, 16), line_low=(0, 1), line_high=(0, 2),
-            line_smooth_px=(0, 10), alpha=(0, 1), beta=(0, 1), edge_darkening=(0, 1), wobble_px=(0, 8), flow=(0, 1),
-            flow_px=(8, 4096), grain=(0, 1), grain_px=(1, 32), dry_brush=(0, 2),
-        )  # fmt: skip
+            "watercolor",
+            self,
+            cell_px=(0.5, 4096),
+            nearer_finer=(0, 1),
+            detail=(0, 1),
+            wash=(0, 1),
+            lightness=(0, 2),
+            deepest=(0, 0.5),
+            saturation=(0, 3),
+            lines=(0, 1),
+            line_width_px=(0.5, 16),
+            line_low=(0, 1),
+            line_high=(0, 2),
+            line_smooth_px=(0, 10),
+            alpha=(0, 1),
+            beta=(0, 1),
+            edge_darkening=(0, 1),
+            wobble_px=(0, 8),
+            flow=(0, 1),
+            flow_px=(8, 4096),
+            grain=(0, 1),
+            grain_px=(1, 32),
+            dry_brush=(0, 2),
+        )
         if self.yuv not in LUMA_COEFFICIENTS:
-            raise ConfigError(f"watercolor.yuv {self.yuv!r} is unknown", "one of " + ", ".join(LUMA_COEFFICIENTS))
+            raise ConfigError(
+                f"watercolor.yuv {self.yuv!r} is unknown", "one of " + ", ".join(LUMA_COEFFICIENTS)
+            )
         if self.line_high < self.line_low:
-            raise ConfigError(f"watercolor.line_high must not be below line_low ({self.line_low:g}), is {self.line_high:g}")
+            raise ConfigError(
+                f"watercolor.line_high must not be below line_low ({self.line_low:g}), is {self.line_high:g}"
+            )
         upper, lower = self.toon_thresholds
         if not -1 <= lower <= upper <= 1:
-            raise ConfigError(f"watercolor.toon_thresholds must fall and lie in -1..1, are {upper:g}, {lower:g}")
+            raise ConfigError(
+                f"watercolor.toon_thresholds must fall and lie in -1..1, are {upper:g}, {lower:g}"
+            )
         for name in ("toon_factors", "ink_rgb"):
             values = np.asarray(getattr(self, name), float)
             if not (np.isfinite(values).all() and (values >= 0).all() and (values <= 1).all()):
-                raise ConfigError(f"watercolor.{name} must lie in 0..1, are {', '.join(f'{v:g}' for v in values)}")
+                raise ConfigError(
+                    f"watercolor.{name} must lie in 0..1, are {', '.join(f'{v:g}' for v in values)}"
+                )

@@ -31,18 +31,24 @@ def smooth_noise(side: int, wavelength_px: float, rng: np.random.Generator) -> n
 def paper_grain(seed: int, grain_px: float) -> np.ndarray:
     """(PAPER_PX, PAPER_PX) float32 height of the paper, -1..1, about .4 rms: bumps of `grain_px` on a slower felt."""
     rng = np.random.default_rng([seed, 0x9A9E])
-    h = 0.8 * smooth_noise(PAPER_PX, grain_px * 2, rng) + 0.5 * smooth_noise(PAPER_PX, grain_px * 5, rng)
+    h = 0.8 * smooth_noise(PAPER_PX, grain_px * 2, rng) + 0.5 * smooth_noise(
+        PAPER_PX, grain_px * 5, rng
+    )
     out: np.ndarray = np.tanh(0.45 * h).astype(np.float32)
     return out
 
 
-def wobble_tile(seed: int, amplitude_px: float, wavelength_px: float, at: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+def wobble_tile(
+    seed: int, amplitude_px: float, wavelength_px: float, at: tuple[float, float] = (0.0, 0.0)
+) -> np.ndarray:
     """(2, WOBBLE_PX, WOBBLE_PX) float32 displacement, in whole 1/STEPS px, that repeats without a seam. at : (x, y) px of the
     noise at which the first pixel lies"""
     fy, fx = np.fft.fftfreq(WOBBLE_PX)[:, None], np.fft.rfftfreq(WOBBLE_PX)[None]
     turn = np.exp(2j * np.pi * fy * at[1]) * np.exp(2j * np.pi * fx * at[0])
     tile = np.fft.irfft2(_wobble_spectra(seed, wavelength_px) * turn, (WOBBLE_PX, WOBBLE_PX))
-    out: np.ndarray = np.round(np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS).astype(np.float32)
+    out: np.ndarray = np.round(
+        np.clip(tile * amplitude_px / 2, -amplitude_px, amplitude_px) * STEPS
+    ).astype(np.float32)
     return out
 
 
@@ -56,13 +62,17 @@ def repeat_tile(tile: np.ndarray, x0: int, y0: int, width: int, height: int) -> 
     """(..., height, width) of a repeated tile (..., n, n), from (x0, y0) of it on."""
     side = tile.shape[-1]
     start = x0 % side
-    wide = np.concatenate([tile] * (-(-(start + width) // side)), axis=-1)[..., start : start + width]
+    wide = np.concatenate([tile] * (-(-(start + width) // side)), axis=-1)[
+        ..., start : start + width
+    ]
     return np.ascontiguousarray(wide[..., np.arange(y0, y0 + height) % side, :])
 
 
 def turbulence(u: np.ndarray, v: np.ndarray, seed: int, wavelength_px: float) -> np.ndarray:
     """(n,) float32 slow noise at positions (u, v), px, about -1..1: three octaves from `wavelength_px` down."""
-    return np.asarray(_turbulence(u, v, np.uint32(seed & 0xFFFFFFFF), np.float32(1 / wavelength_px)))
+    return np.asarray(
+        _turbulence(u, v, np.uint32(seed & 0xFFFFFFFF), np.float32(1 / wavelength_px))
+    )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -86,7 +96,11 @@ def _turbulence(u, v, seed, frequency):  # pragma: no cover - compiled
 @numba.njit(cache=True, nogil=True, inline="always")
 def _lattice(seed, i, j, octave):  # pragma: no cover - compiled
     """-1..1 at a node of the noise (murmur finaliser)."""
-    z = np.uint64(seed) + np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
+    z = (
+        np.uint64(seed)
+        + np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)
+        + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
+    )
     z += np.uint64(octave) * np.uint64(0x165667B19E3779F9)
     z = (z ^ (z >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
     z = (z ^ (z >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53)

@@ -29,7 +29,9 @@ class Picture(NamedTuple):
         if not self.patch.size:
             return self.image
         out = self.image.copy()
-        out[self.y : self.y + self.patch.shape[0], self.x : self.x + self.patch.shape[1]] = self.patch
+        out[self.y : self.y + self.patch.shape[0], self.x : self.x + self.patch.shape[1]] = (
+            self.patch
+        )
         return out
 
 
@@ -50,10 +52,24 @@ class Cells(NamedTuple):
     x: int
 
 
-def combine_labels(back: Labels, own: Labels | None = None, mask: np.ndarray = _NO_MASK, y: int = 0, x: int = 0) -> Cells:
+def combine_labels(
+    back: Labels, own: Labels | None = None, mask: np.ndarray = _NO_MASK, y: int = 0, x: int = 0
+) -> Cells:
     """The object's cells are numbered on from the background's."""
     of, count = own or back, back.count + (own.count if own else 0)
-    return Cells(back.first, back.second, back.inside, of.first, of.second, of.inside, mask, back.count, count, y, x)
+    return Cells(
+        back.first,
+        back.second,
+        back.inside,
+        of.first,
+        of.second,
+        of.inside,
+        mask,
+        back.count,
+        count,
+        y,
+        x,
+    )
 
 
 def offset(box: Rect, rect: Rect) -> tuple[int, int]:
@@ -64,7 +80,9 @@ def offset(box: Rect, rect: Rect) -> tuple[int, int]:
 def read_channels(picture: Picture, y, r, g, b):  # pragma: no cover - compiled
     """r, g, b (w,) float32 : row y of the picture."""
     image, patch, py, px = picture
-    line = image[y].reshape(-1)  # that a pixel has three numbers is known to the compiler in this form only
+    line = image[y].reshape(
+        -1
+    )  # that a pixel has three numbers is known to the compiler in this form only
     for x in range(image.shape[1]):
         i = _U(3) * _U(x)
         r[x], g[x], b[x] = line[i], line[i + _U(1)], line[i + _U(2)]
@@ -85,7 +103,14 @@ def union_span(px, pw, lx, lw):  # pragma: no cover - compiled
 @numba.njit(cache=True, nogil=True)
 def read_labels(cells: Cells, y, left, right, a):  # pragma: no cover - compiled
     """a (w,) int32 : in columns left ... right - 1 row y of the labels."""
-    first, own_first, mask, start, ly, lx = cells.first, cells.own_first, cells.mask, cells.start, cells.y, cells.x
+    first, own_first, mask, start, ly, lx = (
+        cells.first,
+        cells.own_first,
+        cells.mask,
+        cells.start,
+        cells.y,
+        cells.x,
+    )
     for x in range(left, right):
         a[_U(x)] = first[y, _U(x)]
     if ly <= y < ly + mask.shape[0]:

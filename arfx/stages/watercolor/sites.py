@@ -73,10 +73,21 @@ def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) ->
     unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest"""
     size = np.clip(field.size, 0.25, None)
     for _ in range(_HIGHEST):
-        args = field.u / unit_px, field.v / unit_px, np.log2(size), np.uint64(seed), limit, float(unit_px)
+        args = (
+            field.u / unit_px,
+            field.v / unit_px,
+            np.log2(size),
+            np.uint64(seed),
+            limit,
+            float(unit_px),
+        )
         make = partial(_enumerate, field.x0, field.y0, *args)
         parts = parallel_rows(make, field.u.shape[0] - 1, least=8)
-        made = parts[0] if len(parts) == 1 else tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+        made = (
+            parts[0]
+            if len(parts) == 1
+            else tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+        )
         if made[0].shape[0] < limit:
             break
         size = size * 2
@@ -120,14 +131,19 @@ def _refine(seed, level, count, bi, bj):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True)
-def _candidates(seed, level, pj, box, least, oi, oj, importance, key):  # pragma: no cover - compiled
+def _candidates(
+    seed, level, pj, box, least, oi, oj, importance, key
+):  # pragma: no cover - compiled
     """How many of the cells in box (i0 ... i1, j0 ... j1), row pj of their parents, are at least that important; which (oi, oj).
     key : 0 where it is still to be made"""
     i0, i1, j0, j1 = box
     n = 0
     for pi in range(i0 >> 1, (i1 >> 1) + 1):
         bits = _mixed(seed, level + 1, pi, pj)
-        chosen, turn = np.int64(bits & np.uint64(3)), np.int64((bits >> np.uint64(2)) & np.uint64(0xFF)) % 3
+        chosen, turn = (
+            np.int64(bits & np.uint64(3)),
+            np.int64((bits >> np.uint64(2)) & np.uint64(0xFF)) % 3,
+        )
         for child in range(4):
             i, j = 2 * pi + (child & 1), 2 * pj + (child >> 1)
             if i < i0 or i > i1 or j < j0 or j > j1:
@@ -150,7 +166,11 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
 
     u, v : in units of the cells of level 0;  wanted (gh, gw) : log2 of the cell size, px of the frame"""
     gw = u.shape[1]
-    sx, sy, sw = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.float32)
+    sx, sy, sw = (
+        np.empty(limit, np.float32),
+        np.empty(limit, np.float32),
+        np.empty(limit, np.float32),
+    )
     su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)
     e1u, e1v, e2u, e2v = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
     det, scale, per = np.empty(2), np.zeros(2), np.zeros(2)
@@ -164,8 +184,14 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
             lo_u, hi_u, lo_v, hi_v, least = u[gy, gx], u[gy, gx], v[gy, gx], v[gy, gx], np.inf
             for half in range(2):
                 corner_u, corner_v = u[gy + half, gx + half], v[gy + half, gx + half]
-                e1u[half], e1v[half] = u[gy + half, gx + 1 - half] - corner_u, v[gy + half, gx + 1 - half] - corner_v
-                e2u[half], e2v[half] = u[gy + 1 - half, gx + half] - corner_u, v[gy + 1 - half, gx + half] - corner_v
+                e1u[half], e1v[half] = (
+                    u[gy + half, gx + 1 - half] - corner_u,
+                    v[gy + half, gx + 1 - half] - corner_v,
+                )
+                e2u[half], e2v[half] = (
+                    u[gy + 1 - half, gx + half] - corner_u,
+                    v[gy + 1 - half, gx + half] - corner_v,
+                )
                 det[half] = e1u[half] * e2v[half] - e1v[half] * e2u[half]
                 for x in range(2):
                     lo_u, hi_u = min(lo_u, u[gy + half, gx + x]), max(hi_u, u[gy + half, gx + x])
@@ -175,7 +201,9 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
                     per[half] = 1.0 / det[half]
                     scale[half] = 0.5 * np.log2(det[half] / (GRID_PX * GRID_PX))
                     for x in range(2):
-                        least = min(least, min(wanted[gy, gx + x], wanted[gy + 1, gx + x]) + scale[half])
+                        least = min(
+                            least, min(wanted[gy, gx + x], wanted[gy + 1, gx + x]) + scale[half]
+                        )
             if not (least < np.inf):
                 continue  # folded over: what lies there is hidden
             level = np.int64(np.floor(least + 0.19))
@@ -188,7 +216,9 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
                 oi, oj, bi, bj = scratch[0], scratch[1], scratch[2], scratch[3]
                 importance, key = np.empty(capacity, np.float64), np.empty(capacity, np.uint64)
             for pj in range(j0 >> 1, (j1 >> 1) + 1):
-                count = _candidates(seed, level, pj, (i0, i1, j0, j1), least - 0.5 * FADE, oi, oj, importance, key)
+                count = _candidates(
+                    seed, level, pj, (i0, i1, j0, j1), least - 0.5 * FADE, oi, oj, importance, key
+                )
                 for m in range(count):
                     bi[m], bj[m] = oi[m], oj[m]
                 fine = _refine(seed, level, count, bi, bj)
@@ -198,7 +228,10 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
                         if not (det[half] > 1e-9):
                             continue
                         du, dv = pu - u[gy + half, gx + half], pv - v[gy + half, gx + half]
-                        s, t = (du * e2v[half] - dv * e2u[half]) * per[half], (dv * e1u[half] - du * e1v[half]) * per[half]
+                        s, t = (
+                            (du * e2v[half] - dv * e2u[half]) * per[half],
+                            (dv * e1u[half] - du * e1v[half]) * per[half],
+                        )
                         if s < 0 or t < 0 or s + t > 1 or (half == 1 and s + t == 1):
                             continue
                         la = wanted[gy + half, gx + half]
@@ -211,7 +244,11 @@ def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no
                             return sx, sy, sw, sk, su, sv
                         sx[n] = np.rint((x0 + GRID_PX * (gx + (half + (1 - 2 * half) * s))) * STEPS)
                         sy[n] = np.rint((y0 + GRID_PX * (gy + (half + (1 - 2 * half) * t))) * STEPS)
-                        sw[n] = 0.0 if fade >= 1 else -np.rint((1 - fade) * (1.2 * 2.0**size * STEPS) ** 2)
+                        sw[n] = (
+                            0.0
+                            if fade >= 1
+                            else -np.rint((1 - fade) * (1.2 * 2.0**size * STEPS) ** 2)
+                        )
                         bits = key[m] if key[m] else _mixed(seed, level, oi[m], oj[m])
                         sk[n] = np.int64(bits & np.uint64(0x7FFFFFFFFFFFFFFF))
                         su[n], sv[n] = pu * unit, pv * unit

@@ -29,7 +29,13 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
-from arfx.stages.watercolor.cells import adjust_tone, cell_colours, mean_colours, neighbours, smooth_washes
+from arfx.stages.watercolor.cells import (
+    adjust_tone,
+    cell_colours,
+    mean_colours,
+    neighbours,
+    smooth_washes,
+)
 from arfx.stages.watercolor.digest import digest
 from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.field import RealDioptre, advection_directions, frame_field

@@ -14,7 +14,10 @@ from arfx.core.parallel import parallel_rows
 from arfx.stages.watercolor.sites import GRID_PX, SiteField
 
 BLEND_WEIGHT = 0.5  # of the last frame's measure
-_TOLERANCE, _NOISE = 0.25, 0.005  # difference, relative to the larger and absolute, that still counts as the same
+_TOLERANCE, _NOISE = (
+    0.25,
+    0.005,
+)  # difference, relative to the larger and absolute, that still counts as the same
 _FAR_PX = 256.0  # no thing is followed farther from frame to frame
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -41,20 +44,31 @@ def backward_flow(now: SiteField, before: SiteField) -> np.ndarray | None:
 
 def _sampled(a: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     """`a` between its nodes, bilinear, linear beyond its border. i, j : row and column, not whole"""
-    r, c = np.clip(np.floor(i), 0, a.shape[0] - 2).astype(int), np.clip(np.floor(j), 0, a.shape[1] - 2).astype(int)
+    r, c = (
+        np.clip(np.floor(i), 0, a.shape[0] - 2).astype(int),
+        np.clip(np.floor(j), 0, a.shape[1] - 2).astype(int),
+    )
     t, s = i - r, j - c
-    top, bottom = a[r, c] + s * (a[r, c + 1] - a[r, c]), a[r + 1, c] + s * (a[r + 1, c + 1] - a[r + 1, c])
+    top, bottom = (
+        a[r, c] + s * (a[r, c + 1] - a[r, c]),
+        a[r + 1, c] + s * (a[r + 1, c + 1] - a[r + 1, c]),
+    )
     out: np.ndarray = top + t * (bottom - top)
     return out
 
 
-def temporal_blend(measure: np.ndarray, before: np.ndarray, back: np.ndarray, x0: int, y0: int) -> np.ndarray:
+def temporal_blend(
+    measure: np.ndarray, before: np.ndarray, back: np.ndarray, x0: int, y0: int
+) -> np.ndarray:
     """(h, w) float32: the measure of edges, mixed with that of the frame before.
 
     measure, before (h, w) : on the grid of half the size;  back : of `backward_flow`, its first node at (x0, y0) of the picture
     """
     out = np.empty_like(measure)
-    parallel_rows(lambda a, b: _blend_rows(measure, before, back, np.float32(x0), np.float32(y0), a, b, out), measure.shape[0])
+    parallel_rows(
+        lambda a, b: _blend_rows(measure, before, back, np.float32(x0), np.float32(y0), a, b, out),
+        measure.shape[0],
+    )
     return out
 
 
@@ -62,7 +76,12 @@ def temporal_blend(measure: np.ndarray, before: np.ndarray, back: np.ndarray, x0
 def _blend_rows(measure, before, back, x0, y0, ya, yb, out):  # pragma: no cover - compiled
     h, w = measure.shape
     gh, gw = back.shape[1:]
-    zero, one, half, pitch = np.float32(0), np.float32(1), np.float32(0.5), np.float32(1.0 / GRID_PX)
+    zero, one, half, pitch = (
+        np.float32(0),
+        np.float32(1),
+        np.float32(0.5),
+        np.float32(1.0 / GRID_PX),
+    )
     for y in range(ya, yb):
         i = (np.float32(2 * y) + half - y0) * pitch
         m = min(max(np.int32(i), 0), gh - 2)
@@ -86,4 +105,6 @@ def _blend_rows(measure, before, back, x0, y0, ya, yb, out):  # pragma: no cover
             top = before[r, c] + u * (before[r, d] - before[r, c])
             then = top + v * (before[e, c] + u * (before[e, d] - before[e, c]) - top)
             apart = abs(then - now) / (np.float32(_TOLERANCE) * max(then, now) + np.float32(_NOISE))
-            out[y, x] = now + np.float32(BLEND_WEIGHT) * min(max(np.float32(2) - apart, zero), one) * (then - now)
+            out[y, x] = now + np.float32(BLEND_WEIGHT) * min(
+                max(np.float32(2) - apart, zero), one
+            ) * (then - now)

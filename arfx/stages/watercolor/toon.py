@@ -61,16 +61,33 @@ class Tones(NamedTuple):
 
     @staticmethod
     def of(
-        light: tuple[np.ndarray, np.ndarray], even: np.ndarray, thresholds: tuple[float, float],
-        factors: tuple[float, float, float], opacity: float = 1.0,
-    ) -> Tones:  # fmt: skip
+        light: tuple[np.ndarray, np.ndarray],
+        even: np.ndarray,
+        thresholds: tuple[float, float],
+        factors: tuple[float, float, float],
+        opacity: float = 1.0,
+    ) -> Tones:
         """light : of `toon_light`;  even : (3,) part of its radiance that every tone has"""
         (direction, radiance), f32 = light, np.float32
         direct, at = (radiance - even).astype(f32), np.array(thresholds, f32)
-        return Tones(direction.astype(f32), direct, even.astype(f32), at, np.array(factors, f32), f32(opacity), f32(RAMP))
+        return Tones(
+            direction.astype(f32),
+            direct,
+            even.astype(f32),
+            at,
+            np.array(factors, f32),
+            f32(opacity),
+            f32(RAMP),
+        )
 
 
-def toon(image: np.ndarray, layers: ObjectLayers, tones: Tones, first: tuple[int, int] = (0, 0), every: int = 1) -> np.ndarray:
+def toon(
+    image: np.ndarray,
+    layers: ObjectLayers,
+    tones: Tones,
+    first: tuple[int, int] = (0, 0),
+    every: int = 1,
+) -> np.ndarray:
     """(h, w, 3) float32: `image`, in which VIRTUAL was composited, with the toon-shaded object in its place.
 
     first, every : (row, column) in the layers that the image's first pixel stands for; each stands for so many along x and y"""
@@ -80,7 +97,9 @@ def toon(image: np.ndarray, layers: ObjectLayers, tones: Tones, first: tuple[int
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _toon(layers: ObjectLayers, tones: Tones, first, every, ya, yb, out):  # pragma: no cover - compiled
+def _toon(
+    layers: ObjectLayers, tones: Tones, first, every, ya, yb, out
+):  # pragma: no cover - compiled
     virtual, coverage, normal, albedo, emissive = layers
     light, direct, even, at, factors, opacity, ramp = tones
     zero, one = np.float32(0), np.float32(1)

@@ -51,10 +51,16 @@ class Wobbles:
         """Moved with what is painted. corner : pixel of the frame that the wobble's first is"""
         gh, gw = where.u.shape
         x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
-        return self.at(float(np.median(where.u - x)) + corner[0], float(np.median(where.v - y)) + corner[1])
+        return self.at(
+            float(np.median(where.u - x)) + corner[0], float(np.median(where.v - y)) + corner[1]
+        )
 
     def of_object(
-        self, camera: Camera, camera_from_world: Pose, origin_m: np.ndarray, corner: tuple[int, int] = (0, 0)
+        self,
+        camera: Camera,
+        camera_from_world: Pose,
+        origin_m: np.ndarray,
+        corner: tuple[int, int] = (0, 0),
     ) -> Wobble:
         """Moved with the object. origin_m (3,) WORLD;  corner : as above"""
         x, y = camera.project(camera_from_world.apply(origin_m[None]))[0]
