@@ -54,11 +54,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_holds_every_module_and_the_presets(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
-    data = [
-        p
-        for p in (ROOT / "arfx").rglob("*")
-        if p.suffix in (".json", ".toml", ".html", ".vert", ".frag") and p.name != "ruff.toml"
-    ]
+    kinds = (".json", ".toml", ".html", ".vert", ".frag")
+    data = [p for p in (ROOT / "arfx").rglob("*") if p.suffix in kinds and p.name != "ruff.toml"]
     for path in [*(ROOT / "arfx").rglob("*.py"), *(ROOT / "cli" / "arfx_cli").rglob("*.py"), *data]:
         inside = path.relative_to(ROOT / "cli" if "arfx_cli" in path.parts else ROOT)
         assert str(inside) in held
