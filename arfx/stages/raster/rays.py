@@ -94,8 +94,9 @@ class RayRenderer:
             m.vertices
         )
         box = face_boxes(points, self.camera.project(points), m.faces, self.camera, wide)
-        *nearest, front = nearest_faces(points, m.faces, m.hidden, box, lens, h, w, EPS_DEPTH_M)
-        first_hits = Hits(*nearest)
+        x, y = (np.ascontiguousarray(lens[1:-1, 1:-1, k], float) for k in range(2))
+        *nearest, front = nearest_faces(points, m.faces, m.hidden, box, x, y, EPS_DEPTH_M)
+        first_hits = Hits(*(a.ravel() for a in nearest))
         prim, depth = first_hits.face, first_hits.depth
         edge = edge_pixels(m, self.camera, points, front, wide, depth.reshape(h, w)).ravel()
         add_differences(
@@ -134,11 +135,11 @@ class RayRenderer:
         for start in range(0, len(pixels), max(_TILE_RAYS // count, 1)):
             chunk = pixels[start : start + max(_TILE_RAYS // count, 1)]
             inside = hits.sample_directions(lens, chunk, w, self.offsets)
-            slot = np.full(h * w, -1, np.int32)
-            slot[chunk] = np.arange(len(chunk))
-            found = Hits(
-                *nearest_faces_at(points, m.faces, m.hidden, box, slot, inside, w, EPS_DEPTH_M)
-            )
+            slot = np.full((h, w), -1, np.int32)
+            slot.flat[chunk] = np.arange(len(chunk))
+            x, y = (np.ascontiguousarray(inside[..., k], float) for k in range(2))
+            met = nearest_faces_at(points, m.faces, m.hidden, box, slot, x, y, EPS_DEPTH_M)
+            found = Hits(*(a.ravel() for a in met))
             if centres is None:
                 surface.write_edges(
                     chunk,

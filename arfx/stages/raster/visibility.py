@@ -1,113 +1,30 @@
 """The nearest face at every pixel centre, without a tree: each face asks the pixels of its own box.
 
-A ray d meets the triangle a, b, c where d lies on the inner side of the planes through the eye and each edge, so the test
-is three dot products with a x b, b x c, c x a (Olano and Greer 1997, with directions in place of a pinhole's pixels: any
-lens works). Neighbours compute the same plane with the sign turned, exactly, so no ray slips between them.
-Eight pixels are tested at once: the compiler does not turn a loop with a test and a store into vectors, so the test is given
-as one; unfused, with the bits of one direction after the other.
-Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for the coherent rays of a picture."""
+A ray d meets the triangle a, b, c where d lies on the inner side of the planes through the eye and
+each edge, so the test is three dot products with a x b, b x c, c x a (Olano and Greer 1997, with
+directions in place of a pinhole's pixels: any lens works). Neighbours compute the same plane with
+the sign turned, exactly, so no ray slips between them.
+Each run of directions is passed twice: a plain loop of arithmetic, which the compiler turns into
+vectors, then one that looks at those inside.
+Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for a picture's rays."""
 
-# mypy: disable-error-code="no-untyped-def, call-arg, var-annotated"
+# mypy: disable-error-code="no-untyped-def, var-annotated"
 from __future__ import annotations
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 
-# The picture of a straight edge bows by about length^2 / 8 x curvature of the lens; at this length that is less than
-# the padding for every lens of the test clips, below it the padding shrinks with the bow, above it the edges are followed.
+# The picture of a straight edge bows by about length^2 / 8 x curvature of the lens; at this length
+# that is less than the padding for every lens of the test clips, below it the padding shrinks with
+# the bow, above it the edges are followed.
 _SHORT_PX = 24.0
 _PAD_PX = 1.0
 _SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
 _EDGE_STEPS = 16
-LANES = 8
-_BIT, _BYTE, _INT, _LONG = ir.IntType(1), ir.IntType(LANES), ir.IntType(32), ir.IntType(64)
-_DOUBLES, _INTS = ir.VectorType(ir.DoubleType(), LANES), ir.VectorType(_INT, LANES)
-_PAIRS = ir.VectorType(ir.FloatType(), 2 * LANES)
-
-
-def _broadcast(builder, value):
-    """A vector of doubles, all of them value."""
-    nothing = ir.Constant(_DOUBLES, ir.Undefined)
-    first = builder.insert_element(nothing, value, ir.Constant(_INT, 0))
-    return builder.shuffle_vector(first, nothing, ir.Constant(_INTS, LANES * [0]))
-
-
-def _bits(builder, flags):
-    return builder.zext(builder.bitcast(flags, _BYTE), _LONG)
-
-
-@intrinsic
-def inside_eight(typingctx, directions, i, j, planes):
-    """Bit k: is directions[i, j + k] (x, y, 1) on the inner side, or on, of three planes through the eye?
-
-    directions : (h, w, 2) float32 whose last axis is contiguous; holds [i, j + 7];  not a number = outside
-    planes : (9,) float64, their normals"""
-    signature = types.uint64(
-        directions, types.uint64, types.uint64, types.UniTuple(types.float64, 9)
-    )
-
-    def codegen(context, builder, signature, args):
-        kind = signature.args[0]
-        array = context.make_array(kind)(context, builder, args[0])
-        index = [args[1], args[2], ir.Constant(args[2].type, 0)]
-        at = cgutils.get_item_pointer(context, builder, kind, array, index, wraparound=False)
-        pairs = builder.load(builder.bitcast(at, _PAIRS.as_pointer()), align=4)
-        x, y = (
-            builder.fpext(
-                builder.shuffle_vector(
-                    pairs,
-                    ir.Constant(_PAIRS, ir.Undefined),
-                    ir.Constant(_INTS, [2 * k + part for k in range(LANES)]),
-                ),
-                _DOUBLES,
-            )
-            for part in range(2)
-        )
-        inside = None
-        for k in (0, 3, 6):
-            px, py, pz = (
-                _broadcast(builder, builder.extract_value(args[3], k + axis)) for axis in range(3)
-            )
-            side = builder.fadd(builder.fadd(builder.fmul(px, x), builder.fmul(py, y)), pz)
-            inner = builder.fcmp_ordered(">=", side, ir.Constant(_DOUBLES, LANES * [0.0]))
-            inside = inner if inside is None else builder.and_(inside, inner)
-        return _bits(builder, inside)
-
-    return signature, codegen
-
-
-@intrinsic
-def nonnegative_eight(typingctx, numbers, at):
-    """Bit k: is numbers[at + k] not negative? numbers : flat int32, contiguous, holds [at + 7]"""
-    signature = types.uint64(numbers, types.uint64)
-
-    def codegen(context, builder, signature, args):
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        eight = builder.load(
-            builder.bitcast(builder.gep(data, [args[1]]), _INTS.as_pointer()), align=4
-        )
-        return _bits(builder, builder.icmp_signed(">=", eight, ir.Constant(_INTS, LANES * [0])))
-
-    return signature, codegen
-
-
-@intrinsic
-def lowest_bit(typingctx, bits):
-    """Number of the lowest bit that is set; bits must not be 0."""
-    signature = types.uint64(types.uint64)
-
-    def codegen(context, builder, signature, args):
-        return builder.cttz(args[0], ir.Constant(_BIT, 1))
-
-    return signature, codegen
 
 
 def face_boxes(
@@ -192,148 +109,95 @@ def _boxes(
 
 @numba.njit(nogil=True, inline="always")
 def _planes(points, i, j, k):  # pragma: no cover - compiled
-    """Planes through the eye and the edges opposite to a, b and c, inner side positive; |a b c|; is the front seen?"""
+    """Planes through the eye and the edges opposite to a, b and c, and the volume |a b c|, signed.
+
+    The volume is negative where the front is seen."""
     ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
     bx, by, bz = points[j, 0], points[j, 1], points[j, 2]
     cx, cy, cz = points[k, 0], points[k, 1], points[k, 2]
-    pax, pay, paz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    pbx, pby, pbz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
-    pcx, pcy, pcz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    volume = ax * pax + ay * pay + az * paz
-    s = -1.0 if volume < 0 else 1.0
-    return (
-        s * pax,
-        s * pay,
-        s * paz,
-        s * pbx,
-        s * pby,
-        s * pbz,
-        s * pcx,
-        s * pcy,
-        s * pcz,
-        s * volume,
-        volume < 0,
-    )
+    opposite_a = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    opposite_b = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+    opposite_c = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    volume = ax * opposite_a[0] + ay * opposite_a[1] + az * opposite_a[2]
+    return opposite_a, opposite_b, opposite_c, volume
+
+
+@numba.njit(nogil=True, inline="always")
+def _meet_run(face, planes, near, x, y, first, last, inside, nearest):  # pragma: no cover
+    """Meet one face with the directions x, y [first:last]; nearest : face, u, v, depth of each."""
+    (a0, a1, a2), (b0, b1, b2), (c0, c1, c2), volume = planes
+    if volume < 0:
+        a0, a1, a2, b0, b1, b2 = -a0, -a1, -a2, -b0, -b1, -b2
+        c0, c1, c2, volume = -c0, -c1, -c2, -volume
+    prim, u, v, depth = nearest
+    for k in range(last - first):
+        dx, dy = x[first + k], y[first + k]
+        side_b = b0 * dx + b1 * dy + b2
+        side_c = c0 * dx + c1 * dy + c2
+        inside[k] = min(a0 * dx + a1 * dy + a2, min(side_b, side_c))
+    for k in range(last - first):
+        if inside[k] >= 0:
+            m = first + k
+            dx, dy = x[m], y[m]
+            side_b = b0 * dx + b1 * dy + b2
+            side_c = c0 * dx + c1 * dy + c2
+            total = a0 * dx + a1 * dy + a2 + side_b + side_c
+            z = volume / total
+            if total > 0 and near < z < depth[m]:
+                depth[m], prim[m] = z, face
+                u[m], v[m] = side_b / total, side_c / total
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def nearest_faces(
-    points, faces, hidden, box, lens, height, width, near
-):  # pragma: no cover - compiled
-    """Per pixel the nearest face (-1 = none), its barycentric u, v and depth; and per face whether its front is seen.
+def nearest_faces(points, faces, hidden, box, x, y, near):  # pragma: no cover - compiled
+    """Per pixel the nearest face (-1 = none), its barycentric u, v and depth, (h, w) each.
 
-    hidden : (m,) bool, faces that cannot be seen from behind;  lens : (h + 2, w + 2, 2) directions, one pixel of margin"""
-    prim = np.full(height * width, -1, np.int32)
-    u, v = np.empty(height * width, np.float32), np.empty(height * width, np.float32)
-    depth = np.full(height * width, np.inf, np.float32)
-    if lens.shape[1] < LANES:
-        lens = _widened(lens)
-    one, row, lanes, most = (
-        np.uintp(1),
-        np.uintp(width),
-        np.uintp(LANES),
-        np.uintp(lens.shape[1] - LANES),
+    points : (n, 3) float64, camera axes;  hidden : (m,) bool, faces that are not seen from behind
+    x, y : (h, w) float64 directions, z = 1;  near : least depth, metres
+    Returns also (m,) bool, whether a face's front is seen."""
+    nearest = (
+        np.full(x.shape, -1, np.int32),
+        np.empty(x.shape, np.float32),
+        np.empty(x.shape, np.float32),
+        np.full(x.shape, np.inf, np.float32),
     )
-    front = np.zeros(faces.shape[0], np.bool_)
-    for f in range(faces.shape[0]):
+    prim, u, v, depth = nearest
+    inside = np.empty(x.shape[1])
+    front = np.zeros(len(faces), np.bool_)
+    for f in range(len(faces)):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz, volume, front[f] = _planes(points, i, j, k)
-        if volume == 0 or (hidden[f] and not front[f]):
+        planes = _planes(points, i, j, k)
+        front[f] = planes[3] < 0
+        if planes[3] == 0 or (hidden[f] and not front[f]):
             continue
-        x0, x1 = np.uintp(box[f, 0]), np.uintp(box[f, 2])
-        for y in range(np.uintp(box[f, 1]), np.uintp(box[f, 3])):
-            for first in range(x0, x1, LANES):
-                column = np.uintp(first) + one
-                start = min(column, most)  # eight columns that the table holds
-                found = inside_eight(
-                    lens, np.uintp(y + one), start, (pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz)
-                )
-                found = (found >> (column - start)) << (column - start)
-                if x1 + one - start < lanes:
-                    found &= (one << (x1 + one - start)) - one
-                while found:
-                    x = start + lowest_bit(found) - one
-                    found &= found - one
-                    dx, dy = (
-                        np.float64(lens[y + one, x + one, 0]),
-                        np.float64(lens[y + one, x + one, 1]),
-                    )
-                    ea = pax * dx + pay * dy + paz
-                    eb = pbx * dx + pby * dy + pbz
-                    ec = pcx * dx + pcy * dy + pcz
-                    total = ea + eb + ec
-                    if total > 0:
-                        z, n = volume / total, y * row + x
-                        if near < z < depth[n]:
-                            depth[n], prim[n] = z, f
-                            u[n], v[n] = eb / total, ec / total
+        first, last = np.uintp(box[f, 0]), np.uintp(max(box[f, 0], box[f, 2]))
+        for row in range(np.uintp(box[f, 1]), np.uintp(box[f, 3])):
+            of_row = prim[row], u[row], v[row], depth[row]
+            _meet_run(f, planes, near, x[row], y[row], first, last, inside, of_row)
     return prim, u, v, depth, front
 
 
-@numba.njit(cache=True, nogil=True)
-def _widened(directions):  # pragma: no cover - compiled
-    """(h, w, 2) with columns of no direction added up to a whole number of eights."""
-    h, w = directions.shape[:2]
-    out = np.full((h, -(-w // LANES) * LANES, 2), np.nan, np.float32)
-    for y in range(h):
-        for x in range(w):
-            out[y, x, 0], out[y, x, 1] = directions[y, x, 0], directions[y, x, 1]
-    return out
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def nearest_faces_at(
-    points, faces, hidden, box, slot, samples, width, near
-):  # pragma: no cover - compiled
-    """The same for several samples of some pixels.
+def nearest_faces_at(points, faces, hidden, box, slot, x, y, near):  # pragma: no cover - compiled
+    """The same for s samples of each of n pixels: (n, s) face, u, v, depth.
 
-    slot : (h * w,) int32, number of the pixel among those sampled, -1 = not sampled
-    samples : (pixels, s, 2) float32 directions;  returns face, u, v, depth (pixels * s,)"""
-    per = samples.shape[1]
-    if per % LANES:
-        samples = _widened(samples)
-    if slot.size < LANES:
-        slot = np.concatenate((slot, np.full(LANES, -1, np.int32)))
-    n, one, most = samples.shape[0] * per, np.uintp(1), np.uintp(slot.size - LANES)
-    prim = np.full(n, -1, np.int32)
-    u, v = np.zeros(n, np.float32), np.zeros(n, np.float32)
-    depth = np.full(n, np.inf, np.float32)
-    for f in range(faces.shape[0]):
+    slot : (h, w) int32, number of the pixel among those sampled, -1 = not sampled
+    x, y : (n, s) float64 directions"""
+    prim, u = np.full(x.shape, -1, np.int32), np.zeros(x.shape, np.float32)
+    v, depth = np.zeros(x.shape, np.float32), np.full(x.shape, np.inf, np.float32)
+    inside = np.empty(x.shape[1])
+    last = np.uintp(x.shape[1])
+    for f in range(len(faces)):
         if box[f, 0] >= box[f, 2] or box[f, 1] >= box[f, 3]:
             continue
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz, volume, front = _planes(points, i, j, k)
-        if volume == 0 or (hidden[f] and not front):
+        planes = _planes(points, i, j, k)
+        if planes[3] == 0 or (hidden[f] and planes[3] > 0):
             continue
-        for y in range(box[f, 1], box[f, 3]):
-            ends = np.uintp(y * width + box[f, 2])
-            for first in range(y * width + box[f, 0], ends, LANES):
-                start = min(np.uintp(first), most)
-                sampled = nonnegative_eight(slot, start)
-                sampled = (sampled >> (np.uintp(first) - start)) << (np.uintp(first) - start)
-                if ends - start < np.uintp(LANES):
-                    sampled &= (one << (ends - start)) - one
-                while sampled:
-                    a = np.uintp(slot[start + lowest_bit(sampled)])
-                    sampled &= sampled - one
-                    for eight in range(0, samples.shape[1], LANES):
-                        found = inside_eight(
-                            samples,
-                            a,
-                            np.uintp(eight),
-                            (pax, pay, paz, pbx, pby, pbz, pcx, pcy, pcz),
-                        )
-                        while found:
-                            s = np.uintp(eight) + lowest_bit(found)
-                            found &= found - one
-                            dx, dy = np.float64(samples[a, s, 0]), np.float64(samples[a, s, 1])
-                            ea = pax * dx + pay * dy + paz
-                            eb = pbx * dx + pby * dy + pbz
-                            ec = pcx * dx + pcy * dy + pcz
-                            total = ea + eb + ec
-                            if total > 0:
-                                z, m = volume / total, a * np.uintp(per) + s
-                                if near < z < depth[m]:
-                                    depth[m], prim[m] = z, f
-                                    u[m], v[m] = eb / total, ec / total
+        for row in range(np.uintp(box[f, 1]), np.uintp(box[f, 3])):
+            for column in range(np.uintp(box[f, 0]), np.uintp(box[f, 2])):
+                if slot[row, column] >= 0:
+                    n = np.uintp(slot[row, column])
+                    of_pixel = prim[n], u[n], v[n], depth[n]
+                    _meet_run(f, planes, near, x[n], y[n], np.uintp(0), last, inside, of_pixel)
     return prim, u, v, depth

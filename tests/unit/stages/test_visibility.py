@@ -43,7 +43,9 @@ def test_each_pixel_sees_the_nearest_face_in_pictures_of_any_width(width: int) -
     x0 = rng.integers(0, width, FACES)
     box = np.stack([x0, np.zeros(FACES, int), rng.integers(x0, width) + 1, np.full(FACES, height)], 1).astype(np.int32)
     box[: FACES // 2] = [0, 0, width, height]
-    prim, u, v, depth, front = nearest_faces(points, faces, hidden, box, lens, height, width, EPS_DEPTH_M)
+    directions = (lens[1:-1, 1:-1, k].astype(float) for k in range(2))
+    *nearest, front = nearest_faces(points, faces, hidden, box, *directions, EPS_DEPTH_M)
+    prim, u, v, depth = (a.ravel() for a in nearest)
 
     column = np.tile(np.arange(width), height)
     expected, far = np.full(width * height, -1), np.full(width * height, np.inf, np.float32)
@@ -66,11 +68,13 @@ def test_each_sample_sees_the_nearest_face_whatever_their_number(width: int, per
     points, faces, hidden = triangles(rng)
     height = 3
     asked = np.flatnonzero(rng.random(width * height) < 0.6)
-    slot = np.full(width * height, -1, np.int32)
-    slot[asked] = np.arange(len(asked))
+    slot = np.full((height, width), -1, np.int32)
+    slot.flat[asked] = np.arange(len(asked))
     samples = rng.uniform(-0.7, 0.7, (len(asked), per, 2)).astype(np.float32)
     box = np.tile(np.array([0, 0, width, height], np.int32), (FACES, 1))
-    prim, _, _, depth = nearest_faces_at(points, faces, hidden, box, slot, samples, width, EPS_DEPTH_M)
+    directions = (np.ascontiguousarray(samples[..., k], float) for k in range(2))
+    met = nearest_faces_at(points, faces, hidden, box, slot, *directions, EPS_DEPTH_M)
+    prim, _, _, depth = (a.ravel() for a in met)
     expected, far = plain(points, faces, hidden, samples.reshape(-1, 2))
     assert (expected >= 0).any()
     np.testing.assert_array_equal(prim, expected)
