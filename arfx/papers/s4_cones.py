@@ -1,9 +1,9 @@
 """Step 4 of Yao, Tao, Wu 2018: cones through the octree's volumes.
 
-One narrow cone about the mirrored direction, several wide ones over the hemisphere (the six of stages/gi/cones.py). Samples lie
-half a cone's width apart, on the level whose voxels are as wide as the cone there, linear between voxels and between levels. A
-step of length ds through voxels of side s takes 1 - (1 - alpha)^(ds / s) of what lies behind; the voxels' radiance counts whole,
-whatever the step.
+One narrow cone about the mirrored direction, several wide ones over the hemisphere: here six. Samples lie half a cone's width
+apart, on the level whose voxels are as wide as the cone there, linear between voxels and between levels. A step of length ds
+through voxels of side s takes 1 - (1 - alpha)^(ds / s) of what lies behind; the voxels' radiance counts whole, whatever the step,
+but for `scaled`, which corrects it.
 
 What V_eta, the volume of normals, is for is not said. Here voxels that face away from a cone's start neither send nor hide, or a
 surface would hide the light from itself; where normals cancel (a thin wall, a coarse voxel) both sides count.
@@ -23,6 +23,35 @@ _DARK = np.float32(0.005)  # less of the background than this is none
 _FRONT = np.float32(4.0)  # 1 over the cosine from which on a voxel is seen whole
 SPACING = 0.5  # of samples, widths of the cone
 _FEW = 256  # points: below it threads cost more than they save
+# Cosine of the tilt of the five: a cosine lobe leaves 2/3 and 1/4 of the first two degrees of what
+# is around, and with cones of 30 degrees this tilt leaves .667 and .247.
+TILT_COSINE = 0.619
+WIDE_DEG = 30.0  # half-angle of the six
+
+
+def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
+    """(directions (6, 3) about +z, weights (6,), tangent of the half-angle): one up, five 52 degrees from it."""
+    turn = np.arange(5) * 2 * np.pi / 5
+    aside = np.sqrt(1 - TILT_COSINE**2)
+    ring = np.stack([aside * np.cos(turn), aside * np.sin(turn), np.full(5, TILT_COSINE)], -1)
+    directions = np.concatenate([[[0.0, 0.0, 1.0]], ring]).astype(np.float32)
+    weights = np.array([0.25] + [0.15] * 5, np.float32)
+    return directions, weights, float(np.tan(np.radians(WIDE_DEG)))
+
+
+def around_normals(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(m, k, 3) float32: directions (k, 3) about +z turned to each of the unit normals (m, 3).
+
+    The frame is continuous but at (0, 0, -1) (Frisvad 2012)."""
+    x, y, z = np.asarray(normals, np.float32).T
+    a = 1 / np.maximum(1 + z, np.float32(1e-5))
+    b = -x * y * a
+    u = np.stack([1 - x * x * a, b, -x], -1)
+    v = np.stack([b, 1 - y * y * a, -y], -1)
+    down = z < -0.99999
+    u[down], v[down] = (0, -1, 0), (-1, 0, 0)
+    frame = np.stack([u, v, np.stack([x, y, z], -1)], 1)
+    return np.asarray(directions @ frame, np.float32)
 
 
 def cone_steps(tan_half: float, n: int) -> np.ndarray:
@@ -43,18 +72,22 @@ def cone_trace(
     steps: np.ndarray,
     positions_m: np.ndarray,
     directions: np.ndarray,
+    scaled: bool = False,
 ) -> np.ndarray:
     """(m, k, 4) radiance of V, and share of the background that is left, of cones from positions (m, 3), metres, anchor axes, in
-    directions (m, k, 3), unit. V (nodes, 3) float32;  steps : of `cone_steps`"""
+    directions (m, k, 3), unit. V (nodes, 3) float32;  steps : of `cone_steps`
+    scaled : radiance counts as much as the step's opacity does, however a way is cut into steps"""
     start, d = volumes.in_voxels(positions_m), np.ascontiguousarray(directions, np.float32)
     parts = parallel_rows(
-        lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b]), len(start), least=_FEW
+        lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b], scaled),
+        len(start),
+        least=_FEW,
     )
     return np.concatenate([np.zeros((0, d.shape[1], 4), np.float32), *parts])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _cone_trace(tree: Octree, V, steps, start, directions):  # pragma: no cover - compiled
+def _cone_trace(tree: Octree, V, steps, start, directions, scaled):  # pragma: no cover - compiled
     """`cone_trace` of some. start (m, 3) : voxels"""
     out = np.empty((start.shape[0], directions.shape[1], 4), np.float32)
     size, half, one = np.float32(1 << tree.depth), np.float32(0.5), np.float32(1)
@@ -94,10 +127,12 @@ def _cone_trace(tree: Octree, V, steps, start, directions):  # pragma: no cover 
                     alpha += coarser * (beta - alpha)
                 if alpha <= 0:
                     continue
-                r += transmittance * vr
-                g += transmittance * vg
-                b += transmittance * vb
-                transmittance *= (one - min(alpha, one)) ** exponent
+                left = (one - min(alpha, one)) ** exponent
+                weight = transmittance * (one - left) / alpha if scaled else transmittance
+                r += weight * vr
+                g += weight * vg
+                b += weight * vb
+                transmittance *= left
                 if transmittance < _DARK:
                     transmittance = np.float32(0)
                     break

@@ -11,13 +11,13 @@ Deviations. Not stated and therefore settings: voxels a side, the plane's albedo
 V_delta has its sign turned round: it is subtracted here. The environment is said once to be for real and once for virtual
 surfaces: the picture of real ones holds it already. Only light with a direction is in the voxels, so where the frame has none
 nothing changes on the planes. The picture is changed by a ratio, so black pixels of it gain little. Processor instead of
-graphics card. The gloss of materials is the corrected stage's (split sum). Its errors: docs/methods/gi.md#errata."""
+graphics card. Gloss: s4_gloss.py. Its errors: docs/methods/gi.md#errata."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,35 +27,36 @@ from arfx.core.light import Light
 from arfx.core.numerics import normalise
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Check, Demand, JobView, View
+from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError, require_within
-from arfx.papers.s4_cones import cone_steps, cone_trace
+from arfx.papers.s4_cones import around_normals, cone_steps, cone_trace, six_cones
 from arfx.papers.s4_environment import FACE_PX, step3_environment, step3_mipmap, step4_environment
+from arfx.papers.s4_gloss import fresnel, mirror_tangent
 from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
-from arfx.stages.gi import Gi, GiParams
-from arfx.stages.gi.cones import LOBES, around_normals, mirror_tangent, six_cones
-from arfx.stages.gi.frame_light import rounded
-from arfx.stages.gi.pixels import split_sum
-from arfx.stages.gi.plane_pixels import DARKEST, measured
-from arfx.stages.gi.real_planes import planes_of
+from arfx.stages.gi import GiParams
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
 
 VOXELS = (32, 64, 128, 256)
 LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
 BATCH = 1 << 16  # pixels at once: bounds memory
+DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
+LOBES = 12  # widths of mirror cones, from those of roughness 0 to 1
+LIGHT_STEP = 0.03  # of brightness: a light that changes by less keeps its volumes
 
 
 @dataclass(frozen=True)
 class PrintedGiParams(GiParams):
     """voxels : of a side of the octree's lowest level: 32, 64, 128 or 256
     plane_albedo : of the real plane, 0..1
-    plane_gloss : as under the corrected formula, but the planes mirror the object unless this is 0"""
+    plane_gloss : as under the corrected formula, but the planes mirror the object unless this is 0
+    plane_roughness : roughness of the plane's reflection, 0 (a mirror) to 1"""
 
     formula: str = field(default="paper", init=False)
     plane_gloss: float = 0.1
+    plane_roughness: float = 0.1
     voxels: int = 128
     plane_albedo: float = 0.5
 
@@ -90,13 +91,34 @@ class Surfels:
 
     @property
     def mirrored(self) -> np.ndarray:
-        return self.seen - 2 * (self.seen * self.normal).sum(-1, keepdims=True) * self.normal
+        return self.seen + 2 * self.cosine[:, None] * self.normal
+
+    @property
+    def cosine(self) -> np.ndarray:
+        """(m,) between the normal and the way to the camera."""
+        return -(self.seen * self.normal).sum(-1)
 
 
-class PrintedGi(Gi):
-    levels = ("standard",)
+class PrintedGi(Stage):
+    name = "gi"
+    reads = frozenset(
+        {
+            Layer.PLATE,
+            Layer.COVERAGE,
+            Layer.NORMAL,
+            Layer.POSITION,
+            Layer.ALBEDO,
+            Layer.MATERIAL,
+            Layer.VIRTUAL,
+            Layer.SHADOW,
+            Layer.REAL_DEPTH,
+        }
+    )
+    writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
     facts = frozenset({"pose", "light"})
     Params = PrintedGiParams
+    terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
+    overrides: ClassVar = {"lightmap": {"ambient": False}}  # all light without a direction is here
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model, mesh = facts.raster_box.clip(frame), self._mesh_rect(facts, scene, frame)
@@ -108,13 +130,10 @@ class PrintedGi(Gi):
         return scene.camera.rect  # all of the picture is in the environment
 
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
-        return {"new_lights": None if facts.light is None else repr(rounded(facts.light))}
-
-    def health(self, job: JobView) -> Iterable[Check]:
-        return ()  # its environment has a seam, and its furnace is not white: as printed
+        return {"new_lights": None if facts.light is None else repr(lamps_of(facts.light))}
 
     def prepare(self, scene: Scene, level: str) -> Any:
-        parts = step1_mesh(planes_of(scene), self.params.plane_albedo)
+        parts = step1_mesh(scene, self.params.plane_albedo)
         volumes = step2_volumes(real_and_virtual(scene, parts), scene, self.params.voxels)
         return PrintedPrepared(
             RayScene(real_scene(scene, parts)),
@@ -124,9 +143,16 @@ class PrintedGi(Gi):
         )
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
-        light = rounded(view.light)
+        lamps = lamps_of(view.light)
+        turn = view.scene.world_from_anchor.rotation
         radiance = view.memo.of_light.get(
-            repr(light), lambda: step2_of(prepared, light, view.scene)
+            repr(lamps),
+            lambda: step2_radiance(
+                prepared.volumes,
+                prepared.real,
+                prepared.virtual,
+                [(d @ turn, rgb) for d, rgb in lamps],
+            ),
         )
         virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
         picture = np.clip(view[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32), 0, None)
@@ -159,7 +185,7 @@ class PrintedGi(Gi):
         if self.params.plane_gloss > 0:
             rough = np.full(len(out), self.params.plane_roughness)
             mirrored, _ = mirror_cones(volumes, radiance.V_delta, at, rough)
-            a, b = fresnel(rough, at)
+            a, b = fresnel(rough, at.cosine)
             out = out + (self.params.plane_gloss * a + b) * mirrored[:, :3]
         return out
 
@@ -183,7 +209,7 @@ class PrintedGi(Gi):
             mirrored[k, :3] += mirrored[k, 3:] * step4_environment(
                 environment, at.mirrored[k] @ camera_from_anchor.T, deg
             )
-        a, b = fresnel(roughness, at)
+        a, b = fresnel(roughness, at.cosine)
         f0 = 0.08 * material[:, 2:3] * (1 - metal)
         gloss = np.where(f0 + metal > 0, (f0 + rho * metal) * a + b, 0)
         return (
@@ -195,19 +221,22 @@ class PrintedGi(Gi):
         """Pixels in which the mesh of the real planes can be seen."""
         if self.params.strength <= 0:
             return EMPTY
-        corners = np.concatenate(
-            [p.vertices for p in step1_mesh(planes_of(scene), self.params.plane_albedo)]
-        )
+        mesh = step1_mesh(scene, self.params.plane_albedo)
+        corners = np.concatenate([part.vertices for part in mesh])
         return seen_rect(
             scene.camera, (facts.pose @ scene.world_from_anchor).apply(corners), 1.0
         ).clip(frame)
 
 
-def step2_of(prepared: PrintedPrepared, light: Light, scene: Scene) -> Radiance:
-    """V_rho, V_mu and V_delta of a light, WORLD axes."""
-    turn = scene.world_from_anchor.rotation
-    lamps = [(li.unit @ turn, np.clip(li.rgb, 0, None)) for li in light.lights]
-    return step2_radiance(prepared.volumes, prepared.real, prepared.virtual, lamps)
+def lamps_of(light: Light) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Direction (3,), unit, WORLD axes, and rgb (3,) of each directional light, in steps too small to show by way of voxels."""
+    lamps = []
+    for lamp in light.lights:
+        rgb = np.asarray(lamp.rgb, float)
+        steps = np.round(np.log(np.maximum(rgb, 1e-6)) / LIGHT_STEP)
+        rgb = np.where(rgb > 1e-6, np.exp(steps * LIGHT_STEP), 0.0)
+        lamps.append((normalise(np.round(lamp.unit, 2)), rgb))
+    return lamps
 
 
 def real_surfels(
@@ -223,10 +252,9 @@ def real_surfels(
         & ((hit.normal * seen).sum(-1) < 0)
         & (view[Layer.COVERAGE][within.slices_in(view.rect)].ravel() < 1)
     )
-    if (real := measured(view.layers)).size:
-        depth = real[within.slices_in(view.rect)].ravel()
-        with np.errstate(invalid="ignore"):
-            on &= ~(np.isfinite(depth) & (np.abs(depth - hit.distance) > LIFT * hit.distance))
+    depth = view[Layer.REAL_DEPTH][within.slices_in(view.rect)].ravel()
+    with np.errstate(invalid="ignore"):
+        on &= ~(np.isfinite(depth) & (np.abs(depth - hit.distance) > LIFT * hit.distance))
     row, column = np.unravel_index(np.flatnonzero(on), d.shape[:2])
     rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
     return rows, Surfels(hit.position[on], hit.normal[on], normalise(seen[on]))
@@ -268,7 +296,7 @@ def wide_cones(
 def mirror_cones(
     volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle). roughness (m,) : in steps"""
+    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle). roughness (m,)"""
     tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
     out = np.zeros((len(tangent), 4), np.float32)
     for one in np.unique(tangent):
@@ -277,17 +305,6 @@ def mirror_cones(
             :, 0
         ]
     return out, np.degrees(np.arctan(tangent))
-
-
-def fresnel(roughness: np.ndarray, at: Surfels) -> tuple[np.ndarray, np.ndarray]:
-    """(a, b), (m, 1) each: F0 a + b of the mirrored light is reflected."""
-    table = split_sum()
-    cosine = np.clip(-(at.seen * at.normal).sum(-1), 0, 1)
-    i, j = (
-        np.rint(np.clip(v, 0, 1) * (n - 1)).astype(int)
-        for v, n in zip((roughness, cosine), table.shape[:2], strict=True)
-    )
-    return table[i, j, :1], table[i, j, 1:]
 
 
 def bands(rect: Rect) -> Iterable[Rect]:

@@ -15,11 +15,12 @@ import numpy as np
 from arfx.core.model import Material, Model, Part
 from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
-from arfx.stages.gi.surroundings import Planes
+from arfx.stages.gi.real_planes import planes_of
 
 
-def step1_mesh(planes: Planes, albedo: float) -> tuple[Part, ...]:
-    """A rectangle for each plane, metres, anchor axes."""
+def step1_mesh(scene: Scene, albedo: float) -> tuple[Part, ...]:
+    """A rectangle for each of the scene's planes, metres, anchor axes. albedo : of all of them"""
+    planes = planes_of(scene)
     matt = Material("plane", base_colour=(albedo, albedo, albedo, 1.0), specular=0.0, roughness=1.0)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     parts = []

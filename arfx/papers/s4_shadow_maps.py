@@ -19,8 +19,8 @@ import numpy as np
 
 from arfx.core.numerics import normalise
 from arfx.papers.s4_volumes import Volumes
+from arfx.papers.s4_voxels import Volume
 from arfx.stages.gi.reference_scene import RayScene
-from arfx.stages.gi.voxelise import Volume
 
 TEXELS = 3  # of a shadow map across a voxel: one that the light grazes is not missed
 

@@ -15,8 +15,7 @@ import numba
 import numpy as np
 
 from arfx.core.scene import Scene
-from arfx.stages.gi.real_planes import bounding_ball
-from arfx.stages.gi.voxelise import Volume, volume_around, voxelise
+from arfx.papers.s4_voxels import Volume, volume_around, voxelise
 
 MARGIN = 2.0  # radii of the object to each side of its middle: where its shadow and its bounced light fall
 POINTER_BYTES = 5  # of a node: first child and mask
@@ -58,11 +57,11 @@ class Volumes:
         at = np.minimum(np.searchsorted(self.codes, code), len(self.codes) - 1)
         return np.where(inside & (self.codes[at] == code), at, -1)
 
-    def filtered(self, leaves: np.ndarray) -> np.ndarray:
-        """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest upwards."""
+    def filtered(self, leaves: np.ndarray, stored: bool = False) -> np.ndarray:
+        """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest upwards. stored : of `step2_mean`"""
         levels = [leaves.astype(np.float32)]
         for start in self.starts:
-            levels.append(step2_mean(levels[-1], start))
+            levels.append(step2_mean(levels[-1], start, stored))
         return np.concatenate(levels[::-1])
 
     def rows_of(self, level: int) -> slice:
@@ -77,36 +76,41 @@ class Volumes:
         return len(self.tree.first) * (POINTER_BYTES + 4 * channels), dense
 
 
-def step2_mean(below: np.ndarray, starts: np.ndarray) -> np.ndarray:
+def step2_mean(below: np.ndarray, starts: np.ndarray, stored: bool = False) -> np.ndarray:
     """A voxel is the mean of its eight children, of which the missing ones are empty. Through a wall one voxel thick
-    1 - 2^-L of the light leaks at level L.
+    1 - 2^-L of the light leaks at level L. stored : the mean of those children that are there: no light leaks, but every
+    surface grows with the level
 
     below (m, c) : of the level below, by code;  starts (p,) : of each voxel's first child in it"""
-    return np.asarray(np.add.reduceat(below, starts, axis=0) / np.float32(8))
+    children = np.diff(starts, append=len(below))[:, None] if stored else 8
+    return np.asarray(np.add.reduceat(below, starts, axis=0) / np.asarray(children, np.float32))
 
 
 def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
     """V_eta of the real and the virtual scene `both`. around : the scene whose object is in the middle;  n : voxels a side"""
     volume = cube_around(around, n)
-    voxels = voxelise(both, n, volume)
+    voxels = voxelise(both, volume)
     return octree_of(volume, voxels.cells, voxels.normal, voxels.opacity)
 
 
 def cube_around(scene: Scene, n: int) -> Volume:
     """The object and the plane under it, MARGIN radii to each side."""
-    (x, y, _), radius = bounding_ball(scene)
-    foot = [
-        (x + i * MARGIN * radius, y + j * MARGIN * radius, 0.0) for i in (-1, 1) for j in (-1, 1)
-    ]
-    return volume_around(
-        np.concatenate([scene.world_from_anchor.inverse().apply(scene.model_points_m), foot]), n
-    )
+    points = scene.world_from_anchor.inverse().apply(scene.model_points_m)
+    points = points[np.isfinite(points).all(1)]
+    centre = (points.min(0) + points.max(0)) / 2
+    reach = MARGIN * max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
+    foot = [(centre[0] + i * reach, centre[1] + j * reach, 0.0) for i in (-1, 1) for j in (-1, 1)]
+    return volume_around(np.concatenate([points, foot]), n)
 
 
 def octree_of(
-    volume: Volume, cells: np.ndarray, normal: np.ndarray, opacity: np.ndarray
+    volume: Volume,
+    cells: np.ndarray,
+    normal: np.ndarray,
+    opacity: np.ndarray,
+    stored: bool = False,
 ) -> Volumes:
-    """cells (v, 3) int;  normal (v, 3);  opacity (v,)"""
+    """cells (v, 3) int;  normal (v, 3);  opacity (v,);  stored : of `step2_mean`"""
     code = morton(cells.astype(np.int64))
     order = np.argsort(code, kind="stable")
     levels, starts = [code[order]], list[np.ndarray]()
@@ -127,7 +131,8 @@ def octree_of(
         len(starts),
     )
     out = Volumes(volume, bare, levels[0], tuple(starts))
-    eta = out.filtered(np.concatenate([normal * opacity[:, None], opacity[:, None]], 1)[order])
+    leaves = np.concatenate([normal * opacity[:, None], opacity[:, None]], 1)[order]
+    eta = out.filtered(leaves, stored)
     return Volumes(volume, bare._replace(eta=eta), levels[0], tuple(starts))
 
 

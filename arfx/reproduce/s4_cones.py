@@ -9,23 +9,24 @@ import numpy as np
 
 from arfx.core.scene import Scene
 from arfx.core.stage import JobView, Stage
+from arfx.papers.s4_cones import WIDE_DEG, six_cones
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGi, PrintedGiParams, Surfels, wide_cones
+from arfx.papers.s4_gloss import mirror_tangent
 from arfx.reproduce.rows import Row
 from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, said, settings
 from arfx.reproduce.s4_volumes import N, ray, small
 from arfx.reproduce.work import Work
 from arfx.run.summary import picture
 from arfx.stages import STAGES
-from arfx.stages.gi.cones import mirror_tangent, six_cones
 from arfx.stages.gi.health import furnace_mean
 
-FURNACE = ((32, "draft"), (64, "standard"), (128, "high"))  # voxels a side, and the corrected level that has them
+FURNACE = (32, 64, 128)  # voxels a side
 
 
 def cones(work: Work) -> Iterator[Row]:
-    directions, weights, tangent = six_cones()
-    narrow, wide = float(np.degrees(np.arctan(mirror_tangent(0.1)))), float(np.degrees(np.arctan(tangent)))
+    directions, weights, _ = six_cones()
+    narrow, wide = float(np.degrees(np.arctan(mirror_tangent(0.1)))), WIDE_DEG
     yield said(
         "step 4, half-angle of the mirror cone at a roughness of 0.1", "a narrow cone", (narrow, narrow), narrow < wide / 4,
         "it is not narrow", "degrees",
@@ -84,19 +85,19 @@ def furnace(work: Work) -> Iterator[Row]:
     """A white ball on a white plane in an even light of 1 has to vanish. The short form has the smallest volume alone."""
     given = settings(work, "ball", "8cm", FLAT_LAMP)
     scene = work.planned(flat_scene(work), settings=given).scene
+    corrected = furnace_of(STAGES["gi"](), scene)
     means: list[float] = []
-    for n, level in FURNACE:
+    for n in FURNACE:
         if not (means and work.short):
-            means = [furnace_of(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)), scene, "standard")]
-            means.append(furnace_of(STAGES["gi"](), scene, level))
+            means = [furnace_of(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)), scene), corrected]
         yield said(
             f"step 4, white furnace at {n}³ voxels", "1, as follows", means, max(abs(m - 1) for m in means) < 0.02,
             "voxels of the plane that hold the ball's foot leak, and its normals are means", "mean radiance",
         )  # fmt: skip
 
 
-def furnace_of(gi: Stage, scene: Scene, level: str) -> float:
+def furnace_of(gi: Stage, scene: Scene) -> float:
     """Mean radiance of a white model by this stage of indirect light."""
-    mean = furnace_mean(JobView((), scene, {}, partial(picture, own={"gi": gi})), level)
+    mean = furnace_mean(JobView((), scene, {}, partial(picture, own={"gi": gi})), "standard")
     assert mean is not None
     return mean

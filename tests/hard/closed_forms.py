@@ -17,8 +17,7 @@ from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation
 from arfx.papers.s1_light import eq8_weight
 from arfx.papers.s2_lens import printed_limits
 from arfx.papers.s4_volumes import octree_of
-from arfx.stages.gi.pyramid import levels_of, structure_of
-from arfx.stages.gi.voxelise import Volume
+from arfx.papers.s4_voxels import Volume
 from tests.hard.sweeps import ANSWER, EITHER, REFUSAL, SIGMAS, Answer, Data, Expected, Sweep, always
 
 _AXES = normalise(np.random.default_rng(3).normal(size=(12, 3)))
@@ -121,14 +120,13 @@ _WALL = np.array([(7, y, z) for z in range(16) for y in range(16)])
 
 
 def _wall(delta: float, formula: str, data: Data) -> Answer:
-    """A wall of opacity 1 - delta, one voxel thick, at the mip level of eight voxels: what leaks beside what should."""
-    values = np.zeros((len(_WALL), 4), np.float32)
-    values[:, 3] = data(1 - delta)
-    if formula == "paper":
-        tree = octree_of(Volume(16, (0.0, 0.0, 0.0), 1.0), _WALL, np.zeros((len(_WALL), 3)), values[:, 3])
-        opacity = tree.tree.eta[tree.rows_of(3), 3]
-    else:
-        opacity = levels_of(structure_of(_WALL, 16), values)[3][:, 0, 3]
+    """A wall of opacity 1 - delta, one voxel thick, at the mip level of eight voxels: what leaks beside what should.
+
+    Corrected: the mean of the children that are stored."""
+    values = np.full(len(_WALL), data(1 - delta))
+    cube, normals = Volume(16, (0.0, 0.0, 0.0), 1.0), np.zeros((len(_WALL), 3))
+    tree = octree_of(cube, _WALL, normals, values, stored=formula == "corrected")
+    opacity = tree.tree.eta[tree.rows_of(3), 3]
     return Answer(abs(float(opacity.max(initial=0.0)) - (1 - delta)))
 
 

@@ -10,15 +10,14 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
 from arfx.errors import ConfigError
-from arfx.papers.s4_cones import cone_steps, cone_trace
+from arfx.papers.s4_cones import cone_steps, cone_trace, six_cones
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGiParams, Surfels, wide_cones
 from arfx.papers.s4_volumes import octree_of
+from arfx.papers.s4_voxels import Volume
 from arfx.run.parameters import stage_of
 from arfx.run.predict import without_level
 from arfx.stages.gi import GiParams
-from arfx.stages.gi.cones import six_cones
-from arfx.stages.gi.voxelise import Volume
 from tests.unit.stages import gi_scenes
 from tests.unit.stages.gi_scenes import (
     BLACK,

@@ -13,7 +13,6 @@ from arfx.core.scene import Scene
 from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import Radiance, shadow_maps, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
-from arfx.stages.gi.real_planes import planes_of
 from arfx.stages.gi.reference_scene import RayScene
 from tests.unit.stages.gi_scenes import LAMP, MATT_RED, box, on_plane
 
@@ -24,7 +23,7 @@ D, RGB = normalise(np.array([0.6, 0.0, 0.8])), np.array([0.5, 0.4, 0.3])
 @cache
 def built() -> tuple[Scene, RayScene, RayScene, Volumes]:
     s = on_plane(box(MATT_RED), LAMP)
-    mesh = step1_mesh(planes_of(s), ALBEDO)
+    mesh = step1_mesh(s, ALBEDO)
     return s, RayScene(real_scene(s, mesh)), RayScene(s), step2_volumes(real_and_virtual(s, mesh), s, 32)
 
 

@@ -8,8 +8,7 @@ import pytest
 from arfx.papers.s4_cones import cone_trace
 from arfx.papers.s4_plane import real_and_virtual, step1_mesh
 from arfx.papers.s4_volumes import Volumes, morton, node_below, octree_of, step2_volumes
-from arfx.stages.gi.real_planes import planes_of
-from arfx.stages.gi.voxelise import Volume
+from arfx.papers.s4_voxels import Volume
 from tests.unit.stages.gi_scenes import LAMP, MATT_RED, box, on_plane
 
 N = 16
@@ -17,18 +16,31 @@ CUBE = Volume(N, (0.0, 0.0, 0.0), 1.0)
 WALL = np.array([(7, y, z) for z in range(N) for y in range(N)])
 
 
-def filled(cells: np.ndarray, alpha: float = 1.0, normal: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Volumes:
-    return octree_of(CUBE, cells, np.tile(normal, (len(cells), 1)), np.full(len(cells), alpha))
+def filled(
+    cells: np.ndarray,
+    alpha: float = 1.0,
+    normal: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    stored: bool = False,
+) -> Volumes:
+    normals = np.tile(normal, (len(cells), 1))
+    return octree_of(CUBE, cells, normals, np.full(len(cells), alpha), stored)
 
 
 def scene_volumes(n: int) -> Volumes:
     s = on_plane(box(MATT_RED), LAMP)
-    return step2_volumes(real_and_virtual(s, step1_mesh(planes_of(s), 0.5)), s, n)
+    return step2_volumes(real_and_virtual(s, step1_mesh(s, 0.5)), s, n)
 
 
-def traced(volumes: Volumes, V: np.ndarray, steps: list[list[float]], start: list[float], d: list[float]) -> np.ndarray:
-    out = cone_trace(volumes, V, np.array(steps, np.float32), np.array([start]), np.array([[d]]))
-    return np.asarray(out[0, 0])
+def traced(
+    volumes: Volumes,
+    V: np.ndarray,
+    steps: list[list[float]],
+    start: list[float],
+    d: list[float],
+    scaled: bool = False,
+) -> np.ndarray:
+    walk = np.array(steps, np.float32)
+    return np.asarray(cone_trace(volumes, V, walk, np.array([start]), np.array([[d]]), scaled)[0, 0])
 
 
 def test_a_wall_one_voxel_thick_leaks() -> None:
@@ -40,6 +52,25 @@ def test_a_wall_one_voxel_thick_leaks() -> None:
     assert got[3] == pytest.approx(0.875), "a cone eight voxels wide at the wall"
     got = traced(wall, nothing, [[9.5, 0, 1.0]], [-2, 8, 8], [1, 0, 0])
     assert got[3] == 0, "one as wide as a voxel"
+
+
+def test_the_mean_of_stored_children_keeps_a_wall_opaque_and_makes_it_fat() -> None:
+    wall = filled(WALL, stored=True)
+    opacity = [wall.tree.eta[wall.rows_of(level), 3] for level in range(4)]
+    assert [set(a.tolist()) for a in opacity] == [{1.0}] * 4
+    nothing = np.zeros((len(wall.tree.first), 3), np.float32)
+    assert traced(wall, nothing, [[6.0, 3, 1.0]], [-2, 8, 8], [1, 0, 0])[3] == 0
+
+
+@pytest.mark.parametrize("parts", [1, 2, 4, 8])
+def test_scaled_radiance_does_not_depend_on_how_a_step_is_cut(parts: int) -> None:
+    """What a glowing medium sends is 1 - (what it lets through)."""
+    cells = np.argwhere(np.ones((N, N, N)))
+    half = filled(cells, 0.5)
+    V = half.filtered(np.full((len(cells), 3), 0.5))
+    walk = [[k / parts, 0, 1 / parts] for k in range(parts)]
+    got = traced(half, V, walk, [8, 8, 8], [1, 0, 0], scaled=True)
+    assert got[:3] == pytest.approx(0.5, abs=1e-5) and got[3] == pytest.approx(0.5, abs=1e-5)
 
 
 def test_nothing_empty_is_stored_and_everything_else_is_found() -> None:
