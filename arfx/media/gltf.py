@@ -27,10 +27,10 @@ _EXTENSIONS = {
     "KHR_xmp_json_ld": "",
     "KHR_lights_punctual": "its lamps: the clip's own light is used",
     "KHR_materials_variants": "its variants: the default one is shown",
-    "KHR_materials_clearcoat": "clear coat",
+    "KHR_materials_clearcoat": "",
     "KHR_materials_transmission": "transmission: glass looks solid",
     "KHR_materials_volume": "colour by depth of glass",
-    "KHR_materials_sheen": "sheen of cloth",
+    "KHR_materials_sheen": "",
     "KHR_materials_iridescence": "iridescence",
     "KHR_materials_anisotropy": "anisotropic highlights",
     "KHR_materials_dispersion": "dispersion",
@@ -50,7 +50,6 @@ _CONVERTERS = {
     "KHR_texture_basisu": "ktxdecompress",
     "EXT_texture_avif": "png",
 }
-_MAPS = {"normalTexture": "normal maps", "occlusionTexture": "occlusion maps"}
 _TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TEXCOORD_0": "VEC2"}
 
 
@@ -99,15 +98,15 @@ def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
     notices = []
     if at_rest:
         what = " and ".join(at_rest)
-        notices.append(f"model {path.name}: {what} left out: it is shown as it stands at rest")
-    left_out += [what for key, what in _MAPS.items() if any(key in m for m in header.get("materials", []))]
-    return notices + [f"model {path.name}: left out {what}" for what in left_out]
+        notices.append(f"{what} left out: it is shown as it stands at rest")
+    return notices + [f"left out {what}" for what in left_out]
 
 
 def _check_version(header: dict[str, Any], path: Path) -> None:
-    asset = header.get("asset")
-    given = asset.get("version", "2.0") if isinstance(asset, dict) else "2.0"
-    version = json.dumps(given or "of no version").strip('"')[:20]
+    asset = header.get("asset", {})
+    if not isinstance(asset, dict):
+        raise _damaged(path, "its asset is no object")
+    version = json.dumps(asset.get("version", "2.0") or "of no version").strip('"')[:20]
     if not version.startswith("2."):
         hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
         raise InputError(f"model {path} is glTF {version}, glTF 2.0 is read", hint)

@@ -14,7 +14,9 @@ from arfx.errors import RenderError
 from arfx.stages.raster import mesh as columns
 from arfx.stages.raster.gl_context import GlContext
 from arfx.stages.raster.mesh import Mesh
+from arfx.stages.raster.textures import WRAP_COLUMN
 
+_GL_WRAPS = (10497, 33071, 33648)  # of textures.WRAPS: repeat, clamp to edge, mirrored repeat
 _SHADERS = str(Path(__file__).with_name("shaders"))  # of the geometry buffer
 
 
@@ -29,7 +31,11 @@ class Drawing:
         for t, row in enumerate(mesh.textures.table):
             w, h, start = int(row[0]), int(row[1]), int(row[3])
             picture = mesh.textures.texels[start : start + w * h].reshape(h, w, 4)
-            self.textures[t] = context.pyrender.Texture(source=picture, source_channels="RGBA")
+            wrap = (_GL_WRAPS[way] for way in row[WRAP_COLUMN : WRAP_COLUMN + 2])
+            sampler = context.pyrender.Sampler(None, None, None, *wrap)
+            self.textures[t] = context.pyrender.Texture(
+                sampler=sampler, source=picture, source_channels="RGBA"
+            )
             self.textures[t]._add_to_context()
         self.parts = [
             _Part(context.pyrender, mesh, part, self.textures) for part in range(len(mesh.ints))

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from arfx.core.model import BLEND, MASK, OPAQUE
+from arfx.core.model import BLEND, MASK, OPAQUE, TEXTURE_SLOTS
 from arfx.core.numerics import divide, normalise, same_rows
 from arfx.core.scene import Scene
 from arfx.stages.raster.arrays import Surfaces
@@ -16,6 +16,7 @@ from arfx.stages.raster.textures import StackBuilder, TextureStack
 # Columns of the material tables, one row a part.
 RED, GREEN, BLUE, ALPHA, METALLIC, ROUGHNESS, SPECULAR, EMIT_R, EMIT_G, EMIT_B, CUTOFF = range(11)
 BASE_TEXTURE, MR_TEXTURE, EMISSIVE_TEXTURE, MODE, TWO_SIDED = range(5)
+DRAWN_SLOTS = ("base_texture", "metallic_roughness_texture", "emissive_texture")
 MODES = {OPAQUE: 0, MASK: 1, BLEND: 2}
 _CREASE_COS = np.cos(np.radians(20.0))  # edges sharper than this are visible inside the silhouette
 
@@ -98,7 +99,9 @@ def build_mesh(scene: Scene) -> Mesh:
         n, mat = len(p.vertices), p.material
         vertices.append(p.vertices @ m[:3, :3].T + m[:3, 3] - centre)
         normals.append(p.normals @ rotation.T)
-        uvs.append(np.zeros((n, 2)) if p.uv is None else p.uv)
+        drawn = [mat.textures.get(name) for name in DRAWN_SLOTS]
+        uv = next((p.uv_on(t) for t in drawn if t is not None), None)
+        uvs.append(np.zeros((n, 2)) if uv is None else uv)
         colours.append(np.ones((n, 4)) if p.colours is None else p.colours)
         faces.append(p.faces + start)
         parts.append(np.full(len(p.faces), k))
@@ -112,13 +115,9 @@ def build_mesh(scene: Scene) -> Mesh:
                 mat.alpha_cutoff,
             ]
         )
-        images = (
-            (mat.base_texture, True),
-            (mat.metallic_roughness_texture, False),
-            (mat.emissive_texture, True),
-        )
         numbers = [
-            textures.add(image if p.uv is not None else None, srgb) for image, srgb in images
+            textures.add(None if uv is None else texture, TEXTURE_SLOTS[name])
+            for name, texture in zip(DRAWN_SLOTS, drawn, strict=True)
         ]
         ints.append([*numbers, MODES[mat.alpha_mode], int(mat.double_sided)])
         start += n

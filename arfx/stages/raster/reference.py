@@ -12,6 +12,7 @@ import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.layers import Layer, neutral
+from arfx.core.model import CLAMP, MIRROR
 from arfx.core.numerics import divide, normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
@@ -20,7 +21,7 @@ from arfx.stages.raster import mesh as columns
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import Mesh
 from arfx.stages.raster.rays import MAX_LAYERS, OUTPUTS
-from arfx.stages.raster.textures import CODE
+from arfx.stages.raster.textures import CODE, WRAP_COLUMN, WRAPS
 from arfx.stages.triangles import Triangles
 
 LEAST, MOST = 16, 512
@@ -197,7 +198,7 @@ class ReferenceRenderer:
             use = kind[:, columns.BASE_TEXTURE] == t
             colour[use] *= self._bilinear(t, uv[use], 1)
             use = kind[:, columns.MR_TEXTURE] == t
-            surface[use, :2] *= self._bilinear(t, uv[use], 0)[:, :2]
+            surface[use, :2] *= self._bilinear(t, uv[use], 0)[:, [2, 1]]
             use = kind[:, columns.EMISSIVE_TEXTURE] == t
             emissive[use] *= self._bilinear(t, uv[use], 1)[:, :3]
         mode = kind[:, columns.MODE]
@@ -216,6 +217,7 @@ class ReferenceRenderer:
     def _bilinear(self, t: int, uv: np.ndarray, srgb: int) -> np.ndarray:
         stack = self.mesh.textures
         w, h, start = (int(stack.table[t, k]) for k in (0, 1, 3))
+        along_u, along_v = stack.table[t, WRAP_COLUMN : WRAP_COLUMN + 2]
         texels = stack.texels[start : start + w * h]
         p = uv * [w, h] - 0.5
         low = np.floor(p).astype(int)
@@ -223,7 +225,8 @@ class ReferenceRenderer:
         out = np.zeros((len(uv), 4))
         for dy in (0, 1):
             for dx in (0, 1):
-                raw = texels[(low[:, 1] + dy) % h * w + (low[:, 0] + dx) % w]
+                row = _texels_of(low[:, 1] + dy, h, along_v)
+                raw = texels[row * w + _texels_of(low[:, 0] + dx, w, along_u)]
                 fraction = (part[:, 0] if dx else 1 - part[:, 0]) * (
                     part[:, 1] if dy else 1 - part[:, 1]
                 )
@@ -231,3 +234,11 @@ class ReferenceRenderer:
                 linear[:, 3] = CODE[0][raw[:, 3]]
                 out += fraction[:, None] * linear
         return out
+
+
+def _texels_of(i: np.ndarray, n: int, wrap: int) -> np.ndarray:
+    """Texels of a picture of n in a row that lie at places i of a picture without end."""
+    if wrap == WRAPS[CLAMP]:
+        return np.clip(i, 0, n - 1)
+    folded = i % (2 * n)
+    return np.minimum(folded, 2 * n - 1 - folded) if wrap == WRAPS[MIRROR] else i % n

@@ -11,8 +11,11 @@ import cv2
 import numpy as np
 
 from arfx.core.colour import SRGB
+from arfx.core.model import CLAMP, MIRROR, REPEAT, Texture
 
 MAX_LEVELS = 15
+WRAPS = {REPEAT: 0, CLAMP: 1, MIRROR: 2}
+WRAP_COLUMN = 3 + MAX_LEVELS
 _ROWS, _TEXELS = (
     256,
     1 << 20,
@@ -24,7 +27,8 @@ _ENCODE = np.round(SRGB.encode(np.arange(8193) / 8192.0) * 255).astype(np.uint8)
 
 @dataclass(frozen=True, eq=False)
 class TextureStack:
-    """texels : (n, 4) uint8, all levels of all textures;  table : (k, 3 + MAX_LEVELS) int64 width, height, levels, offsets
+    """texels : (n, 4) uint8, all levels of all textures
+    table : (k, 5 + MAX_LEVELS) int64 width, height, levels, offsets, WRAPS along u and v
     srgb : (k,) bool, the first three channels are sRGB coded"""
 
     texels: np.ndarray
@@ -48,18 +52,19 @@ class StackBuilder:
     """Collects textures, each array once."""
 
     def __init__(self) -> None:
-        self._index: dict[tuple[int, bool], int] = {}
+        self._index: dict[tuple[int, bool, tuple[str, str]], int] = {}
         self._keep: list[np.ndarray] = []  # ids stay unique only while the arrays live
         self._rows: list[list[int]] = []
         self._srgb: list[bool] = []
         self._texels: list[np.ndarray] = []
         self._size = 0
 
-    def add(self, image: np.ndarray | None, srgb: bool) -> int:
-        """Number of a texture (h, w, c) uint8; -1 for None."""
-        if image is None:
+    def add(self, texture: Texture | None, srgb: bool) -> int:
+        """Number of a texture; -1 for None."""
+        if texture is None:
             return -1
-        key = (id(image), srgb)
+        image = texture.picture
+        key = (id(image), srgb, texture.wrap)
         if key not in self._index:
             self._index[key] = len(self._rows)
             self._keep.append(image)
@@ -71,7 +76,8 @@ class StackBuilder:
                 self._texels.append(level.reshape(-1, 4))
                 self._size += level.shape[0] * level.shape[1]
             offsets += [0] * (MAX_LEVELS - len(offsets))
-            self._rows.append([image.shape[1], image.shape[0], len(levels), *offsets])
+            wrap = [WRAPS[way] for way in texture.wrap]
+            self._rows.append([image.shape[1], image.shape[0], len(levels), *offsets, *wrap])
         return self._index[key]
 
     def build(self) -> TextureStack:
@@ -81,7 +87,7 @@ class StackBuilder:
             level = self._texels.pop()
             texels[end - len(level) : end] = level
             end -= len(level)
-        table = np.array(self._rows, np.int64).reshape(-1, 3 + MAX_LEVELS)
+        table = np.array(self._rows, np.int64).reshape(-1, 5 + MAX_LEVELS)
         return TextureStack(texels, table, np.array(self._srgb, bool))
 
 

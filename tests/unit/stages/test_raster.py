@@ -10,7 +10,7 @@ import pytest
 
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
-from arfx.core.model import BLEND, MASK, Material, Model, Part
+from arfx.core.model import BLEND, MASK, Material, Model, Part, Texture
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Placement, Scene
@@ -148,9 +148,9 @@ def test_blend_is_ordered_whatever_the_order_in_the_file(backend: str, level: st
 def test_mask_is_cut_out(backend: str) -> None:
     picture = np.full((64, 64, 4), 255, np.uint8)
     picture[:, 32:, 3] = 100  # right half below the cutoff
-    part = square(
-        0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=picture, alpha_mode=MASK, alpha_cutoff=0.5, double_sided=True)
-    )
+    base = Texture(picture)
+    material = Material(base_colour=(1, 1, 1, 1), base_texture=base, alpha_mode=MASK, alpha_cutoff=0.5, double_sided=True)
+    part = square(0.2, 0, material)
     out = render(scene_of([part]), in_front(), backend)
     c = out[Layer.COVERAGE][131]
     assert c[151 - 50 : 151 - 3].min() == 1 and c[151 + 4 : 151 + 50].max() == 0
@@ -164,7 +164,7 @@ def test_texture_is_upright_linear_and_filtered(backend: str) -> None:
     picture = np.zeros((256, 256, 3), np.uint8)
     picture[:128, :128] = [188, 0, 0]  # top left: .503 linear
     picture[128:, 128:] = np.indices((128, 128)).sum(0)[..., None] % 2 * 255  # checker far finer than a pixel
-    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=picture, double_sided=True))
+    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=Texture(picture), double_sided=True))
     out = render(scene_of([part]), in_front(), backend)
     np.testing.assert_allclose(out[Layer.ALBEDO][131 - 30, 151 - 30], [0.503, 0, 0], atol=0.01)
     fine = out[Layer.ALBEDO][131 + 20 : 131 + 40, 151 + 20 : 151 + 40]
@@ -257,7 +257,7 @@ def stripes_scene(lens: str = "ideal") -> Scene:
     """A square with stripes three pixels wide, seen at a slant; a smaller one passes through it."""
     picture = np.zeros((256, 256, 3), np.uint8)
     picture[:, np.arange(256) % 8 < 4] = 230, 40, 40
-    fine = square(0.3, 0, Material(base_colour=(1, 1, 1, 1), base_texture=picture, double_sided=True))
+    fine = square(0.3, 0, Material(base_colour=(1, 1, 1, 1), base_texture=Texture(picture), double_sided=True))
     a = np.array([[-0.15, -0.1, -0.1], [0.15, -0.1, -0.1], [0.15, 0.15, 0.12], [-0.15, 0.15, 0.12]])
     return scene_of([fine, quad(a)], lens)
 
@@ -300,8 +300,9 @@ def test_pyramid_averages_in_linear_light() -> None:
     assert levels[1][0, 0].tolist() == [188, 188, 188, 255]
     assert pyramid(checker, False)[1][0, 0].tolist() == [128, 128, 128, 255]
     stack = StackBuilder()
-    assert stack.add(checker, True) == 0 and stack.add(checker, True) == 0, "one picture is stored once"
-    assert stack.add(checker, False) == 1 and stack.add(None, True) == -1
+    texture = Texture(checker)
+    assert stack.add(texture, True) == 0 and stack.add(Texture(checker), True) == 0, "one picture is stored once"
+    assert stack.add(texture, False) == 1 and stack.add(None, True) == -1
 
 
 @pytest.mark.parametrize("backend", BOTH)
@@ -309,7 +310,7 @@ def test_textures_repeat(backend: str) -> None:
     stripes = np.zeros((1, 8, 3), np.uint8)
     stripes[:, 4:] = 255
     uv = np.array([[-1.0, 1], [1, 1], [1, 0], [-1, 0]])  # twice across, from -1 to 1
-    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=stripes, double_sided=True))
+    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=Texture(stripes), double_sided=True))
     part = Part(part.vertices, part.faces, part.normals, part.material, uv)
     row = render(scene_of([part]), in_front(), backend)[Layer.ALBEDO][131, :, 0]
     at = 151.3 + 120 * (np.arange(4) - 1.5) / 4  # the middles of black, white, black, white
@@ -389,7 +390,7 @@ def test_textures_take_no_more_than_their_own_types() -> None:
     expected = CODE[1][image[:64, :64, :3]].reshape(32, 2, 32, 2, 3).mean((1, 3))
     tracemalloc.start()
     builder = StackBuilder()
-    builder.add(image, True)
+    builder.add(Texture(image), True)
     stack = builder.build()
     linear = stack.linear
     peak = tracemalloc.get_traced_memory()[1]

@@ -53,7 +53,7 @@ void main() {
     else if (base.a <= 1.0 / 512.0) discard;
     vec3 material = surface;
 #ifdef MR_TEX
-    material.xy *= texture(mr_tex, uv_0).rg;
+    material.xy *= texture(mr_tex, uv_0).bg;
 #endif
     vec3 to_surface = normalize(place - eye);
     vec3 n = shading_normal;
