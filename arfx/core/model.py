@@ -10,7 +10,7 @@ import numpy as np
 
 OPAQUE, MASK, BLEND = "OPAQUE", "MASK", "BLEND"
 REPEAT, CLAMP, MIRROR = "repeat", "clamp", "mirror"
-# A material's textures, and whether their colour is sRGB coded; alpha and all other values are linear.
+# A material's textures, and whether their colour is sRGB coded; alpha and all else are linear.
 TEXTURE_SLOTS = {
     "base_texture": True,
     "metallic_roughness_texture": False,
@@ -44,8 +44,9 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """Material of glTF 2.0 (section 3.9, KHR_materials_*). A texture multiplies the factor of its name.
+    """Material of glTF 2.0 (section 3.9, KHR_materials_*).
 
+    A texture multiplies the factor of its name.
     Channels of textures, where they are not a colour: metallic in blue, roughness in green;
     occlusion and clear coat in red, clear coat's roughness in green, sheen's roughness in alpha.
 
@@ -53,7 +54,8 @@ class Material:
     metallic, roughness : 0..1
     specular : F0 of what is no metal / 0.08, 0.5 = 4 %
     emissive : (3,) linear radiance
-    normal_texture : t in 0..1 is the normal (2 t - 1) * (normal_scale, normal_scale, 1) in tangent space
+    normal_texture : t in 0..1 is the normal (2 t - 1) * (normal_scale, normal_scale, 1) in the
+        frame of tangent, bitangent, normal
     occlusion_texture : t in 0..1 leaves 1 + occlusion_strength * (t - 1) of the indirect light
     clearcoat, clearcoat_roughness : 0..1;  clearcoat_normal_texture, _scale : as normal_texture
     sheen_colour : (3,) linear;  sheen_roughness : 0..1
@@ -101,7 +103,8 @@ class Part:
     uv, second_uv : (n, 2) texture coordinates, v = 0 at the top row of a picture, or None
     colours : (n, 4) linear RGBA that multiply base_colour, or None
     tangents : (n, 4) where the material has a normal texture, else None: unit vectors along the
-    picture's rows to the right, and a sign; sign * cross(normal, tangent) is the picture's way up"""
+        picture's rows to the right, and a sign; sign * cross(normal, tangent), the bitangent, is
+        the picture's way up"""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -113,7 +116,8 @@ class Part:
     tangents: np.ndarray | None = None
 
     def uv_on(self, texture: Texture) -> np.ndarray | None:
-        """(n, 2) where the vertices lie on the texture's picture; None: the part has no such coordinates."""
+        """(n, 2) where the vertices lie on the texture's picture; None: the part has no such
+        coordinates."""
         uv = self.second_uv if texture.uv_set else self.uv
         matrix = texture.picture_from_uv
         return None if uv is None else uv @ matrix[:, :2].T + matrix[:, 2]

@@ -59,7 +59,8 @@ class Buffers:
         return self._contents[view["buffer"]][start : start + view["byteLength"]]
 
     def array(self, number: int) -> np.ndarray:
-        """(count, columns) of an accessor, sparse values put in, normalised whole numbers as floats."""
+        """(count, columns) of an accessor, sparse values put in, normalised whole numbers as
+        floats."""
         accessor = self._accessors[number]
         columns = SHAPES[accessor["type"]]
         out = np.zeros((accessor["count"], columns), _KINDS[accessor["componentType"]])

@@ -24,7 +24,9 @@ _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 
 
 class GltfMaterials:
-    """Each made where it is first asked for. header : JSON, checked;  notices : gets what is left out"""
+    """Each made where it is first asked for.
+
+    header : JSON, checked;  notices : gets what is left out"""
 
     def __init__(
         self,
@@ -92,13 +94,14 @@ class GltfMaterials:
         }
 
     def _coat(self, given: dict[str, Any]) -> dict[str, Any]:
+        normal = given.get("clearcoatNormalTexture", {})
         return {
             "clearcoat": _unit(given.get("clearcoatFactor", 0)),
             "clearcoat_texture": self._texture(given, "clearcoatTexture"),
             "clearcoat_roughness": _unit(given.get("clearcoatRoughnessFactor", 0)),
             "clearcoat_roughness_texture": self._texture(given, "clearcoatRoughnessTexture"),
             "clearcoat_normal_texture": self._texture(given, "clearcoatNormalTexture"),
-            "clearcoat_normal_scale": float(given.get("clearcoatNormalTexture", {}).get("scale", 1)),
+            "clearcoat_normal_scale": float(normal.get("scale", 1)),
         }
 
     def _sheen(self, given: dict[str, Any]) -> dict[str, Any]:
@@ -211,7 +214,8 @@ def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:
 
 
 def _linear(texels: np.ndarray | None, a: int, factor: np.ndarray) -> np.ndarray:
-    """Some rows of a picture in linear light, alpha as it is, times a factor; of no picture the factor."""
+    """Some rows of a picture in linear light, alpha as it is, times a factor; of no picture the
+    factor."""
     if texels is None:
         return factor[None, None]
     rows = texels[a : a + _ROWS] / np.float32(255)
@@ -220,8 +224,9 @@ def _linear(texels: np.ndarray | None, a: int, factor: np.ndarray) -> np.ndarray
 
 
 def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Base colour (..., 3) and metallic (...) of diffuse colour with alpha and specular colour with glossiness.
+    """Base colour (..., 3) and metallic (...).
 
+    diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
     Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP)."""
     weights = np.array([0.299, 0.587, 0.114])
     d, s = (np.sqrt(x[..., :3] ** 2 @ weights) for x in (diffuse, shine))

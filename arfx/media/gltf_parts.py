@@ -1,4 +1,5 @@
-"""What a glTF file shows: its nodes walked from the scene's roots, meshes as triangles (glTF 2.0 sections 3.5, 3.7)."""
+"""What a glTF file shows: its nodes walked from the scene's roots, meshes as triangles (glTF 2.0
+sections 3.5, 3.7)."""
 
 from __future__ import annotations
 
@@ -44,7 +45,8 @@ class GltfScene:
         self._buffers, self._materials, self._notices = buffers, materials, notices
 
     def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
-        """Each set of triangles, (4, 4) its place in the model, and its material; None for points and lines."""
+        """Each set of triangles, (4, 4) its place in the model, and its material; None for points
+        and lines."""
         meshes: dict[int, list[tuple[FileMesh | None, Material]]] = {}
         for number, model_from_mesh in self._placed():
             if number not in meshes:
@@ -68,7 +70,8 @@ class GltfScene:
             waiting += [(child, model_from_node) for child in reversed(node.get("children", []))]
 
     def _roots(self) -> list[int]:
-        """Those of the scene that is shown; of a file without scenes every node that is below none."""
+        """Those of the scene that is shown; of a file without scenes every node that is below
+        none."""
         if not self._scenes:
             below = {child for node in self._nodes for child in node.get("children", [])}
             return [number for number in range(len(self._nodes)) if number not in below]
@@ -96,7 +99,8 @@ class GltfScene:
                 yield None, Material()
                 continue
             read = self._buffers.array
-            rows = {own: read(given[name]).astype(float) for name, own in _ROWS.items() if name in given}
+            numbers = {own: given[name] for name, own in _ROWS.items() if name in given}
+            rows = {own: read(number).astype(float) for own, number in numbers.items()}
             corners = np.arange(len(rows["vertices"]))
             if "indices" in primitive:
                 corners = read(primitive["indices"])[:, 0].astype(np.int64)
@@ -114,8 +118,9 @@ def _parent_from_node(node: dict[str, Any]) -> np.ndarray:
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
     x, y, z, w = normalise(np.array(node.get("rotation", (0, 0, 0, 1)), float))
+    scale = np.array(node.get("scale", (1, 1, 1)), float)
     out = np.eye(4)
-    out[:3, :3] = rotation_from_quaternion(w, x, y, z) * np.array(node.get("scale", (1, 1, 1)), float)
+    out[:3, :3] = rotation_from_quaternion(w, x, y, z) * scale
     out[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return out
 

@@ -1,4 +1,5 @@
-"""What all model files share of materials: pictures as arrays of a bounded size, numbers in range, what is not drawn."""
+"""What all model files share of materials: pictures as arrays of a bounded size, numbers in range,
+what is not drawn."""
 
 from __future__ import annotations
 
@@ -19,6 +20,10 @@ MAX_TEXELS = 8192**2 + 2 * 4096**2  # of a model together: 20 bytes each while i
 MAX_TEXTURE_PX = 8192
 
 
+def _has_nearest(material: Material) -> bool:
+    return any(texture.nearest for texture in material.textures.values())
+
+
 def _laid_differently(material: Material) -> bool:
     """Whether textures that are drawn lie on the surface in more than one way."""
     drawn = (material.base_texture, material.metallic_roughness_texture, material.emissive_texture)
@@ -32,8 +37,8 @@ NOT_DRAWN: tuple[tuple[str, Callable[[Material], bool]], ...] = (
     ("occlusion maps", lambda m: m.occlusion_texture is not None),
     ("clear coat", lambda m: m.clearcoat > 0),
     ("sheen of cloth", lambda m: any(m.sheen_colour)),
-    ("hard edges of texels (nearest filter)", lambda m: any(t.nearest for t in m.textures.values())),
-    ("a material's textures that are laid differently: all are shown as the first", _laid_differently),
+    ("hard edges of texels (nearest filter)", _has_nearest),
+    ("textures laid in another way than their material's first", _laid_differently),
 )
 
 
@@ -59,7 +64,8 @@ class Textures:
         self._texels = 0
 
     def open(self, content: bytes) -> Any:
-        """The Pillow picture in a file; None: there is none (model_files.restrict_pillow tells why)."""
+        """The Pillow picture in a file; None: there is none (model_files.restrict_pillow tells
+        why)."""
         from PIL import Image
 
         try:
@@ -68,7 +74,9 @@ class Textures:
             return None
 
     def of(self, image: Any) -> np.ndarray | None:
-        """(h, w, 4) uint8 of a Pillow picture, None for None. Raises InputError: too large, damaged."""
+        """(h, w, 4) uint8 of a Pillow picture, None for None.
+
+        Raises InputError: too large, damaged."""
         if image is None:
             return None
         if id(image) not in self._arrays:
@@ -96,7 +104,8 @@ class Textures:
             raise InputError(f"model {self.path}: {what}", "scale them down")
 
     def close(self) -> None:
-        """Lets go of the pictures, the arrays stay: trimesh's objects refer to each other in circles and live on."""
+        """Lets go of the pictures, the arrays stay: trimesh's objects refer to each other in
+        circles and live on."""
         for image, _ in self._arrays.values():
             image.close()
 

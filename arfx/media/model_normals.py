@@ -1,7 +1,7 @@
-"""Vertex normals for files that bring none: smooth across edges flatter than an angle, sharp across the others.
+"""Vertex normals for files that bring none: smooth across flat edges, sharp across the others.
 
-Linear in the number of faces: corners that share a vertex are joined across each flat edge, and every joined group
-gets one normal, weighted by corner angle (Thuermer and Wuethrich 1998)."""
+Linear in the number of faces: corners that share a vertex are joined across each flat edge, and
+every joined group gets one normal, weighted by corner angle (Thuermer and Wuethrich 1998)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ def smooth_by_angle(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals by smoothing groups.
 
-    vertices : (n, 3); faces : (m, 3) int, none without area; vertices at the same place count as one
-    split : keep vertices apart that the file keeps apart (their texture coordinates or colours differ)
-    Returns faces (m, 3) over new vertices, source (k,) the old vertex of each new one, normals (k, 3) unit."""
+    vertices : (n, 3), those at the same place count as one;  faces : (m, 3) int, none without area
+    split : keep vertices apart that the file keeps apart (their coordinates or colours differ)
+    Returns faces (m, 3) over new vertices, source (k,) the old vertex of each new one, and
+    normals (k, 3) unit."""
     m = len(faces)
     place = same_rows(vertices)[1][faces]
     p = vertices[faces]
@@ -54,7 +55,7 @@ def corner_groups(
     place: np.ndarray,
     joined: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
 ) -> tuple[int, np.ndarray]:
-    """Corners of triangles that belong together: they share a place, and edges between them are joined.
+    """Corners of triangles that belong together: at one place, with joined edges between them.
 
     place : (m, 3) int, number of each corner's place
     joined : of the two faces of edges (e,), and whether they run along it in opposite ways (e,),
@@ -65,7 +66,7 @@ def corner_groups(
 
     m = len(place)
     corner = np.arange(3 * m).reshape(m, 3)
-    # Every edge with the corner at its lower and at its higher place; equal edges lie next to each other when sorted.
+    # Every edge with the corner at its lower and at its higher place; sorted, equal ones meet.
     i, j = np.array([0, 1, 2]), np.array([1, 2, 0])
     lo, hi = place[:, i], place[:, j]
     swap = lo > hi
@@ -91,7 +92,7 @@ def split_corners(
     """Vertices of which each belongs to one group of corners alone.
 
     faces : (m, 3) int;  group : (3 m,) int
-    Returns faces (m, 3) over new vertices, and of each of these the old vertex and the group, (k,) both."""
+    Returns faces (m, 3) over new vertices, and of each the old vertex and the group, (k,) both."""
     old = faces.ravel()
     first, new = same_rows(np.stack([group, old], 1))
     return new.reshape(-1, 3), old[first], group[first]

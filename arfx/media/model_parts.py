@@ -1,4 +1,5 @@
-"""Triangles of a file under their node's transform made into a part of the model, whatever the format."""
+"""Triangles of a file under their node's transform made into a part of the model, whatever the
+format."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from arfx.media.model_normals import smooth_by_angle
 from arfx.media.model_tangents import with_tangents
 
 # Squared double area below which a triangle has no plane, as a fraction of the model's extent to
-# the fourth power: float32 coordinates are exact to 6e-8 of the extent, so a height below that is rounding.
+# the fourth power: float32 coordinates are exact to 6e-8 of the extent, a height below is rounding.
 _DEGENERATE = (6e-8) ** 4
 
 
@@ -87,7 +88,8 @@ def _check(mesh: FileMesh, model_from_mesh: np.ndarray, path: Path) -> None:
 
 
 def _usable(rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Those of the right length, with all numbers finite; of texture coordinates single ones may be 0."""
+    """Those of the right length, with all numbers finite; of texture coordinates single ones may
+    be 0."""
     out = {}
     for name, values in rows.items():
         finite = np.isfinite(values).all(1)
@@ -108,7 +110,7 @@ def _of_vertices(rows: dict[str, np.ndarray], which: np.ndarray) -> dict[str, np
 
 
 def _cofactors(linear: np.ndarray) -> np.ndarray:
-    """The inverse transpose times the determinant: turns normals rightly under any matrix, singular ones included.
+    """The inverse transpose times the determinant: turns normals rightly under any matrix.
 
     A mirror turns them inwards: times -1 they keep to the outside."""
     x, y, z = linear

@@ -1,9 +1,9 @@
 """Tangents of vertices that a normal texture needs, where a file brings none: those of MikkTSpace.
 
-glTF 2.0 section 3.7.2.1 asks for them: programs that bake normal textures use them too. Corners of one
-vertex (same place, normal and texture coordinates) are joined across edges to faces that the picture
-covers the same way round. Each group gets the mean of its faces' directions along the picture's rows,
-laid into the plane of the vertex normal and weighted by corner angle.
+glTF 2.0 section 3.7.2.1 asks for them: programs that bake normal textures use them too. Corners
+of one vertex (same place, normal and texture coordinates) are joined across edges to faces that
+the picture covers the same way round. Each group gets the mean of its faces' directions along the
+picture's rows, laid into the plane of the vertex normal and weighted by corner angle.
 Source: Mikkelsen 2008, Simulation of Wrinkled Surfaces Revisited, chapter 2.
 
 Leaves out: a face that the picture covers with no area joins no group (in MikkTSpace it takes after
@@ -73,7 +73,8 @@ def corner_tangents(
     parts = (weight[..., None] * _in_plane(across[:, None], n)).reshape(-1, 3)
     sums = np.stack([np.bincount(group, parts[:, k], count) for k in range(3)], 1)
     tangents = normalise(sums)[group]
-    return _filled(np.column_stack([tangents, np.repeat(side, 3)]), vertex.ravel(), n.reshape(-1, 3))
+    signed = np.column_stack([tangents, np.repeat(side, 3)])
+    return _filled(signed, vertex.ravel(), n.reshape(-1, 3))
 
 
 def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -82,10 +83,11 @@ def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _filled(tangents: np.ndarray, vertex: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Corners without a tangent take that of another corner of their vertex, else any across the normal."""
+    """Corners without a tangent take that of another corner of their vertex, else any across the
+    normal."""
     has = tangents[:, :3].any(1) & (tangents[:, 3] != 0)
-    axis = np.eye(3)[np.abs(normals).argmin(1)]
-    out = np.where(has[:, None], tangents, np.column_stack([_in_plane(axis, normals), np.ones(len(axis))]))
+    across = _in_plane(np.eye(3)[np.abs(normals).argmin(1)], normals)
+    out = np.where(has[:, None], tangents, np.column_stack([across, np.ones(len(across))]))
     other = np.full(vertex.max() + 1, -1)
     other[vertex[has]] = np.flatnonzero(has)
     lacking = np.flatnonzero(~has & (other[vertex] >= 0))

@@ -1,8 +1,8 @@
 """Virtual models from files: geometry with normals, materials and textures in arfx's own terms.
 
-glTF/GLB is read here (gltf_parts.py), OBJ with MTL, PLY, STL, OFF and DAE through trimesh. Errors say what
-is wrong with the file and how many vertices or faces it concerns; what was repaired is in `Model.notices`.
-Leaves out: skins, animation, morph targets, lines and points."""
+glTF/GLB is read by gltf_parts.py; OBJ with MTL, PLY, STL, OFF and DAE through trimesh. Errors say
+what is wrong with the file and how many vertices or faces it concerns; what was repaired is in
+`Model.notices`. Leaves out: skins, animation, morph targets, lines and points."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ from arfx.media.model_materials import Textures, not_drawn
 from arfx.media.model_parts import FileMesh, part_of
 from arfx.media.trimesh_models import TrimeshScene
 
-# Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters default to
-# it; scans and CAD use z. Others that trimesh knows are left out: archives, which may unpack to anything,
-# and formats without faces.
+# Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters
+# default to it; scans and CAD use z. Others that trimesh knows are left out: archives, which may
+# unpack to anything, and formats without faces.
 _UP = {"glb": "y", "gltf": "y", "obj": "y", "dae": "y", "ply": "z", "stl": "z", "off": "z"}
 # Recognised by content, whatever the name says.
 _BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
-# Beyond this float32 coordinates, which renderers use, step by more than a thousandth of a unit times extent.
+# Beyond this float32 coordinates, which renderers use, step by more than a thousandth of a unit
+# times extent.
 MAX_EXTENT = 1e9
 _MOST_TOLD = 10  # files that are missing, by name
 
@@ -41,13 +42,14 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     """Read a model file.
 
     path : one of the formats above; textures beside it, names with spaces included
-    up : "x", "y" or "z", the file axis that points up; None = by file type (y for glTF, OBJ and DAE, else z)
+    up : "x", "y" or "z", the file axis that points up; None = of its kind (glTF, OBJ, DAE: y; else z)
 
-    Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals unit.
-    Raises InputError: missing or unreadable file, no faces, vertices that are not finite, absurd extent,
-    texture above 8192 px; ConfigError: no path, unknown up axis."""
+    Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals
+    unit. Raises InputError: missing or unreadable file, no faces, vertices that are not finite,
+    absurd extent, texture above 8192 px; ConfigError: no path, unknown up axis."""
     if path is None:
-        raise ConfigError("no model file is given", '--model duck.glb, or file = "duck.glb" under [model]')
+        hint = '--model duck.glb, or file = "duck.glb" under [model]'
+        raise ConfigError("no model file is given", hint)
     if up not in (None, "x", "y", "z"):
         raise ConfigError(f"unknown up axis {up!r}", "x, y or z")
     path = Path(path)
@@ -68,8 +70,9 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     except ArfxError:
         raise
     except ImportError as e:
-        raise InputError(f"cannot read model {path}: {e}", "convert it to GLB, OBJ, PLY or STL") from e
-    except Exception as e:  # parsers raise whatever they stumble over, and hand on what they did not look at
+        hint = "convert it to GLB, OBJ, PLY or STL"
+        raise InputError(f"cannot read model {path}: {e}", hint) from e
+    except Exception as e:  # parsers raise whatever they stumble over
         own = isinstance(e, (OSError, ValueError)) and not header
         what = (own and str(e).split("\n")[0][:300]) or "its values do not fit together"
         hint = "the file is damaged or not what its name says"
@@ -91,7 +94,8 @@ def _kind(path: Path, data: bytes) -> str:
         kind = "gltf"
     if kind not in _UP:
         what = f"{path.suffix or 'no suffix'} is not a format that is read"
-        raise InputError(f"cannot read model {path}: {what}", "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file")
+        hint = "a GLB, glTF, OBJ, PLY, STL, OFF or DAE file"
+        raise InputError(f"cannot read model {path}: {what}", hint)
     if kind == "dae" and (b"<!ENTITY" in data or b"\0" in data[:200]):
         what = "it defines XML entities, or is not UTF-8"
         raise InputError(f"cannot read model {path}: {what}", "export it again")

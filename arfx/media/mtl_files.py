@@ -1,9 +1,10 @@
-"""Materials of MTL files, with the physical terms that later exporters write (Pr, Pm, Ps, Pc, Ke, norm).
+"""Materials of MTL files, with the physical terms that later exporters write.
 
-Kd is a display colour (sRGB), Ke radiance. Ns is a Blinn-Phong exponent, turned into roughness =
-sqrt(2 / (Ns + 2)) to the half (Karis 2013); Pr goes before it. d < 1 is BLEND. A map of Pr or Pm
-stands in their place. map_Bump is a normal map where it has colours. Leaves out: `Tr`, of which
-exporters disagree whether 1 means clear or solid; grey heights; map_d."""
+Those are Pr, Pm, Ps, Pc, Pcr, Ke and norm, and maps of Pr, Pm and Ke. Kd is a display colour
+(sRGB), Ke radiance. Ns is a Blinn-Phong exponent, turned into roughness = sqrt(2 / (Ns + 2)) to the
+half (Karis 2013); Pr goes before it. d < 1 is BLEND. A map of Pr or Pm stands in their place.
+map_Bump is a normal map where it has colours. Leaves out: `Tr`, of which exporters disagree whether
+1 means clear or solid; grey heights; map_d."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from arfx.errors import InputError
 from arfx.media.model_files import ModelFolder
 from arfx.media.model_materials import Textures, check_material, check_numbers, resized
 
-# Options of maps, how many values they take at most; those that are read, and those that change nothing here.
+# Options of maps and how many values they take at most; those that are read, or change nothing.
 _OPTIONS = dict.fromkeys(("-clamp", "-imfchan", "-cc", "-bm", "-boost", "-blendu", "-blendv"), 1)
 _OPTIONS |= {"-texres": 1, "-type": 1, "-s": 3, "-o": 3, "-t": 3, "-mm": 2}
 _READ = ("-s", "-o", "-clamp", "-bm", "-boost", "-blendu", "-blendv", "-texres", "-type")
@@ -37,14 +38,17 @@ class MtlMaterials:
         self._pictures: dict[str, np.ndarray | None] = {}
 
     def material(self, name: str, lines: Iterable[str]) -> Material:
-        """Of the lines below `newmtl`. Raises InputError: numbers out of range, a texture too large or damaged."""
+        """Of the lines below `newmtl`.
+
+        Raises InputError: numbers out of range, a texture too large or damaged."""
         m = _Statements(self, name, lines)
         base, _ = m.texture("map_kd")
         glow, _ = m.texture("map_ke")
         rough, _ = m.texture("map_pr")
         metal, _ = m.texture("map_pm")
         normal, scale = m.normal_texture()
-        red, green, blue = SRGB.decode(np.clip(m.colour("kd", _GREY if base is None else 1.0), 0, 1))
+        display = m.colour("kd", _GREY if base is None else 1.0)
+        red, green, blue = SRGB.decode(np.clip(display, 0, 1))
         alpha = float(np.clip(m.number("d", 1.0), 0, 1))
         shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
         metallic, roughness = m.number("pm", 0.0), m.number("pr", shine**0.25)

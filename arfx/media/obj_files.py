@@ -1,7 +1,7 @@
-"""OBJ as people have it, made into what trimesh reads; its materials and vertex colours are read here.
+"""OBJ as people have it, made into what trimesh reads; its materials and colours are read here.
 
-trimesh takes one `mtllib`, no options of maps, drops colours of vertices beside texture coordinates,
-and is silent about what it does not find."""
+trimesh takes one `mtllib`, no options of maps, drops colours of vertices beside texture
+coordinates, and is silent about what it does not find."""
 
 from __future__ import annotations
 
@@ -77,12 +77,16 @@ def read_obj(data: bytes, folder: ModelFolder, textures: Textures, notices: list
     first, *others = text.split("\nusemtl ")
     parts = (other.partition("\n") for other in others)
     text = first + "".join(f"\nusemtl {_key(name)}\n{rest}" for name, _, rest in parts)
-    text, vertices, colours = _with_colours(text)
+    text, vertices, colours = _with_colours(text, notices)
     return ObjFile(f"mtllib {_LIST}\n{text}".encode(), materials, vertices, colours)
 
 
-def _with_colours(text: str) -> tuple[str, np.ndarray | None, np.ndarray | None]:
-    """The text, every vertex replaced by its number if they have colours; vertices and colours as of ObjFile."""
+def _with_colours(
+    text: str,
+    notices: list[str],
+) -> tuple[str, np.ndarray | None, np.ndarray | None]:
+    """The text, every vertex replaced by its number if they have colours; vertices and colours as
+    of ObjFile."""
     first = _VERTEX.search(text)
     columns = len(first[1].split()) if first else 0
     if columns < 6:
@@ -96,6 +100,7 @@ def _with_colours(text: str) -> tuple[str, np.ndarray | None, np.ndarray | None]
         number = itertools.count()
         text = _VERTEX.sub(lambda _: f"\nv {next(number)} 0 0", text)
         return text, values[:, :3], colours
+    notices.append("colours of vertices left out: not all have them")
     return text, None, None
 
 

@@ -1,4 +1,5 @@
-"""OBJ, PLY, STL, OFF and DAE through trimesh: its meshes as FileMesh, its materials in arfx's terms."""
+"""OBJ, PLY, STL, OFF and DAE through trimesh: its meshes as FileMesh, its materials in arfx's
+terms."""
 
 from __future__ import annotations
 
@@ -36,10 +37,16 @@ class TrimeshScene:
 
         self._textures, self._notices = textures, notices
         self._materials: dict[int, tuple[Any, Material]] = {}  # both: ids stay unique
-        self._obj = read_obj(data, folder, textures, notices) if kind == "obj" else ObjFile(data, {})
-        head, end, body = self._obj.text.partition(b"end_header") if kind == "ply" else (b"",) * 3
-        data = decoded(head).encode() + end + body if kind == "ply" else self._obj.text
-        self.textures_named = len(re.findall(rb"\ncomment\s+TextureFile\s", head, re.IGNORECASE))
+        self._obj = ObjFile(data, {})
+        self.textures_named = 0
+        if kind == "obj":
+            self._obj = read_obj(data, folder, textures, notices)
+            data = self._obj.text
+        if kind == "ply":
+            head, end, body = data.partition(b"end_header")
+            named = re.findall(rb"\ncomment\s+TextureFile\s", head, re.IGNORECASE)
+            self.textures_named = len(named)
+            data = decoded(head).encode() + end + body
         self._scene = trimesh.load_scene(
             io.BytesIO(data),
             file_type=kind,
@@ -49,7 +56,8 @@ class TrimeshScene:
         check_parts(len(self._scene.graph.nodes_geometry), folder.path)
 
     def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
-        """Each set of triangles, (4, 4) its place in the model, and its material; None for points and lines."""
+        """Each set of triangles, (4, 4) its place in the model, and its material; None for points
+        and lines."""
         covered = 0
         for node in self._scene.graph.nodes_geometry:
             model_from_mesh, name = self._scene.graph[node]
@@ -58,9 +66,11 @@ class TrimeshScene:
                 yield None, np.eye(4), Material()
                 continue
             given = self._mesh(mesh)
-            material = self._material(mesh, "colours" in given.rows or given.face_colours is not None)
+            has_colours = "colours" in given.rows or given.face_colours is not None
+            material = self._material(mesh, has_colours)
             if material.base_texture is not None and "_ply_raw" in mesh.metadata:
-                covered += given.rows.pop("colours", None) is not None  # both show the same surface
+                # both show the same surface
+                covered += given.rows.pop("colours", None) is not None
             yield given, np.asarray(model_from_mesh, float), material
         if covered:
             self._notices.append("its colours by vertex are left out: its texture is shown")
@@ -72,7 +82,8 @@ class TrimeshScene:
             rows["normals"] = np.array(mesh.vertex_normals, float)
         uv = getattr(mesh.visual, "uv", None)
         if uv is not None:
-            rows["uv"] = np.array(uv, float)[:, :2] * (1, -1) + (0, 1)  # trimesh counts v from the bottom
+            # trimesh counts v from the bottom
+            rows["uv"] = np.array(uv, float)[:, :2] * (1, -1) + (0, 1)
         colours, face_colours = _colours(mesh)
         if self._obj.vertices is not None and self._obj.colours is not None:
             number = rows["vertices"][:, 0].astype(int)
@@ -83,17 +94,20 @@ class TrimeshScene:
 
     def _material(self, mesh: Any, has_colours: bool) -> Material:
         given: Any = getattr(mesh.visual, "material", None)
-        name = getattr(given, "name", None)
+        name, image = getattr(given, "name", None), getattr(given, "image", None)
         if name in self._obj.materials:
             return self._obj.materials[name]
         if given is None or id(given) not in self._materials:
             material = plain_material(has_colours, double_sided=True)
             if type(given).__name__ == "PBRMaterial":
                 material = check_material(self._of_collada(given), self._textures.path)
-            elif getattr(image := getattr(given, "image", None), "format", None):  # else trimesh's grey
-                texture = self._textures.texture(image)
-                white = (1.0, 1.0, 1.0, 1.0)
-                material = Material(base_colour=white, base_texture=texture, roughness=1.0, double_sided=True)
+            elif image is not None and image.format:  # else trimesh's own grey
+                material = Material(
+                    base_colour=(1.0, 1.0, 1.0, 1.0),
+                    base_texture=self._textures.texture(image),
+                    roughness=1.0,
+                    double_sided=True,
+                )
             self._materials[id(given)] = given, material
         return self._materials[id(given)][1]
 
@@ -117,7 +131,8 @@ class TrimeshScene:
 
 
 def _colours(mesh: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Linear RGBA (n, 4) by vertex, or (m, 4) by face, or neither: files hold display colours (sRGB)."""
+    """Linear RGBA (n, 4) by vertex, or (m, 4) by face, or neither: files hold display colours
+    (sRGB)."""
     visual = mesh.visual
     if visual.kind == "vertex":
         return _linear(np.asarray(visual.vertex_colors)), None
@@ -129,7 +144,8 @@ def _colours(mesh: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
 
 
 def _ply_colours(mesh: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """As `_colours`, of a PLY file with texture coordinates: trimesh reads its colours, and drops them."""
+    """As `_colours`, of a PLY file with texture coordinates: trimesh reads its colours, and drops
+    them."""
     from trimesh.geometry import triangulate_quads
 
     elements = mesh.metadata["_ply_raw"]
@@ -144,9 +160,11 @@ def _ply_colours(mesh: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
         by_face = colours.get("face", np.zeros((0, 4)))
         return None, by_face if len(by_face) == len(mesh.faces) else None
     data = elements["face"]["data"]
-    index = next(c for c in elements["face"]["properties"] if c in ("vertex_index", "vertex_indices"))
+    names = ("vertex_index", "vertex_indices")
+    index = next(name for name in elements["face"]["properties"] if name in names)
     given = triangulate_quads(data[index]["f1"] if isinstance(data, np.ndarray) else data[index])
-    source = np.zeros(len(mesh.vertices), int)  # trimesh parts vertices, and leaves the order of the faces
+    # trimesh parts vertices, and leaves the order of the faces
+    source = np.zeros(len(mesh.vertices), int)
     source[mesh.faces.ravel()] = given.ravel()
     return colours["vertex"][source], None
 
