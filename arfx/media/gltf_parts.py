@@ -56,7 +56,7 @@ class GltfScene:
 
     def _placed(self) -> Iterator[tuple[int, np.ndarray]]:
         """Numbers of the meshes that are shown, each with its place in the model."""
-        waiting = [(number, np.eye(4)) for number in reversed(self._roots())]
+        waiting = [(number, np.eye(4)) for number in self._roots()]
         while waiting:
             number, model_from_parent = waiting.pop()
             node = self._nodes[number]
@@ -67,7 +67,7 @@ class GltfScene:
             if "mesh" in node:
                 for node_from_mesh in self._copies(extensions):
                     yield node["mesh"], model_from_node @ node_from_mesh
-            waiting += [(child, model_from_node) for child in reversed(node.get("children", []))]
+            waiting += [(child, model_from_node) for child in node.get("children", [])]
 
     def _roots(self) -> list[int]:
         """Those of the scene that is shown; of a file without scenes every node that is below
