@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from arfx.errors import InputError
-from arfx.media.gltf import SHAPES
 from arfx.media.model_files import ModelFolder
+from arfx.media.model_limits import MAX_FACES
 
+_SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 
@@ -58,18 +59,29 @@ class Buffers:
         start = view.get("byteOffset", 0)
         return self._contents[view["buffer"]][start : start + view["byteLength"]]
 
-    def array(self, number: int) -> np.ndarray:
-        """(count, columns) of an accessor, sparse values put in, normalised whole numbers as
-        floats."""
-        accessor = self._accessors[number]
-        columns = SHAPES[accessor["type"]]
-        out = np.zeros((accessor["count"], columns), _KINDS[accessor["componentType"]])
+    def count(self, number: int) -> int:
+        """Of the rows of an accessor. Raises InputError: more than three a face."""
+        count = self._accessors[number]["count"]
+        if not 0 <= count <= 3 * MAX_FACES:
+            raise InputError(f"model {self._folder.path}: accessor {number} counts {count}")
+        return int(count)
+
+    def array(self, number: int, columns: int | None = None) -> np.ndarray:
+        """(count, columns) of an accessor, sparse values put in; normalised numbers are floats.
+
+        columns : how many there must be, None = any. Raises InputError."""
+        accessor, count = self._accessors[number], self.count(number)
+        found = _SHAPES[accessor["type"]]
+        if columns not in (None, found):
+            what = f"accessor {number} is of type {accessor['type']}"
+            raise InputError(f"model {self._folder.path}: {what}", "the file is damaged")
+        out = np.zeros((count, found), _KINDS[accessor["componentType"]])
         if "bufferView" in accessor:
-            out[:] = self._values(accessor, accessor["count"], columns)
+            out[:] = self._values(accessor, count, found)
         if sparse := accessor.get("sparse"):
             rows = self._values(sparse["indices"], sparse["count"], 1)[:, 0]
             values = {"componentType": accessor["componentType"], **sparse["values"]}
-            out[rows] = self._values(values, sparse["count"], columns)
+            out[rows] = self._values(values, sparse["count"], found)
         return shares(out) if accessor.get("normalized") else out
 
     def _values(self, place: dict[str, Any], count: int, columns: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.errors import InputError
 from arfx.media.gltf_buffers import Buffers
-from arfx.media.model_materials import Textures, check_material, resized
+from arfx.media.model_materials import Textures, check_material, resized, unit
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
@@ -68,7 +68,7 @@ class GltfMaterials:
             normal_texture=self._texture(given, "normalTexture"),
             normal_scale=float(given.get("normalTexture", {}).get("scale", 1)),
             occlusion_texture=self._texture(given, "occlusionTexture"),
-            occlusion_strength=_unit(given.get("occlusionTexture", {}).get("strength", 1)),
+            occlusion_strength=unit(given.get("occlusionTexture", {}).get("strength", 1)),
             **(surface if glossy is None else self._glossy(glossy)),
             **self._coat(coat),
             **self._sheen(sheen),
@@ -87,8 +87,8 @@ class GltfMaterials:
         return {
             "base_colour": (red, green, blue, alpha),
             "base_texture": self._texture(pbr, "baseColorTexture"),
-            "metallic": _unit(pbr.get("metallicFactor", 1)),
-            "roughness": _unit(pbr.get("roughnessFactor", 1)),
+            "metallic": unit(pbr.get("metallicFactor", 1)),
+            "roughness": unit(pbr.get("roughnessFactor", 1)),
             "metallic_roughness_texture": self._texture(pbr, "metallicRoughnessTexture"),
             "specular": float(specular.get("specularFactor", 1)) * f0 / 0.08,
         }
@@ -96,9 +96,9 @@ class GltfMaterials:
     def _coat(self, given: dict[str, Any]) -> dict[str, Any]:
         normal = given.get("clearcoatNormalTexture", {})
         return {
-            "clearcoat": _unit(given.get("clearcoatFactor", 0)),
+            "clearcoat": unit(given.get("clearcoatFactor", 0)),
             "clearcoat_texture": self._texture(given, "clearcoatTexture"),
-            "clearcoat_roughness": _unit(given.get("clearcoatRoughnessFactor", 0)),
+            "clearcoat_roughness": unit(given.get("clearcoatRoughnessFactor", 0)),
             "clearcoat_roughness_texture": self._texture(given, "clearcoatRoughnessTexture"),
             "clearcoat_normal_texture": self._texture(given, "clearcoatNormalTexture"),
             "clearcoat_normal_scale": float(normal.get("scale", 1)),
@@ -108,7 +108,7 @@ class GltfMaterials:
         return {
             "sheen_colour": _colour(given.get("sheenColorFactor", (0, 0, 0))),
             "sheen_colour_texture": self._texture(given, "sheenColorTexture"),
-            "sheen_roughness": _unit(given.get("sheenRoughnessFactor", 0)),
+            "sheen_roughness": unit(given.get("sheenRoughnessFactor", 0)),
             "sheen_roughness_texture": self._texture(given, "sheenRoughnessTexture"),
         }
 
@@ -144,7 +144,7 @@ class GltfMaterials:
             return {
                 "base_colour": (float(red), float(green), float(blue), float(diffuse[3])),
                 "metallic": float(metallic),
-                "roughness": _unit(1.0 - shine[3]),
+                "roughness": unit(1.0 - shine[3]),
             }
         wide, high = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
         pictures = [None if t is None else t.picture for t in (matt_texture, shine_texture)]
@@ -238,10 +238,6 @@ def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.nd
     matt = diffuse[..., :3] * rest[..., None] / np.maximum(1.0 - m, 1e-6)
     shiny = (shine[..., :3] - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
     return np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), metal
-
-
-def _unit(value: Any) -> float:
-    return float(np.clip(float(value), 0.0, 1.0))
 
 
 def _colour(value: Any, strength: float = 1.0) -> tuple[float, float, float]:

@@ -11,54 +11,71 @@ import numpy as np
 from arfx.core.model import Material
 from arfx.core.numerics import normalise
 from arfx.core.pose import rotation_from_quaternion
+from arfx.errors import InputError
 from arfx.media.gltf_buffers import Buffers, shares
 from arfx.media.gltf_materials import GltfMaterials
-from arfx.media.model_materials import plain_material
+from arfx.media.model_files import ModelFolder
+from arfx.media.model_limits import check_faces, check_parts
+from arfx.media.model_materials import Textures, plain_material
 from arfx.media.model_parts import FileMesh
 
 _TRIANGLES, _STRIP = 4, 5
 _ROWS = {
-    "POSITION": "vertices",
-    "NORMAL": "normals",
-    "TANGENT": "tangents",
-    "TEXCOORD_0": "uv",
-    "TEXCOORD_1": "second_uv",
+    "POSITION": ("vertices", 3),
+    "NORMAL": ("normals", 3),
+    "TANGENT": ("tangents", 4),
+    "TEXCOORD_0": ("uv", 2),
+    "TEXCOORD_1": ("second_uv", 2),
 }
 _PLACES = ("translation", "rotation", "scale")
 _INSTANCES, _VISIBLE = "EXT_mesh_gpu_instancing", "KHR_node_visibility"
 
 
 class GltfScene:
-    """The scene that a file shows. header : its JSON, checked;  notices : gets what is left out"""
+    """The scene that a file shows.
+
+    header : its JSON, from gltf_header;  notices : gets what is left out
+    Raises InputError: limits, what is missing or does not fit together."""
 
     def __init__(
         self,
+        data: bytes,
+        kind: str,
         header: dict[str, Any],
-        buffers: Buffers,
-        materials: GltfMaterials,
+        folder: ModelFolder,
+        textures: Textures,
         notices: list[str],
     ) -> None:
+        self._path, self._notices = folder.path, notices
         self._nodes = header.get("nodes", [])
         self._meshes = header.get("meshes", [])
         self._scenes = header.get("scenes", [])
         self._shown = header.get("scene", 0)
-        self._buffers, self._materials, self._notices = buffers, materials, notices
+        self._buffers = Buffers(data, kind, header, folder)
+        self._materials = GltfMaterials(header, self._buffers, textures, notices)
 
     def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
-        """Each set of triangles, (4, 4) its place in the model, and its material; None for points
-        and lines."""
-        meshes: dict[int, list[tuple[FileMesh | None, Material]]] = {}
-        for number, model_from_mesh in self._placed():
-            if number not in meshes:
-                meshes[number] = list(self._triangles_of(number))
+        """Each set of triangles, (4, 4) its place in the model, its material.
+
+        For points and lines there is None in place of triangles."""
+        placed = list(self._placed())
+        faces_of = {number: self._face_count(number) for number, _ in placed}
+        check_faces(sum(faces_of[number] for number, _ in placed), self._path)
+        meshes = {number: list(self._triangles_of(number)) for number in faces_of}
+        for number, model_from_mesh in placed:
             for mesh, material in meshes[number]:
                 yield mesh, model_from_mesh, material
 
     def _placed(self) -> Iterator[tuple[int, np.ndarray]]:
         """Numbers of the meshes that are shown, each with its place in the model."""
         waiting = [(number, np.eye(4)) for number in self._roots()]
+        count, seen = 0, set()
         while waiting:
             number, model_from_parent = waiting.pop()
+            if number in seen:
+                what = f"node {number} is below itself or below two others"
+                raise InputError(f"model {self._path}: {what}", "nodes must form a tree")
+            seen.add(number)
             node = self._nodes[number]
             extensions = node.get("extensions", {})
             if extensions.get(_VISIBLE, {}).get("visible") is False:
@@ -66,8 +83,20 @@ class GltfScene:
             model_from_node = model_from_parent @ _parent_from_node(node)
             if "mesh" in node:
                 for node_from_mesh in self._copies(extensions):
+                    count += 1
+                    check_parts(count, self._path)
                     yield node["mesh"], model_from_node @ node_from_mesh
             waiting += [(child, model_from_node) for child in node.get("children", [])]
+
+    def _face_count(self, number: int) -> int:
+        """At most, of a mesh."""
+        total = 0
+        for primitive in self._meshes[number]["primitives"]:
+            corners = primitive.get("indices", primitive["attributes"].get("POSITION"))
+            if corners is not None:
+                a_face = 3 if primitive.get("mode", _TRIANGLES) == _TRIANGLES else 1
+                total += self._buffers.count(corners) // a_face
+        return total
 
     def _roots(self) -> list[int]:
         """Those of the scene that is shown; of a file without scenes every node that is below
@@ -99,11 +128,13 @@ class GltfScene:
                 yield None, Material()
                 continue
             read = self._buffers.array
-            numbers = {own: given[name] for name, own in _ROWS.items() if name in given}
-            rows = {own: read(number).astype(float) for own, number in numbers.items()}
+            rows = {}
+            for name, (own, columns) in _ROWS.items():
+                if name in given:
+                    rows[own] = read(given[name], columns).astype(float)
             corners = np.arange(len(rows["vertices"]))
             if "indices" in primitive:
-                corners = read(primitive["indices"])[:, 0].astype(np.int64)
+                corners = read(primitive["indices"], 1)[:, 0].astype(np.int64)
             if "COLOR_0" in given:
                 rows["colours"] = _colours(read(given["COLOR_0"]))
             if "material" in primitive:

@@ -6,8 +6,11 @@ import re
 from pathlib import Path
 
 from arfx.errors import InputError
-from arfx.media.gltf import MAX_FACES, MAX_PARTS
 
+# Of all instances together: 1.5 GB while the edges are looked for.
+MAX_FACES = 5_000_000
+# Mesh instances: each is a part with a transform of its own, a hundred parts take a second.
+MAX_PARTS = 10_000
 _FACES_OF = {"ply": rb"\belement\s+face\s+(\d+)", "off": rb"OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d+)"}
 
 

@@ -119,6 +119,11 @@ def _in_8_bits(image: Any) -> Any:
     return Image.fromarray((np.asarray(image, np.int64) >> 8).clip(0, 255).astype(np.uint8))
 
 
+def unit(value: Any) -> float:
+    """A number between 0 and 1."""
+    return float(np.clip(float(value), 0.0, 1.0))
+
+
 def resized(picture: np.ndarray, wide: int, high: int) -> np.ndarray:
     """A picture (h, w, 4) uint8 of another size."""
     from PIL import Image

@@ -6,8 +6,8 @@ the picture covers the same way round. Each group gets the mean of its faces' di
 picture's rows, laid into the plane of the vertex normal and weighted by corner angle.
 Source: Mikkelsen 2008, Simulation of Wrinkled Surfaces Revisited, chapter 2.
 
-Leaves out: a face that the picture covers with no area joins no group (in MikkTSpace it takes after
-the neighbour that comes first); its corners take after another corner of the vertex."""
+Leaves out: a face that the picture covers with no area joins no group, its tangents lie anyhow
+across the normals (in MikkTSpace it takes after the neighbour that comes first)."""
 
 from __future__ import annotations
 
@@ -33,16 +33,11 @@ def with_tangents(part: Part) -> Part:
     tangents = corner_tangents(part.vertices, part.faces, part.normals, uv)
     first, group = same_rows(tangents)
     faces, source, of_group = split_corners(part.faces, group)
-    return Part(
-        part.vertices[source],
-        faces.astype(np.int32),
-        part.normals[source],
-        part.material,
-        None if part.uv is None else part.uv[source],
-        None if part.colours is None else part.colours[source],
-        None if part.second_uv is None else part.second_uv[source],
-        tangents[first[of_group]],
-    )
+    names = ("vertices", "normals", "uv", "second_uv", "colours")
+    given = {name: getattr(part, name) for name in names}
+    rows = {name: values[source] for name, values in given.items() if values is not None}
+    rows["tangents"] = tangents[first[of_group]]
+    return Part(faces=faces.astype(np.int32), material=part.material, **rows)
 
 
 def corner_tangents(
@@ -74,22 +69,13 @@ def corner_tangents(
     sums = np.stack([np.bincount(group, parts[:, k], count) for k in range(3)], 1)
     tangents = normalise(sums)[group]
     signed = np.column_stack([tangents, np.repeat(side, 3)])
-    return _filled(signed, vertex.ravel(), n.reshape(-1, 3))
+    normal = n.reshape(-1, 3)
+    any_way = _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal)
+    lacking = ~(tangents.any(1) & np.repeat(covered, 3))
+    signed[lacking] = np.column_stack([any_way, np.ones(len(normal))])[lacking]
+    return signed
 
 
 def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Unit vectors (..., 3) of what of v is across the normal."""
     return normalise(v - normal * (v * normal).sum(-1, keepdims=True))
-
-
-def _filled(tangents: np.ndarray, vertex: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Corners without a tangent take that of another corner of their vertex, else any across the
-    normal."""
-    has = tangents[:, :3].any(1) & (tangents[:, 3] != 0)
-    across = _in_plane(np.eye(3)[np.abs(normals).argmin(1)], normals)
-    out = np.where(has[:, None], tangents, np.column_stack([across, np.ones(len(across))]))
-    other = np.full(vertex.max() + 1, -1)
-    other[vertex[has]] = np.flatnonzero(has)
-    lacking = np.flatnonzero(~has & (other[vertex] >= 0))
-    out[lacking] = out[other[vertex[lacking]]]
-    return out

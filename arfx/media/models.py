@@ -17,8 +17,6 @@ from arfx.core.model import Material, Model, Part
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import check_gltf, gltf_header
-from arfx.media.gltf_buffers import Buffers
-from arfx.media.gltf_materials import GltfMaterials
 from arfx.media.gltf_parts import GltfScene
 from arfx.media.model_files import ModelFolder, restrict_pillow
 from arfx.media.model_limits import check_faces, check_parts, check_size
@@ -42,7 +40,7 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     """Read a model file.
 
     path : one of the formats above; textures beside it, names with spaces included
-    up : "x", "y" or "z", the file axis that points up; None = of its kind (glTF, OBJ, DAE: y; else z)
+    up : "x", "y" or "z", the file axis that points up; None = of its kind (glTF, OBJ, DAE: y)
 
     Returns a Model in the file's own axes and units, faces counter-clockwise from outside, normals
     unit. Raises InputError: missing or unreadable file, no faces, vertices that are not finite,
@@ -58,7 +56,6 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
         raise InputError(f"model file {path} is empty")
     kind = _kind(path, data)
     header = gltf_header(data, kind, path)
-    notices = check_gltf(header, path)
     check_size(data, kind, path)
     folder = ModelFolder(path)
     log = logging.getLogger("trimesh")
@@ -66,6 +63,7 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
     try:
         with np.errstate(all="ignore"):
+            notices = check_gltf(header, path)
             parts = _read(data, kind, header, folder, notices)
     except ArfxError:
         raise
@@ -114,9 +112,8 @@ def _read(
     named = 0
     with restrict_pillow(refused):
         if header:
-            buffers = Buffers(data, kind, header, folder)
-            materials = GltfMaterials(header, buffers, textures, notices)
-            parts = _parts(GltfScene(header, buffers, materials, notices), folder.path, notices)
+            gltf = GltfScene(data, kind, header, folder, textures, notices)
+            parts = _parts(gltf, folder.path, notices)
         else:
             scene = TrimeshScene(data, kind, folder, textures, notices)
             named = scene.textures_named

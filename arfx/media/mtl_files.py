@@ -17,7 +17,7 @@ from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
 from arfx.errors import InputError
 from arfx.media.model_files import ModelFolder
-from arfx.media.model_materials import Textures, check_material, check_numbers, resized
+from arfx.media.model_materials import Textures, check_material, check_numbers, resized, unit
 
 # Options of maps and how many values they take at most; those that are read, or change nothing.
 _OPTIONS = dict.fromkeys(("-clamp", "-imfchan", "-cc", "-bm", "-boost", "-blendu", "-blendv"), 1)
@@ -49,17 +49,17 @@ class MtlMaterials:
         normal, scale = m.normal_texture()
         display = m.colour("kd", _GREY if base is None else 1.0)
         red, green, blue = SRGB.decode(np.clip(display, 0, 1))
-        alpha = float(np.clip(m.number("d", 1.0), 0, 1))
+        alpha = unit(m.number("d", 1.0))
         shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
         metallic, roughness = m.number("pm", 0.0), m.number("pr", shine**0.25)
-        sheen = float(np.clip(m.number("ps", 0.0), 0, 1))
+        sheen = unit(m.number("ps", 0.0))
         emissive = m.colour("ke", 0.0 if glow is None else 1.0)
         material = Material(
             name=name,
             base_colour=(float(red), float(green), float(blue), alpha),
             base_texture=base,
-            metallic=1.0 if metal is not None else float(np.clip(metallic, 0, 1)),
-            roughness=1.0 if rough is not None else float(np.clip(roughness, 0.05, 1)),
+            metallic=1.0 if metal is not None else unit(metallic),
+            roughness=1.0 if rough is not None else unit(max(roughness, 0.05)),
             metallic_roughness_texture=_joined(rough, metal),
             emissive=(emissive[0], emissive[1], emissive[2]),
             emissive_texture=glow,
@@ -67,8 +67,8 @@ class MtlMaterials:
             double_sided=True,  # nobody promises an OBJ's winding
             normal_texture=normal,
             normal_scale=scale,
-            clearcoat=float(np.clip(m.number("pc", 0.0), 0, 1)),
-            clearcoat_roughness=float(np.clip(m.number("pcr", 0.0), 0, 1)),
+            clearcoat=unit(m.number("pc", 0.0)),
+            clearcoat_roughness=unit(m.number("pcr", 0.0)),
             sheen_colour=(sheen, sheen, sheen),
             sheen_roughness=_SHEEN_ROUGHNESS,
         )

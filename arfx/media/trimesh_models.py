@@ -14,7 +14,7 @@ from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material
 from arfx.media.model_files import ModelFolder
 from arfx.media.model_limits import check_parts
-from arfx.media.model_materials import Textures, check_material, plain_material
+from arfx.media.model_materials import Textures, check_material, plain_material, unit
 from arfx.media.model_parts import FileMesh
 from arfx.media.obj_files import ObjFile, decoded, read_obj
 
@@ -121,8 +121,8 @@ class TrimeshScene:
             name=str(given.name or "default"),
             base_colour=(red, green, blue, alpha),
             base_texture=self._textures.texture(given.baseColorTexture),
-            metallic=1.0 if metallic is None else float(np.clip(metallic, 0, 1)),
-            roughness=1.0 if roughness is None else float(np.clip(roughness, 0, 1)),
+            metallic=1.0 if metallic is None else unit(metallic),
+            roughness=1.0 if roughness is None else unit(roughness),
             emissive=(float(glow[0]), float(glow[1]), float(glow[2])),
             emissive_texture=self._textures.texture(given.emissiveTexture) if any(glow) else None,
             alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
