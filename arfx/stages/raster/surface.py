@@ -46,26 +46,22 @@ def _folded(u, wrap):  # pragma: no cover - compiled
 
 @line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
 def _texel(texels, table, t, level, tu, tv, weight):  # pragma: no cover - compiled
-    """Four channels, bilinear, of one level of texture t at tu, tv, times weight; 1 = full."""
+    """Four channels, bilinear, of one level of texture t at tu, tv in 0..1, times weight; 1 = full."""
     one = np.float32(1)
     w, h = np.int32(max(table[t, 0] >> level, 1)), np.int32(max(table[t, 1] >> level, 1))
     start = np.int32(table[t, 3 + level])
-    wrap_u, wrap_v = table[t, WRAP_COLUMN], table[t, WRAP_COLUMN + 1]
-    tu, tv = _folded(tu, wrap_u), _folded(tv, wrap_v)
     x, y = tu * np.float32(w) - np.float32(0.5), tv * np.float32(h) - np.float32(0.5)
     left, top = np.floor(x), np.floor(y)
     fx, fy = x - left, y - top
     x0, y0 = np.int32(left), np.int32(top)
     x1, y1 = np.int32(x0 + np.int32(1)), np.int32(y0 + np.int32(1))
+    # the texels beyond the edges: those of the other side where the picture repeats
     across, down = np.int32(w - np.int32(1)), np.int32(h - np.int32(1))
-    if x0 < 0:
-        x0 = across if wrap_u == 0 else np.int32(0)
-    if x1 > across:
-        x1 = np.int32(0) if wrap_u == 0 else across
-    if y0 < 0:
-        y0 = down if wrap_v == 0 else np.int32(0)
-    if y1 > down:
-        y1 = np.int32(0) if wrap_v == 0 else down
+    repeats_u, repeats_v = table[t, WRAP_COLUMN] == 0, table[t, WRAP_COLUMN + 1] == 0
+    before, after = across if repeats_u else np.int32(0), np.int32(0) if repeats_u else across
+    above, below = down if repeats_v else np.int32(0), np.int32(0) if repeats_v else down
+    x0, x1 = x0 if x0 >= 0 else before, x1 if x1 < w else after
+    y0, y1 = y0 if y0 >= 0 else above, y1 if y1 < h else below
     weight *= np.float32(1 / 65535)
     b, c, d = weight * fx * (one - fy), weight * (one - fx) * fy, weight * fx * fy
     i, j = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
@@ -102,7 +98,8 @@ def _texture(texels, table, t, u, v, across, down, most):  # pragma: no cover - 
         q = (np.float32(j) + np.float32(0.5)) / np.float32(m) - np.float32(0.5)
         for i in range(n):
             p = (np.float32(i) + np.float32(0.5)) / np.float32(n) - np.float32(0.5)
-            tu, tv = u + p * across[0] + q * down[0], v + p * across[1] + q * down[1]
+            tu = _folded(u + p * across[0] + q * down[0], table[t, WRAP_COLUMN])
+            tv = _folded(v + p * across[1] + q * down[1], table[t, WRAP_COLUMN + 1])
             c0, c1, c2, c3 = _texel(texels, table, t, level, tu, tv, (one - mix) * share)
             t0, t1, t2, t3 = t0 + c0, t1 + c1, t2 + c2, t3 + c3
             if mix > zero:
@@ -153,6 +150,8 @@ def _surface(face, b1, b2, z, d, side, level, seen_from: View, mesh: Surfaces): 
         tu = b0 * uv[i0, 0] + b1 * uv[i1, 0] + b2 * uv[i2, 0]
         tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
         if level >= 0:
+            tu = _folded(tu, table[t, WRAP_COLUMN])
+            tv = _folded(tv, table[t, WRAP_COLUMN + 1])
             t0, t1, t2, t3 = _texel(texels, table, t, np.int32(min(level, table[t, 2] - 1)), tu, tv, np.float32(1))
         else:
             cosine = max(abs(facing), np.float32(_GRAZING) * length)
