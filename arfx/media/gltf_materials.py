@@ -229,16 +229,21 @@ def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.nd
 
     diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
     Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP)."""
-    weights = np.array([0.299, 0.587, 0.114])
-    d, s = (np.sqrt(x[..., :3] ** 2 @ weights) for x in (diffuse, shine))
-    rest = (1.0 - shine[..., :3].max(-1)) / (1.0 - _DIELECTRIC)
+    colour, specular = diffuse[..., :3], shine[..., :3]
+    d, s = _brightness(colour), _brightness(specular)
+    rest = (1.0 - specular.max(-1)) / (1.0 - _DIELECTRIC)
     b = d * rest + s - 2 * _DIELECTRIC
-    root = np.sqrt(np.maximum(b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s), 0.0))
-    metal = np.where(s < _DIELECTRIC, 0.0, np.clip((root - b) / (2 * _DIELECTRIC), 0.0, 1.0))
+    square = b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s)
+    share = (np.sqrt(np.maximum(square, 0.0)) - b) / (2 * _DIELECTRIC)
+    metal = np.where(s < _DIELECTRIC, 0.0, np.clip(share, 0.0, 1.0))
     m = metal[..., None]
-    matt = diffuse[..., :3] * rest[..., None] / np.maximum(1.0 - m, 1e-6)
-    shiny = (shine[..., :3] - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
+    matt = colour * rest[..., None] / np.maximum(1.0 - m, 1e-6)
+    shiny = (specular - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
     return np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), metal
+
+
+def _brightness(colour: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(colour**2 @ np.array([0.299, 0.587, 0.114])))
 
 
 def _colour(value: Any, strength: float = 1.0) -> tuple[float, float, float]:
