@@ -11,19 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, neutral
-from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError, require_within
-from arfx.stages.raster.arrays import OUTPUTS
 from arfx.stages.raster.backends import BACKENDS, choose_backend
+from arfx.stages.raster.record import OUTPUTS
+
+if TYPE_CHECKING:
+    from arfx.stages.raster.renderer import Renderer
 
 
 @dataclass(frozen=True)
@@ -41,16 +43,6 @@ class RasterParams:
                 f"raster.backend {self.backend!r} is unknown", "one of auto, " + ", ".join(BACKENDS)
             )
         require_within("raster", self, samples=(0, 256))
-
-
-class Renderer(Protocol):
-    """What a back end gives: all OUTPUTS over a rectangle inside the frame.
-
-    any_rectangle : a pixel comes out the same whatever rectangle it is rendered in"""
-
-    any_rectangle: bool
-
-    def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]: ...
 
 
 class Raster(Stage):
@@ -75,15 +67,13 @@ class Raster(Stage):
 
     def prepare(self, scene: Scene, level: str) -> Renderer:
         """Raises InputError for a model too large for the scene, RenderError where the chosen back end cannot open."""
-        from arfx.stages.raster.mesh import build_mesh
+        from arfx.stages.raster.renderer import Renderer
 
-        mesh = build_mesh(scene)
-        if level == "reference":
-            from arfx.stages.raster.reference import ReferenceRenderer
-
-            return ReferenceRenderer(mesh, scene.camera)
-        backend = choose_backend(self.params.backend)
-        return backend.renderer(mesh, scene.camera, self.params.samples or backend.samples[level])
+        backend = choose_backend("rays" if level == "reference" else self.params.backend)
+        samples = self.params.samples if level != "reference" else 0
+        samples = samples or backend.samples[level]
+        find_faces, pattern = backend.find_faces, backend.pattern
+        return Renderer(scene.mesh_at(0.0), scene.camera, find_faces, samples, pattern)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         rect, box = view.rect, view.facts.raster_box.clip(view.scene.camera.rect)

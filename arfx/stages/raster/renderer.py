@@ -1,0 +1,213 @@
+"""From a mesh to layers: which faces are seen, where pixels need more rays, what the rays meet.
+
+More than one ray goes through a pixel only where an outline, a sharp edge or a cut-out passes
+through it (edges.py). Directions are those of the distorted camera, so nothing is warped. Rays go
+on behind transparent layers and cut-outs, up to MAX_LAYERS, by embree.
+Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `Raster.levels`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from arfx.core.camera import Camera
+from arfx.core.layers import Layer, neutral
+from arfx.core.model import OPAQUE
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+from arfx.core.scene_mesh import SceneMesh
+from arfx.stages.raster.edges import edge_pixels
+from arfx.stages.raster.lens import LensTable
+from arfx.stages.raster.record import (
+    MARGIN,
+    OUTPUTS,
+    PLAIN_COLUMNS,
+    GBuffer,
+    Rays,
+    View,
+    rays_through,
+)
+from arfx.stages.raster.surface import CLEAR, add_surfaces, merged_by_face, resolve
+from arfx.stages.raster.tables import CUT_OUT, MODE, surface_tables
+from arfx.stages.triangles import Triangles
+
+MAX_LAYERS = 8
+REFERENCE_SAMPLES = 256
+# A ray goes on this far behind a hit, as a fraction of the depth: eight steps of float32.
+_ONWARD = np.float32(1e-6)
+_STRIP_PX, _BLOCK_RAYS = 1 << 20, 1 << 20  # at a time: bounds memory to about 200 MB
+_CENTRES = 1 << 14  # pixels of one ray at a time: their sums stay in the processor's cache
+
+
+class FacesOfFrame(Protocol):
+    """Which faces one frame's camera sees."""
+
+    def centres(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Face (h, w), -1 = none, and depth along the directions x, y (h, w) of the pixels."""
+        ...
+
+    def samples(
+        self, shape: tuple[int, int], pixels: np.ndarray, x: np.ndarray, y: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same (n, s) along the directions x, y (n, s) near pixels (n,) of a picture."""
+        ...
+
+
+class FacesSeen(Protocol):
+    """A way to find the faces that a camera sees: by rays or by OpenGL.
+
+    any_rectangle : a pixel comes out the same whatever rectangle it is in"""
+
+    any_rectangle: bool
+
+    def frame(self, view: View, rect: Rect) -> FacesOfFrame: ...
+
+
+class Renderer:
+    """Renders rectangles of one mesh through one camera.
+
+    find_faces : makes FacesSeen of mesh, camera and the lens's curvature, 1 / px
+    samples : of a pixel that an edge crosses; of a mesh with transparency a quarter, because each
+    one is followed through it. A texture gets half as many taps along a pixel's side as there are
+    samples along it. From REFERENCE_SAMPLES on, rays go through all pixels, each by itself
+    pattern : (s, 2) places of samples, px from the pixel's centre, by their number"""
+
+    def __init__(
+        self,
+        mesh: SceneMesh,
+        camera: Camera,
+        find_faces: Callable[[SceneMesh, Camera, float], FacesSeen],
+        samples: int,
+        pattern: Callable[[int], np.ndarray],
+    ) -> None:
+        self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
+        self.faces = find_faces(mesh, camera, self.lens.curvature)
+        self.tables = surface_tables(mesh)
+        self.layered = any(material.alpha_mode != OPAQUE for material in mesh.materials)
+        self.everywhere = samples >= REFERENCE_SAMPLES
+        fewer = self.layered and not self.everywhere
+        offsets = pattern(max(samples // 4, min(samples, 4)) if fewer else samples)
+        self.offsets = offsets[np.argsort((offsets**2).sum(1), kind="stable")]
+        self.taps = max(round(np.sqrt(samples) / 2), 1)
+        self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))
+        self.triangles = Triangles(mesh.corners_m, robust=True) if self.layered else None
+
+    @property
+    def any_rectangle(self) -> bool:
+        return self.faces.any_rectangle
+
+    def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
+        """All layers of OUTPUTS over `rect`, which lies in the frame."""
+        out = {name: neutral(name, rect) for name in OUTPUTS}
+        rows = max(_STRIP_PX // max(rect.width, 1), 1)
+        for top in range(rect.y0, rect.y1, rows):
+            strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))
+            if not strip.empty:
+                layers = GBuffer(*(out[name][strip.slices_in(rect)] for name in OUTPUTS))
+                self._strip(strip, camera_from_world, layers)
+        return out
+
+    def _strip(self, rect: Rect, camera_from_world: Pose, out: GBuffer) -> None:
+        view = self._view(rect, camera_from_world)
+        # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
+        wide = rect.pad(1)
+        frame = self.faces.frame(view, wide)
+        inner_x, inner_y = (np.ascontiguousarray(a[1:-1, 1:-1]) for a in (view.x, view.y))
+        face, depth = frame.centres(inner_x, inner_y)
+        if self.everywhere:
+            edge = np.ones((rect.height, rect.width), bool)
+        else:
+            edge = edge_pixels(self.mesh, self.camera, view, wide, face, depth)[1:-1, 1:-1]
+        face, depth = (np.ascontiguousarray(a[1:-1, 1:-1]) for a in (face, depth))
+        if self.layered:  # how much of a cut-out a pixel shows, its centre does not tell
+            edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (face >= 0)
+        plain = np.flatnonzero((face >= 0) & ~edge)
+        for start in range(0, len(plain), _CENTRES):
+            pixels = plain[start : start + _CENTRES]
+            x, y = (a[1:-1, 1:-1].reshape(-1)[pixels, None] for a in (inner_x, inner_y))
+            seen = face.flat[pixels][:, None], depth.flat[pixels][:, None]
+            self._pixels(pixels, *seen, x, y, np.ones((len(pixels), 1), np.float32), view, out)
+        sampled = np.flatnonzero(edge)
+        step = max(_BLOCK_RAYS // (len(self.offsets) + 1), 1)
+        for start in range(0, len(sampled), step):
+            pixels = sampled[start : start + step]
+            row, column = np.divmod(pixels, rect.width)
+            x, y = (_around(a, row + MARGIN, column + MARGIN, self.offsets) for a in (view.x, view.y))
+            number = (row + 1) * wide.width + column + 1
+            seen = frame.samples((wide.height, wide.width), number, x[:, 1:], y[:, 1:])
+            of_centre = face.flat[pixels], depth.flat[pixels]
+            joined = (np.column_stack(pair) for pair in zip(of_centre, seen, strict=True))
+            share = np.full(x.shape, 1 / len(self.offsets), np.float32)
+            share[:, 0] = 0
+            self._pixels(pixels, *joined, x, y, share, view, out)
+
+    def _view(self, rect: Rect, camera_from_world: Pose) -> View:
+        directions = self.lens.directions(rect.pad(MARGIN))
+        centre = camera_from_world.apply(self.mesh.centre_m)
+        return View(
+            np.ascontiguousarray(directions[..., 0], float),
+            np.ascontiguousarray(directions[..., 1], float),
+            Pose(camera_from_world.rotation, centre).apply(self.mesh.vertices),
+            np.ascontiguousarray(camera_from_world.rotation),
+            camera_from_world.inverse().translation_m,
+            self.pixel,
+            self.taps,
+        )
+
+    def _pixels(
+        self,
+        pixels: np.ndarray,
+        face: np.ndarray,
+        depth: np.ndarray,
+        x: np.ndarray,
+        y: np.ndarray,
+        share: np.ndarray,
+        view: View,
+        out: GBuffer,
+    ) -> None:
+        """Pixels (n,) of `out` from k rays each, the first through the centre; (n, k) arrays."""
+        sums = np.zeros((len(pixels), PLAIN_COLUMNS), np.float32)
+        if self.layered or self.everywhere:
+            number = np.repeat(np.arange(len(pixels)), face.shape[1])
+            rays = rays_through(number, face.ravel(), x.ravel(), y.ravel(), share.ravel())
+            self._follow(rays, view, sums)
+            part, depth = rays.part.reshape(face.shape), rays.depth.reshape(face.shape)
+        else:
+            rays = rays_through(*merged_by_face(face, x, y, share))
+            self._follow(rays, view, sums)
+            part = np.where(face >= 0, self.mesh.part[face], np.int32(-1))
+        nearest = (np.arange(len(pixels)), (part >= 0).argmax(1))
+        resolve(pixels, part[nearest], depth[nearest], sums, view, out)
+
+    def _follow(self, rays: Rays, view: View, sums: np.ndarray) -> None:
+        """Add what the rays meet, layer by layer, to the pixels' sums."""
+        values = np.empty(sums.shape[1], np.float32)
+        add_surfaces(rays, view, self.tables, values, sums)
+        if self.triangles is None:
+            return
+        eye = (view.eye - self.mesh.centre_m).astype(np.float32)
+        for _ in range(MAX_LAYERS - 1):
+            going = np.flatnonzero((rays.face >= 0) & (rays.clear > CLEAR))
+            if not len(going):
+                return
+            in_camera = np.column_stack([rays.x[going], rays.y[going], np.ones(len(going))])
+            directions = (in_camera @ view.rotation).astype(np.float32)
+            start = rays.reached[going, None] * (1 + _ONWARD)
+            behind = np.full(len(rays.face), -1, np.int32)
+            hits = self.triangles.first_hits(eye + start * directions, directions)
+            behind[going] = hits["primID"]
+            rays = rays._replace(face=behind)
+            add_surfaces(rays, view, self.tables, values, sums)
+
+
+def _around(
+    directions: np.ndarray, row: np.ndarray, column: np.ndarray, offsets: np.ndarray
+) -> np.ndarray:
+    """(n, 1 + s) directions at pixels (n,) and at `offsets` (s, 2) px from them, linear between."""
+    centre = directions[row, column][:, None]
+    across = (directions[row, column + 1] - directions[row, column - 1])[:, None] / 2
+    down = (directions[row + 1, column] - directions[row - 1, column])[:, None] / 2
+    around = centre + across * offsets[:, 0] + down * offsets[:, 1]
+    return np.concatenate([centre, around], 1)
