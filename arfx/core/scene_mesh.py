@@ -94,10 +94,7 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)])
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     uv = [np.zeros((n, 2)) if p.uv is None else p.uv for p, n in zip(parts, counts, strict=True)]
-    colours = [
-        np.ones((n, 4)) if p.colours is None else p.colours
-        for p, n in zip(parts, counts, strict=True)
-    ]
+    colours = [np.ones((n, 4)) if p.colours is None else p.colours for p, n in zip(parts, counts, strict=True)]
     return SceneMesh(
         centre_m=centre,
         vertices=vertices,
@@ -143,9 +140,7 @@ def _edges(mesh: SceneMesh) -> Edges:
     a, b = owner[pair], owner[pair + 1]
     flat = (mesh.face_normal[a] * mesh.face_normal[b]).sum(1) > _CREASE_COS
     alone = np.flatnonzero(np.repeat(count != 2, count))
-    sides = np.concatenate(
-        [np.stack([a, b], 1), np.stack([owner[alone], np.full(len(alone), -1)], 1)]
-    )
+    sides = np.concatenate([np.stack([a, b], 1), np.stack([owner[alone], np.full(len(alone), -1)], 1)])
     sharp = np.r_[~flat | (mesh.part[a] != mesh.part[b]), np.ones(len(alone), bool)]
     vertices = first[ends[np.r_[pair, alone]]]
     return Edges(vertices.astype(np.int32), sides.astype(np.int32), sharp)

@@ -10,24 +10,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from arfx.errors import ConfigError, RenderError
 
 BACKENDS = ("pyrender", "rays")
 RAY_SAMPLES = {"draft": 4, "standard": 64, "reference": 256}
 # OpenGL draws its samples in all pixels, whether an edge crosses them or not.
-GL_SAMPLES = {"draft": 4, "standard": 16}
+GL_SAMPLES = {"draft": 9, "standard": 25}
 
 
 @dataclass(frozen=True)
 class Backend:
-    """find_faces, pattern : as of `Renderer`;  samples : of a pixel, by level
+    """find_faces : as of `Renderer`;  samples : of a pixel, by level
     why : this one was chosen"""
 
     name: str
     find_faces: Callable[..., Any]
-    pattern: Callable[[int], np.ndarray]
     samples: Mapping[str, int]
     why: str
 
@@ -65,16 +62,16 @@ def choose_backend(wanted: str = "auto") -> Backend:
         return _ray_backend(e.message)
     if wanted == "auto" and context.software:
         return _ray_backend("OpenGL runs in software here")
-    from arfx.stages.raster.gl import GlFaces, grid
+    from arfx.stages.raster.gl import GlFaces
 
     why = "asked for" if wanted == "pyrender" else "OpenGL runs on a graphics card here"
-    return Backend("pyrender", GlFaces, grid, GL_SAMPLES, why)
+    return Backend("pyrender", GlFaces, GL_SAMPLES, why)
 
 
 def _ray_backend(why: str) -> Backend:
-    from arfx.stages.raster.visible import RayFaces, lattice
+    from arfx.stages.raster.visible import RayFaces
 
-    return Backend("rays", RayFaces, lattice, RAY_SAMPLES, why)
+    return Backend("rays", RayFaces, RAY_SAMPLES, why)
 
 
 def _graphics_card() -> bool:

@@ -34,7 +34,7 @@ def edge_pixels(
     mask = np.zeros(face.shape, bool)
     px, z = _points_along(mesh, camera, view, _visible_edges(mesh, view))
     column, row = np.floor(px - [rect.x0, rect.y0]).astype(int).T
-    inside = (0 <= column) & (column < rect.width) & (0 <= row) & (row < rect.height)
+    inside = (column >= 0) & (column < rect.width) & (row >= 0) & (row < rect.height)
     column, row, z = column[inside], row[inside], z[inside]
     seen = z <= depth[row, column] * np.float32(1 + _BEHIND)
     mask[row[seen], column[seen]] = True
@@ -87,13 +87,14 @@ def _add_jumps(
     before = mask.copy()
     x, y = view.x[1:-1, 1:-1], view.y[1:-1, 1:-1]
     part = np.where(face >= 0, mesh.part[face], -1)
+    parts = part.min() < part.max()
     least_jump = _JUMP_PX * view.pixel
     for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         with np.errstate(invalid="ignore"):
             gap = np.abs(depth[there] - depth[here])
         deep = gap > least_jump * np.minimum(depth[here], depth[there])
-        may = (face[here] != face[there]) & (deep | (part[here] != part[there]))
-        k = np.nonzero(may & ~(before[here] & before[there]))
+        may = deep | (part[here] != part[there]) if parts else deep
+        k = np.nonzero(may & (face[here] != face[there]))
         one, other = face[here][k], face[there][k]
         nothing = (one < 0) | (other < 0)
         other_part = part[here][k] != part[there][k]
@@ -101,7 +102,8 @@ def _add_jumps(
         slope = _slope(normal, (x[here][k], y[here][k]), (x[there][k], y[there][k]))
         jump = gap[k] > depth[here][k] * (_SLOPES * slope + least_jump)
         marked = before[here][k] | before[there][k]
-        differ = np.where(marked, other_part & ~nothing, nothing | other_part | jump)
+        explained = before[here][k] & before[there][k]
+        differ = np.where(marked, other_part & ~nothing, nothing | other_part | jump) & ~explained
         mask[here][k] |= differ
         mask[there][k] |= differ
 

@@ -7,7 +7,7 @@ Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `R
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -38,7 +38,7 @@ REFERENCE_SAMPLES = 256
 # A ray goes on this far behind a hit, as a fraction of the depth: eight steps of float32.
 _ONWARD = np.float32(1e-6)
 _STRIP_PX, _BLOCK_RAYS = 1 << 20, 1 << 20  # at a time: bounds memory to about 200 MB
-_CENTRES = 1 << 14  # pixels of one ray at a time: their sums stay in the processor's cache
+_CENTRES = 1 << 13  # pixels of one ray at a time: their arrays stay in the processor's cache
 
 
 class FacesOfFrame(Protocol):
@@ -58,8 +58,10 @@ class FacesOfFrame(Protocol):
 class FacesSeen(Protocol):
     """A way to find the faces that a camera sees: by rays or by OpenGL.
 
+    offsets : (s, 2) places of a pixel's samples, px from its centre
     any_rectangle : a pixel comes out the same whatever rectangle it is in"""
 
+    offsets: np.ndarray
     any_rectangle: bool
 
     def frame(self, view: View, rect: Rect) -> FacesOfFrame: ...
@@ -68,27 +70,26 @@ class FacesSeen(Protocol):
 class Renderer:
     """Renders rectangles of one mesh through one camera.
 
-    find_faces : makes FacesSeen of mesh, camera and the lens's curvature, 1 / px
+    find_faces : makes FacesSeen of mesh, camera, the lens's curvature (1 / px) and samples
     samples : of a pixel that an edge crosses; of a mesh with transparency a quarter, because each
     one is followed through it. A texture gets half as many taps along a pixel's side as there are
-    samples along it. From REFERENCE_SAMPLES on, rays go through all pixels, each by itself
-    pattern : (s, 2) places of samples, px from the pixel's centre, by their number"""
+    samples along it. From REFERENCE_SAMPLES on, rays go through all pixels, each by itself"""
 
     def __init__(
         self,
         mesh: SceneMesh,
         camera: Camera,
-        find_faces: Callable[[SceneMesh, Camera, float], FacesSeen],
+        find_faces: Callable[[SceneMesh, Camera, float, int], FacesSeen],
         samples: int,
-        pattern: Callable[[int], np.ndarray],
     ) -> None:
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
-        self.faces = find_faces(mesh, camera, self.lens.curvature)
         self.tables = surface_tables(mesh)
         self.layered = any(material.alpha_mode != OPAQUE for material in mesh.materials)
         self.everywhere = samples >= REFERENCE_SAMPLES
         fewer = self.layered and not self.everywhere
-        offsets = pattern(max(samples // 4, min(samples, 4)) if fewer else samples)
+        count = max(samples // 4, min(samples, 4)) if fewer else samples
+        self.faces = find_faces(mesh, camera, self.lens.curvature, count)
+        offsets = self.faces.offsets
         self.offsets = offsets[np.argsort((offsets**2).sum(1), kind="stable")]
         self.taps = max(round(np.sqrt(samples) / 2), 1)
         self.pixel = float(1.0 / np.sqrt(camera.fx * camera.fy))
@@ -114,34 +115,79 @@ class Renderer:
         # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
         wide = rect.pad(1)
         frame = self.faces.frame(view, wide)
-        inner_x, inner_y = (np.ascontiguousarray(a[1:-1, 1:-1]) for a in (view.x, view.y))
-        face, depth = frame.centres(inner_x, inner_y)
+        wide_x, wide_y = (np.ascontiguousarray(a[1:-1, 1:-1]) for a in (view.x, view.y))
+        wide_face, wide_depth = frame.centres(wide_x, wide_y)
         if self.everywhere:
-            edge = np.ones((rect.height, rect.width), bool)
+            edge = np.ones(rect.area, bool)
         else:
-            edge = edge_pixels(self.mesh, self.camera, view, wide, face, depth)[1:-1, 1:-1]
-        face, depth = (np.ascontiguousarray(a[1:-1, 1:-1]) for a in (face, depth))
+            seen = wide_face, wide_depth
+            mask = edge_pixels(self.mesh, self.camera, view, wide, *seen)
+            edge = mask[1:-1, 1:-1].ravel()
+        centres = [a[1:-1, 1:-1].ravel() for a in (wide_face, wide_depth, wide_x, wide_y)]
+        face, _, x, y = centres
         if self.layered:  # how much of a cut-out a pixel shows, its centre does not tell
             edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (face >= 0)
         plain = np.flatnonzero((face >= 0) & ~edge)
         for start in range(0, len(plain), _CENTRES):
             pixels = plain[start : start + _CENTRES]
-            x, y = (a[1:-1, 1:-1].reshape(-1)[pixels, None] for a in (inner_x, inner_y))
-            seen = face.flat[pixels][:, None], depth.flat[pixels][:, None]
-            self._pixels(pixels, *seen, x, y, np.ones((len(pixels), 1), np.float32), view, out)
+            self._plain(pixels, face[pixels], x[pixels], y[pixels], view, out)
         sampled = np.flatnonzero(edge)
-        step = max(_BLOCK_RAYS // (len(self.offsets) + 1), 1)
+        step = max(_BLOCK_RAYS // len(self.offsets), 1)
         for start in range(0, len(sampled), step):
             pixels = sampled[start : start + step]
             row, column = np.divmod(pixels, rect.width)
-            x, y = (_around(a, row + MARGIN, column + MARGIN, self.offsets) for a in (view.x, view.y))
+            place = row + MARGIN, column + MARGIN
+            x, y = (_around(a, *place, self.offsets) for a in (view.x, view.y))
             number = (row + 1) * wide.width + column + 1
-            seen = frame.samples((wide.height, wide.width), number, x[:, 1:], y[:, 1:])
-            of_centre = face.flat[pixels], depth.flat[pixels]
-            joined = (np.column_stack(pair) for pair in zip(of_centre, seen, strict=True))
-            share = np.full(x.shape, 1 / len(self.offsets), np.float32)
+            found = frame.samples((wide.height, wide.width), number, x, y)
+            of_centre = [a[pixels] for a in centres]
+            self._sampled(pixels, of_centre, (*found, x, y), view, out)
+
+    def _plain(
+        self,
+        pixels: np.ndarray,
+        face: np.ndarray,
+        x: np.ndarray,
+        y: np.ndarray,
+        view: View,
+        out: GBuffer,
+    ) -> None:
+        """Write pixels (n,) of `out`, each from the ray through its centre; all (n,)."""
+        count = len(pixels)
+        rays = rays_through(np.arange(count), face, x, y, np.ones(count, np.float32))
+        sums = self._follow(rays, count, view)
+        resolve(pixels, rays.part, rays.depth, sums, view, out)
+
+    def _sampled(
+        self,
+        pixels: np.ndarray,
+        centre: Sequence[np.ndarray],
+        samples: Sequence[np.ndarray],
+        view: View,
+        out: GBuffer,
+    ) -> None:
+        """Write pixels (n,) of `out`, each from its samples; depth and part are the centre's, where
+        that meets anything, else those of the sample next to it that does.
+
+        centre : face, depth, x, y (n,);  samples : the same (n, s), the nearest first"""
+        count, most = samples[0].shape
+        if self.layered or self.everywhere:
+            joined = (np.column_stack(pair) for pair in zip(centre, samples, strict=True))
+            face, _, x, y = (a.ravel() for a in joined)
+            share = np.full((count, 1 + most), 1 / most, np.float32)
             share[:, 0] = 0
-            self._pixels(pixels, *joined, x, y, share, view, out)
+            number = np.repeat(np.arange(count), 1 + most)
+            rays = rays_through(number, face, x, y, share.ravel())
+            sums = self._follow(rays, count, view)
+            part, depth = rays.part.reshape(share.shape), rays.depth.reshape(share.shape)
+        else:
+            face, _, x, y = samples
+            rays = rays_through(*merged_by_face(face, x, y))
+            sums = self._follow(rays, count, view)
+            face, depth = (np.column_stack([centre[k], samples[k]]) for k in range(2))
+            part = np.where(face >= 0, self.mesh.part[face], np.int32(-1))
+        first = np.arange(count), (part >= 0).argmax(1)
+        resolve(pixels, part[first], depth[first], sums, view, out)
 
     def _view(self, rect: Rect, camera_from_world: Pose) -> View:
         directions = self.lens.directions(rect.pad(MARGIN))
@@ -156,42 +202,18 @@ class Renderer:
             self.taps,
         )
 
-    def _pixels(
-        self,
-        pixels: np.ndarray,
-        face: np.ndarray,
-        depth: np.ndarray,
-        x: np.ndarray,
-        y: np.ndarray,
-        share: np.ndarray,
-        view: View,
-        out: GBuffer,
-    ) -> None:
-        """Pixels (n,) of `out` from k rays each, the first through the centre; (n, k) arrays."""
-        sums = np.zeros((len(pixels), PLAIN_COLUMNS), np.float32)
-        if self.layered or self.everywhere:
-            number = np.repeat(np.arange(len(pixels)), face.shape[1])
-            rays = rays_through(number, face.ravel(), x.ravel(), y.ravel(), share.ravel())
-            self._follow(rays, view, sums)
-            part, depth = rays.part.reshape(face.shape), rays.depth.reshape(face.shape)
-        else:
-            rays = rays_through(*merged_by_face(face, x, y, share))
-            self._follow(rays, view, sums)
-            part = np.where(face >= 0, self.mesh.part[face], np.int32(-1))
-        nearest = (np.arange(len(pixels)), (part >= 0).argmax(1))
-        resolve(pixels, part[nearest], depth[nearest], sums, view, out)
-
-    def _follow(self, rays: Rays, view: View, sums: np.ndarray) -> None:
-        """Add what the rays meet, layer by layer, to the pixels' sums."""
+    def _follow(self, rays: Rays, count: int, view: View) -> np.ndarray:
+        """(count, columns) sums of what the rays meet, layer by layer, for each pixel."""
+        sums = np.zeros((count, PLAIN_COLUMNS), np.float32)
         values = np.empty(sums.shape[1], np.float32)
         add_surfaces(rays, view, self.tables, values, sums)
         if self.triangles is None:
-            return
+            return sums
         eye = (view.eye - self.mesh.centre_m).astype(np.float32)
         for _ in range(MAX_LAYERS - 1):
             going = np.flatnonzero((rays.face >= 0) & (rays.clear > CLEAR))
             if not len(going):
-                return
+                break
             in_camera = np.column_stack([rays.x[going], rays.y[going], np.ones(len(going))])
             directions = (in_camera @ view.rotation).astype(np.float32)
             start = rays.reached[going, None] * (1 + _ONWARD)
@@ -200,14 +222,14 @@ class Renderer:
             behind[going] = hits["primID"]
             rays = rays._replace(face=behind)
             add_surfaces(rays, view, self.tables, values, sums)
+        return sums
 
 
 def _around(
     directions: np.ndarray, row: np.ndarray, column: np.ndarray, offsets: np.ndarray
 ) -> np.ndarray:
-    """(n, 1 + s) directions at pixels (n,) and at `offsets` (s, 2) px from them, linear between."""
+    """(n, s) directions at `offsets` (s, 2) px from pixels (n,), linear between pixels."""
     centre = directions[row, column][:, None]
     across = (directions[row, column + 1] - directions[row, column - 1])[:, None] / 2
     down = (directions[row + 1, column] - directions[row - 1, column])[:, None] / 2
-    around = centre + across * offsets[:, 0] + down * offsets[:, 1]
-    return np.concatenate([centre, around], 1)
+    return np.asarray(centre + across * offsets[:, 0] + down * offsets[:, 1])

@@ -72,8 +72,7 @@ class Raster(Stage):
         backend = choose_backend("rays" if level == "reference" else self.params.backend)
         samples = self.params.samples if level != "reference" else 0
         samples = samples or backend.samples[level]
-        find_faces, pattern = backend.find_faces, backend.pattern
-        return Renderer(scene.mesh_at(0.0), scene.camera, find_faces, samples, pattern)
+        return Renderer(scene.mesh_at(0.0), scene.camera, backend.find_faces, samples)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         rect, box = view.rect, view.facts.raster_box.clip(view.scene.camera.rect)

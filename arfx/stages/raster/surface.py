@@ -2,9 +2,9 @@
 
 One loop serves pixel centres, samples along edges and layers behind transparent ones. A texture is
 the mean of bilinear taps spread over the sample's parallelogram on it, in the level of its pyramid
-in which the short side is as many texels long as there are taps along it, or half as many."""
+in which they lie one to two texels apart."""
 
-# mypy: disable-error-code="no-untyped-def, call-arg, var-annotated"
+# mypy: disable-error-code="no-untyped-def, call-arg, var-annotated, arg-type, assignment"
 from __future__ import annotations
 
 from typing import NamedTuple
@@ -33,7 +33,6 @@ from arfx.stages.raster.tables import (
     METAL_SLOT,
     METALLIC,
     MODE,
-    ROUGHNESS,
     TWO_SIDED,
     SurfaceTables,
 )
@@ -44,7 +43,6 @@ _F = np.float32
 CLEAR = 1.0 / 512.0
 # Cosine below which the footprint on the surface stops growing: else a whole texture blurs away.
 _GRAZING = 0.1
-_MOST_TAPS = 16  # along the long side of a sample
 _ROUNDED = {"contract", "arcp", "nsz"}  # what the compiler may do to rounding
 
 
@@ -77,21 +75,22 @@ def _wrapped(t, mode):  # pragma: no cover - compiled
 def _filtered(texels, table, t, place, across, down, taps):  # pragma: no cover - compiled
     """Four channels of texture t, 0..1: mean over a parallelogram.
 
-    place : u, v of its middle;  across, down : its sides in u, v;  taps : along the short side"""
+    place : u, v of its middle;  across, down : its sides in u, v
+    taps : along the short side, at most; twice as many along the long one"""
     width, height = _F(table[t, textures.WIDTH]), _F(table[t, textures.HEIGHT])
     ax, ay, bx, by = across[0] * width, across[1] * height, down[0] * width, down[1] * height
     wide, high = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
-    short = max(min(wide, high), max(wide, high) / _F(_MOST_TAPS))
+    finest = max(min(wide, high) / _F(taps), max(wide, high) / _F(2 * taps))
     level = np.int32(0)
-    if short > _F(taps):
-        level = np.int32(np.log2(short / _F(taps))) + np.int32(1)
+    if finest > _F(2):
+        level = np.int32(np.log2(finest))
         level = min(level, np.int32(table[t, textures.LEVELS] - 1))
-    size = _F(1 << level)
-    n, m = np.int32(_F(2) * wide / size + _F(0.99)), np.int32(_F(2) * high / size + _F(0.99))
-    most, least = np.int32(_MOST_TAPS), np.int32(1)
-    # half a texel apart, up to `taps`; a texel apart beyond
-    n = min(max(min(n, np.int32(taps)), np.int32(wide / size + _F(0.99)), least), most)
-    m = min(max(min(m, np.int32(taps)), np.int32(high / size + _F(0.99)), least), most)
+    least = np.int32(1)
+    n, m = least, least
+    if max(wide, high) > _F(1):  # else one tap is enough
+        spacing = max(finest, _F(0.5) * _F(1 << level))
+        n = max(np.int32(wide / spacing + _F(0.99)), least)
+        m = max(np.int32(high / spacing + _F(0.99)), least)
     w, h = max(np.int32(width) >> level, least), max(np.int32(height) >> level, least)
     start = np.int32(table[t, textures.OFFSETS + level])
     wrap_u, wrap_v = table[t, textures.WRAP_U], table[t, textures.WRAP_V]
@@ -119,21 +118,16 @@ def _filtered(texels, table, t, place, across, down, taps):  # pragma: no cover 
             a = _F(1) - b - c - d
             p, q = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
             r, s = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
-            c0, c1, c2, c3 = _mean_of_texels(texels, p, q, r, s, a, b, c, d)
-            t0, t1, t2, t3 = t0 + c0, t1 + c1, t2 + c2, t3 + c3
+            t0 += a * _F(texels[p, 0]) + b * _F(texels[q, 0])
+            t0 += c * _F(texels[r, 0]) + d * _F(texels[s, 0])
+            t1 += a * _F(texels[p, 1]) + b * _F(texels[q, 1])
+            t1 += c * _F(texels[r, 1]) + d * _F(texels[s, 1])
+            t2 += a * _F(texels[p, 2]) + b * _F(texels[q, 2])
+            t2 += c * _F(texels[r, 2]) + d * _F(texels[s, 2])
+            t3 += a * _F(texels[p, 3]) + b * _F(texels[q, 3])
+            t3 += c * _F(texels[r, 3]) + d * _F(texels[s, 3])
     share = _F(1 / textures.FULL) / _F(n * m)
     return t0 * share, t1 * share, t2 * share, t3 * share
-
-
-@numba.njit(nogil=True, fastmath=True)
-def _mean_of_texels(texels, i, j, k, m, a, b, c, d):  # pragma: no cover - compiled
-    """a texels[i] + b texels[j] + c texels[k] + d texels[m], a tuple; one vector after compiling."""
-    return (
-        _F(texels[i, 0]) * a + _F(texels[j, 0]) * b + _F(texels[k, 0]) * c + _F(texels[m, 0]) * d,
-        _F(texels[i, 1]) * a + _F(texels[j, 1]) * b + _F(texels[k, 1]) * c + _F(texels[m, 1]) * d,
-        _F(texels[i, 2]) * a + _F(texels[j, 2]) * b + _F(texels[k, 2]) * c + _F(texels[m, 2]) * d,
-        _F(texels[i, 3]) * a + _F(texels[j, 3]) * b + _F(texels[k, 3]) * c + _F(texels[m, 3]) * d,
-    )
 
 
 @numba.njit(inline="always")
@@ -293,19 +287,19 @@ def add_surfaces(rays: Rays, view: View, mesh: SurfaceTables, values, sums):  # 
 
 
 @numba.njit(cache=True, nogil=True)
-def merged_by_face(face, x, y, share):  # pragma: no cover - compiled
-    """Rays of a pixel that meet the same face as one, in their mean direction: what a face has is
-    linear on it. face, x, y, share : (n, s)
+def merged_by_face(face, x, y):  # pragma: no cover - compiled
+    """Samples of a pixel that meet the same face as one ray, in their mean direction: what a face
+    has is linear on it. face, x, y : (n, s)
 
     Returns pixel, face, x, y, share of the rays that meet anything, as `Rays` has them."""
-    most = face.size
+    most, samples = face.size, face.shape[1]
     pixel, out_face = np.empty(most, np.int64), np.empty(most, np.int32)
     out_x, out_y, out_share = np.empty(most), np.empty(most), np.empty(most, np.float32)
     count = np.uintp(0)
     for a in range(face.shape[0]):
         start = count
-        for b in range(face.shape[1]):
-            if face[a, b] < 0 or share[a, b] == 0:
+        for b in range(samples):
+            if face[a, b] < 0:
                 continue
             out_face[count] = face[a, b]
             m = start
@@ -314,12 +308,13 @@ def merged_by_face(face, x, y, share):  # pragma: no cover - compiled
             if m == count:
                 pixel[m], out_x[m], out_y[m], out_share[m] = a, 0, 0, 0
                 count += np.uintp(1)
-            out_x[m] += share[a, b] * x[a, b]
-            out_y[m] += share[a, b] * y[a, b]
-            out_share[m] += share[a, b]
+            out_x[m] += x[a, b]
+            out_y[m] += y[a, b]
+            out_share[m] += 1
         for m in range(start, count):
             out_x[m] /= out_share[m]
             out_y[m] /= out_share[m]
+            out_share[m] /= samples
     return pixel[:count], out_face[:count], out_x[:count], out_y[:count], out_share[:count]
 
 

@@ -64,7 +64,9 @@ class StackBuilder:
             level = self._levels.pop()
             texels[end - len(level) : end] = level
             end -= len(level)
-        return TextureStack(texels, np.array(self._rows, np.int64).reshape(-1, OFFSETS + MAX_LEVELS))
+        return TextureStack(
+            texels, np.array(self._rows, np.int64).reshape(-1, OFFSETS + MAX_LEVELS)
+        )
 
 
 def pyramid(picture: np.ndarray, srgb: bool) -> list[np.ndarray]:

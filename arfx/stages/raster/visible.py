@@ -58,7 +58,8 @@ class RayFaces:
 
     any_rectangle = True
 
-    def __init__(self, mesh: SceneMesh, camera: Camera, curvature: float) -> None:
+    def __init__(self, mesh: SceneMesh, camera: Camera, curvature: float, samples: int) -> None:
+        self.offsets = lattice(samples)
         self._mesh, self._camera, self._curvature = mesh, camera, curvature
 
     def frame(self, view: View, rect: Rect) -> RayFrame:
