@@ -89,7 +89,7 @@ def write_model(path: Path) -> Path:
     (part,) = ball().parts
     from PIL import Image
 
-    skin = trimesh.visual.TextureVisuals(uv=part.uv * [1, -1] + [0, 1], image=Image.fromarray(part.material.base_texture))
+    skin = trimesh.visual.TextureVisuals(uv=part.uv * [1, -1] + [0, 1], image=Image.fromarray(part.material.base_texture.picture))
     mesh = trimesh.Trimesh(part.vertices, part.faces, vertex_normals=part.normals, visual=skin, process=False)
     mesh.export(path)
     return path

@@ -33,7 +33,8 @@ class SceneMesh:
 
     centre_m : (3,) float64, world
     vertices : (n, 3) float64;  normals : (n, 3) float32;  colours : (n, 4) float32, linear RGBA
-    uv : (n, 2) float32, v = 0 at a picture's top row;  textured : (p,) bool, the part has uv
+    uv : (n, 4) float32, both sets of texture coordinates, v = 0 at a picture's top row
+    has_uv : (p, 2) bool, which of them a part has;  tangents : (n, 4) float32 as of `Part`, else 0
     faces : (m, 3) int32;  part : (m,) int32, of each face;  face_normal : (m, 3) float32, unit
     materials : of each part;  object_of : (p,) int32, number of the object that a part belongs to"""
 
@@ -42,7 +43,8 @@ class SceneMesh:
     normals: np.ndarray
     colours: np.ndarray
     uv: np.ndarray
-    textured: np.ndarray
+    has_uv: np.ndarray
+    tangents: np.ndarray
     faces: np.ndarray
     part: np.ndarray
     face_normal: np.ndarray
@@ -93,21 +95,30 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     vertices = np.concatenate([p.vertices @ linear.T + shift_m - centre for p in parts])
     faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)])
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    uv = [np.zeros((n, 2)) if p.uv is None else p.uv for p, n in zip(parts, counts, strict=True)]
-    colours = [np.ones((n, 4)) if p.colours is None else p.colours for p, n in zip(parts, counts, strict=True)]
+    first_uv = _rows([p.uv for p in parts], np.zeros(2), counts)
+    second_uv = _rows([p.second_uv for p in parts], np.zeros(2), counts)
+    tangents = _rows([p.tangents for p in parts], np.zeros(4), counts)
+    tangents[:, :3] = tangents[:, :3] @ rotation.T
     return SceneMesh(
         centre_m=centre,
         vertices=vertices,
         normals=np.concatenate([p.normals @ rotation.T for p in parts]).astype(np.float32),
-        colours=np.concatenate(colours).astype(np.float32),
-        uv=np.concatenate(uv).astype(np.float32),
-        textured=np.array([p.uv is not None for p in parts]),
+        colours=_rows([p.colours for p in parts], np.ones(4), counts).astype(np.float32),
+        uv=np.column_stack([first_uv, second_uv]).astype(np.float32),
+        has_uv=np.array([(p.uv is not None, p.second_uv is not None) for p in parts]),
+        tangents=tangents.astype(np.float32),
         faces=faces.astype(np.int32),
         part=np.repeat(np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts]),
         face_normal=normalise(np.cross(b - a, c - a)).astype(np.float32),
         materials=tuple(p.material for p in parts),
         object_of=np.zeros(len(parts), np.int32),
     )
+
+
+def _rows(given: list[np.ndarray | None], otherwise: np.ndarray, counts: list[int]) -> np.ndarray:
+    """Rows of all parts end to end; `otherwise` for each vertex of a part that has none."""
+    rows = [np.tile(otherwise, (count, 1)) if own is None else own for own, count in zip(given, counts, strict=True)]
+    return np.concatenate(rows)
 
 
 def coordinate_slopes(values: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from arfx.analyse.pose.visibility import with_model
 from arfx.core.camera import Camera
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec
-from arfx.core.model import Material, Model, Part
+from arfx.core.model import Material, Model, Part, Texture
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.real_depth import RealDepth, tile_ranges
@@ -40,7 +40,7 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
     y, x = np.indices((128, 256))
     squares = ((x // 16 + y // 16) % 2).astype(np.uint8)
     texture = np.dstack([90 + 130 * squares, 120 + 60 * squares, np.full_like(squares, 60), np.full_like(squares, 255)])
-    material = Material("ball", base_colour=(1.0, 1.0, 1.0, 1.0), base_texture=texture.astype(np.uint8), roughness=0.6)
+    material = Material("ball", base_colour=(1.0, 1.0, 1.0, 1.0), base_texture=Texture(texture.astype(np.uint8)), roughness=0.6)
     part = Part(normals / 2, np.array(faces, np.int32), normalise(normals), material, uv)
     return Model((part,), up="z", source="benchmark ball")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.core.layers import Layer
-from arfx.core.model import BLEND, Material, Model, Part
+from arfx.core.model import BLEND, Material, Model, Part, Texture
 from arfx.core.numerics import angle_between
 from arfx.core.rect import Rect
 from arfx.core.scene import Placement, Scene
@@ -36,7 +36,7 @@ def picture() -> np.ndarray:
 
 
 def own_models() -> dict[str, Model]:
-    texture = Material(base_texture=picture(), base_colour=(1, 1, 1, 1), double_sided=True, emissive=(0.5, 0.25, 2.0))
+    texture = Material(base_texture=Texture(picture()), base_colour=(1, 1, 1, 1), double_sided=True, emissive=(0.5, 0.25, 2.0))
     glass = Material(base_colour=(0.9, 0.1, 0.1, 0.4), alpha_mode=BLEND, double_sided=True)
     return {
         "box": box_model(1.0, Material(base_colour=(0.3, 0.6, 0.9, 1), roughness=0.3)),

@@ -33,7 +33,7 @@ def test_reads(name: str, faces: int, up: str) -> None:
 
 
 def test_textures_and_alpha_modes() -> None:
-    assert load_model(MODELS / "fuze.obj").parts[0].material.base_texture.shape == (1024, 1024, 4)
+    assert load_model(MODELS / "fuze.obj").parts[0].material.base_texture.picture.shape == (1024, 1024, 4)
     modes = [p.material.alpha_mode for p in load_model(MODELS / "AlphaBlendModeTest.glb").parts]
     assert modes.count(BLEND) == 2 and modes.count(MASK) == 3
     truck = load_model(MODELS / "CesiumMilkTruck.glb")

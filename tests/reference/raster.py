@@ -13,7 +13,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer, neutral
-from arfx.core.model import MASK, OPAQUE, Material
+from arfx.core.model import CLAMP, MASK, MIRROR, OPAQUE, Material, Texture
 from arfx.core.numerics import divide, normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
@@ -173,8 +173,7 @@ class ReferenceRenderer:
         values[:, 3:6] = normal
         for number, material in enumerate(m.materials):
             use = m.part[f] == number
-            uv = mix(m.uv)[use] if m.textured[number] else None
-            colour, surface, emissive = _material(material, uv, int(use.sum()))
+            colour, surface, emissive = _material(material, mix(m.uv)[use])
             colour *= mix(m.colours)[use]
             values[use, :3], values[use, 6:9], values[use, 9:12] = colour[:, :3], surface, emissive
             opacity = np.ones(len(colour)) if material.alpha_mode == OPAQUE else colour[:, 3]
@@ -182,33 +181,45 @@ class ReferenceRenderer:
         return values, alpha
 
 
-def _material(material: Material, uv: np.ndarray | None, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colour (n, 4), metallic roughness specular and emission (n, 3) at uv (n, 2), None = without textures."""
+def _material(material: Material, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colour (n, 4), metallic roughness specular and emission (n, 3) at uv (n, 4), both sets."""
+    n = len(uv)
     colour = np.tile(np.array(material.base_colour, float), (n, 1))
     surface = np.tile([float(material.metallic), material.roughness, material.specular], (n, 1))
     emissive = np.tile(np.array(material.emissive, float), (n, 1))
-    if uv is not None and material.base_texture is not None:
+    if material.base_texture is not None:
         seen = bilinear(material.base_texture, True, uv)
         colour[:, : seen.shape[1]] *= seen
-    if uv is not None and material.metallic_roughness_texture is not None:
-        surface[:, :2] *= bilinear(material.metallic_roughness_texture, False, uv)[:, :2]
-    if uv is not None and material.emissive_texture is not None:
+    if material.metallic_roughness_texture is not None:
+        surface[:, :2] *= bilinear(material.metallic_roughness_texture, False, uv)[:, [2, 1]]
+    if material.emissive_texture is not None:
         emissive *= bilinear(material.emissive_texture, True, uv)[:, :3]
     return colour, surface, emissive
 
 
-def bilinear(picture: np.ndarray, srgb: bool, uv: np.ndarray) -> np.ndarray:
-    """(n, c) linear, of a picture (h, w, c) uint8 that repeats, at uv (n, 2)."""
+def bilinear(texture: Texture, srgb: bool, uv: np.ndarray) -> np.ndarray:
+    """(n, c) linear, of a texture's picture (h, w, c) at uv (n, 4)."""
+    picture, matrix = texture.picture, texture.picture_from_uv
     h, w = picture.shape[:2]
-    p = uv * [w, h] - 0.5
+    place = uv[:, 2 * texture.uv_set :][:, :2] @ matrix[:, :2].T + matrix[:, 2]
+    p = place * [w, h] - 0.5
     low = np.floor(p).astype(int)
     part = p - low
     out = np.zeros((len(uv), picture.shape[2]))
     for dy in (0, 1):
         for dx in (0, 1):
-            linear = picture[(low[:, 1] + dy) % h, (low[:, 0] + dx) % w] / 255.0
+            row, column = _texel(low[:, 1] + dy, h, texture.wrap[1]), _texel(low[:, 0] + dx, w, texture.wrap[0])
+            linear = picture[row, column] / 255.0
             if srgb:
                 linear[:, :3] = SRGB.decode(linear[:, :3])
             fraction = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
             out += fraction[:, None] * linear
     return out
+
+
+def _texel(i: np.ndarray, n: int, wrap: str) -> np.ndarray:
+    """Texels of a picture of n in a row that lie at places i of a picture without end."""
+    if wrap == CLAMP:
+        return np.clip(i, 0, n - 1)
+    folded = i % (2 * n)
+    return np.minimum(folded, 2 * n - 1 - folded) if wrap == MIRROR else i % n

@@ -108,13 +108,15 @@ class RayScene:
             for which, texture in enumerate(
                 (part.material.base_texture, part.material.emissive_texture)
             ):
-                if part.uv is None or texture is None:
+                laid = None if texture is None else part.uv_on(texture)
+                if texture is None or laid is None:
                     continue
                 rows = np.flatnonzero(self.part_of == k)
-                uv[rows] = part.uv[part.faces[self.face_of[rows]]]
+                uv[rows] = laid[part.faces[self.face_of[rows]]]
                 used[which, rows] = len(table)
-                table.append((count, texture.shape[1], texture.shape[0]))
-                texels.append(texture[..., :3].reshape(-1, 3))
+                height, width = texture.picture.shape[:2]
+                table.append((count, width, height))
+                texels.append(texture.picture[..., :3].reshape(-1, 3))
                 count += len(texels[-1])
         return uv, used[0], used[1], np.array(table, int).reshape(-1, 3), np.concatenate(texels)
 

@@ -133,15 +133,16 @@ def _material(part: Part) -> _Material:
     colours = np.tile(np.asarray(m.base_colour, np.float32), (count, 1))
     if part.colours is not None:
         colours *= part.colours.astype(np.float32)
-    uv = np.zeros((count, 2), np.float32) if part.uv is None else part.uv.astype(np.float32)
+    first = m.base_texture or m.emissive_texture
+    laid = None if first is None else part.uv_on(first)
+    uv = np.zeros((count, 2), np.float32) if laid is None else laid.astype(np.float32)
     base, glow = np.ones((1, 1, 4), np.float32), np.ones((1, 1, 3), np.float32)
     decode = SRGB.decode(np.arange(256) / 255).astype(np.float32)
-    if m.base_texture is not None and part.uv is not None:
-        base = np.dstack(
-            [decode[m.base_texture[..., :3]], m.base_texture[..., 3:].astype(np.float32) / 255]
-        )
-    if m.emissive_texture is not None and part.uv is not None:
-        glow = decode[m.emissive_texture]
+    if m.base_texture is not None and laid is not None:
+        picture = m.base_texture.picture
+        base = np.dstack([decode[picture[..., :3]], picture[..., 3:].astype(np.float32) / 255])
+    if m.emissive_texture is not None and laid is not None:
+        glow = decode[m.emissive_texture.picture[..., :3]]
     f0 = 0.08 * m.specular * (1 - m.metallic)
     reflectance = np.array([(1 - m.metallic) * (1 - f0) + m.metallic, f0], np.float32)
     cutoff = m.alpha_cutoff if m.alpha_mode == MASK else -1.0

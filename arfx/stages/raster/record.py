@@ -13,6 +13,9 @@ from arfx.core.layers import Layer
 # Columns of a pixel's sums, each weighted by how much of the pixel it is.
 COVERED, MET, ALBEDO, NORMAL, MATERIAL, EMISSIVE = 0, 1, 2, 5, 8, 11
 PLAIN_COLUMNS = 14
+# Of models that have them.
+OCCLUSION, COAT, SHEEN = 14, 15, 17
+ALL_COLUMNS = 21
 
 
 class GBuffer(NamedTuple):
@@ -29,6 +32,12 @@ class GBuffer(NamedTuple):
 
 
 OUTPUTS = tuple(Layer(name) for name in GBuffer._fields)
+# Written where the model has them: layer -> its columns of the sums.
+EXTRA_OUTPUTS = {
+    Layer.OCCLUSION: OCCLUSION,
+    Layer.COAT: slice(COAT, COAT + 2),
+    Layer.SHEEN: slice(SHEEN, SHEEN + 4),
+}
 
 
 class View(NamedTuple):

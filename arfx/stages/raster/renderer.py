@@ -21,6 +21,9 @@ from arfx.core.scene_mesh import SceneMesh
 from arfx.stages.raster.edges import edge_pixels
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.record import (
+    ALL_COLUMNS,
+    COVERED,
+    EXTRA_OUTPUTS,
     MARGIN,
     OUTPUTS,
     PLAIN_COLUMNS,
@@ -30,7 +33,7 @@ from arfx.stages.raster.record import (
     rays_through,
 )
 from arfx.stages.raster.surface import CLEAR, add_surfaces, merged_by_face, resolve
-from arfx.stages.raster.tables import CUT_OUT, MODE, surface_tables
+from arfx.stages.raster.tables import CUT_OUT, MODE, has_extras, surface_tables
 from arfx.stages.triangles import Triangles
 
 MAX_LAYERS = 8
@@ -84,6 +87,7 @@ class Renderer:
     ) -> None:
         self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
         self.tables = surface_tables(mesh)
+        self.extras = has_extras(mesh)
         self.layered = any(material.alpha_mode != OPAQUE for material in mesh.materials)
         self.everywhere = samples >= REFERENCE_SAMPLES
         fewer = self.layered and not self.everywhere
@@ -100,17 +104,19 @@ class Renderer:
         return self.faces.any_rectangle
 
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
-        """All layers of OUTPUTS over `rect`, which lies in the frame."""
-        out = {name: neutral(name, rect) for name in OUTPUTS}
+        """All layers of OUTPUTS over `rect`, which lies in the frame; those of EXTRA_OUTPUTS for a
+        model that has any of them."""
+        names = (*OUTPUTS, *EXTRA_OUTPUTS) if self.extras else OUTPUTS
+        out = {name: neutral(name, rect) for name in names}
         rows = max(_STRIP_PX // max(rect.width, 1), 1)
         for top in range(rect.y0, rect.y1, rows):
             strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))
             if not strip.empty:
-                layers = GBuffer(*(out[name][strip.slices_in(rect)] for name in OUTPUTS))
-                self._strip(strip, camera_from_world, layers)
+                part = {name: array[strip.slices_in(rect)] for name, array in out.items()}
+                self._strip(strip, camera_from_world, part)
         return out
 
-    def _strip(self, rect: Rect, camera_from_world: Pose, out: GBuffer) -> None:
+    def _strip(self, rect: Rect, camera_from_world: Pose, out: dict[Layer, np.ndarray]) -> None:
         view = self._view(rect, camera_from_world)
         # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
         wide = rect.pad(1)
@@ -150,13 +156,13 @@ class Renderer:
         x: np.ndarray,
         y: np.ndarray,
         view: View,
-        out: GBuffer,
+        out: dict[Layer, np.ndarray],
     ) -> None:
         """Write pixels (n,) of `out`, each from the ray through its centre; all (n,)."""
         count = len(pixels)
         rays = rays_through(np.arange(count), face, x, y, np.ones(count, np.float32))
         sums = self._follow(rays, count, view)
-        resolve(pixels, rays.part, rays.depth, sums, view, out)
+        self._write(pixels, rays.part, rays.depth, sums, view, out)
 
     def _sampled(
         self,
@@ -164,7 +170,7 @@ class Renderer:
         centre: Sequence[np.ndarray],
         samples: Sequence[np.ndarray],
         view: View,
-        out: GBuffer,
+        out: dict[Layer, np.ndarray],
     ) -> None:
         """Write pixels (n,) of `out`, each from its samples; depth and part are the centre's, where
         that meets anything, else those of the sample next to it that does.
@@ -187,7 +193,25 @@ class Renderer:
             face, depth = (np.column_stack([centre[k], samples[k]]) for k in range(2))
             part = np.where(face >= 0, self.mesh.part[face], np.int32(-1))
         first = np.arange(count), (part >= 0).argmax(1)
-        resolve(pixels, part[first], depth[first], sums, view, out)
+        self._write(pixels, part[first], depth[first], sums, view, out)
+
+    def _write(
+        self,
+        pixels: np.ndarray,
+        part: np.ndarray,
+        depth: np.ndarray,
+        sums: np.ndarray,
+        view: View,
+        out: dict[Layer, np.ndarray],
+    ) -> None:
+        """Write pixels (n,) from their sums; as `resolve`."""
+        resolve(pixels, part, depth, sums, view, GBuffer(*(out[name] for name in OUTPUTS)))
+        if self.extras:
+            shown = sums[:, COVERED] > 0
+            means = sums[shown] / sums[shown, COVERED, None]
+            place = np.unravel_index(pixels[shown], out[Layer.COVERAGE].shape)
+            for name, columns in EXTRA_OUTPUTS.items():
+                out[name][place] = means[:, columns]
 
     def _view(self, rect: Rect, camera_from_world: Pose) -> View:
         directions = self.lens.directions(rect.pad(MARGIN))
@@ -204,7 +228,7 @@ class Renderer:
 
     def _follow(self, rays: Rays, count: int, view: View) -> np.ndarray:
         """(count, columns) sums of what the rays meet, layer by layer, for each pixel."""
-        sums = np.zeros((count, PLAIN_COLUMNS), np.float32)
+        sums = np.zeros((count, ALL_COLUMNS if self.extras else PLAIN_COLUMNS), np.float32)
         values = np.empty(sums.shape[1], np.float32)
         add_surfaces(rays, view, self.tables, values, sums)
         if self.triangles is None:

@@ -22,7 +22,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError, require_within
 from arfx.stages.raster.backends import BACKENDS, choose_backend
-from arfx.stages.raster.record import OUTPUTS
+from arfx.stages.raster.record import EXTRA_OUTPUTS, OUTPUTS
 
 if TYPE_CHECKING:
     from arfx.stages.raster.renderer import Renderer
@@ -48,7 +48,7 @@ class RasterParams:
 class Raster(Stage):
     name = "raster"
     reads: ClassVar[frozenset[Layer]] = frozenset()
-    writes = frozenset(OUTPUTS)
+    writes = frozenset((*OUTPUTS, *EXTRA_OUTPUTS))
     levels = ("draft", "standard", "reference")
     Params = RasterParams
     always = True
@@ -83,7 +83,7 @@ class Raster(Stage):
         layers: dict[Layer, np.ndarray] = prepared.render(area, view.pose)
         if area == rect:
             return layers
-        out = {name: neutral(name, rect) for name in OUTPUTS}
-        for name in OUTPUTS:
+        out = {name: neutral(name, rect) for name in layers}
+        for name in layers:
             out[name][shown.slices_in(rect)] = layers[name][shown.slices_in(area)]
         return out

@@ -10,11 +10,13 @@ import cv2
 import numpy as np
 
 from arfx.core.colour import SRGB
+from arfx.core.model import CLAMP, MIRROR, REPEAT, Texture
 
 MAX_LEVELS = 15
 # Columns of a texture's row in the table, before the offsets of its levels.
 WIDTH, HEIGHT, LEVELS, WRAP_U, WRAP_V, NEAREST, OFFSETS = range(7)
-REPEAT, CLAMP, MIRROR = range(3)
+REPEATS, CLAMPS, MIRRORS = range(3)
+_WRAPS = {REPEAT: REPEATS, CLAMP: CLAMPS, MIRROR: MIRRORS}
 FULL = 65535
 _LINEAR = np.round(np.arange(256) / 255 * FULL).astype(np.uint16)
 _FROM_SRGB = np.round(SRGB.decode(np.arange(256) / 255) * FULL).astype(np.uint16)
@@ -31,30 +33,36 @@ class StackBuilder:
     """Collects pictures; one that is used in several places is stored once."""
 
     def __init__(self) -> None:
-        self._index: dict[tuple[int, bool], int] = {}
+        self._index: dict[tuple[object, ...], int] = {}
+        self._pyramids: dict[tuple[int, bool], list[int]] = {}
         self._keep: list[np.ndarray] = []  # ids stay unique only while the arrays live
         self._rows: list[list[int]] = []
         self._levels: list[np.ndarray] = []
         self._size = 0
 
-    def add(self, picture: np.ndarray, srgb: bool) -> int:
-        """Number of a texture.
-
-        picture : (h, w, c) uint8, c = 1 to 4;  srgb : its colour is coded, alpha never is"""
-        key = (id(picture), srgb)
+    def add(self, texture: Texture, srgb: bool) -> int:
+        """Number of a texture. srgb : its colour is coded, alpha never is"""
+        picture = texture.picture
+        key = (id(picture), srgb, *texture.wrap, texture.nearest)
         if key not in self._index:
             self._index[key] = len(self._rows)
             self._keep.append(picture)
-            levels = pyramid(picture, srgb)
-            offsets = []
-            for level in levels:
-                offsets.append(self._size)
+            offsets = self._pyramid_offsets(picture, srgb)
+            height, width = picture.shape[:2]
+            wrap_u, wrap_v = (_WRAPS[way] for way in texture.wrap)
+            row = [width, height, len(offsets), wrap_u, wrap_v, int(texture.nearest), *offsets]
+            self._rows.append(row + [0] * (MAX_LEVELS - len(offsets)))
+        return self._index[key]
+
+    def _pyramid_offsets(self, picture: np.ndarray, srgb: bool) -> list[int]:
+        key = id(picture), srgb
+        if key not in self._pyramids:
+            self._pyramids[key] = []
+            for level in pyramid(picture, srgb):
+                self._pyramids[key].append(self._size)
                 self._levels.append(level.reshape(-1, 4))
                 self._size += len(self._levels[-1])
-            offsets += [0] * (MAX_LEVELS - len(offsets))
-            height, width = picture.shape[:2]
-            self._rows.append([width, height, len(levels), REPEAT, REPEAT, 0, *offsets])
-        return self._index[key]
+        return self._pyramids[key]
 
     def build(self) -> TextureStack:
         """All of them; the builder is empty after it."""

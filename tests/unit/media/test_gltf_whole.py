@@ -85,12 +85,15 @@ def test_required_extension_that_is_not_read_is_an_error(tmp_path, name, way_out
     assert way_out in e.value.hint
 
 
-def test_used_extension_and_map_are_told(tmp_path):
+def test_used_extension_and_what_is_not_drawn_are_told(tmp_path):
     w = square()
-    w.tree["extensionsUsed"] = ["KHR_materials_clearcoat", "KHR_materials_ior", "XYZ_new"]
-    w.tree["materials"] = [{"normalTexture": {"index": 0}, "occlusionTexture": {"index": 0}}]
+    w.tree["extensionsUsed"] = ["KHR_materials_transmission", "KHR_materials_ior", "XYZ_new"]
+    coat = {"KHR_materials_clearcoat": {"clearcoatFactor": 0.5}}
+    w.tree["materials"] = [{"normalTexture": w.texture(CORNERS), "occlusionTexture": w.texture(CORNERS), "extensions": coat}]
+    w.tree["meshes"][0]["primitives"][0]["material"] = 0
     text = " ".join(w.load(tmp_path).notices)
-    assert all(t in text for t in ("clear coat", "XYZ_new", "normal maps", "occlusion maps"))
+    assert all(t in text for t in ("transmission", "XYZ_new"))
+    assert all(t in text for t in ("normal maps", "occlusion maps", "clear coat"))
     assert "KHR_materials_ior" not in text
 
 
@@ -163,7 +166,8 @@ def test_second_set_of_coordinates_and_transform(tmp_path):
     w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=zero, TEXCOORD_1=one)["material"] = 0
     part = w.load(tmp_path).parts[0]
     u, v = part.vertices[:, 0] * 0.5, part.vertices[:, 1] * 2.0
-    assert part.uv == pytest.approx(np.stack([0.25 + v, 0.5 - u], 1), abs=1e-6)  # the extension's own matrices
+    on_picture = part.uv_on(part.material.base_texture)
+    assert on_picture == pytest.approx(np.stack([0.25 + v, 0.5 - u], 1), abs=1e-6)  # the extension's own matrices
 
 
 def test_hidden_node_and_instances(tmp_path):
@@ -195,44 +199,6 @@ def test_unlit_is_emission_and_glossy_is_converted(tmp_path):
     assert metal.base_colour[:3] == pytest.approx((0.9, 0.6, 0.3))
 
 
-def laid(tmp_path, scale, **sampler):
-    """The part of a square whose texture is laid over it `scale` times."""
-    w = Writer()
-    w.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": w.texture(CORNERS, **sampler)}}]
-    uv = w.accessor((SQUARE[:, :2] * scale).astype(np.float32))
-    w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=uv)["material"] = 0
-    model = w.load(tmp_path)
-    assert ("wrap modes" in " ".join(model.notices)) == (scale > 1e6)
-    return model.parts[0]
-
-
-REPEAT, CLAMP, MIRROR = 10497, 33071, 33648
-
-
-@pytest.mark.parametrize(
-    ("s", "t", "rows", "columns"),
-    [
-        (CLAMP, REPEAT, [0, 1, 0, 1], [0, 1, 1, 1]),
-        (MIRROR, CLAMP, [0, 1, 1, 1], [0, 1, 1, 0]),
-        (REPEAT, MIRROR, [0, 1, 1, 0], [0, 1, 0, 1]),
-    ],
-)
-def test_wrap_modes(tmp_path, s, t, rows, columns):
-    part = laid(tmp_path, 2, wrapS=s, wrapT=t)
-    picture = part.material.base_texture
-    expected = CORNERS[rows][:, columns]
-    size = np.ceil(part.uv.max(0) * picture.shape[1::-1]).astype(int)  # what repeats is not laid out
-    shown = np.tile(picture[..., :3], (2, 2, 1))[: size[1], : size[0]]
-    assert np.array_equal(shown, expected)
-
-
-def test_wrap_modes_that_change_nothing_or_too_much(tmp_path):
-    for scale in (1, 1e7):
-        part = laid(tmp_path, scale, wrapS=CLAMP)
-        assert part.material.base_texture.shape[:2] == (2, 2)
-        assert part.uv.max() == scale
-
-
 def test_shine_textures_are_converted_by_texel(tmp_path):
     w = Writer()
     shine = [[[0, 0, 0, 255], [255, 255, 255, 51]]]  # matt white and glossy; a dull mirror
@@ -240,8 +206,8 @@ def test_shine_textures_are_converted_by_texel(tmp_path):
     w.tree["materials"] = [{"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}]
     w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=w.accessor(SQUARE[:, :2].copy()))["material"] = 0
     got = w.load(tmp_path).parts[0].material
-    assert got.metallic_roughness_texture.tolist() == [[[0, 0], [255, 204]]]
-    assert got.base_texture.tolist() == [[[255] * 4] * 2]
+    assert got.metallic_roughness_texture.picture[..., 1:3].tolist() == [[[0, 0], [204, 255]]]
+    assert got.base_texture.picture.tolist() == [[[255] * 4] * 2]
     assert (got.metallic, got.roughness) == (1, 1)
 
 
@@ -292,14 +258,19 @@ def places(tree, path=()):
 @pytest.mark.parametrize("wrong", [None, "x", -1, 1e9, [], {}, [[]], True])
 def test_any_value_of_a_wrong_kind_loads_or_is_refused_in_words(tmp_path, wrong):
     w = Writer()
-    unlit = {"pbrMetallicRoughness": {"baseColorTexture": w.texture(CORNERS, wrapS=CLAMP) | {"texCoord": 1}}}
+    unlit = {"pbrMetallicRoughness": {"baseColorTexture": w.texture(CORNERS, wrapS=33071) | {"texCoord": 1}}}
     glossy = {"diffuseTexture": {"index": 0, "extensions": {"KHR_texture_transform": {"scale": [2, 2]}}}}
     unlit["extensions"] = {"KHR_materials_unlit": {}}
-    w.tree["materials"] = [unlit, {"name": "b", "extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}]
+    more = {"KHR_materials_pbrSpecularGlossiness": glossy, "KHR_materials_ior": {"ior": 1.4}}
+    more["KHR_materials_clearcoat"] = {"clearcoatFactor": 1, "clearcoatNormalTexture": {"index": 0, "scale": 2}}
+    more["KHR_materials_sheen"] = {"sheenColorFactor": [1, 0, 0], "sheenRoughnessTexture": {"index": 0}}
+    bumpy = {"name": "b", "normalTexture": {"index": 0, "scale": 0.5}, "occlusionTexture": {"index": 0, "strength": 0.5}}
+    w.tree["materials"] = [unlit, bumpy | {"extensions": more}]
+    tangent = w.accessor(np.ones((4, 4), np.float32))
     uv = w.accessor((SQUARE[:, :2] * 200).astype(np.uint8))
     place = w.accessor(SQUARE)
     w.primitive(mode=6, POSITION=place, TEXCOORD_1=uv)["material"] = 0
-    w.primitive(POSITION=place, TEXCOORD_0=uv)["material"] = 1
+    w.primitive(POSITION=place, TEXCOORD_0=uv, NORMAL=place, TANGENT=tangent)["material"] = 1
     where = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": w.accessor(SQUARE)}}}
     w.tree["nodes"] = [{"children": [1]}, {"mesh": 0, "extensions": where, "rotation": [0, 0, 0, 1], "scale": [1, 1, 1]}]
     w.tree |= {"extensionsUsed": ["KHR_materials_unlit"], "scenes": [{"nodes": [0]}], "extensionsRequired": []}

@@ -219,7 +219,7 @@ def test_mtl_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
 
 def test_instances_are_counted_before_anything_is_built(tmp_path: Path) -> None:
     many = header(nodes=[{"mesh": 0}] * 20_000, scenes=[{"nodes": list(range(20_000))}])
-    with pytest.raises(InputError, match="20000 times"):
+    with pytest.raises(InputError, match="10001 parts"):
         load_model(gltf(tmp_path, many))
     big = header(nodes=[{"mesh": 0}] * 5000, scenes=[{"nodes": list(range(5000))}])
     big["accessors"].append({"componentType": 5125, "count": 30_000, "type": "SCALAR"})
@@ -257,18 +257,13 @@ def test_a_picture_that_materials_share_is_decoded_once_and_all_are_counted(
     ]
     tree["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}, "material": k} for k in range(3)]}]
     a, b, c = (p.material.base_texture for p in load_model(gltf(tmp_path, tree)).parts)
-    assert a is b and a is not c
+    assert a.picture is b.picture and a.picture is not c.picture
     monkeypatch.setattr("arfx.media.model_materials.MAX_TEXELS", 5000)
     with pytest.raises(InputError, match="textures hold more"):
         load_model(tmp_path / "a.gltf")
 
 
-def test_nodes_in_a_long_chain_are_refused(tmp_path: Path) -> None:
-    for depth in (200, 40_000):  # trimesh takes the square of it: minutes
-        chain = [{"children": [k + 1]} for k in range(depth - 1)]
-        path = gltf(tmp_path, header(nodes=[*chain, {"mesh": 0}]))
-        if depth == 200:
-            assert load_model(path).face_count == 1
-        else:
-            with pytest.raises(InputError, match="nodes more than 256 deep"):
-                load_model(path)
+def test_nodes_in_a_long_chain_are_walked(tmp_path: Path) -> None:
+    chain = [{"children": [k + 1], "translation": [1, 0, 0]} for k in range(40_000)]
+    model = load_model(gltf(tmp_path, header(nodes=[*chain, {"mesh": 0}])))
+    assert model.bounds[0].tolist() == [40_000, 0, 0]

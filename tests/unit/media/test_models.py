@@ -96,9 +96,9 @@ def test_obj_with_spaces_in_its_textures_name(tmp_path: Path) -> None:
     )
     p = load_model(tmp_path / "a.obj").parts[0]
     assert p.material.base_texture is not None and p.uv is not None
-    at = p.uv[np.flatnonzero((p.vertices == 0).all(1))[0]]
+    at = p.uv_on(p.material.base_texture)[np.flatnonzero((p.vertices == 0).all(1))[0]]
     np.testing.assert_allclose(at, [0, 0], atol=1e-9)  # vt (0, 1) is the picture's top left
-    assert p.material.base_texture[0, 0, :3].tolist() == [255, 10, 20]
+    assert p.material.base_texture.picture[0, 0, :3].tolist() == [255, 10, 20]
     assert p.material.base_colour[0] == pytest.approx(float(SRGB.decode(np.array(0.5))), abs=0.004)
     assert 0.4 < p.material.roughness < 0.6  # (2 / 32) ^ 1/4
 

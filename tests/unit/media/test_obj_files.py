@@ -40,6 +40,7 @@ def obj(
 ) -> Model:
     for name in ("Küche.png", "t.png"):
         Image.new("RGB", (2, 2), (250, 120, 10)).save(folder / name)
+    Image.new("L", (2, 2), 90).save(folder / "grey.png")
     (folder / "a.mtl").write_bytes(f"# Grün\n{mtl}".encode(code))
     (folder / "a.obj").write_bytes(OBJ.format(line, use).encode(code))
     return load_model(folder / "a.obj")
@@ -49,7 +50,8 @@ def is_whole(model: Model) -> bool:
     """White times the map."""
     (part,) = model.parts
     texture = part.material.base_texture
-    return not model.notices and part.material.base_colour == (1, 1, 1, 1) and texture is not None and texture[0, 0, 0] == 250
+    white = part.material.base_colour == (1, 1, 1, 1)
+    return not model.notices and white and texture is not None and texture.picture[0, 0, 0] == 250
 
 
 @pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
@@ -84,19 +86,24 @@ def test_materials_that_differ_in_case_alone_are_two(tmp_path: Path) -> None:
 
 def test_a_map_is_scaled_and_moved(tmp_path: Path) -> None:
     (part,) = obj(tmp_path, "newmtl m\nmap_Kd -s 2 3 -o .5 .25 t.png\n", use="m").parts
-    assert part.uv is not None
+    assert part.material.base_texture is not None
+    uv = part.uv_on(part.material.base_texture)
+    assert uv is not None
     where = [tuple(v[:2]) for v in part.vertices]
-    uv = part.uv[[where.index((0, 0)), where.index((1, 0)), where.index((0, 1))]]
+    uv = uv[[where.index((0, 0)), where.index((1, 0)), where.index((0, 1))]]
     np.testing.assert_allclose(uv, [[0.5, 0.75], [2.5, 0.75], [0.5, -2.25]])
 
 
 @pytest.mark.parametrize(
     ("mtl", "told"),
     [
-        ("map_Bump b.png\nmap_d t.png", ["map_Bump", "map_d"]),
-        ("map_Kd -clamp on t.png", ["-clamp of map_Kd"]),
+        ("map_Ns t.png\nmap_d t.png", ["map_Ns", "map_d"]),
+        ("map_Kd -imfchan r t.png", ["-imfchan of map_Kd"]),
+        ("map_Bump grey.png", ["grey heights of map_Bump"]),
+        ("map_Kd -clamp on t.png", []),
         ("Kd 0,5 0,5 0,5", ["Kd 0,5"]),
-        ("Ke 1 1 1", ["Ke"]),
+        ("Ke 1,5 1 1", ["Ke 1,5"]),
+        ("Ke 1 1 1\nPr .5\nPm 1", []),
         ("Ke 0 0 0\nillum 2\nNi 1", []),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
-from arfx.core.model import Material
+from arfx.core.model import Material, Texture
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.stages.gi import Gi, GiParams
@@ -46,7 +46,7 @@ def test_a_grey_matt_object_of_a_few_pixels_needs_no_cones(monkeypatch: pytest.M
     "material",
     [
         MATT_RED, replace(GREY, specular=0.5), replace(GREY, metallic=1.0), replace(GREY, emissive=(0.1, 0.1, 0.1)),
-        replace(GREY, base_texture=np.zeros((2, 2, 4), np.uint8)),
+        replace(GREY, base_texture=Texture(np.zeros((2, 2, 4), np.uint8))),
     ],
 )  # fmt: skip
 def test_what_colours_glows_or_mirrors_keeps_its_cones(material: Material) -> None:

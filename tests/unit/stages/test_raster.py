@@ -10,7 +10,7 @@ import pytest
 
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
-from arfx.core.model import BLEND, MASK, Material, Model, Part
+from arfx.core.model import BLEND, MASK, Material, Model, Part, Texture
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Placement, Scene
@@ -145,7 +145,9 @@ def test_mask_is_cut_out(backend: str) -> None:
     picture = np.full((64, 64, 4), 255, np.uint8)
     picture[:, 32:, 3] = 100  # right half below the cutoff
     part = square(
-        0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=picture, alpha_mode=MASK, alpha_cutoff=0.5, double_sided=True)
+        0.2,
+        0,
+        Material(base_colour=(1, 1, 1, 1), base_texture=Texture(picture), alpha_mode=MASK, alpha_cutoff=0.5, double_sided=True),
     )
     out = render(scene_of([part]), in_front(), backend)
     c = out[Layer.COVERAGE][131]
@@ -160,7 +162,7 @@ def test_texture_is_upright_linear_and_filtered(backend: str) -> None:
     picture = np.zeros((256, 256, 3), np.uint8)
     picture[:128, :128] = [188, 0, 0]  # top left: .503 linear
     picture[128:, 128:] = np.indices((128, 128)).sum(0)[..., None] % 2 * 255  # checker far finer than a pixel
-    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=picture, double_sided=True))
+    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=Texture(picture), double_sided=True))
     out = render(scene_of([part]), in_front(), backend)
     np.testing.assert_allclose(out[Layer.ALBEDO][131 - 30, 151 - 30], [0.503, 0, 0], atol=0.01)
     fine = out[Layer.ALBEDO][131 + 20 : 131 + 40, 151 + 20 : 151 + 40]
@@ -250,7 +252,7 @@ def stripes_scene(lens: str = "ideal") -> Scene:
     """A square with stripes three pixels wide, seen at a slant; a smaller one passes through it."""
     picture = np.zeros((256, 256, 3), np.uint8)
     picture[:, np.arange(256) % 8 < 4] = 230, 40, 40
-    fine = square(0.3, 0, Material(base_colour=(1, 1, 1, 1), base_texture=picture, double_sided=True))
+    fine = square(0.3, 0, Material(base_colour=(1, 1, 1, 1), base_texture=Texture(picture), double_sided=True))
     a = np.array([[-0.15, -0.1, -0.1], [0.15, -0.1, -0.1], [0.15, 0.15, 0.12], [-0.15, 0.15, 0.12]])
     return scene_of([fine, quad(a)], lens)
 
@@ -285,7 +287,7 @@ def independent_scenes() -> dict[str, tuple[Scene, Pose, Rect]]:
     behind = Model((square(0.2, 0.2, glass), *box_model(0.2, PLAIN).parts), "z")
     cut = np.full((16, 16, 4), 255, np.uint8)
     cut[4:9, 3:12, 3] = 0
-    leaf = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=cut, alpha_mode=MASK, double_sided=True))
+    leaf = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=Texture(cut), alpha_mode=MASK, double_sided=True))
     return {
         "box": (Scene(camera("barrel"), box_model(0.3, PLAIN), np.eye(4)), in_front(0.9, 35, 25), Rect(60, 90, 250, 130)),
         "ball": (scene_of([part], "rational"), in_front(0.9, 20, 10), Rect(80, 120, 210, 150)),
@@ -312,8 +314,8 @@ def test_pyramid_averages_in_linear_light() -> None:
     for srgb in (True, False):
         assert np.abs(pyramid(checker, srgb)[1][0, 0] - [FULL / 2, FULL / 2, FULL / 2, FULL]).max() <= 1
     stack = StackBuilder()
-    assert stack.add(checker, True) == 0 and stack.add(checker, True) == 0, "one picture is stored once"
-    assert stack.add(checker, False) == 1
+    assert stack.add(Texture(checker), True) == 0 and stack.add(Texture(checker), True) == 0, "one picture is stored once"
+    assert stack.add(Texture(checker), False) == 1
 
 
 @pytest.mark.parametrize("backend", BOTH)
@@ -321,7 +323,7 @@ def test_textures_repeat(backend: str) -> None:
     stripes = np.zeros((1, 8, 3), np.uint8)
     stripes[:, 4:] = 255
     uv = np.array([[-1.0, 1], [1, 1], [1, 0], [-1, 0]])  # twice across, from -1 to 1
-    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=stripes, double_sided=True))
+    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=Texture(stripes), double_sided=True))
     part = Part(part.vertices, part.faces, part.normals, part.material, uv)
     row = render(scene_of([part]), in_front(), backend)[Layer.ALBEDO][131, :, 0]
     at = 151.3 + 120 * (np.arange(4) - 1.5) / 4  # the middles of black, white, black, white
@@ -401,7 +403,7 @@ def test_textures_take_no_more_than_their_own_types() -> None:
     expected = SRGB.decode(image[:64, :64, :3] / 255).reshape(32, 2, 32, 2, 3).mean((1, 3))
     tracemalloc.start()
     builder = StackBuilder()
-    builder.add(image, True)
+    builder.add(Texture(image), True)
     stack = builder.build()
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

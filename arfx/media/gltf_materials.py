@@ -1,0 +1,245 @@
+"""Materials of a glTF file (glTF 2.0 section 3.9 and KHR_materials_*) as core.model.Material.
+
+Unlit materials become emission, specular-glossiness becomes metallic-roughness."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from arfx.core.colour import SRGB
+from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, OPAQUE, REPEAT, Material, Texture
+from arfx.errors import InputError
+from arfx.media.gltf_buffers import Buffers
+from arfx.media.model_materials import Textures, check_material, resized, unit
+
+_WRAPS = {33071: CLAMP, 33648: MIRROR}
+_NEAREST = 9728
+_ROWS = 256  # of a picture, worked on at a time
+_DIELECTRIC = 0.04  # reflected by what is no metal
+_TRANSFORM, _WEBP = "KHR_texture_transform", "EXT_texture_webp"
+_TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
+
+
+class GltfMaterials:
+    """Each made where it is first asked for.
+
+    header : JSON, checked;  notices : gets what is left out"""
+
+    def __init__(
+        self,
+        header: dict[str, Any],
+        buffers: Buffers,
+        textures: Textures,
+        notices: list[str],
+    ) -> None:
+        self._header, self._buffers, self._textures = header, buffers, textures
+        self._notices = notices
+        self._images: dict[int, Any] = {}
+        self._materials: dict[int, Material] = {}
+        primitives = [p for mesh in header.get("meshes", []) for p in mesh["primitives"]]
+        self._coloured = {p.get("material") for p in primitives if "COLOR_0" in p["attributes"]}
+
+    def of(self, number: int) -> Material:
+        """Raises InputError: a texture is too large or damaged, a number out of range."""
+        if number not in self._materials:
+            material = self._material(number)
+            self._materials[number] = check_material(material, self._textures.path)
+        return self._materials[number]
+
+    def _material(self, number: int) -> Material:
+        given = self._header["materials"][number]
+        extensions = given.get("extensions", {})
+        mode = str(given.get("alphaMode", OPAQUE)).upper()
+        strength = extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1)
+        glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
+        surface = self._surface(given.get("pbrMetallicRoughness", {}), extensions)
+        coat = extensions.get("KHR_materials_clearcoat", {})
+        sheen = extensions.get("KHR_materials_sheen", {})
+        material = Material(
+            name=f"{given.get('name', 'material')} {number}",
+            emissive=_colour(given.get("emissiveFactor", (0, 0, 0)), strength),
+            emissive_texture=self._texture(given, "emissiveTexture"),
+            alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
+            alpha_cutoff=float(given.get("alphaCutoff", 0.5)),
+            double_sided=bool(given.get("doubleSided", False)),
+            normal_texture=self._texture(given, "normalTexture"),
+            normal_scale=float(given.get("normalTexture", {}).get("scale", 1)),
+            occlusion_texture=self._texture(given, "occlusionTexture"),
+            occlusion_strength=unit(given.get("occlusionTexture", {}).get("strength", 1)),
+            **(surface if glossy is None else self._glossy(glossy)),
+            **self._coat(coat),
+            **self._sheen(sheen),
+        )
+        if not any(material.emissive):
+            material = replace(material, emissive_texture=None)
+        return self._unlit(material, number) if "KHR_materials_unlit" in extensions else material
+
+    def _surface(self, pbr: dict[str, Any], extensions: dict[str, Any]) -> dict[str, Any]:
+        ior = float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5))
+        f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
+        specular = extensions.get("KHR_materials_specular", {})
+        if not specular.keys().isdisjoint(_TINTS):
+            self._notices.append("left out textures and tints of KHR_materials_specular")
+        red, green, blue, alpha = map(float, pbr.get("baseColorFactor", (1, 1, 1, 1)))
+        return {
+            "base_colour": (red, green, blue, alpha),
+            "base_texture": self._texture(pbr, "baseColorTexture"),
+            "metallic": unit(pbr.get("metallicFactor", 1)),
+            "roughness": unit(pbr.get("roughnessFactor", 1)),
+            "metallic_roughness_texture": self._texture(pbr, "metallicRoughnessTexture"),
+            "specular": float(specular.get("specularFactor", 1)) * f0 / 0.08,
+        }
+
+    def _coat(self, given: dict[str, Any]) -> dict[str, Any]:
+        normal = given.get("clearcoatNormalTexture", {})
+        return {
+            "clearcoat": unit(given.get("clearcoatFactor", 0)),
+            "clearcoat_texture": self._texture(given, "clearcoatTexture"),
+            "clearcoat_roughness": unit(given.get("clearcoatRoughnessFactor", 0)),
+            "clearcoat_roughness_texture": self._texture(given, "clearcoatRoughnessTexture"),
+            "clearcoat_normal_texture": self._texture(given, "clearcoatNormalTexture"),
+            "clearcoat_normal_scale": float(normal.get("scale", 1)),
+        }
+
+    def _sheen(self, given: dict[str, Any]) -> dict[str, Any]:
+        return {
+            "sheen_colour": _colour(given.get("sheenColorFactor", (0, 0, 0))),
+            "sheen_colour_texture": self._texture(given, "sheenColorTexture"),
+            "sheen_roughness": unit(given.get("sheenRoughnessFactor", 0)),
+            "sheen_roughness_texture": self._texture(given, "sheenRoughnessTexture"),
+        }
+
+    def _unlit(self, material: Material, number: int) -> Material:
+        """Its colour as emission, on a surface that sends nothing back."""
+        if number in self._coloured:  # colours by vertex are no part of emission
+            text = f"material {material.name} is unlit with colours by vertex: it is shown lit"
+            self._notices.append(text)
+            return material
+        red, green, blue, alpha = material.base_colour
+        return replace(
+            Material(material.name, double_sided=material.double_sided),
+            base_colour=(0.0, 0.0, 0.0, alpha),
+            base_texture=material.base_texture,
+            roughness=1.0,
+            emissive=(red, green, blue),
+            emissive_texture=material.base_texture,
+            specular=0.0,
+            alpha_mode=material.alpha_mode,
+            alpha_cutoff=material.alpha_cutoff,
+        )
+
+    def _glossy(self, given: dict[str, Any]) -> dict[str, Any]:
+        """Metallic-roughness of specular-glossiness, texel by texel where it has textures."""
+        diffuse = np.array(given.get("diffuseFactor", [1.0] * 4), np.float32)
+        specular = given.get("specularFactor", [1.0] * 3)
+        shine = np.array([*specular, given.get("glossinessFactor", 1.0)], np.float32)
+        matt_texture = self._texture(given, "diffuseTexture")
+        shine_texture = self._texture(given, "specularGlossinessTexture")
+        laid, rough_laid = matt_texture or shine_texture, shine_texture or matt_texture
+        if laid is None or rough_laid is None:
+            (red, green, blue), metallic = _metallic(diffuse, shine)
+            return {
+                "base_colour": (float(red), float(green), float(blue), float(diffuse[3])),
+                "metallic": float(metallic),
+                "roughness": unit(1.0 - shine[3]),
+            }
+        wide, high = max(t.picture.shape[1::-1] for t in (laid, rough_laid))
+        pictures = [None if t is None else t.picture for t in (matt_texture, shine_texture)]
+        texels = [None if p is None else resized(p, wide, high) for p in pictures]
+        base = np.empty((high, wide, 4), np.uint8)
+        rough = np.full((high, wide, 4), 255, np.uint8)
+        for a in range(0, high, _ROWS):
+            d, s = (_linear(t, a, f) for t, f in zip(texels, (diffuse, shine), strict=True))
+            colour, metallic = _metallic(d, s)
+            base[a : a + _ROWS, :, :3] = np.round(SRGB.encode(colour) * 255)
+            base[a : a + _ROWS, :, 3] = np.round(d[..., 3] * 255)
+            rough[a : a + _ROWS, :, 1] = np.round((1.0 - s[..., 3]) * 255)
+            rough[a : a + _ROWS, :, 2] = np.round(metallic * 255)
+        return {
+            "base_colour": (1.0, 1.0, 1.0, 1.0),
+            "base_texture": replace(laid, picture=base),
+            "metallic": 1.0,
+            "roughness": 1.0,
+            "metallic_roughness_texture": replace(rough_laid, picture=rough),
+        }
+
+    def _texture(self, owner: dict[str, Any], key: str) -> Texture | None:
+        if key not in owner:
+            return None
+        slot = owner[key]
+        change = slot.get("extensions", {}).get(_TRANSFORM, {})
+        texture = self._header["textures"][slot["index"]]
+        uv_set = change.get("texCoord", slot.get("texCoord", 0))
+        picture = self._picture(texture)
+        if uv_set not in (0, 1):
+            self._notices.append("left out a texture laid by a third set of coordinates")
+            return None
+        if picture is None:
+            return None
+        samplers = self._header.get("samplers", [])
+        sampler = samplers[texture["sampler"]] if "sampler" in texture else {}
+        along_u, along_v = (_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT"))
+        nearest = sampler.get("magFilter") == _NEAREST
+        return Texture(picture, uv_set, _picture_from_uv(change), (along_u, along_v), nearest)
+
+    def _picture(self, texture: dict[str, Any]) -> np.ndarray | None:
+        """The texture's picture; None: there is none, or it cannot be read, which others tell."""
+        number = texture.get("extensions", {}).get(_WEBP, texture).get("source")
+        if number is None:
+            return None
+        if number not in self._images:
+            image = self._header["images"][number]
+            try:
+                self._images[number] = self._textures.open(self._content(image))
+            except InputError:  # it is in the folder's left_out
+                self._images[number] = None
+        return self._textures.of(self._images[number])
+
+    def _content(self, image: dict[str, Any]) -> bytes:
+        if "bufferView" in image:
+            return self._buffers.view(image["bufferView"])
+        return self._buffers.file(image["uri"])
+
+
+def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:
+    """(2, 3) of a KHR_texture_transform."""
+    angle = float(change.get("rotation", 0))
+    c, s = np.cos(angle), np.sin(angle)
+    wide, high = change.get("scale", (1, 1))
+    x, y = change.get("offset", (0, 0))
+    return np.array([[wide * c, high * s, x], [-wide * s, high * c, y]], float)
+
+
+def _linear(texels: np.ndarray | None, a: int, factor: np.ndarray) -> np.ndarray:
+    """Some rows of a picture in linear light, alpha as it is, times a factor; of no picture the
+    factor."""
+    if texels is None:
+        return factor[None, None]
+    rows = texels[a : a + _ROWS] / np.float32(255)
+    rows[..., :3] = SRGB.decode(rows[..., :3])
+    return rows * factor
+
+
+def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Base colour (..., 3) and metallic (...).
+
+    diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
+    Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP)."""
+    weights = np.array([0.299, 0.587, 0.114])
+    d, s = (np.sqrt(x[..., :3] ** 2 @ weights) for x in (diffuse, shine))
+    rest = (1.0 - shine[..., :3].max(-1)) / (1.0 - _DIELECTRIC)
+    b = d * rest + s - 2 * _DIELECTRIC
+    root = np.sqrt(np.maximum(b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s), 0.0))
+    metal = np.where(s < _DIELECTRIC, 0.0, np.clip((root - b) / (2 * _DIELECTRIC), 0.0, 1.0))
+    m = metal[..., None]
+    matt = diffuse[..., :3] * rest[..., None] / np.maximum(1.0 - m, 1e-6)
+    shiny = (shine[..., :3] - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
+    return np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), metal
+
+
+def _colour(value: Any, strength: float = 1.0) -> tuple[float, float, float]:
+    red, green, blue = (float(v) * float(strength) for v in value)
+    return red, green, blue
