@@ -103,11 +103,15 @@ class Renderer:
     def any_rectangle(self) -> bool:
         return self.faces.any_rectangle
 
+    def nothing(self, rect: Rect) -> dict[Layer, np.ndarray]:
+        """All layers that this model has, as if it were not seen."""
+        names = (*OUTPUTS, *EXTRA_OUTPUTS) if self.extras else OUTPUTS
+        return {name: neutral(name, rect) for name in names}
+
     def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]:
         """All layers of OUTPUTS over `rect`, which lies in the frame; those of EXTRA_OUTPUTS for a
         model that has any of them."""
-        names = (*OUTPUTS, *EXTRA_OUTPUTS) if self.extras else OUTPUTS
-        out = {name: neutral(name, rect) for name in names}
+        out = self.nothing(rect)
         rows = max(_STRIP_PX // max(rect.width, 1), 1)
         for top in range(rect.y0, rect.y1, rows):
             strip = Rect(rect.x0, top, rect.x1, min(top + rows, rect.y1))

@@ -1,11 +1,15 @@
-"""Raster: the virtual object's geometry and material, pixel by pixel, as seen by the real camera. No light here.
+"""Raster: the virtual object's geometry and material, pixel by pixel, as seen by the real camera.
+No light here.
 
-Two back ends fill the same layers: `pyrender` (OpenGL) and `rays` (embree, no OpenGL). Edge pixels: COVERAGE is the
-fraction covered; colours, materials and normals are means over the covering samples only, never mixed with what is
-behind; DEPTH, POSITION and OBJECT_ID belong to the pixel's centre, or to the covering sample next to it. MASK materials
-are cut out; BLEND ones multiply COVERAGE by their opacity and are blended front to back; DEPTH is the nearest layer's.
-Two levels beside the reference: of the .3 to .5 grey levels that `standard` is off, half is rounding to 8 bits, and four times
-the samples leave two thirds of them."""
+Two back ends say which faces are seen: `pyrender` (OpenGL) and `rays` (no OpenGL); all that follows
+is the same code. Edge pixels: COVERAGE is the fraction covered; colours, materials and normals are
+means over the covering samples only, never mixed with what is behind; DEPTH, POSITION and OBJECT_ID
+belong to the pixel's centre, or to the covering sample next to it. MASK materials are cut out;
+BLEND ones multiply COVERAGE by their opacity and are blended front to back; DEPTH is the nearest
+layer's. OCCLUSION, COAT and SHEEN are written where the model has any of them.
+Two levels beside the reference: of the .3 to .5 grey levels that `standard` is off, half is
+rounding to 8 bits, and four times the samples leave two thirds of them. `reference` is 256 rays in
+every pixel, by rays whatever the back end."""
 
 from __future__ import annotations
 
@@ -16,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, neutral
+from arfx.core.layers import Layer
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -31,8 +35,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class RasterParams:
     """backend : auto (pyrender where a graphics card runs OpenGL, else rays), pyrender or rays
-    samples : samples in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 64; pyrender 4, 9);
-    rays give a texture half as many taps along a pixel's side as there are samples along it"""
+    samples : in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 64; pyrender 9, 25,
+    an odd square of them); a texture gets half as many taps along a pixel's side as there are
+    samples along it"""
 
     backend: str = "auto"
     samples: int = 0
@@ -78,12 +83,12 @@ class Raster(Stage):
         rect, box = view.rect, view.facts.raster_box.clip(view.scene.camera.rect)
         shown = box.clip(rect)
         if shown.empty:
-            return {name: neutral(name, rect) for name in OUTPUTS}
+            return prepared.nothing(rect)
         area = shown if prepared.any_rectangle else box
         layers: dict[Layer, np.ndarray] = prepared.render(area, view.pose)
         if area == rect:
             return layers
-        out = {name: neutral(name, rect) for name in layers}
+        out: dict[Layer, np.ndarray] = prepared.nothing(rect)
         for name in layers:
             out[name][shown.slices_in(rect)] = layers[name][shown.slices_in(area)]
         return out
