@@ -15,6 +15,7 @@ from arfx.core.marker import Marker
 from arfx.core.model import Model
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.real_depth import RealPlane
+from arfx.core.scene_mesh import SceneMesh, flatten
 from arfx.errors import ConfigError, InputError
 
 # Columns are the file's axes in marker axes (x right, y up the print, z out of it): a y-up file's y goes out of the print.
@@ -88,6 +89,17 @@ class Scene:
     def placed_by(self) -> bytes:
         """Equal where the model stands on its anchor in the same way."""
         return np.concatenate([self.world_from_model, self.world_from_anchor.matrix]).tobytes()
+
+    def mesh_at(self, time_s: float) -> SceneMesh:
+        """The model's triangles at a time of the clip; a model that does not move has the same at all times.
+
+        Raises InputError where the model is larger than MAX_EXTENT_M."""
+        return self._rest_mesh
+
+    @cached_property
+    def _rest_mesh(self) -> SceneMesh:
+        self.check_extent()
+        return flatten(self.model, self.world_from_model)
 
     @cached_property
     def model_points_m(self) -> np.ndarray:

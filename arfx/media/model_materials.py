@@ -20,25 +20,11 @@ MAX_TEXELS = 8192**2 + 2 * 4096**2  # of a model together: 20 bytes each while i
 MAX_TEXTURE_PX = 8192
 
 
-def _has_nearest(material: Material) -> bool:
-    return any(texture.nearest for texture in material.textures.values())
-
-
-def _laid_differently(material: Material) -> bool:
-    """Whether textures that are drawn lie on the surface in more than one way."""
-    drawn = (material.base_texture, material.metallic_roughness_texture, material.emissive_texture)
-    ways = {(t.uv_set, *t.picture_from_uv.ravel()) for t in drawn if t is not None}
-    return len(ways) > 1
-
-
 # The one list of what is read of a material and not drawn: words for the notice, and who has it.
 NOT_DRAWN: tuple[tuple[str, Callable[[Material], bool]], ...] = (
-    ("normal maps", lambda m: m.normal_texture is not None),
     ("occlusion maps", lambda m: m.occlusion_texture is not None),
     ("clear coat", lambda m: m.clearcoat > 0),
     ("sheen of cloth", lambda m: any(m.sheen_colour)),
-    ("hard edges of texels (nearest filter)", _has_nearest),
-    ("textures laid in another way than their material's first", _laid_differently),
 )
 
 

@@ -115,10 +115,10 @@ def test_opengl_over_a_rectangle_is_the_crop_of_the_whole(lens: str) -> None:
 def test_memory_stays_flat_over_many_renders() -> None:
     scene = Scene(camera(), box_model(0.3, PLAIN), np.eye(4))
     stage = Raster()
-    from arfx.stages.raster.gl import GlRenderer
-    from arfx.stages.raster.mesh import build_mesh
+    from arfx.stages.raster.gl import GlFaces
+    from arfx.stages.raster.renderer import Renderer
 
-    renderer = GlRenderer(build_mesh(scene), scene.camera, 4)
+    renderer = Renderer(scene.mesh_at(0.0), scene.camera, GlFaces, 4)
     assert stage.levels
 
     def resident_mb() -> float:

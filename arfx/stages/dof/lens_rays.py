@@ -30,7 +30,6 @@ from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.sharp_frame import depth_range
 from arfx.stages.dof.surfaces import Real
 from arfx.stages.raster.lens import LensTable
-from arfx.stages.raster.mesh import build_mesh
 from arfx.stages.triangles import Triangles
 
 FIRST, MOST = 32, 512  # rays of a pixel; powers of two, as the sequence is even after such numbers
@@ -49,7 +48,7 @@ class RayScene:
 
     @staticmethod
     def of(scene: Scene) -> RayScene:
-        mesh = build_mesh(scene)
+        mesh = scene.mesh_at(0.0)
         return RayScene(
             Triangles(mesh.corners_m, robust=True), mesh.centre_m, LensTable(scene.camera)
         )

@@ -13,17 +13,18 @@ from typing import Any
 from arfx.errors import ConfigError, RenderError
 
 BACKENDS = ("pyrender", "rays")
-# Rays are added at edges and fine textures only, OpenGL takes its samples in every pixel.
-RAY_SAMPLES = {"draft": 4, "standard": 64}
-GL_SAMPLES = {"draft": 4, "standard": 9}
+RAY_SAMPLES = {"draft": 4, "standard": 64, "reference": 256}
+# OpenGL draws its samples in all pixels, whether an edge crosses them or not.
+GL_SAMPLES = {"draft": 9, "standard": 25}
 
 
 @dataclass(frozen=True)
 class Backend:
-    """name;  renderer(mesh, camera, samples) makes a Renderer;  samples : of a pixel, by level;  why : this one was chosen"""
+    """find_faces : as of `Renderer`;  samples : of a pixel, by level
+    why : this one was chosen"""
 
     name: str
-    renderer: Callable[..., Any]
+    find_faces: Callable[..., Any]
     samples: Mapping[str, int]
     why: str
 
@@ -61,16 +62,16 @@ def choose_backend(wanted: str = "auto") -> Backend:
         return _ray_backend(e.message)
     if wanted == "auto" and context.software:
         return _ray_backend("OpenGL runs in software here")
-    from arfx.stages.raster.gl import GlRenderer
+    from arfx.stages.raster.gl import GlFaces
 
     why = "asked for" if wanted == "pyrender" else "OpenGL runs on a graphics card here"
-    return Backend("pyrender", GlRenderer, GL_SAMPLES, why)
+    return Backend("pyrender", GlFaces, GL_SAMPLES, why)
 
 
 def _ray_backend(why: str) -> Backend:
-    from arfx.stages.raster.rays import RayRenderer
+    from arfx.stages.raster.visible import RayFaces
 
-    return Backend("rays", RayRenderer, RAY_SAMPLES, why)
+    return Backend("rays", RayFaces, RAY_SAMPLES, why)
 
 
 def _graphics_card() -> bool:

@@ -35,6 +35,22 @@ class LensTable:
         out[..., 1] = ((np.arange(rect.y0, rect.y1) - c.cy) / c.fy)[:, None]
         return out
 
+    @cached_property
+    def curvature(self) -> float:
+        """Of the pictures of straight lines, 1 / px, at most; inf where the lens folds."""
+        c = self.camera
+        if not c.distorted:
+            return 0.0
+        x = np.linspace(-STEP_PX, c.width + STEP_PX, 33)
+        y = np.linspace(-STEP_PX, c.height + STEP_PX, 33)
+        ideal = c.normalised(np.stack(np.meshgrid(x, y), -1)) * [c.fx, c.fy]
+        if not np.isfinite(ideal).all():
+            return np.inf
+        steps = (x[1] - x[0]) ** 2, (y[1] - y[0]) ** 2
+        bends = [np.abs(np.diff(ideal, 2, axis=1 - k)).max() / steps[k] for k in range(2)]
+        mixed = np.abs(np.diff(np.diff(ideal, axis=0), axis=1)).max() / np.sqrt(steps[0] * steps[1])
+        return float(sum(bends) + 2 * mixed)
+
     def at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """(len(rows), len(columns), 2) float64 directions at fractional pixel positions, within the margin."""
         c = self.camera

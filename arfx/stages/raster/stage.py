@@ -1,36 +1,43 @@
-"""Raster: the virtual object's geometry and material, pixel by pixel, as seen by the real camera. No light here.
+"""Raster: the virtual object's geometry and material, pixel by pixel, as seen by the real camera.
+No light here.
 
-Two back ends fill the same layers: `pyrender` (OpenGL) and `rays` (embree, no OpenGL). Edge pixels: COVERAGE is the
-fraction covered; colours, materials and normals are means over the covering samples only, never mixed with what is
-behind; DEPTH, POSITION and OBJECT_ID belong to the pixel's centre, or to the covering sample next to it. MASK materials
-are cut out; BLEND ones multiply COVERAGE by their opacity and are blended front to back; DEPTH is the nearest layer's.
-Two levels beside the reference: of the .3 to .5 grey levels that `standard` is off, half is rounding to 8 bits, and four times
-the samples leave two thirds of them."""
+Two back ends say which faces are seen: `pyrender` (OpenGL) and `rays` (no OpenGL); all that follows
+is the same code. Edge pixels: COVERAGE is the fraction covered; colours, materials and normals are
+means over the covering samples only, never mixed with what is behind; DEPTH, POSITION and OBJECT_ID
+belong to the pixel's centre, or to the covering sample next to it. MASK materials are cut out;
+BLEND ones multiply COVERAGE by their opacity and are blended front to back; DEPTH is the nearest
+layer's. OCCLUSION, COAT and SHEEN are written where the model has any of them.
+Two levels beside the reference: of the .3 to .5 grey levels that `standard` is off, half is
+rounding to 8 bits, and four times the samples leave two thirds of them. `reference` is 256 rays in
+every pixel, by rays whatever the back end."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, neutral
-from arfx.core.pose import Pose
+from arfx.core.layers import Layer
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError, require_within
-from arfx.stages.raster.arrays import OUTPUTS
 from arfx.stages.raster.backends import BACKENDS, choose_backend
+from arfx.stages.raster.record import EXTRA_OUTPUTS, OUTPUTS
+
+if TYPE_CHECKING:
+    from arfx.stages.raster.renderer import Renderer
 
 
 @dataclass(frozen=True)
 class RasterParams:
     """backend : auto (pyrender where a graphics card runs OpenGL, else rays), pyrender or rays
-    samples : samples in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 64; pyrender 4, 9);
-    rays give a texture half as many taps along a pixel's side as there are samples along it"""
+    samples : in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 64; pyrender 9, 25,
+    an odd square of them); a texture gets half as many taps along a pixel's side as there are
+    samples along it"""
 
     backend: str = "auto"
     samples: int = 0
@@ -43,20 +50,10 @@ class RasterParams:
         require_within("raster", self, samples=(0, 256))
 
 
-class Renderer(Protocol):
-    """What a back end gives: all OUTPUTS over a rectangle inside the frame.
-
-    any_rectangle : a pixel comes out the same whatever rectangle it is rendered in"""
-
-    any_rectangle: bool
-
-    def render(self, rect: Rect, camera_from_world: Pose) -> dict[Layer, np.ndarray]: ...
-
-
 class Raster(Stage):
     name = "raster"
     reads: ClassVar[frozenset[Layer]] = frozenset()
-    writes = frozenset(OUTPUTS)
+    writes = frozenset((*OUTPUTS, *EXTRA_OUTPUTS))
     levels = ("draft", "standard", "reference")
     Params = RasterParams
     always = True
@@ -75,26 +72,23 @@ class Raster(Stage):
 
     def prepare(self, scene: Scene, level: str) -> Renderer:
         """Raises InputError for a model too large for the scene, RenderError where the chosen back end cannot open."""
-        from arfx.stages.raster.mesh import build_mesh
+        from arfx.stages.raster.renderer import Renderer
 
-        mesh = build_mesh(scene)
-        if level == "reference":
-            from arfx.stages.raster.reference import ReferenceRenderer
-
-            return ReferenceRenderer(mesh, scene.camera)
-        backend = choose_backend(self.params.backend)
-        return backend.renderer(mesh, scene.camera, self.params.samples or backend.samples[level])
+        backend = choose_backend("rays" if level == "reference" else self.params.backend)
+        samples = self.params.samples if level != "reference" else 0
+        samples = samples or backend.samples[level]
+        return Renderer(scene.mesh_at(0.0), scene.camera, backend.find_faces, samples)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         rect, box = view.rect, view.facts.raster_box.clip(view.scene.camera.rect)
         shown = box.clip(rect)
         if shown.empty:
-            return {name: neutral(name, rect) for name in OUTPUTS}
+            return prepared.nothing(rect)
         area = shown if prepared.any_rectangle else box
         layers: dict[Layer, np.ndarray] = prepared.render(area, view.pose)
         if area == rect:
             return layers
-        out = {name: neutral(name, rect) for name in OUTPUTS}
-        for name in OUTPUTS:
+        out: dict[Layer, np.ndarray] = prepared.nothing(rect)
+        for name in layers:
             out[name][shown.slices_in(rect)] = layers[name][shown.slices_in(area)]
         return out

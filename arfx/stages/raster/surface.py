@@ -1,338 +1,432 @@
-"""Attributes of the model's surface where a ray meets it: colour, normal, material. Compiled, `rays` back end.
+"""What rays meet: colour, normal and material of the model's surface, summed up for each pixel.
 
-Textures, repeated: the mean of trilinear taps in the pyramids of textures.py, spread over the sample's parallelogram on the
-texture, one for each half texel a side, up to a limit. Source of the level: a tap's area (OpenGL 4.6, 8.14)."""
+One loop serves pixel centres, samples along edges and layers behind transparent ones. A texture is
+the mean of bilinear taps spread over the sample's parallelogram on it, in the level of its pyramid
+in which they lie one to two texels apart."""
 
-# mypy: disable-error-code="no-untyped-def, call-arg, var-annotated"
+# mypy: disable-error-code="no-untyped-def, call-arg, var-annotated, arg-type, assignment"
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.stages.four import mean_of_rows
-from arfx.stages.raster.arrays import Fragments, GBuffer, Hits, Surfaces, View
-from arfx.stages.raster.textures import WRAP_COLUMN
+from arfx.stages.raster import textures
+from arfx.stages.raster.record import (
+    ALBEDO,
+    ALL_COLUMNS,
+    COAT,
+    COVERED,
+    EMISSIVE,
+    MARGIN,
+    MATERIAL,
+    MET,
+    NORMAL,
+    OCCLUSION,
+    PLAIN_COLUMNS,
+    SHEEN,
+    GBuffer,
+    Rays,
+    View,
+)
+from arfx.stages.raster.tables import (
+    BASE,
+    BASE_SLOT,
+    COAT_FACTORS,
+    COAT_ROUGHNESS_SLOT,
+    COAT_SLOT,
+    CUT_OUT,
+    CUTOFF,
+    EMISSION,
+    EMISSIVE_SLOT,
+    METAL_SLOT,
+    METALLIC,
+    MODE,
+    NORMAL_SCALE,
+    NORMAL_SLOT,
+    OCCLUSION_SLOT,
+    OCCLUSION_STRENGTH,
+    SHEEN_SLOT,
+    TWO_SIDED,
+    SurfaceTables,
+)
+from arfx.stages.raster.visible import planes_of
 
 _F = np.float32
-# Cosine below which the footprint on the surface stops growing: one texel row would blur away a whole texture.
+# Transparency below half an 8-bit step of the opacity is none.
+CLEAR = 1.0 / 512.0
+# Cosine below which the footprint on the surface stops growing: else a whole texture blurs away.
 _GRAZING = 0.1
-# A bilinear tap spreads over two texels; half a level finer comes nearest to the mean over its area (least error against the
-# reference level on the sample models).
-_SHARPER = 0.5
-_ONE_TAP = 1.0  # texels along a sample, up to which one tap of the finest level is enough
+_ROUNDED = {"contract", "arcp", "nsz"}  # what the compiler may do to rounding
 
 
-@numba.njit(nogil=True, fastmath=True)
-def _mean_of_texels(texels, i, j, k, m, a, b, c, d):  # pragma: no cover - compiled
-    """a texels[i] + b texels[j] + c texels[k] + d texels[m], a tuple. texels : (n, 4) uint16"""
-    return (
-        _F(texels[i, 0]) * a + _F(texels[j, 0]) * b + _F(texels[k, 0]) * c + _F(texels[m, 0]) * d,
-        _F(texels[i, 1]) * a + _F(texels[j, 1]) * b + _F(texels[k, 1]) * c + _F(texels[m, 1]) * d,
-        _F(texels[i, 2]) * a + _F(texels[j, 2]) * b + _F(texels[k, 2]) * c + _F(texels[m, 2]) * d,
-        _F(texels[i, 3]) * a + _F(texels[j, 3]) * b + _F(texels[k, 3]) * c + _F(texels[m, 3]) * d,
-    )
+class Hit(NamedTuple):
+    """Where a ray meets a face: depth, weights of its corners, the ray in world axes, its length,
+    and its product with the face's normal, above 0 from behind."""
+
+    z: float
+    b0: float
+    b1: float
+    b2: float
+    dx: float
+    dy: float
+    dz: float
+    length: float
+    facing: float
 
 
 @numba.njit(inline="always")
-def _folded(u, wrap):  # pragma: no cover - compiled
-    """A coordinate as one from 0 to 1, where the picture repeats (0), ends (1) or is mirrored (2)."""
-    if wrap == 0:
-        return u - np.floor(u)
-    if wrap == 1:
-        return min(max(u, np.float32(0)), np.float32(1))
-    return abs(u - np.float32(2) * np.floor(np.float32(0.5) * u + np.float32(0.5)))
+def _wrapped(t, mode):  # pragma: no cover - compiled
+    """A texture coordinate within 0..1."""
+    if mode == textures.REPEATS:
+        return t - np.floor(t)
+    if mode == textures.CLAMPS:
+        return min(max(t, _F(0)), _F(1))
+    return abs(t - _F(2) * np.floor(_F(0.5) * t + _F(0.5)))
 
 
-@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def _texel(texels, table, t, level, tu, tv, weight):  # pragma: no cover - compiled
-    """Four channels, bilinear, of one level of texture t at tu, tv in 0..1, times weight; 1 = full."""
-    one = np.float32(1)
-    w, h = np.int32(max(table[t, 0] >> level, 1)), np.int32(max(table[t, 1] >> level, 1))
-    start = np.int32(table[t, 3 + level])
-    x, y = tu * np.float32(w) - np.float32(0.5), tv * np.float32(h) - np.float32(0.5)
-    left, top = np.floor(x), np.floor(y)
-    fx, fy = x - left, y - top
-    x0, y0 = np.int32(left), np.int32(top)
-    x1, y1 = np.int32(x0 + np.int32(1)), np.int32(y0 + np.int32(1))
-    # the texels beyond the edges: those of the other side where the picture repeats
-    across, down = np.int32(w - np.int32(1)), np.int32(h - np.int32(1))
-    repeats_u, repeats_v = table[t, WRAP_COLUMN] == 0, table[t, WRAP_COLUMN + 1] == 0
-    before, after = across if repeats_u else np.int32(0), np.int32(0) if repeats_u else across
-    above, below = down if repeats_v else np.int32(0), np.int32(0) if repeats_v else down
-    x0, x1 = x0 if x0 >= 0 else before, x1 if x1 < w else after
-    y0, y1 = y0 if y0 >= 0 else above, y1 if y1 < h else below
-    weight *= np.float32(1 / 65535)
-    b, c, d = weight * fx * (one - fy), weight * (one - fx) * fy, weight * fx * fy
-    i, j = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
-    k, m = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
-    return _mean_of_texels(texels, i, j, k, m, weight - b - c - d, b, c, d)
+@line_kernel(error_model="numpy", fastmath=_ROUNDED)
+def _filtered(texels, table, t, place, across, down, taps):  # pragma: no cover - compiled
+    """Four channels of texture t, 0..1: mean over a parallelogram.
+
+    place : u, v of its middle;  across, down : its sides in u, v
+    taps : along the short side, at most; twice as many along the long one"""
+    width, height = _F(table[t, textures.WIDTH]), _F(table[t, textures.HEIGHT])
+    ax, ay, bx, by = across[0] * width, across[1] * height, down[0] * width, down[1] * height
+    wide, high = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
+    finest = max(min(wide, high) / _F(taps), max(wide, high) / _F(2 * taps))
+    level = np.int32(0)
+    if finest > _F(2):
+        level = np.int32(np.log2(finest))
+        level = min(level, np.int32(table[t, textures.LEVELS] - 1))
+    least = np.int32(1)
+    n, m = least, least
+    if max(wide, high) > _F(1):  # else one tap is enough
+        spacing = max(finest, _F(0.5) * _F(1 << level))
+        n = max(np.int32(wide / spacing + _F(0.99)), least)
+        m = max(np.int32(high / spacing + _F(0.99)), least)
+    w, h = max(np.int32(width) >> level, least), max(np.int32(height) >> level, least)
+    start = np.int32(table[t, textures.OFFSETS + level])
+    wrap_u, wrap_v = table[t, textures.WRAP_U], table[t, textures.WRAP_V]
+    before_u = w - least if wrap_u == textures.REPEATS else np.int32(0)
+    before_v = h - least if wrap_v == textures.REPEATS else np.int32(0)
+    step_u, step_v = across[0] / _F(n), across[1] / _F(n)
+    row_u, row_v = down[0] / _F(m), down[1] / _F(m)
+    first_u = place[0] - _F(0.5) * (across[0] - step_u + down[0] - row_u)
+    first_v = place[1] - _F(0.5) * (across[1] - step_v + down[1] - row_v)
+    t0, t1, t2, t3 = _F(0), _F(0), _F(0), _F(0)
+    for j in range(m):
+        for i in range(n):
+            u = _wrapped(first_u + _F(i) * step_u + _F(j) * row_u, wrap_u)
+            v = _wrapped(first_v + _F(i) * step_v + _F(j) * row_v, wrap_v)
+            x, y = u * _F(w) - _F(0.5), v * _F(h) - _F(0.5)
+            left, top = np.floor(x), np.floor(y)
+            fx, fy = x - left, y - top
+            if table[t, textures.NEAREST] and level == 0:
+                fx, fy = _F(fx >= _F(0.5)), _F(fy >= _F(0.5))
+            x0, y0 = np.int32(left), np.int32(top)
+            x1, y1 = np.int32(x0 + least), np.int32(y0 + least)
+            x0, x1 = x0 if x0 >= 0 else before_u, x1 if x1 < w else w - least - before_u
+            y0, y1 = y0 if y0 >= 0 else before_v, y1 if y1 < h else h - least - before_v
+            b, c, d = fx * (_F(1) - fy), (_F(1) - fx) * fy, fx * fy
+            a = _F(1) - b - c - d
+            p, q = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
+            r, s = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
+            t0 += a * _F(texels[p, 0]) + b * _F(texels[q, 0])
+            t0 += c * _F(texels[r, 0]) + d * _F(texels[s, 0])
+            t1 += a * _F(texels[p, 1]) + b * _F(texels[q, 1])
+            t1 += c * _F(texels[r, 1]) + d * _F(texels[s, 1])
+            t2 += a * _F(texels[p, 2]) + b * _F(texels[q, 2])
+            t2 += c * _F(texels[r, 2]) + d * _F(texels[s, 2])
+            t3 += a * _F(texels[p, 3]) + b * _F(texels[q, 3])
+            t3 += c * _F(texels[r, 3]) + d * _F(texels[s, 3])
+    share = _F(1 / textures.FULL) / _F(n * m)
+    return t0 * share, t1 * share, t2 * share, t3 * share
 
 
 @numba.njit(inline="always")
 def _in_world(rotation, x, y):  # pragma: no cover - compiled
     """Direction (x, y, 1) of the camera in world axes, float32. rotation : camera from world"""
     return (
-        np.float32(rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0]),
-        np.float32(rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1]),
-        np.float32(rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2]),
-    )
-
-
-@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def _texture(texels, table, t, u, v, across, down, most):  # pragma: no cover - compiled
-    """Four channels, mean over the parallelogram around u, v. across, down : its sides (u, v);  most : taps along a side"""
-    one, zero = np.float32(1), np.float32(0)
-    w, h = np.float32(table[t, 0]), np.float32(table[t, 1])
-    ax, ay, bx, by = across[0] * w, across[1] * h, down[0] * w, down[1] * h
-    # both sides in half texels, up to the limit
-    n = min(max(np.int32(np.float32(2) * np.sqrt(ax * ax + ay * ay) + np.float32(0.99)), np.int32(1)), np.int32(most))
-    m = min(max(np.int32(np.float32(2) * np.sqrt(bx * bx + by * by) + np.float32(0.99)), np.int32(1)), np.int32(most))
-    share = one / np.float32(n * m)
-    area = abs(ax * by - ay * bx) * share * np.float32(_SHARPER)
-    lod = min(np.float32(0.5) * np.log2(area) if area > one else zero, np.float32(table[t, 2] - 1))
-    level = np.int32(lod)
-    mix = lod - np.float32(level)
-    t0, t1, t2, t3 = zero, zero, zero, zero
-    for j in range(m):
-        q = (np.float32(j) + np.float32(0.5)) / np.float32(m) - np.float32(0.5)
-        for i in range(n):
-            p = (np.float32(i) + np.float32(0.5)) / np.float32(n) - np.float32(0.5)
-            tu = _folded(u + p * across[0] + q * down[0], table[t, WRAP_COLUMN])
-            tv = _folded(v + p * across[1] + q * down[1], table[t, WRAP_COLUMN + 1])
-            c0, c1, c2, c3 = _texel(texels, table, t, level, tu, tv, (one - mix) * share)
-            t0, t1, t2, t3 = t0 + c0, t1 + c1, t2 + c2, t3 + c3
-            if mix > zero:
-                c0, c1, c2, c3 = _texel(texels, table, t, np.int32(level + np.int32(1)), tu, tv, mix * share)
-                t0, t1, t2, t3 = t0 + c0, t1 + c1, t2 + c2, t3 + c3
-    return t0, t1, t2, t3
-
-
-@numba.njit(inline="always")
-def _along(slopes, f, z, slant, d, turn, normal):  # pragma: no cover - compiled
-    """How texture coordinates change where the ray d turns by `turn`: the hit stays on the plane of face f.
-
-    d, turn, normal : of three;  slant : 1 / (normal d)"""
-    away = (normal[0] * turn[0] + normal[1] * turn[1] + normal[2] * turn[2]) * slant
-    x, y, w = turn[0] - away * d[0], turn[1] - away * d[1], turn[2] - away * d[2]
-    return (
-        z * (slopes[f, 0, 0] * x + slopes[f, 0, 1] * y + slopes[f, 0, 2] * w),
-        z * (slopes[f, 1, 0] * x + slopes[f, 1, 1] * y + slopes[f, 1, 2] * w),
+        _F(rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0]),
+        _F(rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1]),
+        _F(rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2]),
     )
 
 
 @numba.njit(inline="always")
-def _surface(face, b1, b2, z, d, side, level, seen_from: View, mesh: Surfaces):  # pragma: no cover - compiled
-    """Opacity, albedo (3), unit normal (3), metallic, roughness, specular, emissive (3) of one hit.
-
-    d : the ray, camera z = 1;  z : depth of the hit;  side : of the sample's square at depth 1
-    level : of textures' pyramids, for a single tap; -1 = filtered, a constant, of which the compiler makes a function of its own
-    Inlined: a call with a dozen arrays takes ten times as long as the arithmetic (reference counts)."""
-    normals, uv, floats, ints, table = mesh.normals, mesh.uv, mesh.floats, mesh.ints, mesh.table
-    face_normal, texels, slopes, rotation = mesh.face_normal, mesh.texels, mesh.uv_slopes, seen_from.rotation
-    dx, dy, dz = d
-    # unsigned indices spare numba the test for negative ones
-    f = np.uintp(face)
-    p = np.uintp(mesh.part[f])
-    i0, i1, i2 = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
+    """Where the ray x, y meets the plane of face f."""
+    i, j, k = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+    a, b, c, volume = planes_of(view.points, i, j, k)
+    side_a = a[0] * x + a[1] * y + a[2]
+    side_b = b[0] * x + b[1] * y + b[2]
+    side_c = c[0] * x + c[1] * y + c[2]
+    inverse = 1.0 / (side_a + side_b + side_c)
+    b1, b2 = _F(side_b * inverse), _F(side_c * inverse)
+    dx, dy, dz = _in_world(view.rotation, x, y)
+    normal = mesh.face_normal
+    facing = normal[f, 0] * dx + normal[f, 1] * dy + normal[f, 2] * dz
     length = np.sqrt(dx * dx + dy * dy + dz * dz)
-    fx, fy, fz = face_normal[f, 0], face_normal[f, 1], face_normal[f, 2]
-    facing = fx * dx + fy * dy + fz * dz
-    b0 = np.float32(1) - b1 - b2
-    r, g, b, alpha = mean_of_rows(mesh.colours, i0, i1, i2, b0, b1, b2)
-    r, g, b, alpha = floats[p, 0] * r, floats[p, 1] * g, floats[p, 2] * b, floats[p, 3] * alpha
-    metallic, rough = floats[p, 4], floats[p, 5]
-    er, eg, eb = floats[p, 7], floats[p, 8], floats[p, 9]
+    return Hit(_F(volume * inverse), _F(1) - b1 - b2, b1, b2, dx, dy, dz, length, facing)
+
+
+@numba.njit(inline="always")
+def _step_along(f, hit, turn, reach, mesh):  # pragma: no cover - compiled
+    """(3,) metres in world axes by which the hit moves on its plane as the ray turns.
+
+    turn : (3,) unit, across the ray;  reach : side of a sample at the hit's depth"""
+    normal = mesh.face_normal
+    cosine = max(abs(hit.facing), _F(_GRAZING) * hit.length)
+    if hit.facing < 0:
+        cosine = -cosine
+    away = normal[f, 0] * turn[0] + normal[f, 1] * turn[1] + normal[f, 2] * turn[2]
+    away /= cosine
+    return (
+        reach * (turn[0] - away * hit.dx),
+        reach * (turn[1] - away * hit.dy),
+        reach * (turn[2] - away * hit.dz),
+    )
+
+
+@numba.njit(inline="always")
+def _along(f, first, way, laid, slopes):  # pragma: no cover - compiled
+    """(2,) how a place on a texture moves along a way (3,) on face f.
+
+    first : column of the texture's coordinates;  laid : (2, 3), of the texture"""
+    u = slopes[f, first, 0] * way[0] + slopes[f, first, 1] * way[1] + slopes[f, first, 2] * way[2]
+    second = first + 1
+    v = slopes[f, second, 0] * way[0] + slopes[f, second, 1] * way[1] + slopes[f, second, 2] * way[2]
+    return laid[0, 0] * u + laid[0, 1] * v, laid[1, 0] * u + laid[1, 1] * v
+
+
+@numba.njit(inline="always")
+def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - compiled
+    """Multiply what is in `values` by the part's textures. side : of the sample at depth 1
+
+    Returns what the normal map shows, 0..1, unused where there is none."""
+    i, j, k = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+    uv, rotation, reach = mesh.uv, view.rotation, hit.z * side
+    right = _F(rotation[0, 0]), _F(rotation[0, 1]), _F(rotation[0, 2])
+    below = _F(rotation[1, 0]), _F(rotation[1, 1]), _F(rotation[1, 2])
+    across = _step_along(f, hit, right, reach, mesh)
+    down = _step_along(f, hit, below, reach, mesh)
+    map_x, map_y, map_z = _F(0.5), _F(0.5), _F(1)
     for slot in range(mesh.slots):
-        t = ints[p, slot]
+        t = mesh.ints[p, slot]
         if t < 0:
             continue
-        tu = b0 * uv[i0, 0] + b1 * uv[i1, 0] + b2 * uv[i2, 0]
-        tv = b0 * uv[i0, 1] + b1 * uv[i1, 1] + b2 * uv[i2, 1]
-        if level >= 0:
-            tu = _folded(tu, table[t, WRAP_COLUMN])
-            tv = _folded(tv, table[t, WRAP_COLUMN + 1])
-            t0, t1, t2, t3 = _texel(texels, table, t, np.int32(min(level, table[t, 2] - 1)), tu, tv, np.float32(1))
-        else:
-            cosine = max(abs(facing), np.float32(_GRAZING) * length)
-            slant, reach = np.float32(1) / (cosine if facing > 0 else -cosine), z * side
-            right = np.float32(rotation[0, 0]), np.float32(rotation[0, 1]), np.float32(rotation[0, 2])
-            below = np.float32(rotation[1, 0]), np.float32(rotation[1, 1]), np.float32(rotation[1, 2])
-            across = _along(slopes, f, reach, slant, d, right, (fx, fy, fz))
-            down = _along(slopes, f, reach, slant, d, below, (fx, fy, fz))
-            t0, t1, t2, t3 = _texture(texels, table, t, tu, tv, across, down, seen_from.taps)
-        if slot == 0:
-            r, g, b, alpha = r * t0, g * t1, b * t2, alpha * t3
-        elif slot == 1:
-            metallic, rough = metallic * t2, rough * t1
-        else:
-            er, eg, eb = er * t0, eg * t1, eb * t2
-    mode = ints[p, 3]
-    if mode == 0:
-        alpha = np.float32(1)
-    elif mode == 1:
-        alpha = np.float32(1) if alpha >= floats[p, 10] else np.float32(0)
-    nx = b0 * normals[i0, 0] + b1 * normals[i1, 0] + b2 * normals[i2, 0]
-    ny = b0 * normals[i0, 1] + b1 * normals[i1, 1] + b2 * normals[i2, 1]
-    nz = b0 * normals[i0, 2] + b1 * normals[i1, 2] + b2 * normals[i2, 2]
-    if facing > 0:  # the back of a two-sided surface
-        nx, ny, nz = -nx, -ny, -nz
-    # an interpolated normal can lean away at the outline: it is turned back to just facing the camera
-    excess = (nx * dx + ny * dy + nz * dz) / (length * length)
-    if excess > 0:
-        nx, ny, nz = nx - excess * dx, ny - excess * dy, nz - excess * dz
-    n = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if n > np.float32(1e-6):
-        nx, ny, nz = nx / n, ny / n, nz / n
-    else:
-        s = np.float32(-1) if facing > 0 else np.float32(1)
-        nx, ny, nz = s * fx, s * fy, s * fz
-    return alpha, r, g, b, nx, ny, nz, metallic, rough, floats[p, 6], er, eg, eb
-
-
-@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def surfaces(hits: Hits, directions, seen_from: View, mesh: Surfaces, values):  # pragma: no cover - compiled
-    """Attributes of hits into values (n, 13), in the order of `_surface`. Rows of misses stay as they are.
-
-    directions : (n, 3) with camera z = 1"""
-    prim, bary_u, bary_v, depth = hits
-    for k in range(prim.shape[0]):
-        if prim[k] < 0:
-            continue
-        d = directions[k, 0], directions[k, 1], directions[k, 2]
-        alpha, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
-            prim[k], bary_u[k], bary_v[k], depth[k], d, seen_from.pixel, -1, seen_from, mesh
+        c, laid = mesh.uv_first[p, slot], mesh.laid[p, slot]
+        d = c + 1
+        u = hit.b0 * uv[i, c] + hit.b1 * uv[j, c] + hit.b2 * uv[k, c]
+        v = hit.b0 * uv[i, d] + hit.b1 * uv[j, d] + hit.b2 * uv[k, d]
+        u, v = (
+            laid[0, 0] * u + laid[0, 1] * v + laid[0, 2],
+            laid[1, 0] * u + laid[1, 1] * v + laid[1, 2],
         )
-        values[k, 0], values[k, 1], values[k, 2], values[k, 3] = alpha, r, g, b
-        values[k, 4], values[k, 5], values[k, 6] = nx, ny, nz
-        values[k, 7], values[k, 8], values[k, 9] = metallic, rough, specular
-        values[k, 10], values[k, 11], values[k, 12] = er, eg, eb
+        wide = _along(f, c, across, laid, mesh.uv_slopes)
+        high = _along(f, c, down, laid, mesh.uv_slopes)
+        red, green, blue, alpha = _filtered(
+            mesh.texels, mesh.table, t, (u, v), wide, high, view.taps
+        )
+        if slot == NORMAL_SLOT:
+            map_x, map_y, map_z = red, green, blue
+        elif slot == BASE_SLOT:
+            _multiply(values, ALBEDO, red, green, blue)
+            values[COVERED] *= alpha
+        elif slot == METAL_SLOT:
+            _multiply(values, MATERIAL, blue, green, _F(1))
+        elif slot == EMISSIVE_SLOT:
+            _multiply(values, EMISSIVE, red, green, blue)
+        elif values.shape[0] > PLAIN_COLUMNS:
+            _apply_extra(slot, red, green, blue, alpha, mesh.floats[p, OCCLUSION_STRENGTH], values)
+    return map_x, map_y, map_z
 
 
-@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def write_centres(hits: Hits, edge, seen_from: View, glows, mesh: Surfaces, later, out: GBuffer):  # pragma: no cover - compiled
-    """All layers of an opaque mesh from one sample a pixel; those of misses and of `edge` pixels become neutral. So do those
-    with a texture finer than the pixel, where it may have several taps: their number is returned, `later` lists them.
-
-    Hits cover one pixel more on each side than the layers do;  glows : else EMISSIVE is left alone"""
-    prim, bary_u, bary_v, depth = hits
-    lens, rotation, eye = seen_from.lens, seen_from.rotation, seen_from.eye
-    coverage, depth_out, normal, position, albedo, material, emissive, object_id = out
-    part, face_normal, height, width = mesh.part, mesh.face_normal, lens.shape[0] - 2, lens.shape[1] - 2
-    least, count, level = np.float32(_GRAZING), np.uintp(0), np.int32(0)
-    for i in range(1, height - 1):
-        for j in range(1, width - 1):
-            k = np.uintp(i * width + j)
-            y, x = np.uintp(i - 1), np.uintp(j - 1)
-            clear = prim[k] < 0 or edge[k]
-            dx, dy, dz = _in_world(rotation, lens[i + 1, j + 1, 0], lens[i + 1, j + 1, 1])
-            if not clear:
-                f = np.uintp(prim[k])
-                facing = abs(face_normal[f, 0] * dx + face_normal[f, 1] * dy + face_normal[f, 2] * dz)
-                length = np.sqrt(dx * dx + dy * dy + dz * dz)
-                texels = depth[k] * seen_from.pixel * length * mesh.texels_per_m[f] / max(facing, least * length)
-                if texels > np.float32(_ONE_TAP) and seen_from.taps > 1:
-                    clear = True
-                    later[count] = k
-                    count += np.uintp(1)
-                else:
-                    level = np.int32(np.log2(texels)) if texels > np.float32(2) else np.int32(0)
-            if clear:
-                coverage[y, x], depth_out[y, x], object_id[y, x] = 0, np.inf, 0
-                for c in range(3):
-                    albedo[y, x, c], normal[y, x, c], material[y, x, c], position[y, x, c] = 0, 0, 0, 0
-                material[y, x, 3] = 0
-                continue
-            z = depth[k]
-            _, r, g, b, nx, ny, nz, metallic, rough, specular, er, eg, eb = _surface(
-                prim[k], bary_u[k], bary_v[k], z, (dx, dy, dz), seen_from.pixel, level, seen_from, mesh
-            )
-            coverage[y, x], depth_out[y, x], object_id[y, x] = 1, z, part[np.uintp(prim[k])] + 1
-            albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r, g, b
-            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = nx, ny, nz
-            material[y, x, 0], material[y, x, 1], material[y, x, 2], material[y, x, 3] = metallic, rough, specular, 1
-            position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * dx, eye[1] + z * dy, eye[2] + z * dz
-            if glows:
-                emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = er, eg, eb
-    return count
+@numba.njit(inline="always")
+def _multiply(values, first, a, b, c):  # pragma: no cover - compiled
+    values[first] *= a
+    values[first + 1] *= b
+    values[first + 2] *= c
 
 
-@line_kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz"})
-def write_edges(
-    pixels, samples, order, hits: Hits, centres: Hits, seen_from: View, glows, mesh: Surfaces, met: Fragments, out: GBuffer
-):  # fmt: skip  # pragma: no cover - compiled
-    """Pixels of many samples of an opaque mesh: means over the samples that meet it. Those that none meets stay as they are.
+@numba.njit(inline="always")
+def _apply_extra(slot, red, green, blue, alpha, strength, values):  # pragma: no cover - compiled
+    """Textures of occlusion, clear coat and sheen."""
+    if slot == OCCLUSION_SLOT:
+        values[OCCLUSION] = _F(1) + strength * (red - _F(1))
+    elif slot == COAT_SLOT:
+        values[COAT] *= red
+    elif slot == COAT_ROUGHNESS_SLOT:
+        values[COAT + 1] *= green
+    elif slot == SHEEN_SLOT:
+        _multiply(values, SHEEN, red, green, blue)
+    else:
+        values[SHEEN + 3] *= alpha
 
-    What a face has is linear on it, so that it is worked out once for all samples of a pixel that meet it, at their mean.
-    pixels (n,) : numbered with one pixel of margin;  samples (n, s, 2) : directions in the camera
-    order (s,) : sample numbers from the centre outwards;  hits : of n * s samples;  centres : of every pixel's centre"""
-    prim, bary_u, bary_v, depth = hits
-    lens, rotation, eye = seen_from.lens, seen_from.rotation, seen_from.eye
-    coverage, depth_out, normal, position, albedo, material, emissive, object_id = out
-    part, width = mesh.part, lens.shape[1] - 2
-    face, sums = met
-    count, one = np.uintp(order.shape[0]), np.uintp(1)
-    for a in range(pixels.shape[0]):
-        y, x = np.uintp(pixels[a] // width - 1), np.uintp(pixels[a] % width - 1)
-        start = np.uintp(a) * count
-        hit_count, faces = np.float32(0), np.uintp(0)
-        for i in range(count):
-            s = np.uintp(i)
-            k = start + s
-            if prim[k] < 0:
-                continue
-            hit_count += np.float32(1)
-            face[faces] = prim[k]
-            m = np.uintp(0)
-            while face[m] != prim[k]:
-                m += one
-            if m == faces:
-                faces += one
-                for c in range(6):
-                    sums[m, c] = 0
-            sums[m, 0], sums[m, 1], sums[m, 2] = sums[m, 0] + np.float32(1), sums[m, 1] + bary_u[k], sums[m, 2] + bary_v[k]
-            sums[m, 3] += depth[k]
-            sums[m, 4], sums[m, 5] = sums[m, 4] + samples[a, s, 0], sums[m, 5] + samples[a, s, 1]
-        if hit_count == 0:
+
+@numba.njit(inline="always")
+def _interpolated(rows, f, hit, mesh):  # pragma: no cover - compiled
+    """(3,) of rows (n, 3 or more) at a hit."""
+    i, j, k = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+    return (
+        hit.b0 * rows[i, 0] + hit.b1 * rows[j, 0] + hit.b2 * rows[k, 0],
+        hit.b0 * rows[i, 1] + hit.b1 * rows[j, 1] + hit.b2 * rows[k, 1],
+        hit.b0 * rows[i, 2] + hit.b1 * rows[j, 2] + hit.b2 * rows[k, 2],
+    )
+
+
+@numba.njit(inline="always")
+def _bent_normal(normal, shown, f, p, hit, mesh):  # pragma: no cover - compiled
+    """(3,) the normal that a normal map shows, in world axes, any length.
+
+    Source: glTF 2.0, 3.9.3; as it is stated there, nothing is made unit before it is summed."""
+    scale = _F(2) * mesh.floats[p, NORMAL_SCALE]
+    x, y = scale * (shown[0] - _F(0.5)), scale * (shown[1] - _F(0.5))
+    z = _F(2) * shown[2] - _F(1)
+    nx, ny, nz = normal
+    tx, ty, tz = _interpolated(mesh.tangents, f, hit, mesh)
+    y *= mesh.tangents[np.uintp(mesh.faces[f, 0]), 3]
+    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    return x * tx + y * bx + z * nx, x * ty + y * by + z * ny, x * tz + y * bz + z * nz
+
+
+@numba.njit(inline="always")
+def _write_normal(normal, hit, f, mesh, values):  # pragma: no cover - compiled
+    """Write the shading normal: unit, towards the camera; the face's own where it has no length."""
+    nx, ny, nz = normal
+    if hit.facing > 0:  # the back of a two-sided surface
+        nx, ny, nz = -nx, -ny, -nz
+    # one that leans away at the outline is turned back to just facing the camera
+    excess = (nx * hit.dx + ny * hit.dy + nz * hit.dz) / (hit.length * hit.length)
+    if excess > 0:
+        nx, ny, nz = nx - excess * hit.dx, ny - excess * hit.dy, nz - excess * hit.dz
+    n = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if n < _F(1e-6):
+        n = _F(-1) if hit.facing > 0 else _F(1)
+        nx, ny, nz = mesh.face_normal[f, 0], mesh.face_normal[f, 1], mesh.face_normal[f, 2]
+    values[NORMAL], values[NORMAL + 1], values[NORMAL + 2] = nx / n, ny / n, nz / n
+
+
+@numba.njit(inline="always")
+def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - compiled
+    """Write what a hit shows into `values`; its opacity into the column COVERED."""
+    p = np.uintp(mesh.part[f])
+    i, j, k = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+    floats, colours = mesh.floats, mesh.colours
+    colour = _interpolated(colours, f, hit, mesh)
+    for c in range(3):
+        values[ALBEDO + c] = floats[p, BASE + c]
+        values[MATERIAL + c] = floats[p, METALLIC + c]
+        values[EMISSIVE + c] = floats[p, EMISSION + c]
+    _multiply(values, ALBEDO, colour[0], colour[1], colour[2])
+    alpha = hit.b0 * colours[i, 3] + hit.b1 * colours[j, 3] + hit.b2 * colours[k, 3]
+    values[COVERED] = floats[p, BASE + 3] * alpha
+    if values.shape[0] > PLAIN_COLUMNS:
+        values[OCCLUSION] = _F(1)
+        for c in range(ALL_COLUMNS - COAT):
+            values[COAT + c] = floats[p, COAT_FACTORS + c]
+    normal = _interpolated(mesh.normals, f, hit, mesh)
+    if mesh.slots > 0:
+        shown = _apply_textures(f, p, hit, side, view, mesh, values)
+        if mesh.ints[p, NORMAL_SLOT] >= 0:
+            normal = _bent_normal(normal, shown, f, p, hit, mesh)
+    if mesh.ints[p, MODE] == 0:
+        values[COVERED] = 1
+    elif mesh.ints[p, MODE] == CUT_OUT:
+        values[COVERED] = values[COVERED] >= floats[p, CUTOFF]
+    _write_normal(normal, hit, f, mesh, values)
+
+
+@line_kernel(error_model="numpy", fastmath=_ROUNDED)
+def add_surfaces(rays: Rays, view: View, mesh: SurfaceTables, values, sums):  # pragma: no cover
+    """Add what rays meet to their pixels' sums (n, columns), and take it off what rays let pass.
+
+    values : (columns,) float32, scratch"""
+    for ray in range(rays.face.shape[0]):
+        if rays.face[ray] < 0:
             continue
-        r, g, b = np.float32(0), np.float32(0), np.float32(0)
-        nx, ny, nz = np.float32(0), np.float32(0), np.float32(0)
-        metallic, rough, specular = np.float32(0), np.float32(0), np.float32(0)
-        er, eg, eb = np.float32(0), np.float32(0), np.float32(0)
-        for i in range(faces):
-            m = np.uintp(i)
-            w = sums[m, 0]
-            mean = np.float32(1) / w
-            d = _in_world(rotation, sums[m, 4] * mean, sums[m, 5] * mean)
-            side = seen_from.pixel * np.sqrt(w / np.float32(count))
-            _, r1, g1, b1, x1, y1, z1, metallic1, rough1, specular1, er1, eg1, eb1 = _surface(
-                face[m], sums[m, 1] * mean, sums[m, 2] * mean, sums[m, 3] * mean, d, side, -1, seen_from, mesh
-            )
-            r, g, b = r + w * r1, g + w * g1, b + w * b1
-            nx, ny, nz = nx + w * x1, ny + w * y1, nz + w * z1
-            metallic, rough, specular = metallic + w * metallic1, rough + w * rough1, specular + w * specular1
-            er, eg, eb = er + w * er1, eg + w * eg1, eb + w * eb1
-        centre = np.uintp(pixels[a])
-        chosen, z = centres.face[centre], centres.depth[centre]
-        if chosen < 0:
-            for i in range(count):
-                k = start + np.uintp(order[i])
-                if prim[k] >= 0:
-                    chosen, z = prim[k], depth[k]
-                    break
-        lx, ly = lens[y + np.uintp(2), x + np.uintp(2), 0], lens[y + np.uintp(2), x + np.uintp(2), 1]
-        dx, dy, dz = _in_world(rotation, lx, ly)
-        inverse = np.float32(1) / hit_count
-        coverage[y, x], depth_out[y, x], object_id[y, x] = hit_count / np.float32(count), z, part[np.uintp(chosen)] + 1
-        albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2] = r * inverse, g * inverse, b * inverse
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        if length > np.float32(1e-6):
-            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = nx / length, ny / length, nz / length
-        else:  # opposite sides cancel in this pixel: straight towards the camera
-            length = -np.sqrt(dx * dx + dy * dy + dz * dz)
-            normal[y, x, 0], normal[y, x, 1], normal[y, x, 2] = dx / length, dy / length, dz / length
-        material[y, x, 0], material[y, x, 1], material[y, x, 2] = metallic * inverse, rough * inverse, specular * inverse
-        material[y, x, 3] = 1
-        position[y, x, 0], position[y, x, 1], position[y, x, 2] = eye[0] + z * dx, eye[1] + z * dy, eye[2] + z * dz
-        if glows:
-            emissive[y, x, 0], emissive[y, x, 1], emissive[y, x, 2] = er * inverse, eg * inverse, eb * inverse
+        f, pixel = np.uintp(rays.face[ray]), np.uintp(rays.pixel[ray])
+        hit = _hit(f, rays.x[ray], rays.y[ray], view, mesh)
+        rays.reached[ray] = hit.z
+        p = np.uintp(mesh.part[f])
+        if hit.facing > 0 and mesh.ints[p, TWO_SIDED] == 0:
+            continue
+        share = rays.share[ray]
+        _write_surface(f, hit, _F(view.pixel) * np.sqrt(share), view, mesh, values)
+        alpha = values[COVERED]
+        if alpha <= _F(CLEAR):
+            continue
+        if rays.part[ray] < 0:
+            rays.part[ray], rays.depth[ray] = p, hit.z
+            sums[pixel, MET] += share
+        weight = share * rays.clear[ray] * alpha
+        rays.clear[ray] *= _F(1) - alpha
+        sums[pixel, COVERED] += weight
+        for c in range(ALBEDO, values.shape[0]):
+            sums[pixel, c] += weight * values[c]
+
+
+@numba.njit(cache=True, nogil=True)
+def merged_by_face(face, x, y):  # pragma: no cover - compiled
+    """Samples of a pixel that meet the same face as one ray, in their mean direction: what a face
+    has is linear on it. face, x, y : (n, s)
+
+    Returns pixel, face, x, y, share of the rays that meet anything, as `Rays` has them."""
+    most, samples = face.size, face.shape[1]
+    pixel, out_face = np.empty(most, np.int64), np.empty(most, np.int32)
+    out_x, out_y, out_share = np.empty(most), np.empty(most), np.empty(most, np.float32)
+    count = np.uintp(0)
+    for a in range(face.shape[0]):
+        start = count
+        for b in range(samples):
+            if face[a, b] < 0:
+                continue
+            out_face[count] = face[a, b]
+            m = start
+            while out_face[m] != face[a, b]:
+                m += np.uintp(1)
+            if m == count:
+                pixel[m], out_x[m], out_y[m], out_share[m] = a, 0, 0, 0
+                count += np.uintp(1)
+            out_x[m] += x[a, b]
+            out_y[m] += y[a, b]
+            out_share[m] += 1
+        for m in range(start, count):
+            out_x[m] /= out_share[m]
+            out_y[m] /= out_share[m]
+            out_share[m] /= samples
+    return pixel[:count], out_face[:count], out_x[:count], out_y[:count], out_share[:count]
+
+
+@line_kernel(error_model="numpy", fastmath=_ROUNDED)
+def resolve(pixels, part, depth, sums, view: View, out: GBuffer):  # pragma: no cover - compiled
+    """Write pixels (n,), numbered within `out`, from their sums; those that meet nothing stay.
+
+    part, depth : (n,), of the surface that their centre sees, or the ray next to it"""
+    width = np.int64(out.coverage.shape[1])
+    for a in range(pixels.shape[0]):
+        covered = sums[a, COVERED]
+        if part[a] < 0 or not covered > 0:
+            continue
+        y, x = np.uintp(pixels[a] // width), np.uintp(pixels[a] % width)
+        row, column = y + np.uintp(MARGIN), x + np.uintp(MARGIN)
+        dx, dy, dz = _in_world(view.rotation, view.x[row, column], view.y[row, column])
+        z, inverse = depth[a], _F(1) / covered
+        out.coverage[y, x], out.depth[y, x], out.object_id[y, x] = min(covered, _F(1)), z, part[a] + 1
+        nx, ny, nz = sums[a, NORMAL], sums[a, NORMAL + 1], sums[a, NORMAL + 2]
+        n = np.sqrt(nx * nx + ny * ny + nz * nz)
+        if n < _F(1e-6) * covered:  # opposite sides cancel: straight towards the camera
+            nx, ny, nz = -dx, -dy, -dz
+            n = np.sqrt(nx * nx + ny * ny + nz * nz)
+        out.normal[y, x, 0], out.normal[y, x, 1], out.normal[y, x, 2] = nx / n, ny / n, nz / n
+        for c in range(3):
+            out.albedo[y, x, c] = sums[a, ALBEDO + c] * inverse
+            out.material[y, x, c] = sums[a, MATERIAL + c] * inverse
+            out.emissive[y, x, c] = sums[a, EMISSIVE + c] * inverse
+        out.material[y, x, 3] = min(covered / sums[a, MET], _F(1))
+        out.position[y, x, 0] = _F(view.eye[0] + z * dx)
+        out.position[y, x, 1] = _F(view.eye[1] + z * dy)
+        out.position[y, x, 2] = _F(view.eye[2] + z * dz)

@@ -14,10 +14,17 @@ from arfx.core.scene import Scene
 from arfx.errors import RenderError
 from arfx.stages.raster import gl_context
 from arfx.stages.raster.gl_context import discard, on_gl_thread
+from arfx.stages.raster.renderer import Renderer
 from tests.scenes import box_model
 from tests.unit.stages.raster_scenes import camera, in_front
 
 pytestmark = pytest.mark.process
+
+
+def opengl_renderer(scene: Scene) -> Renderer:
+    from arfx.stages.raster.gl import GlFaces
+
+    return Renderer(scene.mesh_at(0.0), scene.camera, GlFaces, 4)
 
 
 def test_all_work_is_done_by_one_thread_that_is_not_the_callers() -> None:
@@ -67,13 +74,10 @@ def test_a_forked_process_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.opengl
 def test_a_renderer_serves_any_thread() -> None:
-    from arfx.stages.raster.gl import GlRenderer
-    from arfx.stages.raster.mesh import build_mesh
-
     scene = Scene(camera(), box_model(0.3), np.eye(4))
     with ThreadPoolExecutor(1) as pool:  # as a job's warm-up does: made and dropped in a thread that ends
-        pool.submit(lambda: GlRenderer(build_mesh(scene), scene.camera, 4).render(scene.camera.rect, in_front())).result()
-    renderer = GlRenderer(build_mesh(scene), scene.camera, 4)
+        pool.submit(lambda: opengl_renderer(scene).render(scene.camera.rect, in_front())).result()
+    renderer = opengl_renderer(scene)
     poses = [in_front(1.0 + 0.1 * k, 30, 10 * k) for k in range(8)]
     alone = [renderer.render(scene.camera.rect, pose) for pose in poses]
     with ThreadPoolExecutor(3) as pool:
@@ -84,34 +88,28 @@ def test_a_renderer_serves_any_thread() -> None:
 
 @pytest.mark.opengl
 def test_a_renderer_that_is_gone_leaves_nothing_in_the_driver() -> None:
-    from arfx.stages.raster.gl import GlRenderer
-    from arfx.stages.raster.mesh import build_mesh
-
     scene = Scene(camera(), box_model(0.3), np.eye(4))
-    renderer = GlRenderer(build_mesh(scene), scene.camera, 4)
+    renderer = opengl_renderer(scene)
     renderer.render(scene.camera.rect, in_front())
-    drawing = renderer.drawing
+    drawing = renderer.faces.drawing
     assert drawing.buffer.framebuffer is not None
     del renderer
     gc.collect()
     on_gl_thread(lambda: None)
-    assert drawing.buffer.framebuffer is None and not any(p.primitive._in_context() for p in drawing.parts)
+    assert drawing.buffer.framebuffer is None and not any(p._in_context() for p, *_ in drawing.primitives)
 
 
 @pytest.mark.opengl
 def test_what_the_driver_says_is_one_message() -> None:
-    from arfx.stages.raster.gl import GlRenderer
-    from arfx.stages.raster.mesh import build_mesh
-
     scene = Scene(camera(), box_model(0.3), np.eye(4))
-    renderer = GlRenderer(build_mesh(scene), scene.camera, 4)
+    renderer = opengl_renderer(scene)
 
     def refused() -> None:
         from OpenGL import GL
 
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 12345)  # never made
 
-    renderer.drawing.buffer.bind = lambda *_: refused()  # type: ignore[method-assign]
+    renderer.faces.drawing.buffer.bind = lambda *_: refused()  # type: ignore[method-assign]
     with pytest.raises(RenderError, match=r"OpenGL failed: GLError.*1282.*glBindFramebuffer") as e:
         renderer.render(scene.camera.rect, in_front())
     assert "raster.backend=rays" in e.value.hint

@@ -1,0 +1,157 @@
+"""The one flattening of a model: all its parts as one set of triangles in world axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from arfx.core.model import Material, Model
+from arfx.core.numerics import divide, normalise, same_rows
+
+_CREASE_COS = np.cos(np.radians(20.0))  # edges sharper than this are visible inside the silhouette
+
+
+class Edges(NamedTuple):
+    """Edges between positions.
+
+    vertices : (e, 2) int32, its ends;  faces : (e, 2) int32, its sides, the second -1 where there is
+    one alone. An edge of more than two faces is listed once for each, as an edge of that face alone
+    sharp : (e,) bool, it shows from whatever side it is seen"""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    sharp: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class SceneMesh:
+    """Triangles of all parts together, metres. Positions are relative to `centre_m`, which keeps
+    float32 exact enough.
+
+    centre_m : (3,) float64, world
+    vertices : (n, 3) float64;  normals : (n, 3) float32;  colours : (n, 4) float32, linear RGBA
+    uv : (n, 4) float32, both sets of texture coordinates, v = 0 at a picture's top row
+    has_uv : (p, 2) bool, which of them a part has;  tangents : (n, 4) float32 as of `Part`, else 0
+    faces : (m, 3) int32;  part : (m,) int32, of each face;  face_normal : (m, 3) float32, unit
+    materials : of each part;  object_of : (p,) int32, number of the object that a part belongs to"""
+
+    centre_m: np.ndarray
+    vertices: np.ndarray
+    normals: np.ndarray
+    colours: np.ndarray
+    uv: np.ndarray
+    has_uv: np.ndarray
+    tangents: np.ndarray
+    faces: np.ndarray
+    part: np.ndarray
+    face_normal: np.ndarray
+    materials: tuple[Material, ...]
+    object_of: np.ndarray
+
+    @cached_property
+    def corners_m(self) -> np.ndarray:
+        """(m, 3, 3) float64, corners of the faces, relative to `centre_m`."""
+        return np.asarray(self.vertices[self.faces])
+
+    @cached_property
+    def hidden_behind(self) -> np.ndarray:
+        """(m,) bool, faces that are not shown from behind."""
+        one_sided = [not material.double_sided for material in self.materials]
+        return np.array(one_sided, bool)[self.part]
+
+    @cached_property
+    def edges(self) -> Edges:
+        """Of faces that may join in any way."""
+        return _edges(self)
+
+    def sample(self, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points spread evenly over the surface, area by area.
+
+        Returns face (count,) int64, barycentric weights (count, 3), positions (count, 3) float64
+        relative to `centre_m`; of no points where the faces have no area."""
+        first, second, third = np.moveaxis(self.corners_m, 1, 0)
+        area = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+        if not area.sum() > 0:
+            return np.zeros(0, int), np.zeros((0, 3)), np.zeros((0, 3))
+        u = np.random.default_rng(seed).random((count, 2))
+        along = (np.arange(count) + 0.5) / count
+        face = np.searchsorted(np.cumsum(area) / area.sum(), along).clip(0, len(area) - 1)
+        folded = np.where(u.sum(1, keepdims=True) > 1, 1 - u, u)
+        weights = np.column_stack([1 - folded.sum(1), folded])
+        return face, weights, np.einsum("nk,nkc->nc", weights, self.corners_m[face])
+
+
+def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
+    """world_from_model : (4, 4), rigid times a uniform scale"""
+    linear, shift_m = world_from_model[:3, :3], world_from_model[:3, 3]
+    rotation = linear / np.cbrt(abs(np.linalg.det(linear)))
+    parts = model.parts
+    counts = [len(p.vertices) for p in parts]
+    starts = np.cumsum([0, *counts[:-1]])
+    centre = model.bounds.mean(0) @ linear.T + shift_m
+    vertices = np.concatenate([p.vertices @ linear.T + shift_m - centre for p in parts])
+    faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)])
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    first_uv = _rows([p.uv for p in parts], np.zeros(2), counts)
+    second_uv = _rows([p.second_uv for p in parts], np.zeros(2), counts)
+    tangents = _rows([p.tangents for p in parts], np.zeros(4), counts)
+    tangents[:, :3] = tangents[:, :3] @ rotation.T
+    return SceneMesh(
+        centre_m=centre,
+        vertices=vertices,
+        normals=np.concatenate([p.normals @ rotation.T for p in parts]).astype(np.float32),
+        colours=_rows([p.colours for p in parts], np.ones(4), counts).astype(np.float32),
+        uv=np.column_stack([first_uv, second_uv]).astype(np.float32),
+        has_uv=np.array([(p.uv is not None, p.second_uv is not None) for p in parts]),
+        tangents=tangents.astype(np.float32),
+        faces=faces.astype(np.int32),
+        part=np.repeat(np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts]),
+        face_normal=normalise(np.cross(b - a, c - a)).astype(np.float32),
+        materials=tuple(p.material for p in parts),
+        object_of=np.zeros(len(parts), np.int32),
+    )
+
+
+def _rows(given: list[np.ndarray | None], otherwise: np.ndarray, counts: list[int]) -> np.ndarray:
+    """Rows of all parts end to end; `otherwise` for each vertex of a part that has none."""
+    rows = [np.tile(otherwise, (count, 1)) if own is None else own for own, count in zip(given, counts, strict=True)]
+    return np.concatenate(rows)
+
+
+def coordinate_slopes(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """How coordinates that are linear on each face grow along the axes of space.
+
+    values : (m, 3, k) at the corners (m, 3, 3), metres
+    Returns (m, k, 3), per metre, in the face's plane; 0 on faces without area."""
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(e1, e2)
+    # a place on the face is a + s e1 + t e2: s grows along e2 x n, t along n x e1
+    square = (normal**2).sum(1)[:, None]
+    s, t = divide(np.cross(e2, normal), square), divide(np.cross(normal, e1), square)
+    along_s = (values[:, 1] - values[:, 0])[:, :, None] * s[:, None]
+    along_t = (values[:, 2] - values[:, 0])[:, :, None] * t[:, None]
+    return np.asarray(along_s + along_t)
+
+
+def _edges(mesh: SceneMesh) -> Edges:
+    first, position = same_rows(mesh.vertices.astype(np.float32))
+    corner = position[mesh.faces]
+    ends = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]])
+    ends = np.sort(ends, axis=1)
+    owner = np.tile(np.arange(len(mesh.faces)), 3)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    ends, owner = ends[order], owner[order]
+    new = np.r_[True, (ends[1:] != ends[:-1]).any(1)]
+    start = np.flatnonzero(new)
+    count = np.diff(np.r_[start, len(ends)])
+    pair = start[count == 2]
+    a, b = owner[pair], owner[pair + 1]
+    flat = (mesh.face_normal[a] * mesh.face_normal[b]).sum(1) > _CREASE_COS
+    alone = np.flatnonzero(np.repeat(count != 2, count))
+    sides = np.concatenate([np.stack([a, b], 1), np.stack([owner[alone], np.full(len(alone), -1)], 1)])
+    sharp = np.r_[~flat | (mesh.part[a] != mesh.part[b]), np.ones(len(alone), bool)]
+    vertices = first[ends[np.r_[pair, alone]]]
+    return Edges(vertices.astype(np.int32), sides.astype(np.int32), sharp)

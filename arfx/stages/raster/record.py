@@ -1,0 +1,99 @@
+"""What the parts of this stage hand to one another: named tuples of arrays that belong together.
+
+Compiled loops take them, and are compiled again for each mix of types: dtypes and order are fixed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from arfx.core.layers import Layer
+
+# Columns of a pixel's sums, each weighted by how much of the pixel it is.
+COVERED, MET, ALBEDO, NORMAL, MATERIAL, EMISSIVE = 0, 1, 2, 5, 8, 11
+PLAIN_COLUMNS = 14
+# Of models that have them.
+OCCLUSION, COAT, SHEEN = 14, 15, 17
+ALL_COLUMNS = 21
+
+
+class GBuffer(NamedTuple):
+    """The layers that this stage always writes, over one rectangle."""
+
+    coverage: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray
+    position: np.ndarray
+    albedo: np.ndarray
+    material: np.ndarray
+    emissive: np.ndarray
+    object_id: np.ndarray
+
+
+OUTPUTS = tuple(Layer(name) for name in GBuffer._fields)
+# Written where the model has them: layer -> its columns of the sums.
+EXTRA_OUTPUTS = {
+    Layer.OCCLUSION: OCCLUSION,
+    Layer.COAT: slice(COAT, COAT + 2),
+    Layer.SHEEN: slice(SHEEN, SHEEN + 4),
+}
+
+
+class View(NamedTuple):
+    """How the pixels of one rectangle look at the model.
+
+    x, y : (h, w) float64, their directions, z = 1, with MARGIN pixels on each side; NaN = none
+    points : (n, 3) float64, the mesh's vertices, camera axes;  rotation : (3, 3), camera from world
+    eye : (3,) float64, world;  pixel : side of a pixel at depth 1
+    taps : of a texture along the short side of a sample, at most"""
+
+    x: np.ndarray
+    y: np.ndarray
+    points: np.ndarray
+    rotation: np.ndarray
+    eye: np.ndarray
+    pixel: float
+    taps: int
+
+
+MARGIN = 2
+
+
+class Rays(NamedTuple):
+    """Rays through pixels, those of one pixel one after the other.
+
+    pixel : (k,) int64, row of the sums that a ray belongs to;  face : (k,) int32, -1 = none
+    x, y : (k,) float64 directions, z = 1;  share : (k,) float32, of the pixel, sides as its root
+    clear : (k,) float32, light of what is behind that passes through all that the ray met
+    reached : (k,) float32, depth of the last surface met, metres
+    depth : (k,) float32, of the first surface that shows, inf = none
+    part : (k,) int32, its part, -1 = none"""
+
+    pixel: np.ndarray
+    face: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    share: np.ndarray
+    clear: np.ndarray
+    reached: np.ndarray
+    depth: np.ndarray
+    part: np.ndarray
+
+
+def rays_through(
+    pixel: np.ndarray, face: np.ndarray, x: np.ndarray, y: np.ndarray, share: np.ndarray
+) -> Rays:
+    """Rays that have met nothing yet."""
+    count = len(face)
+    return Rays(
+        pixel,
+        face,
+        x,
+        y,
+        share,
+        np.ones(count, np.float32),
+        np.zeros(count, np.float32),
+        np.full(count, np.inf, np.float32),
+        np.full(count, -1, np.int32),
+    )
