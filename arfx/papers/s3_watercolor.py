@@ -20,20 +20,20 @@ from typing import Any
 import numba
 import numpy as np
 
-from arfx.core.colour import SRGB
+from arfx.core.colour import LUMA_COEFFICIENTS, SRGB
 from arfx.core.layers import Layer
 from arfx.core.noise import noise
 from arfx.core.numerics import normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
-from arfx.errors import require_within
+from arfx.errors import ConfigError, require_within
 from arfx.stages.dof.depth_layers import dioptre_of
 from arfx.stages.watercolor import Watercolor
-from arfx.stages.watercolor.cells import means
-from arfx.stages.watercolor.edges import yuv_matrix
+from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.field import plane_dioptre
-from arfx.stages.watercolor.params import WatercolorParams
+from arfx.stages.watercolor.lines import ALPHA, BETA, yuv_matrix
+from arfx.stages.watercolor.params import require_tones
 from arfx.stages.watercolor.sites import STEPS, Sites
 from arfx.stages.watercolor.toon import toon_light
 
@@ -41,22 +41,47 @@ LEAST = 0.05  # of a cone's size: OpenGL cuts off what is before the near clip p
 
 
 @dataclass(frozen=True)
-class PrintedWatercolorParams(WatercolorParams):
-    """m : rows of cells, 0 = as many as make cells of cell_px;  n : columns of cells, likewise
-    near_m : near clip plane of the depth buffer, whose value is the size of a cone; 0 = all cones alike
+class PrintedWatercolorParams:
+    """cell_px : size of a cell, px of the picture
+    m : rows of cells, 0 = as many as make cells of cell_px;  n : columns of cells, likewise
+    near_m : near clip plane of the depth buffer, whose value is the size of a cone; 0 = all cones
+        alike
+    toon : three flat tones on the virtual object
+    toon_thresholds : cosines of the angle between normal and light at which the tone changes
+    toon_factors : brightness of the three tones, brightest first
+    alpha : weight of U and V in the edges of YUV;  beta : weight of YUV in all edges
+    yuv : matrix of Y'UV: bt601, bt709
     line_threshold : coded value from which an edge is drawn"""
 
     formula: str = field(default="paper", init=False)
+    cell_px: float = 7.0
     m: int = 0
     n: int = 0
     near_m: float = 0.1
+    toon: bool = True
+    toon_thresholds: tuple[float, float] = (0.5, 0.2)
+    toon_factors: tuple[float, float, float] = (1.0, 0.4, 0.1)
+    alpha: float = ALPHA
+    beta: float = BETA
+    yuv: str = "bt601"
     line_threshold: float = 0.12
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         require_within(
-            "watercolor", self, m=(0, 4096), n=(0, 4096), near_m=(0, 1e3), line_threshold=(0, 2)
+            "watercolor",
+            self,
+            cell_px=(0.5, 4096),
+            m=(0, 4096),
+            n=(0, 4096),
+            near_m=(0, 1e3),
+            alpha=(0, 1),
+            beta=(0, 1),
+            line_threshold=(0, 2),
         )
+        if self.yuv not in LUMA_COEFFICIENTS:
+            known = ", ".join(LUMA_COEFFICIENTS)
+            raise ConfigError(f"watercolor.yuv {self.yuv!r} is unknown", f"one of {known}")
+        require_tones("watercolor", self.toon_thresholds, self.toon_factors)
 
 
 # 3.1.1 Voronoi diagram
@@ -195,10 +220,6 @@ class PrintedWatercolor(Watercolor):
     levels = ("standard",)
     Params = PrintedWatercolorParams
 
-    def __init__(self, params: PrintedWatercolorParams | None = None) -> None:
-        super().__init__(params)
-        self.history = 0
-
     def prepare(self, scene: Scene, level: str) -> Any:
         return None
 
@@ -212,7 +233,7 @@ class PrintedWatercolor(Watercolor):
         sites = eq1_sites(rect, m, n, view.key)
         labels = cones(sites, at_sites(depth_buffer(view, p.near_m), sites, rect), rect, m, n)
         number, count = named_by_colour(coded, labels, sites, rect)
-        out = means(coded, number, count)[number]
+        out = mean_colours(coded, [number], count)[0][number]
         out[eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold] = 0
         return {Layer.IMAGE: SRGB.decode(out).astype(np.float32)}
 

@@ -29,17 +29,6 @@ def pad_px(cell_px: float) -> int:
     return int(np.ceil(2.5 * _COARSEST * cell_px))
 
 
-def advection_directions(
-    facts: FrameFacts, anchored: bool, both: bool
-) -> tuple[tuple[str, float], ...]:
-    """(name of the field in the facts, its weight) of those to paint: one, or the two carried forward and backward."""
-    found = facts.advection if anchored and both else None
-    if found is None or not found.backward:
-        return (("nodes", 1.0),)
-    pairs = ("forward", 1 - found.share), ("backward", found.share)
-    return tuple((name, weight) for name, weight in pairs if weight > 0)
-
-
 @dataclass(frozen=True, eq=False)
 class RealDioptre:
     """Measured depth of a frame. mean : (h, w) float32, 1/m, as far as the next nodes around each of a grid over `rect`"""
@@ -74,23 +63,19 @@ def frame_field(
     scene: Scene,
     cell_px: float,
     nearer_finer: float,
-    anchored: bool,
-    direction: str = "nodes",
-    detail: float = 0.0,
     real: RealDioptre | None = None,
 ) -> tuple[SiteField, Pose | None]:
     """The field, and the pose that goes with it: the same as long as the field is.
 
-    direction : of `advection_directions`;  real : measured depth, None = that of the marker's plane is taken"""
-    camera, pose = scene.camera, facts.camera_from_world
-    found = facts.advection if anchored else None
+    real : measured depth, None = that of the marker's plane is taken"""
+    camera, pose, found = scene.camera, facts.camera_from_world, facts.advection
     if found is None or found.pitch != GRID_PX:
         field = still_field(camera.width, camera.height, cell_px, pad_px(cell_px))
     else:
         size = np.full(found.shape, float(cell_px))
-        if detail > 0 and found.detail:
-            size *= detail_factor(found.detail_at_nodes(), detail)
-        field = SiteField(*found.origin, *found.places(direction), size)
+        if found.detail:
+            size *= detail_factor(found.detail_at_nodes())
+        field = SiteField(*found.origin, *found.places(), size)
         pose = found.pose
     near = nearness(field, scene, pose, real) if nearer_finer > 0 else None
     if near is not None:
@@ -98,12 +83,11 @@ def frame_field(
     return field, pose
 
 
-def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:
-    """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where there is much. detail : 0..255"""
+def detail_factor(detail: np.ndarray) -> np.ndarray:
+    """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where
+    there is much. detail : (gh, gw) 0..255"""
     fraction = np.minimum(detail / (255 * _MUCH), 1.0)
-    out: np.ndarray = 2.0 ** (
-        strength * (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction)
-    )
+    out: np.ndarray = 2.0 ** (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction)
     return out
 
 

@@ -55,6 +55,10 @@ class SiteField:
     v: np.ndarray
     size: np.ndarray
 
+    def key(self) -> tuple[int, int, bytes, bytes, bytes]:
+        """What its content is known by."""
+        return self.x0, self.y0, self.u.tobytes(), self.v.tobytes(), self.size.tobytes()
+
 
 @lru_cache(maxsize=4)
 def still_field(width: int, height: int, size_px: float, pad_px: int) -> SiteField:
