@@ -21,8 +21,7 @@ from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import ALPHA, BETA
 from arfx.stages.watercolor.sites import make_sites, still_field
-from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones
-from arfx.stages.watercolor.toon import toon as corrected_toon
+from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, flat_tones
 
 Pair = tuple[float | str, float | str | None]  # by the printed method, by the corrected one
 figure = partial(Figure, "s3")
@@ -155,9 +154,9 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1)[None].astype(np.float32)
     one, none = np.ones((1, n, 3), np.float32), np.zeros((1, n, 3), np.float32)
     hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
-    layers = ObjectLayers(*map(packed, (none, one[..., 0], normal, one, none)))
+    layers = ObjectLayers(*map(packed, (one[..., 0], normal, one, none)))
     tones = Tones.of((up, np.ones(3)), np.zeros(3), c.toon_thresholds, c.toon_factors)
-    soft = corrected_toon(none, layers, tones, 1.0)[0, :, 0]
+    soft = flat_tones(layers, tones)[0, :, 0]
     (low, high), (low_soft, high_soft) = _thresholds(hard, cosine), _thresholds(soft, cosine)
     yield _not_stated("toon listing, first threshold", high, high_soft, "the line with the first `if` is missing")
     yield number("toon listing, second threshold", "0.2", (low, low_soft), "n · l")

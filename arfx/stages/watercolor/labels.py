@@ -179,8 +179,8 @@ def bucket_sites(sx, sy, x0, y0, side, rows, columns):  # pragma: no cover - com
     for k in range(n):
         i = np.int64(np.floor((sy[k] / STEPS - y0) / side))
         j = np.int64(np.floor((sx[k] / STEPS - x0) / side))
-        i, j = min(max(i, 0), rows - 1), min(max(j, 0), columns - 1)
-        bucket[k] = i * columns + j
+        row = min(max(i, 0), rows - 1)
+        bucket[k] = row * columns + min(max(j, 0), columns - 1)
         start[bucket[k] + 1] += 1
     for k in range(rows * columns):
         start[k + 1] += start[k]

@@ -43,7 +43,14 @@ from arfx.stages.watercolor.paint import Paint
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import paper_grain, turbulence
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, SiteField, Sites, make_sites
-from arfx.stages.watercolor.toon import EVEN, ObjectLayers, Tones, toon, toon_light
+from arfx.stages.watercolor.toon import (
+    EVEN,
+    ObjectLayers,
+    Tones,
+    flat_tones,
+    gain_to_lit,
+    toon_light,
+)
 from arfx.stages.watercolor.wobble import Place, Wobbles
 
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
@@ -118,9 +125,11 @@ class Watercolor(Stage):
         brightest = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
         even = EVEN * np.clip(light.ambient_rgb, 0, brightest[1])
         tones = Tones.of(brightest, even, p.toon_thresholds, p.toon_factors)
-        out = image.copy()
-        where = box.slices_in(view.rect)
-        out[where] = toon(image[where], layers, tones, view.facts.opacity)
+        flat, lit = flat_tones(layers, tones), part[Layer.VIRTUAL]
+        out, opacity = image.copy(), np.float32(view.facts.opacity)
+        patch = out[box.slices_in(view.rect)]
+        patch += opacity * (gain_to_lit(lit, flat) * flat - lit)
+        np.maximum(patch, 0, out=patch)
         return packed(out)
 
     def lines_of(self, view: View, picture: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""Toon shading of the virtual object: three flat tones of its own colour under the clip's light, in
-the composited picture.
+"""Toon shading of the virtual object: three flat tones of its own colour under the clip's light.
 
 Above the first threshold of n . l the colour is kept, above the second it is scaled, else scaled
 more (.5, .2; 1, .4, .1). Corrected: the steps are ramps a few degrees wide, so that they do not
-crawl, and only what comes from the light's side is scaled: in soft light no side is black.
+crawl; only what comes from the light's side is scaled: in soft light no side is black; and the tones
+have the mean colour of the lit object.
 Cost: O(covered pixels). Source: docs/methods/watercolor.md#toon. Leaves out: highlights, shadows of
 the object on itself."""
 
@@ -15,10 +15,12 @@ import numba
 import numpy as np
 
 from arfx.core.light import Light
+from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_rows
 
 EVEN = 0.8  # fraction of the ambient light that is the same in all tones
 RAMP = 0.06  # of n . l over which a step is spread
+_GAINS = 0.5, 2.0  # least and most that tones are made darker and brighter
 _FAST = {"contract", "nsz", "arcp"}
 _F = np.float32
 
@@ -44,7 +46,6 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 class ObjectLayers(NamedTuple):
     """What toon shading reads of the object, by the names of the layers."""
 
-    virtual: np.ndarray
     coverage: np.ndarray
     normal: np.ndarray
     albedo: np.ndarray
@@ -83,19 +84,27 @@ class Tones(NamedTuple):
         )
 
 
-def toon(image: np.ndarray, layers: ObjectLayers, tones: Tones, opacity: float) -> np.ndarray:
-    """(h, w, 3) float32: `image`, in which VIRTUAL was composited at that opacity, with the
-    toon-shaded object in its place."""
-    out: np.ndarray = image.copy()
-    parallel_rows(lambda a, b: _toon_rows(layers, tones, _F(opacity), a, b, out), len(out))
+def flat_tones(layers: ObjectLayers, tones: Tones) -> np.ndarray:
+    """(h, w, 3) float32: the toon-shaded object, premultiplied by its coverage as VIRTUAL is."""
+    out = np.zeros(layers.albedo.shape, np.float32)
+    parallel_rows(lambda a, b: _shade_rows(layers, tones, a, b, out), len(out))
     return out
 
 
+def gain_to_lit(lit: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """(3,) float32 factor that gives flat tones the hue and brightness of the lit object.
+
+    lit, flat : (h, w, 3) premultiplied. Tones share out the light that falls on the object; how
+    much that is says the lit one, which also has its shadows and what it mirrors."""
+    total = lit.sum((0, 1), dtype=float), flat.sum((0, 1), dtype=float)
+    return np.clip(divide(*total, where_zero=1.0), *_GAINS).astype(np.float32)
+
+
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _toon_rows(
-    layers: ObjectLayers, tones: Tones, opacity, first, last, out
+def _shade_rows(
+    layers: ObjectLayers, tones: Tones, first, last, out
 ):  # pragma: no cover - compiled
-    virtual, coverage, normal, albedo, emissive = layers
+    coverage, normal, albedo, emissive = layers
     towards, direct, even, thresholds, factors, ramp = tones
     zero, one, half = _F(0), _F(1), _F(0.5)
     for y in range(first, last):
@@ -116,5 +125,4 @@ def _toon_rows(
                 tone += share * (factors[k] - factors[k + 1])
             for c in range(3):
                 lit = even[c] + direct[c] * tone
-                flat = covered * (albedo[y, x, c] * lit + emissive[y, x, c])
-                out[y, x, c] = max(out[y, x, c] + opacity * (flat - virtual[y, x, c]), zero)
+                out[y, x, c] = covered * (albedo[y, x, c] * lit + emissive[y, x, c])

@@ -17,7 +17,7 @@ from arfx.stages.watercolor.labels import STILL, Wobble
 from arfx.stages.watercolor.lines import add_object_edges, measure_edges, object_edges, trace_lines, yuv_matrix
 from arfx.stages.watercolor.pigment import paper_grain, wobble_tile
 from arfx.stages.watercolor.sites import STEPS, still_field
-from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, toon, toon_light
+from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, flat_tones, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
 from tests.reference.labels import displacement
 from tests.scenes import camera, facts, scene
@@ -111,11 +111,10 @@ def tones(ramp: float) -> np.ndarray:
     n = 2001
     angle = np.linspace(0, np.pi, n)
     normal = np.stack([np.sin(angle), np.zeros(n), np.cos(angle)], -1)[None].astype(np.float32)
-    image = np.full((1, n, 3), 0.2, np.float32)
     albedo = np.full((1, n, 3), 0.5, np.float32)
     one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
     of = Tones.of((np.array([0, 0, 1.0]), np.ones(3)), np.zeros(3), (0.5, 0.2), (1, 0.4, 0.1), ramp)
-    made = toon(image, ObjectLayers(*map(packed, (image, one, normal, albedo, none))), of, 1.0)
+    made = flat_tones(ObjectLayers(*map(packed, (one, normal, albedo, none))), of)
     return made[0, :, 0]
 
 

@@ -200,6 +200,26 @@ def test_the_objects_bright_side_is_where_the_light_is() -> None:
         assert bright.mean() > 1.8 * dark.mean()
 
 
+@pytest.mark.parametrize("factors", [(1.0, 0.4, 0.1), (1.0, 0.6, 0.3)])
+@pytest.mark.parametrize("colour", [(0.5, 0.5, 0.5), (0.7, 0.3, 0.1)])
+def test_painted_the_object_has_the_hue_and_brightness_of_the_lit_one(colour: tuple, factors: tuple) -> None:
+    """In its mean, to 1 %, whatever part of the light falls on it, and at any opacity."""
+    flat = dataclasses.replace(PLAIN, toon=True, toon_factors=factors)
+    for ambient, strength in ((0.4, 0.4), (0.1, 0.9), (0.6, 0.05)):
+        light = Light((ambient,) * 3, (DirectionalLight((0.9, 0.1, 0.4), (strength, strength, 0.8 * strength)),))
+        image = np.full((120, 160, 3), 0.3, np.float32)
+        parts = ball(image)
+        inside = parts["coverage"] > 0
+        parts["albedo"] = np.where(inside[..., None], np.array(colour), 0).astype(np.float32)
+        lit = (0.9 * light.radiance(parts["normal"]) * parts["albedo"]).astype(np.float32)  # with some occlusion
+        parts["virtual"], image[inside] = lit, lit[inside]
+        for opacity in (1.0, 0.6):
+            before = opacity * lit + (1 - opacity) * 0.3
+            image[inside] = before[inside]
+            out = painted(image, flat, SEEN.with_(light=light, opacity=opacity), **parts)
+            np.testing.assert_allclose(out[inside].mean(0), before[inside].mean(0), rtol=0.01)
+
+
 def test_paint_does_not_run_over_the_outline_of_the_object() -> None:
     """Alpha edge: next to the ball the background keeps its colour, and the ball its own."""
     image = np.full((120, 160, 3), (0.1, 0.1, 0.7), np.float32)
