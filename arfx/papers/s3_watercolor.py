@@ -107,12 +107,15 @@ def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
 def depth_buffer(view: View, near_m: float) -> np.ndarray:
     """(h, w) float32 0..1: what OpenGL's depth buffer holds with the far clip plane at infinity, 1 - near_m / depth. Of the
     object, around it of the measured depth or the marker's plane; 1, as it is cleared, where nothing is known."""
-    now, facts, rect = view.layers, view.facts, view.rect
+    now = view.layers
+    facts = view.facts
+    rect = view.rect
     dioptre = np.zeros((rect.height, rect.width), np.float32)
     if facts.real_depth is not None:
         dioptre = dioptre_of(now[Layer.REAL_DEPTH])
     elif facts.camera_from_world is not None:
-        x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)[:, None]
+        x = np.arange(rect.x0, rect.x1)
+        y = np.arange(rect.y0, rect.y1)[:, None]
         dioptre = plane_dioptre(
             x, y, view.scene.camera, facts.camera_from_world @ view.scene.world_from_anchor
         )
@@ -136,7 +139,8 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
     """depth (h, w) : the depth buffer, squared, and labels are written; of equal depths the first one stays."""
     h, w = labels.shape
     for k in range(x.shape[0]):
-        radius, slope = length * size[k], 1 / (size[k] * size[k])
+        radius = length * size[k]
+        slope = 1 / (size[k] * size[k])
         for j in range(
             max(int(np.ceil(y[k] - radius)), 0), min(int(np.floor(y[k] + radius)) + 1, h)
         ):
@@ -145,7 +149,8 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
             ):
                 z = ((i - x[k]) ** 2 + (j - y[k]) ** 2) * slope
                 if z < depth[j, i]:
-                    depth[j, i], labels[j, i] = z, k
+                    depth[j, i] = z
+                    labels[j, i] = k
 
 
 def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
@@ -207,7 +212,8 @@ def eq4_edges(coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601
 
 def gradient(a: np.ndarray) -> np.ndarray:
     """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind the border."""
-    dx, dy = np.zeros_like(a), np.zeros_like(a)
+    dx = np.zeros_like(a)
+    dy = np.zeros_like(a)
     dx[:, :-1] = np.diff(a, axis=1)
     dy[:-1] = np.diff(a, axis=0)
     return np.sqrt(dx * dx + dy * dy)
@@ -224,12 +230,11 @@ class PrintedWatercolor(Watercolor):
         return None
 
     def run(self, view: View, prepared: None) -> Mapping[Layer, np.ndarray]:
-        p, rect = self.params, view.rect
+        p = self.params
+        rect = view.rect
         coded = self.frame(view)
-        m, n = (
-            p.m or max(round(rect.height / p.cell_px), 1),
-            p.n or max(round(rect.width / p.cell_px), 1),
-        )
+        m = p.m or max(round(rect.height / p.cell_px), 1)
+        n = p.n or max(round(rect.width / p.cell_px), 1)
         sites = eq1_sites(rect, m, n, view.key)
         labels = cones(sites, at_sites(depth_buffer(view, p.near_m), sites, rect), rect, m, n)
         number, count = named_by_colour(coded, labels, sites, rect)
@@ -239,10 +244,13 @@ class PrintedWatercolor(Watercolor):
 
     def frame(self, view: View) -> np.ndarray:
         """(h, w, 3) float32 coded: real scene and object, which is toon-shaded."""
-        p, now, image = self.params, view.layers, view[Layer.IMAGE]
+        p = self.params
+        now = view.layers
+        image = view[Layer.IMAGE]
         box = now.extent(Layer.COVERAGE)
         if p.toon and view.facts.present and not box.empty:
-            part, image = now.crop(box), image.copy()
+            part = now.crop(box)
+            image = image.copy()
             lightDir, _ = toon_light(view.light, view.scene.world_from_anchor.rotation[:, 2])
             myColor = SRGB.encode(np.clip(part[Layer.ALBEDO], 0, 1))
             shaded = SRGB.decode(

@@ -71,14 +71,17 @@ def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarr
     and goes as the picture moves, and washes would with it."""
     n = len(x)
     shape = max(n, 1), NEIGHBOURS  # without a site there is one cell
-    near, weight = np.zeros(shape, np.int32), np.zeros(shape, np.float32)
+    near = np.zeros(shape, np.int32)
+    weight = np.zeros(shape, np.float32)
     if n < 2:
         return near, weight
     corner = float(x.min()), float(y.min())
-    width, height = float(x.max()) - corner[0], float(y.max()) - corner[1]
+    width = float(x.max()) - corner[0]
+    height = float(y.max()) - corner[1]
     spacing = np.sqrt(width * height / n)
     side = max(REACH * spacing, width / 8192, height / 8192, float(STEPS))
-    rows, columns = int(height // side) + 1, int(width // side) + 1
+    rows = int(height // side) + 1
+    columns = int(width // side) + 1
     in_px = corner[0] / STEPS, corner[1] / STEPS, side / STEPS
     start, order = bucket_sites(x, y, *in_px, rows, columns)
     sharp = np.float32(1 / REACH**2) / (size[order] ** 2)
@@ -95,28 +98,37 @@ def _find_neighbours(sites, grid, first, last, near, weight):  # pragma: no cove
     sites (3, n) : x, y from the first bucket's corner, 1 / reach^2, in the buckets' order
     grid : start, order of `bucket_sites`, side of a bucket, rows, columns"""
     start, order, side, rows, columns = grid
-    share, which = np.empty(start[-1], np.float32), np.empty(start[-1], np.int32)
+    share = np.empty(start[-1], np.float32)
+    which = np.empty(start[-1], np.int32)
     for k in range(first, last):
-        x, y, sharp = sites[0, k], sites[1, k], sites[2, k]
+        x = sites[0, k]
+        y = sites[1, k]
+        sharp = sites[2, k]
         own = _F(1) / np.sqrt(sharp)
-        left, right = max(int((x - own) / side), 0), min(int((x + own) / side), columns - 1)
-        top, bottom = max(int((y - own) / side), 0), min(int((y + own) / side), rows - 1)
+        left = max(int((x - own) / side), 0)
+        right = min(int((x + own) / side), columns - 1)
+        top = max(int((y - own) / side), 0)
+        bottom = min(int((y + own) / side), rows - 1)
         count = 0
         for i in range(top, bottom + 1):
             for m in range(start[i * columns + left], start[i * columns + right + 1]):
-                dx, dy = sites[0, m] - x, sites[1, m] - y
+                dx = sites[0, m] - x
+                dy = sites[1, m] - y
                 # a pair reaches as far as the smaller of both
                 value = _F(1) - (dx * dx + dy * dy) * max(sites[2, m], sharp)
-                share[count], which[count] = value, m
+                share[count] = value
+                which[count] = m
                 count += (value > 0) & (m != k)
         while count > NEIGHBOURS:  # without the farthest
             least = np.argmin(share[:count])
             count -= 1
-            share[least], which[least] = share[count], which[count]
+            share[least] = share[count]
+            which[least] = which[count]
         site = order[k]
         near[site] = site
         for m in range(count):
-            near[site, m], weight[site, m] = order[which[m]], share[m] * share[m]
+            near[site, m] = order[which[m]]
+            weight[site, m] = share[m] * share[m]
 
 
 def smooth_washes(
@@ -156,18 +168,27 @@ def _smooth_round(
     """Cells first ... last - 1. how : 1 / contrast^2, weight of a cell's own colour"""
     one, (sharp, own) = _F(1), how
     for k in range(first, last):
-        r, g, b = root[k, 0], root[k, 1], root[k, 2]
-        sum_r, sum_g, sum_b, total = own * r, own * g, own * b, own
+        r = root[k, 0]
+        g = root[k, 1]
+        b = root[k, 2]
+        sum_r = own * r
+        sum_g = own * g
+        sum_b = own * b
+        total = own
         for m in range(NEIGHBOURS):
             j = np.uint64(near[k, m])
-            dr, dg, db = root[j, 0] - r, root[j, 1] - g, root[j, 2] - b
+            dr = root[j, 0] - r
+            dg = root[j, 1] - g
+            db = root[j, 2] - b
             w = one / (one + (dr * dr + dg * dg + db * db) * sharp)
             w *= w * weight[k, m] * confidence[j]
             sum_r += w * root[j, 0]
             sum_g += w * root[j, 1]
             sum_b += w * root[j, 2]
             total += w
-        out[k, 0], out[k, 1], out[k, 2] = sum_r / total, sum_g / total, sum_b / total
+        out[k, 0] = sum_r / total
+        out[k, 1] = sum_g / total
+        out[k, 2] = sum_b / total
 
 
 def adjust_tone(

@@ -19,8 +19,12 @@ from arfx.core.scene import Scene
 from arfx.stages.watercolor.sites import GRID_PX, SiteField, still_field
 
 _MUCH = 0.35  # detail that counts as all
-_EVEN_LEVELS, _DETAIL_LEVELS = 0.3, 0.9  # by how many doublings cells grow and shrink with it
-_FINEST, _COARSEST = 0.6, 1.8  # factors on the size of cells that depth may give
+# by how many doublings cells grow and shrink with it
+_EVEN_LEVELS = 0.3
+_DETAIL_LEVELS = 0.9
+# factors on the size of cells that depth may give
+_FINEST = 0.6
+_COARSEST = 1.8
 _EVERY_PX = 4  # of a depth map, in rows and columns
 
 
@@ -68,7 +72,9 @@ def frame_field(
     """The field, and the pose that goes with it: the same as long as the field is.
 
     real : measured depth, None = that of the marker's plane is taken"""
-    camera, pose, found = scene.camera, facts.camera_from_world, facts.advection
+    camera = scene.camera
+    pose = facts.camera_from_world
+    found = facts.advection
     if found is None or found.pitch != GRID_PX:
         field = still_field(camera.width, camera.height, cell_px, pad_px(cell_px))
     else:
@@ -105,7 +111,8 @@ def nearness(
         dioptre = real.at_nodes(field)
     else:
         gh, gw = field.u.shape
-        x, y = field.x0 + GRID_PX * np.arange(gw), field.y0 + GRID_PX * np.arange(gh)[:, None]
+        x = field.x0 + GRID_PX * np.arange(gw)
+        y = field.y0 + GRID_PX * np.arange(gh)[:, None]
         dioptre = plane_dioptre(x, y, scene.camera, camera_from_anchor)
     return dioptre * marker_depth_m(camera_from_anchor)
 
@@ -120,7 +127,8 @@ def plane_dioptre(
     """(h, w) 1 / depth of the marker's plane at columns x (w,) and rows y (h, 1), not above 0 where it is not seen.
 
     Linear along the picture: lens distortion is left out."""
-    normal, at = camera_from_anchor.rotation[:, 2], camera_from_anchor.translation_m
+    normal = camera_from_anchor.rotation[:, 2]
+    at = camera_from_anchor.translation_m
     facing = (x - camera.cx) * (normal[0] / camera.fx) + (
         (y - camera.cy) * (normal[1] / camera.fy) + normal[2]
     )

@@ -23,7 +23,8 @@ EXACT = np.float32(1 << 24)  # whole numbers below it are float32's
 _FAR = np.float32(1e9)  # 1/STEPS px, farther than any site
 _NONE = np.float32(1e18)  # larger than any packed number
 _MORE = np.float32(1 + 1e-5)  # squares may be rounded
-_F, _I = np.float32, np.int32
+_F = np.float32
+_I = np.int32
 _U = np.uint64  # an index of this type is not looked at for a minus: loops stay simple
 _FAST = {"contract", "nsz", "nnan", "ninf"}
 
@@ -95,14 +96,19 @@ def bound(sites: LocalSites, count, box, best):  # pragma: no cover - compiled
     middle_x, middle_y, half_x, half_y = box
     best[:] = _NONE
     # the quarters' middles lie so far off the box's; so do their own corners of them
-    wx, wy = half_x * _F(0.5), half_y * _F(0.5)
+    wx = half_x * _F(0.5)
+    wy = half_y * _F(0.5)
     for begin in range(0, count, STEP):
         for m in range(STEP):
             k = _U(begin) + _U(m)
-            dx, dy = sites.x[k] - middle_x, sites.y[k] - middle_y
-            left, right = abs(dx + wx) + wx, abs(dx - wx) + wx
-            above, below = abs(dy + wy) + wy, abs(dy - wy) + wy
-            left, right = left * left, right * right
+            dx = sites.x[k] - middle_x
+            dy = sites.y[k] - middle_y
+            left = abs(dx + wx) + wx
+            right = abs(dx - wx) + wx
+            above = abs(dy + wy) + wy
+            below = abs(dy - wy) + wy
+            left = left * left
+            right = right * right
             above = above * above - sites.weight[k]
             below = below * below - sites.weight[k]
             best[0, m] = min(best[0, m], left + above)
@@ -140,13 +146,16 @@ def pack(sites: LocalSites, found, n, reach, out: Candidates):  # pragma: no cov
 
     The index is the candidate's in `found`, the unit a power of 2 above it; the number is linear
     in p. reach : of p, from the tile's middle"""
-    unit, most = _F(1), _F(0)
+    unit = _F(1)
+    most = _F(0)
     while unit < n:
         unit *= _F(2)
     for m in range(n):
         k = _U(found[m])
-        x, y = sites.x[k], sites.y[k]
-        out.a[m], out.b[m] = _F(-2) * unit * x, _F(-2) * unit * y
+        x = sites.x[k]
+        y = sites.y[k]
+        out.a[m] = _F(-2) * unit * x
+        out.b[m] = _F(-2) * unit * y
         out.c[m] = unit * (x * x + y * y - sites.weight[k]) + _F(m)
         most = max(most, _F(abs(out.a[m]) + abs(out.b[m])) * reach + _F(out.c[m]))
     return unit, most
@@ -161,12 +170,28 @@ def nearest(candidates: Candidates, n, unit, p, k1, n1):  # pragma: no cover - c
     last = n - 1
     k1[:] = _NONE
     for m in range(0, n, 5):  # five at a time, the last one up to five times
-        m1, m2, m3, m4 = min(m + 1, last), min(m + 2, last), min(m + 3, last), min(m + 4, last)
-        a0, b0, c0, a1, b1, c1 = ca[m], cb[m], cc[m], ca[m1], cb[m1], cc[m1]
-        a2, b2, c2, a3, b3, c3 = ca[m2], cb[m2], cc[m2], ca[m3], cb[m3], cc[m3]
-        a4, b4, c4 = ca[m4], cb[m4], cc[m4]
+        m1 = min(m + 1, last)
+        m2 = min(m + 2, last)
+        m3 = min(m + 3, last)
+        m4 = min(m + 4, last)
+        a0 = ca[m]
+        b0 = cb[m]
+        c0 = cc[m]
+        a1 = ca[m1]
+        b1 = cb[m1]
+        c1 = cc[m1]
+        a2 = ca[m2]
+        b2 = cb[m2]
+        c2 = cc[m2]
+        a3 = ca[m3]
+        b3 = cb[m3]
+        c3 = cc[m3]
+        a4 = ca[m4]
+        b4 = cb[m4]
+        c4 = cc[m4]
         for q in range(PIXELS):
-            x, y = p[0, q], p[1, q]
+            x = p[0, q]
+            y = p[1, q]
             k = min(k1[q], a0 * x + (b0 * y + c0))
             k = min(k, min(a1 * x + (b1 * y + c1), a2 * x + (b2 * y + c2)))
             k1[q] = min(k, min(a3 * x + (b3 * y + c3), a4 * x + (b4 * y + c4)))
@@ -183,27 +208,47 @@ def nearest_two(
     Half of it is about the way to the border between the two; where it is SOLID n2 is n1.
     blend : 1/STEPS px;  keys (2, PIXELS) : scratch"""
     ca, cb, cc = candidates
-    k1, k2 = keys[0], keys[1]
-    k1[:], k2[:] = _NONE, _NONE
+    k1 = keys[0]
+    k2 = keys[1]
+    k1[:] = _NONE
+    k2[:] = _NONE
     for m in range(0, n - 2, 3):  # three at a time: a third of the loads and stores
-        a0, b0, c0, a1, b1, c1 = ca[m], cb[m], cc[m], ca[m + 1], cb[m + 1], cc[m + 1]
-        a2, b2, c2 = ca[m + 2], cb[m + 2], cc[m + 2]
+        a0 = ca[m]
+        b0 = cb[m]
+        c0 = cc[m]
+        a1 = ca[m + 1]
+        b1 = cb[m + 1]
+        c1 = cc[m + 1]
+        a2 = ca[m + 2]
+        b2 = cb[m + 2]
+        c2 = cc[m + 2]
         for q in range(PIXELS):
-            x, y, r, s = p[0, q], p[1, q], k1[q], k2[q]
+            x = p[0, q]
+            y = p[1, q]
+            r = k1[q]
+            s = k2[q]
             k = a0 * x + (b0 * y + c0)
-            s, r = min(s, max(r, k)), min(r, k)
+            s = min(s, max(r, k))
+            r = min(r, k)
             k = a1 * x + (b1 * y + c1)
-            s, r = min(s, max(r, k)), min(r, k)
+            s = min(s, max(r, k))
+            r = min(r, k)
             k = a2 * x + (b2 * y + c2)
-            k1[q], k2[q] = min(r, k), min(s, max(r, k))
+            k1[q] = min(r, k)
+            k2[q] = min(s, max(r, k))
     for m in range(n // 3 * 3, n):
-        a, b, c = ca[m], cb[m], cc[m]
+        a = ca[m]
+        b = cb[m]
+        c = cc[m]
         for q in range(PIXELS):
-            k, r = a * p[0, q] + (b * p[1, q] + c), k1[q]
-            k1[q], k2[q] = min(r, k), min(k2[q], max(r, k))
+            k = a * p[0, q] + (b * p[1, q] + c)
+            r = k1[q]
+            k1[q] = min(r, k)
+            k2[q] = min(k2[q], max(r, k))
     factor = _F(SOLID) / (_F(2) * blend)
     for q in range(PIXELS):
-        first, second = np.floor(k1[q] / unit), np.floor(k2[q] / unit)
+        first = np.floor(k1[q] / unit)
+        second = np.floor(k2[q] / unit)
         own = p[0, q] * p[0, q] + p[1, q] * p[1, q]
         farther = np.sqrt(second + own) - np.sqrt(first + own)
         inside = _I(min(farther * factor, _F(SOLID)))
@@ -217,15 +262,20 @@ def nearest_of_far(sites: LocalSites, found, n, p, blend, n1, n2, inset):  # pra
     """The same one by one, where packed numbers would be too large. blend 0 : no borders"""
     factor = SOLID / max(2.0 * blend, 1e-9)
     for q in range(PIXELS):
-        d1, d2, m1, m2 = np.inf, np.inf, 0, 0
+        d1 = np.inf
+        d2 = np.inf
+        m1 = 0
+        m2 = 0
         for m in range(n):
             k = found[m]
-            dx, dy = np.float64(sites.x[k]) - p[0, q], np.float64(sites.y[k]) - p[1, q]
+            dx = np.float64(sites.x[k]) - p[0, q]
+            dy = np.float64(sites.y[k]) - p[1, q]
             d = dx * dx + dy * dy - sites.weight[k]
             if d < d1:
                 d1, m1, d2, m2 = d, m, d1, m1
             elif d < d2:
-                d2, m2 = d, m
+                d2 = d
+                m2 = m
         inside = _I(min((np.sqrt(d2) - np.sqrt(d1)) * factor, np.float64(SOLID)))
         n1[q] = m1
         n2[q] = m2 if inside < SOLID else m1

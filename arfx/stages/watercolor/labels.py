@@ -88,7 +88,8 @@ def make_wobble(tile: np.ndarray) -> Wobble:
     squares = tile.reshape(2, n, TILE, n, TILE).transpose(1, 3, 0, 2, 4)
     squares = squares + np.stack(np.broadcast_arrays(own, own[:, None]))
     positions = np.ascontiguousarray(squares, np.float32).reshape(n, n, 2, PIXELS)
-    low, high = positions.min(-1), positions.max(-1)
+    low = positions.min(-1)
+    high = positions.max(-1)
     boxes = np.concatenate([(low + high) / 2, (high - low) / 2], -1)
     return Wobble(positions, np.ascontiguousarray(boxes, np.float32))
 
@@ -108,8 +109,10 @@ class _Grid(NamedTuple):
     @staticmethod
     def of(count: int, rect: Rect, wobble: Wobble) -> _Grid:
         """Buckets of some two sites."""
-        x, y = -((wobble.x + rect.x0) % TILE), -((wobble.y + rect.y0) % TILE)
-        spacing, longest = np.sqrt(rect.area / max(count, 1)), max(rect.width, rect.height)
+        x = -((wobble.x + rect.x0) % TILE)
+        y = -((wobble.y + rect.y0) % TILE)
+        spacing = np.sqrt(rect.area / max(count, 1))
+        longest = max(rect.width, rect.height)
         side = int(max(1, min(round(1.5 * spacing), longest)))
         return _Grid(x, y, side, -(-(rect.height - y) // side), -(-(rect.width - x) // side))
 
@@ -158,14 +161,16 @@ def label(
     # its tile (0, 0) is the first one in rect
     begin = (wobble.x + rect.x0 + grid.x) // TILE, (wobble.y + rect.y0 + grid.y) // TILE
     moved = wobble._replace(x=begin[0], y=begin[1])
-    blend, out = np.float32(blend_px * STEPS), (first, second, inside)
+    blend = np.float32(blend_px * STEPS)
+    out = (first, second, inside)
 
     def rows(a: int, b: int) -> None:
         _label_rows(buckets, moved, blend, mask, (grid.x, grid.y), a, b, out)
 
     parallel_rows(rows, rect.height - grid.y, TILE)
     if (order[1:] < order[:-1]).any():
-        first, second = order[first], order[second]
+        first = order[first]
+        second = order[second]
     return Labels(first, second, inside, n)
 
 
@@ -175,7 +180,8 @@ def bucket_sites(sx, sy, x0, y0, side, rows, columns):  # pragma: no cover - com
 
     Sites outside count to the nearest bucket. sx, sy : 1/STEPS px;  x0, y0, side : px"""
     n = sx.shape[0]
-    start, bucket = np.zeros(rows * columns + 1, np.int32), np.empty(n, np.int32)
+    start = np.zeros(rows * columns + 1, np.int32)
+    bucket = np.empty(n, np.int32)
     for k in range(n):
         i = np.int64(np.floor((sy[k] / STEPS - y0) / side))
         j = np.int64(np.floor((sx[k] / STEPS - x0) / side))
@@ -184,7 +190,8 @@ def bucket_sites(sx, sy, x0, y0, side, rows, columns):  # pragma: no cover - com
         start[bucket[k] + 1] += 1
     for k in range(rows * columns):
         start[k + 1] += start[k]
-    free, order = start[:-1].copy(), np.empty(n, np.int32)
+    free = start[:-1].copy()
+    order = np.empty(n, np.int32)
     for k in range(n):
         order[free[bucket[k]]] = k
         free[bucket[k]] += 1
@@ -201,30 +208,41 @@ def _label_rows(
     (x0, y0), (first, second, inside) = corner, out
     h, w = first.shape
     positions, boxes, column, row = wobble
-    size, borders = buckets.position.shape[1] + STEP, blend > 0
+    size = buckets.position.shape[1] + STEP
+    borders = blend > 0
     local = np.zeros((6, size), np.float32)
-    number, found = np.empty(size, np.int32), np.empty(size, np.int32)
+    number = np.empty(size, np.int32)
+    found = np.empty(size, np.int32)
     sites = LocalSites(local[0], local[1], local[2], number)
     candidates = Candidates(local[3], local[4], local[5])
-    away, best = np.empty(size, np.float32), np.empty((4, STEP), np.float32)
+    away = np.empty(size, np.float32)
+    best = np.empty((4, STEP), np.float32)
     keys = np.empty((2, PIXELS), np.float32)
-    n1, n2 = np.empty(PIXELS, np.int32), np.empty(PIXELS, np.int32)
+    n1 = np.empty(PIXELS, np.int32)
+    n2 = np.empty(PIXELS, np.int32)
     inset = np.empty(PIXELS, np.uint8)
     spacing = buckets.side * STEPS * np.sqrt(buckets.rows * buckets.columns / buckets.order.size)
     # how far around a tile it looks at first: mostly enough
     usual = np.float32(1.5 * spacing + 2 * blend)
     for ty in range(y_first + y0, min(y_last + y0, h), TILE):
         for tx in range(x0, w, TILE):
-            top, left, bottom, right = max(ty, 0), max(tx, 0), min(ty + TILE, h), min(tx + TILE, w)
+            top = max(ty, 0)
+            left = max(tx, 0)
+            bottom = min(ty + TILE, h)
+            right = min(tx + TILE, w)
             if mask.size > 0 and not mask[top:bottom, left:right].any():
                 continue
             i = (row + (ty - y0) // TILE) % positions.shape[0]
             j = (column + (tx - x0) // TILE) % positions.shape[1]
             box = boxes[i, j, 0], boxes[i, j, 1], boxes[i, j, 2], boxes[i, j, 3]
             # its middle, and how far its positions reach from there
-            x, y = np.float32((tx - x0) * STEPS + MIDDLE), np.float32((ty - y0) * STEPS + MIDDLE)
+            x = np.float32((tx - x0) * STEPS + MIDDLE)
+            y = np.float32((ty - y0) * STEPS + MIDDLE)
             reach = max(abs(box[0]) + box[2], abs(box[1]) + box[3])
-            more, wanted, count, root = np.float32(-1), usual, 0, np.float32(0)
+            more = np.float32(-1)
+            wanted = usual
+            count = 0
+            root = np.float32(0)
             while more < wanted:
                 more = wanted
                 count = collect(buckets, x, y, more + reach, sites)
@@ -244,7 +262,10 @@ def _label_rows(
                 found[m] = number[found[m]]
             for y_px in range(top, bottom):
                 for x_px in range(left, right):
-                    a, b, q = _U(y_px), _U(x_px), _U((y_px - ty) * TILE + x_px - tx)
+                    a = _U(y_px)
+                    b = _U(x_px)
+                    q = _U((y_px - ty) * TILE + x_px - tx)
                     first[a, b] = found[_U(n1[q])]
                     if borders:
-                        second[a, b], inside[a, b] = found[_U(n2[q])], inset[q]
+                        second[a, b] = found[_U(n2[q])]
+                        inside[a, b] = inset[q]

@@ -15,6 +15,7 @@ import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.core.layers import packed
+from arfx.core.numerics import smoothstep
 from arfx.core.parallel import parallel_rows
 
 SMOOTH_PX = 3.0  # sigma of the smoothing before edges are detected, px of the picture
@@ -56,10 +57,12 @@ def measure_edges(
     """Edges of a picture (h, w, 3) float32 linear; the grid is (ceil(h / 2), ceil(w / 2)).
 
     smooth_px : sigma, px of the picture"""
-    odd_rows, odd_columns = image.shape[0] % 2, image.shape[1] % 2
+    odd_rows = image.shape[0] % 2
+    odd_columns = image.shape[1] % 2
     if odd_rows or odd_columns:
         image = cv2.copyMakeBorder(image, 0, odd_rows, 0, odd_columns, cv2.BORDER_REPLICATE)
-    height, width = image.shape[0] // 2, image.shape[1] // 2
+    height = image.shape[0] // 2
+    width = image.shape[1] // 2
     # at half the size the mean of 2 x 2, as INTER_AREA's, in half its time
     half = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
     half = half.reshape(height, width, 3)
@@ -79,7 +82,9 @@ def measure_edges(
 def _measure_rows(planes, yuv, alpha, beta, first, last, out):  # pragma: no cover - compiled
     """Rows first ... last - 1, from central differences. planes (3, h + 2, w + 2) : R', G', B'"""
     width = out.measure.shape[1]
-    half, third, one = _F(0.5), _F(1.0 / 3.0), _F(1)
+    half = _F(0.5)
+    third = _F(1.0 / 3.0)
+    one = _F(1)
     for y in range(first, last):
         for x in range(width):
             rx = half * (planes[0, y + 1, x + 2] - planes[0, y + 1, x])
@@ -99,13 +104,21 @@ def _measure_rows(planes, yuv, alpha, beta, first, last, out):  # pragma: no cov
                 of_yuv += weight * np.sqrt(dx * dx + dy * dy)
             of_rgb = third * (of_r + of_g + of_b)
             out.measure[y, x] = beta * of_yuv + (one - beta) * of_rgb
-            most, across_x, across_y = of_r, rx, ry  # the strongest channel's direction
+            # the strongest channel's direction
+            most = of_r
+            across_x = rx
+            across_y = ry
             if of_g > most:
-                most, across_x, across_y = of_g, gx, gy
+                most = of_g
+                across_x = gx
+                across_y = gy
             if of_b > most:
-                most, across_x, across_y = of_b, bx, by
+                most = of_b
+                across_x = bx
+                across_y = by
             scale = one / max(most, _F(1e-6))
-            out.across_x[y, x], out.across_y[y, x] = across_x * scale, across_y * scale
+            out.across_x[y, x] = across_x * scale
+            out.across_y[y, x] = across_y * scale
 
 
 def object_edges(
@@ -123,15 +136,19 @@ def object_edges(
 @numba.njit(cache=True, nogil=True)
 def _object_rows(coverage, normal, depth, out):  # pragma: no cover - compiled
     """Each pixel of the grid beside its neighbours on the right and below."""
-    zero, one = _F(0), _F(1)
+    zero = _F(0)
+    one = _F(1)
     height, width = out.shape
     for j in range(height):
         for i in range(width):
-            y, x, edge = 2 * j, 2 * i, zero
+            y = 2 * j
+            x = 2 * i
+            edge = zero
             for right in range(2):
                 y2 = y if right else 2 * min(j + 1, height - 1)
                 x2 = 2 * min(i + 1, width - 1) if right else x
-                a, b = coverage[y, x], coverage[y2, x2]
+                a = coverage[y, x]
+                b = coverage[y2, x2]
                 edge = max(edge, abs(a - b))
                 if a <= zero or b <= zero:
                     continue
@@ -139,7 +156,8 @@ def _object_rows(coverage, normal, depth, out):  # pragma: no cover - compiled
                 for c in range(3):
                     cosine += normal[y, x, c] * normal[y2, x2, c]
                 inner = _F(_CREASE_SLOPE) * (_F(_CREASE) - cosine)
-                near, far = min(depth[y, x], depth[y2, x2]), max(depth[y, x], depth[y2, x2])
+                near = min(depth[y, x], depth[y2, x2])
+                far = max(depth[y, x], depth[y2, x2])
                 if near > zero and np.isfinite(far):
                     jump = (far - near) / near
                     inner = max(inner, _F(_JUMP_SLOPE) * (jump - _F(_JUMP)))
@@ -184,27 +202,25 @@ def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> np.nd
     part = np.asarray(parts, np.int32).ravel()[inside]
     strongest = np.zeros(count, np.float32)
     np.maximum.at(strongest, part, edges.measure.ravel()[inside])
-    strength.ravel()[inside] *= fade(strongest, low, high)[part]
+    fade = smoothstep((strongest - _F(low)) / _F(max(high - low, 1e-6)))
+    strength.ravel()[inside] *= fade[part]
     return strength
-
-
-def fade(measure: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 below `low`, 1 above `high`, smooth between."""
-    t = np.clip((measure - low) / max(high - low, 1e-6), 0, 1).astype(np.float32)
-    return t * t * (3 - 2 * t)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _trace_rows(edges, offset, low, high, first, last, out):  # pragma: no cover - compiled
     """Strength before hysteresis: where the measure is larger than `offset` px to both sides."""
-    zero, one, three = _F(0), _F(1), _F(3)
+    zero = _F(0)
+    one = _F(1)
+    three = _F(3)
     measure = edges.measure
     for y in range(first, last):
         for x in range(measure.shape[1]):
             here = measure[y, x]
             if here <= low:
                 continue
-            dx, dy = edges.across_x[y, x] * offset, edges.across_y[y, x] * offset
+            dx = edges.across_x[y, x] * offset
+            dy = edges.across_y[y, x] * offset
             beside = max(_between(measure, x + dx, y + dy), _between(measure, x - dx, y - dy))
             ridge = min(max(_F(0.8) + (here - beside) / (_F(0.35) * here), zero), one)
             if ridge > _F(_RIDGE):
@@ -218,9 +234,12 @@ def _between(a, x, y):  # pragma: no cover - compiled
     height, width = a.shape
     x = min(max(x, _F(0)), _F(width - 1))
     y = min(max(y, _F(0)), _F(height - 1))
-    i, j = int(x), int(y)
-    k, m = min(i + 1, width - 1), min(j + 1, height - 1)
-    s, t = x - _F(i), y - _F(j)
+    i = int(x)
+    j = int(y)
+    k = min(i + 1, width - 1)
+    m = min(j + 1, height - 1)
+    s = x - _F(i)
+    t = y - _F(j)
     above = a[j, i] + s * (a[j, k] - a[j, i])
     below = a[m, i] + s * (a[m, k] - a[m, i])
     return above + t * (below - above)

@@ -38,7 +38,8 @@ class SurfacePoints:
 
 def sample_surface(scene: Scene, seed: int) -> SurfacePoints:
     vertices = scene.model_points_m
-    faces, start = [], 0
+    faces = []
+    start = 0
     for part in scene.model.parts:
         faces.append(part.faces + start)
         start += len(part.vertices)
@@ -95,7 +96,8 @@ def object_sites(
     cell_px : where the surface is as far as the marker;  a site's key is its point. Places u, v are
     in px at which the model is four wavelengths of the flow wide, whatever its size in the picture
     """
-    camera, eye = scene.camera, camera_from_world.inverse().translation_m
+    camera = scene.camera
+    eye = camera_from_world.inverse().translation_m
     depth = surface.points @ camera_from_world.rotation[2] + camera_from_world.translation_m[2]
     facing = np.einsum("ij,ij->i", eye - surface.points, surface.normals)
     keep = np.flatnonzero((depth > EPS_DEPTH_M) & (facing > 0))
@@ -108,7 +110,9 @@ def object_sites(
     wanted = level + np.log2(cell_px / camera.fx) + larger  # log2 of the size of a cell, metres
     grown = (surface.importance[keep] - wanted) / FADE + 0.5
     grows = grown > 0
-    keep, grown, factor = keep[grows], grown[grows], 2.0 ** larger[grows]
+    keep = keep[grows]
+    grown = grown[grows]
+    factor = 2.0 ** larger[grows]
     points = surface.points[keep]
     turned = facing[keep] / np.linalg.norm(eye - points, axis=-1) / _GRAZING
     pixel = camera.project(camera_from_world.apply(points))

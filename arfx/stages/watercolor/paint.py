@@ -66,32 +66,45 @@ def _paint_rows(
     own_cell, next_cell, inside = labels
     dark, opacity, ink = how
     x0, y0 = corner
-    borders, zero, one = inside.size > 0, _F(0), _F(1)
+    borders = inside.size > 0
+    zero = _F(0)
+    one = _F(1)
     for y in range(first, last):
         grain_row = paper[(y0 + y) & (PAPER_PX - 1)]
         for x in range(out.shape[1]):
             k = own_cell[y, x]
-            r, g, b, flow = cells[k, 3], cells[k, 4], cells[k, 5], cells[k, 6]
+            r = cells[k, 3]
+            g = cells[k, 4]
+            b = cells[k, 5]
+            flow = cells[k, 6]
             height = grain_row[(x0 + x) & (PAPER_PX - 1)]
             density = zero
             if borders and inside[y, x] < SOLID:
                 m = next_cell[y, x]
                 near = one - _F(inside[y, x]) * _F(1.0 / SOLID)  # 1 on the border
                 near *= near
-                dr, dg, db = cells[m, 3] - r, cells[m, 4] - g, cells[m, 5] - b
+                dr = cells[m, 3] - r
+                dg = cells[m, 4] - g
+                db = cells[m, 5] - b
                 apart = min((abs(dr) + abs(dg) + abs(db)) * _F(1 / CONTRAST), one)
                 apart *= apart
                 like = _likeness(image[y, x], cells[k], cells[m], near)
                 mix = _F(0.5) * near * (one - apart) + apart * min(_F(3) * near, one) * like
-                r, g, b = r + mix * dr, g + mix * dg, b + mix * db
+                r = r + mix * dr
+                g = g + mix * dg
+                b = b + mix * db
                 flow += _F(0.5) * near * (cells[m, 6] - flow)
                 # the peak on the border as a whole pixel sees it
                 density = dark * apart * near * (one - _F(0.3) * near * near)
             density += flow + height
             line = lines[y, x] * (one + _F(DRY_BRUSH) * height)
             line = min(max(line, zero), one) * opacity
-            r, g, b = r * r, g * g, b * b
-            r, g, b = _thicker(r, density), _thicker(g, density), _thicker(b, density)
+            r = r * r
+            g = g * g
+            b = b * b
+            r = _thicker(r, density)
+            g = _thicker(g, density)
+            b = _thicker(b, density)
             out[y, x, 0] = max(r + line * (ink[0] - r), zero)
             out[y, x, 1] = max(g + line * (ink[1] - g), zero)
             out[y, x, 2] = max(b + line * (ink[2] - b), zero)
@@ -109,7 +122,8 @@ def _likeness(pixel, own, other, near):  # pragma: no cover - compiled
 
     A camera's edge, some 2 px wide, comes out 1 px wide: any steeper, and it would go from pixel
     to pixel in leaps. near : 1 on the border"""
-    along, length = _F(0), _F(0)
+    along = _F(0)
+    length = _F(0)
     for c in range(3):
         step = other[c] - own[c]
         along += (pixel[c] - own[c]) * step

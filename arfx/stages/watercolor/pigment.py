@@ -25,7 +25,8 @@ def smooth_noise(side: int, wavelength_px: float, rng: np.random.Generator) -> n
     """(side, side) float64 band of noise that repeats without a seam, variance 1; made in the
     frequency domain."""
     spectrum = np.fft.rfft2(rng.standard_normal((side, side)))
-    fy, fx = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]
+    fy = np.fft.fftfreq(side)[:, None]
+    fx = np.fft.rfftfreq(side)[None]
     f = np.hypot(fx, fy) * wavelength_px
     picture = np.fft.irfft2(spectrum * f * np.exp(-f * f), (side, side))
     noise: np.ndarray = picture / max(float(picture.std()), 1e-12)
@@ -47,7 +48,8 @@ def wobble_tile(
 ) -> np.ndarray:
     """(2, WOBBLE_PX, WOBBLE_PX) float32 displacement, in whole 1/STEPS px, that repeats without a
     seam. first : (x, y) px of the noise at which the first pixel lies"""
-    fy, fx = np.fft.fftfreq(WOBBLE_PX)[:, None], np.fft.rfftfreq(WOBBLE_PX)[None]
+    fy = np.fft.fftfreq(WOBBLE_PX)[:, None]
+    fx = np.fft.rfftfreq(WOBBLE_PX)[None]
     turn = np.exp(2j * np.pi * (fy * first[1] + fx * first[0]))
     spectra = _wobble_spectra(seed, wavelength_px)
     tile = np.fft.irfft2(spectra * turn, (WOBBLE_PX, WOBBLE_PX)) * (amplitude_px / 2)
@@ -72,17 +74,27 @@ def turbulence(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
 def _turbulence(u, v, seed, frequency):  # pragma: no cover - compiled
     out = np.zeros(u.shape[0], np.float32)
     for k in range(u.shape[0]):
-        f, amplitude, total = np.float64(frequency), 1.0, 0.0
+        f = np.float64(frequency)
+        amplitude = 1.0
+        total = 0.0
         for octave in range(3):
-            x, y = u[k] * f, v[k] * f
-            i, j = np.int64(np.floor(x)), np.int64(np.floor(y))
-            s, t = x - i, y - j
-            s, t = s * s * (3 - 2 * s), t * t * (3 - 2 * t)
-            n00, n10 = _lattice(seed, i, j, octave), _lattice(seed, i + 1, j, octave)
-            n01, n11 = _lattice(seed, i, j + 1, octave), _lattice(seed, i + 1, j + 1, octave)
-            above, below = n00 + s * (n10 - n00), n01 + s * (n11 - n01)
+            x = u[k] * f
+            y = v[k] * f
+            i = np.int64(np.floor(x))
+            j = np.int64(np.floor(y))
+            s = x - i
+            t = y - j
+            s = s * s * (3 - 2 * s)
+            t = t * t * (3 - 2 * t)
+            n00 = _lattice(seed, i, j, octave)
+            n10 = _lattice(seed, i + 1, j, octave)
+            n01 = _lattice(seed, i, j + 1, octave)
+            n11 = _lattice(seed, i + 1, j + 1, octave)
+            above = n00 + s * (n10 - n00)
+            below = n01 + s * (n11 - n01)
             total += amplitude * (above * (1 - t) + below * t)
-            f, amplitude = 2 * f, 0.6 * amplitude
+            f = 2 * f
+            amplitude = 0.6 * amplitude
         out[k] = total
     return out
 

@@ -101,7 +101,8 @@ class Watercolor(Stage):
         return Prepared(paper_grain(scene.seed), wobbles, sample_surface(scene, scene.seed))
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
-        rect, picture = view.rect, self.with_toon(view)
+        rect = view.rect
+        picture = self.with_toon(view)
         lines = BackgroundTask(lambda: self.lines_of(view, picture))
         cells = self.cells_of(view, prepared)
         paint = self._mixed(view.level, prepared, cells, picture)
@@ -117,16 +118,21 @@ class Watercolor(Stage):
 
     def with_toon(self, view: View) -> np.ndarray:
         """(h, w, 3) float32: the picture with the object toon-shaded, read-only."""
-        p, image, box = self.params, view[Layer.IMAGE], _object_box(view)
+        p = self.params
+        image = view[Layer.IMAGE]
+        box = _object_box(view)
         if not p.toon or box.empty:
             return packed(image)
-        part, light = view.layers.crop(box), view.light
+        part = view.layers.crop(box)
+        light = view.light
         layers = ObjectLayers(*(packed(part[Layer(name)]) for name in ObjectLayers._fields))
         brightest = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
         even = EVEN * np.clip(light.ambient_rgb, 0, brightest[1])
         tones = Tones.of(brightest, even, p.toon_thresholds, p.toon_factors)
-        flat, lit = flat_tones(layers, tones), part[Layer.VIRTUAL]
-        out, opacity = image.copy(), np.float32(view.facts.opacity)
+        flat = flat_tones(layers, tones)
+        lit = part[Layer.VIRTUAL]
+        out = image.copy()
+        opacity = np.float32(view.facts.opacity)
         patch = out[box.slices_in(view.rect)]
         patch += opacity * (gain_to_lit(lit, flat) * flat - lit)
         np.maximum(patch, 0, out=patch)
@@ -134,18 +140,23 @@ class Watercolor(Stage):
 
     def lines_of(self, view: View, picture: np.ndarray) -> np.ndarray:
         """(h, w) float32 strength of lines. picture : of `with_toon`"""
-        p, rect = self.params, view.rect
+        p = self.params
+        rect = view.rect
         if p.lines <= 0:
             return np.zeros((rect.height, rect.width), np.float32)
         edges = measure_edges(picture)
         seen = _object_box(view)
         if not seen.empty:
             # with nothing of the object around it, from an even pixel on
-            left, top = (seen.x0 - rect.x0) // 2 - 1, (seen.y0 - rect.y0) // 2 - 1
-            left, top = max(left, 0), max(top, 0)
+            left = (seen.x0 - rect.x0) // 2 - 1
+            top = (seen.y0 - rect.y0) // 2 - 1
+            left = max(left, 0)
+            top = max(top, 0)
             box = Rect(rect.x0 + 2 * left, rect.y0 + 2 * top, seen.x1 + 2, seen.y1 + 2).clip(rect)
             part = view.layers.crop(box)
-            coverage, normal, depth = part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH]
+            coverage = part[Layer.COVERAGE]
+            normal = part[Layer.NORMAL]
+            depth = part[Layer.DEPTH]
             of_object = object_edges(coverage, normal, depth, view.facts.opacity)
             add_object_edges(edges, of_object, top, left, p.line_high)
         lines = trace_lines(edges, p.line_low, p.line_high, p.line_width_px)
@@ -164,7 +175,8 @@ class Watercolor(Stage):
         if not inside.any():
             return cells
         own = self._object_cells(view, prepared, pose, box, inside)
-        row, column = box.y0 - view.rect.y0, box.x0 - view.rect.x0
+        row = box.y0 - view.rect.y0
+        column = box.x0 - view.rect.x0
         pairs = zip(cells.labels, own.labels, strict=True)
         labels = tuple(back.overlaid(front, inside, row, column) for back, front in pairs)
         # neighbours within the object only: paint does not run over its outline
@@ -174,13 +186,17 @@ class Watercolor(Stage):
         return CellSet(labels, np.concatenate([cells.flow, own.flow]), near, weight)
 
     def field_of(self, view: View) -> tuple[SiteField, Pose | None]:
-        p, facts, real = self.params, view.facts, None
+        p = self.params
+        facts = view.facts
+        real = None
         if p.nearer_finer > 0 and facts.real_depth is not None:
             real = RealDioptre.of(view[Layer.REAL_DEPTH], view.rect)
         return frame_field(facts, view.scene, p.cell_px, p.nearer_finer, real)
 
     def _background_cells(self, view: View, prepared: Prepared, field: SiteField) -> CellSet:
-        cell_px, rect, seed = self.params.cell_px, view.rect, view.scene.seed
+        cell_px = self.params.cell_px
+        rect = view.rect
+        seed = view.scene.seed
         area = view.scene.camera.rect.area
         # more cells than pixels tell nothing apart
         limit = int(min(2 * area + 4096, 12 * area / cell_px**2 + 65536))
@@ -199,16 +215,19 @@ class Watercolor(Stage):
         self, view: View, prepared: Prepared, pose: Pose, box: Rect, inside: np.ndarray
     ) -> CellSet:
         """inside (h, w) bool : pixels of `box` that the object mostly covers"""
-        p, scene = self.params, view.scene
+        p = self.params
+        scene = view.scene
 
         def make() -> CellSet:
-            cell_px, origin_m = _OBJECT_CELL * p.cell_px, scene.world_from_anchor.translation_m
+            cell_px = _OBJECT_CELL * p.cell_px
+            origin_m = scene.world_from_anchor.translation_m
             sites, size = object_sites(prepared.surface, scene, pose, cell_px, p.nearer_finer)
             wobbles = [
                 prepared.wobbles.of_object(scene.camera, pose, origin_m, place)
                 for place in _places(view.level)
             ]
-            sites, blend_px = sort_sites(sites, box, wobbles[0]), self._blend_px(view.level)
+            sites = sort_sites(sites, box, wobbles[0])
+            blend_px = self._blend_px(view.level)
             labels = tuple(label(sites, box, w, blend_px, inside) for w in wobbles)
             return self._cell_set(sites, labels, size[sites.key], scene.seed + 1)
 
@@ -236,10 +255,12 @@ class Watercolor(Stage):
         mean, area = mean_colours(picture, labellings, cells.labels[0].count)
         every_round = ceil(_ROUNDS * p.wash)
         rounds = ceil(ACCURACY[level].rounds * every_round)
-        step, contrast = every_round / max(rounds, 1), 0.02 + 0.16 * p.wash
+        step = every_round / max(rounds, 1)
+        contrast = 0.02 + 0.16 * p.wash
         root = smooth_washes(mean, cells.near, cells.weight, area, contrast, rounds, step)
         root = adjust_tone(root, p.lightness, p.saturation, p.deepest)
-        flow, paper = np.float32(p.flow) * cells.flow, np.float32(p.grain) * prepared.paper
+        flow = np.float32(p.flow) * cells.flow
+        paper = np.float32(p.grain) * prepared.paper
         ink = np.array(p.ink_rgb, np.float32)
         return Paint(mean, root, flow, paper, p.edge_darkening, ink, p.lines)
 

@@ -30,11 +30,13 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     it), WORLD frame.
 
     up : (3,) stands in for the direction where no light has one."""
-    best, most = None, 0.0
+    best = None
+    most = 0.0
     for lamp in light.lights:
         strength = float(np.sum(lamp.rgb))
         if lamp.unit.any() and np.isfinite(strength) and strength > most:
-            best, most = lamp.unit, strength
+            best = lamp.unit
+            most = strength
     if best is None:
         soft = np.asarray(light.soft, float).reshape(-1, 3)
         slope = soft[[3, 1, 2]].sum(1) if len(soft) == 9 else np.zeros(3)  # harmonics x, y, z
@@ -106,7 +108,9 @@ def _shade_rows(
 ):  # pragma: no cover - compiled
     coverage, normal, albedo, emissive = layers
     towards, direct, even, thresholds, factors, ramp = tones
-    zero, one, half = _F(0), _F(1), _F(0.5)
+    zero = _F(0)
+    one = _F(1)
+    half = _F(0.5)
     for y in range(first, last):
         for x in range(out.shape[1]):
             covered = coverage[y, x]

@@ -39,7 +39,8 @@ class Wobbles:
         place : of the pixel that asks, in whole 1/STEPS px"""
         if not self.amplitude_px > 0:
             return self._memo.get(place, lambda: _shifted(STILL, place), most=64)
-        x, y = round(x_px * PARTS), round(y_px * PARTS)
+        x = round(x_px * PARTS)
+        y = round(y_px * PARTS)
         between = x % PARTS, y % PARTS
         wobble: Wobble = self._memo.get(
             (between, place), lambda: self._make(between, place), most=64
@@ -69,7 +70,8 @@ class Wobbles:
         """Moved with the object. origin_m (3,) WORLD"""
         x, y = camera.project(camera_from_world.apply(origin_m[None]))[0]
         if not (abs(x) < _FAR_PX and abs(y) < _FAR_PX):  # not in front of the camera
-            x, y = 0.0, 0.0
+            x = 0.0
+            y = 0.0
         return self.at(-x, -y, place)
 
 
