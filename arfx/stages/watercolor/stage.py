@@ -134,7 +134,10 @@ class Watercolor(Stage):
         out = image.copy()
         opacity = np.float32(view.facts.opacity)
         patch = out[box.slices_in(view.rect)]
-        patch += opacity * (gain_to_lit(lit, flat) * flat - lit)
+        change = gain_to_lit(lit, flat) * flat
+        change -= lit
+        change *= opacity
+        patch += change
         np.maximum(patch, 0, out=patch)
         return packed(out)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numba
 import numpy as np
 
@@ -98,8 +99,8 @@ def gain_to_lit(lit: np.ndarray, flat: np.ndarray) -> np.ndarray:
 
     lit, flat : (h, w, 3) premultiplied. Tones share out the light that falls on the object; how
     much that is says the lit one, which also has its shadows and what it mirrors."""
-    total = lit.sum((0, 1), dtype=float), flat.sum((0, 1), dtype=float)
-    return np.clip(divide(*total, where_zero=1.0), *_GAINS).astype(np.float32)
+    means = np.array(cv2.mean(lit)[:3]), np.array(cv2.mean(flat)[:3])
+    return np.clip(divide(*means, where_zero=1.0), *_GAINS).astype(np.float32)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
