@@ -42,7 +42,8 @@ LEAST = 0.05  # of a cone's size: OpenGL cuts off what is before the near clip p
 
 @dataclass(frozen=True)
 class PrintedWatercolorParams:
-    """cell_px : size of a cell, px of the picture
+    """formula : paper
+    cell_px : size of a cell, px of the picture
     m : rows of cells, 0 = as many as make cells of cell_px;  n : columns of cells, likewise
     near_m : near clip plane of the depth buffer, whose value is the size of a cone; 0 = all cones
         alike
