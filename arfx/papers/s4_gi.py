@@ -246,18 +246,20 @@ def real_surfels(
     anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
     d = viewing(prepared.grid, within)  # z = 1: distances are depths
     seen = d.reshape(-1, 3) @ anchor_from_camera.rotation.T
-    hit = prepared.real.first(np.broadcast_to(anchor_from_camera.translation_m, seen.shape), seen)
-    on = (
-        hit.met
-        & ((hit.normal * seen).sum(-1) < 0)
-        & (view[Layer.COVERAGE][within.slices_in(view.rect)].ravel() < 1)
-    )
+    eyes = np.broadcast_to(anchor_from_camera.translation_m, seen.shape)
+    met = prepared.real.nearest(eyes, seen)
+    covered = view[Layer.COVERAGE][within.slices_in(view.rect)].ravel()
+    on = np.isfinite(met.distance) & (covered < 1)
     depth = view[Layer.REAL_DEPTH][within.slices_in(view.rect)].ravel()
     with np.errstate(invalid="ignore"):
-        on &= ~(np.isfinite(depth) & (np.abs(depth - hit.distance) > LIFT * hit.distance))
-    row, column = np.unravel_index(np.flatnonzero(on), d.shape[:2])
+        on &= ~(np.isfinite(depth) & (np.abs(depth - met.distance) > LIFT * met.distance))
+    pixel = np.flatnonzero(on)
+    surface = prepared.real.surface(met.of(pixel), eyes[pixel], seen[pixel])
+    front = (surface.normal * seen[pixel]).sum(-1) < 0
+    pixel = pixel[front]
+    row, column = np.unravel_index(pixel, d.shape[:2])
     rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
-    return rows, Surfels(hit.position[on], hit.normal[on], normalise(seen[on]))
+    return rows, Surfels(surface.position[front], surface.normal[front], normalise(seen[pixel]))
 
 
 def virtual_surfels(view: View, within: Rect) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:

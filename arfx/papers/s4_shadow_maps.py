@@ -52,10 +52,15 @@ def shadow_map(
     rays: RayScene, origins: np.ndarray, direction: np.ndarray, rgb: np.ndarray
 ) -> ShadowMap:
     """What light `rgb` (3,) from `direction` (3,) meets: diffuse surfaces send rho x light x cosine."""
-    hit = rays.first(origins, np.broadcast_to(-direction, origins.shape))
-    rho = hit.diffuse + hit.specular
-    cosine = np.clip(hit.normal @ direction, 0, None)[:, None]
-    return ShadowMap(hit.distance, hit.position, rho * rgb * cosine)
+    directions = np.broadcast_to(-direction, origins.shape)
+    met = rays.nearest(origins, directions)
+    lit = np.isfinite(met.distance)
+    surface = rays.surface(met.of(lit), origins[lit], directions[lit])
+    position, radiance = np.zeros_like(origins), np.zeros_like(origins)
+    position[lit] = surface.position
+    cosine = np.clip(surface.normal @ direction, 0, None)[:, None]
+    radiance[lit] = surface.reflectance * rgb * cosine
+    return ShadowMap(met.distance, position, radiance)
 
 
 def shadow_maps(

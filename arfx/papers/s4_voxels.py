@@ -3,7 +3,7 @@
 Every triangle is cut into pieces smaller than half a voxel, and each piece counts in the voxel that holds its centre, by its
 area: neither the order nor the size of triangles matters. How voxels are filled is not printed.
 
-Deviations. A surface that is seen through is as opaque as its base colour says: textures of opacity are left out."""
+Deviations. A part that is seen through is as opaque all over as where it lets the least light pass."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from arfx.core.model import BLEND, Part
+from arfx.core.model import Part
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 
@@ -105,8 +105,7 @@ def cut_triangles(scene: Scene, part: Part, volume: Volume) -> CutTriangles:
     cuts = np.minimum((longest / PIECE).astype(np.int64) + 1, MOST_PIECES)
     cuts[~(area > 0)] = 0
     piece_area = area / np.maximum(cuts * cuts, 1).astype(np.float32)
-    alpha = part.material.base_colour[3] if part.material.alpha_mode == BLEND else 1.0
-    return CutTriangles(corners, normals, cuts, piece_area, np.float32(alpha))
+    return CutTriangles(corners, normals, cuts, piece_area, np.float32(part.opacity))
 
 
 @numba.njit(cache=True, nogil=True)
