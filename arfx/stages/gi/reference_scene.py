@@ -28,6 +28,7 @@ SHARE = np.arange(256) / 255
 LINEAR = np.asarray(SRGB.decode(SHARE), float)
 RGB = slice(0, 3)
 SHINE = slice(1, 3)  # roughness, metallic
+READ = ("base_texture", "emissive_texture", "metallic_roughness_texture")
 
 
 class Met(NamedTuple):
@@ -79,12 +80,17 @@ class RayScene:
         away = np.linalg.norm(points - self.centre, axis=1)
         self.radius = max(float(away.max()), 1e-6)
         self._colours = np.ones((len(corners), 3, 3))
+        self._textures: list[tuple[int, str, Texture, np.ndarray]] = []
         for k, part in enumerate(self._parts):
             rows = np.flatnonzero(self._part_of == k)
             vertices = part.faces[self._face_of[rows]]
             self._colours[rows] = part.material.base_colour[:3]
             if part.colours is not None:
                 self._colours[rows] *= part.colours[vertices][..., :3]
+            for name, texture in part.material.textures.items():
+                uv = part.uv_on(texture)
+                if name in READ and uv is not None:
+                    self._textures.append((k, name, texture, uv[part.faces]))
 
     def nearest(self, origins: np.ndarray, directions: np.ndarray) -> Met:
         """What each ray meets first. directions : of any length, by which distances count"""
@@ -105,21 +111,18 @@ class RayScene:
         emission = np.array([m.emissive for m in materials], float)[part_of]
         specular = np.array([m.specular for m in materials], float)[part_of, None]
         shine = np.array([(m.roughness, m.metallic) for m in materials], float)[part_of]
-        for k, part in enumerate(self._parts):
+        factors = {
+            "base_texture": (albedo, RGB, LINEAR),
+            "emissive_texture": (emission, RGB, LINEAR),
+            "metallic_roughness_texture": (shine, SHINE, SHARE),
+        }
+        for k, name, texture, uv in self._textures:
             rows = np.flatnonzero(part_of == k)
-            factors = (
-                (part.material.base_texture, albedo, RGB, LINEAR),
-                (part.material.emissive_texture, emission, RGB, LINEAR),
-                (part.material.metallic_roughness_texture, shine, SHINE, SHARE),
-            )
-            for texture, values, channels, decode in factors:
-                uv = None if texture is None else part.uv_on(texture)
-                if texture is None or uv is None:
-                    continue
-                corners = uv[part.faces[face_of[rows]]]
-                places = np.einsum("nk,nkc->nc", weights[rows], corners)
-                texels = texels_at(texture, places)[:, channels]
-                values[rows] *= decode[texels]
+            corners = uv[face_of[rows]]
+            places = np.einsum("nk,nkc->nc", weights[rows], corners)
+            values, channels, decode = factors[name]
+            texels = texels_at(texture, places)[:, channels]
+            values[rows] *= decode[texels]
         roughness, metal = shine[:, :1], shine[:, 1:]
         f0 = 0.08 * specular * (1 - metal)
         return Surface(position, normalise(normal), albedo, emission, metal, f0, roughness)
