@@ -1,9 +1,12 @@
-"""Level `reference`: Monte Carlo paths (embree) through the same scenes; shares no kernel with the other levels.
+"""Level `reference`: Monte Carlo paths (embree) through the same scenes; shares no kernel with the
+other levels.
 
-Object pixels send paths by their material's lobes; plane pixels towards the ball around the object, as only paths that meet it
-count, as what it sends less what it hides. Every pixel gets `gi.samples` paths: a Sobol sequence that is shifted by numbers of the
-pixel's own, so that a part of the picture gets the same as the whole. Not denoised.
-Source: Pharr, Jakob, Humphreys, Physically Based Rendering; Cranley, Patterson 1976 (shifted sequences).
+Object pixels send paths by their material's lobes; plane pixels towards the ball around the object,
+as only paths that meet it count, as what it sends less what it hides. Every pixel gets `gi.samples`
+paths: a Sobol sequence that is shifted by numbers of the pixel's own, so that a part of the picture
+gets the same as the whole. Not denoised.
+Source: Pharr, Jakob, Humphreys, Physically Based Rendering; Cranley, Patterson 1976 (shifted
+sequences).
 Cost: O(pixels x samples)."""
 
 from __future__ import annotations
@@ -48,8 +51,10 @@ def trace_frame(
     gloss: tuple[float, float],
     mirror: Rect,
 ) -> Mapping[Layer, np.ndarray]:
-    """VIRTUAL and SHADOW with indirect light. visible_rect : pixels of the picture that are looked at;  disc : planes' pixels
-    gloss : of the planes, share mirrored seen from above, and roughness;  mirror : pixels that can mirror the object"""
+    """VIRTUAL and SHADOW with indirect light. visible_rect : pixels of the picture that are looked
+    at;  disc : planes' pixels
+    gloss : of the planes, share mirrored seen from above, and roughness
+    mirror : pixels that can mirror the object"""
     scene, rect = view.scene, view.rect
     rays = RayScene(scene)
     cubes = surroundings_of(view.facts, scene, view.light)
@@ -143,8 +148,10 @@ class Pixels:
         return out
 
     def plane_change(self, disc: Rect, mirror: Rect, gloss: tuple[float, float]) -> np.ndarray:
-        """(h, w, 3) float32 change of the planes' light by the object, as a share of it. disc : pixels that may change
-        mirror : pixels that may mirror the object, by this `gloss`: share seen from above, and roughness"""
+        """(h, w, 3) float32 change of the planes' light by the object, as a share of it. disc :
+        pixels that may change
+        mirror : pixels that may mirror the object, by this `gloss`: share seen from above, and
+        roughness"""
         tracer, around = self.tracer, self.tracer.around
         matt, shiny = mask_of(self.band, disc), mask_of(self.band, mirror)
         rows, directions = self._directions(matt | shiny)
@@ -181,7 +188,8 @@ class Pixels:
         return self.view[name][self.band.slices_in(self.view.rect)]
 
     def _directions(self, wanted: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """(rows and columns in the band, unit viewing directions (n, 3)) of pixels that are wanted (h, w)."""
+        """(rows and columns in the band, unit viewing directions (n, 3)) of pixels that are wanted
+        (h, w)."""
         row, column = np.nonzero(wanted)
         pixels = np.stack([column + self.band.x0, row + self.band.y0], -1)
         seen = self.view.scene.camera.directions(pixels.astype(float))
@@ -216,7 +224,8 @@ class Pixels:
         normals: np.ndarray,
         rows: tuple[np.ndarray, ...],
     ) -> np.ndarray:
-        """(n, 3) light of white planes that other planes give them less what they hide, without the object."""
+        """(n, 3) light of white planes that other planes give them less what they hide, without the
+        object."""
         around = self.tracer.around
         if len(around.axes) < 2:
             return np.zeros_like(start)

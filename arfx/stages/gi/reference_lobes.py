@@ -1,8 +1,10 @@
-"""Directions in which the reference's rays leave a surface, with the density of each and what it reflects.
+"""Directions in which the reference's rays leave a surface, with the density of each and what it
+reflects.
 
-Both kinds of surface answer the same two questions: `directions` draws some, `at` tells of any direction what is reflected, and
-with which density `directions` takes it. So samples of bright parts of the environment can be weighed against these (balance
-heuristic). Source: Heitz 2014 (Smith's G), 2018 (visible normals); Veach and Guibas 1995 (multiple importance sampling)."""
+Both kinds of surface answer the same two questions: `directions` draws some, `at` tells of any
+direction what is reflected, and with which density `directions` takes it. So samples of bright
+parts of the environment can be weighed against these (balance heuristic). Source: Heitz 2014
+(Smith's G), 2018 (visible normals); Veach and Guibas 1995 (multiple importance sampling)."""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ ABOVE = 1e-5  # least cosine of a direction that leaves a surface
 
 
 class Reflected(NamedTuple):
-    """Of directions (k): scattered, mirrored (k, 3) : share of their light, times the cosine;  density (k, 1) : per steradian with
+    """Of directions (k): scattered, mirrored (k, 3) : share of their light, times the cosine
+    density (k, 1) : per steradian with
     which they are drawn"""
 
     scattered: np.ndarray
@@ -39,7 +42,8 @@ class Reflected(NamedTuple):
 
 
 class Lobes(Protocol):
-    """width (k, 1) : of what is mirrored, 0 as a mirror sees the environment, 1 as a matt surface does"""
+    """width (k, 1) : of what is mirrored, 0 as a mirror sees the environment, 1 as a matt surface
+    does"""
 
     width: np.ndarray
 
@@ -84,14 +88,16 @@ def disc(numbers: np.ndarray) -> np.ndarray:
 
 
 def raised(places: np.ndarray) -> np.ndarray:
-    """(k, 3) places (k, 2) of the unit disc, on the half ball over it: cosine-weighted directions (Malley)."""
+    """(k, 3) places (k, 2) of the unit disc, on the half ball over it: cosine-weighted directions
+    (Malley)."""
     height2 = 1 - (places**2).sum(1)
     z = np.sqrt(np.maximum(height2, 0))
     return np.column_stack([places, z])
 
 
 def schlick(f0: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Share that is mirrored at a cosine (k, 1), by that seen from above (k, c); what mirrors nothing there never does."""
+    """Share that is mirrored at a cosine (k, 1), by that seen from above (k, c); what mirrors
+    nothing there never does."""
     grazing = (1 - cosine) ** 5
     share = f0 + (1 - f0) * grazing
     return np.where(f0 > 0, share, 0.0)
@@ -110,7 +116,8 @@ def lobe_width(roughness: np.ndarray) -> np.ndarray:
 
 
 class MaterialLobes:
-    """Lambert under GGX. normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3);  metal, f0, roughness (k, 1)"""
+    """Lambert under GGX. normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3)
+    metal, f0, roughness (k, 1)"""
 
     def __init__(
         self,
@@ -171,7 +178,8 @@ class MaterialLobes:
         return Reflected(scattered * above, mirrored * above, density * above)
 
     def _visible_normals(self, places: np.ndarray) -> np.ndarray:
-        """(k, 3) normals of microfacets that the viewer sees, from places (k, 2) on the unit disc."""
+        """(k, 3) normals of microfacets that the viewer sees, from places (k, 2) on the unit
+        disc."""
         shape = np.repeat(self._a, 3, axis=1)
         shape[:, 2] = 1
         # the view direction where the surface is stretched to a half ball, of which it sees a disc
@@ -199,10 +207,11 @@ def _level_frames(directions: np.ndarray) -> np.ndarray:
 
 
 class PlaneLobes:
-    """White planes, for what the object changes of their light: directions into the cone that holds a ball around the object.
+    """White planes, for what the object changes of their light: directions into the cone that holds
+    a ball around the object.
 
-    About the normal where the ball is near; in half of the samples where what other planes lose or gain counts too (`all_around`).
-    points, normals (k, 3);  centre (3,), radius : of the ball"""
+    About the normal where the ball is near; in half of the samples where what other planes lose or
+    gain counts too (`all_around`). points, normals (k, 3);  centre (3,), radius : of the ball"""
 
     def __init__(
         self,

@@ -1,4 +1,5 @@
-"""What the reference's rays meet: the model's triangles (embree), the real planes and the picture on them.
+"""What the reference's rays meet: the model's triangles (embree), the real planes and the picture
+on them.
 
 Axes are the anchor's; positions and directions are (n, 3) float64."""
 
@@ -32,7 +33,8 @@ READ = ("base_texture", "emissive_texture", "metallic_roughness_texture")
 
 
 class Met(NamedTuple):
-    """What rays (n,) meet first. distance : metres, inf where nothing is;  triangle : -1 where nothing is;  u, v : on it"""
+    """What rays (n,) meet first. distance : metres, inf where nothing is
+    triangle : -1 where nothing is;  u, v : on it"""
 
     distance: np.ndarray
     triangle: np.ndarray
@@ -44,7 +46,8 @@ class Met(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """Places on the model. position, normal, albedo, emission (n, 3);  metal, f0, roughness (n, 1) : f0 of what is no metal"""
+    """Places on the model. position, normal, albedo, emission (n, 3)
+    metal, f0, roughness (n, 1) : f0 of what is no metal"""
 
     position: np.ndarray
     normal: np.ndarray
@@ -66,7 +69,8 @@ class Surface(NamedTuple):
 
 
 class RayScene:
-    """The model. lift : metres by which rays start off a surface;  centre (3,), radius : of a ball around it"""
+    """The model. lift : metres by which rays start off a surface
+    centre (3,), radius : of a ball around it"""
 
     def __init__(self, scene: Scene) -> None:
         corners, self._normals, self._part_of, self._face_of = model_triangles(scene)
@@ -147,7 +151,8 @@ def wrapped(t: np.ndarray, wrap: str) -> np.ndarray:
 
 
 class Surroundings:
-    """Planes and environment. shown : pixels of the picture that may be looked at;  radius_m : of the object"""
+    """Planes and environment. shown : pixels of the picture that may be looked at
+    radius_m : of the object"""
 
     def __init__(
         self,
@@ -204,7 +209,8 @@ class Surroundings:
         return plane, distance
 
     def picture(self, positions: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does not."""
+        """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does
+        not."""
         radiance, known = self._picture(positions, plane)
         return np.where(known[:, None], radiance, self._means[plane])
 
@@ -227,7 +233,8 @@ class Surroundings:
         return out, known
 
     def unoccluded(self, normals: np.ndarray) -> np.ndarray:
-        """(n, 3) what a white surface gets from all around with nothing in the way: the end of a path."""
+        """(n, 3) what a white surface gets from all around with nothing in the way: the end of a
+        path."""
         return look_up(self._irradiance, normals @ self.environment.turn.T)
 
 

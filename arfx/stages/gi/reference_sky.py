@@ -1,7 +1,8 @@
 """The environment as the reference's rays see it, and samples of its bright parts.
 
-A ray in the direction that a surface's own reflection suggests meets a small lamp once in hundreds, and then counts hundredfold:
-single pixels far too bright. So directions are also drawn from the environment itself."""
+A ray in the direction that a surface's own reflection suggests meets a small lamp once in hundreds,
+and then counts hundredfold: single pixels far too bright. So directions are also drawn from the
+environment itself."""
 
 from __future__ import annotations
 
@@ -11,15 +12,19 @@ from arfx.core.cube import face_directions, look_up, on_cube, solid_angles
 from arfx.core.numerics import divide, normalise
 
 IRRADIANCE_PX = 16  # of a face
-# An environment whose brightest texel is less than so many times its mean needs no samples of its own.
+# An environment whose brightest texel is less than so many times its mean needs no samples of its
+# own.
 BRIGHT = 3.0
-FLOOR = 0.1  # share of the mean that every texel is chosen with: what lies between texels is never left out
+# Share of the mean that every texel is chosen with: what lies between texels is never left out.
+FLOOR = 0.1
 GREY = np.array([0.2126, 0.7152, 0.0722])
 
 
 class Environment:
-    """Radiance from far away. cubes : (narrow, broad), (6, n, n, 3) each, as a mirror sees it and as a matt surface does
-    turn (3, 3) : to the cubes' axes from the anchor's;  bright : whether its brightest parts need samples of their own"""
+    """Radiance from far away. cubes : (narrow, broad), (6, n, n, 3) each, as a mirror sees it and
+    as a matt surface does
+    turn (3, 3) : to the cubes' axes from the anchor's;  bright : whether its brightest parts need
+    samples of their own"""
 
     def __init__(self, cubes: tuple[np.ndarray, np.ndarray], turn: np.ndarray) -> None:
         self._narrow, self._broad = (np.asarray(cube, float) for cube in cubes)
@@ -37,7 +42,8 @@ class Environment:
         self._up_to = np.cumsum(self._chance)
 
     def radiance(self, directions: np.ndarray, wide: np.ndarray) -> np.ndarray:
-        """(n, 3) in unit directions. wide (n, 3) : 0 as a mirror sees it, 1 as a matt surface does"""
+        """(n, 3) in unit directions. wide (n, 3) : 0 as a mirror sees it, 1 as a matt surface
+        does"""
         turned = directions @ self.turn.T
         narrow = look_up(self._narrow, turned)
         broad = look_up(self._broad, turned)
@@ -74,7 +80,8 @@ class Environment:
         return np.asarray(d @ self.turn)
 
     def irradiance(self, below: np.ndarray, up: np.ndarray) -> np.ndarray:
-        """(6, k, k, 3) radiance of white surfaces by their normal, with radiance `below` (3,) under the horizon of `up` (3,).
+        """(6, k, k, 3) radiance of white surfaces by their normal, with radiance `below` (3,) under
+        the horizon of `up` (3,).
 
         Axes are the cubes'."""
         # it is smooth: few texels give the same

@@ -1,11 +1,13 @@
 """Paths of light through the object, the planes and their surroundings, for level `reference`.
 
-A path is one ray after another. Where it meets the object it takes the lamps' light and goes on by a random lobe of the
-material; after BOUNCES places it ends with the light of all around as if nothing were in its way. Where it meets a plane it takes
-the picture, less the lamps' light that the object hides there, and goes on with what the object changes of the plane's soft light:
-such a ray counts for what the object sends less what it hides. Bright parts of the environment are sampled as well.
-Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators). Leaves out: lamps mirrored on the way (caustics);
-samples of what glows: small things that glow are met by chance."""
+A path is one ray after another. Where it meets the object it takes the lamps' light and goes on by
+a random lobe of the material; after BOUNCES places it ends with the light of all around as if
+nothing were in its way. Where it meets a plane it takes the picture, less the lamps' light that the
+object hides there, and goes on with what the object changes of the plane's soft light: such a ray
+counts for what the object sends less what it hides. Bright parts of the environment are sampled as
+well.
+Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators). Leaves out: lamps mirrored
+on the way (caustics); samples of what glows: small things that glow are met by chance."""
 
 from __future__ import annotations
 
@@ -36,8 +38,10 @@ NUMBERS = 7
 
 
 class Places(NamedTuple):
-    """Where rays (n) leave surfaces. pixel (n,) : row of what they are drawn for, each once;  start (n, 3)
-    weight (n, 3) : by which what they bring counts;  change (n, 1) bool : whether only what the object changes counts"""
+    """Where rays (n) leave surfaces. pixel (n,) : row of what they are drawn for, each once
+    start (n, 3)
+    weight (n, 3) : by which what they bring counts;  change (n, 1) bool : whether only what the
+    object changes counts"""
 
     pixel: np.ndarray
     start: np.ndarray
@@ -49,7 +53,8 @@ class Places(NamedTuple):
 
 
 class Rays(NamedTuple):
-    """Rays (n) under way. direction (n, 3);  density (n, 1) : with which it was drawn, per steradian
+    """Rays (n) under way. direction (n, 3);  density (n, 1) : with which it was drawn, per
+    steradian
     wide (n, 3) : as `Environment.radiance` takes it"""
 
     places: Places
@@ -71,7 +76,8 @@ class Rays(NamedTuple):
 
 
 class Tracer:
-    """plane_light (planes, 3) : radiance of white planes with nothing in the light's way. light : WORLD axes"""
+    """plane_light (planes, 3) : radiance of white planes with nothing in the light's way. light :
+    WORLD axes"""
 
     def __init__(
         self,
@@ -98,9 +104,11 @@ class Tracer:
         numbers: np.ndarray,
         change: bool,
     ) -> np.ndarray:
-        """(n, 3) that surfaces at `start` (n, 3) send on by their lobes, of one path each, or what the object changes of it.
+        """(n, 3) that surfaces at `start` (n, 3) send on by their lobes, of one path each, or what
+        the object changes of it.
 
-        numbers (n, BOUNCES + 1, NUMBERS) in [0, 1). Lamps that shine on the surfaces themselves are left out."""
+        numbers (n, BOUNCES + 1, NUMBERS) in [0, 1). Lamps that shine on the surfaces themselves are
+        left out."""
         count = len(start)
         out = np.zeros((count, 3))
         places = Places(
@@ -117,7 +125,8 @@ class Tracer:
         return out
 
     def _met(self, rays: Rays, drawn: np.ndarray, last: bool, out: np.ndarray) -> list[Rays]:
-        """Rays that go on where these end, unless they are the `last`. out (pixels, 3) += what these bring;  drawn (n, NUMBERS)"""
+        """Rays that go on where these end, unless they are the `last`. out (pixels, 3) += what
+        these bring;  drawn (n, NUMBERS)"""
         start, change = rays.places.start, rays.places.change[:, 0]
         met = self.rays.nearest(start, rays.direction)
         plane, plane_m = self.around.first_plane(start, rays.direction)
@@ -205,7 +214,8 @@ class Tracer:
         drawn: np.ndarray,
         out: np.ndarray,
     ) -> Rays:
-        """Rays by the surfaces' lobes. out += light of the environment's bright parts, by samples of their own."""
+        """Rays by the surfaces' lobes. out += light of the environment's bright parts, by samples
+        of their own."""
         if self.around.environment.bright:
             self._add_sky(places, lobes, drawn[:, SKY], out)
         direction = lobes.directions(drawn[:, LOBE])
@@ -247,7 +257,8 @@ class Tracer:
         normals: np.ndarray,
         numbers: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(light of white surfaces (n, 3), what the object hides of it (n, 3)), by one ray to each lamp's disc."""
+        """(light of white surfaces (n, 3), what the object hides of it (n, 3)), by one ray to each
+        lamp's disc."""
         received, hidden = np.zeros((2, len(start), 3))
         on_disc = disc(numbers)
         for lamp, towards in zip(self._lamps, self._lamps_towards, strict=True):
@@ -272,6 +283,7 @@ def joined(first: Rays, second: Rays) -> Rays:
 
 
 def wide_of(reflected: Reflected, lobes: Lobes) -> np.ndarray:
-    """(n, 3) how wide what is reflected sees the environment: 1 of what is scattered, the lobe's of what is mirrored."""
+    """(n, 3) how wide what is reflected sees the environment: 1 of what is scattered, the lobe's of
+    what is mirrored."""
     wide = reflected.scattered + lobes.width * reflected.mirrored
     return divide(wide, reflected.total)
