@@ -37,9 +37,7 @@ class RealPixels(NamedTuple):
             image, seen_through = composite.over(now.rect, parts), model
             shaded = now.crop(now.extent(Layer.SHADOW))
             opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-            light = Attenuated(
-                plate, shaded.rect, shaded.one_channel(Layer.SHADOW), opacity, bias, shade
-            )
+            light = Attenuated(plate, shaded.rect, shaded[Layer.SHADOW], opacity, bias, shade)
         box = seen_through.align(TILE_PX, TILE_PX).clip(now.rect)
         patch = np.empty((box.height, box.width, 3), np.float32)
         parallel_map(
