@@ -19,15 +19,16 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
 from arfx.core.stage import View
-from arfx.stages.gi.cones import mirror_tangent
 from arfx.stages.gi.frame_light import surroundings_of
-from arfx.stages.gi.plane_pixels import DARKEST, depth_agreement, measured
+from arfx.stages.gi.gloss import mirror_tangent
+from arfx.stages.gi.plane_change import DARKEST, SAME_DEPTH, measured
 from arfx.stages.gi.real_planes import bounding_ball
 from arfx.stages.gi.reference_noise import NOISE, grey_slope, settled
 from arfx.stages.gi.reference_sampling import Gloss, Sampler, cosine_density, cosine_directions
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
 from arfx.stages.gi.reference_tracer import Of, Tracer
 from arfx.stages.gi.surroundings import NARROW_DEG, WIDE_DEG, Planes
+from arfx.stages.holdout import on_plane
 
 BOUNCES = 2
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
@@ -184,9 +185,7 @@ def trace_frame(
             change += np.maximum(mirrored, -plate) / plate
             if real.size:
                 depth = distance * (d @ (anchor.rotation @ pose.rotation.T)[:, 2])
-                change *= np.array(
-                    [depth_agreement(real, j, i, z) for j, i, z in zip(*at, depth, strict=True)]
-                ).reshape(-1, 1)
+                change *= on_plane(real[at], 1 / depth, SAME_DEPTH)[:, None]
             shadow[at] += (strength * change).astype(np.float32)
 
         parallel_map(
