@@ -22,13 +22,13 @@ from arfx.core.stage import View
 from arfx.stages.gi.frame_light import surroundings_of
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.plane_change import DARKEST, SAME_DEPTH, measured
-from arfx.stages.gi.real_planes import bounding_ball
 from arfx.stages.gi.reference_noise import NOISE, grey_slope, settled
 from arfx.stages.gi.reference_sampling import Gloss, Sampler, cosine_density, cosine_directions
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
 from arfx.stages.gi.reference_tracer import Of, Tracer
-from arfx.stages.gi.surroundings import NARROW_DEG, WIDE_DEG, Planes
+from arfx.stages.gi.surroundings import NARROW_DEG, WIDE_DEG
 from arfx.stages.holdout import on_plane
+from arfx.stages.light.planes import Planes, bounding_ball
 
 BOUNCES = 2
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes

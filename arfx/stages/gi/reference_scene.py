@@ -20,7 +20,8 @@ from arfx.stages.gi.reference_kernels import (
     picture_or,
     surface_at,
 )
-from arfx.stages.gi.surroundings import ENDLESS, Planes, irradiance
+from arfx.stages.gi.surroundings import irradiance
+from arfx.stages.light.planes import ENDLESS, Planes
 from arfx.stages.triangles import Triangles, model_triangles
 
 IRRADIANCE_PX = 16  # of a face, for the end of a path

@@ -14,7 +14,6 @@ import numpy as np
 from arfx.core.light import Light
 from arfx.core.numerics import divide
 from arfx.core.scene import Scene
-from arfx.stages.gi.real_planes import bounding_ball
 from arfx.stages.gi.reference_kernels import add_scaled, dots, facing, share_of_ball
 from arfx.stages.gi.reference_sampling import (
     Lights,
@@ -28,6 +27,7 @@ from arfx.stages.gi.reference_sampling import (
     towards_ball,
 )
 from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
+from arfx.stages.light.planes import bounding_ball
 
 ASKED = 4.0  # times the share of the hemisphere that the object fills: how many places on planes are asked
 LEAST_ASKED = 0.05

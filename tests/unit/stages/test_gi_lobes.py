@@ -12,10 +12,10 @@ from arfx.core.numerics import normalise
 from arfx.stages.gi.cones import around_normals, six_cones
 from arfx.stages.gi.field import CLUSTER_SIDE, make_voxel_model
 from arfx.stages.gi.pixels import gloss_weights, off_specular_peak, split_sum
-from arfx.stages.gi.real_planes import filled, planes_of
 from arfx.stages.gi.reference_sampling import Gloss, Sampler
 from arfx.stages.gi.reference_scene import Surroundings
-from arfx.stages.gi.surroundings import ENDLESS, HALF_ANGLES_DEG, Background, background_radiances, octahedral
+from arfx.stages.gi.surroundings import HALF_ANGLES_DEG, Background, background_radiances, octahedral
+from arfx.stages.light.planes import ENDLESS, filled, planes_of
 from tests.unit.stages.gi_scenes import CAMERA, MATT_WHITE, NIGHT, ball, box, inner, on_plane, plain_plate, run_gi
 
 
