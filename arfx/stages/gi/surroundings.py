@@ -8,7 +8,6 @@ plane."""
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,6 +19,7 @@ from arfx.core.compiled import line_kernel
 from arfx.core.cube import bordered, face_directions, on_cube, solid_angles
 from arfx.core.light import Light, harmonics
 from arfx.core.numerics import divide, normalise
+from arfx.stages.light.planes import WARP
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -29,26 +29,9 @@ FINE_SIDE = 128  # of a cube with more than COARSE_PX texels a face
 COARSE_PX = 16  # of a cube that cones with a width are made of
 HALF_ANGLES_DEG = (0.0, 6.0, 12.0, 20.0, 30.0, 50.0)
 NARROW_DEG, WIDE_DEG = 6.0, 30.0  # half-angles: of a mirror's cone at most, of a cone for diffuse light
-ENDLESS = 1e6  # metres
 _OUTER = np.float32(3)  # levels from the coarsest: an eighth of a side, beyond four radii of the object
 EDGE = np.float32(0.03)  # of half_m: softness of a plane's end, at least
-WARP = np.float32(3.0)  # how much denser a plane's texture is in its middle than if it were even
 _FAST = {"contract", "nsz", "arcp"}
-
-
-@dataclass(frozen=True, eq=False)
-class Planes:
-    """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the plane, normal;  half_m : of textures
-    bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was seen to end; +-ENDLESS"""
-
-    axes: np.ndarray
-    half_m: float
-    bounds: np.ndarray
-
-    @property
-    def key(self) -> tuple[bytes, float, bytes]:
-        """Equal for equal planes."""
-        return self.axes.tobytes(), self.half_m, self.bounds.tobytes()
 
 
 class Background(NamedTuple):
@@ -218,12 +201,6 @@ def warped(x):  # pragma: no cover - compiled
     return WARP * x / (np.float32(1) + (WARP - np.float32(1)) * abs(x))
 
 
-def unwarped(u: np.ndarray) -> np.ndarray:
-    """The inverse of `warped`."""
-    k = float(WARP)
-    return u / (k - (k - 1) * np.abs(u))
-
-
 @line_kernel(fastmath=_FAST, error_model="numpy")
 def first_plane(axes, x, y, z, dx, dy, dz):  # pragma: no cover - compiled
     """(plane, distance) of the nearest plane that is met from its front; plane -1 = none."""
@@ -338,10 +315,12 @@ def background_radiance(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def background_radiances(points, directions, skip, tan_half, half_deg, background: Background):  # pragma: no cover - compiled
-    """(m, 3) of `background_radiance` from points (m, 3), metres, along directions (m, 3)."""
+def background_radiances(points, directions, tangents, background: Background):  # pragma: no cover - compiled
+    """(m, 3) radiance from points (m, 3), metres, along directions (m, 3), in cones of these tangents (m,)."""
     out = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):
         p, d = (points[i, 0], points[i, 1], points[i, 2]), (directions[i, 0], directions[i, 1], directions[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = background_radiance(background, skip, p, d, tan_half, half_deg, np.float32(1))
+        half_deg = np.float32(np.arctan(tangents[i]) * np.float32(57.29578))
+        share = wide_share(half_deg)
+        out[i, 0], out[i, 1], out[i, 2] = background_radiance(background, -1, p, d, tangents[i], half_deg, share)
     return out

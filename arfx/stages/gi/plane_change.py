@@ -1,0 +1,168 @@
+"""What the object changes on the real planes, as textures that pixels look up.
+
+Places of a plane see the object by few rays, so what they gain is known coarsely; how much of their hemisphere it hides is
+known finely, by silhouettes. Their quotient, the radiance of what hides less that of what is hidden, is even: so the
+change is the fine share times the coarse quotient, sharp where the object stands. Planes that it does not stand on have
+the coarse share. Source: docs/methods/gi.md#delta."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from arfx.core.layers import Layer, Layers
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+from arfx.stages.holdout import on_plane, plane_dioptres
+from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView
+from arfx.stages.light.plane_shadow import SoftPicture, texel_places
+from arfx.stages.light.planes import SHOWS, Planes, warped
+from arfx.stages.light.transport import Indirect
+
+DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
+SAME_DEPTH = 0.02  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
+_EVENED_TEXELS = 0.8  # blur of what few rays bring
+_EVENED_FOR_SIZE = 2.0  # the same, where a single ray must not count
+_OTHER_SIDE = 192  # texels of a plane that the object does not stand on
+_RIM = 0.85  # share of a plane's texture from which on the change fades out
+_CHANNELS = np.eye(3)
+
+
+def measured(layers: Layers) -> np.ndarray:
+    """(h, w) the layer REAL_DEPTH; (0, 0) where the job has none."""
+    if layers.extent(Layer.REAL_DEPTH).empty or not np.isfinite(layers[Layer.REAL_DEPTH]).any():
+        return np.zeros((0, 0), np.float32)
+    return np.array(layers[Layer.REAL_DEPTH], np.float32, order="C")
+
+
+def plane_pose(axes: np.ndarray) -> Pose:
+    """The plane's own axes from the anchor's. axes (4, 3) : of `Planes`"""
+    rotation = np.asarray(axes[1:], float)
+    return Pose(rotation, -rotation @ np.asarray(axes[0], float))
+
+
+def change_textures(
+    light: Indirect, hidden: np.ndarray, planes: Planes, soft: Sequence[SoftPicture]
+) -> list[list[tuple[PlaneTexture, ...]]]:
+    """Of each plane, textures that add up, each by channel: share of all the plane's light that the object adds.
+
+    hidden (p, side, side) : of `Transport`;  soft : pictures of the first plane that add up, in the anchor's axes; the
+    other planes' textures are in their own"""
+    out = []
+    for k, axes in enumerate(planes.axes.astype(float)):
+        even = [cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS) for a in (light.gain[k], hidden[k])]
+        quotient = divide(even[0], even[1][..., None] * light.total[k])
+        to_own = (np.eye(2), np.zeros(2))
+        if k == 0:
+            to_own = axes[1:3, :2], -axes[1:3] @ axes[0]
+        blank = _even_picture(planes.half_m, -np.linalg.solve(*to_own))
+        pictures = soft if k == 0 else (SoftPicture(blank.dark[None], blank.texel_from_m),)
+        textures = []
+        for picture in pictures:
+            places = (texel_places(picture.even) @ to_own[0].T + to_own[1]) / planes.half_m
+            share = picture.hidden[0] if k == 0 else _sampled(even[1][..., None], places)[..., 0]
+            change = (share * _faded(places))[..., None] * _sampled(quotient, places)
+            textures.append(_channels(change, picture.texel_from_m))
+        if len(planes.axes) > 1:
+            places = (texel_places(blank) @ to_own[0].T + to_own[1]) / planes.half_m
+            change = _faded(places)[..., None] * _sampled(light.spread[k] / light.total[k], places)
+            textures.append(_channels(change, blank.texel_from_m))
+        out.append(textures)
+    return out
+
+
+def _even_picture(half_m: float, middle_m: np.ndarray) -> PlaneTexture:
+    """Nothing, about a place of the plane."""
+    scale = (_OTHER_SIDE - 1) / (2 * half_m)
+    corner = (_OTHER_SIDE - 1) / 2 - scale * middle_m
+    matrix = np.column_stack([scale * np.eye(2), corner])
+    return PlaneTexture(np.zeros((_OTHER_SIDE, _OTHER_SIDE), np.float32), matrix)
+
+
+def _channels(change: np.ndarray, texel_from_m: np.ndarray) -> tuple[PlaneTexture, ...]:
+    bordered = np.pad(change[1:-1, 1:-1], ((1, 1), (1, 1), (0, 0))).astype(np.float32)
+    parts = np.ascontiguousarray(np.moveaxis(bordered, 2, 0))
+    return tuple(PlaneTexture(part, texel_from_m) for part in parts)
+
+
+def _sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(h, w, c) of a warped texture (side, side, c) at places (h, w, 2) in half sides from its middle."""
+    side = len(texels)
+    at = ((warped(np.clip(places, -1, 1)) + 1) / 2 * side - 0.5).astype(np.float32)
+    source = np.ascontiguousarray(texels, np.float32)
+    x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+    out = cv2.remap(source, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return out.reshape(*places.shape[:2], -1)
+
+
+def _faded(places: np.ndarray) -> np.ndarray:
+    """(h, w) 1 inside, 0 from the rim of the texture on."""
+    away = np.linalg.norm(places, axis=-1)
+    return np.clip((1 - away) / (1 - _RIM), 0, 1)
+
+
+def add_change(
+    shadow: np.ndarray,
+    rect: Rect,
+    grid: np.ndarray,
+    anchor_from_camera: Pose,
+    planes: Planes,
+    textures: Sequence[Sequence[tuple[PlaneTexture, ...]]],
+    real: np.ndarray,
+    strength: float,
+) -> None:
+    """shadow (h, w, 3) over `rect` += strength x the planes' change, never below 0.
+
+    grid : viewing directions;  textures : of `change_textures`;  real : of `measured`, what is not on a plane stays"""
+    change = np.zeros((3, rect.height, rect.width), np.float32)
+    poses = [plane_pose(axes) for axes in planes.axes]
+    shares = shown_planes(rect, grid, anchor_from_camera, poses, real)
+    for k, (pose, share) in enumerate(zip(poses, shares, strict=True)):
+        own = anchor_from_camera if k == 0 else pose @ anchor_from_camera
+        if own.translation_m[2] <= 0:
+            continue
+        view = PlaneView(rect, grid, own)
+        for parts in textures[k]:
+            for channel, part in enumerate(parts):
+                view.add(change, part, strength * _CHANNELS[channel], share)
+    shadow += np.moveaxis(change, 0, 2)
+    np.maximum(shadow, 0, out=shadow)
+
+
+def shown_planes(
+    rect: Rect,
+    grid: np.ndarray,
+    anchor_from_camera: Pose,
+    poses: Sequence[Pose],
+    real: np.ndarray,
+) -> list[np.ndarray | None]:
+    """(h, w) of each plane: is it what a pixel shows, 0..1; None = wherever it is in view."""
+    if len(poses) == 1 and not real.size:
+        return [None]
+    placed = [(pose @ anchor_from_camera).inverse() for pose in poses]
+    dioptres = np.stack([plane_dioptres(grid, pose, rect) for pose in placed])
+    fronts = np.array([(pose @ anchor_from_camera).translation_m[2] > 0 for pose in poses])
+    dioptres[~fronts] = -1
+    nearest = dioptres.argmax(0)
+    shares = [(nearest == k) & (dioptres[k] > 0) for k in range(len(poses))]
+    if not real.size:
+        return [share.astype(np.float32) for share in shares]
+    agree = [on_plane(real, d, SAME_DEPTH) for d in dioptres]
+    return [
+        np.where(share, a, 0).astype(np.float32) for share, a in zip(shares, agree, strict=True)
+    ]
+
+
+def visible_radius_m(light: Indirect, planes: Planes, positions: np.ndarray) -> float:
+    """Distance from the planes' origins beyond which no texel's change shows.
+
+    positions (p, side, side, 3) : of the texels"""
+    shares = ((light.gain + light.spread) / light.total).astype(np.float32)
+    evened = [cv2.GaussianBlur(share, (0, 0), _EVENED_FOR_SIZE) for share in shares]
+    change = np.abs(np.stack(evened)).max(-1)
+    shows = change >= SHOWS
+    away = np.linalg.norm(positions - planes.axes[:, None, None, 0], axis=-1)
+    return float(min(away[shows].max() * 1.25, planes.half_m)) if shows.any() else 0.0

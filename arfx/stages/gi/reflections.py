@@ -1,0 +1,173 @@
+"""Indirect light that the object's pixels send to the camera: all that falls on them, and what they mirror.
+
+Gloss: the surroundings in a cone about the lobe's middle, as wide as the roughness asks; where the object hides some of
+its own surroundings a ray along that middle shows which. Cost: O(covered pixels + rays). Source: docs/methods/gi.md#gloss."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from arfx.core.pose import Pose
+from arfx.stages.gi.gloss import mirror_tangent, split_sum, table_entry, widened_roughness
+from arfx.stages.gi.surroundings import Background, background_radiances
+from arfx.stages.light.transport import Transport
+from arfx.stages.lightmap.shading import Surface
+
+_OCCLUDED = 0.01  # share of a place's hemisphere that the object hides, from which on a ray is sent
+_LIFT_EXTENTS = 2e-3  # rays begin that far over the surface
+_MIRRORS = 2  # times that a ray is mirrored on by metal
+_METAL, _METAL_TANGENT = (
+    0.5,
+    0.2,
+)  # metallic from which on; cone in which metal in a mirror sees its surroundings
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What is mirrored. eye (3,) : the camera, anchor axes;  background : without the object
+    sent, albedo (z, y, x, 3) : nodes of what the object sends, and of its colour
+    shows : share of a white surface's light that can be seen"""
+
+    anchor_from_world: Pose
+    eye: np.ndarray
+    background: Background
+    transport: Transport
+    sent: np.ndarray
+    albedo: np.ndarray
+    shows: float
+
+    def along(self, places: np.ndarray, directions: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+        """(m, 3) radiance of the planes and the sky, anchor axes. tangents (m,) : of the cones' half-angles"""
+        places, directions = (np.ascontiguousarray(a, np.float32) for a in (places, directions))
+        cones = tangents.astype(np.float32)
+        return np.asarray(background_radiances(places, directions, cones, self.background))
+
+    def of_object(
+        self, starts: np.ndarray, directions: np.ndarray, turns: int = _MIRRORS
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(rays (m,) that meet the object, before any plane; radiance (m, 3) that it sends there).
+
+        turns : of a ray that metal mirrors on; then metal sends its light in all directions"""
+        rays = self.transport.rays
+        face, distance = rays.first_hits(starts, directions)
+        met = np.flatnonzero(face >= 0)
+        for axes in self.transport.planes.axes:
+            down = -(directions[met] @ axes[3])
+            height = (starts[met] - axes[0]) @ axes[3]
+            met = met[(down <= 0) | (distance[met] * down <= height + rays.lift_m)]
+        face = face[met]
+        places = starts[met] + distance[met, None] * directions[met]
+        along = (rays.normals[face] * directions[met]).sum(1, keepdims=True)
+        normals = np.where(along > 0, -1.0, 1.0) * rays.normals[face]
+        sent = self._at(self.sent, places, normals)
+        metal = np.flatnonzero(rays.metallic[face] > _METAL)
+        if turns > 0 and len(metal):
+            towards = directions[met][metal] + 2 * np.abs(along[metal]) * normals[metal]
+            starts = places[metal] + rays.lift_m * normals[metal]
+            cones = np.full(len(metal), _METAL_TANGENT)
+            seen = self.along(starts, towards, cones)
+            again, more = self.of_object(starts, towards, turns - 1)
+            seen[again] = more
+            tint = self._at(self.albedo, places[metal], normals[metal])
+            share = rays.metallic[face[metal], None]
+            sent[metal] = (1 - share) * sent[metal] + share * tint * seen
+        return met, sent
+
+    def _at(self, nodes: np.ndarray, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        covered = np.ones((1, len(places)), np.float32)
+        row = normals[None].astype(np.float32), places[None].astype(np.float32)
+        grid = self.transport.grid
+        return np.asarray(grid.read(nodes, covered, row[0], row[1], Pose.identity())[0])
+
+
+def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.ndarray:
+    """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage.
+
+    received (h, w, 3) : radiance of a white surface from all but the lamps. Where too little is mirrored to be seen, what
+    is mirrored is the light that falls on the surface."""
+    roughness = np.ascontiguousarray(surface.material[..., 1])
+    wide = widened_roughness(roughness, surface.coverage, surface.normal).astype(np.float32)
+    anchor = sight.anchor_from_world
+    turn, offset = anchor.rotation.astype(np.float32), anchor.translation_m.astype(np.float32)
+    out = np.zeros((*surface.coverage.shape, 3), np.float32)
+    placed = turn, offset, sight.eye.astype(np.float32)
+    pixels, lobes = _lobes(
+        surface, wide, received, placed, split_sum(), np.float32(sight.shows), out
+    )
+    if not len(pixels):
+        return out
+    row, column = pixels.T
+    places, normals, directions, rough, weights = np.split(lobes, [3, 6, 9, 10], 1)
+    seen = sight.along(places, directions, mirror_tangent(rough[:, 0]))
+    layers = surface.coverage, surface.normal, surface.position
+    grid = sight.transport.grid
+    occluded = grid.read(sight.transport.occluded, *layers, anchor)[row, column, 0]
+    near = np.flatnonzero(occluded > _OCCLUDED)
+    lift = _LIFT_EXTENTS * sight.transport.rays.extent_m
+    met, sent = sight.of_object(places[near] + lift * normals[near], directions[near])
+    seen[near[met]] = sent
+    out[row, column] += weights * seen
+    return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _lobes(
+    surface: Surface, wide, received, placed, table, shows, out
+):  # pragma: no cover - compiled
+    """(pixels (m, 2), lobes (m, 13)) of those whose mirrored light shows: place, normal, direction, roughness, weights.
+
+    Anchor axes. out (h, w, 3) += what the pixels send of the light that falls on them; of those pixels the matt part alone
+    wide (h, w) : roughness, no less than a pixel of the curved surface holds;  placed : rotation, offset, eye"""
+    coverage, normal, position, albedo, material, _ = surface
+    turn, offset, eye = placed
+    rows, columns = coverage.shape
+    pixels, lobes = (
+        np.empty((rows * columns, 2), np.int64),
+        np.empty((rows * columns, 13), np.float32),
+    )
+    zero, one, count = np.float32(0), np.float32(1), 0
+    for y in range(rows):
+        for x in range(columns):
+            n, p, to = normal[y, x], position[y, x], lobes[count]
+            length = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
+            if coverage[y, x] <= 0 or not length > np.float32(1e-6):
+                continue
+            scale, away = one / np.sqrt(length), zero
+            for k in range(3):
+                to[k] = turn[k, 0] * p[0] + turn[k, 1] * p[1] + turn[k, 2] * p[2] + offset[k]
+                to[3 + k] = scale * (turn[k, 0] * n[0] + turn[k, 1] * n[1] + turn[k, 2] * n[2])
+                away += (eye[k] - to[k]) ** 2
+            away = one / np.sqrt(max(away, np.float32(1e-12)))
+            facing = zero
+            for k in range(3):
+                facing += (eye[k] - to[k]) * away * to[3 + k]
+            metal, f0 = material[y, x, 0], np.float32(0.08) * material[y, x, 2]
+            f0 *= one - metal
+            a, b = table_entry(table, material[y, x, 1], facing)
+            if f0 + metal <= zero:
+                b = zero
+            most = max(albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2])
+            shines = (f0 + most * metal) * a + b > shows * max(most, np.float32(1e-3))
+            matt = (one - metal) * (one - min(f0 * a + b, one)) * coverage[y, x]
+            for k in range(3):
+                colour, light = albedo[y, x, k], received[y, x, k]
+                gloss = coverage[y, x] * ((f0 + colour * metal) * a + b)
+                out[y, x, k] = matt * colour * light + (zero if shines else gloss * light)
+                to[10 + k] = gloss
+            if not shines:
+                continue
+            to[9], spread = wide[y, x], min(wide[y, x] * wide[y, x], one)
+            lean, size = (one - spread) * (np.sqrt(one - spread) + spread), zero
+            for k in range(3):
+                mirrored = 2 * facing * to[3 + k] - (eye[k] - to[k]) * away
+                to[6 + k] = to[3 + k] + lean * (mirrored - to[3 + k])
+                size += to[6 + k] * to[6 + k]
+            for k in range(3):
+                to[6 + k] /= np.sqrt(max(size, np.float32(1e-12)))
+            pixels[count, 0], pixels[count, 1] = y, x
+            count += 1
+    return pixels[:count], lobes[:count]
