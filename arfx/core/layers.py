@@ -25,6 +25,9 @@ class Layer(StrEnum):
     ALBEDO = "albedo"  # (h, w, 3) base colour, not premultiplied
     MATERIAL = "material"  # (h, w, 4) metallic, roughness, specular (dielectric F0 / 0.08), alpha
     EMISSIVE = "emissive"  # (h, w, 3) emitted radiance
+    OCCLUSION = "occlusion"  # (h, w) share of the soft light that the material's own picture leaves, 1 = all
+    COAT = "coat"  # (h, w, 2) clear coat: how much, 0..1; roughness
+    SHEEN = "sheen"  # (h, w, 4) colour of fibres, 0 = none; roughness
     OBJECT_ID = "object_id"  # (h, w) int32, 0 = none, else 1 + part index
     SHADOW = "shadow"  # (h, w, 3) transmittance: ratio of light that still reaches the real surface, 1 = all
     REAL_DEPTH = "real_depth"  # (h, w) metres along the axis of the real surface, measured; inf = the job has no depth
@@ -37,6 +40,9 @@ _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
     Layer.DEPTH: (0, np.float32, np.inf),
     Layer.MATERIAL: (4, np.float32, 0.0),
     Layer.OBJECT_ID: (0, np.int32, 0),
+    Layer.OCCLUSION: (0, np.float32, 1.0),
+    Layer.COAT: (2, np.float32, 0.0),
+    Layer.SHEEN: (4, np.float32, 0.0),
     Layer.SHADOW: (3, np.float32, 1.0),
     Layer.REAL_DEPTH: (0, np.float32, np.inf),
 }

@@ -24,8 +24,11 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
+from arfx.stages.light.split_sum import split_sum
+from arfx.stages.light.surroundings import frame_environment
 from arfx.stages.lightmap.beams import FrameLight, frame_light
 from arfx.stages.lightmap.coarse import block_surface, blocks_around, colour
+from arfx.stages.lightmap.coats import add_clear_coat, add_sheen
 from arfx.stages.lightmap.lookup import coarse_shadow_ratio, shadow_ratio
 from arfx.stages.lightmap.plane import (
     PLANE_LEVELS,
@@ -90,11 +93,21 @@ class Prepared:
 class Lightmap(Stage):
     name = "lightmap"
     reads = frozenset(
-        {Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE}
+        {
+            Layer.COVERAGE,
+            Layer.NORMAL,
+            Layer.POSITION,
+            Layer.ALBEDO,
+            Layer.MATERIAL,
+            Layer.EMISSIVE,
+            Layer.OCCLUSION,
+            Layer.COAT,
+            Layer.SHEEN,
+        }
     )
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
     levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
-    facts = frozenset({"pose", "light"})
+    facts = frozenset({"pose", "light", "environment"})
     Params = LightmapParams
     hard: ClassVar[bool] = False  # lights have no size
     always = True
@@ -158,12 +171,14 @@ class Lightmap(Stage):
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
         if view.level not in COARSE:
             hidden = self._visibilities(surface, view, prepared, light, reaching, eye)
-            return self.shaded(surface, *hidden, reaching, light, eye, view.facts)
+            if not now.extent(Layer.OCCLUSION).empty:
+                hidden = np.minimum(hidden[0], now[Layer.OCCLUSION]), hidden[1]
+            return self.shaded(surface, *hidden, reaching, light, view, now)
         at = now.rect.y0, now.rect.x0
         black = block_surface(surface, *at)
         hidden = self._visibilities(black, view, prepared, light, reaching, eye)
         both = (black._replace(albedo=np.full_like(black.albedo, v)) for v in (1, 0))
-        made = (self.shaded(blocks, *hidden, reaching, light, eye, view.facts) for blocks in both)
+        made = (self.shaded(blocks, *hidden, reaching, light, view, None) for blocks in both)
         return colour(surface, *at, black.coverage, *made)
 
     def _visibilities(
@@ -248,26 +263,28 @@ class Lightmap(Stage):
         visibility: np.ndarray,
         reaching: Sequence[int],
         light: FrameLight,
-        eye: np.ndarray,
-        facts: FrameFacts,
+        view: View,
+        now: Layers | None,
     ) -> np.ndarray:
         """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of each of the lights `reaching`, past
-        the object;  eye (3,) : WORLD frame"""
+        the object;  now : the layers of the surface's rectangle, for its coats"""
         f32 = np.float32
         rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
         widths = highlight_width(light.sizes_deg[reaching])
-        lights = Lights(
-            light.towards[reaching].astype(f32), rgb, widths, visibility, soft_visibility
-        )
-        soft = f32(self.params.ambient) * harmonic_terms(light.soft, light.ambient)
-        return shade(
-            surface,
-            eye.astype(f32),
-            lights,
-            soft,
-            not len(light.soft),
-            np.array(facts.bias_rgb, f32),
-        )
+        towards = light.towards[reaching].astype(f32)
+        lights = Lights(towards, rgb, widths, visibility, soft_visibility)
+        soft_share = f32(self.params.ambient)
+        soft = soft_share * harmonic_terms(light.soft, light.ambient)
+        environment = frame_environment(view.facts, view.scene, view.light, view.memo.of_light)
+        eye = view.pose.inverse().translation_m.astype(f32)
+        bias = np.array(view.facts.bias_rgb, f32)
+        mirrored = environment, soft_share, split_sum()
+        out = shade(surface, eye, lights, soft, *mirrored, bias)
+        if now is not None and not now.extent(Layer.SHEEN).empty:
+            add_sheen(out, surface, packed(now[Layer.SHEEN]), eye, lights, soft, bias)
+        if now is not None and not now.extent(Layer.COAT).empty:
+            add_clear_coat(out, surface, packed(now[Layer.COAT]), eye, lights, *mirrored, bias)
+        return out
 
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> Pixels:
         scene = view.scene
