@@ -173,13 +173,16 @@ def look_up(texels, sides, starts, level, x, y, z):  # pragma: no cover - compil
         fc, fr = column - np.float32(i), row - np.float32(j)
         near = np.uintp(start + (face * (side + 2) + j) * (side + 2) + i)
         below = near + np.uintp(side + 2)
-        right, across = near + np.uintp(1), below + np.uintp(1)
-        w00, w01 = share * (one - fr) * (one - fc), share * (one - fr) * fc
-        w10, w11 = share * fr * (one - fc), share * fr * fc
-        r += w00 * texels[near, 0] + w01 * texels[right, 0]
-        r += w10 * texels[below, 0] + w11 * texels[across, 0]
-        g += w00 * texels[near, 1] + w01 * texels[right, 1]
-        g += w10 * texels[below, 1] + w11 * texels[across, 1]
-        b += w00 * texels[near, 2] + w01 * texels[right, 2]
-        b += w10 * texels[below, 2] + w11 * texels[across, 2]
+        r += share * _between(texels, near, below, fc, fr, 0)
+        g += share * _between(texels, near, below, fc, fr, 1)
+        b += share * _between(texels, near, below, fc, fr, 2)
     return r, g, b
+
+
+@line_kernel(fastmath=_FAST)
+def _between(texels, near, below, fc, fr, channel):  # pragma: no cover - compiled
+    """One channel between four texels: those at `near` and `below`, and those to their right."""
+    right, across = near + np.uintp(1), below + np.uintp(1)
+    top = texels[near, channel] + fc * (texels[right, channel] - texels[near, channel])
+    low = texels[below, channel] + fc * (texels[across, channel] - texels[below, channel])
+    return top + fr * (low - top)

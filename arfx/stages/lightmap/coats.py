@@ -86,8 +86,8 @@ def add_sheen(
             rough = max(sheen[y, x, 3], np.float32(_LEAST_SHEEN))
             reflected = sheen_reflected(rough, n_v)
             share = reflected * lights.soft_visibility[y, x]
-            r, g, b = soft_radiance(soft, nx, ny, nz)
-            light[0], light[1], light[2] = share * r, share * g, share * b
+            for c in range(3):
+                light[c] = share * soft_radiance(soft, c, nx, ny, nz)
             for k in range(lights.towards.shape[0]):
                 tx, ty, tz = lights.towards[k, 0], lights.towards[k, 1], lights.towards[k, 2]
                 n_l = nx * tx + ny * ty + nz * tz
@@ -123,8 +123,9 @@ def add_clear_coat(
             twice = two * facing
             dx, dy, dz = twice * nx - vx, twice * ny - vy, twice * nz - vz
             share = mirrors * mirrored_share(lights.soft_visibility[y, x], n_v, rough) * reflected
-            r, g, b = radiance(environment, dx, dy, dz, rough)
-            light[0], light[1], light[2] = share * r, share * g, share * b
+            around = radiance(environment, dx, dy, dz, rough)
+            for c in range(3):
+                light[c] = share * around[c]
             alpha2 = rough * rough * rough * rough
             for k in range(lights.towards.shape[0]):
                 tx, ty, tz = lights.towards[k, 0], lights.towards[k, 1], lights.towards[k, 2]

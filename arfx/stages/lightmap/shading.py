@@ -87,17 +87,13 @@ def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=_FAST)
-def soft_radiance(soft, x, y, z):  # pragma: no cover - compiled
-    """(r, g, b) of a white surface with normal x, y, z, never below 0. soft (9, 3) : of `harmonic_terms`"""
-    zero, xy, yz, xz = np.float32(0), x * y, y * z, x * z
-    high, apart = np.float32(3) * z * z - np.float32(1), x * x - y * y
-    r = soft[0, 0] + soft[1, 0] * y + soft[2, 0] * z + soft[3, 0] * x + soft[4, 0] * xy
-    g = soft[0, 1] + soft[1, 1] * y + soft[2, 1] * z + soft[3, 1] * x + soft[4, 1] * xy
-    b = soft[0, 2] + soft[1, 2] * y + soft[2, 2] * z + soft[3, 2] * x + soft[4, 2] * xy
-    r += soft[5, 0] * yz + soft[6, 0] * high + soft[7, 0] * xz + soft[8, 0] * apart
-    g += soft[5, 1] * yz + soft[6, 1] * high + soft[7, 1] * xz + soft[8, 1] * apart
-    b += soft[5, 2] * yz + soft[6, 2] * high + soft[7, 2] * xz + soft[8, 2] * apart
-    return max(r, zero), max(g, zero), max(b, zero)
+def soft_radiance(soft, channel, x, y, z):  # pragma: no cover - compiled
+    """Of a white surface with normal x, y, z, never below 0. soft (9, 3) : of `harmonic_terms`"""
+    c = channel
+    light = soft[0, c] + soft[1, c] * y + soft[2, c] * z + soft[3, c] * x
+    light += soft[4, c] * x * y + soft[5, c] * y * z + soft[7, c] * x * z
+    light += soft[6, c] * (np.float32(3) * z * z - np.float32(1)) + soft[8, c] * (x * x - y * y)
+    return max(light, np.float32(0))
 
 
 @line_kernel(fastmath=_FAST)
@@ -163,25 +159,22 @@ def _shade(
             coat = varnish * direct + min(two * specular, one) * grazing
             coat = min(coat * (one + varnish * lost), one)  # what a dielectric mirrors
             matt = (one - metal) * (one - coat)
-            ar, ag, ab = albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2]
-            fr, fg, fb = base + ar * metal, base + ag * metal, base + ab * metal
+            colour, pixel = albedo[y, x], out[y, x]
             visible = soft_visibility[y, x]
-            r, g, b = soft_radiance(soft, nx, ny, nz)
-            r, g, b = ar * matt * r * visible, ag * matt * g * visible, ab * matt * b * visible
+            for c in range(3):
+                pixel[c] = colour[c] * matt * visible * soft_radiance(soft, c, nx, ny, nz)
             if mirrors > zero:
                 # the lobe's middle: the mirrored direction, the rougher the nearer to the normal (Lagarde 2014)
                 alpha = min(rough * rough, one)
                 bend = (one - alpha) * (np.sqrt(one - alpha) + alpha)
                 along = bend * (two * facing) + one - bend
                 dx, dy, dz = along * nx - bend * vx, along * ny - bend * vy, along * nz - bend * vz
-                er, eg, eb = radiance(environment, dx, dy, dz, rough)
+                around = radiance(environment, dx, dy, dz, rough)
                 share = mirrors * mirrored_share(visible, n_v, rough)
-                coat *= one - metal
-                r += share * er * (coat + metal * (ar * direct + grazing) * (one + ar * lost))
-                g += share * eg * (coat + metal * (ag * direct + grazing) * (one + ag * lost))
-                b += share * eb * (coat + metal * (ab * direct + grazing) * (one + ab * lost))
+                for c in range(3):
+                    mirrored = metal * (colour[c] * direct + grazing) * (one + colour[c] * lost)
+                    pixel[c] += share * around[c] * ((one - metal) * coat + mirrored)
             alpha2 = rough * rough * rough * rough
-            gr, gg, gb = one + fr * lost, one + fg * lost, one + fb * lost
             for k in range(towards.shape[0]):
                 lx, ly, lz = towards[k, 0], towards[k, 1], towards[k, 2]
                 n_l = nx * lx + ny * ly + nz * lz
@@ -195,9 +188,9 @@ def _shade(
                 fresnel = edge * away * away * away * away * away
                 lobe = ggx_reflection(alpha2, alpha2 + widths[k], n_h, n_v, n_l)
                 diffuse = matt * n_l
-                r += rgb[k, 0] * arrives * (ar * diffuse + lobe * gr * (fr + (one - fr) * fresnel))
-                g += rgb[k, 1] * arrives * (ag * diffuse + lobe * gg * (fg + (one - fg) * fresnel))
-                b += rgb[k, 2] * arrives * (ab * diffuse + lobe * gb * (fb + (one - fb) * fresnel))
-            out[y, x, 0] = cover * (r + emissive[y, x, 0] + bias[0])
-            out[y, x, 1] = cover * (g + emissive[y, x, 1] + bias[1])
-            out[y, x, 2] = cover * (b + emissive[y, x, 2] + bias[2])
+                for c in range(3):
+                    f0 = base + colour[c] * metal
+                    gloss = lobe * (one + f0 * lost) * (f0 + (one - f0) * fresnel)
+                    pixel[c] += rgb[k, c] * arrives * (colour[c] * diffuse + gloss)
+            for c in range(3):
+                pixel[c] = cover * (pixel[c] + emissive[y, x, c] + bias[c])
