@@ -60,6 +60,7 @@ def phong(n: np.ndarray, v: np.ndarray, d: np.ndarray, roughness: np.ndarray) ->
 
 class PrintedLightmap(Lightmap):
     levels = ("standard",)
+    facts = frozenset({"pose", "light"})
     Params = PrintedLightmapParams
     hard = True
 
