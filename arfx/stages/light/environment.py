@@ -8,6 +8,8 @@ Source: Karis 2013 (the split sum's first part), docs/methods/light.md#reflectio
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import islice
 from typing import NamedTuple
 
 import numba
@@ -15,10 +17,12 @@ import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
+from arfx.core.numerics import normalise
 
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
 SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width
-_SAMPLES = 32  # of a lobe
+SAMPLES = (0, 24, 32, 32, 32, 32)  # of a lobe, of each level
+_COARSEST_PX = 4  # of a face that samples are taken from
 _GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
 _FAST = {"contract", "nsz", "arcp"}
 
@@ -42,90 +46,76 @@ def environment_of(texels: np.ndarray, cube_from_world: np.ndarray) -> Environme
     return Environment(texels, *layout(SIDES), roughness, cube_from_world.astype(np.float32))
 
 
-def layout(sides: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def layout(sides: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """(sides, starts) of levels as `Environment` keeps them."""
     count = 6 * (np.array(sides) + 2) ** 2
-    return np.array(sides, np.int64), np.concatenate([[0], np.cumsum(count)[:-1]]).astype(np.int64)
+    return np.array(sides, np.int64), np.cumsum(count) - count
 
 
 def level_slices() -> list[slice]:
     """The rows of each level's texels."""
-    ends = np.append(layout(SIDES)[1][1:], 6 * (SIDES[-1] + 2) ** 2 + layout(SIDES)[1][-1])
-    return [slice(int(a), int(b)) for a, b in zip(layout(SIDES)[1], ends, strict=True)]
+    sides, starts = layout(SIDES)
+    ends = starts + 6 * (sides + 2) ** 2
+    return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
 
 
 def prefiltered(cube: np.ndarray) -> np.ndarray:
-    """(n, 3) float32 texels of all levels.
-
-    cube : (6, m, m, 3) radiance, faces as core.cube's, any m >= 1"""
-    finest = _sized(np.asarray(cube, np.float32), SIDES[0])
+    """(n, 3) float32 texels of all levels. cube : (6, m, m, 3) radiance, faces as core.cube's, m <= 64"""
+    if not cube.any():
+        return np.zeros((level_slices()[-1].stop, 3), np.float32)
+    finest = resampled(np.asarray(cube, np.float32), SIDES[0])
     halved, sides = [finest], [SIDES[0]]
-    while sides[-1] > 4:
+    while sides[-1] > _COARSEST_PX:
         sides.append(sides[-1] // 2)
         halved.append(halved[-1].reshape(6, sides[-1], 2, sides[-1], 2, 3).mean((2, 4)))
     source = np.concatenate([_packed(level) for level in halved])
-    where = layout(tuple(sides))
     out = [_packed(finest)]
-    for side, roughness in zip(SIDES[1:], ROUGHNESSES[1:], strict=True):
-        lobe, detail = _lobe(roughness, SIDES[0])
-        directions = face_directions(side).reshape(-1, 3).astype(np.float32)
-        level = _filtered(source, *where, directions, lobe, detail)
+    levels = zip(SIDES, ROUGHNESSES, SAMPLES, strict=True)
+    for side, roughness, samples in islice(levels, 1, None):
+        lobe, weight, detail = _lobe(roughness, samples)
+        directions = _about(face_directions(side).reshape(-1, 3), lobe).astype(np.float32)
+        details = np.tile(detail, len(directions))
+        light = look_ups(source, *layout(sides), details, directions.reshape(-1, 3))
+        level = weight @ light.reshape(len(directions), len(lobe), 3)
         out.append(_packed(level.reshape(6, side, side, 3)))
     return np.concatenate(out)
-
-
-def _sized(cube: np.ndarray, side: int) -> np.ndarray:
-    """(6, side, side, 3): means of whole texels where it has more of them, linear between them where fewer."""
-    n = cube.shape[1]
-    if n > side and n % side == 0:
-        return np.asarray(cube.reshape(6, side, n // side, side, n // side, 3).mean((2, 4)))
-    return cube if n == side else resampled(cube, side)
 
 
 def _packed(faces: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(bordered(faces).reshape(-1, 3), np.float32)
 
 
-def _lobe(roughness: float, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """((k, 4) directions about +z and weights that sum to 1, (k,) which halving of a cube has texels as large as a sample)."""
-    u = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-    phi = np.arange(_SAMPLES) * _GOLDEN_RAD
-    a2 = roughness**4
-    half2 = (1 - u) / (
-        1 + (a2 - 1) * u
-    )  # squared cosine of the microfacet's normal, as GGX spreads it
+def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(directions (k, 3) about +z, weights (k,) of sum 1, and (k,) the halving whose texels are as large as a sample)."""
+    u = (np.arange(samples) + 0.5) / samples
+    phi = np.arange(samples) * _GOLDEN_RAD
+    alpha2 = roughness**4
+    # squared cosine of the microfacet's normal, as GGX spreads it
+    half2 = (1 - u) / (1 + (alpha2 - 1) * u)
     z = 2 * half2 - 1
     across = np.sqrt(np.clip(1 - z * z, 0, None))
-    density = a2 / (np.pi * (half2 * (a2 - 1) + 1) ** 2) / 4
-    texel_sr = 4 * np.pi / (6 * side * side)
-    detail = 0.5 * np.log2(1 / (_SAMPLES * density * texel_sr)) + 0.5
-    weight = np.clip(z, 0, None)
-    rows = np.column_stack([across * np.cos(phi), across * np.sin(phi), z, weight / weight.sum()])
-    on = weight > 0
-    return rows[on].astype(np.float32), np.clip(detail[on], 0, None).astype(np.float32)
+    density = alpha2 / (4 * np.pi * (half2 * (alpha2 - 1) + 1) ** 2)
+    texel_sr = 4 * np.pi / (6 * SIDES[0] ** 2)
+    detail = np.clip(0.5 * np.log2(2 / (samples * density * texel_sr)), 0, None)
+    weight = np.clip(z, 0, None) / np.clip(z, 0, None).sum()
+    directions = np.stack([across * np.cos(phi), across * np.sin(phi), z], -1)
+    return directions, weight.astype(np.float32), detail.astype(np.float32)
+
+
+def _about(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(n, k, 3): directions (k, 3) about +z, turned to each of unit axes (n, 3)."""
+    first = normalise(np.cross(axes, np.eye(3)[np.abs(axes).argmin(1)]))
+    frames = np.stack([first, np.cross(axes, first), axes], 1)
+    return np.asarray(directions @ frames)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _filtered(source, sides, starts, directions, lobe, detail):  # pragma: no cover - compiled
-    """(n, 3) means of the source about each of directions (n, 3)."""
-    out = np.zeros((directions.shape[0], 3), np.float32)
-    one = np.float32(1)
+def look_ups(texels, sides, starts, level, directions):  # pragma: no cover - compiled
+    """(n, 3) of `look_up` at levels (n,) in directions (n, 3)."""
+    out = np.empty((directions.shape[0], 3), np.float32)
     for i in range(directions.shape[0]):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        sign = one if z >= 0 else -one
-        a = -one / (sign + z)
-        b = x * y * a
-        ux, uy, uz = one + sign * x * x * a, sign * b, -sign * x
-        vx, vy, vz = b, sign + y * y * a, -y
-        for k in range(lobe.shape[0]):
-            p, q, s, weight = lobe[k, 0], lobe[k, 1], lobe[k, 2], lobe[k, 3]
-            dx = p * ux + q * vx + s * x
-            dy = p * uy + q * vy + s * y
-            dz = p * uz + q * vz + s * z
-            r, g, b_ = look_up(source, sides, starts, detail[k], dx, dy, dz)
-            out[i, 0] += weight * r
-            out[i, 1] += weight * g
-            out[i, 2] += weight * b_
+        out[i, 0], out[i, 1], out[i, 2] = look_up(texels, sides, starts, level[i], x, y, z)
     return out
 
 

@@ -182,7 +182,7 @@ def seen_map(name: str, scene: Scene) -> np.ndarray:
     rgba = np.asarray(scene.environment_maps[name], np.float32)
     if not np.isfinite(rgba).all() or rgba.min() < 0:
         raise RenderError("facts: an environment map holds values that are not finite and >= 0")
-    return rgba if rgba.shape[1] == SIDES[0] else resampled(rgba, SIDES[0])
+    return resampled(rgba, SIDES[0])
 
 
 def above_horizon(size: int, up: np.ndarray) -> np.ndarray:
