@@ -90,6 +90,13 @@ MISSING = {
     "clear_coat": "raster writes no COAT: 8.0 levels; 2.1 with the layer made by hand",
     "cloth": "raster writes no SHEEN: 12.0 levels; 2.5 with the layer made by hand",
     "stone": "raster reads no normal maps: 18.2 levels",
+    "box_soft": "texels of the plane's shadow are wider than a pixel: 5.7 levels",
+    "box_lamp": "texels of the plane's shadow are wider than a pixel: 3.8 levels",
+    "ball_soft": "the deepest dark under a ball is blurred: 5.6 levels",
+    "ball_lamp": "the deepest dark under a ball is blurred: 3.9 levels",
+    "thin_wall_soft": "texels of the plane's shadow are wider than the wall: 5.6 levels",
+    "thin_wall_lamp": "texels of the plane's shadow are wider than the wall: 4.5 levels",
+    "thin_wall_sun": "texels of the plane's shadow are wider than the wall: 3.1 levels",
 }
 
 
@@ -118,6 +125,8 @@ def test_the_plane_around_a_contact_is_as_dark_as_another_renderer_makes_it(name
     near = (distance > 0) & (distance <= scenes.NEAR * scenes.SIZE_M)
     ratio = np.ones((scene.camera.height, scene.camera.width, 3))
     ratio[layers.rect.slices_in(scene.camera.rect)] = layers[Layer.SHADOW]
-    ours, theirs = (cv2.blur(a, (3, 3)) for a in (grey_levels(scenes.PLANE_ALBEDO * ratio), outside(name)))
+    ours, theirs = grey_levels(scenes.PLANE_ALBEDO * ratio), outside(name)
+    ours[distance == 0] = theirs[distance == 0]  # the object stands there
+    ours, theirs = cv2.blur(ours, (3, 3)), cv2.blur(theirs, (3, 3))
     error = np.abs(ours - theirs)[near].mean()
     assert error <= CONTACT_LEVELS, f"{error:.2f} grey levels"

@@ -47,7 +47,7 @@ _NARROW_RAD, _WIDE_RAD = (
     np.radians(6.0),
     np.radians(30.0),
 )  # half-angles of lobes: a mirror's, a matt surface's
-_KEPT = 4  # maps
+_KEPT = 8  # maps, 1.3 MB each
 _SHAPE_STEPS = 64  # of a harmonic over the first
 
 
@@ -84,6 +84,7 @@ def frame_environment(facts: FrameFacts, scene: Scene, light: Light, memo: Memo)
 
     Raises RenderError for radiance that is not finite and >= 0, and for a map that is missing."""
     seen, guess = facts.seen_environment, facts.environment
+    plane = None if guess is None else guess.plane_rgb
     up = scene.world_from_anchor.rotation[:, 2]
     axes = _axes(seen if seen is not None else guess)
     cube_up = up if np.array_equal(axes, np.eye(3)) else np.round(axes @ up / _UP_STEP) * _UP_STEP
@@ -91,13 +92,13 @@ def frame_environment(facts: FrameFacts, scene: Scene, light: Light, memo: Memo)
     def parts(name: str | None) -> SurroundingParts:
         rgba = None if name is None else seen_map(name, scene)
         cube = _guess_of(guess, light)
-        return parts_of(rgba, cube, cube_up, guess is not None and guess.plane_rgb is not None)
+        return parts_of(rgba, cube, cube_up, plane is not None)
 
     def kept(name: str | None) -> SurroundingParts:
         own = (
             _soft_shape(light).tobytes()
             if guess is None
-            else (guess.data, guess.size, guess.plane_rgb is None)
+            else (guess.data, guess.size, plane is None)
         )
         key = name, own, cube_up.tobytes()
         found: SurroundingParts = memo.get(key, partial(parts, name), "surroundings", _KEPT)
@@ -109,11 +110,7 @@ def frame_environment(facts: FrameFacts, scene: Scene, light: Light, memo: Memo)
         mixed = kept(seen.maps[0])
         if seen.share > 0:
             mixed = mixed.towards(kept(seen.maps[1]), seen.share)
-    plane_rgb = (
-        np.zeros(3)
-        if guess is None or guess.plane_rgb is None
-        else np.clip(guess.plane_rgb, 0, None)
-    )
+    plane_rgb = _radiance(np.zeros(3) if plane is None else np.array(plane))
     narrow, wide = brightness(mixed, light, light.soft_radiance(up), plane_rgb)
     return environment_of(_weighed(mixed.texels, narrow, wide), axes)
 
@@ -146,7 +143,7 @@ def brightness(
     """(narrow, wide), (3, 3) each: factors of the parts for a mirror, and for a surface that sees far around.
 
     want : (3,) radiance of a white surface on the plane under the light without its lamps;  plane_rgb : (3,)"""
-    scale = light.mean_radiance
+    want, scale = _radiance(want), _radiance(light.mean_radiance)
     shown = scale * parts.arriving[0] + plane_rgb * parts.arriving[1]
     missing = divide(np.maximum(want - shown, _LEAST_SKY * want), parts.arriving[2])
     missing = np.minimum(missing, _MOST)
@@ -156,6 +153,11 @@ def brightness(
         return wide, wide
     as_seen = divide(scale * parts.mean[0], parts.guess_where_seen)
     return np.stack([scale, plane_rgb, as_seen]), wide
+
+
+def _radiance(values: np.ndarray) -> np.ndarray:
+    """What of them is radiance: not what is below 0 or not finite."""
+    return np.where(np.isfinite(values), np.clip(values, 0, None), 0)
 
 
 def _weighed(texels: np.ndarray, narrow: np.ndarray, wide: np.ndarray) -> np.ndarray:
