@@ -18,9 +18,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arfx.core.cube import CubeMap, look_up
-from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layers
 from arfx.core.light import harmonics
 from arfx.core.numerics import divide, normalise
+from arfx.core.stage import View
 from arfx.errors import RenderError
 from arfx.stages.light.beams import FrameLight
 from arfx.stages.lightmap import Lightmap
@@ -59,6 +60,7 @@ def phong(n: np.ndarray, v: np.ndarray, d: np.ndarray, roughness: np.ndarray) ->
 
 class PrintedLightmap(Lightmap):
     levels = ("standard",)
+    facts = frozenset({"pose", "light"})
     Params = PrintedLightmapParams
     hard = True
 
@@ -69,8 +71,8 @@ class PrintedLightmap(Lightmap):
         visibility: np.ndarray,
         reaching: Sequence[int],
         light: FrameLight,
-        eye: np.ndarray,
-        facts: FrameFacts,
+        view: View,
+        now: Layers | None,
     ) -> np.ndarray:
         """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is not hidden."""
         covered = surface.coverage > 0
@@ -86,6 +88,7 @@ class PrintedLightmap(Lightmap):
         )
         metal, roughness, specular = material[:, 0, None], material[:, 1], material[:, 2, None]
         mirrored = 0.08 * specular * (1 - metal) + rho_v * metal
+        eye = view.pose.inverse().translation_m
         rho_v, v = rho_v * (1 - metal), normalise(eye - position)
         even = (
             np.clip(harmonics(n) @ light.soft, 0, None)
@@ -100,7 +103,7 @@ class PrintedLightmap(Lightmap):
             )
             received = received + arrives * np.maximum(n @ d, 0)[:, None]
             highlight += arrives * phong(n, v, d, roughness)[:, None]
-        light_map_ = printed_map(facts.light_map)
+        light_map_ = printed_map(view.facts.light_map)
         if light_map_ is not None:
             cube, map_from_world = light_map_
             M = np.maximum(look_up(cube, n @ map_from_world.T), 0)
@@ -109,6 +112,6 @@ class PrintedLightmap(Lightmap):
         I_v = rho_v * received + mirrored * highlight
         virtual = np.zeros(surface.normal.shape, np.float32)
         virtual[covered] = surface.coverage[covered][:, None] * (
-            I_v + glow + np.array(facts.bias_rgb)
+            I_v + glow + np.array(view.facts.bias_rgb)
         )
         return virtual

@@ -12,7 +12,7 @@ Source: docs/methods/gi.md#environment, docs/methods/light.md#surroundings. Cost
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -205,15 +205,14 @@ def with_environment(
         if f.camera_from_world is not None:
             cube = np.clip(sample.cube - bias, 0, None)
             by_shot.setdefault(f.shot, []).append(cube if still_camera else turned(cube, f.camera_from_world.rotation))
-    mean = {shot: np.mean(cubes, 0) for shot, cubes in by_shot.items()}
-    planes = {shot: np.mean([s.plane for s in samples if facts[s.frame].shot == shot], 0) for shot in mean}
-    plane = {shot: np.clip(rgb - bias, 0, None) for shot, rgb in planes.items()}
-    whole = {} if still_camera else {shot: cube_map(cube, plane[shot]) for shot, cube in mean.items()}
+    planes = {shot: np.mean([s.plane for s in samples if facts[s.frame].shot == shot], 0) for shot in by_shot}
+    whole = {shot: cube_map(np.mean(cubes, 0), np.clip(planes[shot] - bias, 0, None)) for shot, cubes in by_shot.items()}
     out = []
     for f in facts:
-        pose, known = f.camera_from_world, f.shot in mean
-        if pose is not None and known:
-            environment = cube_map(turned(mean[f.shot], pose.rotation), plane[f.shot]) if still_camera else whole[f.shot]
+        pose, environment = f.camera_from_world, whole.get(f.shot)
+        if pose is not None and environment is not None:
+            if still_camera:
+                environment = replace(environment, axes=tuple(pose.rotation.ravel().tolist()))
             f = f.with_(environment=environment)
         out.append(f)
     return tuple(out)

@@ -192,11 +192,14 @@ def _in_steps(value: ArrayLike, step: float) -> np.ndarray:
 
 
 def checked(environment: CubeMap) -> np.ndarray:
-    """(6, n, n, 3) float64. Raises RenderError for values that are not finite and >= 0."""
+    """(6, n, n, 3) float64, WORLD axes. Raises RenderError for values that are not finite and >= 0."""
     cube = environment.faces().astype(float)
     if not np.isfinite(cube).all() or (cube < 0).any():
         raise RenderError("facts: the environment holds values that are not finite and >= 0")
-    return cube
+    if environment.axes is None:
+        return cube
+    d = face_directions(environment.size).reshape(-1, 3)
+    return look_up(cube, d @ np.array(environment.axes).reshape(3, 3).T).reshape(cube.shape)
 
 
 def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray) -> IncomingLight:

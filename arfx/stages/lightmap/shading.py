@@ -1,22 +1,26 @@
 """Radiance of every covered pixel of the virtual object under the light of its frame.
 
-Diffuse: albedo times the light's radiance for the normal (soft harmonics and directional lights, `core.light`), each
-directional light times what the object leaves of it. Gloss: Blinn and Phong's lobe of the half-vector, Schlick's Fresnel,
-metals and dielectrics as in glTF 2.0; a light of some size widens it. What a camera adds where no light falls is added to
-the object too.
-Cost: O(covered pixels). Leaves out: the surroundings' picture in metals, light from the plane onto the object."""
+Metals and dielectrics as in glTF 2.0: Lambert's diffuse part, and GGX with Smith's height-correlated shadowing and Schlick's
+Fresnel term. Lamps are seen by the lobe itself, which a lamp of some size widens; soft light by its harmonics, and the
+surroundings mirrored by the split sum. What single reflections lose is given back (Turquin 2019), so that a white surface
+under even light is white at every roughness. What a camera adds where no light falls is added to the object too.
+Cost: O(covered pixels x (1 + lamps)). Leaves out: light from the object, and from the plane, onto the object.
+Source: docs/methods/light.md#shading, docs/methods/light.md#reflections."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
+from arfx.stages.light.environment import Environment, radiance
+from arfx.stages.light.split_sum import table_entry
 
 _FAST = {"contract", "nsz", "arcp"}
+SMOOTHEST = 0.05  # roughness: a smoother lobe lies between two pixels
+_TINY = np.float32(1e-12)
 
 
 class Surface(NamedTuple):
@@ -43,17 +47,12 @@ class Lights(NamedTuple):
 def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
     """(9, 3) float32 factors of 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2; without harmonics the first alone."""
     out = np.zeros((9, 3))
+    out[0] = ambient
     if len(soft):
-        c = [
-            0.28209479177387814,
-            *[0.4886025119029199] * 3,
-            1.0925484305920792,
-            1.0925484305920792,
-            0.31539156525252005,
-        ]
-        out[:] = soft * np.array([*c, 1.0925484305920792, 0.5462742152960396])[:, None]
-    else:
-        out[0] = ambient
+        first, second = 0.4886025119029199, 1.0925484305920792
+        scale = [0.28209479177387814, first, first, first, second, second]
+        scale += [0.31539156525252005, second, second / 2]
+        out[:] = soft * np.array(scale)[:, None]
     return out.astype(np.float32)
 
 
@@ -74,186 +73,124 @@ def covered_span(coverage):  # pragma: no cover - compiled
     return first, last
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=_FAST)
+def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
+    """What a lamp shows by microfacets, without Fresnel's factor, over the radiance of a white surface that faces it.
+
+    alpha2 : roughness^4;  wide : the same with the lamp's own size;  n_h, n_v, n_l : cosines of half-vector, eye and lamp
+    Source: Walter et al. 2007 (GGX), Heitz 2014 (height-correlated shadowing)."""
+    one = np.float32(1)
+    spread = n_h * n_h * (wide - one) + one
+    eye = n_l * np.sqrt(n_v * n_v * (one - alpha2) + alpha2)
+    lamp = n_v * np.sqrt(n_l * n_l * (one - alpha2) + alpha2)
+    return np.float32(0.5) * n_l * wide / max(spread * spread * (eye + lamp), _TINY)
+
+
+@line_kernel(fastmath=_FAST)
+def soft_radiance(soft, channel, x, y, z):  # pragma: no cover - compiled
+    """Of a white surface with normal x, y, z, never below 0. soft (9, 3) : of `harmonic_terms`"""
+    c = channel
+    light = soft[0, c] + soft[1, c] * y + soft[2, c] * z + soft[3, c] * x
+    light += soft[4, c] * x * y + soft[5, c] * y * z + soft[7, c] * x * z
+    light += soft[6, c] * (np.float32(3) * z * z - np.float32(1)) + soft[8, c] * (x * x - y * y)
+    return max(light, np.float32(0))
+
+
+@line_kernel(fastmath=_FAST)
+def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
+    """Share of what is mirrored that the object does not hide, 0..1, after what it leaves of the soft light.
+
+    Source: Lagarde and de Rousiers 2014, listing 26, its power taken as its tangent."""
+    one = np.float32(1)
+    smooth = one - min(roughness, one)
+    smooth *= smooth
+    smooth *= smooth
+    turned = np.float32(0.5) * smooth * smooth * (n_v + visible - one)
+    return min(max(visible + turned, np.float32(0)), one)
+
+
 def shade(
-    surface: Surface, eye, lights: Lights, soft, constant, bias
-):  # pragma: no cover - compiled
+    surface: Surface,
+    eye: np.ndarray,
+    lights: Lights,
+    soft: np.ndarray,
+    environment: Environment,
+    mirrors: np.float32,
+    table: np.ndarray,
+    bias: np.ndarray,
+) -> np.ndarray:
     """(h, w, 3) float32, premultiplied by the coverage.
 
-    eye (3,) : the camera, WORLD frame;  soft (9, 3), constant : only its first row counts;  bias (3,)"""
-    coverage, normal, position, albedo, material, emissive = surface
-    towards, rgb, widths, visibility, soft_visibility = lights
-    rows, columns = coverage.shape
-    out = np.zeros((rows, columns, 3), np.float32)
-    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
-    nx, ny, nz = (
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-    )
-    vx, vy, vz = (
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-    )
-    dr, dg, db = (
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-    )
-    fr, fg, fb = (
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-    )
-    r, g, b = (
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-    )
-    width4, shine = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    edge = np.empty(columns, np.float32)
-    lit, lobe, graze = (
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-    )
-    mantissa, whole = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    cosine = np.empty(columns, np.float32)
-    cosine_bits, mantissa_bits, whole_bits = (
-        cosine.view(np.int32),
-        mantissa.view(np.int32),
-        whole.view(np.int32),
-    )
-    for y in range(rows):
-        first, last = covered_span(coverage[y])
-        n = last + 1 - first
-        if n == 0:
-            continue
-        normals, positions, colours = (
-            normal[y, first : last + 1],
-            position[y, first : last + 1],
-            albedo[y, first : last + 1],
-        )
-        kinds, glow, cover = (
-            material[y, first : last + 1],
-            emissive[y, first : last + 1],
-            coverage[y, first : last + 1],
-        )
-        line = out[y, first : last + 1]
-        for i in range(n):
-            nx[i], ny[i], nz[i] = normals[i, 0], normals[i, 1], normals[i, 2]
-        if towards.shape[0] > 0:  # the way to the eye and the gloss's width are theirs alone
-            for i in range(n):
-                vx[i], vy[i], vz[i] = (
-                    eye[0] - positions[i, 0],
-                    eye[1] - positions[i, 1],
-                    eye[2] - positions[i, 2],
-                )
-            for i in range(n):
-                length = np.sqrt(vx[i] * vx[i] + vy[i] * vy[i] + vz[i] * vz[i])
-                scale = one / max(length, np.float32(1e-12))
-                vx[i] *= scale
-                vy[i] *= scale
-                vz[i] *= scale
-            for i in range(n):
-                # at grazing angles all is mirrored, unless the material is set not to be glossy at all (F0 under 4 %)
-                edge[i] = kinds[i, 0] + (one - kinds[i, 0]) * min(two * kinds[i, 2], one)
-                rough = max(kinds[i, 1], np.float32(0.05))
-                width4[i] = rough * rough * rough * rough
-        for i in range(n):
-            metal = kinds[i, 0]
-            base = np.float32(0.08) * kinds[i, 2] * (one - metal)
-            diffuse_weight = (one - metal) * (one - base)
-            dr[i], dg[i], db[i] = (
-                colours[i, 0] * diffuse_weight,
-                colours[i, 1] * diffuse_weight,
-                colours[i, 2] * diffuse_weight,
-            )
-            fr[i], fg[i], fb[i] = (
-                base + colours[i, 0] * metal,
-                base + colours[i, 1] * metal,
-                base + colours[i, 2] * metal,
-            )
-        if constant:
-            for i in range(n):
-                r[i] = (dr[i] + fr[i]) * soft[0, 0]
-                g[i] = (dg[i] + fg[i]) * soft[0, 1]
-                b[i] = (db[i] + fb[i]) * soft[0, 2]
-        else:
-            _soft_channel(r, dr, fr, nx, ny, nz, soft[:, 0], n)
-            _soft_channel(g, dg, fg, nx, ny, nz, soft[:, 1], n)
-            _soft_channel(b, db, fb, nx, ny, nz, soft[:, 2], n)
-        soft_line = soft_visibility[y, first : last + 1]
-        for i in range(n):
-            r[i] *= soft_line[i]
-            g[i] *= soft_line[i]
-            b[i] *= soft_line[i]
-        for k in range(towards.shape[0]):
-            lx, ly, lz = towards[k, 0], towards[k, 1], towards[k, 2]
-            lr, lg, lb, wide = rgb[k, 0], rgb[k, 1], rgb[k, 2], widths[k]
-            for i in range(n):
-                hx, hy, hz = lx + vx[i], ly + vy[i], lz + vz[i]
-                scale = one / np.sqrt(max(hx * hx + hy * hy + hz * hz, np.float32(1e-12)))
-                cosine[i] = max((nx[i] * hx + ny[i] * hy + nz[i] * hz) * scale, np.float32(1e-8))
-                away = one - min(max((vx[i] * hx + vy[i] * hy + vz[i] * hz) * scale, zero), one)
-                graze[i] = edge[i] * (away * away * away * away * away)
-                lit[i] = max(nx[i] * lx + ny[i] * ly + nz[i] * lz, zero)
-                # Blinn's exponent of the GGX width roughness^2
-                shine[i] = min(max(two / (width4[i] + wide) - two, one), np.float32(2000))
-            # lobe = cosine ^ shine, as 2 ^ (shine log2 cosine)
-            for i in range(n):
-                mantissa_bits[i] = (cosine_bits[i] & np.int32(0x007FFFFF)) | np.int32(0x3F800000)
-            for i in range(n):
-                power = np.float32((cosine_bits[i] >> np.int32(23)) - np.int32(127))
-                m = mantissa[i]
-                upper = m > np.float32(1.41421356)
-                m = m * np.float32(0.5) if upper else m
-                power = power + one if upper else power
-                z = (m - one) / (m + one)
-                q = z * z
-                rest = np.float32(0.57707802) + q * np.float32(0.41219858)
-                series = z * (np.float32(2.88539008) + q * (np.float32(0.96179669) + q * rest))
-                exponent = max(shine[i] * (power + series), np.float32(-126))
-                nearest = np.int32(exponent + np.float32(128.5)) - np.int32(128)
-                f = exponent - np.float32(nearest)
-                rest = np.float32(0.00961813) + f * (
-                    np.float32(0.00133336) + f * np.float32(0.00015404)
-                )
-                rest = np.float32(0.69314718) + f * (
-                    np.float32(0.24022651) + f * (np.float32(0.05550411) + f * rest)
-                )
-                lobe[i] = one + f * rest
-                whole_bits[i] = (nearest + np.int32(127)) << np.int32(23)
-            for i in range(n):
-                lobe[i] *= whole[i] * (shine[i] + np.float32(8)) * np.float32(0.125) * lit[i]
-            line_visibility = visibility[k, y, first : last + 1]
-            for i in range(n):
-                visible = line_visibility[i]
-                lit[i] *= visible
-                lobe[i] *= visible
-            for i in range(n):
-                r[i] += lr * (dr[i] * lit[i] + (fr[i] + (one - fr[i]) * graze[i]) * lobe[i])
-            for i in range(n):
-                g[i] += lg * (dg[i] * lit[i] + (fg[i] + (one - fg[i]) * graze[i]) * lobe[i])
-            for i in range(n):
-                b[i] += lb * (db[i] * lit[i] + (fb[i] + (one - fb[i]) * graze[i]) * lobe[i])
-        for i in range(n):
-            c = cover[i]
-            line[i, 0] = c * (r[i] + glow[i, 0] + bias[0])
-            line[i, 1] = c * (g[i] + glow[i, 1] + bias[1])
-            line[i, 2] = c * (b[i] + glow[i, 2] + bias[2])
+    eye (3,) : the camera, WORLD frame;  soft (9, 3) : of `harmonic_terms`
+    mirrors : share of the environment that is mirrored;  table : `split_sum`;  bias (3,)"""
+    out = np.zeros((*surface.coverage.shape, 3), np.float32)
+    _shade(out, surface, eye, lights, soft, environment, mirrors, table, bias)
     return out
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def _soft_channel(out, diffuse, mirror, nx, ny, nz, s, n):  # pragma: no cover - compiled
-    """One line of one colour: (diffuse + mirror) x the soft light of the normals, which is never below 0."""
-    s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]
-    for i in range(n):
-        x, y, z = nx[i], ny[i], nz[i]
-        light = (
-            s0 + s1 * y + s2 * z + s3 * x + (s4 * y + s7 * z + s8 * x) * x + (s5 * z - s8 * y) * y
-        )
-        light = light + s6 * (np.float32(3) * z * z - np.float32(1))
-        out[i] = (diffuse[i] + mirror[i]) * max(light, np.float32(0))
+def _shade(
+    out, surface: Surface, eye, lights: Lights, soft, environment: Environment, mirrors, table, bias
+):  # pragma: no cover - compiled
+    coverage, normal, position, albedo, material, emissive = surface
+    towards, rgb, widths, visibility, soft_visibility = lights
+    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
+    for y in range(coverage.shape[0]):
+        for x in range(coverage.shape[1]):
+            cover = coverage[y, x]
+            if not cover > zero:
+                continue
+            nx, ny, nz = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
+            vx = eye[0] - position[y, x, 0]
+            vy = eye[1] - position[y, x, 1]
+            vz = eye[2] - position[y, x, 2]
+            scale = one / np.sqrt(max(vx * vx + vy * vy + vz * vz, _TINY))
+            vx, vy, vz = vx * scale, vy * scale, vz * scale
+            facing = nx * vx + ny * vy + nz * vz
+            n_v = max(facing, np.float32(1e-3))
+            metal, rough, specular = material[y, x, 0], material[y, x, 1], material[y, x, 2]
+            rough = max(rough, np.float32(SMOOTHEST))
+            base = np.float32(0.08) * specular * (one - metal)
+            # at grazing angles all is mirrored, unless the material is set not to be glossy at all (F0 under 4 %)
+            edge = metal + (one - metal) * min(two * specular, one)
+            direct, grazing = table_entry(table, rough, n_v)
+            lost = one / (direct + grazing) - one
+            varnish = np.float32(0.08) * specular
+            coat = varnish * direct + min(two * specular, one) * grazing
+            coat = min(coat * (one + varnish * lost), one)  # what a dielectric mirrors
+            matt = (one - metal) * (one - coat)
+            colour, pixel = albedo[y, x], out[y, x]
+            visible = soft_visibility[y, x]
+            for c in range(3):
+                pixel[c] = colour[c] * matt * visible * soft_radiance(soft, c, nx, ny, nz)
+            if mirrors > zero:
+                # the lobe's middle: the mirrored direction, the rougher the nearer to the normal (Lagarde 2014)
+                alpha = min(rough * rough, one)
+                bend = (one - alpha) * (np.sqrt(one - alpha) + alpha)
+                along = bend * (two * facing) + one - bend
+                dx, dy, dz = along * nx - bend * vx, along * ny - bend * vy, along * nz - bend * vz
+                around = radiance(environment, dx, dy, dz, rough)
+                share = mirrors * mirrored_share(visible, n_v, rough)
+                for c in range(3):
+                    mirrored = metal * (colour[c] * direct + grazing) * (one + colour[c] * lost)
+                    pixel[c] += share * around[c] * ((one - metal) * coat + mirrored)
+            alpha2 = rough * rough * rough * rough
+            for k in range(towards.shape[0]):
+                lx, ly, lz = towards[k, 0], towards[k, 1], towards[k, 2]
+                n_l = nx * lx + ny * ly + nz * lz
+                arrives = visibility[k, y, x]
+                if n_l <= zero or arrives <= zero:
+                    continue
+                hx, hy, hz = lx + vx, ly + vy, lz + vz
+                scale = one / np.sqrt(max(hx * hx + hy * hy + hz * hz, _TINY))
+                n_h = min(max((nx * hx + ny * hy + nz * hz) * scale, zero), one)
+                away = one - min(max((vx * hx + vy * hy + vz * hz) * scale, zero), one)
+                fresnel = edge * away * away * away * away * away
+                lobe = ggx_reflection(alpha2, alpha2 + widths[k], n_h, n_v, n_l)
+                diffuse = matt * n_l
+                for c in range(3):
+                    f0 = base + colour[c] * metal
+                    gloss = lobe * (one + f0 * lost) * (f0 + (one - f0) * fresnel)
+                    pixel[c] += rgb[k, c] * arrives * (colour[c] * diffuse + gloss)
+            for c in range(3):
+                pixel[c] = cover * (pixel[c] + emissive[y, x, c] + bias[c])

@@ -39,6 +39,9 @@ from arfx.stages.light.soft_visibility import (
     visible_fraction,
     visible_fraction_by_rays,
 )
+from arfx.stages.light.split_sum import split_sum
+from arfx.stages.light.surroundings import frame_environment
+from arfx.stages.lightmap.coats import add_clear_coat, add_sheen
 from arfx.stages.lightmap.self_shadow import (
     SELF_LEVELS,
     depth_map,
@@ -89,11 +92,21 @@ class Prepared:
 class Lightmap(Stage):
     name = "lightmap"
     reads = frozenset(
-        {Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE}
+        {
+            Layer.COVERAGE,
+            Layer.NORMAL,
+            Layer.POSITION,
+            Layer.ALBEDO,
+            Layer.MATERIAL,
+            Layer.EMISSIVE,
+            Layer.OCCLUSION,
+            Layer.COAT,
+            Layer.SHEEN,
+        }
     )
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
     levels: ClassVar[tuple[str, ...]] = ("standard", "reference")
-    facts = frozenset({"pose", "light"})
+    facts = frozenset({"pose", "light", "environment"})
     Params = LightmapParams
     hard: ClassVar[bool] = False  # lights have no size
     # A shadow that takes less than this share of the plane's light is not drawn; up to 3 times that it fades out.
@@ -151,7 +164,9 @@ class Lightmap(Stage):
         eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
         hidden = self._visibilities(surface, view, prepared, light, reaching, eye)
-        return self.shaded(surface, *hidden, reaching, light, eye, view.facts)
+        if not now.extent(Layer.OCCLUSION).empty:
+            hidden = np.minimum(hidden[0], now[Layer.OCCLUSION]), hidden[1]
+        return self.shaded(surface, *hidden, reaching, light, view, now)
 
     def _visibilities(
         self,
@@ -222,26 +237,28 @@ class Lightmap(Stage):
         visibility: np.ndarray,
         reaching: Sequence[int],
         light: FrameLight,
-        eye: np.ndarray,
-        facts: FrameFacts,
+        view: View,
+        now: Layers | None,
     ) -> np.ndarray:
         """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of each of the lights `reaching`, past
-        the object;  eye (3,) : WORLD frame"""
+        the object;  now : the layers of the surface's rectangle, for its coats"""
         f32 = np.float32
         rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
         widths = highlight_width(light.sizes_deg[reaching])
-        lights = Lights(
-            light.towards[reaching].astype(f32), rgb, widths, visibility, soft_visibility
-        )
-        soft = f32(self.params.ambient) * harmonic_terms(light.soft, light.ambient)
-        return shade(
-            surface,
-            eye.astype(f32),
-            lights,
-            soft,
-            not len(light.soft),
-            np.array(facts.bias_rgb, f32),
-        )
+        towards = light.towards[reaching].astype(f32)
+        lights = Lights(towards, rgb, widths, visibility, soft_visibility)
+        soft_share = f32(self.params.ambient)
+        soft = soft_share * harmonic_terms(light.soft, light.ambient)
+        environment = frame_environment(view.facts, view.scene, view.light, view.memo.of_light)
+        eye = view.pose.inverse().translation_m.astype(f32)
+        bias = np.array(view.facts.bias_rgb, f32)
+        mirrored = environment, soft_share, split_sum()
+        out = shade(surface, eye, lights, soft, *mirrored, bias)
+        if now is not None and not now.extent(Layer.SHEEN).empty:
+            add_sheen(out, surface, packed(now[Layer.SHEEN]), eye, lights, soft, bias)
+        if now is not None and not now.extent(Layer.COAT).empty:
+            add_clear_coat(out, surface, packed(now[Layer.COAT]), eye, lights, *mirrored, bias)
+        return out
 
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> Pixels:
         scene = view.scene

@@ -1,0 +1,178 @@
+"""The surroundings as surfaces of any roughness see them: one cube map, filtered once for each of a few roughnesses.
+
+A level holds the mean radiance under the lobe of GGX about each direction, seen from along it, by filtered importance
+sampling (Křivánek and Colbert 2008). A look-up is linear between texels, over the faces' edges too, and between levels.
+Cost: O(texels x samples) for a new cube, O(1) a look-up. Leaves out: that the lobe is longer at grazing angles.
+Source: Karis 2013 (the split sum's first part), docs/methods/light.md#reflections."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import islice
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from arfx.core.compiled import line_kernel
+from arfx.core.cube import bordered, face_directions, resampled
+from arfx.core.numerics import normalise
+
+ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
+SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width
+SAMPLES = (0, 24, 32, 32, 32, 32)  # of a lobe, of each level
+_COARSEST_PX = 4  # of a face that samples are taken from
+_GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
+_FAST = {"contract", "nsz", "arcp"}
+
+
+class Environment(NamedTuple):
+    """texels (n, 3) float32 : radiance, level by level, face by face, each face with a border of one texel
+    sides, starts (levels,) : texels of a face without its border; a level's first row of `texels`
+    roughness (levels,) : of each level
+    turn (3, 3) float32 : rotation to the cube's axes from the world's"""
+
+    texels: np.ndarray
+    sides: np.ndarray
+    starts: np.ndarray
+    roughness: np.ndarray
+    turn: np.ndarray
+
+
+def environment_of(texels: np.ndarray, cube_from_world: np.ndarray) -> Environment:
+    """texels : of `prefiltered`, or sums of several;  cube_from_world : (3, 3)"""
+    roughness = np.array(ROUGHNESSES, np.float32)
+    return Environment(texels, *layout(SIDES), roughness, cube_from_world.astype(np.float32))
+
+
+def layout(sides: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """(sides, starts) of levels as `Environment` keeps them."""
+    count = 6 * (np.array(sides) + 2) ** 2
+    return np.array(sides, np.int64), np.cumsum(count) - count
+
+
+def level_slices() -> list[slice]:
+    """The rows of each level's texels."""
+    sides, starts = layout(SIDES)
+    ends = starts + 6 * (sides + 2) ** 2
+    return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)]
+
+
+def prefiltered(cube: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 texels of all levels. cube : (6, m, m, 3) radiance, faces as core.cube's, m <= 64"""
+    if not cube.any():
+        return np.zeros((level_slices()[-1].stop, 3), np.float32)
+    finest = resampled(np.asarray(cube, np.float32), SIDES[0])
+    halved, sides = [finest], [SIDES[0]]
+    while sides[-1] > _COARSEST_PX:
+        sides.append(sides[-1] // 2)
+        halved.append(halved[-1].reshape(6, sides[-1], 2, sides[-1], 2, 3).mean((2, 4)))
+    source = np.concatenate([_packed(level) for level in halved])
+    out = [_packed(finest)]
+    levels = zip(SIDES, ROUGHNESSES, SAMPLES, strict=True)
+    for side, roughness, samples in islice(levels, 1, None):
+        lobe, weight, detail = _lobe(roughness, samples)
+        directions = _about(face_directions(side).reshape(-1, 3), lobe).astype(np.float32)
+        details = np.tile(detail, len(directions))
+        light = look_ups(source, *layout(sides), details, directions.reshape(-1, 3))
+        level = weight @ light.reshape(len(directions), len(lobe), 3)
+        out.append(_packed(level.reshape(6, side, side, 3)))
+    return np.concatenate(out)
+
+
+def _packed(faces: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(bordered(faces).reshape(-1, 3), np.float32)
+
+
+def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(directions (k, 3) about +z, weights (k,) of sum 1, and (k,) the halving whose texels are as large as a sample)."""
+    u = (np.arange(samples) + 0.5) / samples
+    phi = np.arange(samples) * _GOLDEN_RAD
+    alpha2 = roughness**4
+    # squared cosine of the microfacet's normal, as GGX spreads it
+    half2 = (1 - u) / (1 + (alpha2 - 1) * u)
+    z = 2 * half2 - 1
+    across = np.sqrt(np.clip(1 - z * z, 0, None))
+    density = alpha2 / (4 * np.pi * (half2 * (alpha2 - 1) + 1) ** 2)
+    texel_sr = 4 * np.pi / (6 * SIDES[0] ** 2)
+    detail = np.clip(0.5 * np.log2(2 / (samples * density * texel_sr)), 0, None)
+    weight = np.clip(z, 0, None) / np.clip(z, 0, None).sum()
+    directions = np.stack([across * np.cos(phi), across * np.sin(phi), z], -1)
+    return directions, weight.astype(np.float32), detail.astype(np.float32)
+
+
+def _about(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(n, k, 3): directions (k, 3) about +z, turned to each of unit axes (n, 3)."""
+    first = normalise(np.cross(axes, np.eye(3)[np.abs(axes).argmin(1)]))
+    frames = np.stack([first, np.cross(axes, first), axes], 1)
+    return np.asarray(directions @ frames)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def look_ups(texels, sides, starts, level, directions):  # pragma: no cover - compiled
+    """(n, 3) of `look_up` at levels (n,) in directions (n, 3)."""
+    out = np.empty((directions.shape[0], 3), np.float32)
+    for i in range(directions.shape[0]):
+        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
+        out[i, 0], out[i, 1], out[i, 2] = look_up(texels, sides, starts, level[i], x, y, z)
+    return out
+
+
+@line_kernel(fastmath=_FAST, error_model="numpy")
+def radiance(environment: Environment, dx, dy, dz, roughness):  # pragma: no cover - compiled
+    """(r, g, b) about a direction (of any length, WORLD axes), as a surface of that roughness mirrors it."""
+    texels, sides, starts, levels, turn = environment
+    x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
+    y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
+    z = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
+    k = 0
+    while k < levels.shape[0] - 2 and roughness > levels[k + 1]:
+        k += 1
+    part = (roughness - levels[k]) / (levels[k + 1] - levels[k])
+    return look_up(texels, sides, starts, np.float32(k) + part, x, y, z)
+
+
+@line_kernel(fastmath=_FAST, error_model="numpy")
+def look_up(texels, sides, starts, level, x, y, z):  # pragma: no cover - compiled
+    """(r, g, b) in a direction of any length, the cube's axes; linear between levels, the last beyond them."""
+    zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    ax, ay, az = abs(x), abs(y), abs(z)
+    if ax >= ay and ax >= az:
+        s = one / max(ax, np.float32(1e-20))
+        face, u, v = 0 if x > zero else 1, -z * s, y * s
+    elif ay >= az:
+        s = one / max(ay, np.float32(1e-20))
+        face, u, v = 2 if y > zero else 3, x * s, -z * s
+    else:
+        s = one / max(az, np.float32(1e-20))
+        face, u, v = 4 if z > zero else 5, x * s, y * s
+    last = np.float32(sides.shape[0] - 1)
+    level = min(max(level, zero), last)
+    first = min(int(level), sides.shape[0] - 2)
+    part = level - np.float32(first)
+    r, g, b = zero, zero, zero
+    for q in range(2):
+        share = part if q else one - part
+        if share <= zero:
+            continue
+        side, start = sides[first + q], starts[first + q]
+        scale = half * np.float32(side)
+        column, row = (u + one) * scale + half, (v + one) * scale + half
+        i, j = min(max(int(column), 0), side), min(max(int(row), 0), side)
+        fc, fr = column - np.float32(i), row - np.float32(j)
+        near = np.uintp(start + (face * (side + 2) + j) * (side + 2) + i)
+        below = near + np.uintp(side + 2)
+        r += share * _between(texels, near, below, fc, fr, 0)
+        g += share * _between(texels, near, below, fc, fr, 1)
+        b += share * _between(texels, near, below, fc, fr, 2)
+    return r, g, b
+
+
+@line_kernel(fastmath=_FAST)
+def _between(texels, near, below, fc, fr, channel):  # pragma: no cover - compiled
+    """One channel between four texels: those at `near` and `below`, and those to their right."""
+    right, across = near + np.uintp(1), below + np.uintp(1)
+    top = texels[near, channel] + fc * (texels[right, channel] - texels[near, channel])
+    low = texels[below, channel] + fc * (texels[across, channel] - texels[below, channel])
+    return top + fr * (low - top)

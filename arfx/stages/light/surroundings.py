@@ -1,0 +1,230 @@
+"""Which surroundings a frame's object mirrors: the best that is known of them, as an `Environment`.
+
+Three parts add up: what the clip saw (or the panorama that was given), the plane's own colour below its horizon, and a guess
+of the rest. Each is filtered once, and a frame weighs them: as bright as its light, and by how much of what was seen lies
+between two maps in time. What is missing of the light on the plane comes from lamps that the clip never saw: a rough surface
+sees their mean, a mirror looks through between them, so the guess has two brightnesses.
+Cost: some 50 ms for a map, once; O(texels) a frame. Lamps of the light are no part of the surroundings: a map has none.
+Source: docs/methods/gi.md#environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from arfx.core.cube import (
+    CubeMap,
+    SeenEnvironment,
+    face_directions,
+    resampled,
+    solid_angles,
+    spread,
+)
+from arfx.core.facts import FrameFacts
+from arfx.core.light import Light, harmonics
+from arfx.core.memo import Memo
+from arfx.core.numerics import divide, smoothstep
+from arfx.core.scene import Scene
+from arfx.errors import RenderError
+from arfx.stages.light.environment import (
+    ROUGHNESSES,
+    SIDES,
+    Environment,
+    environment_of,
+    level_slices,
+    prefiltered,
+)
+
+SOFT_DEG = 25.0  # over the plane's horizon, in which its colour goes over to the guess
+_GUESS_PX = 16  # texels of a guess's face while it is smoothed
+_LEAST_SKY = 0.3  # share of the plane's light that comes from what was not seen, at least
+_LEAST_COLOUR = 1e-3  # of the brightest, that a guess has everywhere of each colour
+_MOST = 1e3  # times as bright as it was found
+_UP_STEP = 1 / 16  # of the plane's normal where it turns in a cube's axes
+_NARROW_RAD, _WIDE_RAD = (
+    np.radians(6.0),
+    np.radians(30.0),
+)  # half-angles of lobes: a mirror's, a matt surface's
+_KEPT = 8  # maps, 1.3 MB each
+_SHAPE_STEPS = 64  # of a harmonic over the first
+
+
+@dataclass(frozen=True, eq=False)
+class SurroundingParts:
+    """seen, plane and guess, in this order, each radiance of one scale: seen as a share of the light, the plane's as 1.
+
+    texels (3, n, 3) : `prefiltered`;  arriving, mean (3, 3) : on the plane, over the sphere
+    guess_where_seen (3,) : mean of the guess times how well the place is known
+    whole : all is known, only its scale is not"""
+
+    texels: np.ndarray
+    arriving: np.ndarray
+    mean: np.ndarray
+    guess_where_seen: np.ndarray
+    whole: bool
+
+    def towards(self, other: SurroundingParts, share: float) -> SurroundingParts:
+        """The mixture with `share` of the other."""
+        if share == 0:
+            return self
+        a, b = np.float32(1 - share), np.float32(share)
+        return SurroundingParts(
+            a * self.texels + b * other.texels,
+            a * self.arriving + b * other.arriving,
+            a * self.mean + b * other.mean,
+            a * self.guess_where_seen + b * other.guess_where_seen,
+            self.whole and other.whole,
+        )
+
+
+def frame_environment(facts: FrameFacts, scene: Scene, light: Light, memo: Memo) -> Environment:
+    """What the frame's object mirrors. memo : keeps what is filtered
+
+    Raises RenderError for radiance that is not finite and >= 0, and for a map that is missing."""
+    seen, guess = facts.seen_environment, facts.environment
+    plane = None if guess is None else guess.plane_rgb
+    up = scene.world_from_anchor.rotation[:, 2]
+    axes = _axes(seen if seen is not None else guess)
+    cube_up = up if np.array_equal(axes, np.eye(3)) else np.round(axes @ up / _UP_STEP) * _UP_STEP
+
+    def parts(name: str | None) -> SurroundingParts:
+        rgba = None if name is None else seen_map(name, scene)
+        cube = _guess_of(guess, light)
+        return parts_of(rgba, cube, cube_up, plane is not None)
+
+    def kept(name: str | None) -> SurroundingParts:
+        own = (
+            _soft_shape(light).tobytes()
+            if guess is None
+            else (guess.data, guess.size, plane is None)
+        )
+        key = name, own, cube_up.tobytes()
+        found: SurroundingParts = memo.get(key, partial(parts, name), "surroundings", _KEPT)
+        return found
+
+    if seen is None:
+        mixed = kept(None)
+    else:
+        mixed = kept(seen.maps[0])
+        if seen.share > 0:
+            mixed = mixed.towards(kept(seen.maps[1]), seen.share)
+    plane_rgb = _radiance(np.zeros(3) if plane is None else np.array(plane))
+    narrow, wide = brightness(mixed, light, light.soft_radiance(up), plane_rgb)
+    return environment_of(_weighed(mixed.texels, narrow, wide), axes)
+
+
+def parts_of(
+    seen: np.ndarray | None, guess: np.ndarray, up: np.ndarray, plane_known: bool
+) -> SurroundingParts:
+    """seen : (6, n, n, 4) radiance times the fourth, how well it is known, or None;  guess : (6, n, n, 3)
+    up : (3,) the plane's normal, axes of the cubes;  plane_known : its colour is, so that the guess ends at its horizon"""
+    size = guess.shape[1]
+    rgba = np.zeros((6, size, size, 4), np.float32) if seen is None else seen
+    known = rgba[..., 3:]
+    above = above_horizon(size, up) if plane_known else np.ones((6, size, size, 1))
+    cubes = rgba[..., :3], (1 - known) * (1 - above) * np.ones(3), (1 - known) * above * guess
+    facing = np.clip(face_directions(size) @ up, 0, None) * solid_angles(size)
+    facing /= facing.sum()
+    solid = np.tile(solid_angles(size) / (4 * np.pi), (6, 1, 1))
+    return SurroundingParts(
+        np.stack([prefiltered(cube) for cube in cubes]),
+        np.stack([np.tensordot(facing, cube, 3) for cube in cubes]),
+        np.stack([np.tensordot(solid, cube, 3) for cube in cubes]),
+        np.tensordot(solid, known * guess, 3),
+        bool(known.min() >= 1),
+    )
+
+
+def brightness(
+    parts: SurroundingParts, light: Light, want: np.ndarray, plane_rgb: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(narrow, wide), (3, 3) each: factors of the parts for a mirror, and for a surface that sees far around.
+
+    want : (3,) radiance of a white surface on the plane under the light without its lamps;  plane_rgb : (3,)"""
+    want, scale = _radiance(want), _radiance(light.mean_radiance)
+    shown = scale * parts.arriving[0] + plane_rgb * parts.arriving[1]
+    missing = divide(np.maximum(want - shown, _LEAST_SKY * want), parts.arriving[2])
+    missing = np.minimum(missing, _MOST)
+    factor = divide(want, shown + missing * parts.arriving[2])
+    wide = np.minimum(factor, _MOST) * np.stack([scale, plane_rgb, missing])
+    if parts.whole or not parts.guess_where_seen.any():
+        return wide, wide
+    as_seen = divide(scale * parts.mean[0], parts.guess_where_seen)
+    return np.stack([scale, plane_rgb, as_seen]), wide
+
+
+def _radiance(values: np.ndarray) -> np.ndarray:
+    """What of them is radiance: not what is below 0 or not finite."""
+    return np.where(np.isfinite(values), np.clip(values, 0, None), 0)
+
+
+def _weighed(texels: np.ndarray, narrow: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    """(n, 3) float32: the sum of the parts, each level between the two brightnesses."""
+    out = np.empty(texels.shape[1:], np.float32)
+    for rows, roughness in zip(level_slices(), ROUGHNESSES, strict=True):
+        half_angle = np.sqrt(8) * np.arctan(roughness**2)
+        share = np.clip((half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1)
+        weights = ((1 - share) * narrow + share * wide).astype(np.float32)
+        out[rows] = (
+            texels[0, rows] * weights[0]
+            + texels[1, rows] * weights[1]
+            + texels[2, rows] * weights[2]
+        )
+    return out
+
+
+def seen_map(name: str, scene: Scene) -> np.ndarray:
+    """(6, n, n, 4) float32 of the scene's maps. Raises RenderError where it is missing or holds no radiance."""
+    if name not in scene.environment_maps:
+        raise RenderError(
+            f"facts: environment map {name} is not among the job's", "analyse the clip again"
+        )
+    rgba = np.asarray(scene.environment_maps[name], np.float32)
+    if not np.isfinite(rgba).all() or rgba.min() < 0:
+        raise RenderError("facts: an environment map holds values that are not finite and >= 0")
+    return resampled(rgba, SIDES[0])
+
+
+def above_horizon(size: int, up: np.ndarray) -> np.ndarray:
+    """(6, size, size, 1) from 0 at the plane's horizon to 1 from SOFT_DEG on."""
+    return smoothstep((face_directions(size) @ up) / np.sin(np.radians(SOFT_DEG)))[..., None]
+
+
+def _axes(found: SeenEnvironment | CubeMap | None) -> np.ndarray:
+    """(3, 3) rotation to the axes of what was found from the world's."""
+    if found is None or found.axes is None:
+        return np.eye(3)
+    return np.array(found.axes, float).reshape(3, 3)
+
+
+def _soft_shape(light: Light) -> np.ndarray:
+    """(9, 3) harmonics of the light's soft part over their first, in steps: the same for all brightnesses."""
+    shape = np.zeros((9, 3))
+    if light.soft:
+        soft = np.asarray(light.soft, float)
+        shape = np.round(divide(soft, soft[0]) * _SHAPE_STEPS) / _SHAPE_STEPS
+    shape[0] = 1
+    return shape
+
+
+def _guess_of(environment: CubeMap | None, light: Light) -> np.ndarray:
+    """(6, n, n, 3) float32, of every colour everywhere; what the light's soft part comes from where there is no guess."""
+    if environment is None:
+        cube = _from_light(light)
+    else:
+        cube = environment.faces().astype(float)
+        if not np.isfinite(cube).all() or (cube < 0).any():
+            raise RenderError("facts: the environment holds values that are not finite and >= 0")
+        cube = spread(resampled(cube, _GUESS_PX), 90 / environment.size / 2)
+    most = float(cube.max())
+    cube = np.maximum(cube, _LEAST_COLOUR * most) if most > 0 else np.ones_like(cube)
+    return resampled(cube.astype(np.float32), SIDES[0])
+
+
+def _from_light(light: Light) -> np.ndarray:
+    """(6, n, n, 3), about what gives the light's soft radiance, but for its scale."""
+    # a cosine lobe leaves 2/3 and 1/4 of degrees 1 and 2; the latter is given back by half only, as it rings
+    gain = np.repeat([1.0, 1.5, 2.0], [1, 3, 5])[:, None]
+    return np.clip(harmonics(face_directions(_GUESS_PX)) @ (_soft_shape(light) * gain), 0, None)
