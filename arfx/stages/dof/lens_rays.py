@@ -27,8 +27,8 @@ from arfx.core.scene import Scene
 from arfx.stages.dof.aperture import circumradius
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.sharp_frame import depth_range
-from arfx.stages.dof.surfaces import Real
+from arfx.stages.dof.layers import depth_range
+from arfx.stages.dof.planes import Real
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.mesh import build_mesh
 from arfx.stages.triangles import Triangles

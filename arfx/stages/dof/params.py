@@ -13,9 +13,6 @@ from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError, require_within
 
 OBJECT, MARKER = "object", "marker"
-MAX_RADIUS_PX = (
-    1500  # the table of such an aperture's rows takes over a gigabyte, and grows with the square
-)
 _T = TypeVar("_T")
 
 
@@ -32,11 +29,9 @@ class DofParams:
     aperture_px : blur circle's diameter for something infinitely far, in place of focal length and f-number; 0 = use those
     focus : what is in focus: object, marker (the one under the model), a marker's id (3 or 36h11:3), a distance such as
         60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (interpolated evenly in dioptres)
-    plane_extent_m : side of the real plane around the marker; 0 = endless
     background_m : distance of whatever is behind the real plane, which ends there; 0 = endless
-    blades : blades of the aperture, 3 or more; 0 = round. At level draft every aperture makes the same soft spots
+    blades : blades of the aperture, 3 or more; 0 = round
     blade_turn_deg : direction of the aperture's first corner, clockwise from the picture's right
-    max_radius_px : largest radius of the blur, at most 1500; 0 = a tenth of the picture's width
     highlight_boost : how much brighter than stored a clipped pixel is taken to be; 0 = as stored"""
 
     formula: str = field(default="corrected", init=False)
@@ -47,11 +42,9 @@ class DofParams:
     sensor_width_mm: float = 36.0
     aperture_px: float = 0.0
     focus: int | float | str = OBJECT
-    plane_extent_m: float = 0.0
     background_m: float = 0.0
     blades: int = 0
     blade_turn_deg: float = 0.0
-    max_radius_px: float = 0.0
     highlight_boost: float = 0.0
 
     def __post_init__(self) -> None:
@@ -65,10 +58,8 @@ class DofParams:
             raise ConfigError(
                 f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}"
             )
-        lengths = ("aperture_px", "plane_extent_m", "background_m", "highlight_boost")
-        require_within(
-            "dof", self, **dict.fromkeys(lengths, (0, 1e6)), max_radius_px=(0, MAX_RADIUS_PX)
-        )
+        lengths = ("aperture_px", "background_m", "highlight_boost")
+        require_within("dof", self, **dict.fromkeys(lengths, (0, 1e6)))
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
         for time, focal_mm in focal_keys(self.focal_mm):

@@ -25,8 +25,8 @@ from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
 from arfx.stages.dof.lens_rays import RayScene, lens_points, seen_object
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.pyramid import SHARP_PX
-from arfx.stages.dof.surfaces import Plane, Real
+from arfx.stages.dof.aperture import SHARP_PX
+from arfx.stages.dof.planes import Plane, Real
 
 _SIZES = (
     128  # circles of a radius of n^2 px: n times as many, a hundredth of a radius apart and less
