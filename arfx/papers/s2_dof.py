@@ -33,10 +33,10 @@ from arfx.core.stage import Demand, View
 from arfx.errors import ConfigError, require_within
 from arfx.stages.dof import Dof
 from arfx.stages.dof.depth_layers import dioptre_of
+from arfx.stages.dof.layers import depth_range, object_box
 from arfx.stages.dof.optics import CircleOfConfusion, focal_mm
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.sharp_frame import depth_range, object_box
-from arfx.stages.dof.surfaces import Real, plane_radius, square_radius
+from arfx.stages.dof.planes import Real, between_nodes
 
 INSIDE = 2 / 3  # of the blend, within the depth of field
 _NEARER = np.float32(1.01)  # what has a larger dioptre by more than this factor stands in front
@@ -95,23 +95,13 @@ def sharp_range(at: CircleOfConfusion, F: float, C: float) -> tuple[float, float
 def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np.ndarray:
     """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the real scene's."""
     rect = now.rect
-    out = np.full((rect.height, rect.width), real.background, np.float32)
     if real.tiles is not None:
         out = dioptre_of(now[Layer.REAL_DEPTH])
-    itself = (
-        np.float32(1),
-        np.float32(0),
-        np.float32(np.inf),
-    )  # a radius of 1 px a dioptre from a focus at infinity
-    if real.base is not None:
-        nodes, behind = real.base.dioptres(grid), np.float32(real.background)
-        plane_radius(out, 0, rect.height, 0, rect.width, rect.x0, rect.y0, nodes, behind, itself)
+    else:
+        out = real.dioptres_over(rect, grid)
     for plane in real.finite_planes:
-        own, inside = np.empty_like(out), np.empty_like(out)
-        square_radius(
-            own, inside, rect.x0, rect.y0, plane.positions(grid), np.float32(plane.half_m), itself
-        )
-        out = np.where(inside > 0, own, out)
+        positions = between_nodes(plane.positions(grid), rect)
+        out = np.where(plane.within(positions), positions[..., 2], out)
     near, far = depth_range(facts)
     depth = np.clip(now[Layer.DEPTH], near, far)
     return np.where(now[Layer.COVERAGE] >= 0.5, divide(1.0, depth), out).astype(np.float32)

@@ -15,7 +15,7 @@ from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.scatter import BAND_PX, Accuracy, Scatter
 
 LEVELS = {
-    "draft": Accuracy(ratio=2.0, step_px=0.5, fine_px=1.6, cells=3.0),
+    "draft": Accuracy(ratio=2.0, step_px=1.41, fine_px=0.0, cells=3.0),
     "standard": Accuracy(ratio=1.3, step_px=0.5, fine_px=2.2, cells=5.4),
 }
 _WHITE_FROM = 0.9  # linear light; a pixel is clipped to the degree that it lies between this and 1

@@ -58,7 +58,12 @@ def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
 
 
 def layers_of_light(
-    now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray, coc: CircleOfConfusion, params: DofParams
+    now: Layers,
+    facts: FrameFacts,
+    real: Real,
+    grid: np.ndarray,
+    coc: CircleOfConfusion,
+    params: DofParams,
 ) -> list[LightLayer]:
     """Of a frame with a pose, farthest first; the first covers all of `now`."""
     rect, behind = now.rect, behind_object(now, facts)
@@ -107,7 +112,7 @@ def _planes(
             fronts.append(_front(rect, behind * inside[..., None], radius))
     if fronts:
         behind = behind * visible[..., None]
-    radius = coc.radius_px(between_nodes(real.dioptres(grid), rect))
+    radius = coc.radius_px(real.dioptres_over(rect, grid))
     return [LightLayer(rect, behind, radius), *reversed(fronts)]
 
 

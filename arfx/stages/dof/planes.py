@@ -99,6 +99,14 @@ class Real:
             return np.full(grid.shape[:2], self.background, np.float32)
         return np.maximum(self.base.dioptres(grid), np.float32(self.background))
 
+    def dioptres_over(self, rect: Rect, grid: np.ndarray) -> np.ndarray:
+        """The same, (h, w) of the pixels of `rect`."""
+        if self.base is None:
+            return np.full((rect.height, rect.width), self.background, np.float32)
+        return np.maximum(
+            between_nodes(self.base.dioptres(grid), rect), np.float32(self.background)
+        )
+
     def dioptre_range(self, grid: np.ndarray) -> tuple[float, float]:
         """Least and greatest dioptre in the picture."""
         if self.tiles is not None:

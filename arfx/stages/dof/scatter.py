@@ -3,7 +3,7 @@
 Radii lie in bins. A pixel's light goes to the two bins around its squared radius, so that nothing
 jumps when a radius changes. Each bin is one convolution with its disc, on cells of 2^k px that
 grow with the disc. Averaging over a cell and doubling the resolution blur too: a bin's disc is
-smaller by just that variance. Cells lie on the frame's grid, so a pixel gets the same from any
+smaller by just that variance (`cell_disc`). Cells lie on the frame's grid, so a pixel gets the same from any
 rectangle that holds what its light comes from.
 
 Cost: O(pixels), two convolutions of at most 11 x 11 each, fewer where cells are larger."""
@@ -12,6 +12,7 @@ Cost: O(pixels), two convolutions of at most 11 x 11 each, fewer where cells are
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -21,9 +22,9 @@ from arfx.core.parallel import parallel_map
 from arfx.stages.dof.aperture import SHARP_PX, disc
 
 BAND_PX = 64  # rows that are spread together, few enough for the processor's cache
-_MAX_LEVEL = 6
 _BEYOND = 1e12  # larger than any squared radius, px^2
 _RADIUS_STEP = 1 / 16  # of a cell, to which a bin's disc is rounded
+_LARGEST_CELLS = 8.0  # more than any radius on cells
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,7 @@ class Accuracy:
         """k of the cells on which a disc is spread."""
         if radius_px <= self.fine_px:
             return 0
-        level = int(np.ceil(np.log2(radius_px / self.cells)))
-        return min(max(level, 1), _MAX_LEVEL)
+        return max(int(np.ceil(np.log2(radius_px / self.cells))), 1)
 
     def radii(self, largest_px: float) -> list[float]:
         """Of the bins, px; the first is that of a sharp pixel, and gets no light spread."""
@@ -93,11 +93,8 @@ class Scatter:
         levels = [accuracy.level(r) for r in radii]
         unit = 1 << levels[-1]
         self.above, self.left = corner[1] % unit, corner[0] % unit
-        below, right = -(self.above + self.height) % unit, -(self.left + self.width) % unit
-        border = self.above, below, self.left, right
-        if any(border):
-            light = _padded(light, border, cv2.BORDER_CONSTANT)
-            radius = _padded(radius, border, cv2.BORDER_REPLICATE)
+        light = _padded(light, self.above, 0, self.left, 0)
+        radius = _padded(radius, self.above, 0, self.left, 0)
         self.cells = [(light, radius)]  # of each level: means of light and radius
         for _ in range(levels[-1]):
             self.cells.append((_halved(self.cells[-1][0]), _halved(self.cells[-1][1])))
@@ -109,9 +106,7 @@ class Scatter:
             low, high = extents[level]
             rows = np.flatnonzero((high > radii[k - 1]) & (low < last))
             if len(rows):
-                squared = max(radii[k] ** 2 - blur_px2(level), 0.0)
-                steps = round(float(np.sqrt(squared)) / 2**level / _RADIUS_STEP)
-                weights = disc(steps * _RADIUS_STEP, blades, turn_deg)[::-1, ::-1]
+                weights = cell_disc(radii[k], level, blades, turn_deg)[::-1, ::-1]
                 hat = np.array(ends[k - 1 : k + 2], np.float32)
                 self.bins.append(_Bin(hat, level, weights, (int(rows[0]), int(rows[-1]) + 1)))
         self.coarse = self._coarse()
@@ -121,10 +116,10 @@ class Scatter:
         total = None
         for level in range(max((b.level for b in self.bins), default=0), 0, -1):
             shape = self.cells[level][0].shape
-            if total is not None:
-                total = cv2.resize(total, shape[1::-1], interpolation=cv2.INTER_LINEAR)
-            else:
+            if total is None:
                 total = np.zeros(shape, np.float32)
+            else:
+                total = _doubled(total)[: shape[0], : shape[1]]
             bins = [b for b in self.bins if b.level == level]
             for first, light in parallel_map(lambda b: self._spread(b, 0, shape[0]), bins):  # noqa: B023
                 total[first : first + len(light)] += light
@@ -140,50 +135,74 @@ class Scatter:
         begin, end = max(first - half, top), min(last + half, bottom)
         above, below = min(first, begin), max(last, end)
         share = np.zeros((below - above, *light.shape[1:]), np.float32)
-        take_share(light[first:last], radius[first:last], of.hat, share[first - above : last - above])
+        take_share(
+            light[first:last], radius[first:last], of.hat, share[first - above : last - above]
+        )
         spread = cv2.filter2D(share, -1, of.weights, borderType=cv2.BORDER_CONSTANT)
         return begin, spread[begin - above : end - above]
 
     def rows(self, top: int, bottom: int) -> np.ndarray:
         """(bottom - top, w, c) light that reaches these rows of the layer."""
         top, bottom = top + self.above, bottom + self.above
-        out = self._doubled(top, bottom)
+        out = self._coarse_rows(top, bottom)
         for of in self.bins:
             if of.level == 0:
                 first, light = self._spread(of, top, bottom)
                 out[first - top : first - top + len(light)] += light
         return np.ascontiguousarray(out[:, self.left : self.left + self.width])
 
-    def _doubled(self, top: int, bottom: int) -> np.ndarray:
+    def _coarse_rows(self, top: int, bottom: int) -> np.ndarray:
         """Rows of the coarse light on pixels."""
         shape = self.cells[0][0].shape
         if self.coarse is None:
             return np.zeros((bottom - top, *shape[1:]), np.float32)
         first, last = max(top // 2 - 1, 0), (bottom + 1) // 2 + 1
-        part = self.coarse[first:last]
-        size = shape[1], 2 * len(part)
-        doubled = cv2.resize(part, size, interpolation=cv2.INTER_LINEAR)
-        return doubled[top - 2 * first : bottom - 2 * first]
+        doubled = _doubled(self.coarse[first:last])
+        return doubled[top - 2 * first : bottom - 2 * first, : shape[1]]
 
 
-def _padded(a: np.ndarray, border: tuple[int, int, int, int], how: int) -> np.ndarray:
-    """Up to whole cells of the coarsest level on the frame's grid."""
-    if a.ndim == 2 or a.shape[2] <= 4:
-        return cv2.copyMakeBorder(a, *border, how)
-    rows, columns = border[:2], border[2:]
-    return np.pad(a, (rows, columns, (0, 0)))
+def _padded(a: np.ndarray, above: int, below: int, left: int, right: int) -> np.ndarray:
+    """Light (h, w, c) with nothing around it, or radii (h, w) with those of the border."""
+    if not (above or below or left or right):
+        return a
+    sides = (above, below), (left, right)
+    return np.pad(a, sides, "edge") if a.ndim == 2 else np.pad(a, (*sides, (0, 0)))
 
 
 def _halved(a: np.ndarray) -> np.ndarray:
-    return cv2.resize(a, (a.shape[1] // 2, a.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    """Means over 2 x 2."""
+    even = _padded(a, 0, a.shape[0] % 2, 0, a.shape[1] % 2)
+    size = even.shape[1] // 2, even.shape[0] // 2
+    return cv2.resize(even, size, interpolation=cv2.INTER_AREA)
 
 
-def blur_px2(level: int) -> float:
-    """Squared radius, px^2, of the disc with the variance by which cells of 2^level px blur.
+def _doubled(a: np.ndarray) -> np.ndarray:
+    size = 2 * a.shape[1], 2 * a.shape[0]
+    return cv2.resize(a, size, interpolation=cv2.INTER_LINEAR)
 
-    Variance on an axis: (4^k - 1) / 12 by averaging over a cell, as much by the cells that the
-    disc is made of, and .75 x 4^j of each doubling; a disc has r^2 / 4."""
-    return 5 / 3 * (4**level - 1)
+
+def cell_disc(radius_px: float, level: int, blades: int, turn_deg: float) -> np.ndarray:
+    """The disc on cells of 2^level px that is as wide, after all else that blurs, as this one on pixels.
+
+    Variance on an axis, px^2: (4^k - 1) / 12 by averaging over a cell, and 3/4 x 4^j of each
+    doubling of the resolution; the disc itself has r^2 / 4 + 1/12."""
+    if level == 0:
+        return disc(round(radius_px / _RADIUS_STEP) * _RADIUS_STEP, blades, turn_deg)
+    wanted = (radius_px**2 / 4 + 1 / 12 - (4**level - 1) / 3) / 4**level
+    variances = _variances(blades, turn_deg)
+    step = int(np.abs(variances - wanted).argmin())
+    return disc(step * _RADIUS_STEP, blades, turn_deg)
+
+
+@lru_cache(maxsize=16)
+def _variances(blades: int, turn_deg: float) -> np.ndarray:
+    """Of discs on the grid, by radius in steps of _RADIUS_STEP, cells^2 on an axis."""
+    out = []
+    for step in range(round(_LARGEST_CELLS / _RADIUS_STEP)):
+        light = disc(step * _RADIUS_STEP, blades, turn_deg)
+        away = np.arange(len(light)) - len(light) // 2
+        out.append((light.sum(0) * away**2 + light.sum(1) * away**2).sum() / 2)
+    return np.array(out)
 
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"})
