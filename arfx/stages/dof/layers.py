@@ -88,7 +88,7 @@ def behind_object(now: Layers, facts: FrameFacts) -> np.ndarray:
     if not box.empty:
         part = now.crop(box)
         plate, taken = part[Layer.PLATE], 1 - part[Layer.SHADOW]
-        taken *= np.float32(facts.opacity)
+        taken = taken * np.float32(facts.opacity)
         if facts.opacity < 1:
             # what shows through an object that fades has no shadow where it is covered, as in the composite
             covered = part[Layer.COVERAGE][..., None]
@@ -160,7 +160,7 @@ def _occluder(area: Rect, box: Rect, light: np.ndarray, radius: np.ndarray) -> L
     if within.max() > SHARP_PX:
         outside = _radius_around(rect, padded[3], around)
         around = np.where(padded[3] > 0, around, outside)
-    return LightLayer(rect, cv2.merge(padded), around)
+    return LightLayer(rect, cv2.merge(list(padded)), around)
 
 
 def _radius_around(rect: Rect, coverage: np.ndarray, radius: np.ndarray) -> np.ndarray:
