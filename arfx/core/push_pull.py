@@ -25,7 +25,8 @@ def fill_unknown(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 def _filled(sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Means of cells, and where less than a quarter of a cell is known, of those around.
 
-    sums : (h, w, c) means of values, 0 where unknown;  weight : (h, w) how much of a cell is known"""
+    sums : (h, w, c) means of values, 0 where unknown;  weight : (h, w) how much of a cell is
+        known"""
     channels = 1 if sums.ndim == 2 else sums.shape[2]
     weights = cv2.merge([weight] * channels)
     means = sums / np.maximum(weights, EPS_WEIGHT)

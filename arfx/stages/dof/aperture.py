@@ -1,4 +1,5 @@
-"""What one blur circle looks like on the pixel grid: a disc, or an n-blade polygon of the same area."""
+"""What one blur circle looks like on the pixel grid: a disc, or an n-blade polygon of the same
+area."""
 
 from __future__ import annotations
 

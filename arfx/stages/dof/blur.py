@@ -1,4 +1,5 @@
-"""The corrected formula: layers of light, each spread over its blur circles, laid over one another."""
+"""The corrected formula: layers of light, each spread over its blur circles, laid over one
+another."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ def blurred(
 ) -> np.ndarray:
     """(h, w, 3) of the rows of `out`, as wide as the first layer.
 
-    image : (h, w, 3) the composite over the first layer's rectangle, kept where no light is spread to
+    image : (h, w, 3) the composite over the first layer's rectangle, kept where no light is spread
+        to
     layers : farthest first, the first without holes"""
     base, rect = layers[0], layers[0].rect
     boosted = replace(base, light=_boosted(base.light, params.highlight_boost))

@@ -77,7 +77,8 @@ def needs(
     if real is not None and real.finite_planes:
         need = need.union(out.pad(3 * _margin_px(on_real)))
     if on_object > SHARP_PX:
-        # outside of an outline the radius goes on: light, its own continuation, and what that is from
+        # outside of an outline the radius goes on: light, its own continuation, and what that is
+        # from
         box = object_box(facts, frame, 2 * on_object)
         need = need.union(out.clip(box).pad(3 * _margin_px(on_object)))
     return need.clip(frame)

@@ -1,4 +1,5 @@
-"""A measured real scene in three layers: behind the focus, in it, before it. What a nearer one hides is filled in.
+"""A measured real scene in three layers: behind the focus, in it, before it. What a nearer one
+hides is filled in.
 
 The layer in the focus is sharp, so neither of the others may spread into it; the one before the
 focus is spread over both. What lies behind an edge is not in the picture; it is taken from beside

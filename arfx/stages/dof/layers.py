@@ -1,4 +1,5 @@
-"""What a frame's lens blurs, for every level but the reference: layers of light, the real scene farthest.
+"""What a frame's lens blurs, for every level but the reference: layers of light, the real scene
+farthest.
 
 The virtual object, real planes of limited size and what was measured before the focus are layers
 of their own, with coverage and a blur radius that goes on outside of their outline. What the
@@ -29,7 +30,8 @@ _TILE_PX = 8  # tiles of the frame over which a radius is averaged before it goe
 class LightLayer:
     """Something that sends light, over `rect`.
 
-    light : (h, w, 4) float32, colour premultiplied by coverage, and coverage; of one before the real
+    light : (h, w, 4) float32, colour premultiplied by coverage, and coverage; of one before the
+        real
         scene (h, w, 5), and the weight of what it lets through
     radius : (h, w) float32, px, of its blur, also where nothing is covered"""
 
@@ -46,7 +48,8 @@ def real_radius_px(
 
 
 def depth_range(facts: FrameFacts) -> tuple[float, float]:
-    """Nearest and farthest distance, m, that a point of the object can have; a little wider for rounding."""
+    """Nearest and farthest distance, m, that a point of the object can have; a little wider for
+    rounding."""
     near, far = facts.depth_range_m
     near = max(near * 0.999, EPS_DEPTH_M)
     return near, max(far * 1.001, near)
@@ -90,7 +93,8 @@ def behind_object(now: Layers, facts: FrameFacts) -> np.ndarray:
         plate, taken = part[Layer.PLATE], 1 - part[Layer.SHADOW]
         taken = taken * np.float32(facts.opacity)
         if facts.opacity < 1:
-            # what shows through an object that fades has no shadow where it is covered, as in the composite
+            # what shows through an object that fades has no shadow where it is covered, as in the
+            # composite
             covered = part[Layer.COVERAGE][..., None]
             taken *= (1 - covered) / (1 - np.float32(facts.opacity) * covered)
         shaded = plate + (np.array(facts.bias_rgb, np.float32) - plate) * taken
@@ -166,7 +170,8 @@ def _occluder(area: Rect, box: Rect, light: np.ndarray, radius: np.ndarray) -> L
 def _radius_around(rect: Rect, coverage: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """(h, w) px: the mean radius of the nearest tile that anything covers, linear between tiles.
 
-    Tiles lie on the frame's grid, so a pixel gets the same from any rectangle that holds what is near."""
+    Tiles lie on the frame's grid, so a pixel gets the same from any rectangle that holds what is
+    near."""
     tiles = rect.align(_TILE_PX, _TILE_PX)
     inner = rect.slices_in(tiles)
     sums = np.zeros((2, tiles.height, tiles.width), np.float32)

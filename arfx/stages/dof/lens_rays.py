@@ -1,4 +1,5 @@
-"""The virtual object through a lens, for the reference level: rays through every pixel from places of the lens (embree).
+"""The virtual object through a lens, for the reference level: rays through every pixel from places
+of the lens (embree).
 
 The fraction of rays that meet the model is its coverage; a point met has the colour that the
 pinhole picture has there. Places on the lens and in the pixel are one Sobol' sequence, the same
@@ -59,7 +60,8 @@ class RayScene:
 
 @lru_cache(maxsize=4)
 def lens_points(count: int, blades: int, turn_deg: float) -> np.ndarray:
-    """(count, 4) places on a lens of the area of the unit disc, and within a pixel, 0..1. count : a power of two"""
+    """(count, 4) places on a lens of the area of the unit disc, and within a pixel, 0..1. count :
+    a power of two"""
     from scipy.stats.qmc import Sobol
 
     square = Sobol(4, seed=0).random(count)
@@ -86,7 +88,8 @@ def seen_object(
     behind: np.ndarray,
     real: Real | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fraction of the lens that sees the object (h, w), and what its light adds (h, w, 3), with the correction of what passes by it.
+    """Fraction of the lens that sees the object (h, w), and what its light adds (h, w, 3), with
+    the correction of what passes by it.
 
     sharp, behind : (h, w, 3) the real scene, before and after its blur
     real : a plane before a background; None = what passes by the object is not looked at"""
@@ -114,7 +117,8 @@ def seen_object(
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """points : (n, 4) of `lens_points`, the lens in metres;  focus : 1/m;  sharp, real : of `seen_object`"""
+    """points : (n, 4) of `lens_points`, the lens in metres;  focus : 1/m;  sharp, real : of
+    `seen_object`"""
 
     now: Layers
     facts: FrameFacts
@@ -126,7 +130,8 @@ class _Rays:
     real: Real | None
 
     def trace(self, part: Rect, behind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the pixels of a rectangle: fraction of rays that meet the object (n, 1), and what `seen_object` adds (n, 3)."""
+        """Of the pixels of a rectangle: fraction of rays that meet the object (n, 1), and what
+        `seen_object` adds (n, 3)."""
         rows, columns = np.arange(part.y0, part.y1 + 1), np.arange(part.x0, part.x1 + 1)
         corners = self.scene.directions.at(rows - 0.5, columns - 0.5).astype(float)
         known = np.isfinite(corners).all(-1)
@@ -175,7 +180,8 @@ class _Rays:
             sums[active[mixed], 11] += n * behind.var(1).max(1)
 
     def _behind(self, rays: np.ndarray, points: np.ndarray, real: Real) -> np.ndarray:
-        """Colours (k, n, 3) of the real scene that rays (k, n, 3), in the camera's axes, would meet."""
+        """Colours (k, n, 3) of the real scene that rays (k, n, 3), in the camera's axes, would
+        meet."""
         assert real.base is not None
         form, lens = real.base.forms[2], points[:, :2]
         dioptre = np.maximum(divide(rays @ form, 1 - lens @ form[:2]), real.background)
@@ -191,7 +197,8 @@ class _Rays:
 def _aim(
     active, corners, points, eye, rotation, focus, origins, directions
 ):  # pragma: no cover - compiled
-    """Rays (pixels x points, 3) in world axes. corners : (h + 1, w + 1, 2) directions of the pixels' corners"""
+    """Rays (pixels x points, 3) in world axes. corners : (h + 1, w + 1, 2) directions of the
+    pixels' corners"""
     w, n = corners.shape[1] - 1, len(points)
     for i in range(len(active)):
         y, x = active[i] // w, active[i] % w
@@ -211,9 +218,11 @@ def _aim(
 
 @numba.njit(cache=True, nogil=True)
 def _look_up(sums, pixel, place, z, within, picture):  # pragma: no cover - compiled
-    """Add points met to sums (n, 8 and more): number that is opaque, and of those that the pinhole picture shows, colour, its squares.
+    """Add points met to sums (n, 8 and more): number that is opaque, and of those that the pinhole
+    picture shows, colour, its squares.
 
-    place (m, 2) px, z (m,) metres : of the points;  within (m, 2) : where in its pixel the ray begins.
+    place (m, 2) px, z (m,) metres : of the points;  within (m, 2) : where in its pixel the ray
+    begins.
     The picture is an average over pixels already, so it is asked at the place that belongs to a ray
     from the pixel's middle. Returns (m,), 1 where a point is opaque."""
     virtual, coverage, depth = picture

@@ -1,4 +1,5 @@
-"""The lens of one frame, in pixels: how large the blur circle of a distance is. Affine in dioptres (core/lens.py)."""
+"""The lens of one frame, in pixels: how large the blur circle of a distance is. Affine in dioptres
+(core/lens.py)."""
 
 from __future__ import annotations
 
@@ -61,7 +62,8 @@ def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
 
 
 def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> CircleOfConfusion:
-    """Of a frame with a pose. While the object fades in or out the aperture opens or closes with it.
+    """Of a frame with a pose. While the object fades in or out the aperture opens or closes with
+    it.
 
     Raises InputError where the focus lies within the focal length."""
     width = scene.camera.width

@@ -18,17 +18,24 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True)
 class DofParams:
-    """formula : corrected, or paper: Zhao et al. 2012 as printed, or gaussian: their Figure 12, a Gaussian filter, with the
+    """formula : corrected, or paper: Zhao et al. 2012 as printed, or gaussian: their Figure 12, a
+    Gaussian filter, with the
         settings of paper
-    scope : all (the lens blurs the whole picture) or virtual (the footage is blurred already; the lens blurs only the object)
-    lens : given (by the settings below) or footage (the lens that the analysis measured; needs scope virtual)
-    focal_mm : focal length, or key frames such as "35@0s, 85@2s" (interpolated evenly in ratio); 0 = from the calibration and
+    scope : all (the lens blurs the whole picture) or virtual (the footage is blurred already; the
+        lens blurs only the object)
+    lens : given (by the settings below) or footage (the lens that the analysis measured; needs
+        scope virtual)
+    focal_mm : focal length, or key frames such as "35@0s, 85@2s" (interpolated evenly in ratio); 0
+        = from the calibration and
         sensor_width_mm. It changes the blur, not what the picture shows
     fnumber : f-number, or key frames such as "2.8@0s, 11@3s" (interpolated evenly in stops)
     sensor_width_mm : width of the part of the sensor that the picture shows
-    aperture_px : blur circle's diameter for something infinitely far, in place of focal length and f-number; 0 = use those
-    focus : what is in focus: object, marker (the one under the model), a marker's id (3 or 36h11:3), a distance such as
-        60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (interpolated evenly in dioptres)
+    aperture_px : blur circle's diameter for something infinitely far, in place of focal length and
+        f-number; 0 = use those
+    focus : what is in focus: object, marker (the one under the model), a marker's id (3 or
+        36h11:3), a distance such as
+        60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (interpolated evenly in
+        dioptres)
     background_m : distance of whatever is behind the real plane, which ends there; 0 = endless
     blades : blades of the aperture, 3 or more; 0 = round
     blade_turn_deg : direction of the aperture's first corner, clockwise from the picture's right
@@ -108,7 +115,8 @@ def _number(text: str, bare: str, name: str, example: str) -> float:
 
 
 def focus_keys(value: int | float | str) -> list[tuple[float, str | float]]:
-    """[(time s, "object" | "marker" | "id:..." | distance in metres)] in order of time. Raises ConfigError."""
+    """[(time s, "object" | "marker" | "id:..." | distance in metres)] in order of time. Raises
+    ConfigError."""
 
     def read(text: str) -> str | float:
         if text in (OBJECT, MARKER):

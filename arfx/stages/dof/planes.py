@@ -1,4 +1,5 @@
-"""Where the real scene stands: the plane of the marker that the object is on, other markers' prints, and a background.
+"""Where the real scene stands: the plane of the marker that the object is on, other markers'
+prints, and a background.
 
 Distances are kept as dioptres (1/m): of a plane they are affine in the viewing direction, so a
 table of every GRID_PX-th pixel follows the lens, linear between. Leaves out: real things that
@@ -33,7 +34,8 @@ def direction_grid(camera: Camera) -> np.ndarray:
 
 
 def between_nodes(nodes: np.ndarray, rect: Rect) -> np.ndarray:
-    """(h, w, ...) float32 of the pixels of `rect`, linear between nodes (gh, gw, ...) float32 every GRID_PX pixels."""
+    """(h, w, ...) float32 of the pixels of `rect`, linear between nodes (gh, gw, ...) float32
+    every GRID_PX pixels."""
     step = 1 / GRID_PX
     pixel_to_node = np.array([[step, 0, step * rect.x0], [0, step, step * rect.y0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -45,7 +47,8 @@ def between_nodes(nodes: np.ndarray, rect: Rect) -> np.ndarray:
 class Plane:
     """A real plane.
 
-    forms : (3, 3), times a viewing direction gives (X, Y, 1) / z: position on the plane, m, and dioptre
+    forms : (3, 3), times a viewing direction gives (X, Y, 1) / z: position on the plane, m, and
+        dioptre
     half_m : half its side; 0 = endless"""
 
     forms: np.ndarray
@@ -60,7 +63,8 @@ class Plane:
         return np.ascontiguousarray(grid @ self.forms.T, np.float32)
 
     def within(self, positions: np.ndarray, sides: float = 1.0) -> np.ndarray:
-        """(...) bool, where a square of `sides` times the plane's side is met. positions : (..., 3)"""
+        """(...) bool, where a square of `sides` times the plane's side is met. positions : (...,
+        3)"""
         x, y, dioptre = np.moveaxis(positions, -1, 0)
         reach = sides * self.half_m * dioptre
         return (dioptre > 0) & (np.abs(x) <= reach) & (np.abs(y) <= reach)

@@ -1,4 +1,5 @@
-"""The reference level: what a thin lens sees, as an integral over its aperture. Shares no kernel with the other levels.
+"""The reference level: what a thin lens sees, as an integral over its aperture. Shares no kernel
+with the other levels.
 
 The real scene: every pixel's light onto every pixel that its circle covers, circles as exact
 areas, sums in float64. A pixel p sees the point x of a plane through the place o = (x - p) / s of
@@ -105,7 +106,8 @@ def _planes(
 
 
 def _circles(dioptre: np.ndarray, coc: CircleOfConfusion) -> tuple[np.ndarray, np.ndarray]:
-    """Blur radius (h, w) px, and its gradient with its sign, as a fraction of it, (h, w, 2) along y and x, 1/px."""
+    """Blur radius (h, w) px, and its gradient with its sign, as a fraction of it, (h, w, 2) along
+    y and x, 1/px."""
     signed = coc.px_per_dioptre * (dioptre - coc.focus)
     radius = coc.radius_px(dioptre)
     slope = np.zeros((*signed.shape, 2))
@@ -136,10 +138,12 @@ def _measured(
 
 
 def _met(plane: Plane, directions: np.ndarray, lens_m: np.ndarray, focus: float) -> np.ndarray:
-    """(h, w) fraction of the places on the lens (n, 2) from which the plane's square is met in the pixel's direction.
+    """(h, w) fraction of the places on the lens (n, 2) from which the plane's square is met in the
+    pixel's direction.
 
     focus : 1/m, where rays of one pixel meet
-    From o = (a, b, 0) along d - focus o: the point of dioptre v on the plane lies in the direction d - focus o + v o."""
+    From o = (a, b, 0) along d - focus o: the point of dioptre v on the plane lies in the direction
+    d - focus o + v o."""
     along = directions @ plane.forms.T
     met = np.zeros(along.shape[:2])
     for shift in lens_m @ plane.forms[:, :2].T:
@@ -173,7 +177,8 @@ def _scattered(
 
 @lru_cache(maxsize=4096)
 def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
-    """(n, 4), each dy, dx, f, m: f summed twice along a row is the fraction of the shape in a pixel, m that times dx."""
+    """(n, 4), each dy, dx, f, m: f summed twice along a row is the fraction of the shape in a
+    pixel, m that times dx."""
     if radius <= SHARP_PX:
         return np.array([[0.0, 0, 1, 0], [0, 1, -2, 0], [0, 2, 1, 0]])
     half = int(np.ceil(radius * circumradius(blades) - 0.5))
@@ -187,7 +192,8 @@ def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True)
 def _scatter(marks, top, light, slope, which, table, first, reach):  # pragma: no cover - compiled
-    """Light (h, w, 4) onto rows of marks from row `top`, column -reach on. table, first : rows of `_disc_ends` of each size"""
+    """Light (h, w, 4) onto rows of marks from row `top`, column -reach on. table, first : rows of
+    `_disc_ends` of each size"""
     h, w = which.shape
     for y in range(max(top - reach, 0), min(top + len(marks) + reach, h)):
         for x in range(w):

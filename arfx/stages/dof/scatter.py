@@ -3,7 +3,8 @@
 Radii lie in bins. A pixel's light goes to the two bins around its squared radius, so that nothing
 jumps when a radius changes. Each bin is one convolution with its disc, on cells of 2^k px that
 grow with the disc. Averaging over a cell and doubling the resolution blur too: a bin's disc is
-smaller by just that variance (`cell_disc`). Cells lie on the frame's grid, so a pixel gets the same from any
+smaller by just that variance (`cell_disc`). Cells lie on the frame's grid, so a pixel gets the
+same from any
 rectangle that holds what its light comes from.
 
 Cost: O(pixels), two convolutions of at most 11 x 11 each, fewer where cells are larger."""
@@ -12,7 +13,7 @@ Cost: O(pixels), two convolutions of at most 11 x 11 each, fewer where cells are
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -63,7 +64,8 @@ class Accuracy:
 @dataclass(frozen=True, eq=False)
 class _Bin:
     """hat : squared radii, px^2, where its share of a pixel's light begins, is all, and ends
-    level : cells have 2^level px;  weights : (n, n) float32 of its disc on them, turned by 180 degrees
+    level : cells have 2^level px;  weights : (n, n) float32 of its disc on them, turned by 180
+        degrees
     rows : first row of cells with light of it, and the one behind the last"""
 
     hat: np.ndarray
@@ -112,7 +114,8 @@ class Scatter:
         self.coarse = self._coarse()
 
     def _coarse(self) -> np.ndarray | None:
-        """Light on cells of 2 px of all bins that are spread on cells; None where there are none."""
+        """Light on cells of 2 px of all bins that are spread on cells; None where there are
+        none."""
         total = None
         for level in range(max((b.level for b in self.bins), default=0), 0, -1):
             shape = self.cells[level][0].shape
@@ -121,11 +124,12 @@ class Scatter:
             else:
                 total = _doubled(total)[: shape[0], : shape[1]]
             bins = [b for b in self.bins if b.level == level]
-            for first, light in parallel_map(lambda b: self._spread(b, 0, shape[0]), bins):  # noqa: B023
+            rows = shape[0]
+            for first, light in parallel_map(partial(self._spread, 0, rows), bins):
                 total[first : first + len(light)] += light
         return total
 
-    def _spread(self, of: _Bin, top: int, bottom: int) -> tuple[int, np.ndarray]:
+    def _spread(self, top: int, bottom: int, of: _Bin) -> tuple[int, np.ndarray]:
         """(first row, light (n, columns, c)) of a bin within rows top..bottom of its level."""
         light, radius = self.cells[of.level]
         half = len(of.weights) // 2
@@ -147,7 +151,7 @@ class Scatter:
         out = self._coarse_rows(top, bottom)
         for of in self.bins:
             if of.level == 0:
-                first, light = self._spread(of, top, bottom)
+                first, light = self._spread(top, bottom, of)
                 out[first - top : first - top + len(light)] += light
         return np.ascontiguousarray(out[:, self.left : self.left + self.width])
 
@@ -182,7 +186,8 @@ def _doubled(a: np.ndarray) -> np.ndarray:
 
 
 def cell_disc(radius_px: float, level: int, blades: int, turn_deg: float) -> np.ndarray:
-    """The disc on cells of 2^level px that is as wide, after all else that blurs, as this one on pixels.
+    """The disc on cells of 2^level px that is as wide, after all else that blurs, as this one on
+    pixels.
 
     Variance on an axis, px^2: (4^k - 1) / 12 by averaging over a cell, and 3/4 x 4^j of each
     doubling of the resolution; the disc itself has r^2 / 4 + 1/12."""
@@ -207,7 +212,8 @@ def _variances(blades: int, turn_deg: float) -> np.ndarray:
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"})
 def take_share(light, radius, hat, out):  # pragma: no cover - compiled
-    """out (h, w, c) = the light (h, w, c) that a bin takes from pixels of a radius (h, w). hat : of `_Bin`"""
+    """out (h, w, c) = the light (h, w, c) that a bin takes from pixels of a radius (h, w). hat :
+    of `_Bin`"""
     one, zero = np.float32(1), np.float32(0)
     rise, fall = one / (hat[1] - hat[0]), one / (hat[2] - hat[1])
     for y in range(light.shape[0]):
@@ -215,5 +221,8 @@ def take_share(light, radius, hat, out):  # pragma: no cover - compiled
             px2 = radius[y, x] * radius[y, x]
             share = min(min((px2 - hat[0]) * rise, (hat[2] - px2) * fall), one)
             if share > zero:
-                for c in range(light.shape[2]):
+                out[y, x, 0] = share * light[y, x, 0]
+                out[y, x, 1] = share * light[y, x, 1]
+                out[y, x, 2] = share * light[y, x, 2]
+                for c in range(3, light.shape[2]):
                     out[y, x, c] = share * light[y, x, c]
