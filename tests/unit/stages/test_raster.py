@@ -10,7 +10,7 @@ import pytest
 
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
-from arfx.core.model import BLEND, MASK, Material, Model, Part, Texture
+from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, REPEAT, Material, Model, Part, Texture
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Placement, Scene
@@ -318,16 +318,18 @@ def test_pyramid_averages_in_linear_light() -> None:
     assert stack.add(Texture(checker), False) == 1
 
 
+@pytest.mark.parametrize(("wrap", "shown"), [(REPEAT, [0, 1, 0, 1]), (CLAMP, [0, 0, 0, 1]), (MIRROR, [1, 0, 0, 1])])
 @pytest.mark.parametrize("backend", BOTH)
-def test_textures_repeat(backend: str) -> None:
+def test_textures_go_on_beyond_their_edges(backend: str, wrap: str, shown: list[int]) -> None:
     stripes = np.zeros((1, 8, 3), np.uint8)
     stripes[:, 4:] = 255
     uv = np.array([[-1.0, 1], [1, 1], [1, 0], [-1, 0]])  # twice across, from -1 to 1
-    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=Texture(stripes), double_sided=True))
+    base = Texture(stripes, wrap=(wrap, wrap))
+    part = square(0.2, 0, Material(base_colour=(1, 1, 1, 1), base_texture=base, double_sided=True))
     part = Part(part.vertices, part.faces, part.normals, part.material, uv)
     row = render(scene_of([part]), in_front(), backend)[Layer.ALBEDO][131, :, 0]
-    at = 151.3 + 120 * (np.arange(4) - 1.5) / 4  # the middles of black, white, black, white
-    np.testing.assert_allclose(row[np.round(at).astype(int)], [0, 1, 0, 1], atol=1e-3)
+    at = 151.3 + 120 * (np.arange(4) - 1.5) / 4  # the middles of the four halves
+    np.testing.assert_allclose(row[np.round(at).astype(int)], shown, atol=1e-3)
 
 
 def test_demand_says_why() -> None:
