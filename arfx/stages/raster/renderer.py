@@ -260,4 +260,7 @@ def _around(
     centre = directions[row, column][:, None]
     across = (directions[row, column + 1] - directions[row, column - 1])[:, None] / 2
     down = (directions[row + 1, column] - directions[row - 1, column])[:, None] / 2
-    return np.asarray(centre + across * offsets[:, 0] + down * offsets[:, 1])
+    around = across * offsets[:, 0]
+    around += down * offsets[:, 1]
+    around += centre
+    return np.asarray(around)

@@ -24,8 +24,8 @@ from arfx.core.scene_mesh import SceneMesh
 from arfx.stages.raster.record import View
 
 _SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
-# The picture of a straight edge of this length bows by length^2 / 8 x the lens's curvature: twice.
-_BOW = 2 / 8
+# The picture of a straight edge bows by at most length^2 / 8 x the lens's curvature.
+_BOW = 1 / 8
 
 
 def lattice(count: int) -> np.ndarray:
@@ -180,6 +180,18 @@ def nearest_faces(projection: Projection, x, y):  # pragma: no cover - compiled
     return prim, depth
 
 
+@numba.njit(nogil=True, inline="always")
+def _misses(planes, bounds):  # pragma: no cover - compiled
+    """Do all directions of a box lie beyond one edge of a face? bounds : least x, most x, of y"""
+    sign = -1.0 if planes[3] < 0 else 1.0
+    for plane in planes[:3]:
+        a, b, c = sign * plane[0], sign * plane[1], sign * plane[2]
+        x, y = bounds[1] if a > 0 else bounds[0], bounds[3] if b > 0 else bounds[2]
+        if a * x + b * y + c < 0:
+            return True
+    return False
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - compiled
     """The same for s samples of each of n pixels: (n, s).
@@ -190,6 +202,10 @@ def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - 
     prim, depth = np.full(x.shape, -1, np.int32), np.full(x.shape, np.inf, np.float32)
     inside = np.empty(x.shape[1])
     zero, last = np.uintp(0), np.uintp(x.shape[1])
+    bounds = np.empty((len(x), 4))
+    for n in range(len(x)):
+        bounds[n, 0], bounds[n, 1] = x[n].min(), x[n].max()
+        bounds[n, 2], bounds[n, 3] = y[n].min(), y[n].max()
     faces, hidden, near = projection.faces, projection.hidden, projection.near
     for f in range(len(faces)):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
@@ -201,8 +217,8 @@ def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - 
             continue
         for row in range(np.uintp(y0), np.uintp(y1)):
             for column in range(np.uintp(x0), np.uintp(x1)):
-                if slot[row, column] >= 0:
-                    n = np.uintp(slot[row, column])
+                n = slot[row, column]
+                if n >= 0 and not _misses(planes, bounds[n]):
                     _meet_run(f, planes, near, x[n], y[n], zero, last, inside, prim[n], depth[n])
     return prim, depth
 

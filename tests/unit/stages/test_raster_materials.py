@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arfx.core.layers import Layer
-from arfx.core.model import CLAMP, MIRROR, Material, Part, Texture
+from arfx.core.model import Material, Part, Texture
 from arfx.core.rect import Rect
 from tests.unit.stages.raster_scenes import PLAIN, in_front, render, scene_of, square
 
@@ -66,17 +66,6 @@ def test_each_texture_lies_by_its_own_coordinates_and_transform() -> None:
     assert np.ptp(roughness) < 0.01 and np.ptp(metallic) > 0.5, "turned: red grows downwards"
     glow = out[Layer.EMISSIVE][20]
     assert np.ptp(glow, axis=0).max() < 1e-6 and glow[0, 0] == pytest.approx(glow[0, 1], abs=1e-5) and glow[0, 0] > 0.02
-
-
-@pytest.mark.parametrize(("wrap", "expected"), [("repeat", [0, 1, 0, 1]), (CLAMP, [0, 0, 0, 1]), (MIRROR, [1, 0, 0, 1])])
-def test_what_lies_beyond_a_picture(wrap: str, expected: list[float]) -> None:
-    stripes = np.zeros((1, 8, 3), np.uint8)
-    stripes[:, 4:] = 255
-    uv = np.array([[-1.0, 1], [1, 1], [1, 0], [-1, 0]])  # twice across, from -1 to 1
-    part = replace(square(0.2, 0, replace(WHITE, base_texture=Texture(stripes, wrap=(wrap, wrap)))), uv=uv)
-    row = render(scene_of([part]), in_front(), "rays")[Layer.ALBEDO][131, :, 0]
-    at = 151.3 + 120 * (np.arange(4) - 1.5) / 4
-    np.testing.assert_allclose(row[np.round(at).astype(int)], expected, atol=1e-3)
 
 
 def test_nearest_texels_show_as_squares() -> None:
