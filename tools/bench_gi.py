@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from arfx.core.layers import Layer, Layers
+from arfx.core.numerics import HALF_GREY
 from arfx.core.stage import ReadyStage, level_named
 from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.plan.planner import plan_frame
@@ -27,6 +28,8 @@ from arfx.stages.gi import Gi
 from arfx.stages.light.planes import SHOWS
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.raster import Raster
+
+SHOWS = HALF_GREY * 2.4 / 1.055  # half a step of an sRGB code, as a share of its linear light
 
 
 def layers_of(at: BenchScene) -> Layers:
@@ -110,7 +113,7 @@ def main() -> None:
     given = parser.parse_args()
     for size in given.size or ["640x480", "1280x720"]:
         width, height = (int(v) for v in size.split("x"))
-        timed(given.share, (width, height), given.level or ["standard", "high"], given.runs)
+        timed(given.share, (width, height), given.level or ["draft", "standard"], given.runs)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,8 @@ Processor instead of graphics card. Gloss: s4_gloss.py. Its errors: docs/methods
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -37,12 +37,12 @@ from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import GiParams
+from arfx.stages.gi.reference import bands
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
 
 VOXELS = (32, 64, 128, 256)
 LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
-BATCH = 1 << 16  # pixels at once: bounds memory
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 LOBES = 12  # widths of mirror cones, from those of roughness 0 to 1
 LIGHT_STEP = 0.03  # of brightness: a light that changes by less keeps its volumes
@@ -314,9 +314,3 @@ def mirror_cones(
             :, 0
         ]
     return out, np.degrees(np.arctan(tangent))
-
-
-def bands(rect: Rect) -> Iterable[Rect]:
-    """The rectangle in bands of about BATCH pixels."""
-    rows = max(BATCH // max(rect.width, 1), 1)
-    return (replace(rect, y0=y, y1=min(y + rows, rect.y1)) for y in range(rect.y0, rect.y1, rows))
