@@ -102,7 +102,7 @@ def _in_8_bits(image: Any) -> Any:
 
     if not image.mode.startswith("I"):
         return image
-    return Image.fromarray((np.asarray(image, np.int64) >> 8).clip(0, 255).astype(np.uint8))
+    return Image.fromarray(np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8))
 
 
 def unit(value: Any) -> float:
