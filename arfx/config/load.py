@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
+from arfx.config.gone import GONE
 from arfx.config.sections import JobConfig, kinds, settings
 from arfx.core.marker import PatternSpec
 from arfx.core.opener import parse_toml, read_text
@@ -147,9 +148,10 @@ def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], prob
     for key, value in table.items():
         if key not in fields:
             other = next((f for f, k in formulas.items() if key in _fields(k)), None)
-            if other is None:
+            if other is None or (name, key) in GONE:
                 owner = "section 'analyse'" if name == "analyse" else f"stage {name!r}"
-                problem((name, key), f"{owner} has no setting {key!r}", suggestion(key, fields))
+                hint = GONE.get((name, key)) or suggestion(key, fields)
+                problem((name, key), f"{owner} has no setting {key!r}", hint)
             else:
                 problem((name, key), f'{name}.{key} belongs to formula = "{other}"', f'{name}.formula is "{formula}"')
         elif (bad := _out_of_range(value)) is not None:

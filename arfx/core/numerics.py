@@ -16,6 +16,8 @@ EPS_LENGTH = 1e-12
 EPS_ANGLE = 1e-4
 # Nearest projected point: nothing physical is closer, and focal lengths up to 1e5 px stay finite in float32.
 EPS_DEPTH_M = 1e-4
+# Least weight of a mean: below that of one pixel in a picture of 2^20 x 2^20 nothing is known.
+EPS_WEIGHT = 1e-12
 # Half of one 8-bit step: a change below it cannot alter a stored pixel by more than rounding does.
 HALF_GREY = 0.5 / 255.0
 

@@ -38,8 +38,7 @@ class Demand:
 class View:
     """One frame as `run` sees it. view[LAYER] is what the layer holds over `rect`, read-only.
     out : the pixels that are kept of what it makes: a slow stage may leave the others as they are
-    key : of its random numbers, from seed, frame and stage;  memo : what it keeps from frame to frame
-    before : earlier frames, oldest first, at most `history`; those have no earlier ones themselves"""
+    key : of its random numbers, from seed, frame and stage;  memo : what it keeps from frame to frame"""
 
     layers: Layers
     facts: FrameFacts
@@ -48,7 +47,6 @@ class View:
     out: Rect
     key: int
     memo: Memos
-    before: tuple[View, ...] = ()
 
     def __getitem__(self, name: Layer) -> np.ndarray:
         return self.layers[name]
@@ -121,7 +119,6 @@ class Stage:
     after: ClassVar[str] = ""  # of a plug-in: the stage that it runs behind; "" = the last one that writes what it reads
 
     facts: frozenset[str] = frozenset({"pose"})  # parts of the analysis that it reads, by name
-    history: int = 0  # earlier frames that it looks at
     padding_px: int = 0  # input pixels that it takes around each output pixel
     terms: ClassVar[tuple[str, ...]] = ("frames", "mpx", "object_mpx")  # its price is linear in these (core/cost.py)
     distribution: ClassVar[str] = ""  # of a plug-in, with its version: set when it is loaded
@@ -198,10 +195,10 @@ class ReadyStage:
         with blamed(stage, "while it prepares"):
             return ReadyStage(stage, scene, level, stage.prepare(scene, level))
 
-    def view(self, layers: Layers, facts: FrameFacts, out: Rect | None = None, before: tuple[View, ...] = ()) -> View:
+    def view(self, layers: Layers, facts: FrameFacts, out: Rect | None = None) -> View:
         """out : None = all"""
         key = noise_key(self.scene.seed, facts.index, self.stage.name)
-        return View(layers, facts, self.scene, self.level, layers.rect if out is None else out, key, self.memo, before)
+        return View(layers, facts, self.scene, self.level, layers.rect if out is None else out, key, self.memo)
 
     def run(self, layers: Layers, facts: FrameFacts, out: Rect | None = None) -> Mapping[Layer, np.ndarray | Pixels]:
         """One frame by itself."""

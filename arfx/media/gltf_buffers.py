@@ -9,33 +9,25 @@ from typing import Any
 import numpy as np
 
 from arfx.errors import InputError
-from arfx.media.model_files import ModelFolder
 from arfx.media.model_limits import MAX_FACES
+from arfx.media.model_parts import ModelFile
 
 _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 
 class Buffers:
-    """All buffers of a file, read at once.
+    """All buffers of a file, read at once. Raises InputError: one is missing or cut short."""
 
-    data : the file, kind "glb" or "gltf";  header : its JSON, checked
-    Raises InputError: a buffer is missing or cut short."""
-
-    def __init__(
-        self,
-        data: bytes,
-        kind: str,
-        header: dict[str, Any],
-        folder: ModelFolder,
-    ) -> None:
+    def __init__(self, file: ModelFile) -> None:
+        folder, header = file.folder, file.header
         self._folder = folder
         self._accessors = header.get("accessors", [])
         self._views = header.get("bufferViews", [])
-        self._chunk = _binary_chunk(data) if kind == "glb" else b""
+        chunk = _binary_chunk(file.data) if file.kind == "glb" else b""
         self._contents = []
         for buffer in header.get("buffers", []):
-            content = self.file(buffer["uri"]) if "uri" in buffer else self._chunk
+            content = self.file(buffer["uri"]) if "uri" in buffer else chunk
             size = buffer.get("byteLength", 0)
             if len(content) < size:
                 text = f"model {folder.path}: a buffer holds {len(content)} of {size} bytes"

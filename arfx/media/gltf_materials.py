@@ -13,33 +13,57 @@ from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.errors import InputError
 from arfx.media.gltf_buffers import Buffers
-from arfx.media.model_materials import Textures, check_material, resized, unit
+from arfx.media.model_materials import check_material, resized, unit
+from arfx.media.model_parts import ModelFile
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
 _ROWS = 256  # of a picture, worked on at a time
 _DIELECTRIC = 0.04  # reflected by what is no metal
 _TRANSFORM, _WEBP = "KHR_texture_transform", "EXT_texture_webp"
+_PBR, _IOR = "pbrMetallicRoughness", "KHR_materials_ior"
+_COAT, _SHEEN = "KHR_materials_clearcoat", "KHR_materials_sheen"
+_SPECULAR, _GLOW = "KHR_materials_specular", "KHR_materials_emissive_strength"
+_GLOSSY = "KHR_materials_pbrSpecularGlossiness"
+# Fields of Material: what of a glTF material holds them ("" is itself), and their key there.
+_TEXTURES = {
+    "base_texture": (_PBR, "baseColorTexture"),
+    "metallic_roughness_texture": (_PBR, "metallicRoughnessTexture"),
+    "emissive_texture": ("", "emissiveTexture"),
+    "normal_texture": ("", "normalTexture"),
+    "occlusion_texture": ("", "occlusionTexture"),
+    "clearcoat_texture": (_COAT, "clearcoatTexture"),
+    "clearcoat_roughness_texture": (_COAT, "clearcoatRoughnessTexture"),
+    "clearcoat_normal_texture": (_COAT, "clearcoatNormalTexture"),
+    "sheen_colour_texture": (_SHEEN, "sheenColorTexture"),
+    "sheen_roughness_texture": (_SHEEN, "sheenRoughnessTexture"),
+}
+# With the default; 0 to 1.
+_FACTORS = {
+    "metallic": (_PBR, "metallicFactor", 1.0),
+    "roughness": (_PBR, "roughnessFactor", 1.0),
+    "clearcoat": (_COAT, "clearcoatFactor", 0.0),
+    "clearcoat_roughness": (_COAT, "clearcoatRoughnessFactor", 0.0),
+    "sheen_roughness": (_SHEEN, "sheenRoughnessFactor", 0.0),
+}
+# With the key in the texture.
+_OF_TEXTURES = {
+    "normal_scale": ("", "normalTexture", "scale"),
+    "occlusion_strength": ("", "occlusionTexture", "strength"),
+    "clearcoat_normal_scale": (_COAT, "clearcoatNormalTexture", "scale"),
+}
 _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 
 
 class GltfMaterials:
-    """Each made where it is first asked for.
+    """The materials of a file, each made where it is first asked for."""
 
-    header : JSON, checked;  notices : gets what is left out"""
-
-    def __init__(
-        self,
-        header: dict[str, Any],
-        buffers: Buffers,
-        textures: Textures,
-        notices: list[str],
-    ) -> None:
-        self._header, self._buffers, self._textures = header, buffers, textures
-        self._notices = notices
+    def __init__(self, file: ModelFile, buffers: Buffers) -> None:
+        self._header, self._textures, self._notices = file.header, file.textures, file.notices
+        self._buffers = buffers
         self._images: dict[int, Any] = {}
         self._materials: dict[int, Material] = {}
-        primitives = [p for mesh in header.get("meshes", []) for p in mesh["primitives"]]
+        primitives = [p for mesh in file.header.get("meshes", []) for p in mesh["primitives"]]
         self._coloured = {p.get("material") for p in primitives if "COLOR_0" in p["attributes"]}
 
     def of(self, number: int) -> Material:
@@ -52,65 +76,42 @@ class GltfMaterials:
     def _material(self, number: int) -> Material:
         given = self._header["materials"][number]
         extensions = given.get("extensions", {})
+        owners = {"": given, _PBR: given.get(_PBR, {})}
+        for name in (_COAT, _SHEEN, _SPECULAR, _IOR, _GLOW):
+            owners[name] = extensions.get(name, {})
         mode = str(given.get("alphaMode", OPAQUE)).upper()
-        strength = extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1)
-        glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
-        surface = self._surface(given.get("pbrMetallicRoughness", {}), extensions)
-        coat = extensions.get("KHR_materials_clearcoat", {})
-        sheen = extensions.get("KHR_materials_sheen", {})
+        red, green, blue, alpha = map(float, owners[_PBR].get("baseColorFactor", (1, 1, 1, 1)))
+        fields: dict[str, Any] = {"base_colour": (red, green, blue, alpha)}
+        for name, (owner, key) in _TEXTURES.items():
+            fields[name] = self._texture(owners[owner], key)
+        for name, (owner, key, default) in _FACTORS.items():
+            fields[name] = unit(owners[owner].get(key, default))
+        for name, (owner, texture, key) in _OF_TEXTURES.items():
+            fields[name] = float(owners[owner].get(texture, {}).get(key, 1))
+        if _GLOSSY in extensions:
+            fields |= self._glossy(extensions[_GLOSSY])
         material = Material(
             name=f"{given.get('name', 'material')} {number}",
-            emissive=_colour(given.get("emissiveFactor", (0, 0, 0)), strength),
-            emissive_texture=self._texture(given, "emissiveTexture"),
+            emissive=_colour(
+                given.get("emissiveFactor", (0, 0, 0)),
+                owners[_GLOW].get("emissiveStrength", 1),
+            ),
+            specular=self._specular(owners[_SPECULAR], float(owners[_IOR].get("ior", 1.5))),
+            sheen_colour=_colour(owners[_SHEEN].get("sheenColorFactor", (0, 0, 0))),
             alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
             alpha_cutoff=float(given.get("alphaCutoff", 0.5)),
             double_sided=bool(given.get("doubleSided", False)),
-            normal_texture=self._texture(given, "normalTexture"),
-            normal_scale=float(given.get("normalTexture", {}).get("scale", 1)),
-            occlusion_texture=self._texture(given, "occlusionTexture"),
-            occlusion_strength=unit(given.get("occlusionTexture", {}).get("strength", 1)),
-            **(surface if glossy is None else self._glossy(glossy)),
-            **self._coat(coat),
-            **self._sheen(sheen),
+            **fields,
         )
         if not any(material.emissive):
             material = replace(material, emissive_texture=None)
         return self._unlit(material, number) if "KHR_materials_unlit" in extensions else material
 
-    def _surface(self, pbr: dict[str, Any], extensions: dict[str, Any]) -> dict[str, Any]:
-        ior = float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5))
-        f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
-        specular = extensions.get("KHR_materials_specular", {})
-        if not specular.keys().isdisjoint(_TINTS):
+    def _specular(self, given: dict[str, Any], ior: float) -> float:
+        if not given.keys().isdisjoint(_TINTS):
             self._notices.append("left out textures and tints of KHR_materials_specular")
-        red, green, blue, alpha = map(float, pbr.get("baseColorFactor", (1, 1, 1, 1)))
-        return {
-            "base_colour": (red, green, blue, alpha),
-            "base_texture": self._texture(pbr, "baseColorTexture"),
-            "metallic": unit(pbr.get("metallicFactor", 1)),
-            "roughness": unit(pbr.get("roughnessFactor", 1)),
-            "metallic_roughness_texture": self._texture(pbr, "metallicRoughnessTexture"),
-            "specular": float(specular.get("specularFactor", 1)) * f0 / 0.08,
-        }
-
-    def _coat(self, given: dict[str, Any]) -> dict[str, Any]:
-        normal = given.get("clearcoatNormalTexture", {})
-        return {
-            "clearcoat": unit(given.get("clearcoatFactor", 0)),
-            "clearcoat_texture": self._texture(given, "clearcoatTexture"),
-            "clearcoat_roughness": unit(given.get("clearcoatRoughnessFactor", 0)),
-            "clearcoat_roughness_texture": self._texture(given, "clearcoatRoughnessTexture"),
-            "clearcoat_normal_texture": self._texture(given, "clearcoatNormalTexture"),
-            "clearcoat_normal_scale": float(normal.get("scale", 1)),
-        }
-
-    def _sheen(self, given: dict[str, Any]) -> dict[str, Any]:
-        return {
-            "sheen_colour": _colour(given.get("sheenColorFactor", (0, 0, 0))),
-            "sheen_colour_texture": self._texture(given, "sheenColorTexture"),
-            "sheen_roughness": unit(given.get("sheenRoughnessFactor", 0)),
-            "sheen_roughness_texture": self._texture(given, "sheenRoughnessTexture"),
-        }
+        f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
+        return float(given.get("specularFactor", 1)) * f0 / 0.08
 
     def _unlit(self, material: Material, number: int) -> Material:
         """Its colour as emission, on a surface that sends nothing back."""
@@ -228,16 +229,21 @@ def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.nd
 
     diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
     Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP)."""
-    weights = np.array([0.299, 0.587, 0.114])
-    d, s = (np.sqrt(x[..., :3] ** 2 @ weights) for x in (diffuse, shine))
-    rest = (1.0 - shine[..., :3].max(-1)) / (1.0 - _DIELECTRIC)
+    colour, specular = diffuse[..., :3], shine[..., :3]
+    d, s = _brightness(colour), _brightness(specular)
+    rest = (1.0 - specular.max(-1)) / (1.0 - _DIELECTRIC)
     b = d * rest + s - 2 * _DIELECTRIC
-    root = np.sqrt(np.maximum(b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s), 0.0))
-    metal = np.where(s < _DIELECTRIC, 0.0, np.clip((root - b) / (2 * _DIELECTRIC), 0.0, 1.0))
+    square = b * b - 4 * _DIELECTRIC * (_DIELECTRIC - s)
+    share = (np.sqrt(np.maximum(square, 0.0)) - b) / (2 * _DIELECTRIC)
+    metal = np.where(s < _DIELECTRIC, 0.0, np.clip(share, 0.0, 1.0))
     m = metal[..., None]
-    matt = diffuse[..., :3] * rest[..., None] / np.maximum(1.0 - m, 1e-6)
-    shiny = (shine[..., :3] - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
+    matt = colour * rest[..., None] / np.maximum(1.0 - m, 1e-6)
+    shiny = (specular - _DIELECTRIC * (1.0 - m)) / np.maximum(m, 1e-6)
     return np.clip(matt + (shiny - matt) * m * m, 0.0, 1.0), metal
+
+
+def _brightness(colour: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(colour**2 @ np.array([0.299, 0.587, 0.114])))
 
 
 def _colour(value: Any, strength: float = 1.0) -> tuple[float, float, float]:

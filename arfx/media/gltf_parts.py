@@ -14,10 +14,9 @@ from arfx.core.pose import rotation_from_quaternion
 from arfx.errors import InputError
 from arfx.media.gltf_buffers import Buffers, shares
 from arfx.media.gltf_materials import GltfMaterials
-from arfx.media.model_files import ModelFolder
 from arfx.media.model_limits import check_faces, check_parts
-from arfx.media.model_materials import Textures, plain_material
-from arfx.media.model_parts import FileMesh
+from arfx.media.model_materials import plain_material
+from arfx.media.model_parts import FileMesh, ModelFile
 
 _TRIANGLES, _STRIP = 4, 5
 _ROWS = {
@@ -34,25 +33,16 @@ _INSTANCES, _VISIBLE = "EXT_mesh_gpu_instancing", "KHR_node_visibility"
 class GltfScene:
     """The scene that a file shows.
 
-    header : its JSON, from gltf_header;  notices : gets what is left out
     Raises InputError: limits, what is missing or does not fit together."""
 
-    def __init__(
-        self,
-        data: bytes,
-        kind: str,
-        header: dict[str, Any],
-        folder: ModelFolder,
-        textures: Textures,
-        notices: list[str],
-    ) -> None:
-        self._path, self._notices = folder.path, notices
-        self._nodes = header.get("nodes", [])
-        self._meshes = header.get("meshes", [])
-        self._scenes = header.get("scenes", [])
-        self._shown = header.get("scene", 0)
-        self._buffers = Buffers(data, kind, header, folder)
-        self._materials = GltfMaterials(header, self._buffers, textures, notices)
+    def __init__(self, file: ModelFile) -> None:
+        self._path, self._notices = file.folder.path, file.notices
+        self._nodes = file.header.get("nodes", [])
+        self._meshes = file.header.get("meshes", [])
+        self._scenes = file.header.get("scenes", [])
+        self._shown = file.header.get("scene", 0)
+        self._buffers = Buffers(file)
+        self._materials = GltfMaterials(file, self._buffers)
 
     def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
         """Each set of triangles, (4, 4) its place in the model, its material.

@@ -68,7 +68,7 @@ class Textures:
         if id(image) not in self._arrays:
             self._check_size(*image.size)
             try:
-                self._arrays[id(image)] = image, np.array(_in_8_bits(image).convert("RGBA"))
+                self._arrays[id(image)] = image, np.asarray(_in_8_bits(image).convert("RGBA"))
             except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
                 what = f"cannot decode a texture ({e})"
                 hint = "the image is damaged or cut short"

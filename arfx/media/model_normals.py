@@ -28,15 +28,18 @@ def smooth_by_angle(
     m = len(faces)
     place = same_rows(vertices)[1][faces]
     p = vertices[faces]
-    normal = normalise(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
+    edge, other_edge = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    normal = normalise(np.cross(edge, other_edge))
 
     def flat(a: np.ndarray, b: np.ndarray, _: np.ndarray) -> np.ndarray:
-        return np.asarray((normal[a] * normal[b]).sum(1) > np.cos(np.radians(CREASE_DEG)))
+        cosine = (normal[a] * normal[b]).sum(1)
+        return np.asarray(cosine > np.cos(np.radians(CREASE_DEG)))
 
     count, group = corner_groups(place, flat)
-    angles = angle_between(np.roll(p, -1, 1) - p, np.roll(p, -2, 1) - p).ravel()
-    sums = [np.bincount(group, angles * np.repeat(normal[:, k], 3), count) for k in range(3)]
-    normals = normalise(np.stack(sums, 1))
+    ahead = np.roll(p, -1, 1) - p
+    behind = np.roll(p, -2, 1) - p
+    weight = angle_between(ahead, behind)[..., None]
+    normals = normalise(sums_by_group(weight * normal[:, None], group, count))
     lost = np.abs(normals).sum(1) == 0  # opposite faces cancel: take one of them
     if lost.any():
         first = np.full(count, 3 * m)
@@ -67,22 +70,29 @@ def corner_groups(
     m = len(place)
     corner = np.arange(3 * m).reshape(m, 3)
     # Every edge with the corner at its lower and at its higher place; sorted, equal ones meet.
-    i, j = np.array([0, 1, 2]), np.array([1, 2, 0])
-    lo, hi = place[:, i], place[:, j]
-    swap = lo > hi
-    low, high = np.where(swap, hi, lo).ravel(), np.where(swap, lo, hi).ravel()
-    low_corner = np.where(swap, corner[:, j], corner[:, i]).ravel()
-    high_corner = np.where(swap, corner[:, i], corner[:, j]).ravel()
-    order = np.lexsort((high, low))
-    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
+    start, end = place.ravel(), np.roll(place, -1, 1).ravel()
+    start_corner, end_corner = corner.ravel(), np.roll(corner, -1, 1).ravel()
+    swap = start > end
+    low_corner = np.where(swap, end_corner, start_corner)
+    high_corner = np.where(swap, start_corner, end_corner)
+    edge = np.stack([np.minimum(start, end), np.maximum(start, end)], 1)
+    order = np.lexsort(edge.T[::-1])
+    same = (edge[order[1:]] == edge[order[:-1]]).all(1)
     a, b = order[:-1][same], order[1:][same]
-    together = joined(a // 3, b // 3, swap.ravel()[a] != swap.ravel()[b])
+    together = joined(a // 3, b // 3, swap[a] != swap[b])
     a, b = a[together], b[together]
     rows = np.concatenate([low_corner[a], high_corner[a]])
-    cols = np.concatenate([low_corner[b], high_corner[b]])
-    graph = coo_matrix((np.ones(len(rows), bool), (rows, cols)), shape=(3 * m, 3 * m))
+    columns = np.concatenate([low_corner[b], high_corner[b]])
+    links = np.ones(len(rows), bool)
+    graph = coo_matrix((links, (rows, columns)), shape=(3 * m, 3 * m))
     count, group = connected_components(graph, directed=False)
     return int(count), group
+
+
+def sums_by_group(vectors: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """(count, 3) of vectors (m, 3, 3) of corners, by their group (3 m,)."""
+    flat = vectors.reshape(-1, 3)
+    return np.stack([np.bincount(group, axis, count) for axis in flat.T], 1)
 
 
 def split_corners(

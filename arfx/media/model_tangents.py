@@ -17,7 +17,7 @@ import numpy as np
 
 from arfx.core.model import Part
 from arfx.core.numerics import angle_between, divide, normalise, same_rows
-from arfx.media.model_normals import corner_groups, split_corners
+from arfx.media.model_normals import corner_groups, split_corners, sums_by_group
 
 
 def with_tangents(part: Part) -> Part:
@@ -51,29 +51,32 @@ def corner_tangents(
     vertices : (n, 3);  normals : (n, 3) unit;  uv : (n, 2) on the normal texture, v = 0 on top"""
     p, n = vertices[faces], normals[faces]
     t = uv[faces] * (1, -1)  # v upwards, as the sign of a tangent counts it
-    along, up = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
-    area = along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0]
-    side = np.asarray(np.sign(area))
-    across = up[:, 1:] * (p[:, 1] - p[:, 0]) - along[:, 1:] * (p[:, 2] - p[:, 0])
-    across = normalise(divide(side[:, None] * across, np.abs(across).max(1, keepdims=True)))
-    covered = np.asarray(across.any(1))
+    u1, v1 = (t[:, 1] - t[:, 0]).T
+    u2, v2 = (t[:, 2] - t[:, 0]).T
+    side = np.asarray(np.sign(u1 * v2 - v1 * u2))
+    edge1, edge2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    along_u = side[:, None] * (v2[:, None] * edge1 - v1[:, None] * edge2)
+    size = np.abs(along_u).max(1, keepdims=True)
+    along_u = normalise(divide(along_u, size))
+    covered = np.asarray(along_u.any(1))
 
     def joined(a: np.ndarray, b: np.ndarray, opposite: np.ndarray) -> np.ndarray:
-        return np.asarray(opposite & (side[a] == side[b]) & covered[a] & covered[b])
+        alike = (side[a] == side[b]) & covered[a] & covered[b]
+        return np.asarray(opposite & alike)
 
-    vertex = same_rows(np.concatenate([vertices, normals, uv], 1))[1][faces]
-    count, group = corner_groups(vertex, joined)
-    ahead, behind = (_in_plane(np.roll(p, -k, 1) - p, n) for k in (1, 2))
-    weight = angle_between(ahead, behind) * covered[:, None]
-    parts = (weight[..., None] * _in_plane(across[:, None], n)).reshape(-1, 3)
-    sums = np.stack([np.bincount(group, parts[:, k], count) for k in range(3)], 1)
-    tangents = normalise(sums)[group]
-    signed = np.column_stack([tangents, np.repeat(side, 3)])
+    _, number = same_rows(np.concatenate([vertices, normals, uv], 1))
+    count, group = corner_groups(number[faces], joined)
+    ahead = _in_plane(np.roll(p, -1, 1) - p, n)
+    behind = _in_plane(np.roll(p, -2, 1) - p, n)
+    weight = angle_between(ahead, behind)[..., None]
+    directions = _in_plane(along_u[:, None], n)
+    tangents = normalise(sums_by_group(weight * directions, group, count))[group]
     normal = n.reshape(-1, 3)
-    any_way = _in_plane(np.eye(3)[np.abs(normal).argmin(1)], normal)
-    lacking = ~(tangents.any(1) & np.repeat(covered, 3))
-    signed[lacking] = np.column_stack([any_way, np.ones(len(normal))])[lacking]
-    return signed
+    least = np.abs(normal).argmin(1)
+    lacking = ~tangents.any(1)
+    tangents[lacking] = _in_plane(np.eye(3)[least], normal)[lacking]
+    signs = np.where(side == 0, 1.0, side)
+    return np.column_stack([tangents, np.repeat(signs, 3)])
 
 
 def _in_plane(v: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from arfx.media.gltf_parts import GltfScene
 from arfx.media.model_files import ModelFolder, restrict_pillow
 from arfx.media.model_limits import check_faces, check_parts, check_size
 from arfx.media.model_materials import Textures, not_drawn
-from arfx.media.model_parts import FileMesh, part_of
+from arfx.media.model_parts import FileMesh, ModelFile, part_of
 from arfx.media.trimesh_models import TrimeshScene
 
 # Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters
@@ -64,7 +63,7 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     try:
         with np.errstate(all="ignore"):
             notices = check_gltf(header, path)
-            parts = _read(data, kind, header, folder, notices)
+            parts = _read(ModelFile(data, kind, header, folder, Textures(path), notices))
     except ArfxError:
         raise
     except ImportError as e:
@@ -100,30 +99,23 @@ def _kind(path: Path, data: bytes) -> str:
     return kind
 
 
-def _read(
-    data: bytes,
-    kind: str,
-    header: dict[str, Any],
-    folder: ModelFolder,
-    notices: list[str],
-) -> list[Part]:
+def _read(file: ModelFile) -> list[Part]:
     refused: list[str] = []
-    textures = Textures(folder.path)
     named = 0
+    notices, left_out = file.notices, file.folder.left_out
     with restrict_pillow(refused):
-        if header:
-            gltf = GltfScene(data, kind, header, folder, textures, notices)
-            parts = _parts(gltf, folder.path, notices)
+        if file.header:
+            parts = _parts(GltfScene(file), file)
         else:
-            scene = TrimeshScene(data, kind, folder, textures, notices)
+            scene = TrimeshScene(file)
             named = scene.textures_named
-            parts = _parts(scene, folder.path, notices)
-    textures.close()
+            parts = _parts(scene, file)
+    file.textures.close()
     drawn = int(any(p.material.base_texture is not None for p in parts))
-    if named > 1 or (named > drawn and not (refused or folder.left_out)):
+    if named > 1 or (named > drawn and not (refused or left_out)):
         what = f"{named - drawn} of its textures left out: one, with coordinates, is shown"
         notices.append(what)
-    missing = list(folder.left_out.values())
+    missing = list(left_out.values())
     notices += [f"left out {why}" for why in missing[:_MOST_TOLD]]
     if len(missing) > _MOST_TOLD:
         notices.append(f"left out {len(missing) - _MOST_TOLD} more files")
@@ -135,9 +127,9 @@ def _read(
 
 def _parts(
     scene: Iterable[tuple[FileMesh | None, np.ndarray, Material]],
-    path: Path,
-    notices: list[str],
+    file: ModelFile,
 ) -> list[Part]:
+    path, notices = file.folder.path, file.notices
     parts: list[Part] = []
     dropped = skipped = faces = count = 0
     for mesh, model_from_mesh, material in scene:

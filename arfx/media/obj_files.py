@@ -20,7 +20,7 @@ from arfx.core.model import Material
 from arfx.errors import InputError
 from arfx.media.model_files import ModelFolder
 from arfx.media.model_limits import check_faces, check_parts
-from arfx.media.model_materials import Textures
+from arfx.media.model_parts import ModelFile
 from arfx.media.mtl_files import MtlMaterials
 
 _LIST = "materials made by arfx.mtl"  # the list that trimesh is given
@@ -53,10 +53,10 @@ def decoded(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def read_obj(data: bytes, folder: ModelFolder, textures: Textures, notices: list[str]) -> ObjFile:
-    """notices : gets what is left out
-    Raises InputError: more faces or parts than can be handled; of a material, see MtlMaterials."""
-    text = "\n" + decoded(data).replace("\r\n", "\n").replace("\r", "\n")
+def read_obj(file: ModelFile) -> ObjFile:
+    """Raises InputError: more faces or parts than can be handled; see also MtlMaterials."""
+    folder, notices = file.folder, file.notices
+    text = "\n" + decoded(file.data).replace("\r\n", "\n").replace("\r", "\n")
     text = text.replace("\\\n", " ").replace("\t", " ")
     if "\n " in text:
         text = re.sub(r"\n +", "\n", text)
@@ -64,12 +64,12 @@ def read_obj(data: bytes, folder: ModelFolder, textures: Textures, notices: list
     used = dict.fromkeys(map(_key, re.findall(r"\nusemtl +(.*)", text)))
     check_parts(len(used), folder.path)
     lists = re.findall(r"\nmtllib +(.*)", text)
-    files = dict.fromkeys(file for line in lists for file in _files(line, folder))
+    files = dict.fromkeys(name for line in lists for name in _files(line, folder))
     lines, missing = _lines_of_materials(used, files, folder)
     if missing and not folder.left_out:
         names = ", ".join(name[:60] for name in missing[:5]) + (", …" if len(missing) > 5 else "")
         notices.append(f"no MTL file describes {len(missing)} of its materials: {names}")
-    made = MtlMaterials(folder, textures)
+    made = MtlMaterials(folder, file.textures)
     materials = {name: made.material(name, rows) for name, rows in lines.items()}
     if made.lost:
         notices.append(f"left out of its materials: {', '.join(made.lost)}")

@@ -12,48 +12,37 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material
-from arfx.media.model_files import ModelFolder
 from arfx.media.model_limits import check_parts
-from arfx.media.model_materials import Textures, check_material, plain_material, unit
-from arfx.media.model_parts import FileMesh
+from arfx.media.model_materials import check_material, plain_material, unit
+from arfx.media.model_parts import FileMesh, ModelFile
 from arfx.media.obj_files import ObjFile, decoded, read_obj
 
 
 class TrimeshScene:
     """All meshes of a file. Nobody promises the winding of these formats: both sides are shown.
 
-    folder : of the model, answers trimesh as its resolver;  notices : gets what is left out
     Raises InputError: limits, damaged materials; what trimesh's parsers raise."""
 
-    def __init__(
-        self,
-        data: bytes,
-        kind: str,
-        folder: ModelFolder,
-        textures: Textures,
-        notices: list[str],
-    ) -> None:
+    def __init__(self, file: ModelFile) -> None:
         import trimesh
 
-        self._textures, self._notices = textures, notices
+        self._textures, self._notices = file.textures, file.notices
         self._materials: dict[int, tuple[Any, Material]] = {}  # both: ids stay unique
-        self._obj = ObjFile(data, {})
+        self._obj = read_obj(file) if file.kind == "obj" else ObjFile(file.data, {})
+        data = self._obj.text
         self.textures_named = 0
-        if kind == "obj":
-            self._obj = read_obj(data, folder, textures, notices)
-            data = self._obj.text
-        if kind == "ply":
+        if file.kind == "ply":
             head, end, body = data.partition(b"end_header")
             named = re.findall(rb"\ncomment\s+TextureFile\s", head, re.IGNORECASE)
             self.textures_named = len(named)
             data = decoded(head).encode() + end + body
         self._scene = trimesh.load_scene(
             io.BytesIO(data),
-            file_type=kind,
-            resolver=folder,  # type: ignore[arg-type]
+            file_type=file.kind,
+            resolver=file.folder,  # type: ignore[arg-type]
             process=False,
         )
-        check_parts(len(self._scene.graph.nodes_geometry), folder.path)
+        check_parts(len(self._scene.graph.nodes_geometry), file.folder.path)
 
     def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
         """Each set of triangles, (4, 4) its place in the model, and its material; None for points

@@ -1,14 +1,23 @@
-"""Depth of field by luminance and depth, as printed: sections 3.2 to 3.4 of Zhao et al. 2012. The lens: s2_lens.py.
+"""Depth of field by luminance and depth, as printed: sections 3.2 to 3.4 of Zhao et al. 2012. The
+lens: s2_lens.py.
 
-The composited picture, coded as sRGB, is mean-filtered; every pixel takes the mean of its brighter neighbours, by how much
-brighter they are (8); the result is blended with the sharp picture by the blur circle's share of the largest (9).
-L, U : distances of a thing and of the focus;  F, N : focal length and f-number;  C : diameter of the circle, on the sensor.
-Distances are kept as dioptres, 1/L: there (5) has no pole, and beyond the hyperfocal distance all that is behind is sharp.
+The composited picture, coded as sRGB, is mean-filtered; every pixel takes the mean of its brighter
+neighbours, by how much
+brighter they are (8); the result is blended with the sharp picture by the blur circle's share of
+the largest (9).
+L, U : distances of a thing and of the focus;  F, N : focal length and f-number;  C : diameter of
+    the circle, on the sensor.
+Distances are kept as dioptres, 1/L: there (5) has no pole, and beyond the hyperfocal distance all
+that is behind is sharp.
 
-Deviations. Not stated, hence settings: the size of the mean filter (Figure 8's block holds 4 px around its own, so at most 7 px
-with (8)), and how the border of the depth of field is smoothed; here the factor 2/3 rises to 1 across it. A clip plane that is
-not set stands at the nearest or farthest thing of the frame. The depth of the real scene is that of its planes, or measured.
-In front is what is nearer by more than 1 %, on one surface at a grazing angle too. While the object fades in or out so does the
+Deviations. Not stated, hence settings: the size of the mean filter (Figure 8's block holds 4 px
+around its own, so at most 7 px
+with (8)), and how the border of the depth of field is smoothed; here the factor 2/3 rises to 1
+across it. A clip plane that is
+not set stands at the nearest or farthest thing of the frame. The depth of the real scene is that
+of its planes, or measured.
+In front is what is nearer by more than 1 %, on one surface at a grazing angle too. While the
+object fades in or out so does the
 blur. Its errors: docs/methods/dof.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
@@ -33,10 +42,10 @@ from arfx.core.stage import Demand, View
 from arfx.errors import ConfigError, require_within
 from arfx.stages.dof import Dof
 from arfx.stages.dof.depth_layers import dioptre_of
+from arfx.stages.dof.layers import depth_range, object_box
 from arfx.stages.dof.optics import CircleOfConfusion, focal_mm
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.sharp_frame import depth_range, object_box
-from arfx.stages.dof.surfaces import Real, plane_radius, square_radius
+from arfx.stages.dof.planes import Real, between_nodes
 
 INSIDE = 2 / 3  # of the blend, within the depth of field
 _NEARER = np.float32(1.01)  # what has a larger dioptre by more than this factor stands in front
@@ -47,7 +56,8 @@ class PrintedDofParams(DofParams):
     """near_m : nearest clip plane, where the blur counts fully; 0 = the nearest thing in the frame
     far_m : farthest clip plane; 0 = the farthest thing in the frame
     coc_mm : diameter of the largest blur circle that passes as sharp
-    border : how far the smoothed border reaches into the depth of field, and out of it, as a fraction of it; 0 = a hard step
+    border : how far the smoothed border reaches into the depth of field, and out of it, as a
+        fraction of it; 0 = a hard step
     mean_px : side of the mean filter, odd"""
 
     formula: str = field(default="paper", init=False)
@@ -70,7 +80,8 @@ class PrintedDofParams(DofParams):
 
 
 def eq7_circle(dioptre: np.ndarray | float, at: CircleOfConfusion) -> np.ndarray:
-    """Diameter of the blur circle, mm, of what is at 1 / dioptre metres: C = F^2 |L - U| / ((U - F) N L)."""
+    """Diameter of the blur circle, mm, of what is at 1 / dioptre metres: C = F^2 |L - U| / ((U -
+    F) N L)."""
     return at.px_per_dioptre * at.coc_mm_per_px * np.abs(at.focus - np.asarray(dioptre))
 
 
@@ -83,7 +94,8 @@ def blur_factor(
 
 
 def sharp_range(at: CircleOfConfusion, F: float, C: float) -> tuple[float, float]:
-    """The limits U + (5) and U - (4) as dioptres, 1/m, farthest first: 1/U -+ N C / F^2, of which the first may be negative.
+    """The limits U + (5) and U - (4) as dioptres, 1/m, farthest first: 1/U -+ N C / F^2, of which
+    the first may be negative.
     F, C : mm"""
     focal_dioptre = (
         at.px_per_dioptre * at.coc_mm_per_px * (1 - min(1e-3 * F * at.focus, 1.0))
@@ -93,25 +105,16 @@ def sharp_range(at: CircleOfConfusion, F: float, C: float) -> tuple[float, float
 
 
 def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np.ndarray:
-    """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the real scene's."""
+    """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the
+    real scene's."""
     rect = now.rect
-    out = np.full((rect.height, rect.width), real.background, np.float32)
     if real.tiles is not None:
         out = dioptre_of(now[Layer.REAL_DEPTH])
-    itself = (
-        np.float32(1),
-        np.float32(0),
-        np.float32(np.inf),
-    )  # a radius of 1 px a dioptre from a focus at infinity
-    if real.base is not None:
-        nodes, behind = real.base.dioptres(grid), np.float32(real.background)
-        plane_radius(out, 0, rect.height, 0, rect.width, rect.x0, rect.y0, nodes, behind, itself)
+    else:
+        out = real.dioptres_over(rect, grid)
     for plane in real.finite_planes:
-        own, inside = np.empty_like(out), np.empty_like(out)
-        square_radius(
-            own, inside, rect.x0, rect.y0, plane.positions(grid), np.float32(plane.half_m), itself
-        )
-        out = np.where(inside > 0, own, out)
+        positions = between_nodes(plane.positions(grid), rect)
+        out = np.where(plane.within(positions), positions[..., 2], out)
     near, far = depth_range(facts)
     depth = np.clip(now[Layer.DEPTH], near, far)
     return np.where(now[Layer.COVERAGE] >= 0.5, divide(1.0, depth), out).astype(np.float32)
@@ -161,7 +164,8 @@ def _mean_without_front(
 
 
 def eq8_bleed(colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
-    """(h, w, 3): mean of the brighter ones among a pixel's eight neighbours, weighted by the luma that they have more;
+    """(h, w, 3): mean of the brighter ones among a pixel's eight neighbours, weighted by the luma
+    that they have more;
     the pixel itself where none is brighter."""
     kr, kb = LUMA_COEFFICIENTS["bt601"]
     luma = (colour @ np.array([kr, 1 - kr - kb, kb], np.float32)).astype(np.float32)
@@ -196,7 +200,8 @@ def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compi
 def within_depth_of_field(
     dioptre: np.ndarray, sharp: tuple[float, float], border: float
 ) -> np.ndarray:
-    """By how much the blur factor counts: 2/3 within the limits `sharp`, 1 outside, smoothly between around them."""
+    """By how much the blur factor counts: 2/3 within the limits `sharp`, 1 outside, smoothly
+    between around them."""
     focus, reach = 0.5 * (sharp[0] + sharp[1]), 0.5 * (sharp[1] - sharp[0])
     place = (
         np.abs(dioptre - focus) / reach if np.isfinite(reach) else np.zeros_like(dioptre)
@@ -211,7 +216,8 @@ def eq9_blend(a: np.ndarray, blur: np.ndarray, original: np.ndarray) -> np.ndarr
 
 
 def _blended(a: np.ndarray, blur: np.ndarray, coded: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """(9) in linear light; what is exactly in the focus stays bit for bit. image : `coded` in linear light"""
+    """(9) in linear light; what is exactly in the focus stays bit for bit. image : `coded` in
+    linear light"""
     return np.where(a[..., None] > 0, SRGB.decode(eq9_blend(a, blur, coded)), image)
 
 
@@ -262,7 +268,8 @@ class PrintedDof(Dof):
     def depth_and_blur(
         self, now: Layers, facts: FrameFacts, scene: Scene, grid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What one texture of Figure 6 holds: (h, w) dioptre, 1/m, and factor of the blend. grid : what `prepare` made"""
+        """What one texture of Figure 6 holds: (h, w) dioptre, 1/m, and factor of the blend. grid :
+        what `prepare` made"""
         p, (at, real) = self.params, self._frame(facts, scene)
         dioptre = dioptres(now, facts, real, grid)
         sharp = sharp_range(at, focal_mm(p, facts, scene), p.coc_mm)

@@ -1,5 +1,7 @@
-"""What Figure 12 of Zhao et al. 2012 holds against their own method in Figure 13: a Gaussian filter, which does not ask how
-bright the neighbours are. All else, depth, blend and border, is the same (s2_dof.py), so that the figures differ by (8) alone.
+"""What Figure 12 of Zhao et al. 2012 holds against their own method in Figure 13: a Gaussian
+filter, which does not ask how
+bright the neighbours are. All else, depth, blend and border, is the same (s2_dof.py), so that the
+figures differ by (8) alone.
 
 Not stated is its size: it has the standard deviation of the mean filter."""
 

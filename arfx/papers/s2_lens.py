@@ -1,7 +1,10 @@
-"""Sections 2 and 3.1 of Zhao et al. 2012, as printed: blur circle and depth of field of a thin lens.
+"""Sections 2 and 3.1 of Zhao et al. 2012, as printed: blur circle and depth of field of a thin
+lens.
 
-All in mm: F, N, D : focal length, f-number, diameter of the lens;  U_A or L : distance in focus, V_A : of its picture;
-U_B : distance of another thing;  C : diameter of its circle on the sensor. The example prints a radius, .035, in place of C.
+All in mm: F, N, D : focal length, f-number, diameter of the lens;  U_A or L : distance in focus,
+V_A : of its picture;
+U_B : distance of another thing;  C : diameter of its circle on the sensor. The example prints a
+    radius, .035, in place of C.
 Deviations: where (5) and (6) have a pole or are negative they are None."""
 
 from __future__ import annotations

@@ -20,20 +20,20 @@ from typing import Any
 import numba
 import numpy as np
 
-from arfx.core.colour import SRGB
+from arfx.core.colour import LUMA_COEFFICIENTS, SRGB
 from arfx.core.layers import Layer
 from arfx.core.noise import noise
 from arfx.core.numerics import normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
-from arfx.errors import require_within
+from arfx.errors import ConfigError, require_within
 from arfx.stages.dof.depth_layers import dioptre_of
 from arfx.stages.watercolor import Watercolor
-from arfx.stages.watercolor.cells import means
-from arfx.stages.watercolor.edges import yuv_matrix
+from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.field import plane_dioptre
-from arfx.stages.watercolor.params import WatercolorParams
+from arfx.stages.watercolor.lines import ALPHA, BETA, yuv_matrix
+from arfx.stages.watercolor.params import require_tones
 from arfx.stages.watercolor.sites import STEPS, Sites
 from arfx.stages.watercolor.toon import toon_light
 
@@ -41,22 +41,48 @@ LEAST = 0.05  # of a cone's size: OpenGL cuts off what is before the near clip p
 
 
 @dataclass(frozen=True)
-class PrintedWatercolorParams(WatercolorParams):
-    """m : rows of cells, 0 = as many as make cells of cell_px;  n : columns of cells, likewise
-    near_m : near clip plane of the depth buffer, whose value is the size of a cone; 0 = all cones alike
+class PrintedWatercolorParams:
+    """formula : paper
+    cell_px : size of a cell, px of the picture
+    m : rows of cells, 0 = as many as make cells of cell_px;  n : columns of cells, likewise
+    near_m : near clip plane of the depth buffer, whose value is the size of a cone; 0 = all cones
+        alike
+    toon : three flat tones on the virtual object
+    toon_thresholds : cosines of the angle between normal and light at which the tone changes
+    toon_factors : brightness of the three tones, brightest first
+    alpha : weight of U and V in the edges of YUV;  beta : weight of YUV in all edges
+    yuv : matrix of Y'UV: bt601, bt709
     line_threshold : coded value from which an edge is drawn"""
 
     formula: str = field(default="paper", init=False)
+    cell_px: float = 7.0
     m: int = 0
     n: int = 0
     near_m: float = 0.1
+    toon: bool = True
+    toon_thresholds: tuple[float, float] = (0.5, 0.2)
+    toon_factors: tuple[float, float, float] = (1.0, 0.4, 0.1)
+    alpha: float = ALPHA
+    beta: float = BETA
+    yuv: str = "bt601"
     line_threshold: float = 0.12
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         require_within(
-            "watercolor", self, m=(0, 4096), n=(0, 4096), near_m=(0, 1e3), line_threshold=(0, 2)
+            "watercolor",
+            self,
+            cell_px=(0.5, 4096),
+            m=(0, 4096),
+            n=(0, 4096),
+            near_m=(0, 1e3),
+            alpha=(0, 1),
+            beta=(0, 1),
+            line_threshold=(0, 2),
         )
+        if self.yuv not in LUMA_COEFFICIENTS:
+            known = ", ".join(LUMA_COEFFICIENTS)
+            raise ConfigError(f"watercolor.yuv {self.yuv!r} is unknown", f"one of {known}")
+        require_tones("watercolor", self.toon_thresholds, self.toon_factors)
 
 
 # 3.1.1 Voronoi diagram
@@ -82,12 +108,15 @@ def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
 def depth_buffer(view: View, near_m: float) -> np.ndarray:
     """(h, w) float32 0..1: what OpenGL's depth buffer holds with the far clip plane at infinity, 1 - near_m / depth. Of the
     object, around it of the measured depth or the marker's plane; 1, as it is cleared, where nothing is known."""
-    now, facts, rect = view.layers, view.facts, view.rect
+    now = view.layers
+    facts = view.facts
+    rect = view.rect
     dioptre = np.zeros((rect.height, rect.width), np.float32)
     if facts.real_depth is not None:
         dioptre = dioptre_of(now[Layer.REAL_DEPTH])
     elif facts.camera_from_world is not None:
-        x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)[:, None]
+        x = np.arange(rect.x0, rect.x1)
+        y = np.arange(rect.y0, rect.y1)[:, None]
         dioptre = plane_dioptre(
             x, y, view.scene.camera, facts.camera_from_world @ view.scene.world_from_anchor
         )
@@ -111,7 +140,8 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
     """depth (h, w) : the depth buffer, squared, and labels are written; of equal depths the first one stays."""
     h, w = labels.shape
     for k in range(x.shape[0]):
-        radius, slope = length * size[k], 1 / (size[k] * size[k])
+        radius = length * size[k]
+        slope = 1 / (size[k] * size[k])
         for j in range(
             max(int(np.ceil(y[k] - radius)), 0), min(int(np.floor(y[k] + radius)) + 1, h)
         ):
@@ -120,7 +150,8 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
             ):
                 z = ((i - x[k]) ** 2 + (j - y[k]) ** 2) * slope
                 if z < depth[j, i]:
-                    depth[j, i], labels[j, i] = z, k
+                    depth[j, i] = z
+                    labels[j, i] = k
 
 
 def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
@@ -182,7 +213,8 @@ def eq4_edges(coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601
 
 def gradient(a: np.ndarray) -> np.ndarray:
     """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind the border."""
-    dx, dy = np.zeros_like(a), np.zeros_like(a)
+    dx = np.zeros_like(a)
+    dy = np.zeros_like(a)
     dx[:, :-1] = np.diff(a, axis=1)
     dy[:-1] = np.diff(a, axis=0)
     return np.sqrt(dx * dx + dy * dy)
@@ -195,33 +227,31 @@ class PrintedWatercolor(Watercolor):
     levels = ("standard",)
     Params = PrintedWatercolorParams
 
-    def __init__(self, params: PrintedWatercolorParams | None = None) -> None:
-        super().__init__(params)
-        self.history = 0
-
     def prepare(self, scene: Scene, level: str) -> Any:
         return None
 
     def run(self, view: View, prepared: None) -> Mapping[Layer, np.ndarray]:
-        p, rect = self.params, view.rect
+        p = self.params
+        rect = view.rect
         coded = self.frame(view)
-        m, n = (
-            p.m or max(round(rect.height / p.cell_px), 1),
-            p.n or max(round(rect.width / p.cell_px), 1),
-        )
+        m = p.m or max(round(rect.height / p.cell_px), 1)
+        n = p.n or max(round(rect.width / p.cell_px), 1)
         sites = eq1_sites(rect, m, n, view.key)
         labels = cones(sites, at_sites(depth_buffer(view, p.near_m), sites, rect), rect, m, n)
         number, count = named_by_colour(coded, labels, sites, rect)
-        out = means(coded, number, count)[number]
+        out = mean_colours(coded, [number], count)[0][number]
         out[eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold] = 0
         return {Layer.IMAGE: SRGB.decode(out).astype(np.float32)}
 
     def frame(self, view: View) -> np.ndarray:
         """(h, w, 3) float32 coded: real scene and object, which is toon-shaded."""
-        p, now, image = self.params, view.layers, view[Layer.IMAGE]
+        p = self.params
+        now = view.layers
+        image = view[Layer.IMAGE]
         box = now.extent(Layer.COVERAGE)
         if p.toon and view.facts.present and not box.empty:
-            part, image = now.crop(box), image.copy()
+            part = now.crop(box)
+            image = image.copy()
             lightDir, _ = toon_light(view.light, view.scene.world_from_anchor.rotation[:, 2])
             myColor = SRGB.encode(np.clip(part[Layer.ALBEDO], 0, 1))
             shaded = SRGB.decode(

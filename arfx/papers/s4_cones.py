@@ -1,12 +1,14 @@
 """Step 4 of Yao, Tao, Wu 2018: cones through the octree's volumes.
 
-One narrow cone about the mirrored direction, several wide ones over the hemisphere: here six. Samples lie half a cone's width
-apart, on the level whose voxels are as wide as the cone there, linear between voxels and between levels. A step of length ds
-through voxels of side s takes 1 - (1 - alpha)^(ds / s) of what lies behind; the voxels' radiance counts whole, whatever the step,
-but for `scaled`, which corrects it.
+One narrow cone about the mirrored direction, several wide ones over the hemisphere: here six.
+Samples lie half a cone's width apart, on the level whose voxels are as wide as the cone there,
+linear between voxels and between levels. A step of length ds through voxels of side s takes 1 - (1
+- alpha)^(ds / s) of what lies behind; the voxels' radiance counts whole, whatever the step, but for
+`scaled`, which corrects it.
 
-What V_eta, the volume of normals, is for is not said. Here voxels that face away from a cone's start neither send nor hide, or a
-surface would hide the light from itself; where normals cancel (a thin wall, a coarse voxel) both sides count.
+What V_eta, the volume of normals, is for is not said. Here voxels that face away from a cone's
+start neither send nor hide, or a surface would hide the light from itself; where normals cancel (a
+thin wall, a coarse voxel) both sides count.
 
 Its errors: docs/methods/gi.md#errata."""
 
@@ -30,7 +32,8 @@ WIDE_DEG = 30.0  # half-angle of the six
 
 
 def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
-    """(directions (6, 3) about +z, weights (6,), tangent of the half-angle): one up, five 52 degrees from it."""
+    """(directions (6, 3) about +z, weights (6,), tangent of the half-angle): one up, five 52
+    degrees from it."""
     turn = np.arange(5) * 2 * np.pi / 5
     aside = np.sqrt(1 - TILT_COSINE**2)
     ring = np.stack([aside * np.cos(turn), aside * np.sin(turn), np.full(5, TILT_COSINE)], -1)
@@ -55,8 +58,9 @@ def around_normals(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def cone_steps(tan_half: float, n: int) -> np.ndarray:
-    """(k, 3) float32 of a cone through n^3 voxels: distance of each sample, voxels; its level; ds / s.
-    From where the cone is a voxel wide, or one voxel off, to 8 n, beyond which nothing is larger than a few degrees."""
+    """(k, 3) float32 of a cone through n^3 voxels: distance of each sample, voxels; its level; ds /
+    s. From where the cone is a voxel wide, or one voxel off, to 8 n, beyond which nothing is larger
+    than a few degrees."""
     out, t = [], min(0.5 / tan_half, 1.0)
     while t < 8 * n:
         ds = SPACING * max(2 * tan_half * t, 1.0)
@@ -74,8 +78,9 @@ def cone_trace(
     directions: np.ndarray,
     scaled: bool = False,
 ) -> np.ndarray:
-    """(m, k, 4) radiance of V, and share of the background that is left, of cones from positions (m, 3), metres, anchor axes, in
-    directions (m, k, 3), unit. V (nodes, 3) float32;  steps : of `cone_steps`
+    """(m, k, 4) radiance of V, and share of the background that is left, of cones from positions
+    (m, 3), metres, anchor axes, in directions (m, k, 3), unit. V (nodes, 3) float32
+    steps : of `cone_steps`
     scaled : radiance counts as much as the step's opacity does, however a way is cut into steps"""
     start, d = volumes.in_voxels(positions_m), np.ascontiguousarray(directions, np.float32)
     parts = parallel_rows(
@@ -142,7 +147,8 @@ def _cone_trace(tree: Octree, V, steps, start, directions, scaled):  # pragma: n
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def sample(tree: Octree, V, level, at, d):  # pragma: no cover - compiled
-    """(r, g, b, opacity) as seen along d, linear between the level's eight voxels around `at`, in voxels of the lowest."""
+    """(r, g, b, opacity) as seen along d, linear between the level's eight voxels around `at`, in
+    voxels of the lowest."""
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     s = one / np.float32(1 << level)
     x, y, z = at[0] * s - half, at[1] * s - half, at[2] * s - half  # whole at centres

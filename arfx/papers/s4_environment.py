@@ -1,8 +1,9 @@
 """Step 3 of Yao, Tao, Wu 2018: an environment cube out of the one picture, and how step 4 reads it.
 
-The picture in thirds: its left and right parts on -x and +x, upper and lower on -y and +y, the middle in front and, mirrored,
-behind. Axes are the camera's (x right, y down, z forward), so the paper's -z is +z here. RGBA16, with mip levels, linear over the
-cube's edges as graphics cards read it; what lies to both sides of an edge is as the picture was cut.
+The picture in thirds: its left and right parts on -x and +x, upper and lower on -y and +y, the
+middle in front and, mirrored, behind. Axes are the camera's (x right, y down, z forward), so the
+paper's -z is +z here. RGBA16, with mip levels, linear over the cube's edges as graphics cards read
+it; what lies to both sides of an edge is as the picture was cut.
 
 Its errors: docs/methods/gi.md#errata."""
 
@@ -22,25 +23,27 @@ OVER = 1e-6  # of half a face
 
 
 def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """(6, size, size, 3) radiance as `surroundings.fold`: the picture in thirds, its middle the front and, mirrored, the back,
-    the parts beside the middle the sides. There is a seam where those meet the back."""
+    """(6, size, size, 3) radiance as `surroundings.fold`: the picture in thirds, its middle the
+    front and, mirrored, the back, the parts beside the middle the sides. There is a seam where
+    those meet the back."""
     picture = foldable(image)
     h, w = picture.shape[:2]
     ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))
-    part = lambda row, column: picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]  # noqa: E731
 
-    def shrink(p):
-        return cv2.resize(np.ascontiguousarray(p), (size, size), interpolation=cv2.INTER_AREA)
+    def third(row: int, column: int) -> np.ndarray:
+        part = picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]
+        return cv2.resize(np.ascontiguousarray(part), (size, size), interpolation=cv2.INTER_AREA)
 
     # a side's first line is the one that touches the front
-    right, left = shrink(part(1, 2)), shrink(part(1, 0))[:, ::-1]
-    down, up = shrink(part(2, 1)), shrink(part(0, 1))[::-1]
-    front = shrink(part(1, 1))
+    right, left = third(1, 2), third(1, 0)[:, ::-1]
+    down, up = third(2, 1), third(0, 1)[::-1]
+    front = third(1, 1)
     return np.stack([right, left, down, up, front, front])
 
 
 def step3_mipmap(cube: np.ndarray) -> list[np.ndarray]:
-    """RGBA16 (6, n + 2, n + 2, 4) uint16 of every level, each face with a border of its neighbours' texels.
+    """RGBA16 (6, n + 2, n + 2, 4) uint16 of every level, each face with a border of its neighbours'
+    texels.
 
     cube (6, n, n, 3) : radiance, n a power of two; what is brighter than 1 is cut"""
     levels = [np.clip(np.concatenate([cube, np.ones_like(cube[..., :1])], -1), 0, 1)]
@@ -61,13 +64,15 @@ def with_border(faces: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def bordered_directions(n: int) -> np.ndarray:
-    """(6 (n + 2)^2, 3) of the texels' centres, as `face_directions`, and of places just over the edge beside them."""
+    """(6 (n + 2)^2, 3) of the texels' centres, as `face_directions`, and of places just over the
+    edge beside them."""
     t = np.clip((np.arange(-1, n + 1) + 0.5) / n * 2 - 1, -1 - OVER, 1 + OVER)
     return on_faces(t).reshape(-1, 3)
 
 
 def mip_level(half_angle_deg: float, size: int = FACE_PX) -> float:
-    """1/2 log2(Omega_cone / Omega_texel) of a cube with faces of size^2 texels; 0 for what is narrower than a texel."""
+    """1/2 log2(Omega_cone / Omega_texel) of a cube with faces of size^2 texels; 0 for what is
+    narrower than a texel."""
     cone = 2 * np.pi * (1 - np.cos(np.radians(half_angle_deg)))
     return max(0.5 * float(np.log2(cone / (4 * np.pi / (6 * size**2)))), 0.0)
 

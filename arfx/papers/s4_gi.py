@@ -1,17 +1,18 @@
 """Environment from the one camera and delta voxel cone tracing, as printed: Yao, Tao, Wu 2018.
 
 1. The real scene is a mesh of its planes: s4_plane.py.
-2. It is voxelised with the object; light of reflective shadow maps goes into V_rho, V_mu and V_delta, the coarser voxels are the
-   mean of their children: s4_volumes.py, s4_shadow_maps.py.
+2. It is voxelised with the object; light of reflective shadow maps goes into V_rho, V_mu and
+   V_delta, the coarser voxels are the mean of their children: s4_volumes.py, s4_shadow_maps.py.
 3. The environment is folded out of the picture: s4_environment.py.
-4. Cones gather the light of voxels and environment: s4_cones.py. Real surfaces read V_delta, virtual ones V_mu, the rebuilt
-   volume, and what their cones let through of the environment. Here.
+4. Cones gather the light of voxels and environment: s4_cones.py. Real surfaces read V_delta,
+   virtual ones V_mu, the rebuilt volume, and what their cones let through of the environment. Here.
 
-Deviations. Not stated and therefore settings: voxels a side, the plane's albedo, how much it mirrors. With the printed labels
-V_delta has its sign turned round: it is subtracted here. The environment is said once to be for real and once for virtual
-surfaces: the picture of real ones holds it already. Only light with a direction is in the voxels, so where the frame has none
-nothing changes on the planes. The picture is changed by a ratio, so black pixels of it gain little. Processor instead of
-graphics card. Gloss: s4_gloss.py. Its errors: docs/methods/gi.md#errata."""
+Deviations. Not stated and therefore settings: voxels a side, the plane's albedo, how much it
+mirrors. With the printed labels V_delta has its sign turned round: it is subtracted here. The
+environment is said once to be for real and once for virtual surfaces: the picture of real ones
+holds it already. Only light with a direction is in the voxels, so where the frame has none nothing
+changes on the planes. The picture is changed by a ratio, so black pixels of it gain little.
+Processor instead of graphics card. Gloss: s4_gloss.py. Its errors: docs/methods/gi.md#errata."""
 
 from __future__ import annotations
 
@@ -71,7 +72,8 @@ class PrintedGiParams(GiParams):
 
 @dataclass(frozen=True, eq=False)
 class PrintedPrepared:
-    """Of one clip and worker. real, virtual : what rays meet of the mesh of step 1, and of the object
+    """Of one clip and worker. real, virtual : what rays meet of the mesh of step 1, and of the
+    object
     volumes : of step 2;  grid : viewing directions"""
 
     real: RayScene
@@ -82,8 +84,8 @@ class PrintedPrepared:
 
 @dataclass(frozen=True, eq=False)
 class Surfels:
-    """Points of surfaces that are shaded. position (m, 3), metres, normal (m, 3) and seen (m, 3), unit direction from the camera:
-    anchor axes"""
+    """Points of surfaces that are shaded. position (m, 3), metres, normal (m, 3) and seen (m, 3),
+    unit direction from the camera: anchor axes"""
 
     position: np.ndarray
     normal: np.ndarray
@@ -179,7 +181,8 @@ class PrintedGi(Stage):
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
 
     def step4_real(self, prepared: PrintedPrepared, radiance: Radiance, at: Surfels) -> np.ndarray:
-        """(m, 3) of V_delta on real surfaces: by the wide cones, and by the mirror cone, in which the object is reflected."""
+        """(m, 3) of V_delta on real surfaces: by the wide cones, and by the mirror cone, in which
+        the object is reflected."""
         volumes, six = prepared.volumes, wide_cones(prepared.volumes, radiance.V_delta, at)
         out = self.params.plane_albedo * six[..., :3]
         if self.params.plane_gloss > 0:
@@ -199,7 +202,8 @@ class PrintedGi(Stage):
         rho: np.ndarray,
         material: np.ndarray,
     ) -> np.ndarray:
-        """(m, 3) of V_mu, the rebuilt volume, and the environment behind it, on the object's surfaces."""
+        """(m, 3) of V_mu, the rebuilt volume, and the environment behind it, on the object's
+        surfaces."""
         camera_from_anchor = (view.pose @ view.scene.world_from_anchor).rotation
         metal, roughness = material[:, :1], material[:, 1]
         six = wide_cones(prepared.volumes, radiance.V_mu, at, environment, camera_from_anchor)
@@ -229,7 +233,8 @@ class PrintedGi(Stage):
 
 
 def lamps_of(light: Light) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Direction (3,), unit, WORLD axes, and rgb (3,) of each directional light, in steps too small to show by way of voxels."""
+    """Direction (3,), unit, WORLD axes, and rgb (3,) of each directional light, in steps too small
+    to show by way of voxels."""
     lamps = []
     for lamp in light.lights:
         rgb = np.asarray(lamp.rgb, float)
@@ -246,18 +251,20 @@ def real_surfels(
     anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
     d = viewing(prepared.grid, within)  # z = 1: distances are depths
     seen = d.reshape(-1, 3) @ anchor_from_camera.rotation.T
-    hit = prepared.real.first(np.broadcast_to(anchor_from_camera.translation_m, seen.shape), seen)
-    on = (
-        hit.met
-        & ((hit.normal * seen).sum(-1) < 0)
-        & (view[Layer.COVERAGE][within.slices_in(view.rect)].ravel() < 1)
-    )
+    eyes = np.broadcast_to(anchor_from_camera.translation_m, seen.shape)
+    met = prepared.real.nearest(eyes, seen)
+    covered = view[Layer.COVERAGE][within.slices_in(view.rect)].ravel()
+    on = np.isfinite(met.distance) & (covered < 1)
     depth = view[Layer.REAL_DEPTH][within.slices_in(view.rect)].ravel()
     with np.errstate(invalid="ignore"):
-        on &= ~(np.isfinite(depth) & (np.abs(depth - hit.distance) > LIFT * hit.distance))
-    row, column = np.unravel_index(np.flatnonzero(on), d.shape[:2])
+        on &= ~(np.isfinite(depth) & (np.abs(depth - met.distance) > LIFT * met.distance))
+    pixel = np.flatnonzero(on)
+    surface = prepared.real.surface(met.of(pixel), eyes[pixel], seen[pixel])
+    front = (surface.normal * seen[pixel]).sum(-1) < 0
+    pixel = pixel[front]
+    row, column = np.unravel_index(pixel, d.shape[:2])
     rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
-    return rows, Surfels(hit.position[on], hit.normal[on], normalise(seen[on]))
+    return rows, Surfels(surface.position[front], surface.normal[front], normalise(seen[pixel]))
 
 
 def virtual_surfels(view: View, within: Rect) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
@@ -280,7 +287,8 @@ def wide_cones(
     environment: list[np.ndarray] | None = None,
     turn: np.ndarray | None = None,
 ) -> np.ndarray:
-    """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five around, and of the environment
+    """(m, 4) of six cones about the normal, .25 of the one along it and .15 of each of the five
+    around, and of the environment
     behind them. turn (3, 3) : camera from anchor axes"""
     six, weights, tan_half = six_cones()
     d = around_normals(at.normal.astype(np.float32), six)
@@ -296,7 +304,8 @@ def wide_cones(
 def mirror_cones(
     volumes: Volumes, V: np.ndarray, at: Surfels, roughness: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle). roughness (m,)"""
+    """((m, 4) of one narrow cone about the mirrored line of sight, (m,) degrees of its half-angle).
+    roughness (m,)"""
     tangent = mirror_tangent(np.rint(roughness * (LOBES - 1)) / (LOBES - 1))
     out = np.zeros((len(tangent), 4), np.float32)
     for one in np.unique(tangent):

@@ -1,7 +1,8 @@
-"""Gloss in step 4 of Yao, Tao, Wu 2018: how wide the mirror cone of a rough surface is, and how much it reflects.
+"""Gloss in step 4 of Yao, Tao, Wu 2018: how wide the mirror cone of a rough surface is, and how
+much it reflects.
 
-The paper speaks of one narrow cone and leaves both open. Here GGX microfacets: Karis 2013 (split sum), Heitz 2014 (Smith's G),
-2018 (normals that the viewer sees)."""
+The paper speaks of one narrow cone and leaves both open. Here GGX microfacets: Karis 2013 (split
+sum), Heitz 2014 (Smith's G), 2018 (normals that the viewer sees)."""
 
 from __future__ import annotations
 
@@ -15,17 +16,20 @@ SMOOTHEST = 0.02  # roughness: what is smoother is as good as a mirror
 
 
 def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
-    """Tangent of the half-angle of a cone about the mirrored direction that blurs like a GGX lobe of width roughness^2.
+    """Tangent of the half-angle of a cone about the mirrored direction that blurs like a GGX lobe
+    of width roughness^2.
 
-    Half of the microfacets' normals lie within atan(a) (GGX: D integrates to tan^2 / (a^2 + tan^2)); the mirrored direction
-    turns twice as far. Of a cone, half lies within 1 / sqrt(2) of its half-angle: so it is that much wider."""
+    Half of the microfacets' normals lie within atan(a) (GGX: D integrates to tan^2 / (a^2 +
+    tan^2)); the mirrored direction turns twice as far. Of a cone, half lies within 1 / sqrt(2) of
+    its half-angle: so it is that much wider."""
     a = np.clip(np.asarray(roughness, float), 0.0, 1.0) ** 2
     half_angle = np.minimum(np.sqrt(8) * np.arctan(a), np.radians(50))
     return np.clip(np.tan(half_angle), 0.01, None)
 
 
 def fresnel(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(a, b), (m, 1) each: F0 a + b of the mirrored light is reflected. roughness, cosine of view (m,)"""
+    """(a, b), (m, 1) each: F0 a + b of the mirrored light is reflected. roughness, cosine of view
+    (m,)"""
     row = np.rint(np.clip(roughness, 0, 1) * (ROUGHNESSES - 1)).astype(int)
     column = np.rint(np.clip(cosine, 0, 1) * (COSINES - 1)).astype(int)
     entry = split_sum()[row, column]
@@ -34,7 +38,8 @@ def fresnel(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.n
 
 @cache
 def split_sum() -> np.ndarray:
-    """(ROUGHNESSES, COSINES, 2) float32 (a, b) for roughness and cosine of view from 0 to 1, both ends included."""
+    """(ROUGHNESSES, COSINES, 2) float32 (a, b) for roughness and cosine of view from 0 to 1, both
+    ends included."""
     a = np.maximum(np.linspace(0, 1, ROUGHNESSES), SMOOTHEST)[:, None, None] ** 2
     nv = np.maximum(np.linspace(0, 1, COSINES), 1e-3)[:, None]
     across = np.sqrt(1 - nv * nv)

@@ -1,10 +1,12 @@
 """Step 1 of Yao, Tao, Wu 2018: the real scene is a mesh of its planes.
 
-Planes come from measured depth (points, normals, k nearest neighbours, the dominant plane: analyse/depth/planes.py) or are the
-markers'. Here they become triangles, which step 2 voxelises and step 4 renders.
+Planes come from measured depth (points, normals, k nearest neighbours, the dominant plane:
+analyse/depth/planes.py) or are the markers'. Here they become triangles, which step 2 voxelises and
+step 4 renders.
 
-Deviations. A plane that was not seen to end goes on to FARTHEST radii of the object. The plane's albedo is not stated: a
-parameter. The object stands on its marker, or where the user puts it, not always at the plane's centre."""
+Deviations. A plane that was not seen to end goes on to FARTHEST radii of the object. The plane's
+albedo is not stated: a parameter. The object stands on its marker, or where the user puts it, not
+always at the plane's centre."""
 
 from __future__ import annotations
 

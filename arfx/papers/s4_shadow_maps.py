@@ -1,15 +1,17 @@
-"""Step 2 of Yao, Tao, Wu 2018, light: two reflective shadow maps and the split injection of virtual point lights.
+"""Step 2 of Yao, Tao, Wu 2018, light: two reflective shadow maps and the split injection of virtual
+point lights.
 
-R_rho is the real scene as the light sees it, R_mu the real scene and the object. Each texel is a virtual point light: where the
-light meets a surface, and what that sends on. Texels that show the real scene in both stay out of V_delta; where the object
-shows, the light of R_rho that hit the real surface behind it goes in with one sign and that of R_mu, the object's, with the
-other.
+R_rho is the real scene as the light sees it, R_mu the real scene and the object. Each texel is a
+virtual point light: where the light meets a surface, and what that sends on. Texels that show the
+real scene in both stay out of V_delta; where the object shows, the light of R_rho that hit the real
+surface behind it goes in with one sign and that of R_mu, the object's, with the other.
 
-With the printed labels V_delta = V_rho - V_mu, the light that the object takes is positive and the light that it gives negative:
-the sign is turned round. Step 4 subtracts it.
+With the printed labels V_delta = V_rho - V_mu, the light that the object takes is positive and the
+light that it gives negative: the sign is turned round. Step 4 subtracts it.
 
-Deviations. "Configured" lights are the frame's (`[light] given` configures one); light without a direction has no shadow map.
-Metal sends its light evenly, as voxels are coarser than any highlight."""
+Deviations. "Configured" lights are the frame's (`[light] given` configures one); light without a
+direction has no shadow map. Metal sends its light evenly, as voxels are coarser than any
+highlight."""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ TEXELS = 3  # of a shadow map across a voxel: one that the light grazes is not m
 
 @dataclass(frozen=True, eq=False)
 class ShadowMap:
-    """A reflective shadow map. distance (k,) : from the light's plane, metres, inf = nothing;  position (k, 3), metres, anchor
+    """A reflective shadow map. distance (k,) : from the light's plane, metres, inf = nothing
+    position (k, 3), metres, anchor
     axes;  radiance (k, 3) that each virtual point light sends on"""
 
     distance: np.ndarray
@@ -36,7 +39,8 @@ class ShadowMap:
 
 
 def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
-    """(k, 3) where the rays of a light from `direction` (3,), unit, anchor axes, begin: a grid over the volume."""
+    """(k, 3) where the rays of a light from `direction` (3,), unit, anchor axes, begin: a grid over
+    the volume."""
     half = np.sqrt(3) / 2 * volume.n * volume.voxel_m
     side = int(np.ceil(np.sqrt(3) * volume.n * TEXELS))
     u = normalise(
@@ -51,11 +55,17 @@ def texel_rays(volume: Volume, direction: np.ndarray) -> np.ndarray:
 def shadow_map(
     rays: RayScene, origins: np.ndarray, direction: np.ndarray, rgb: np.ndarray
 ) -> ShadowMap:
-    """What light `rgb` (3,) from `direction` (3,) meets: diffuse surfaces send rho x light x cosine."""
-    hit = rays.first(origins, np.broadcast_to(-direction, origins.shape))
-    rho = hit.diffuse + hit.specular
-    cosine = np.clip(hit.normal @ direction, 0, None)[:, None]
-    return ShadowMap(hit.distance, hit.position, rho * rgb * cosine)
+    """What light `rgb` (3,) from `direction` (3,) meets: diffuse surfaces send rho x light x
+    cosine."""
+    directions = np.broadcast_to(-direction, origins.shape)
+    met = rays.nearest(origins, directions)
+    lit = np.isfinite(met.distance)
+    surface = rays.surface(met.of(lit), origins[lit], directions[lit])
+    position, radiance = np.zeros_like(origins), np.zeros_like(origins)
+    position[lit] = surface.position
+    cosine = np.clip(surface.normal @ direction, 0, None)[:, None]
+    radiance[lit] = surface.reflectance * rgb * cosine
+    return ShadowMap(met.distance, position, radiance)
 
 
 def shadow_maps(
@@ -73,7 +83,8 @@ def shadow_maps(
 
 
 def injected(volumes: Volumes, lights: ShadowMap, of: np.ndarray) -> np.ndarray:
-    """(leaves, 3) radiance times opacity of the virtual point lights `of` (k,). A later texel overwrites an earlier one."""
+    """(leaves, 3) radiance times opacity of the virtual point lights `of` (k,). A later texel
+    overwrites an earlier one."""
     out = np.zeros((len(volumes.codes), 3))
     rows = np.flatnonzero(of & np.isfinite(lights.distance))
     leaf = volumes.leaf_of(lights.position[rows])

@@ -1,9 +1,12 @@
-"""Step 2 of Yao, Tao, Wu 2018, volumes: V_eta of normals, in a sparse octree that stores no empty voxel.
+"""Step 2 of Yao, Tao, Wu 2018, volumes: V_eta of normals, in a sparse octree that stores no empty
+voxel.
 
-A node has the number of its first child and a mask of the children that are there; those lie one behind the other. Nodes of a
-level follow each other, the root first. What is stored in a volume is a row for each node; all volumes share one octree.
+A node has the number of its first child and a mask of the children that are there; those lie one
+behind the other. Nodes of a level follow each other, the root first. What is stored in a volume is
+a row for each node; all volumes share one octree.
 
-V_eta : normal times opacity, and opacity. V_rho, V_mu, V_delta (s4_shadow_maps.py) : radiance times opacity."""
+V_eta : normal times opacity, and opacity. V_rho, V_mu, V_delta (s4_shadow_maps.py) : radiance times
+opacity."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -17,13 +20,15 @@ import numpy as np
 from arfx.core.scene import Scene
 from arfx.papers.s4_voxels import Volume, volume_around, voxelise
 
-MARGIN = 2.0  # radii of the object to each side of its middle: where its shadow and its bounced light fall
+# Radii of the object to each side of its middle: where its shadow and its bounced light fall
+MARGIN = 2.0
 POINTER_BYTES = 5  # of a node: first child and mask
 
 
 class Octree(NamedTuple):
-    """first (nodes,) int32 : first child, -1 of a leaf;  mask (nodes,) uint8 : which of the eight children are there, bit
-    4 z + 2 y + x;  eta (nodes, 4) float32 : V_eta;  depth : levels under the root"""
+    """first (nodes,) int32 : first child, -1 of a leaf;  mask (nodes,) uint8 : which of the eight
+    children are there, bit 4 z + 2 y + x;  eta (nodes, 4) float32 : V_eta
+    depth : levels under the root"""
 
     first: np.ndarray
     mask: np.ndarray
@@ -33,8 +38,10 @@ class Octree(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Volumes:
-    """The voxelised scene. volume : its cube;  tree;  codes (leaves,) int64 : of the lowest level's voxels, sorted
-    starts : of every level over the lowest, first child of each node, counted within the level below"""
+    """The voxelised scene. volume : its cube;  tree;  codes (leaves,) int64 : of the lowest level's
+    voxels, sorted
+    starts : of every level over the lowest, first child of each node, counted within the level
+    below"""
 
     volume: Volume
     tree: Octree
@@ -46,11 +53,13 @@ class Volumes:
         return np.asarray(self.volume.low_m)
 
     def in_voxels(self, positions_m: np.ndarray) -> np.ndarray:
-        """(n, 3) float32, voxels of the lowest level from the cube's corner, of positions (n, 3), metres, anchor axes."""
+        """(n, 3) float32, voxels of the lowest level from the cube's corner, of positions (n, 3),
+        metres, anchor axes."""
         return ((positions_m - self.corner_m) / self.volume.voxel_m).astype(np.float32)
 
     def leaf_of(self, positions_m: np.ndarray) -> np.ndarray:
-        """(n,) leaf that holds each position (n, 3), metres, anchor axes; -1 where nothing is stored."""
+        """(n,) leaf that holds each position (n, 3), metres, anchor axes; -1 where nothing is
+        stored."""
         cells = np.floor((positions_m - self.corner_m) / self.volume.voxel_m)
         inside = ((cells >= 0) & (cells < self.volume.n)).all(-1)
         code = morton(np.where(inside[:, None], cells, 0).astype(np.int64))
@@ -58,7 +67,8 @@ class Volumes:
         return np.where(inside & (self.codes[at] == code), at, -1)
 
     def filtered(self, leaves: np.ndarray, stored: bool = False) -> np.ndarray:
-        """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest upwards. stored : of `step2_mean`"""
+        """(nodes, c) float32 of values (leaves, c): n levels take n - 1 steps, from the lowest
+        upwards. stored : of `step2_mean`"""
         levels = [leaves.astype(np.float32)]
         for start in self.starts:
             levels.append(step2_mean(levels[-1], start, stored))
@@ -71,15 +81,16 @@ class Volumes:
         return slice(first, first + count[level])
 
     def memory_bytes(self, channels: int) -> tuple[int, int]:
-        """Of one volume of that many float32 channels with its pyramid: in the octree, pointers counted too, and dense."""
+        """Of one volume of that many float32 channels with its pyramid: in the octree, pointers
+        counted too, and dense."""
         dense = sum(8**level for level in range(self.tree.depth + 1)) * 4 * channels
         return len(self.tree.first) * (POINTER_BYTES + 4 * channels), dense
 
 
 def step2_mean(below: np.ndarray, starts: np.ndarray, stored: bool = False) -> np.ndarray:
-    """A voxel is the mean of its eight children, of which the missing ones are empty. Through a wall one voxel thick
-    1 - 2^-L of the light leaks at level L. stored : the mean of those children that are there: no light leaks, but every
-    surface grows with the level
+    """A voxel is the mean of its eight children, of which the missing ones are empty. Through a
+    wall one voxel thick 1 - 2^-L of the light leaks at level L. stored : the mean of those children
+    that are there: no light leaks, but every surface grows with the level
 
     below (m, c) : of the level below, by code;  starts (p,) : of each voxel's first child in it"""
     children = np.diff(starts, append=len(below))[:, None] if stored else 8
@@ -87,7 +98,8 @@ def step2_mean(below: np.ndarray, starts: np.ndarray, stored: bool = False) -> n
 
 
 def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
-    """V_eta of the real and the virtual scene `both`. around : the scene whose object is in the middle;  n : voxels a side"""
+    """V_eta of the real and the virtual scene `both`. around : the scene whose object is in the
+    middle;  n : voxels a side"""
     volume = cube_around(around, n)
     voxels = voxelise(both, volume)
     return octree_of(volume, voxels.cells, voxels.normal, voxels.opacity)
@@ -137,7 +149,8 @@ def octree_of(
 
 
 def morton(cells: np.ndarray) -> np.ndarray:
-    """(n,) codes of cells (n, 3) x, y, z: their bits interleaved, those of z first, so that >> 3 is the parent's."""
+    """(n,) codes of cells (n, 3) x, y, z: their bits interleaved, those of z first, so that >> 3 is
+    the parent's."""
     out = np.zeros(len(cells), np.int64)
     for bit in range(10):
         for axis in range(3):
@@ -147,7 +160,8 @@ def morton(cells: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True)
 def node_below(tree: Octree, node, bits, x, y, z):  # pragma: no cover - compiled
-    """Voxel x, y, z, `bits` levels under a node that holds it; -1 where nothing is stored. The root is node 0."""
+    """Voxel x, y, z, `bits` levels under a node that holds it; -1 where nothing is stored. The root
+    is node 0."""
     for b in range(bits - 1, -1, -1):
         child = ((z >> b & 1) << 2) | ((y >> b & 1) << 1) | (x >> b & 1)
         mask = int(tree.mask[node])

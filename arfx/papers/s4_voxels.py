@@ -1,9 +1,12 @@
-"""Step 2 of Yao, Tao, Wu 2018, voxels: which voxels a scene's surfaces meet, how full they are, and their normals.
+"""Step 2 of Yao, Tao, Wu 2018, voxels: which voxels a scene's surfaces meet, how full they are, and
+their normals.
 
-Every triangle is cut into pieces smaller than half a voxel, and each piece counts in the voxel that holds its centre, by its
-area: neither the order nor the size of triangles matters. How voxels are filled is not printed.
+Every triangle is cut into pieces smaller than half a voxel, and each piece counts in the voxel that
+holds its centre, by its area: neither the order nor the size of triangles matters. How voxels are
+filled is not printed.
 
-Deviations. A surface that is seen through is as opaque as its base colour says: textures of opacity are left out."""
+Deviations. A part that is seen through is as opaque all over as where it lets the least light
+pass."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -14,7 +17,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from arfx.core.model import BLEND, Part
+from arfx.core.model import Part
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
 
@@ -27,7 +30,8 @@ FULL = 2.0
 
 @dataclass(frozen=True)
 class Volume:
-    """A cube of n^3 voxels. low_m : (x, y, z) of its lowest corner, anchor axes;  voxel_m : side of a voxel"""
+    """A cube of n^3 voxels. low_m : (x, y, z) of its lowest corner, anchor axes
+    voxel_m : side of a voxel"""
 
     n: int
     low_m: tuple[float, float, float]
@@ -45,7 +49,8 @@ class Voxels:
 
 
 class CutTriangles(NamedTuple):
-    """corners (f, 3, 3) float32, voxels;  normals (f, 3, 3) float32 : of the corners;  cuts (f,) : pieces along an edge, 0 = none
+    """corners (f, 3, 3) float32, voxels;  normals (f, 3, 3) float32 : of the corners
+    cuts (f,) : pieces along an edge, 0 = none
     piece_area (f,) float32, voxel faces;  alpha : opacity of all"""
 
     corners: np.ndarray
@@ -56,7 +61,8 @@ class CutTriangles(NamedTuple):
 
 
 def volume_around(points_m: np.ndarray, n: int) -> Volume:
-    """The smallest cube with one empty voxel around the points (k, 3). Borders of voxels lie on z = 0, where the plane is."""
+    """The smallest cube with one empty voxel around the points (k, 3). Borders of voxels lie on z =
+    0, where the plane is."""
     points = points_m[np.isfinite(points_m).all(1)]
     low, high = points.min(0), points.max(0)
     side_m = max(float((high - low).max()), 1e-9)
@@ -68,7 +74,8 @@ def volume_around(points_m: np.ndarray, n: int) -> Volume:
 
 
 def voxelise(scene: Scene, volume: Volume) -> Voxels:
-    """Every part of the scene's model within the volume. Triangles without area or not finite count for nothing."""
+    """Every part of the scene's model within the volume. Triangles without area or not finite count
+    for nothing."""
     n = volume.n
     meshes = [cut_triangles(scene, part, volume) for part in scene.model.parts]
     row_of, sums = np.full(n**3, -1, np.int32), np.zeros((0, 5), np.float32)
@@ -105,13 +112,13 @@ def cut_triangles(scene: Scene, part: Part, volume: Volume) -> CutTriangles:
     cuts = np.minimum((longest / PIECE).astype(np.int64) + 1, MOST_PIECES)
     cuts[~(area > 0)] = 0
     piece_area = area / np.maximum(cuts * cuts, 1).astype(np.float32)
-    alpha = part.material.base_colour[3] if part.material.alpha_mode == BLEND else 1.0
-    return CutTriangles(corners, normals, cuts, piece_area, np.float32(alpha))
+    return CutTriangles(corners, normals, cuts, piece_area, np.float32(part.opacity))
 
 
 @numba.njit(cache=True, nogil=True)
 def add_pieces(triangles: CutTriangles, n, row_of, sums):  # pragma: no cover - compiled
-    """sums (voxels, 5) += area of each piece, and the area times its normal and its opacity. row_of (n^3,) : row of a voxel
+    """sums (voxels, 5) += area of each piece, and the area times its normal and its opacity. row_of
+    (n^3,) : row of a voxel
 
     Without rows in `sums` the voxels that hold pieces are marked: row_of becomes 0 there."""
     corners, normals, cuts, piece_area, alpha = triangles

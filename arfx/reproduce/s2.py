@@ -23,7 +23,7 @@ from arfx.papers.s2_lens import eq1_circle, eq2_picture, eq3_circle, eq4_front, 
 from arfx.reproduce import s2_figures, s2_rates
 from arfx.reproduce.rows import COLOURS, DIFFERS, INK, UNDERIVED, Item, Plot, Row, compared, shown
 from arfx.reproduce.work import Work
-from arfx.stages.dof.aperture import STEPS, shape
+from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
 
 N, C, F, L = 11.0, 0.035, 200.0, 2500.0  # of the paper's example, mm
@@ -213,12 +213,7 @@ def _luminance() -> Iterator[Item]:
 
 def _disc_rows(radius_px: int) -> np.ndarray:
     """What fraction of a pixel's light each row of a blur circle gets."""
-    table, q = shape(radius_px + 1), radius_px * STEPS
-    row = np.zeros((2 * int(table.half_rows[q]) + 1, 2 * radius_px + 5))
-    for j, pixels in enumerate(row):
-        for place, change in zip(table.places[q, j], table.changes[q, j], strict=True):
-            pixels[place + radius_px + 1 : place + radius_px + 3] += change
-    return np.cumsum(row, 1).sum(1) * table.unit[q]
+    return disc(float(radius_px)).sum(1)
 
 
 def _blocks() -> Iterator[Item]:

@@ -17,11 +17,11 @@ from arfx.reproduce import s3_scene as scene
 from arfx.reproduce.rows import BEFORE, COLOURS, CORRECTED, DIFFERS, INK, PRINTED, Figure, Item, Plot, Row, compared, shown
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, picture, printed
 from arfx.reproduce.work import Work, median_s
-from arfx.stages.watercolor.cells import means
+from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.labels import label
+from arfx.stages.watercolor.lines import ALPHA, BETA
 from arfx.stages.watercolor.sites import make_sites, still_field
-from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones
-from arfx.stages.watercolor.toon import toon as corrected_toon
+from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, flat_tones
 
 Pair = tuple[float | str, float | str | None]  # by the printed method, by the corrected one
 figure = partial(Figure, "s3")
@@ -100,7 +100,7 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     item, errors = "figure 4, cells in their mean colour", []
     for found, image in ((labels, frame.image), (own, frame.layers[Layer.IMAGE])):
         exact, area = measure.exact_means(image, found)
-        errors.append(float(255 * np.abs(means(image, found, len(area)) - exact)[area > 0].max()))
+        errors.append(float(255 * np.abs(mean_colours(image, [found], len(area))[0] - exact)[area > 0].max()))
     yield stated(
         item, "the mean of the cell's pixels", (errors[0], errors[1]), max(errors) < 0.01, unit="grey levels off it at most"
     )
@@ -154,9 +154,9 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1)[None].astype(np.float32)
     one, none = np.ones((1, n, 3), np.float32), np.zeros((1, n, 3), np.float32)
     hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
-    layers = ObjectLayers(*map(packed, (none, one[..., 0], normal, one, none)))
+    layers = ObjectLayers(*map(packed, (one[..., 0], normal, one, none)))
     tones = Tones.of((up, np.ones(3)), np.zeros(3), c.toon_thresholds, c.toon_factors)
-    soft = corrected_toon(none, layers, tones)[0, :, 0]
+    soft = flat_tones(layers, tones)[0, :, 0]
     (low, high), (low_soft, high_soft) = _thresholds(hard, cosine), _thresholds(soft, cosine)
     yield _not_stated("toon listing, first threshold", high, high_soft, "the line with the first `if` is missing")
     yield number("toon listing, second threshold", "0.2", (low, low_soft), "n · l")
@@ -186,9 +186,9 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
             made = measure.edge_of(left, right, beta)
             yield number(f"{equation}, {step}", values[k], made, "α = β = .5", tolerance=2e-4)
     p, c = printed(frame).params, corrected().params
-    yield _not_stated("matrix from RGB to YUV", p.yuv, c.yuv)
-    yield _not_stated("equation (2), alpha", p.alpha, c.alpha)
-    yield _not_stated("equation (4), beta", p.beta, c.beta)
+    yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
+    yield _not_stated("equation (2), alpha", p.alpha, ALPHA)
+    yield _not_stated("equation (4), beta", p.beta, BETA)
     yield _not_stated("equation (4), threshold", p.line_threshold, f"{c.line_low:g} to {c.line_high:g}")
     why = "near a hard threshold noise decides; corrected lines come from a smoothed picture, with hysteresis and a ramp"
     item, flips = "equation (4), pixels of an edge that flip", measure.flips(work.scaled(12, 4))
@@ -217,7 +217,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     coded, sites = stage.frame(view), paper.eq1_sites(rect, m, n, view.key)
     size = paper.at_sites(paper.depth_buffer(view, stage.params.near_m), sites, rect)
     names, count = paper.named_by_colour(coded, paper.cones(sites, size, rect, m, n), sites, rect)
-    cells, edges = means(coded, names, count)[names], measure.printed_edges(coded, stage.params)
+    cells, edges = mean_colours(coded, [names], count)[0][names], measure.printed_edges(coded, stage.params)
     done, made = np.where(edges[..., None], 0, cells), frame.painted(stage)
     item, apart = "figure 6, from the frame to the picture", float(255 * np.abs(done - made).max())
     yield stated(item, "cells, with the edges over them", (apart, None), apart < 0.5, unit="grey levels from these steps")
@@ -235,7 +235,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
 def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
     """What sections 2 and 4 say of time."""
     frames, lineless = work.scaled(5, 3), {"toon": False, "line_threshold": 2.0}
-    flat, rest = {"toon": False, **FLAT}, {"grain": 0.0, "dry_brush": 0.0}  # the paper's grain rests on the screen
+    flat, rest = {"toon": False, **FLAT}, {"grain": 0.0}  # the paper's grain rests on the screen
     at_rest = "new random numbers in every frame; corrected sites are a hash of (seed, cell)"
     in_pan = "even fixed on the screen, cells let the picture swim; corrected ones move with the things"
     for name, of_printed, of_corrected in (("cells", lineless, flat), ("whole picture", {}, rest)):

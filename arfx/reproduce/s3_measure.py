@@ -21,12 +21,9 @@ from arfx.papers import s3_watercolor as paper
 from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
 from arfx.reproduce.s3_scene import CELL_PX, Shown, cells_of, corrected, printed
 from arfx.stages.watercolor import Watercolor
-from arfx.stages.watercolor.edges import trace_lines, yuv_matrix
 from arfx.stages.watercolor.field import RealDioptre, frame_field, nearness_factor
 from arfx.stages.watercolor.labels import label
-from arfx.stages.watercolor.measure import edge_measure
-from arfx.stages.watercolor.reference import nearest_labels
-from arfx.stages.watercolor.rows import Picture
+from arfx.stages.watercolor.lines import measure_edges, trace_lines
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, Sites, make_sites, still_field
 
 Settings = Mapping[str, Any]  # of the section watercolor
@@ -44,8 +41,8 @@ def edge_of(left: Sequence[float], right: Sequence[float], beta: float) -> tuple
     ramp = np.clip((np.arange(width) - (width - n) / 2 + 0.5) / n, 0, 1)[:, None]
     coded = np.asarray(left) + ramp * (np.asarray(right, float) - np.asarray(left))
     slope = np.repeat((coded**2)[None], 16, axis=0).astype(np.float32)  # the measure is of square roots
-    made = edge_measure(Picture(packed(slope)), yuv_matrix(), 0.5, beta, 0.0)[0]
-    return float(paper.eq4_edges(step, 0.5, beta)[0, 0]), float(made[4, width // 4] * n / 2)
+    edges = measure_edges(packed(slope), 0.0, 0.5, beta)
+    return float(paper.eq4_edges(step, 0.5, beta)[0, 0]), float(edges.measure[4, width // 4] * n / 2)
 
 
 def printed_edges(coded: np.ndarray, p: PrintedWatercolorParams) -> np.ndarray:
@@ -56,10 +53,8 @@ def printed_edges(coded: np.ndarray, p: PrintedWatercolorParams) -> np.ndarray:
 def corrected_lines(shown: Shown) -> np.ndarray:
     """(h, w) float32 strength of the lines of a frame, 0..1."""
     stage = corrected()
-    view, p = shown.view(stage), stage.params
-    edges = edge_measure(stage.with_toon(view), yuv_matrix(p.yuv), p.alpha, p.beta, p.line_smooth_px)
-    lines = trace_lines(edges, p.line_low, p.line_high, p.line_width_px, *stage.virtual_edges_of(view))
-    return np.asarray(cv2.resize(lines, (view.rect.width, view.rect.height), interpolation=cv2.INTER_LINEAR))
+    view = shown.view(stage)
+    return stage.lines_of(view, stage.with_toon(view))
 
 
 def flips(frames: int) -> tuple[float, float]:
@@ -73,8 +68,9 @@ def flips(frames: int) -> tuple[float, float]:
         for _ in range(frames):
             coded = (base + g.normal(0, NOISE, base.shape)).astype(np.float32)
             ink[0].append(printed_edges(coded, p)[:, 31].astype(float))
-            made = edge_measure(Picture(packed(coded**2)), yuv_matrix(), c.alpha, c.beta, c.line_smooth_px)
-            ink[1].append(trace_lines(made, c.line_low, c.line_high, c.line_width_px)[:, 12:20].max(1))
+            edges = measure_edges(packed(coded**2))
+            lines = trace_lines(edges, c.line_low, c.line_high, c.line_width_px)
+            ink[1].append(lines[:, 12:20].max(1))
         for k, seen in enumerate(ink):
             worst[k] = max(worst[k], float(np.mean([np.mean(abs(a - b) > 0.5) for a, b in itertools.pairwise(seen)])))
     return worst[0], worst[1]
@@ -209,16 +205,23 @@ def corrected_cells(shown: Shown) -> np.ndarray:
     """(h, w) labels of a frame's background by measured depth, as dense as the printed ones in the mean."""
     rect, strength = shown.layers.rect, corrected().params.nearer_finer
     real = RealDioptre.of(shown.layers[Layer.REAL_DEPTH], rect)
-    field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, True, real=real)
+    field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, real)
     return label(make_sites(field, 1, 10**6, CELL_PX), rect).first
+
+
+def nearest_sites(sites: Sites, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(n,) the site nearest to each place (n,), 1/STEPS px, in its own weight: of all pairs of both."""
+    columns = (np.asarray(v, float)[:, None] for v in (sites.x, sites.y, sites.weight))
+    site_x, site_y, weight = columns
+    parts = np.array_split(np.arange(len(x)), max(len(x) // 1024, 1))
+    away = ((x[k] - site_x) ** 2 + (y[k] - site_y) ** 2 - weight for k in parts)
+    return np.concatenate([d.argmin(0) for d in away])
 
 
 def nearest_share(sites: Sites, labels: np.ndarray) -> float:
     """Of the pixels of the picture's corner, those labelled with the site nearest to them, by every pair of both."""
     y, x = np.mgrid[: labels.shape[0], : labels.shape[1]].astype(float) * STEPS
-    a, b, weight = (np.asarray(v, float) for v in (sites.x, sites.y, sites.weight))
-    first, _ = nearest_labels(a, b, weight, x.ravel(), y.ravel())
-    return float(np.mean(first == labels.ravel()))
+    return float(np.mean(nearest_sites(sites, x.ravel(), y.ravel()) == labels.ravel()))
 
 
 def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
@@ -235,8 +238,7 @@ def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
 def own_cell_share(sites: Sites) -> float:
     """Of some sites, those that are the nearest to themselves."""
     some = slice(None, None, max(len(sites) // 400, 1))
-    x, y, weight = (np.asarray(v, float) for v in (sites.x, sites.y, sites.weight))
-    first, _ = nearest_labels(x, y, weight, x[some], y[some])
+    first = nearest_sites(sites, sites.x[some], sites.y[some])
     return float(np.mean(first == np.arange(len(sites))[some]))
 
 

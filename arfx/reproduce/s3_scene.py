@@ -114,7 +114,7 @@ class Shown:
         """(h, w, 3) float32 coded: the frame with the objects toon-shaded by either formula."""
         if isinstance(stage, PrintedWatercolor):
             return stage.frame(self.view(stage))
-        return SRGB.encode(np.clip(stage.with_toon(self.view(stage)).whole(), 0, 1)).astype(np.float32)
+        return SRGB.encode(np.clip(stage.with_toon(self.view(stage)), 0, 1)).astype(np.float32)
 
     def noisy(self, index: int, sigma: float) -> Shown:
         """The same moment once more, as frame `index` of a resting camera: with other noise."""
@@ -164,7 +164,10 @@ def corrected(**settings: Any) -> Watercolor:
     return Watercolor(WatercolorParams(**settings))
 
 
-FLAT = {"pigment": False, "wash": 0.0, "lines": 0.0, "lightness": 0.0, "saturation": 1.0, "deepest": 0.0}  # cells alone
+FLAT = {  # cells alone
+    **dict.fromkeys(("wash", "lines", "lightness", "deepest", "edge_darkening", "flow", "wobble_px", "grain"), 0.0),
+    "saturation": 1.0,
+}
 
 
 def picture(coded: np.ndarray) -> np.ndarray:

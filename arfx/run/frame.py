@@ -6,7 +6,7 @@ and of IMAGE what was there before."""
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,14 +24,11 @@ from arfx.media.frame import Frame
 
 @dataclass
 class FrameLayers:
-    """The layers of one frame while its plan runs.
-
-    read : by stage with a history, the layers that it saw: what later frames see of this one"""
+    """The layers of one frame while its plan runs."""
 
     plate: np.ndarray | Pixels
     rect: Rect
     stored: dict[Layer, Pixels] = field(default_factory=dict)
-    read: dict[str, Layers] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         given = self.plate
@@ -102,12 +99,11 @@ def ready_stages(plan: FramePlan, stages: Mapping[str, Stage], scene: Scene) -> 
 
 def run_frame(
     plate: np.ndarray | Pixels, facts: FrameFacts, plan: FramePlan, ready: Mapping[str, ReadyStage],
-    past: Sequence[tuple[FrameLayers, FrameFacts]] = (), real_depth_m: np.ndarray | None = None,
+    real_depth_m: np.ndarray | None = None,
 ) -> FrameResult:  # fmt: skip
     """Run a plan that has steps.
 
     plate : (h, w, 3) float32 linear light over plan.rect;  ready : the stages of the plan, at its levels
-    past : layers of the frames before, oldest first, as many as the longest history asks for
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite; with the distribution, what a
@@ -126,12 +122,8 @@ def run_frame(
         at = ready[step.stage]
         stage, start = at.stage, own_time()
         seen = layers.view(stage.reads, step.need)
-        earlier = past[-stage.history :] if stage.history and past else ()
-        before = tuple(at.view(c.read.get(stage.name) or c.view(stage.reads, step.need), f) for c, f in earlier)
-        if stage.history:
-            layers.read[stage.name] = seen
         with blamed(stage, f"in frame {facts.index}"):
-            for name, output in stage.run(at.view(seen, facts, step.out, before), at.prepared).items():
+            for name, output in stage.run(at.view(seen, facts, step.out), at.prepared).items():
                 if name not in stage.writes:
                     writes = ", ".join(sorted(stage.writes))
                     raise ValueError(f"it returns a layer {name!r}; it writes {writes}")

@@ -8,7 +8,6 @@ import re
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -34,7 +33,7 @@ from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
 from arfx.run.background_io import WriteBehind
 from arfx.run.folder import JobFolder, Lines, content_digest, disk_error, save_preview
-from arfx.run.frame import FrameLayers, run_frame
+from arfx.run.frame import run_frame
 from arfx.run.inputs import job_depth, job_model
 from arfx.run.memory import peak_mb
 from arfx.run.parameters import make_stages, parameters
@@ -131,10 +130,8 @@ def render_chunk(
     keep_memory()
     with _OPENING:
         context = open_context(folder, job_key, paths)
-    history = max((s.history for s in context.stages.values()), default=0)
-    begin = max(first - history, 0)
-    facts = {f.index: f for f in context.facts[begin : last + 1]}
-    plans = {p.index: p for p in context.plans[begin : last + 1]}
+    facts = {f.index: f for f in context.facts[first : last + 1]}
+    plans = {p.index: p for p in context.plans[first : last + 1]}
     start = time.perf_counter()
     needed = levels_of(plans.values())
     if needed - context.ready.keys():  # a chunk without work need not wait for another's preparation
@@ -143,7 +140,6 @@ def render_chunk(
                 context.ready[name, level] = ReadyStage.of(context.stages[name], context.scene, level)
     seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
     stage_seconds: dict[str, float] = {}
-    past: deque[tuple[FrameLayers, FrameFacts]] = deque(maxlen=history)
 
     def encode(out: Frame) -> None:
         start = time.perf_counter()
@@ -153,10 +149,10 @@ def render_chunk(
     final, suffix = Path(target), chunk_suffix(context.output)
     aside = final.with_name(f"{process_name()}-{threading.get_ident()}-{final.name}{suffix}")
     try:
-        source = source_at(context.info, context.pts, begin, 0 if alone else 1, context.careful)
+        source = source_at(context.info, context.pts, first, 0 if alone else 1, context.careful)
         with ChunkWriter(context.output, context.info, aside) as writer:
             with WriteBehind(encode) if alone else nullcontext() as later:
-                for index in range(begin, last + 1):
+                for index in range(first, last + 1):
                     start = time.perf_counter()
                     frame = source.next()
                     seconds["decode"] += time.perf_counter() - start
@@ -165,9 +161,7 @@ def render_chunk(
                             f"{context.info.path}: frame {index} could not be decoded again where the analysis saw it",
                             "the file has changed, or seeking in it is broken: copy it to another container and try again",
                         )
-                    out = _frame(context, frame, facts[index], plans[index], past, seconds, stage_seconds)
-                    if index < first:
-                        continue
+                    out = _frame(context, frame, facts[index], plans[index], seconds, stage_seconds)
                     if index in context.previews:
                         save_preview(context.folder.previews, index, frame, out)
                     (encode if later is None else later.put)(out)
@@ -198,8 +192,8 @@ def who() -> dict[str, str]:
 
 
 def _frame(
-    context: Context, frame: Frame, facts: FrameFacts, plan: FramePlan, past: deque[tuple[FrameLayers, FrameFacts]],
-    seconds: dict[str, float], stage_seconds: dict[str, float],
+    context: Context, frame: Frame, facts: FrameFacts, plan: FramePlan, seconds: dict[str, float],
+    stage_seconds: dict[str, float],
 ) -> Frame:  # fmt: skip
     if not plan.steps or plan.changed.empty:
         return frame
@@ -210,8 +204,7 @@ def _frame(
         depth = real_depth_layer(context.depth, facts, frame, context.scene.camera, plan.rect)
         seconds["decode"] += time.perf_counter() - start
     ready = {s.stage: context.ready[s.stage, s.level] for s in plan.steps}
-    result = run_frame(plate, facts, plan, ready, tuple(past), depth)
-    past.append((result.layers, facts))
+    result = run_frame(plate, facts, plan, ready, depth)
     for name, s in result.seconds.items():
         stage_seconds[name] = stage_seconds.get(name, 0.0) + s
     start = time.perf_counter()

@@ -52,7 +52,7 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
 
 
 def run(at: ReadyStage, layers: Layers, f: FrameFacts) -> Mapping[Layer, np.ndarray]:
-    made = at.stage.run(at.view(layers, f, before=(at.view(layers, f),) * at.stage.history), at.prepared)
+    made = at.stage.run(at.view(layers, f), at.prepared)
     return {name: Layers(layers.rect, {name: a})[name] if isinstance(a, Pixels) else a for name, a in made.items()}
 
 

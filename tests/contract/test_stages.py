@@ -40,7 +40,7 @@ def made(name: str, level: int) -> ReadyStage:
 def test_declares_what_the_contract_asks(name: str, level: int) -> None:
     stage = made(name, level).stage
     assert isinstance(stage, Stage) and stage.name == name.rpartition(" ")[2]
-    assert list(stage.levels) == [level for level in LEVELS if level in stage.levels] and stage.history >= 0
+    assert list(stage.levels) == [level for level in LEVELS if level in stage.levels]
     demand = stage.demand(FACTS, SCENE, SCENE.camera.rect)
     assert demand.reason and SCENE.camera.rect.contains(demand.rect)
 

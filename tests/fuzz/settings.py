@@ -70,7 +70,7 @@ SEEDS: dict[str, Build] = {
     "fade_frames huge": setting("analyse.fade_frames=9999999999"),
     "samples huge": setting("raster.samples=1000000"),
     "mean_px huge": setting("dof.mean_px=1000000", "dof.aperture_px=10", "dof.formula=paper", pipeline="lightmap,dof"),
-    "radius 1e6": setting("dof.max_radius_px=1e6", "dof.aperture_px=1e6", pipeline="lightmap,dof"),
+    "aperture 1e6": setting("dof.aperture_px=1e6", pipeline="lightmap,dof"),
     "map_level 60": setting("light.map_level=60"),
     "cell 1e-6 px": setting("watercolor.cell_px=1e-6", pipeline="lightmap,watercolor"),
     "line width 1e9 px": setting("watercolor.line_width_px=1e9", pipeline="lightmap,watercolor"),

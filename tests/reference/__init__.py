@@ -1,0 +1,1 @@
+"""Independent references: slow, plain numpy, sharing no kernel with what they judge."""

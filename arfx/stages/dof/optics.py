@@ -1,4 +1,5 @@
-"""The lens of one frame, in pixels: how large the blur circle of a distance is. Affine in dioptres (core/lens.py)."""
+"""The lens of one frame, in pixels: how large the blur circle of a distance is. Affine in dioptres
+(core/lens.py)."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ from arfx.stages.dof.params import (
     interpolate_ratio,
 )
 
-_BOUND_SHARE = 0.1  # of the picture's width: bound of the radius where none is set
+_BOUND_SHARE = 0.1  # of the picture's width: bound of the radius
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +39,9 @@ class CircleOfConfusion:
     coc_mm_per_px: float
 
     def radius_px(self, dioptre: np.ndarray | float) -> np.ndarray:
-        return np.minimum(
-            self.px_per_dioptre * np.abs(self.focus - np.asarray(dioptre, float)), self.limit_px
-        )
+        """Of any shape, in the type of `dioptre`."""
+        distance = np.abs(self.focus - np.asarray(dioptre))
+        return np.minimum(self.px_per_dioptre * distance, self.limit_px)
 
     def largest_px(self, dioptres: tuple[float, float]) -> float:
         """Bound of the radius in a range of dioptres."""
@@ -61,11 +62,12 @@ def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
 
 
 def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> CircleOfConfusion:
-    """Of a frame with a pose. While the object fades in or out the aperture opens or closes with it.
+    """Of a frame with a pose. While the object fades in or out the aperture opens or closes with
+    it.
 
     Raises InputError where the focus lies within the focal length."""
     width = scene.camera.width
-    limit = params.max_radius_px or _BOUND_SHARE * width
+    limit = _BOUND_SHARE * width
     fade, mm_per_px = min(facts.opacity, 1.0), 2 * params.sensor_width_mm / width
     if params.lens == "footage":
         assert facts.lens is not None

@@ -13,30 +13,32 @@ from arfx.core.units import length_m, time_s
 from arfx.errors import ConfigError, require_within
 
 OBJECT, MARKER = "object", "marker"
-MAX_RADIUS_PX = (
-    1500  # the table of such an aperture's rows takes over a gigabyte, and grows with the square
-)
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class DofParams:
-    """formula : corrected, or paper: Zhao et al. 2012 as printed, or gaussian: their Figure 12, a Gaussian filter, with the
+    """formula : corrected, or paper: Zhao et al. 2012 as printed, or gaussian: their Figure 12, a
+    Gaussian filter, with the
         settings of paper
-    scope : all (the lens blurs the whole picture) or virtual (the footage is blurred already; the lens blurs only the object)
-    lens : given (by the settings below) or footage (the lens that the analysis measured; needs scope virtual)
-    focal_mm : focal length, or key frames such as "35@0s, 85@2s" (interpolated evenly in ratio); 0 = from the calibration and
+    scope : all (the lens blurs the whole picture) or virtual (the footage is blurred already; the
+        lens blurs only the object)
+    lens : given (by the settings below) or footage (the lens that the analysis measured; needs
+        scope virtual)
+    focal_mm : focal length, or key frames such as "35@0s, 85@2s" (interpolated evenly in ratio); 0
+        = from the calibration and
         sensor_width_mm. It changes the blur, not what the picture shows
     fnumber : f-number, or key frames such as "2.8@0s, 11@3s" (interpolated evenly in stops)
     sensor_width_mm : width of the part of the sensor that the picture shows
-    aperture_px : blur circle's diameter for something infinitely far, in place of focal length and f-number; 0 = use those
-    focus : what is in focus: object, marker (the one under the model), a marker's id (3 or 36h11:3), a distance such as
-        60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (interpolated evenly in dioptres)
-    plane_extent_m : side of the real plane around the marker; 0 = endless
+    aperture_px : blur circle's diameter for something infinitely far, in place of focal length and
+        f-number; 0 = use those
+    focus : what is in focus: object, marker (the one under the model), a marker's id (3 or
+        36h11:3), a distance such as
+        60cm, or key frames such as "object@0s, marker@2s, 1.5m@3s" (interpolated evenly in
+        dioptres)
     background_m : distance of whatever is behind the real plane, which ends there; 0 = endless
-    blades : blades of the aperture, 3 or more; 0 = round. At level draft every aperture makes the same soft spots
+    blades : blades of the aperture, 3 or more; 0 = round
     blade_turn_deg : direction of the aperture's first corner, clockwise from the picture's right
-    max_radius_px : largest radius of the blur, at most 1500; 0 = a tenth of the picture's width
     highlight_boost : how much brighter than stored a clipped pixel is taken to be; 0 = as stored"""
 
     formula: str = field(default="corrected", init=False)
@@ -47,11 +49,9 @@ class DofParams:
     sensor_width_mm: float = 36.0
     aperture_px: float = 0.0
     focus: int | float | str = OBJECT
-    plane_extent_m: float = 0.0
     background_m: float = 0.0
     blades: int = 0
     blade_turn_deg: float = 0.0
-    max_radius_px: float = 0.0
     highlight_boost: float = 0.0
 
     def __post_init__(self) -> None:
@@ -65,10 +65,8 @@ class DofParams:
             raise ConfigError(
                 f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}"
             )
-        lengths = ("aperture_px", "plane_extent_m", "background_m", "highlight_boost")
-        require_within(
-            "dof", self, **dict.fromkeys(lengths, (0, 1e6)), max_radius_px=(0, MAX_RADIUS_PX)
-        )
+        lengths = ("aperture_px", "background_m", "highlight_boost")
+        require_within("dof", self, **dict.fromkeys(lengths, (0, 1e6)))
         if self.blades < 0 or self.blades in (1, 2) or self.blades > 32:
             raise ConfigError(f"dof.blades must be 0 (round) or 3 to 32, is {self.blades}")
         for time, focal_mm in focal_keys(self.focal_mm):
@@ -117,7 +115,8 @@ def _number(text: str, bare: str, name: str, example: str) -> float:
 
 
 def focus_keys(value: int | float | str) -> list[tuple[float, str | float]]:
-    """[(time s, "object" | "marker" | "id:..." | distance in metres)] in order of time. Raises ConfigError."""
+    """[(time s, "object" | "marker" | "id:..." | distance in metres)] in order of time. Raises
+    ConfigError."""
 
     def read(text: str) -> str | float:
         if text in (OBJECT, MARKER):

@@ -1,9 +1,11 @@
-"""The reference level: what a thin lens sees, as an integral over its aperture. Shares no kernel with the other levels.
+"""The reference level: what a thin lens sees, as an integral over its aperture. Shares no kernel
+with the other levels.
 
-The real scene: every pixel's light onto every pixel that its circle covers, circles as exact areas, sums in float64. A pixel p
-sees the point x of a plane through the place o = (x - p) / s of the lens, s the blur radius with its sign; s is affine on a
-plane, so a pixel's disc is weighted by |do/dx| = (1 - o . grad s) / s^2. The virtual object: rays through the lens
-(lens_rays.py). Cost: O(pixels x radius). Leaves out: as the other levels, what measured depth does not show."""
+The real scene: every pixel's light onto every pixel that its circle covers, circles as exact
+areas, sums in float64. A pixel p sees the point x of a plane through the place o = (x - p) / s of
+the lens, s the blur radius with its sign; s is affine on a plane, so a pixel's disc is weighted by
+|do/dx| = (1 - o . grad s) / s^2. The virtual object: rays through the lens (lens_rays.py).
+Cost: O(pixels x radius). Leaves out: as the other levels, what measured depth does not show."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -19,19 +21,20 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_rows
+from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.dof.aperture import chords, circumradius
+from arfx.stages.dof.aperture import SHARP_PX, circumradius, pixel_areas
 from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
+from arfx.stages.dof.layers import behind_object
 from arfx.stages.dof.lens_rays import RayScene, lens_points, seen_object
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.pyramid import SHARP_PX
-from arfx.stages.dof.surfaces import Plane, Real
+from arfx.stages.dof.planes import Plane, Real
 
-_SIZES = (
-    128  # circles of a radius of n^2 px: n times as many, a hundredth of a radius apart and less
-)
+# Circles of a radius of n^2 px: n times as many, a hundredth of a radius apart and less.
+_SIZES = 128
 _PLANE_POINTS = 256  # of the lens, for what it sees of a plane of limited size
+_LEAST_WEIGHT = 1e-6  # of light in a pixel, below which it has none
 
 
 def render(
@@ -44,145 +47,124 @@ def render(
     prepared: RayScene,
 ) -> np.ndarray:
     """IMAGE (h, w, 3) of a frame with a pose."""
-    rect, opacity = now.rect, float(facts.opacity)
-    plate, shadow = now[Layer.PLATE].astype(float), now[Layer.SHADOW].astype(float)
-    change = opacity * (plate * (shadow - 1) + np.asarray(facts.bias_rgb) * (1 - shadow))
-    if opacity < 1:  # as in `RealPixels`
-        covered = now[Layer.COVERAGE].astype(float)[..., None]
-        change *= (1 - covered) / (1 - opacity * covered)
-    out = behind = plate + change
-    if params.scope == "all":
-        pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
-        ideal = scene.camera.normalised(np.stack(pixels, -1).astype(float))
-        directions = np.concatenate(
-            [np.where(np.isfinite(ideal), ideal, 0.0), np.ones((*ideal.shape[:2], 1))], -1
-        )
-        depth = now[Layer.REAL_DEPTH] if real.tiles is not None else None
-        out = _real(behind, directions, real, coc, params, scene.camera, depth)
+    behind = behind_object(now, facts)
+    blurred = sharp = behind[..., :3].astype(float)
+    if params.scope == "all" and real.tiles is not None:
+        blurred = _measured(behind, dioptre_of(now[Layer.REAL_DEPTH]), coc, params)
+    elif params.scope == "all":
+        directions = _directions(scene.camera, now.rect)
+        blurred = _planes(sharp, directions, real, coc, params, scene.camera)
+    on_plane = params.scope == "all" and not real.finite_planes
     fraction, colour = seen_object(
-        now, facts, scene.camera, coc, params, prepared, behind, out, real
+        now,
+        facts,
+        scene.camera,
+        coc,
+        params,
+        prepared,
+        sharp,
+        blurred,
+        real if on_plane else None,
     )
-    return (out * (1 - opacity * fraction[..., None]) + opacity * colour).astype(np.float32)
+    opacity = float(facts.opacity)
+    return (blurred + opacity * (colour - blurred * fraction[..., None])).astype(np.float32)
 
 
-def _real(
+def _directions(camera: Camera, rect: Rect) -> np.ndarray:
+    """(h, w, 3) of the pixels of `rect`, z = 1; the axis where there is none."""
+    pixels = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
+    directions = camera.directions(np.stack(pixels, -1).astype(float))
+    known = np.isfinite(directions).all(-1, keepdims=True)
+    return np.where(known, directions, [0.0, 0.0, 1.0])
+
+
+def _planes(
     behind: np.ndarray,
     directions: np.ndarray,
     real: Real,
     coc: CircleOfConfusion,
     params: DofParams,
     camera: Camera,
-    depth_m: np.ndarray | None,
 ) -> np.ndarray:
-    """The real scene through the lens, (h, w, 3)."""
-    if depth_m is not None:
-        return _measured(behind, depth_m, coc, params)
-    dioptre = np.full(behind.shape[:2], real.background)
-    if real.base is not None:
-        dioptre = np.maximum(directions @ real.base.forms[2], dioptre)
+    """(h, w, 3) real planes through the lens, farthest first."""
+    assert real.base is not None
     free = np.ones(behind.shape[:2])
-    layers = []
+    fronts = []
     for plane in reversed(real.finite_planes):  # nearest first
-        shown = free * _shown(plane, directions, np.zeros((1, 2)), 0.0)
-        free = free - shown
-        layers.append((plane, shown))
+        seen = free * _met(plane, directions, np.zeros((1, 2)), 0.0)
+        free = free - seen
+        fronts.append((plane, seen))
+    dioptre = np.maximum(directions @ real.base.forms[2], real.background)
     out = _normal(_scattered(behind, free, *_circles(dioptre, coc), params), behind)
-    lens = (
-        lens_points(_PLANE_POINTS, params.blades, params.blade_turn_deg)[:, :2]
-        * coc.px_per_dioptre
-        / camera.fx
-    )
-    for plane, shown in reversed(layers):
+    lens = lens_points(_PLANE_POINTS, params.blades, params.blade_turn_deg)[:, :2]
+    lens_m = lens * coc.px_per_dioptre / camera.fx
+    for plane, seen in reversed(fronts):
         circles = _circles(np.maximum(directions @ plane.forms[2], 0), coc)
-        front = _normal(_scattered(behind, shown, *circles, params), behind)
-        out = out + (front - out) * _shown(plane, directions, lens, coc.focus)[..., None]
+        front = _normal(_scattered(behind, seen, *circles, params), behind)
+        out = out + (front - out) * _met(plane, directions, lens_m, coc.focus)[..., None]
     return out
 
 
 def _circles(dioptre: np.ndarray, coc: CircleOfConfusion) -> tuple[np.ndarray, np.ndarray]:
-    """Blur radius (h, w) px, and its gradient with its sign, as a fraction of it, (h, w, 2) along y and x, 1/px."""
+    """Blur radius (h, w) px, and its gradient with its sign, as a fraction of it, (h, w, 2) along
+    y and x, 1/px."""
     signed = coc.px_per_dioptre * (dioptre - coc.focus)
     radius = coc.radius_px(dioptre)
-    slope = (
-        np.stack([*np.gradient(signed)], -1)
-        if min(signed.shape) > 1
-        else np.zeros((*signed.shape, 2))
-    )
+    slope = np.zeros((*signed.shape, 2))
+    if min(signed.shape) > 1:
+        slope = np.stack(np.gradient(signed), -1)
     free = (np.abs(signed) <= radius) & (radius > SHARP_PX)
     return radius, np.where(free[..., None], divide(slope, signed[..., None]), 0.0)
 
 
 def _measured(
-    behind: np.ndarray, depth_m: np.ndarray, coc: CircleOfConfusion, params: DofParams
+    behind: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion, params: DofParams
 ) -> np.ndarray:
     """By measured depth: layers as in `depth_layers`, each spread by exact discs."""
-    prepared = depth_layers(behind.astype(np.float32), dioptre_of(depth_m), coc)
-    whole, level = np.ones(behind.shape[:2]), np.zeros((*behind.shape[:2], 2))
-    out = _normal(
-        _scattered(
-            prepared.base.astype(float), whole, prepared.radius.astype(float), level, params
-        ),
-        behind,
-    )
-    for front in prepared.fronts:
-        _, nearest = distance_transform_edt(
-            front.radius < 0, return_indices=True
-        )  # of the nearest pixel that has one
-        radius = front.radius[tuple(nearest)].astype(float)
-        coverage = front.coverage.astype(float)
-        light = _scattered(
-            divide(front.colour, coverage[..., None]), coverage, radius, level, params
-        )
-        through = _scattered(np.zeros_like(behind), 1 - coverage, radius, level, params)[..., 3]
-        fraction = divide(light[..., 3], light[..., 3] + through)[..., None]
-        out = out + (_normal(light, out) - out) * fraction
+    (light, radius), *fronts = depth_layers(behind, dioptre, coc)
+    flat, sharp = np.zeros((*radius.shape, 2)), behind[..., :3].astype(float)
+    base, whole = light[..., :3].astype(float), np.ones(radius.shape)
+    out = _normal(_scattered(base, whole, radius.astype(float), flat, params), sharp)
+    for light, radius in fronts:
+        coverage = light[..., 3].astype(float)
+        _, nearest = distance_transform_edt(coverage <= 0, return_indices=True)
+        around = radius[tuple(nearest)].astype(float)
+        colour = divide(light[..., :3], coverage[..., None])
+        spread = _scattered(colour, coverage, around, flat, params)
+        through = _scattered(np.zeros_like(sharp), 1 - coverage, around, flat, params)[..., 3]
+        fraction = divide(spread[..., 3], spread[..., 3] + through)[..., None]
+        out = out + (_normal(spread, out) - out) * fraction
     return out
 
 
-def _shown(plane: Plane, directions: np.ndarray, lens_m: np.ndarray, focus: float) -> np.ndarray:
-    """(h, w) fraction of the places on the lens (n, 2) from which the plane's square is met in the pixel's direction.
+def _met(plane: Plane, directions: np.ndarray, lens_m: np.ndarray, focus: float) -> np.ndarray:
+    """(h, w) fraction of the places on the lens (n, 2) from which the plane's square is met in the
+    pixel's direction.
 
-    focus : 1/m, where rays of one pixel meet"""
-    out, along = np.empty(directions.shape[:2]), directions @ plane.forms.T
-    shift = lens_m @ plane.forms[:, :2].T
-    parallel_rows(lambda a, b: _square(out[a:b], along[a:b], shift, focus, plane.half_m), len(out))
-    return out
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _square(out, along, shift, focus, half_m):  # pragma: no cover - compiled
-    """From o = (a, b, 0) along d - focus o: the point of dioptre v on the plane lies in the direction d - focus o + v o.
-
-    along (h, w, 3), shift (n, 3) : the plane's forms of d and of o"""
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            met = 0
-            for k in range(len(shift)):
-                v = (along[y, x, 2] - focus * shift[k, 2]) / (1 - shift[k, 2])
-                right = along[y, x, 0] + (v - focus) * shift[k, 0]
-                down = along[y, x, 1] + (v - focus) * shift[k, 1]
-                if v > 0 and max(abs(right), abs(down)) <= half_m * v:
-                    met += 1
-            out[y, x] = met / len(shift)
+    focus : 1/m, where rays of one pixel meet
+    From o = (a, b, 0) along d - focus o: the point of dioptre v on the plane lies in the direction
+    d - focus o + v o."""
+    along = directions @ plane.forms.T
+    met = np.zeros(along.shape[:2])
+    for shift in lens_m @ plane.forms[:, :2].T:
+        dioptre = divide(along[..., 2] - focus * shift[2], 1 - shift[2])
+        moved = along[..., :2] + (dioptre - focus)[..., None] * shift[:2]
+        met += plane.within(np.dstack([moved, dioptre]))
+    return met / len(lens_m)
 
 
 def _scattered(
     colour: np.ndarray, weight: np.ndarray, radius: np.ndarray, slope: np.ndarray, params: DofParams
 ) -> np.ndarray:
     """(h, w, 4) sums of light and weight. radius, slope : of `_circles`"""
-    boost = params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
-    light = (
-        np.concatenate([colour * (1 + boost[..., None]), np.ones_like(colour[..., :1])], -1)
-        * weight[..., None]
-    )
-    sizes, which = np.unique(
-        np.round(np.sqrt(radius) * _SIZES).astype(np.int64), return_inverse=True
-    )
-    ends = [_disc_ends((q / _SIZES) ** 2, params.blades, params.blade_turn_deg) for q in sizes]
-    first, reach = (
-        np.cumsum([0, *(len(e) for e in ends)]),
-        max(int(np.abs(e[:, :2]).max()) for e in ends) + 2,
-    )
+    boost = 1 + params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
+    light = np.dstack([colour * boost[..., None], np.ones_like(weight)]) * weight[..., None]
+    steps = np.round(np.sqrt(radius) * _SIZES).astype(np.int64)
+    sizes, which = np.unique(steps, return_inverse=True)
+    lens = params.blades, params.blade_turn_deg
+    ends = [_disc_ends((q / _SIZES) ** 2, *lens) for q in sizes]
+    first = np.cumsum([0, *(len(e) for e in ends)])
+    reach = max(int(np.abs(e[:, :2]).max()) for e in ends) + 2
     (h, w), table = radius.shape, np.concatenate(ends)
 
     def rows(top: int, bottom: int) -> np.ndarray:
@@ -195,14 +177,13 @@ def _scattered(
 
 @lru_cache(maxsize=4096)
 def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
-    """(n, 4), each dy, dx, f, m: f summed twice along a row is the fraction of the shape in a pixel, m that times dx."""
+    """(n, 4), each dy, dx, f, m: f summed twice along a row is the fraction of the shape in a
+    pixel, m that times dx."""
     if radius <= SHARP_PX:
         return np.array([[0.0, 0, 1, 0], [0, 1, -2, 0], [0, 2, 1, 0]])
     half = int(np.ceil(radius * circumradius(blades) - 0.5))
     px = np.arange(-half, half + 1.0)
-    left, right = chords(radius, half, blades, turn_deg)
-    within = np.minimum(right[..., None], px + 0.5) - np.maximum(left[..., None], px - 0.5)
-    area = within.clip(0).mean(1)
+    area = pixel_areas(radius, half, blades, turn_deg)
     area /= area.sum()
     ends = [np.diff(np.pad(a, ((0, 0), (2, 2))), 2, axis=1) for a in (area, area * px)]
     j, i = np.nonzero((ends[0] != 0) | (np.abs(ends[1]) > 1e-15))
@@ -211,7 +192,8 @@ def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
 
 @numba.njit(cache=True, nogil=True)
 def _scatter(marks, top, light, slope, which, table, first, reach):  # pragma: no cover - compiled
-    """Light (h, w, 4) onto rows of marks from row `top`, column -reach on. table, first : rows of `_disc_ends` of each size"""
+    """Light (h, w, 4) onto rows of marks from row `top`, column -reach on. table, first : rows of
+    `_disc_ends` of each size"""
     h, w = which.shape
     for y in range(max(top - reach, 0), min(top + len(marks) + reach, h)):
         for x in range(w):
@@ -228,5 +210,5 @@ def _scatter(marks, top, light, slope, which, table, first, reach):  # pragma: n
 
 
 def _normal(sums: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    known = sums[..., 3:] > 1e-6
+    known = sums[..., 3:] > _LEAST_WEIGHT
     return np.where(known, divide(sums[..., :3], sums[..., 3:]), otherwise)

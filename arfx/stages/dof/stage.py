@@ -1,14 +1,15 @@
 """Dof: the blur of a stated thin lens on real and virtual pixels alike, in linear light.
 
-Every pixel's light is spread over its blur circle (disc or n-blade), energy kept (but at draft), at a resolution that fits the
-circle's size; the real scene and the virtual object are two layers, so that a blurred silhouette lets through what is behind it.
-Where the circle stays below 1 px nothing changes, bit for bit. While the object fades in or out the lens opens with it.
-Levels: draft looks light up in an image pyramid (mipmap.py), where highlights become soft spots. standard and high differ in the
-resolution at which a disc is spread (pyramid.py); high has the full one up to 28 px, and moves the discs of slanted planes to
-where their light goes. reference is the integral over the lens.
-Cost: O(blurred pixels), nearly independent of the radius. Leaves out: what real things hide behind their edges, that a
-blurred object lets through light of one side of the lens only, what is blurred before the object and reaches over it, lens
-aberrations, vignetting, motion. Source: docs/methods/dof.md."""
+Every pixel's light is spread over its blur circle (disc or n-blade), energy kept, at a resolution
+that fits the circle's size; the real scene and the virtual object are two layers, so that a
+blurred silhouette lets through what is behind it. Where the circle stays below 1 px nothing
+changes, bit for bit. While the object fades in or out the lens opens with it.
+Levels: draft and standard differ in how finely radii are told apart, and in the cells on which
+light is spread (`LEVELS`). reference is the integral over the lens.
+Cost: O(blurred pixels), nearly independent of the radius. Leaves out: what real things hide behind
+their edges, that a blurred object lets through light of one side of the lens only, what is blurred
+before the object and reaches over it, lens aberrations, vignetting, motion.
+Source: docs/methods/dof.md."""
 
 from __future__ import annotations
 
@@ -24,12 +25,12 @@ from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, Demand, JobView, Stage, View
-from arfx.stages.dof import corrected, draft
 from arfx.stages.dof import demand as called
+from arfx.stages.dof.blur import LEVELS, blurred
+from arfx.stages.dof.layers import layers_of_light
 from arfx.stages.dof.optics import CircleOfConfusion, circle_of_confusion, unknown_lens
 from arfx.stages.dof.params import DofParams
-from arfx.stages.dof.pyramid import PYRAMIDS
-from arfx.stages.dof.surfaces import Real, direction_grid, real_scene
+from arfx.stages.dof.planes import Real, direction_grid, real_scene
 
 
 class Dof(Stage):
@@ -46,7 +47,7 @@ class Dof(Stage):
         }
     )
     writes = frozenset({Layer.IMAGE})
-    levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
+    levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "reference")
     Params = DofParams
 
     def __init__(self, params: DofParams | None = None) -> None:
@@ -58,28 +59,16 @@ class Dof(Stage):
         if unknown := unknown_lens(self.params, facts):
             return Demand(EMPTY, unknown)
         coc, real = self._frame(facts, scene)
-        return called.demand(
-            facts,
-            frame,
-            coc,
-            real if self.params.scope == "all" else None,
-            direction_grid(scene.camera),
-        )
+        seen = real if self.params.scope == "all" else None
+        return called.demand(facts, frame, coc, seen, direction_grid(scene.camera))
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         if facts.camera_from_world is None or unknown_lens(self.params, facts):
             return out
         coc, real = self._frame(facts, scene)
         grid, frame = direction_grid(scene.camera), scene.camera.rect
-        return called.needs(
-            out,
-            facts,
-            coc,
-            real if self.params.scope == "all" else None,
-            grid,
-            frame,
-            level == "draft",
-        )
+        seen = real if self.params.scope == "all" else None
+        return called.needs(out, facts, coc, seen, grid, frame)
 
     def health(self, job: JobView) -> Iterator[Check]:
         """The lens of the blur: given, or measured from the footage's edges."""
@@ -125,15 +114,15 @@ class Dof(Stage):
             return {
                 Layer.IMAGE: reference.render(now, facts, scene, real, coc, self.params, prepared)
             }
-        args = now, facts, scene.camera.rect, view.out, real, prepared, coc
-        if view.level == "draft":
-            return {Layer.IMAGE: draft.render(*args, self.params)}
-        return {Layer.IMAGE: corrected.render(*args, PYRAMIDS[view.level], self.params)}
+        layers = layers_of_light(now, facts, real, prepared, coc, self.params)
+        image = blurred(now[Layer.IMAGE], layers, view.out, LEVELS[view.level], self.params)
+        rows = Rect(now.rect.x0, view.out.y0, now.rect.x1, view.out.y1)
+        below = now.written[Layer.IMAGE]
+        return {Layer.IMAGE: Pixels(now.rect, image, below, rows, [view.out])}
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[CircleOfConfusion, Real]:
-        p, measured = self.params, facts.real_depth
+        """The lens, and where the real scene stands."""
+        coc, measured = circle_of_confusion(self.params, facts, scene), facts.real_depth
         if measured is not None:
-            return circle_of_confusion(p, facts, scene), Real(None, (), 0.0, measured.tiles)
-        return circle_of_confusion(p, facts, scene), real_scene(
-            scene, facts.pose, p.plane_extent_m, p.background_m
-        )
+            return coc, Real(None, (), 0.0, measured.tiles)
+        return coc, real_scene(scene, facts.pose, self.params.background_m)

@@ -1,42 +1,44 @@
-"""Level `reference`: Monte Carlo rays (embree) on the same scenes, two bounces; shares no kernel with the cones.
+"""Level `reference`: Monte Carlo paths (embree) through the same scenes; shares no kernel with the
+other levels.
 
-Object pixels: cosine-weighted rays for diffuse light, microfacet normals (GGX) for gloss. Plane pixels: rays towards the ball
-around the object, as only those that meet it count, as what it sends less what it hides. Bright parts of the environment and
-what glows are sampled as well (reference_sampling.py). What the clip never saw is as bright as the width of a ray's lobe asks:
-a mirror looks through between lamps that a matt surface sees. Samples end where the noise is below what shows, or at
-`gi.samples` (reference_noise.py). Random numbers are keyed by pixel, sample and dimension, so that a part of the picture
-gets the same as the whole. Not denoised. Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators)."""
+Object pixels send paths by their material's lobes; plane pixels towards the ball around the object,
+as only paths that meet it count, as what it sends less what it hides. Every pixel gets `gi.samples`
+paths: a Sobol sequence that is shifted by numbers of the pixel's own, so that a part of the picture
+gets the same as the whole. Not denoised.
+Source: Pharr, Jakob, Humphreys, Physically Based Rendering; Cranley, Patterson 1976 (shifted
+sequences).
+Cost: O(pixels x samples)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from arfx.core.layers import Layer
+from arfx.core.noise import noise
 from arfx.core.numerics import divide, normalise
 from arfx.core.parallel import parallel_map
+from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import View
-from arfx.stages.gi.cones import mirror_tangent
 from arfx.stages.gi.frame_light import surroundings_of
-from arfx.stages.gi.plane_pixels import DARKEST, depth_agreement, measured
-from arfx.stages.gi.real_planes import bounding_ball
-from arfx.stages.gi.reference_noise import NOISE, grey_slope, settled
-from arfx.stages.gi.reference_sampling import Gloss, Sampler, cosine_density, cosine_directions
+from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
-from arfx.stages.gi.reference_tracer import Of, Tracer
-from arfx.stages.gi.surroundings import NARROW_DEG, WIDE_DEG, Planes
+from arfx.stages.gi.reference_sky import Environment
+from arfx.stages.gi.reference_tracer import BOUNCES, LOBE, NUMBERS, Tracer
+from arfx.stages.gi.surroundings import Planes
 
-BOUNCES = 2
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
-SPREAD = 0.4  # of the largest change of a plane, by which rays towards the object differ
-DIM, DIM_F0 = (
-    4,
-    0.1,
-)  # gloss of what mirrors less than this goes on to further bounces in one of so many samples
-_BATCH = 1 << 14  # pixels at once: bounds memory
+DARKEST = 0.002  # radiance below which a pixel is no base for a ratio
+# Of the distance: measured depth that is off by less lies on the plane; by twice that, not.
+SAME_DEPTH = 0.02
+BATCH = 1 << 14  # pixels at once: bounds memory
+DIMENSIONS = (BOUNCES + 1) * NUMBERS
+SURFACE = (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)
+
+Draw = Callable[[np.ndarray], np.ndarray]
 
 
 def trace_frame(
@@ -49,233 +51,213 @@ def trace_frame(
     gloss: tuple[float, float],
     mirror: Rect,
 ) -> Mapping[Layer, np.ndarray]:
-    """VIRTUAL and SHADOW with indirect light. visible_rect : pixels of the picture that are looked at;  disc : planes' pixels
-    gloss : of the planes, share mirrored seen from above, and roughness;  mirror : pixels that can mirror the object"""
-    now, scene, facts, light, pose, seed = (
-        view.layers,
-        view.scene,
-        view.facts,
-        view.light,
-        view.pose,
-        view.key,
-    )
+    """VIRTUAL and SHADOW with indirect light. visible_rect : pixels of the picture that are looked
+    at;  disc : planes' pixels
+    gloss : of the planes, share mirrored seen from above, and roughness
+    mirror : pixels that can mirror the object"""
+    scene, rect = view.scene, view.rect
     rays = RayScene(scene)
-    cubes = surroundings_of(facts, scene, light)
-    surroundings = Surroundings(
-        now, visible_rect, scene, facts, cubes, planes, bounding_ball(scene)[1]
+    cubes = surroundings_of(view.facts, scene, view.light)
+    around = Surroundings(
+        view.layers,
+        visible_rect,
+        scene,
+        view.facts,
+        Environment(cubes, scene.world_from_anchor.rotation),
+        planes,
+        rays.radius,
     )
-    tracer = Tracer(rays, surroundings, light, scene)
-    anchor = scene.world_from_anchor.inverse()
-    eye = anchor.apply(pose.inverse().translation_m)
-    rect = now.rect
-    x, y = np.meshgrid(np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1))
-    key = (y.astype(np.uint32) * np.uint32(65521) + x.astype(np.uint32)) * np.uint32(2654435761)
-    virtual, shadow = now[Layer.VIRTUAL].copy(), now[Layer.SHADOW].copy()
-    lengths = np.linalg.norm(now[Layer.NORMAL], axis=-1)
-    requested = np.zeros((rect.height, rect.width), bool)
-    requested[view.out.clip(rect).slices_in(rect)] = True
-    layers = {
-        name: now[name]
-        for name in (Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.COVERAGE)
-    }
+    tracer = Tracer(rays, around, view.light, scene)
+    camera_from_anchor = view.pose @ scene.world_from_anchor
+    sequence = sobol(samples)
+    virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
 
-    def object_pixels(rows: np.ndarray) -> None:
-        at = rows[:, 0], rows[:, 1]
-        part = {name: layer[at].astype(float) for name, layer in layers.items()}
-        normals = normalise(part[Layer.NORMAL]) @ anchor.rotation.T
-        positions = anchor.apply(part[Layer.POSITION])
-        indirect = _object_light(
-            tracer,
-            positions,
+    def work(band: Rect) -> None:
+        pixels = Pixels(view, band, camera_from_anchor.inverse(), tracer, sequence)
+        at = band.slices_in(rect)
+        virtual[at] += pixels.object_light()
+        if strength > 0:
+            shadow[at] += strength * pixels.plane_change(disc, mirror, gloss)
+
+    parallel_map(work, bands(view.out.clip(rect)))
+    return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
+
+
+def sobol(samples: int) -> np.ndarray:
+    """(samples, DIMENSIONS) of a Sobol sequence: even where their number is a power of two."""
+    from scipy.stats import qmc  # takes a second to import
+
+    power = int(samples - 1).bit_length()
+    sequence = qmc.Sobol(DIMENSIONS, scramble=False)
+    return np.asarray(sequence.random_base2(power)[:samples])
+
+
+def bands(rect: Rect) -> Iterator[Rect]:
+    """A rectangle in bands of about BATCH pixels."""
+    rows = max(BATCH // max(rect.width, 1), 1)
+    for y in range(rect.y0, rect.y1, rows):
+        yield replace(rect, y0=y, y1=min(y + rows, rect.y1))
+
+
+def mask_of(band: Rect, rect: Rect) -> np.ndarray:
+    """(h, w) bool: pixels of a band in a rectangle."""
+    out = np.zeros((band.height, band.width), bool)
+    inside = rect.clip(band)
+    if not inside.empty:
+        out[inside.slices_in(band)] = True
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """A band of one frame. sequence (samples, DIMENSIONS) : of random numbers"""
+
+    view: View
+    band: Rect
+    anchor_from_camera: Pose
+    tracer: Tracer
+    sequence: np.ndarray
+
+    def object_light(self) -> np.ndarray:
+        """(h, w, 3) float32 indirect light that the object sends to the camera."""
+        part = {name: self._layer(name) for name in SURFACE}
+        lengths = np.linalg.norm(part[Layer.NORMAL], axis=-1)
+        rows = np.nonzero((part[Layer.COVERAGE] > 0) & (lengths > 1e-3))
+        coverage, normal, position, albedo, material = (
+            layer[rows].astype(float) for layer in part.values()
+        )
+        anchor = self.view.scene.world_from_anchor.inverse()
+        normals = normalise(normal) @ anchor.rotation.T
+        positions = anchor.apply(position)
+        metal, roughness, specular = material.T[:3, :, None]
+        lobes = MaterialLobes(
             normals,
-            normalise(eye - positions),
-            part[Layer.ALBEDO],
-            part[Layer.MATERIAL],
-            key[at],
-            samples,
-            seed,
+            normalise(self.anchor_from_camera.translation_m - positions),
+            albedo,
+            metal,
+            0.08 * specular * (1 - metal),
+            roughness,
         )
-        virtual[at] += (indirect * part[Layer.COVERAGE][:, None]).astype(np.float32)
+        start = positions + self.tracer.rays.lift * normals
 
-    parallel_map(
-        object_pixels,
-        _batches(np.argwhere((now[Layer.COVERAGE] > 0) & (lengths > 1e-3) & requested)),
-    )
-    real = measured(now)
-    if not disc.union(mirror).clip(rect).empty and strength > 0:
-        wanted, glossy = np.zeros(shadow.shape[:2], bool), np.zeros(shadow.shape[:2], bool)
-        for inside, mask in ((disc.clip(rect), wanted), (mirror.clip(rect), glossy)):
-            if not inside.empty:
-                mask[inside.slices_in(rect)] = True
-        directions = (
-            scene.camera.directions(np.stack([x, y], -1).astype(float))
-            @ (anchor.rotation @ pose.rotation.T).T
-        )
-        several, picture = len(planes.axes) > 1, now[Layer.PLATE]
+        def draw(numbers: np.ndarray) -> np.ndarray:
+            return self.tracer.light(start, lobes, numbers, change=False)
 
-        def plane_pixels(rows: np.ndarray) -> None:
-            at = rows[:, 0], rows[:, 1]
-            d = normalise(directions[at])
-            plane, distance = surroundings.first_plane(np.broadcast_to(eye, d.shape), d)
-            keep = np.flatnonzero(plane >= 0)
-            at, d, distance, plane = (
-                (at[0][keep], at[1][keep]),
-                d[keep],
-                distance[keep],
-                plane[keep],
-            )
-            n = surroundings.axes[plane, 3]
-            start = eye + distance[:, None] * d + rays.lift * n
-            alone, plate = (
-                tracer.plane_light[plane],
-                np.maximum(picture[at] - np.array(facts.bias_rgb), DARKEST),
-            )
+        out = np.zeros((self.band.height, self.band.width, 3), np.float32)
+        out[rows] = self._mean(draw, rows) * coverage[:, None]
+        return out
 
-            def draw(rows: np.ndarray, s: int) -> np.ndarray:
-                """(n, 9) change, light of other planes, and what is mirrored, by one sample."""
-                out = np.zeros((len(rows), 9))
-                changed, shiny = np.flatnonzero(wanted[at][rows]), np.flatnonzero(glossy[at][rows])
-                subset = rows[changed]
-                out[changed, :3] = tracer.change(
-                    start[subset], n[subset], Sampler(key[at][subset], s, seed), BOUNCES
-                )
-                if several:
-                    out[changed, 3:6] = tracer.from_other_planes(
-                        start[subset], n[subset], Sampler(key[at][subset], s, seed)
-                    )
-                if len(shiny):
-                    subset = rows[shiny]
-                    sampler = Sampler(key[at][subset], s, seed ^ 0x27D4EB2F)
-                    lobes = Gloss(
-                        n[subset], -d[subset], np.full((len(subset), 3), gloss[0]), gloss[1]
-                    )
-                    left, lobe, weight, _ = lobes.directions(sampler)
-                    inner, wide = start[subset[left]], np.full(len(left), _width(gloss[1]))
-                    change = tracer.change_along(inner, lobe, sampler.of(left), BOUNCES, wide)
-                    if several:
-                        change = change + tracer.change_of_planes(inner, lobe, sampler.of(left))
-                    out[shiny[left], 6:] = weight * change
-                return out
+    def plane_change(self, disc: Rect, mirror: Rect, gloss: tuple[float, float]) -> np.ndarray:
+        """(h, w, 3) float32 change of the planes' light by the object, as a share of it. disc :
+        pixels that may change
+        mirror : pixels that may mirror the object, by this `gloss`: share seen from above, and
+        roughness"""
+        tracer, around = self.tracer, self.tracer.around
+        matt, shiny = mask_of(self.band, disc), mask_of(self.band, mirror)
+        rows, directions = self._directions(matt | shiny)
+        eyes = np.broadcast_to(self.anchor_from_camera.translation_m, directions.shape)
+        plane, distance = around.first_plane(eyes, directions)
+        keep = np.flatnonzero(plane >= 0)
+        rows = (rows[0][keep], rows[1][keep])
+        plane, distance, directions = plane[keep], distance[keep], directions[keep]
+        normals = around.axes[plane, 3]
+        places = eyes[keep] + distance[:, None] * directions
+        start = places + tracer.rays.lift * normals
+        lobes = tracer.plane_lobes(start, normals)
 
-            def noticed(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
-                return (
-                    strength
-                    * grey_slope(plate[rows])
-                    * (values[:, :3] / alone[rows] * plate[rows] + values[:, 6:])
-                )
+        def change(numbers: np.ndarray) -> np.ndarray:
+            return tracer.light(start, lobes, numbers, change=True)
 
-            # what rays towards the ball bring differs by SPREAD of the largest change that the object can make
-            away = np.maximum(np.linalg.norm(start - tracer.ball[0], axis=1), tracer.ball[1])
-            facing = ((tracer.ball[0] - start) * n).sum(1) / away + tracer.ball[1] / away
-            largest = (
-                (grey_slope(plate) * plate).max(1)
-                * (tracer.ball[1] / away) ** 2
-                * np.clip(facing, 0, 1)
-            )
-            few = np.ceil((SPREAD * largest / NOISE) ** 2).clip(1, samples).astype(int)
-            most = np.where(
-                several | tracer.sampled.glows | tracer.sampled.bright | glossy[at], samples, few
-            )
-            total, others, mirrored = np.split(settled(draw, noticed, most, 9), 3, axis=1)
-            plane_light = np.maximum(alone + others, LEAST_LEFT * alone)
-            change = divide(total, plane_light) - (1 - shadow[at]) * (
-                divide(alone, plane_light, where_zero=1.0) - 1
-            )
-            change += np.maximum(mirrored, -plate) / plate
-            if real.size:
-                depth = distance * (d @ (anchor.rotation @ pose.rotation.T)[:, 2])
-                change *= np.array(
-                    [depth_agreement(real, j, i, z) for j, i, z in zip(*at, depth, strict=True)]
-                ).reshape(-1, 1)
-            shadow[at] += (strength * change).astype(np.float32)
+        total = self._mean(change, rows) * matt[rows][:, None]
+        alone = tracer.plane_light[plane]
+        others = self._light_of_other_planes(start, normals, rows)
+        plane_light = np.maximum(alone + others, LEAST_LEFT * alone)
+        # the lamps' shadow is a share of the light that is there alone
+        lamps_take = 1 - self._layer(Layer.SHADOW)[rows]
+        brighter = divide(alone, plane_light, where_zero=1.0) - 1
+        ratio = divide(total, plane_light) - lamps_take * brighter
+        if shiny.any():
+            image = self._mirrored(start, normals, directions, gloss, rows)
+            ratio += image * shiny[rows][:, None]
+        depth_m = distance * (directions @ self.anchor_from_camera.rotation[:, 2])
+        out = np.zeros((self.band.height, self.band.width, 3), np.float32)
+        out[rows] = ratio * self._agreement(rows, depth_m)[:, None]
+        return out
 
-        parallel_map(
-            plane_pixels,
-            _batches(np.argwhere((wanted | glossy) & requested & np.isfinite(directions).all(-1))),
-        )
-    return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.clip(shadow, 0, None)}
+    def _layer(self, name: Layer) -> np.ndarray:
+        return self.view[name][self.band.slices_in(self.view.rect)]
 
+    def _directions(self, wanted: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        """(rows and columns in the band, unit viewing directions (n, 3)) of pixels that are wanted
+        (h, w)."""
+        row, column = np.nonzero(wanted)
+        pixels = np.stack([column + self.band.x0, row + self.band.y0], -1)
+        seen = self.view.scene.camera.directions(pixels.astype(float))
+        finite = np.isfinite(seen).all(-1)
+        turned = seen[finite] @ self.anchor_from_camera.rotation.T
+        return (row[finite], column[finite]), normalise(turned)
 
-def _object_light(
-    tracer: Tracer,
-    positions: np.ndarray,
-    n: np.ndarray,
-    v: np.ndarray,
-    albedo: np.ndarray,
-    material: np.ndarray,
-    key: np.ndarray,
-    samples: int,
-    seed: int,
-) -> np.ndarray:
-    """(k, 3) indirect light that surfaces send along v (k, 3)."""
-    start = positions + tracer.rays.lift * n
-    metal = material[:, :1]
-    matt_f0 = 0.08 * material[:, 2:3] * (1 - metal)
-    f0 = matt_f0 + albedo * metal
-    diffuse_albedo = albedo * (1 - metal)
-    matte, lobes = np.flatnonzero(diffuse_albedo.max(1) > 0), np.flatnonzero(f0.max(1) > 0)
-    gloss = Gloss(n[lobes], v[lobes], f0[lobes], material[lobes, 1])
-    width = _width(material[lobes, 1])
+    def _mirrored(
+        self,
+        start: np.ndarray,
+        normals: np.ndarray,
+        directions: np.ndarray,
+        gloss: tuple[float, float],
+        rows: tuple[np.ndarray, ...],
+    ) -> np.ndarray:
+        """(n, 3) what the planes' mirror image of the object changes, as a share of the picture."""
+        black = np.zeros_like(start)
+        f0, roughness = np.broadcast_to(np.reshape(gloss, (2, 1, 1)), (2, len(start), 1))
+        lobes = MaterialLobes(normals, -directions, black, black[:, :1], f0, roughness)
 
-    def diffuse_fraction(d: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Of what arrives along d, reflected by what lies under the gloss."""
-        grazing = (1 - np.clip((normalise(d + v[rows]) * v[rows]).sum(1, keepdims=True), 0, 1)) ** 5
-        fresnel = matt_f0[rows] + (matt_f0[rows] > 0) * (1 - matt_f0[rows]) * grazing
-        return np.asarray(diffuse_albedo[rows] * (1 - fresnel))
+        def draw(numbers: np.ndarray) -> np.ndarray:
+            return self.tracer.light(start, lobes, numbers, change=True)
 
-    def diffuse_value(d: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        density = cosine_density(n[rows], d)
-        return diffuse_fraction(d, rows) * density[:, None], density
+        plate = self._layer(Layer.PLATE)[rows] - np.array(self.view.facts.bias_rgb)
+        plate = np.maximum(plate, DARKEST)
+        # the picture cannot lose more than it shows
+        return np.maximum(self._mean(draw, rows), -plate) / plate
 
-    shines = (f0[lobes].max(1) > DIM_F0) | (samples % DIM > 0)
-    bright, dim = np.flatnonzero(shines), np.flatnonzero(~shines)
+    def _light_of_other_planes(
+        self,
+        start: np.ndarray,
+        normals: np.ndarray,
+        rows: tuple[np.ndarray, ...],
+    ) -> np.ndarray:
+        """(n, 3) light of white planes that other planes give them less what they hide, without the
+        object."""
+        around = self.tracer.around
+        if len(around.axes) < 2:
+            return np.zeros_like(start)
+        lobes = PlaneLobes(start, normals, np.zeros(3), np.inf, all_around=True)
 
-    def draw_sample(rows: np.ndarray, s: int) -> np.ndarray:
-        inside = np.zeros(len(positions), bool)
-        inside[rows] = True
-        out = np.zeros_like(positions)
-        of = np.flatnonzero(inside[matte])
-        if len(of):
-            m = matte[of]
-            draw = Sampler(key[m], s, seed)
-            d = cosine_directions(n[m], draw)
-            ones = np.ones(len(m))
-            incoming = tracer.along(
-                start[m], d, draw.of(np.arange(len(m))), BOUNCES, ones, cosine_density(n[m], d)
-            )
-            lights = tracer.sampled_lights(start[m], draw, lambda d: diffuse_value(d, m), ones)
-            out[m] += diffuse_fraction(d, m) * incoming + lights
-        # what hardly shines is asked every time what its gloss meets, and now and then for the rest of that
-        for some, part, share in ((bright, Of.ALL, 1), (dim, Of.FIRST, 1), (dim, Of.REST, DIM)):
-            of = some[inside[lobes[some]]]
-            if s % share == 0 and len(of):
-                at, lobe = lobes[of], gloss.of(of)
-                draw = Sampler(key[at], s // share, seed ^ 0x5BD1E995 ^ part.value)
-                left, d, weight, density = lobe.directions(draw)
-                from_lobe = tracer.along(
-                    start[at[left]], d, draw.of(left), BOUNCES, width[of[left]], density, part
-                )
-                out[at[left]] += share * weight * from_lobe
-                if part is not Of.REST:
-                    out[at] += tracer.sampled_lights(
-                        start[at], draw, partial(lobe.at, ...), width[of]
-                    )
-        return out[rows]
+        def draw(numbers: np.ndarray) -> np.ndarray:
+            d = lobes.directions(numbers[:, 0, LOBE])
+            plane, distance = around.first_plane(start, d)
+            met = np.flatnonzero(plane >= 0)
+            places = start[met] + distance[met, None] * d[met]
+            sky = around.environment.radiance(d[met], np.ones((len(met), 3)))
+            out = np.zeros_like(start)
+            out[met] = around.picture(places, plane[met]) - sky
+            return out
 
-    return settled(
-        draw_sample,
-        lambda values, rows: grey_slope(values) * values,
-        np.full(len(positions), samples),
-    )
+        return self._mean(draw, rows)
 
+    def _agreement(self, rows: tuple[np.ndarray, ...], depth_m: np.ndarray) -> np.ndarray:
+        """(n,) 0..1: is the measured surface, if any, in these pixels at this depth?"""
+        real_m = self._layer(Layer.REAL_DEPTH)[rows]
+        with np.errstate(invalid="ignore"):
+            off = np.abs(real_m - depth_m) / (SAME_DEPTH * depth_m)
+        return np.where(np.isfinite(real_m), np.clip(2 - off, 0, 1), 1.0)
 
-def _width(roughness: np.ndarray | float) -> np.ndarray:
-    """What `Surroundings.environment` takes as `wide`, of a lobe."""
-    return np.asarray(
-        np.interp(np.degrees(np.arctan(mirror_tangent(roughness))), (NARROW_DEG, WIDE_DEG), (0, 1))
-    )
-
-
-def _batches(rows: np.ndarray) -> Iterator[np.ndarray]:
-    for a in range(0, len(rows), _BATCH):
-        yield rows[a : a + _BATCH]
+    def _mean(self, draw: Draw, rows: tuple[np.ndarray, ...]) -> np.ndarray:
+        """(n, 3) of all samples of some pixels. draw : one, of numbers (n, BOUNCES + 1, NUMBERS)"""
+        count = len(rows[0])
+        shift = np.empty((count, DIMENSIONS))
+        for k in range(DIMENSIONS):
+            shift[:, k] = noise(self.band, self.view.key, k)[rows]
+        total = np.zeros((count, 3))
+        for point in self.sequence:
+            numbers = (shift + point) % 1
+            total += draw(numbers.reshape(count, BOUNCES + 1, NUMBERS))
+        return total / len(self.sequence)

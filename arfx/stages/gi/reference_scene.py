@@ -1,235 +1,243 @@
-"""What the reference's rays meet: the model's triangles (embree), the real planes with the picture, the environment."""
+"""What the reference's rays meet: the model's triangles (embree), the real planes and the picture
+on them.
+
+Axes are the anchor's; positions and directions are (n, 3) float64."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.cube import face_directions, solid_angles
+from arfx.core.colour import SRGB
+from arfx.core.cube import look_up
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
+from arfx.core.model import CLAMP, MIRROR, Texture
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.reference_kernels import (
-    Surfaces,
-    cube_radiance,
-    first_plane,
-    picture_or,
-    surface_at,
-)
-from arfx.stages.gi.surroundings import ENDLESS, Planes, irradiance
+from arfx.stages.gi.reference_sky import Environment
+from arfx.stages.gi.surroundings import ENDLESS, Planes
 from arfx.stages.triangles import Triangles, model_triangles
 
-IRRADIANCE_PX = 16  # of a face, for the end of a path
+UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show
+LIFT = 1e-4  # of the object's size, by which rays start off a surface
+AROUND = 3.0  # radii of the object, within which a plane's mean is taken
+# what a texture's channels mean: its codes, and which channels
+SHARE = np.arange(256) / 255
+LINEAR = np.asarray(SRGB.decode(SHARE), float)
+RGB = slice(0, 3)
+SHINE = slice(1, 3)  # roughness, metallic
+READ = ("base_texture", "emissive_texture", "metallic_roughness_texture")
 
 
 class Met(NamedTuple):
-    """What rays (n,) meet first. distance : inf where nothing is;  triangle : any where nothing is;  u, v : on it"""
+    """What rays (n,) meet first. distance : metres, inf where nothing is
+    triangle : -1 where nothing is;  u, v : on it"""
 
     distance: np.ndarray
     triangle: np.ndarray
     u: np.ndarray
     v: np.ndarray
 
+    def of(self, rows: np.ndarray) -> Met:
+        return Met(*(values[rows] for values in self))
 
-@dataclass(frozen=True, eq=False)
-class Hit:
-    """met (n,);  distance (n,);  position, normal (n, 3);  diffuse, specular, emission (n, 3) of the surface
-    face_normal (n, 3) : of the flat triangle, unit;  light_density (n,) : density per square metre of samples on what glows"""
 
-    met: np.ndarray
-    distance: np.ndarray
+class Surface(NamedTuple):
+    """Places on the model. position, normal, albedo, emission (n, 3)
+    metal, f0, roughness (n, 1) : f0 of what is no metal"""
+
     position: np.ndarray
     normal: np.ndarray
-    diffuse: np.ndarray
-    specular: np.ndarray
+    albedo: np.ndarray
     emission: np.ndarray
-    face_normal: np.ndarray
-    light_density: np.ndarray
+    metal: np.ndarray
+    f0: np.ndarray
+    roughness: np.ndarray
 
-    def of(self, rows: np.ndarray) -> Hit:
-        return Hit(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+    @property
+    def diffuse(self) -> np.ndarray:
+        """(n, 3) share of the light that is scattered evenly."""
+        return self.albedo * (1 - self.metal) * (1 - self.f0)
+
+    @property
+    def reflectance(self) -> np.ndarray:
+        """(n, 3) share of the light that is scattered or mirrored."""
+        return self.diffuse + self.f0 + self.albedo * self.metal
 
 
 class RayScene:
-    """The model in anchor axes. lift : metres by which rays start off a surface;  emits : sum of what glows, times its area;
-    emitting (triangles,) : each one's share of that"""
+    """The model. lift : metres by which rays start off a surface
+    centre (3,), radius : of a ball around it"""
 
     def __init__(self, scene: Scene) -> None:
-        corners, self._normals, self.part_of, self.face_of = model_triangles(scene)
-        self.parts, self._corners = scene.model.parts, corners
-        self.lift = 1e-4 * max(float(np.ptp(corners.reshape(-1, 3), axis=0).max()), 1e-9)
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._face_normal = normalise(across)
-        strength = np.array([max(p.material.emissive) for p in self.parts], float)[self.part_of]
-        weight = strength * np.linalg.norm(across, axis=1) / 2
-        self.emits = float(weight.sum())
-        self.emitting = divide(weight, self.emits)
-        self._light_density = divide(strength, self.emits)
+        corners, self._normals, self._part_of, self._face_of = model_triangles(scene)
+        self._parts = scene.model.parts
         self._triangles = Triangles(corners)
         self.blocked = self._triangles.blocked
-        materials = [p.material for p in self.parts]
-        metal, f0 = (
-            np.array(v, float)
-            for v in zip(
-                *((m.metallic, 0.08 * m.specular * (1 - m.metallic)) for m in materials),
-                strict=True,
-            )
-        )
-        of = self.part_of
-        colours = np.broadcast_to(
-            np.array([m.base_colour[:3] for m in materials], float)[of][:, None], (len(of), 3, 3)
-        ).copy()
-        for k, part in enumerate(self.parts):
+        points = corners.reshape(-1, 3)
+        low, high = points.min(0), points.max(0)
+        self.lift = LIFT * max(float((high - low).max()), 1e-9)
+        self.centre = (low + high) / 2
+        away = np.linalg.norm(points - self.centre, axis=1)
+        self.radius = max(float(away.max()), 1e-6)
+        self._colours = np.ones((len(corners), 3, 3))
+        self._textures: list[tuple[int, str, Texture, np.ndarray]] = []
+        for k, part in enumerate(self._parts):
+            rows = np.flatnonzero(self._part_of == k)
+            vertices = part.faces[self._face_of[rows]]
+            self._colours[rows] = part.material.base_colour[:3]
             if part.colours is not None:
-                rows = np.flatnonzero(of == k)
-                colours[rows] *= part.colours[part.faces[self.face_of[rows]]][..., :3]
-        shares = np.stack([(1 - metal) * (1 - f0), f0, metal], 1)[of]
-        emission = np.array([m.emissive for m in materials], float)[of]
-        self.surfaces = Surfaces(
-            self._normals,
-            colours,
-            shares,
-            emission,
-            self._face_normal,
-            self._light_density,
-            *self._textures(),
-        )
-
-    def _textures(self) -> tuple[np.ndarray, ...]:
-        """uv, base, glow, table, texels of `Surfaces`."""
-        uv, used = np.zeros((len(self.part_of), 3, 2)), np.full((2, len(self.part_of)), -1)
-        table: list[tuple[int, int, int]] = []
-        texels, count = [np.zeros((0, 3), np.uint8)], 0
-        for k, part in enumerate(self.parts):
-            for which, texture in enumerate(
-                (part.material.base_texture, part.material.emissive_texture)
-            ):
-                laid = None if texture is None else part.uv_on(texture)
-                if texture is None or laid is None:
-                    continue
-                rows = np.flatnonzero(self.part_of == k)
-                uv[rows] = laid[part.faces[self.face_of[rows]]]
-                used[which, rows] = len(table)
-                height, width = texture.picture.shape[:2]
-                table.append((count, width, height))
-                texels.append(texture.picture[..., :3].reshape(-1, 3))
-                count += len(texels[-1])
-        return uv, used[0], used[1], np.array(table, int).reshape(-1, 3), np.concatenate(texels)
-
-    def corners_of(self, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        c = self._corners[triangle]
-        return c[:, 0], c[:, 1], c[:, 2]
+                self._colours[rows] *= part.colours[vertices][..., :3]
+            for name, texture in part.material.textures.items():
+                uv = part.uv_on(texture)
+                if name in READ and uv is not None:
+                    self._textures.append((k, name, texture, uv[part.faces]))
 
     def nearest(self, origins: np.ndarray, directions: np.ndarray) -> Met:
-        found = self._triangles.first_hits(origins, directions)
-        triangle = np.asarray(found["primID"]).astype(np.int64)
-        distance = np.where(triangle >= 0, np.asarray(found["tfar"], float), np.inf)
-        return Met(distance, triangle, np.asarray(found["u"]), np.asarray(found["v"]))
+        """What each ray meets first. directions : of any length, by which distances count"""
+        hits = self._triangles.first_hits(origins, directions)
+        triangle = np.asarray(hits["primID"]).astype(np.int64)
+        distance, u, v = (np.asarray(hits[name], float) for name in ("tfar", "u", "v"))
+        distance = np.where(triangle >= 0, distance, np.inf)
+        return Met(distance, triangle, u, v)
 
-    def first(self, origins: np.ndarray, directions: np.ndarray) -> Hit:
-        """Of every ray; zeros where it meets nothing."""
-        met = self.nearest(origins, directions)
-        rows = np.flatnonzero(np.isfinite(met.distance))
-        every = []
-        for part in vars(self.hit(met, rows, origins, directions)).values():
-            every.append(np.zeros((len(origins), *part.shape[1:]), part.dtype))
-            every[-1][rows] = part
-        hit = Hit(*every)
-        hit.distance[~hit.met] = np.inf
-        return hit
+    def surface(self, met: Met, origins: np.ndarray, directions: np.ndarray) -> Surface:
+        """Where rays met something; every ray has to."""
+        position = origins + met.distance[:, None] * directions
+        weights = np.stack([1 - met.u - met.v, met.u, met.v], -1)
+        normal = np.einsum("nk,nkc->nc", weights, self._normals[met.triangle])
+        albedo = np.einsum("nk,nkc->nc", weights, self._colours[met.triangle])
+        part_of, face_of = self._part_of[met.triangle], self._face_of[met.triangle]
+        materials = [part.material for part in self._parts]
+        emission = np.array([m.emissive for m in materials], float)[part_of]
+        specular = np.array([m.specular for m in materials], float)[part_of, None]
+        shine = np.array([(m.roughness, m.metallic) for m in materials], float)[part_of]
+        factors = {
+            "base_texture": (albedo, RGB, LINEAR),
+            "emissive_texture": (emission, RGB, LINEAR),
+            "metallic_roughness_texture": (shine, SHINE, SHARE),
+        }
+        for k, name, texture, uv in self._textures:
+            rows = np.flatnonzero(part_of == k)
+            corners = uv[face_of[rows]]
+            places = np.einsum("nk,nkc->nc", weights[rows], corners)
+            values, channels, decode = factors[name]
+            texels = texels_at(texture, places)[:, channels]
+            values[rows] *= decode[texels]
+        roughness, metal = shine[:, :1], shine[:, 1:]
+        f0 = 0.08 * specular * (1 - metal)
+        return Surface(position, normalise(normal), albedo, emission, metal, f0, roughness)
 
-    def hit(self, met: Met, rows: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> Hit:
-        """Where the rays `rows` (m,) of those (n, 3) met something."""
-        distance, d = met.distance[rows], directions[rows]
-        surface = surface_at(self.surfaces, met.triangle[rows], met.u[rows], met.v[rows])
-        return Hit(
-            np.ones(len(rows), bool), distance, origins[rows] + distance[:, None] * d, *surface
-        )
+
+def texels_at(texture: Texture, places: np.ndarray) -> np.ndarray:
+    """(n, 4) uint8 nearest texels at places (n, 2) on a texture's picture."""
+    size = np.array(texture.picture.shape[1::-1])
+    along_u, along_v = places.T
+    u, v = wrapped(along_u, texture.wrap[0]), wrapped(along_v, texture.wrap[1])
+    column, row = np.minimum(np.stack([u, v], -1) * size, size - 1).astype(int).T
+    return np.asarray(texture.picture[row, column])
+
+
+def wrapped(t: np.ndarray, wrap: str) -> np.ndarray:
+    """(n,) 0..1 where a picture is read that is laid at t (n,)."""
+    if wrap == CLAMP:
+        return np.clip(t, 0, 1)
+    if wrap == MIRROR:
+        return 1 - np.abs(1 - t % 2)
+    return t % 1
 
 
 class Surroundings:
-    """Planes and environment, anchor axes."""
+    """Planes and environment. shown : pixels of the picture that may be looked at
+    radius_m : of the object"""
 
     def __init__(
         self,
         now: Layers,
-        seen: Rect,
+        shown: Rect,
         scene: Scene,
         facts: FrameFacts,
-        cubes: tuple[np.ndarray, np.ndarray],
+        environment: Environment,
         planes: Planes,
         radius_m: float,
     ) -> None:
-        self.axes, self._bounds = planes.axes.astype(float), planes.bounds.astype(float)
-        self._endless = np.abs(self._bounds).min(1) >= ENDLESS
-        self.narrow, cube = (np.ascontiguousarray(c, float) for c in cubes)
-        self.cube, self.turn = cube, np.ascontiguousarray(scene.world_from_anchor.rotation, float)
-        self._camera, self._pose = scene.camera, facts.pose @ scene.world_from_anchor
-        self._eye = self._pose.inverse().translation_m
-        inside = seen.clip(now.rect)
-        self._at, plate = inside, now[Layer.PLATE]
-        self._plate = np.clip(
-            plate[inside.slices_in(now.rect)] - np.array(facts.bias_rgb, np.float32), 0, None
-        )
-        grid = np.linspace(-3, 3, 25) * radius_m
-        u, v = (a.ravel()[:, None] for a in np.meshgrid(grid, grid))
-        self._means = np.tile(0.4 * irradiance(cube, self.turn[:, 2]), (len(self.axes), 1))
-        for k, axes in enumerate(self.axes):
-            sampled, known = self._picture_or(
-                axes[0] + u * axes[1] + v * axes[2], np.full(len(u), k), np.zeros((len(u), 3))
-            )
-            self._means[k] = sampled[known].mean(0) if known.any() else self._means[0]
-        part = max(
-            cube.shape[1] // IRRADIANCE_PX, 1
-        )  # irradiance is smooth: a cube of few texels gives the same
-        size = cube.shape[1] // part
-        coarse = (
-            cube[:, : size * part, : size * part].reshape(6, size, part, size, part, 3).mean((2, 4))
-        )
-        d, solid = face_directions(size).reshape(-1, 3), np.tile(solid_angles(size).ravel(), 6)
-        below = (d @ self.turn[:, 2] < 0)[:, None]
-        flat = np.where(below, self._means[0], coarse.reshape(-1, 3))
-        facing = np.clip(face_directions(IRRADIANCE_PX).reshape(-1, 3) @ d.T, 0, None)
-        self._irradiance = divide(
-            facing @ (flat * solid[:, None]), (facing @ solid)[:, None]
-        ).reshape(6, IRRADIANCE_PX, IRRADIANCE_PX, 3)
+        self.environment = environment
+        self.axes = planes.axes.astype(float)
+        self._bounds = planes.bounds.astype(float)
+        self._bounds[np.abs(self._bounds) >= ENDLESS] *= np.inf
+        self._camera = scene.camera
+        self._camera_from_anchor = facts.pose @ scene.world_from_anchor
+        eye = self._camera_from_anchor.inverse().translation_m
+        height = (eye - self.axes[:, 0]) * self.axes[:, 3]
+        self._in_front = height.sum(-1) > 0
+        self._rect = shown.clip(now.rect)
+        plate = now[Layer.PLATE][self._rect.slices_in(now.rect)]
+        self._plate = np.maximum(plate.astype(float) - facts.bias_rgb, 0)
+        up = environment.turn[:, 2]
+        below = environment.irradiance(np.zeros(3), up)
+        guess = UNSEEN_ALBEDO * look_up(below, up[None])
+        self._means = np.tile(guess, (len(self.axes), 1))
+        places = np.linspace(-AROUND, AROUND, 25) * radius_m
+        u, v = (a.reshape(-1, 1) for a in np.meshgrid(places, places))
+        for k, (origin, x, y, _) in enumerate(self.axes):
+            plane = np.full(len(u), k)
+            radiance, known = self._picture(origin + u * x + v * y, plane)
+            self._means[k] = radiance[known].mean(0) if known.any() else self._means[0]
+        self._irradiance = environment.irradiance(self._means[0], up)
 
     def first_plane(
         self, origins: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(plane (n,), -1 = none; distance (n,), inf) of the nearest plane met from its front."""
-        o, d = np.ascontiguousarray(origins), np.ascontiguousarray(directions)
-        found: tuple[np.ndarray, np.ndarray] = first_plane(
-            self.axes, self._bounds, self._endless, o, d
-        )
-        return found
+        plane = np.full(len(origins), -1)
+        distance = np.full(len(origins), np.inf)
+        for k, (origin, x, y, normal) in enumerate(self.axes):
+            x0, y0, x1, y1 = self._bounds[k]
+            start = origins - origin
+            falls = -(directions @ normal)
+            height = np.maximum(start @ normal, 0)
+            t = np.where(falls > 1e-9, divide(height, falls), 0)
+            met = start + t[:, None] * directions
+            u, v = met @ x, met @ y
+            within = (x0 < u) & (u < x1) & (y0 < v) & (v < y1)
+            nearer = within & (t > 0) & (t < distance)
+            plane[nearer] = k
+            distance[nearer] = t[nearer]
+        return plane, distance
 
     def picture(self, positions: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does not."""
-        return self._picture_or(positions, plane, self._means[plane])[0]
+        """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does
+        not."""
+        radiance, known = self._picture(positions, plane)
+        return np.where(known[:, None], radiance, self._means[plane])
 
-    def _picture_or(
-        self, positions: np.ndarray, plane: np.ndarray, means: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        at = self._camera.project(self._pose.apply(positions))
-        front = ((self._eye - self.axes[:, 0]) * self.axes[:, 3]).sum(-1) > 0
-        found: tuple[np.ndarray, np.ndarray] = picture_or(
-            self._plate, at, np.array([self._at.x0, self._at.y0]), front[plane], means
-        )
-        return found
+    def _picture(self, positions: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """((n, 3) radiance, (n,) whether the picture shows it): linear between pixels."""
+        seen = self._camera.project(self._camera_from_anchor.apply(positions))
+        last = np.array([self._rect.width - 1, self._rect.height - 1])
+        at = seen - [self._rect.x0, self._rect.y0]
+        with np.errstate(invalid="ignore"):
+            known = ((at >= 0) & (at <= last)).all(-1)
+        known &= self._in_front[plane]
+        at = at[known]
+        left, upper = np.floor(at).astype(int).T
+        right, lower = np.minimum([left + 1, upper + 1], last[:, None])
+        fx, fy = (at - np.floor(at)).T[..., None]
+        above = between(self._plate[upper, left], self._plate[upper, right], fx)
+        under = between(self._plate[lower, left], self._plate[lower, right], fx)
+        out = np.zeros((len(positions), 3))
+        out[known] = between(above, under, fy)
+        return out, known
 
-    def environment(self, directions: np.ndarray, wide: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance in directions (n, 3), anchor axes. wide (n,) : 0 as a mirror sees it, 1 as a matt surface does"""
-        return np.asarray(cube_radiance(self.narrow, self.cube, self.turn, directions, wide))
+    def unoccluded(self, normals: np.ndarray) -> np.ndarray:
+        """(n, 3) what a white surface gets from all around with nothing in the way: the end of a
+        path."""
+        return look_up(self._irradiance, normals @ self.environment.turn.T)
 
-    def unoccluded_irradiance(self, normals: np.ndarray) -> np.ndarray:
-        """(n, 3) what a white surface gets from all around with nothing in the way: the end of a path."""
-        return np.asarray(
-            cube_radiance(
-                self._irradiance, self._irradiance, self.turn, normals, np.ones(len(normals))
-            )
-        )
+
+def between(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Linear, a where the share is 0."""
+    return a + share * (b - a)

@@ -1,298 +1,289 @@
-"""Radiance along the rays of the reference, and how the object changes the light of a plane.
+"""Paths of light through the object, the planes and their surroundings, for level `reference`.
 
-A ray's radiance has two parts: what its first meeting tells without a further bounce (the surroundings, the picture on a plane
-less the shadows of lamps, a surface in the lamps and in all the light around as if nothing were in its way), and the rest, which
-corrects that by further rays. The first costs less and has most of the noise: each can be sampled as often as it needs.
-Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators); Arvo, Kirk 1990 (splitting)."""
+A path is one ray after another. Where it meets the object it takes the lamps' light and goes on by
+a random lobe of the material; after BOUNCES places it ends with the light of all around as if
+nothing were in its way. Where it meets a plane it takes the picture, less the lamps' light that the
+object hides there, and goes on with what the object changes of the plane's soft light: such a ray
+counts for what the object sends less what it hides. Bright parts of the environment are sampled as
+well.
+Source: Pharr, Jakob, Humphreys, Physically Based Rendering (estimators). Leaves out: lamps mirrored
+on the way (caustics); samples of what glows: small things that glow are met by chance."""
 
 from __future__ import annotations
 
-from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
 from arfx.core.light import Light
-from arfx.core.numerics import divide
+from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
-from arfx.stages.gi.real_planes import bounding_ball
-from arfx.stages.gi.reference_kernels import add_scaled, dots, facing, share_of_ball
-from arfx.stages.gi.reference_sampling import (
-    Lights,
-    Reflectance,
-    Sampler,
-    balance_weight,
-    cosine_density,
-    cosine_directions,
-    in_disc,
-    lambertian,
-    towards_ball,
+from arfx.stages.gi.reference_lobes import (
+    Lobes,
+    MaterialLobes,
+    PlaneLobes,
+    Reflected,
+    disc,
+    dot,
+    frames,
 )
-from arfx.stages.gi.reference_scene import Hit, RayScene, Surroundings
+from arfx.stages.gi.reference_scene import Met, RayScene, Surroundings
 
-ASKED = 4.0  # times the share of the hemisphere that the object fills: how many places on planes are asked
-LEAST_ASKED = 0.05
-MIRRORS = 0.2  # a surface in the middle of a path that mirrors less of the light is asked for it as much less often
+BOUNCES = 3  # places that a path meets
+# random numbers of one place: which lobe and its direction, the lamps' discs, the environment
+LOBE = slice(0, 3)
+LAMP = slice(3, 5)
+SKY = slice(5, 7)
+NUMBERS = 7
 
 
-class Of(Enum):
-    """Which part of a ray's radiance: FIRST without a further bounce, REST what that lacks, ALL both."""
+class Places(NamedTuple):
+    """Where rays (n) leave surfaces. pixel (n,) : row of what they are drawn for, each once
+    start (n, 3)
+    weight (n, 3) : by which what they bring counts;  change (n, 1) bool : whether only what the
+    object changes counts"""
 
-    ALL = 0
-    FIRST = 1
-    REST = 2
+    pixel: np.ndarray
+    start: np.ndarray
+    weight: np.ndarray
+    change: np.ndarray
+
+    def of(self, rows: np.ndarray) -> Places:
+        return Places(*(values[rows] for values in self))
+
+
+class Rays(NamedTuple):
+    """Rays (n) under way. direction (n, 3);  density (n, 1) : with which it was drawn, per
+    steradian
+    wide (n, 3) : as `Environment.radiance` takes it"""
+
+    places: Places
+    direction: np.ndarray
+    density: np.ndarray
+    wide: np.ndarray
+
+    def of(self, rows: np.ndarray) -> Rays:
+        return Rays(
+            self.places.of(rows),
+            self.direction[rows],
+            self.density[rows],
+            self.wide[rows],
+        )
+
+    def along(self, distance: np.ndarray) -> np.ndarray:
+        """(n, 3) places at a distance (n,), metres."""
+        return np.asarray(self.places.start + distance[:, None] * self.direction)
 
 
 class Tracer:
-    """Radiance along rays. light : WORLD axes, taken into the anchor's"""
+    """plane_light (planes, 3) : radiance of white planes with nothing in the light's way. light :
+    WORLD axes"""
 
     def __init__(
-        self, rays: RayScene, surroundings: Surroundings, light: Light, scene: Scene
+        self,
+        rays: RayScene,
+        around: Surroundings,
+        light: Light,
+        scene: Scene,
     ) -> None:
-        self.rays, self.surroundings, self.sampled = rays, surroundings, Lights(rays, surroundings)
+        self.rays, self.around = rays, around
         turn = scene.world_from_anchor.rotation
-        self.lights = [
-            (turn.T @ li.unit, np.clip(li.rgb, 0, None), li.angular_size_deg) for li in light.lights
-        ]
-        self.plane_light = np.array([light.radiance(turn @ axes[3]) for axes in surroundings.axes])
-        self.ball = bounding_ball(scene)
-        self._ball = np.append(*self.ball)
+        self._lamps = light.lights
+        self._lamps_towards = [turn.T @ lamp.unit for lamp in light.lights]
+        normals = around.axes[:, 3] @ turn.T
+        self.plane_light = light.radiance(normals)
 
-    def along(
-        self,
-        origins: np.ndarray,
-        directions: np.ndarray,
-        draw: Sampler,
-        bounces: int,
-        wide: np.ndarray,
-        density: np.ndarray | None = None,
-        of: Of = Of.ALL,
-    ) -> np.ndarray:
-        """(n, 3) radiance that comes from `directions`, or a part `of` it. density (n,) : with which they were drawn, where
-        lights are sampled as well; None = they are not"""
-        hit = self.rays.nearest(origins, directions)
-        plane, distance = self.surroundings.first_plane(origins, directions)
-        on_object = hit.distance < distance
-        on_plane = (plane >= 0) & ~on_object
-        out = np.zeros((len(origins), 3))
-        if of is not Of.REST:
-            rows = np.flatnonzero(~on_object & ~on_plane)
-            out[rows] = self.sampled.environment(directions, density, rows, wide)
-        rows = np.flatnonzero(on_object)
-        if len(rows):
-            met = self.rays.hit(hit, rows, origins, directions)
-            glow = balance_weight(
-                density, rows, self.sampled.emitter_density(met, directions[rows])
-            )
-            out[rows] = self.outgoing_radiance(
-                met, -directions[rows], draw.of(rows), bounces, glow, of
-            )
-        rows = np.flatnonzero(on_plane)
-        if len(rows):
-            positions = origins[rows] + distance[rows, None] * directions[rows]
-            shadow_ratio = self.shadow_ratio(positions, plane[rows], draw.of(rows), bounces, of)
-            out[rows] = self.surroundings.picture(positions, plane[rows]) * shadow_ratio
-        return out
+    def plane_lobes(self, start: np.ndarray, normals: np.ndarray) -> PlaneLobes:
+        several = len(self.around.axes) > 1
+        return PlaneLobes(start, normals, self.rays.centre, self.rays.radius, several)
 
-    def sampled_lights(
+    def light(
         self,
         start: np.ndarray,
-        draw: Sampler,
-        value: Reflectance,
-        wide: np.ndarray,
-        change: bool = False,
+        lobes: Lobes,
+        numbers: np.ndarray,
+        change: bool,
     ) -> np.ndarray:
-        """(n, 3) light that samples of lights bring to positions (n, 3), weighed against the surface's own directions.
+        """(n, 3) that surfaces at `start` (n, 3) send on by their lobes, of one path each, or what
+        the object changes of it.
 
-        value : reflectance times cosine (n, 3) or (n, 1), and the surface's density (n,), of unit directions (n, 3)
-        change : with the object less without it, instead of with it"""
-        out = np.zeros((len(start), 3))
-        if self.sampled.bright:
-            d, density = self.sampled.to_environment(len(start), draw)
-            reflected, own = value(d)
-            rows = np.flatnonzero(own > 0)
-            plane, _ = self.surroundings.first_plane(start[rows], d[rows])
-            hidden = self.rays.blocked(start[rows], d[rows])
-            rows = rows[(plane < 0) & (hidden == change)]
-            light = self.surroundings.environment(d[rows], wide[rows]) * (-1.0 if change else 1.0)
-            out[rows] += light * reflected[rows] / (density + own)[rows, None]
-        if self.sampled.glows:
-            d, distance = self.sampled.to_emitters(start, draw)
-            reflected, own = value(d)
-            rows = np.flatnonzero(own > 0)
-            plane, beyond = self.surroundings.first_plane(start[rows], d[rows])
-            met = self.rays.nearest(start[rows], d[rows])
-            ok = (
-                (met.distance > distance[rows] * (1 - 1e-3))
-                & np.isfinite(met.distance)
-                & (beyond > distance[rows])
-            )
-            hit, rows = self.rays.hit(met, np.flatnonzero(ok), start[rows], d[rows]), rows[ok]
-            density = self.sampled.emitter_density(hit, d[rows])
-            rows, hit, density = (
-                rows[density > 0],
-                hit.of(np.flatnonzero(density > 0)),
-                density[density > 0],
-            )
-            out[rows] += hit.emission * reflected[rows] / (density + own[rows])[:, None]
-        return out
-
-    def outgoing_radiance(
-        self,
-        hit: Hit,
-        towards: np.ndarray,
-        draw: Sampler,
-        bounces: int,
-        glow: np.ndarray | float = 1.0,
-        of: Of = Of.ALL,
-    ) -> np.ndarray:
-        """(n, 3) that the object's surface sends `towards` a direction: emission, direct light, and one more bounce, or a part
-        `of` it. Where a path ends, the light around is taken as if nothing were in its way.
-
-        glow : share (n, 1) of its emission that counts"""
-        normal, start, mirror = facing(hit.normal, towards, hit.position, self.rays.lift)
-        bounce, specular = bounces > 0 and of is not Of.FIRST, hit.specular.any()
-        out, arriving = np.zeros((len(normal), 3)), np.zeros((len(normal), 3))
-        if of is not Of.REST:
-            out, arriving = glow * hit.emission, self.direct(start, normal, draw)
-        if bounce == (of is Of.REST):  # the end of a path, or what it would have been
-            unoccluded = self.surroundings.unoccluded_irradiance(normal) * (-1.0 if bounce else 1.0)
-            arriving = arriving + unoccluded
-            if specular:
-                out = out + hit.specular * unoccluded
-        if bounce:
-            d = cosine_directions(normal, draw)
-            arriving = arriving + self.along(
-                start, d, draw, bounces - 1, np.ones(len(d)), cosine_density(normal, d)
-            )
-            arriving = arriving + self.sampled_lights(
-                start, draw, lambertian(normal), np.ones(len(d))
-            )
-        out = out + hit.diffuse * arriving
-        if (
-            bounce and specular
-        ):  # Russian roulette: what hardly mirrors is asked for it now and then
-            asked = np.minimum(hit.specular.max(1) / MIRRORS, 1)
-            rows = np.flatnonzero(draw.single() < asked)
-            mirrored = self.along(
-                start[rows], mirror[rows], draw.of(rows), bounces - 1, np.zeros(len(rows))
-            )
-            out[rows] += hit.specular[rows] / asked[rows, None] * mirrored
-        return out
-
-    def direct(self, points: np.ndarray, normals: np.ndarray, draw: Sampler) -> np.ndarray:
-        """(n, 3) of white surfaces, by one ray to each light's disc."""
-        out = np.zeros((len(points), 3))
-        for d, rgb, size_deg in self.lights:
-            towards = in_disc(d, size_deg, draw)
-            cosine = dots(normals, towards)
-            rows = np.flatnonzero(cosine > 0)
-            if len(rows):
-                plane, _ = self.surroundings.first_plane(points[rows], towards[rows])
-                visible = ~self.rays.blocked(points[rows], towards[rows]) & (plane < 0)
-                add_scaled(out, rows, cosine[rows] * visible, rgb)
-        return out
-
-    def shadow_ratio(
-        self, positions: np.ndarray, plane: np.ndarray, draw: Sampler, bounces: int, of: Of = Of.ALL
-    ) -> np.ndarray:
-        """(n, 3) share of a plane's light that is there with the object, or a part `of` it: what the picture on it is
-        multiplied by."""
-        normals = self.surroundings.axes[plane, 3]
-        start = positions + self.rays.lift * normals
-        plane_light = self.plane_light[plane]
-        hidden_light = np.zeros((len(positions), 3))
-        for d, rgb, size_deg in self.lights if of is not Of.REST else ():
-            towards = in_disc(d, size_deg, draw)
-            cosine = normals @ d
-            rows = np.flatnonzero(cosine > 0)
-            if len(rows):
-                add_scaled(
-                    hidden_light,
-                    rows,
-                    cosine[rows] * self.rays.blocked(start[rows], towards[rows]),
-                    rgb,
-                )
-        if of is Of.FIRST:
-            return np.asarray(1 - divide(hidden_light, plane_light))
-        # Russian roulette: the less of the hemisphere the object may fill, the fewer are asked
-        asked = share_of_ball(start, self._ball, ASKED, LEAST_ASKED)
-        rows = np.flatnonzero(draw.single() < asked)
-        change = np.zeros((len(start), 3))
-        change[rows] = (
-            self.change(start[rows], normals[rows], draw.of(rows), bounces) / asked[rows, None]
+        numbers (n, BOUNCES + 1, NUMBERS) in [0, 1). Lamps that shine on the surfaces themselves are
+        left out."""
+        count = len(start)
+        out = np.zeros((count, 3))
+        places = Places(
+            np.arange(count),
+            start,
+            np.ones((count, 3)),
+            np.full((count, 1), change),
         )
-        return np.asarray((of is Of.ALL) + divide(change - hidden_light, plane_light))
-
-    def change(
-        self, start: np.ndarray, normals: np.ndarray, draw: Sampler, bounces: int
-    ) -> np.ndarray:
-        """(n, 3) indirect light of a white plane with the object less without it, by one ray towards the object, and where
-        there are other planes, which it changes too, one towards those."""
-        d, density, near = towards_ball(start, normals, *self.ball, draw)
-        wide = np.ones(len(start))
-
-        def value(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            cosine = cosine_density(normals, directions)
-            return cosine[:, None], np.where(near, cosine, density)
-
-        weight = divide(cosine_density(normals, d), density)[:, None]
-        out = self.sampled_lights(start, draw, value, wide, change=True)
-        out = out + weight * self.change_along(start, d, draw, bounces, wide, density)
-        if bounces > 0 and len(self.surroundings.axes) > 1:
-            out = out + self.change_of_planes(start, cosine_directions(normals, draw), draw)
-        return np.asarray(out)
-
-    def from_other_planes(
-        self, start: np.ndarray, normals: np.ndarray, draw: Sampler
-    ) -> np.ndarray:
-        """(n, 3) light of a white plane that other planes give it less what they hide, without the object, by one ray."""
-        out = np.zeros((len(start), 3))
-        if len(self.surroundings.axes) > 1:
-            d = cosine_directions(normals, draw)
-            plane, distance = self.surroundings.first_plane(start, d)
-            rows = np.flatnonzero(plane >= 0)
-            positions = start[rows] + distance[rows, None] * d[rows]
-            sky = self.surroundings.environment(d[rows], np.ones(len(rows)))
-            out[rows] = self.surroundings.picture(positions, plane[rows]) - sky
+        rays = self._scattered(places, lobes, numbers[:, 0], out)
+        for bounce in range(1, BOUNCES):
+            drawn = numbers[rays.places.pixel, bounce]
+            rays = joined(*self._met(rays, drawn, False, out))
+        self._met(rays, numbers[rays.places.pixel, BOUNCES], True, out)
         return out
 
-    def change_along(
+    def _met(self, rays: Rays, drawn: np.ndarray, last: bool, out: np.ndarray) -> list[Rays]:
+        """Rays that go on where these end, unless they are the `last`. out (pixels, 3) += what
+        these bring;  drawn (n, NUMBERS)"""
+        start, change = rays.places.start, rays.places.change[:, 0]
+        met = self.rays.nearest(start, rays.direction)
+        plane, plane_m = self.around.first_plane(start, rays.direction)
+        on_object = met.distance < plane_m
+        hidden = np.flatnonzero(on_object & change)
+        seen = np.flatnonzero(~on_object & ~change)
+        for rows, sign in ((hidden, -1.0), (seen, 1.0)):
+            some = rays.of(rows)
+            behind = self._behind(some, plane[rows], plane_m[rows])
+            out[some.places.pixel] += sign * some.places.weight * behind
+        rows = np.flatnonzero(on_object)
+        going_on = self._from_object(rays.of(rows), met.of(rows), drawn[rows], last, out)
+        rows = np.flatnonzero((plane >= 0) & ~on_object)
+        on_plane = rays.of(rows)
+        positions = on_plane.along(plane_m[rows])
+        going_on += self._from_plane(on_plane, positions, plane[rows], drawn[rows], last, out)
+        return going_on
+
+    def _behind(self, rays: Rays, plane: np.ndarray, plane_m: np.ndarray) -> np.ndarray:
+        """(n, 3) radiance that is there without the object."""
+        sky = self.around.environment
+        both = rays.density + sky.density(rays.direction)
+        out = sky.radiance(rays.direction, rays.wide) * divide(rays.density, both)
+        rows = np.flatnonzero(plane >= 0)
+        positions = rays.of(rows).along(plane_m[rows])
+        out[rows] = self.around.picture(positions, plane[rows])
+        return out
+
+    def _from_object(
+        self,
+        rays: Rays,
+        met: Met,
+        drawn: np.ndarray,
+        last: bool,
+        out: np.ndarray,
+    ) -> list[Rays]:
+        pixel, start, weight, change = rays.places
+        surface = self.rays.surface(met, start, rays.direction)
+        away = dot(surface.normal, rays.direction) > 0
+        normal = np.where(away, -surface.normal, surface.normal)
+        start = surface.position + self.rays.lift * normal
+        lamps, _ = self._lamp_light(start, normal, drawn[:, LAMP])
+        sent = surface.emission + surface.diffuse * lamps
+        if last:
+            unoccluded = self.around.unoccluded(normal)
+            out[pixel] += weight * (sent + surface.reflectance * unoccluded)
+            return []
+        out[pixel] += weight * sent
+        lobes = MaterialLobes(
+            normal,
+            -rays.direction,
+            surface.albedo,
+            surface.metal,
+            surface.f0,
+            surface.roughness,
+        )
+        places = Places(pixel, start, weight, np.zeros_like(change))
+        return [self._scattered(places, lobes, drawn, out)]
+
+    def _from_plane(
+        self,
+        rays: Rays,
+        positions: np.ndarray,
+        plane: np.ndarray,
+        drawn: np.ndarray,
+        last: bool,
+        out: np.ndarray,
+    ) -> list[Rays]:
+        pixel, _, weight, change = rays.places
+        normal = self.around.axes[plane, 3]
+        start = positions + self.rays.lift * normal
+        _, hidden = self._lamp_light(start, normal, drawn[:, LAMP])
+        picture = self.around.picture(positions, plane)
+        weight = weight * divide(picture, self.plane_light[plane])
+        out[pixel] -= weight * hidden
+        if last:
+            return []
+        places = Places(pixel, start, weight, np.ones_like(change))
+        return [self._scattered(places, self.plane_lobes(start, normal), drawn, out)]
+
+    def _scattered(
+        self,
+        places: Places,
+        lobes: Lobes,
+        drawn: np.ndarray,
+        out: np.ndarray,
+    ) -> Rays:
+        """Rays by the surfaces' lobes. out += light of the environment's bright parts, by samples
+        of their own."""
+        if self.around.environment.bright:
+            self._add_sky(places, lobes, drawn[:, SKY], out)
+        direction = lobes.directions(drawn[:, LOBE])
+        reflected = lobes.at(direction)
+        weight = places.weight * reflected.weight
+        rays = Rays(
+            places._replace(weight=weight),
+            direction,
+            reflected.density,
+            wide_of(reflected, lobes),
+        )
+        return rays.of(np.flatnonzero(weight.any(1)))
+
+    def _add_sky(
+        self,
+        places: Places,
+        lobes: Lobes,
+        numbers: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
+        """out += light of directions that are drawn from the environment."""
+        sky = self.around.environment
+        direction = sky.samples(numbers)
+        reflected = lobes.at(direction)
+        both = reflected.density + sky.density(direction)
+        plane, _ = self.around.first_plane(places.start, direction)
+        hidden = self.rays.blocked(places.start, direction)
+        change = places.change[:, 0]
+        counts = (plane < 0) & (hidden == change) & (reflected.density[:, 0] > 0)
+        rows = np.flatnonzero(counts)
+        light = sky.radiance(direction[rows], wide_of(reflected, lobes)[rows])
+        light = light * divide(reflected.total, both)[rows]
+        sign = np.where(change[rows], -1.0, 1.0)
+        out[places.pixel[rows]] += sign[:, None] * places.weight[rows] * light
+
+    def _lamp_light(
         self,
         start: np.ndarray,
-        d: np.ndarray,
-        draw: Sampler,
-        bounces: int,
-        wide: np.ndarray,
-        density: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """(n, 3) radiance from directions d with the object less without it. density : as for `along`"""
-        hit = self.rays.nearest(start, d)
-        out = np.zeros((len(start), 3))
-        rows = np.flatnonzero(np.isfinite(hit.distance))
-        if len(rows):
-            plane, distance = self.surroundings.first_plane(start[rows], d[rows])
-            nearer = hit.distance[rows] < distance
-            rows, plane, distance = rows[nearer], plane[nearer], distance[nearer]
-        if len(rows):
-            background = self.sampled.environment(d, density, rows, wide)
-            other = np.flatnonzero(plane >= 0)
-            positions = start[rows[other]] + distance[other, None] * d[rows[other]]
-            background[other] = self.surroundings.picture(positions, plane[other])
-            # the last bounce takes the light that nothing hides, instead of none: nearer the truth than a black object
-            met = self.rays.hit(hit, rows, start, d)
-            glow = balance_weight(density, rows, self.sampled.emitter_density(met, d[rows]))
-            sent = self.outgoing_radiance(met, -d[rows], draw.of(rows), max(bounces - 1, 0), glow)
-            out[rows] = sent - background
-        return out
+        normals: np.ndarray,
+        numbers: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(light of white surfaces (n, 3), what the object hides of it (n, 3)), by one ray to each
+        lamp's disc."""
+        received, hidden = np.zeros((2, len(start), 3))
+        on_disc = disc(numbers)
+        for lamp, towards in zip(self._lamps, self._lamps_towards, strict=True):
+            across = frames(towards[None])[0, :2]
+            size = np.tan(np.radians(lamp.angular_size_deg / 2))
+            d = normalise(towards + size * on_disc @ across)
+            cosine = dot(normals, d)
+            rows = np.flatnonzero(cosine > 0)
+            blocked = self.rays.blocked(start[rows], d[rows])[:, None]
+            plane, _ = self.around.first_plane(start[rows], d[rows])
+            light = cosine[rows] * np.maximum(lamp.rgb, 0)
+            hidden[rows] += light * blocked
+            received[rows] += light * (~blocked & (plane < 0)[:, None])
+        return received, hidden
 
-    def change_of_planes(self, start: np.ndarray, d: np.ndarray, draw: Sampler) -> np.ndarray:
-        """(n, 3) radiance from directions d of planes that the object changes, with it less without it, where it hides none."""
-        out = np.zeros((len(start), 3))
-        plane, distance = self.surroundings.first_plane(start, d)
-        rows = np.flatnonzero(plane >= 0)
-        rows = rows[~(self.rays.nearest(start[rows], d[rows]).distance < distance[rows])]
-        if len(rows):
-            positions = start[rows] + distance[rows, None] * d[rows]
-            shadow_ratio = self.shadow_ratio(positions, plane[rows], draw.of(rows), 0)
-            out[rows] = self.surroundings.picture(positions, plane[rows]) * (shadow_ratio - 1)
-        return out
+
+def joined(first: Rays, second: Rays) -> Rays:
+    """All of both."""
+    places = map(np.concatenate, zip(first.places, second.places, strict=True))
+    others = map(np.concatenate, zip(first[1:], second[1:], strict=True))
+    return Rays(Places(*places), *others)
+
+
+def wide_of(reflected: Reflected, lobes: Lobes) -> np.ndarray:
+    """(n, 3) how wide what is reflected sees the environment: 1 of what is scattered, the lobe's of
+    what is mirrored."""
+    wide = reflected.scattered + lobes.width * reflected.mirrored
+    return divide(wide, reflected.total)

@@ -80,7 +80,7 @@ class GiParams:
     strength : strength of the indirect light on the real planes: 0 = none, 1 = as computed
     plane_gloss : fraction of light that the real plane reflects like a mirror, seen from above: 0 = matt, .04 = varnish or glass
     plane_roughness : roughness of the plane's reflection, 0 (a mirror) to 1
-    samples : most rays per pixel at level reference; fewer where the noise that is left does not show"""
+    samples : paths per pixel at level reference: noise falls with their root, best at powers of two"""
 
     formula: str = field(default="corrected", init=False)
     strength: float = 1.0

@@ -19,25 +19,18 @@ from arfx.core.scene import Scene
 from arfx.stages.watercolor.sites import GRID_PX, SiteField, still_field
 
 _MUCH = 0.35  # detail that counts as all
-_EVEN_LEVELS, _DETAIL_LEVELS = 0.3, 0.9  # by how many doublings cells grow and shrink with it
-_FINEST, _COARSEST = 0.6, 1.8  # factors on the size of cells that depth may give
+# by how many doublings cells grow and shrink with it
+_EVEN_LEVELS = 0.3
+_DETAIL_LEVELS = 0.9
+# factors on the size of cells that depth may give
+_FINEST = 0.6
+_COARSEST = 1.8
 _EVERY_PX = 4  # of a depth map, in rows and columns
 
 
 def pad_px(cell_px: float) -> int:
     """How far outside the picture sites are still needed."""
     return int(np.ceil(2.5 * _COARSEST * cell_px))
-
-
-def advection_directions(
-    facts: FrameFacts, anchored: bool, both: bool
-) -> tuple[tuple[str, float], ...]:
-    """(name of the field in the facts, its weight) of those to paint: one, or the two carried forward and backward."""
-    found = facts.advection if anchored and both else None
-    if found is None or not found.backward:
-        return (("nodes", 1.0),)
-    pairs = ("forward", 1 - found.share), ("backward", found.share)
-    return tuple((name, weight) for name, weight in pairs if weight > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,23 +67,21 @@ def frame_field(
     scene: Scene,
     cell_px: float,
     nearer_finer: float,
-    anchored: bool,
-    direction: str = "nodes",
-    detail: float = 0.0,
     real: RealDioptre | None = None,
 ) -> tuple[SiteField, Pose | None]:
     """The field, and the pose that goes with it: the same as long as the field is.
 
-    direction : of `advection_directions`;  real : measured depth, None = that of the marker's plane is taken"""
-    camera, pose = scene.camera, facts.camera_from_world
-    found = facts.advection if anchored else None
+    real : measured depth, None = that of the marker's plane is taken"""
+    camera = scene.camera
+    pose = facts.camera_from_world
+    found = facts.advection
     if found is None or found.pitch != GRID_PX:
         field = still_field(camera.width, camera.height, cell_px, pad_px(cell_px))
     else:
         size = np.full(found.shape, float(cell_px))
-        if detail > 0 and found.detail:
-            size *= detail_factor(found.detail_at_nodes(), detail)
-        field = SiteField(*found.origin, *found.places(direction), size)
+        if found.detail:
+            size *= detail_factor(found.detail_at_nodes())
+        field = SiteField(*found.origin, *found.places(), size)
         pose = found.pose
     near = nearness(field, scene, pose, real) if nearer_finer > 0 else None
     if near is not None:
@@ -98,12 +89,11 @@ def frame_field(
     return field, pose
 
 
-def detail_factor(detail: np.ndarray, strength: float) -> np.ndarray:
-    """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where there is much. detail : 0..255"""
+def detail_factor(detail: np.ndarray) -> np.ndarray:
+    """(gh, gw) factor on the size of cells: larger where there is little to see, smaller where
+    there is much. detail : (gh, gw) 0..255"""
     fraction = np.minimum(detail / (255 * _MUCH), 1.0)
-    out: np.ndarray = 2.0 ** (
-        strength * (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction)
-    )
+    out: np.ndarray = 2.0 ** (_EVEN_LEVELS - (_EVEN_LEVELS + _DETAIL_LEVELS) * fraction)
     return out
 
 
@@ -121,7 +111,8 @@ def nearness(
         dioptre = real.at_nodes(field)
     else:
         gh, gw = field.u.shape
-        x, y = field.x0 + GRID_PX * np.arange(gw), field.y0 + GRID_PX * np.arange(gh)[:, None]
+        x = field.x0 + GRID_PX * np.arange(gw)
+        y = field.y0 + GRID_PX * np.arange(gh)[:, None]
         dioptre = plane_dioptre(x, y, scene.camera, camera_from_anchor)
     return dioptre * marker_depth_m(camera_from_anchor)
 
@@ -136,7 +127,8 @@ def plane_dioptre(
     """(h, w) 1 / depth of the marker's plane at columns x (w,) and rows y (h, 1), not above 0 where it is not seen.
 
     Linear along the picture: lens distortion is left out."""
-    normal, at = camera_from_anchor.rotation[:, 2], camera_from_anchor.translation_m
+    normal = camera_from_anchor.rotation[:, 2]
+    at = camera_from_anchor.translation_m
     facing = (x - camera.cx) * (normal[0] / camera.fx) + (
         (y - camera.cy) * (normal[1] / camera.fy) + normal[2]
     )

@@ -55,6 +55,10 @@ class SiteField:
     v: np.ndarray
     size: np.ndarray
 
+    def key(self) -> tuple[int, int, bytes, bytes, bytes]:
+        """What its content is known by."""
+        return self.x0, self.y0, self.u.tobytes(), self.v.tobytes(), self.size.tobytes()
+
 
 @lru_cache(maxsize=4)
 def still_field(width: int, height: int, size_px: float, pad_px: int) -> SiteField:
@@ -68,30 +72,22 @@ def still_field(width: int, height: int, size_px: float, pad_px: int) -> SiteFie
 
 
 def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) -> Sites:
-    """Sites of a field, at most `limit`: where there would be more the grid is made coarser, a level at a time.
+    """Sites of a field, at most `limit`: where there would be more the grid is made coarser, a
+    level at a time.
 
     unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest"""
-    size = np.clip(field.size, 0.25, None)
+    u = field.u / unit_px
+    v = field.v / unit_px
+    level = np.log2(np.clip(field.size, 0.25, None))
     for _ in range(_HIGHEST):
-        args = (
-            field.u / unit_px,
-            field.v / unit_px,
-            np.log2(size),
-            np.uint64(seed),
-            limit,
-            float(unit_px),
-        )
-        make = partial(_enumerate, field.x0, field.y0, *args)
-        parts = parallel_rows(make, field.u.shape[0] - 1, least=8)
-        made = (
-            parts[0]
-            if len(parts) == 1
-            else tuple(np.concatenate(column) for column in zip(*parts, strict=True))
-        )
-        if made[0].shape[0] < limit:
+        nodes = field.x0, field.y0, u, v, level
+        make = partial(_enumerate, nodes, np.uint64(seed), limit, float(unit_px))
+        parts = parallel_rows(make, u.shape[0] - 1, least=8)
+        columns = [np.concatenate(column)[:limit] for column in zip(*parts, strict=True)]
+        if len(columns[0]) < limit:
             break
-        size = size * 2
-    return Sites(*(a[:limit] for a in made))
+        level = level + 1
+    return Sites(*columns)
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -115,142 +111,103 @@ def _importance(seed, level, i, j):  # pragma: no cover - compiled
             order = (child - chosen + 4) % 4 - 1  # 0, 1, 2 among the other three
             order = (order + np.int64((bits >> np.uint64(2)) & np.uint64(0xFF)) % 3) % 3
             return level + 1 - _LATER[order], _mixed(seed, level, i, j)
-        level, i, j = level + 1, i >> 1, j >> 1
+        level = level + 1
+        i = i >> 1
+        j = j >> 1
     return np.float64(_HIGHEST), _mixed(seed, level, i, j)
 
 
 @numba.njit(cache=True, nogil=True)
-def _refine(seed, level, count, bi, bj):  # pragma: no cover - compiled
-    """(i, j) of `count` cells become their chosen quarter, that one's, and so on to 1/512 of a unit. Returns the size there."""
+def _refine(seed, level, i, j):  # pragma: no cover - compiled
+    """(u, v) of a cell's site, in units: that of its chosen quarter, and so on to 2^-_FINE."""
     while level > -_FINE:
-        for m in range(count):
-            chosen = np.int64(_mixed(seed, level, bi[m], bj[m]) & np.uint64(3))
-            bi[m], bj[m] = 2 * bi[m] + (chosen & 1), 2 * bj[m] + (chosen >> 1)
+        chosen = np.int64(_mixed(seed, level, i, j) & np.uint64(3))
+        i = 2 * i + (chosen & 1)
+        j = 2 * j + (chosen >> 1)
         level -= 1
-    return 2.0**level
+    fine = 2.0**level
+    return (i + 0.5) * fine, (j + 0.5) * fine
 
 
 @numba.njit(cache=True, nogil=True)
-def _candidates(
-    seed, level, pj, box, least, oi, oj, importance, key
-):  # pragma: no cover - compiled
-    """How many of the cells in box (i0 ... i1, j0 ... j1), row pj of their parents, are at least that important; which (oi, oj).
-    key : 0 where it is still to be made"""
-    i0, i1, j0, j1 = box
-    n = 0
-    for pi in range(i0 >> 1, (i1 >> 1) + 1):
-        bits = _mixed(seed, level + 1, pi, pj)
-        chosen, turn = (
-            np.int64(bits & np.uint64(3)),
-            np.int64((bits >> np.uint64(2)) & np.uint64(0xFF)) % 3,
-        )
-        for child in range(4):
-            i, j = 2 * pi + (child & 1), 2 * pj + (child >> 1)
-            if i < i0 or i > i1 or j < j0 or j > j1:
-                continue
-            oi[n], oj[n], key[n] = i, j, np.uint64(0)
-            if child != chosen:
-                order = (child - chosen + 4) % 4 - 1  # 0, 1, 2 among the other three
-                importance[n] = level + 1 - _LATER[(order + turn) % 3]
-            elif level + 1 > _HIGHEST:
-                importance[n] = np.float64(_HIGHEST)
-            else:
-                importance[n], key[n] = _importance(seed, level + 1, pi, pj)
-            n += importance[n] >= least
-    return n
+def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compiled
+    """All sites of the field's triangles in rows row ... end - 1 of quads, as columns of Sites.
 
-
-@numba.njit(cache=True, nogil=True)
-def _enumerate(x0, y0, u, v, wanted, seed, limit, unit, row, end):  # pragma: no cover - compiled
-    """All sites of the field's triangles in rows row ... end - 1 of quads.
-
-    u, v : in units of the cells of level 0;  wanted (gh, gw) : log2 of the cell size, px of the frame"""
-    gw = u.shape[1]
-    sx, sy, sw = (
-        np.empty(limit, np.float32),
-        np.empty(limit, np.float32),
-        np.empty(limit, np.float32),
-    )
-    su, sv, sk = np.empty(limit, np.float32), np.empty(limit, np.float32), np.empty(limit, np.int64)
-    e1u, e1v, e2u, e2v = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-    det, scale, per = np.empty(2), np.zeros(2), np.zeros(2)
-    scratch = np.empty((4, 64), np.int64)
-    oi, oj, bi, bj = scratch[0], scratch[1], scratch[2], scratch[3]
-    importance, key = np.empty(64, np.float64), np.empty(64, np.uint64)
+    nodes : x0, y0; u, v in units of the cells of level 0; log2 of the cell size, px of the frame"""
+    x0, y0, u, v, wanted = nodes
+    places = np.empty((5, limit), np.float32)  # x, y, weight, u, v
+    keys = np.empty(limit, np.int64)
+    e1u = np.empty(2)
+    e1v = np.empty(2)
+    e2u = np.empty(2)
+    e2v = np.empty(2)
+    det = np.empty(2)
+    scale = np.zeros(2)
     n = 0
     for gy in range(row, end):
-        for gx in range(gw - 1):
+        for gx in range(u.shape[1] - 1):
             # its two triangles: (0, 0) (1, 0) (0, 1) and (1, 1) (0, 1) (1, 0)
-            lo_u, hi_u, lo_v, hi_v, least = u[gy, gx], u[gy, gx], v[gy, gx], v[gy, gx], np.inf
+            quad_u = u[gy : gy + 2, gx : gx + 2]
+            quad_v = v[gy : gy + 2, gx : gx + 2]
+            least = np.inf
             for half in range(2):
-                corner_u, corner_v = u[gy + half, gx + half], v[gy + half, gx + half]
-                e1u[half], e1v[half] = (
-                    u[gy + half, gx + 1 - half] - corner_u,
-                    v[gy + half, gx + 1 - half] - corner_v,
-                )
-                e2u[half], e2v[half] = (
-                    u[gy + 1 - half, gx + half] - corner_u,
-                    v[gy + 1 - half, gx + half] - corner_v,
-                )
+                corner_u = quad_u[half, half]
+                corner_v = quad_v[half, half]
+                e1u[half] = quad_u[half, 1 - half] - corner_u
+                e1v[half] = quad_v[half, 1 - half] - corner_v
+                e2u[half] = quad_u[1 - half, half] - corner_u
+                e2v[half] = quad_v[1 - half, half] - corner_v
                 det[half] = e1u[half] * e2v[half] - e1v[half] * e2u[half]
-                for x in range(2):
-                    lo_u, hi_u = min(lo_u, u[gy + half, gx + x]), max(hi_u, u[gy + half, gx + x])
-                    lo_v, hi_v = min(lo_v, v[gy + half, gx + x]), max(hi_v, v[gy + half, gx + x])
                 if det[half] > 1e-9:
-                    # how many units of the thing lie in one px of the picture
-                    per[half] = 1.0 / det[half]
                     scale[half] = 0.5 * np.log2(det[half] / (GRID_PX * GRID_PX))
-                    for x in range(2):
-                        least = min(
-                            least, min(wanted[gy, gx + x], wanted[gy + 1, gx + x]) + scale[half]
-                        )
+                    finest = wanted[gy : gy + 2, gx : gx + 2].min()
+                    least = min(least, finest + scale[half])
             if not (least < np.inf):
                 continue  # folded over: what lies there is hidden
             level = np.int64(np.floor(least + 0.19))
             cell = 2.0**level
-            i0, i1 = np.int64(np.floor(lo_u / cell)), np.int64(np.floor(hi_u / cell))
-            j0, j1 = np.int64(np.floor(lo_v / cell)), np.int64(np.floor(hi_v / cell))
-            if 4 * ((i1 - i0) // 2 + 2) > oi.shape[0]:
-                capacity = 8 * ((i1 - i0) // 2 + 2)
-                scratch = np.empty((4, capacity), np.int64)
-                oi, oj, bi, bj = scratch[0], scratch[1], scratch[2], scratch[3]
-                importance, key = np.empty(capacity, np.float64), np.empty(capacity, np.uint64)
-            for pj in range(j0 >> 1, (j1 >> 1) + 1):
-                count = _candidates(
-                    seed, level, pj, (i0, i1, j0, j1), least - 0.5 * FADE, oi, oj, importance, key
-                )
-                for m in range(count):
-                    bi[m], bj[m] = oi[m], oj[m]
-                fine = _refine(seed, level, count, bi, bj)
-                for m in range(count):
-                    pu, pv = (bi[m] + 0.5) * fine, (bj[m] + 0.5) * fine
+            i0 = np.int64(np.floor(quad_u.min() / cell))
+            i1 = np.int64(np.floor(quad_u.max() / cell))
+            j0 = np.int64(np.floor(quad_v.min() / cell))
+            j1 = np.int64(np.floor(quad_v.max() / cell))
+            for j in range(j0, j1 + 1):
+                for i in range(i0, i1 + 1):
+                    importance, bits = _importance(seed, level, i, j)
+                    if importance < least - 0.5 * FADE:
+                        continue
+                    pu, pv = _refine(seed, level, i, j)
                     for half in range(2):
                         if not (det[half] > 1e-9):
                             continue
-                        du, dv = pu - u[gy + half, gx + half], pv - v[gy + half, gx + half]
-                        s, t = (
-                            (du * e2v[half] - dv * e2u[half]) * per[half],
-                            (dv * e1u[half] - du * e1v[half]) * per[half],
-                        )
+                        du = pu - quad_u[half, half]
+                        dv = pv - quad_v[half, half]
+                        s = (du * e2v[half] - dv * e2u[half]) / det[half]
+                        t = (dv * e1u[half] - du * e1v[half]) / det[half]
                         if s < 0 or t < 0 or s + t > 1 or (half == 1 and s + t == 1):
                             continue
                         la = wanted[gy + half, gx + half]
-                        lb, lc = wanted[gy + half, gx + 1 - half], wanted[gy + 1 - half, gx + half]
+                        lb = wanted[gy + half, gx + 1 - half]
+                        lc = wanted[gy + 1 - half, gx + half]
                         size = la + s * (lb - la) + t * (lc - la)
-                        fade = (importance[m] - size - scale[half]) / FADE + 0.5
+                        fade = (importance - size - scale[half]) / FADE + 0.5
                         if fade <= 0:
                             continue
                         if n == limit:
-                            return sx, sy, sw, sk, su, sv
-                        sx[n] = np.rint((x0 + GRID_PX * (gx + (half + (1 - 2 * half) * s))) * STEPS)
-                        sy[n] = np.rint((y0 + GRID_PX * (gy + (half + (1 - 2 * half) * t))) * STEPS)
-                        sw[n] = (
-                            0.0
-                            if fade >= 1
-                            else -np.rint((1 - fade) * (1.2 * 2.0**size * STEPS) ** 2)
-                        )
-                        bits = key[m] if key[m] else _mixed(seed, level, oi[m], oj[m])
-                        sk[n] = np.int64(bits & np.uint64(0x7FFFFFFFFFFFFFFF))
-                        su[n], sv[n] = pu * unit, pv * unit
+                            return _columns(places, keys, n)
+                        side = 1 - 2 * half
+                        places[0, n] = np.rint((x0 + GRID_PX * (gx + half + side * s)) * STEPS)
+                        places[1, n] = np.rint((y0 + GRID_PX * (gy + half + side * t)) * STEPS)
+                        grown = (1.2 * 2.0**size * STEPS) ** 2
+                        places[2, n] = -np.rint(max(1 - fade, 0.0) * grown)
+                        places[3, n] = pu * unit
+                        places[4, n] = pv * unit
+                        keys[n] = np.int64(bits & np.uint64(0x7FFFFFFFFFFFFFFF))
                         n += 1
-    return sx[:n].copy(), sy[:n].copy(), sw[:n].copy(), sk[:n].copy(), su[:n].copy(), sv[:n].copy()
+    return _columns(places, keys, n)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _columns(places, keys, n):  # pragma: no cover - compiled
+    """The first n, in the order of Sites."""
+    x, y, weight, u, v = places[:, :n].copy()
+    return x, y, weight, keys[:n].copy(), u, v

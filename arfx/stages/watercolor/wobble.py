@@ -1,8 +1,10 @@
-"""How borders of cells stray: a displacement of pixels that goes with the things, to a quarter of a pixel.
+"""How borders of cells stray: a displacement of pixels that goes with the things, to a quarter of
+a pixel.
 
-A tile of smooth noise repeats over the picture and is moved as a whole: with the background by its median motion, on the object
-with its origin. Whole pixels would not do: the noise is so steep that borders would tremble by a ninth of a pixel (rms).
-The tile is made at each of 4 x 4 positions between pixels when it is first asked for. Cost: some 5 ms each, once; 11 MB together.
+A tile of smooth noise repeats over the picture and is moved as a whole: with the background by its
+median motion, on the object with its origin. Whole pixels would not do: the noise is so steep that
+borders would tremble by a ninth of a pixel (rms). The tile is made at each place between pixels
+when it is first asked for. Cost: some 5 ms each, once.
 Leaves out: how the picture turns or grows; the noise does neither."""
 
 from __future__ import annotations
@@ -16,54 +18,67 @@ from arfx.core.memo import Memo
 from arfx.core.pose import Pose
 from arfx.stages.watercolor.labels import STILL, Wobble, make_wobble
 from arfx.stages.watercolor.pigment import wobble_tile
-from arfx.stages.watercolor.sites import GRID_PX, SiteField
+from arfx.stages.watercolor.sites import GRID_PX, STEPS, SiteField
 
 PARTS = 4  # of a pixel
 _FAR_PX = 1e6
+Place = tuple[float, float]  # x, y in a pixel from its middle, px
 
 
 @dataclass(frozen=True, eq=False)
 class Wobbles:
-    """amplitude_px : how far a border strays, px of the picture, 0 = not at all
-    every : the wobbles are for a picture that is so many times smaller"""
+    """amplitude_px : how far a border strays, px of the picture, 0 = not at all"""
 
     seed: int
     amplitude_px: float
-    every: int = 1
     _memo: Memo = field(default_factory=Memo)
 
-    def at(self, x_px: float, y_px: float) -> Wobble:
-        """Moved so that pixel (0, 0) of the frame has what lies at (x_px, y_px)."""
+    def at(self, x_px: float, y_px: float, place: Place = (0.0, 0.0)) -> Wobble:
+        """Moved so that pixel (0, 0) of the frame has what lies at (x_px, y_px).
+
+        place : of the pixel that asks, in whole 1/STEPS px"""
         if not self.amplitude_px > 0:
-            return STILL
-        x, y, step = round(x_px * PARTS), round(y_px * PARTS), PARTS * self.every
-        between = x % step, y % step
-        made: Wobble = self._memo.get(between, lambda: self._make(*between), most=step * step)
-        return made.at(x // step, y // step)
-
-    def _make(self, x: int, y: int) -> Wobble:
-        """x, y : place of the first pixel, in parts of one of the picture."""
-        first = x / PARTS + (self.every - 1) / 2, y / PARTS + (self.every - 1) / 2
-        tile = wobble_tile(self.seed, self.amplitude_px, 4 * self.amplitude_px + 6, first)
-        return make_wobble(np.rint(tile[:, :: self.every, :: self.every] / self.every))
-
-    def of_field(self, where: SiteField, corner: tuple[int, int] = (0, 0)) -> Wobble:
-        """Moved with what is painted. corner : pixel of the frame that the wobble's first is"""
-        gh, gw = where.u.shape
-        x, y = where.x0 + GRID_PX * np.arange(gw), where.y0 + GRID_PX * np.arange(gh)[:, None]
-        return self.at(
-            float(np.median(where.u - x)) + corner[0], float(np.median(where.v - y)) + corner[1]
+            return self._memo.get(place, lambda: _shifted(STILL, place), most=64)
+        x = round(x_px * PARTS)
+        y = round(y_px * PARTS)
+        between = x % PARTS, y % PARTS
+        wobble: Wobble = self._memo.get(
+            (between, place), lambda: self._make(between, place), most=64
         )
+        return wobble._replace(x=x // PARTS, y=y // PARTS)
+
+    def _make(self, between: tuple[int, int], place: Place) -> Wobble:
+        first = between[0] / PARTS + place[0], between[1] / PARTS + place[1]
+        wavelength_px = 4 * self.amplitude_px + 6
+        tile = wobble_tile(self.seed, self.amplitude_px, wavelength_px, first)
+        return _shifted(make_wobble(tile), place)
+
+    def of_field(self, where: SiteField, place: Place = (0.0, 0.0)) -> Wobble:
+        """Moved with what is painted."""
+        rows, columns = where.u.shape
+        x = where.x0 + GRID_PX * np.arange(columns)
+        y = where.y0 + GRID_PX * np.arange(rows)[:, None]
+        return self.at(float(np.median(where.u - x)), float(np.median(where.v - y)), place)
 
     def of_object(
         self,
         camera: Camera,
         camera_from_world: Pose,
         origin_m: np.ndarray,
-        corner: tuple[int, int] = (0, 0),
+        place: Place = (0.0, 0.0),
     ) -> Wobble:
-        """Moved with the object. origin_m (3,) WORLD;  corner : as above"""
+        """Moved with the object. origin_m (3,) WORLD"""
         x, y = camera.project(camera_from_world.apply(origin_m[None]))[0]
         if not (abs(x) < _FAR_PX and abs(y) < _FAR_PX):  # not in front of the camera
-            x, y = 0.0, 0.0
-        return self.at(corner[0] - x, corner[1] - y)
+            x = 0.0
+            y = 0.0
+        return self.at(-x, -y, place)
+
+
+def _shifted(wobble: Wobble, place: Place) -> Wobble:
+    """Of pixels that ask at another place than their middle."""
+    if place == (0.0, 0.0):
+        return wobble
+    step = np.rint(np.array(place) * STEPS).astype(np.float32)
+    boxes = wobble.boxes + np.concatenate([step, np.zeros_like(step)])
+    return wobble._replace(positions=wobble.positions + step[:, None], boxes=boxes)

@@ -29,7 +29,7 @@ from arfx.papers.s2_lens import eq1_circle, eq2_picture, eq3_circle, eq4_front, 
 from arfx.run.parameters import parameters, stage_of
 from arfx.stages.dof import Dof
 from arfx.stages.dof.optics import CircleOfConfusion, circle_of_confusion
-from arfx.stages.dof.surfaces import direction_grid, real_scene
+from arfx.stages.dof.planes import Real, direction_grid, plane_of
 from tests.scenes import facts, scene
 from tests.unit.stages.dof_scenes import Shot, blurred, shot, with_layers
 
@@ -181,7 +181,8 @@ def test_finite_planes_are_where_they_stand() -> None:
     """A plane of limited size hides what is behind: the background begins at its edge."""
     at = shot()
     s = at.scene
-    real = real_scene(s, at.facts.pose, 0.3, 5.0)
+    plane = plane_of(at.facts.pose @ s.world_from_anchor, 0.15)
+    real = Real(None, (plane,), 0.2)
     found = dioptres(at.layers, at.facts.with_(model_box=Rect(0, 0, 0, 0)), real, direction_grid(s.camera))
     bare = at.layers[Layer.COVERAGE] == 0
     corners = at.facts.pose.apply(np.array([[x, y, 0.0] for x in (-0.12, 0.12) for y in (-0.12, 0.12)]))

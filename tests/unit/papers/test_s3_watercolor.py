@@ -28,7 +28,7 @@ from arfx.papers.s3_watercolor import (
     toon,
 )
 from arfx.stages.watercolor.labels import label
-from arfx.stages.watercolor.reference import reference_labels
+from tests.reference.labels import nearest_two
 from tests.scenes import camera, facts, layers_of, scene
 
 FRAME = Rect.of(200, 150)
@@ -93,7 +93,7 @@ def test_cones_win_where_their_sites_are_nearest_in_their_own_size(seed: int) ->
     py, px = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1]
     away = np.hypot(px[..., None] - sites.x / 8, py[..., None] - sites.y / 8) / size
     np.testing.assert_array_equal(cones(sites, size, rect, m, n), away.argmin(-1))
-    np.testing.assert_array_equal(cones(sites, np.full(m * n, 0.7), rect, m, n), reference_labels(sites, rect).first)
+    np.testing.assert_array_equal(cones(sites, np.full(m * n, 0.7), rect, m, n), nearest_two(sites, rect)[0])
 
 
 def mean_areas(depth: np.ndarray, where: np.ndarray) -> list[float]:

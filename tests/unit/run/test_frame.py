@@ -239,29 +239,9 @@ def test_random_numbers_depend_on_seed_frame_and_stage_only() -> None:
 def test_what_a_stage_asks_of_a_frame_without_a_pose_is_an_error_that_names_the_frame() -> None:
     absent = FACTS.with_(camera_from_world=None, opacity=0.0, index=12, light=None)
     view = ReadyStage.of(Bad(), SCENE, LEVEL).view(Layers(Rect(0, 0, 8, 8)), absent)
-    assert view.light is SCENE.light and view.rect == view.out and not view.before
+    assert view.light is SCENE.light and view.rect == view.out
     with pytest.raises(ValueError, match="frame 12 has no pose"):
         _ = view.pose
-
-
-class Remembers(Stage):
-    """Adds up IMAGE of this frame and the two before it."""
-
-    name, reads, writes, history = "remembers", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE}), 2
-
-    def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
-        return {Layer.IMAGE: view[Layer.IMAGE] + sum(v[Layer.IMAGE] for v in view.before)}
-
-
-def test_a_stage_sees_what_it_saw_of_earlier_frames_not_what_it_made_of_them() -> None:
-    rect = Rect(0, 0, 6, 5)
-    plan = FramePlan(0, rect, rect, (Step("remembers", LEVEL, rect, rect, "", 0.0),), ())
-    ready, past, seen = ready_stages(plan, {"remembers": Remembers()}, SCENE), [], []
-    for k in range(4):
-        made = run_frame(np.full((5, 6, 3), 10.0**k, np.float32), FACTS.with_(index=k), plan, ready, tuple(past))
-        past.append((made.layers, FACTS.with_(index=k)))
-        seen.append(float(made.image[0, 0, 0]))
-    assert seen == [1, 11, 111, 1110]
 
 
 @pytest.mark.parametrize("frames", [1, 29, 30, 31, 159, 240, 960, 961, 5000])

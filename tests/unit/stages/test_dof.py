@@ -16,13 +16,12 @@ from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, level_named
 from arfx.errors import InputError
 from arfx.stages.dof import Dof
-from arfx.stages.dof.mipmap import reach_px
 from arfx.stages.dof.params import DofParams
 from tests.contract import stage_laws as laws
 from tests.scenes import look_at
 from tests.unit.stages.dof_scenes import Shot, blurred, compose, shot, texture, with_layers
 
-LEVELS = ("draft", "standard", "high")
+LEVELS = ("draft", "standard")
 
 
 def flat(plate: np.ndarray, distance_m: float = 0.5) -> Shot:
@@ -50,14 +49,12 @@ SCENES = {
     "far": ("plain", {"aperture_px": 40.0, "focus": "object", "background_m": 1.5}),
     "straddling": ("plain", {"aperture_px": 60.0, "focus": "48cm"}),
     "highlights": ("highlights", {"aperture_px": 24.0, "focus": "1.2m"}),
-    "plane of limited size": ("plain", {"aperture_px": 24.0, "focus": "40cm", "plane_extent_m": 0.3, "background_m": 2.0}),
 }
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_agrees_with_a_thin_lens(name: str) -> None:
-    """Measured: draft 31 to 40 and 25.7 of highlights, of which it makes soft spots, standard 32 to 50, high 33 to 51 dB; what is
-    left is what the object's edge lets through."""
+    """What is left is mostly what the object's edge lets through."""
     kind, params = SCENES[name]
     at = shot(kind, 240, 180)
     truth = blurred(at, "reference", **params)
@@ -65,11 +62,11 @@ def test_agrees_with_a_thin_lens(name: str) -> None:
     assert changed.mean() > 0.3
     made = {level: blurred(at, level, **params) for level in LEVELS}
     error = {level: psnr(made[level], truth, changed) for level in LEVELS}
-    assert error["draft"] > (25 if name == "highlights" else 30) and error["standard"] > 32 and error["high"] > 33, error
-    assert error["draft"] + 1 < error["standard"] and error["standard"] + 0.2 < error["high"], error
+    least = 30 if name == "highlights" else 33
+    assert error["draft"] > 26 and error["standard"] > least, error
+    assert error["draft"] + 1 < error["standard"], error
     for level in LEVELS:
-        # draft asks for light instead of spreading it: where the radius changes not all is kept
-        assert made[level].sum() == pytest.approx(truth.sum(), rel=0.015 if level == "draft" else 0.01)
+        assert made[level].sum() == pytest.approx(truth.sum(), rel=0.01)
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -113,60 +110,40 @@ def test_what_shows_through_an_object_that_fades_is_as_in_the_composite(level: s
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
 @pytest.mark.parametrize("radius", [0.7, 2.3, 3.0, 7.0, 15.0, 26.0])
 def test_a_highlight_becomes_a_disc_and_keeps_its_energy(level: str, radius: float) -> None:
-    y, x = np.indices((120, 160))
-    away = np.hypot(x - 80, y - 60)
+    y, x = np.indices((240, 320))
+    away = np.hypot(x - 160, y - 120)
     for brightness in (1.0, 1e4):
-        plate = np.zeros((120, 160, 3), np.float32)
-        plate[60, 80] = brightness
-        out = blurred(flat(plate), level, aperture_px=aperture_for(radius), focus="2m", max_radius_px=80.0)
-        # one white pixel alone is rounded to 2^-17 of light in each that it reaches
-        assert out.sum() == pytest.approx(plate.sum(), rel=0.005 if brightness > 1 else 0.02)
-        sharp = level == "reference" or (level == "high" and radius < 14)
+        plate = np.zeros((240, 320, 3), np.float32)
+        plate[120, 160] = brightness
+        out = blurred(flat(plate), level, aperture_px=aperture_for(radius), focus="2m")
+        assert out.sum() == pytest.approx(plate.sum(), rel=0.001)
+        sharp = level == "reference"
         inside = away < radius - (0.75 if sharp else 2 + 0.3 * radius)
-        if level != "draft" and radius > (2 if sharp else 4) and inside.any():  # even, not a hill
+        if level != "draft" and radius > 4 and inside.any():  # even, not a hill
             even = brightness / (np.pi * radius**2)
             least, most = (0.85, 1.15) if sharp else (0.7, 1.5)
             assert least * even < out[inside].min() and out[inside].max() < most * even
-        # float32 keeps sums of light up to white exactly; of brighter light it leaves 1 part in 10^7 along the row
-        nothing = 0.0 if brightness == 1 and level != "reference" else 1e-7 * brightness
-        reach = radius + 1.5 if sharp or radius < 1.5 else 1.5 * radius + 8
-        if level == "draft":
-            reach = reach_px(radius)
-            near = out[away <= 1.5 * radius + 2].sum()
-            assert near > 0.8 * plate.sum(), "most of it lies where the disc does"
-        assert out[away > reach].max(initial=0.0) <= nothing
+        near = away <= radius + 1.5 if sharp else away <= 1.5 * radius + 3
+        assert out[near].sum() > (0.8 if level == "draft" else 0.98) * plate.sum()
+        # float64 sums along a row leave a rounding of what was there
+        rest = 1e-7 * brightness if sharp else 0.0
+        assert out[away > 2.5 * radius + 16].max(initial=0.0) <= rest
 
 
 def test_blades_shape_the_highlight() -> None:
     plate = np.zeros((120, 160, 3), np.float32)
     plate[60, 80] = 100.0
     made = {}
-    for level in ("high", "reference"):
-        at = {"aperture_px": aperture_for(12.0), "focus": "2m", "blades": 5, "blade_turn_deg": 10.0}
+    for level in ("standard", "reference"):
+        at = {"aperture_px": aperture_for(15.9), "focus": "2m", "blades": 5, "blade_turn_deg": 10.0}
         made[level] = blurred(flat(plate), level, **at)[..., 0]
-        corner = 12.0 * np.sqrt(2 * np.pi / (5 * np.sin(2 * np.pi / 5)))
+        corner = 15.9 * np.sqrt(2 * np.pi / (5 * np.sin(2 * np.pi / 5)))
         for k in range(5):  # bright towards each corner, dark beyond the middle of each side
             a = np.radians(10 + 72 * k)
-            assert made[level][round(60 + 0.85 * corner * np.sin(a)), round(80 + 0.85 * corner * np.cos(a))] > 0.1
+            assert made[level][round(60 + 0.75 * corner * np.sin(a)), round(80 + 0.75 * corner * np.cos(a))] > 0.06
             a += np.radians(36)
-            assert made[level][round(60 + 0.95 * corner * np.sin(a)), round(80 + 0.95 * corner * np.cos(a))] < 0.02
-    assert np.abs(made["high"] - made["reference"]).mean() < 0.02 * made["reference"].max()
-
-
-@pytest.mark.parametrize("opacity", [1.0, 0.4])
-@pytest.mark.parametrize("level", LEVELS)
-def test_no_picture_of_the_composite_is_made(level: str, opacity: float) -> None:
-    base = shot()
-    at = compose(base.scene, base.facts.with_(opacity=opacity), base.layers[Layer.PLATE])
-    image, stage = at.layers.written[Layer.IMAGE], Dof(DofParams(aperture_px=60.0, focus="48cm"))
-    box = image.part
-    made = ReadyStage.of(stage, at.scene, level).run(at.layers, at.facts)[Layer.IMAGE]
-    assert image.part == box != at.layers.rect, "the plate and its shadow are looked at where they lie"
-    whole = at.layers[Layer.IMAGE]
-    again = with_layers(at, image=whole)
-    from_whole = blurred(again, level, aperture_px=60.0, focus="48cm")
-    np.testing.assert_allclose(made(at.layers.rect), from_whole, atol=3e-5)
-    np.testing.assert_array_equal((made(at.layers.rect) == whole).all(-1), (from_whole == whole).all(-1), "the same stays sharp")
+            assert made[level][round(60 + 1.05 * corner * np.sin(a)), round(80 + 1.05 * corner * np.cos(a))] < 0.03
+    assert np.abs(made["standard"] - made["reference"]).mean() < 0.04 * made["reference"].max()
 
 
 @pytest.mark.parametrize("fnumber", [1e12, 400.0, "inf"])
@@ -215,7 +192,7 @@ def test_the_objects_blur_ends_within_what_is_called_for(level: str, aperture_px
 def test_a_crop_gives_the_same_bits(level: str) -> None:
     """Also what the contract's laws ask for, here exactly and with every kind of layer."""
     at = shot(width=320, height=240)
-    params = DofParams(aperture_px=10.0, focus="45cm", plane_extent_m=0.3, background_m=2.0)
+    params = DofParams(aperture_px=8.0, focus="45cm", background_m=2.0)
     stage, le = Dof(params), level_named(Dof.levels, level)
     ready = ReadyStage.of(stage, at.scene, le)
     out = Rect(150, 130, 201, 171)
@@ -267,7 +244,7 @@ def test_a_blurred_object_before_a_sharp_plane() -> None:
 
 def test_a_sharp_object_before_a_blurred_plane() -> None:
     at = shot(fit_m=0.05)
-    params = {"aperture_px": 60.0, "focus": "object", "plane_extent_m": 0.02, "background_m": 5.0}
+    params = {"aperture_px": 60.0, "focus": "object", "background_m": 0.52}
     out, image = blurred(at, "standard", **params), at.layers[Layer.IMAGE]
     deep = _deep(at.layers[Layer.COVERAGE], 8)
     assert deep.any()
@@ -299,26 +276,23 @@ def test_depths_that_are_none(value: float) -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(161, 119), (97, 211)])
-def test_a_blur_larger_than_the_picture_and_odd_sizes(width: int, height: int) -> None:
+def test_a_bounded_blur_and_odd_sizes(width: int, height: int) -> None:
     at = shot(width=width, height=height)
     for level in LEVELS:
-        out = blurred(at, level, aperture_px=3000.0, focus="3m", max_radius_px=1500.0)
+        out = blurred(at, level, aperture_px=3000.0, focus="3m")
         assert np.isfinite(out).all() and out.min() >= 0 and out.max() <= 1
-        assert out.std(axis=(0, 1)).max() < 0.08, "all of the picture is in every pixel"
 
 
-def test_a_part_narrower_than_a_cell_of_the_ladder() -> None:
-    """Two columns at the end of a strip of cells; kernels do not check bounds, so that a scratch row too short would abort."""
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_part_narrower_than_a_cell(level: str) -> None:
+    """Two columns at the end of a row of cells: light of the rest is missing, evenly."""
     plate = np.full((120, 160, 3), 0.3, np.float32)
     at = flat(plate)
-    stage, le = (
-        Dof(DofParams(aperture_px=aperture_for(20.0), focus="2m", max_radius_px=80.0)),
-        level_named(Dof.levels, "standard"),
-    )
+    stage = Dof(DofParams(aperture_px=aperture_for(15.0), focus="2m"))
     for x in (61, 63, 126):
         part = at.layers.crop(Rect(x, 0, x + 2, 120))
-        out = laws.run(ReadyStage.of(stage, at.scene, le), part, at.facts)[Layer.IMAGE]
-        np.testing.assert_allclose(out, 0.3, atol=2e-3)  # little light is rounded to 2^-17
+        out = laws.run(ReadyStage.of(stage, at.scene, level), part, at.facts)[Layer.IMAGE]
+        np.testing.assert_allclose(out, 0.3, atol=1e-5)
 
 
 def test_a_black_frame_stays_black() -> None:
@@ -341,7 +315,7 @@ def test_a_focus_within_the_focal_length_is_an_input_error() -> None:
     with pytest.raises(InputError, match="cannot be focused at 40 mm"):
         Dof(DofParams(focal_mm=50.0, focus="4cm")).demand(at.facts, at.scene, at.scene.camera.rect)
     demand = Dof(DofParams(focal_mm=50.0, focus="50.0001mm")).demand(at.facts, at.scene, at.scene.camera.rect)
-    assert not demand.rect.empty  # finite, bounded by max_radius_px
+    assert not demand.rect.empty  # finite, bounded by a tenth of the width
 
 
 PULL_LIMIT = 0.06  # mean change of linear light from frame to frame of the pull below; measured .03
@@ -361,10 +335,7 @@ def test_a_slowly_growing_circle_does_not_jump(level: str) -> None:
     """Through the first hand-overs between resolutions: a hundredth of a pixel more changes next to nothing."""
     plate = texture(120, 160)
     for radius in (0.5, 1.6, 2.2, 2.4, 3.2, 6.0, 8.0, 12.0, 14.0, 16.0, 18.0):
-        a, b = (
-            blurred(flat(plate), level, aperture_px=aperture_for(radius + d), focus="2m", max_radius_px=99.0)
-            for d in (-0.05, 0.05)
-        )
+        a, b = (blurred(flat(plate), level, aperture_px=aperture_for(radius + d), focus="2m") for d in (-0.05, 0.05))
         assert np.abs(a - b).mean() < 0.004, radius
 
 

@@ -7,32 +7,19 @@ import pytest
 
 from arfx.core.rect import Rect
 from arfx.papers.s3_watercolor import eq1_sites
-from arfx.stages.watercolor.cells import adjust_tone, means, neighbours, smooth_washes
+from arfx.stages.watercolor.cells import adjust_tone, mean_colours, neighbours, smooth_washes
 from arfx.stages.watercolor.field import detail_factor
 from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.labels import STILL, Wobble, label, make_wobble, sort_sites
-from arfx.stages.watercolor.pigment import repeat_tile
-from arfx.stages.watercolor.reference import labels_within, nearest_labels, reference_labels
 from arfx.stages.watercolor.sites import STEPS, SiteField, Sites, make_sites, still_field
+from tests.reference.labels import displacement, nearest_two
 
 FRAME = Rect.of(200, 150)
 
 
-def brute(sites: Sites, rect: Rect, wobble: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    y, x = np.mgrid[rect.y0 : rect.y1, rect.x0 : rect.x1].astype(float) * STEPS
-    if wobble is not None:
-        x, y = x + wobble[0], y + wobble[1]
-    a = (np.asarray(v, float) for v in (sites.x, sites.y, sites.weight))
-    first, second = nearest_labels(*a, x.ravel(), y.ravel())
-    return first.reshape(x.shape), second.reshape(x.shape)
-
-
 def random_wobble(g: np.random.Generator, reach: int) -> Wobble:
-    return make_wobble(g.integers(-reach, reach + 1, (2, 64, 64)).astype(float)).at(*(int(v) for v in g.integers(-99, 99, 2)))
-
-
-def displacement(wobble: Wobble, rect: Rect) -> np.ndarray:
-    return repeat_tile(wobble.tile, wobble.x + rect.x0, wobble.y + rect.y0, rect.width, rect.height).astype(np.float32)
+    wobble = make_wobble(g.integers(-reach, reach + 1, (2, 64, 64)).astype(float))
+    return wobble._replace(x=int(g.integers(-99, 99)), y=int(g.integers(-99, 99)))
 
 
 def random_sites(case: int) -> tuple[Sites, Rect, Wobble, float]:
@@ -56,18 +43,19 @@ def test_labels_are_those_of_brute_force(case: int) -> None:
     unsorted, rect, wobble, blend = random_sites(case)
     sites = sort_sites(unsorted, rect, wobble)
     found = label(sites, rect, wobble, blend)
-    first, second = brute(sites, rect, displacement(wobble, rect))
+    first, second, farther = nearest_two(sites, rect, displacement(wobble, rect))
     assert np.array_equal(found.first, first)
     assert np.array_equal(unsorted.key[label(unsorted, rect, wobble, blend).first], sites.key[first])
     if blend:
         near = found.inside < SOLID
         assert np.array_equal(found.second[near], second[near])
         assert np.array_equal(found.second[~near], first[~near])
+        assert np.abs(found.inside - np.minimum(farther / (2 * blend), 1) * SOLID).max() <= 1.01
 
 
 def detailed(f: SiteField, g: np.random.Generator) -> SiteField:
     """With cells by detail, from none to all of it from one node to the next."""
-    return SiteField(f.x0, f.y0, f.u, f.v, f.size * detail_factor(g.integers(0, 256, f.size.shape), 1.0))
+    return SiteField(f.x0, f.y0, f.u, f.v, f.size * detail_factor(g.integers(0, 256, f.size.shape)))
 
 
 @pytest.mark.parametrize("case", range(20))
@@ -82,7 +70,7 @@ def test_labels_of_cells_by_detail_are_those_of_brute_force(case: int) -> None:
     made = make_sites(SiteField(f.x0, f.y0, c * f.u - s * f.v, s * f.u + c * f.v, f.size), case, 10**5, 7.0)
     sites, blend = sort_sites(made, rect, wobble), (0.0, 1.5)[case // 2 % 2]
     found = label(sites, rect, wobble, blend)
-    first, second = brute(sites, rect, displacement(wobble, rect))
+    first, second, _ = nearest_two(sites, rect, displacement(wobble, rect))
     assert len(np.unique(sites.weight)) > 1 and np.array_equal(found.first, first)
     if blend:
         assert np.array_equal(found.second, np.where(found.inside < SOLID, second, first))
@@ -91,51 +79,20 @@ def test_labels_of_cells_by_detail_are_those_of_brute_force(case: int) -> None:
 def test_cells_wider_than_float32_tells_apart() -> None:
     x, y = np.array([0, 7999, 8000], np.float32) * STEPS, np.zeros(3, np.float32)
     sites, rect = Sites(x, y, np.zeros(3, np.float32), np.arange(3), x, y), Rect(3990, 0, 4010, 3)
-    assert np.array_equal(label(sites, rect).first, brute(sites, rect, None)[0])
-
-
-def test_the_reference_level_agrees_by_other_means() -> None:
-    sites = make_sites(still_field(200, 150, 7.5, 64), 5, 10**5, 8.0)
-    wobble = random_wobble(np.random.default_rng(0), 9)
-    sites = sort_sites(sites, FRAME, wobble)
-    a, b = label(sites, FRAME, wobble, 2.0), reference_labels(sites, FRAME, displacement(wobble, FRAME), 2.0)
-    assert np.array_equal(a.first, b.first) and np.array_equal(a.second, b.second)
-    assert np.abs(a.inside.astype(int) - b.inside).max() <= 1
-
-
-def test_places_in_a_pixel_are_spread_evenly_and_the_wobble_is_linear_between_pixels() -> None:
-    """Two cells with an upright border, which a ramp of the wobble moves: of a pixel that it parts, the share of places."""
-    tile, rect = np.zeros((2, 64, 64)), Rect(30, 3, 60, 6)
-    tile[0] = np.abs(np.arange(64) - 32) // 2
-    wobble, none = make_wobble(tile), np.zeros(2, np.float32)
-    for x, parted in ((41.0, 0), (41.5, 1), (43.375, 1)):
-        sites = Sites(np.array([8 * (x - 9), 8 * (x + 9)], np.float32), none, none, np.arange(2), none, none)
-        made, middle = labels_within(sites, rect, wobble, 1.5, 3), reference_labels(sites, rect, displacement(wobble, rect), 1.5)
-        assert len(made) == 9 and np.array_equal(made[0].first, middle.first) and np.array_equal(made[0].inside, middle.inside)
-        places = 30 + (np.arange(30 * 3) - 1) / 3
-        beyond = places + np.interp(places, np.arange(64), tile[0, 0]) / STEPS > x
-        share = np.mean([m.first for m in made], axis=0)
-        np.testing.assert_allclose(share, np.broadcast_to(beyond.reshape(30, 3).mean(1), (3, 30)))
-        assert ((share[0] > 0) & (share[0] < 1)).sum() == parted
-
-
-@pytest.mark.parametrize("count", [1, 2, 40])
-def test_the_reference_finds_the_nearest_of_few_sites_however_far(count: int) -> None:
-    g = np.random.default_rng(count)
-    x, y = (np.round(g.uniform(-300, 500, (2, count)) * STEPS)).astype(np.float32)
-    weight = -np.round(g.random(count) * 4000).astype(np.float32)
-    sites, moved = Sites(x, y, weight, np.arange(count), x, y), g.integers(-20, 20, (2, 150, 200)).astype(float)
-    found, (first, second) = reference_labels(sites, FRAME, moved, 2.0), brute(sites, FRAME, moved)
-    assert np.array_equal(found.first, first) and np.array_equal(found.second, np.where(found.inside < SOLID, second, first))
+    first, second, farther = nearest_two(sites, rect)
+    assert np.array_equal(label(sites, rect).first, first)
+    found = label(sites, rect, blend_px=3.0)
+    near = found.inside < SOLID
+    assert np.array_equal(found.first, first) and np.array_equal(found.second[near], second[near])
+    assert near.any() and not near.all() and np.array_equal(near, np.floor(farther / 6 * SOLID) < SOLID)
 
 
 def test_no_sites() -> None:
     none = Sites(
         *(np.zeros(0, np.float32) for _ in range(3)), np.zeros(0, np.int64), *(np.zeros(0, np.float32) for _ in range(2))
     )
-    for make in (label, reference_labels):
-        found = make(none, FRAME)
-        assert found.count == 1 and not found.first.any()
+    found = label(none, FRAME)
+    assert found.count == 1 and not found.first.any()
 
 
 def test_every_site_lies_in_its_cell_and_no_pixel_is_far_from_its_site() -> None:
@@ -156,7 +113,14 @@ def test_a_cell_has_the_exact_mean_of_its_pixels() -> None:
     found = label(make_sites(still_field(200, 150, 7, 0), 1, 10**5), FRAME)
     cells = [image[found.first == k] for k in range(found.count)]
     every = [cell.mean(0, dtype=float) if len(cell) else np.zeros(3) for cell in cells]
-    np.testing.assert_allclose(means(image, found.first, found.count), every, atol=1e-7)
+    mean, area = mean_colours(image, [found.first], found.count)
+    np.testing.assert_allclose(mean, every, atol=1e-7)
+    assert area.tolist() == [len(cell) for cell in cells]
+    other = np.roll(found.first, 3)
+    both, mean_area = mean_colours(image, [found.first, other], found.count)
+    pixels = [np.concatenate([image[found.first == k], image[other == k]]) for k in range(found.count)]
+    np.testing.assert_allclose(both, [p.mean(0, dtype=float) if len(p) else np.zeros(3) for p in pixels], atol=1e-7)
+    assert mean_area.tolist() == [len(p) / 2 for p in pixels]
 
 
 @pytest.mark.parametrize("factor", [4.0, 2.3, 1.0, 0.7, 0.25])
@@ -177,7 +141,7 @@ def test_density_follows_its_target_under_zoom_where_cells_go_by_detail(factor: 
     """Within a factor of two of one cell per size^2, everywhere; sizes fall by 2.3 from left to right."""
     f = still_field(320, 240, 8, 64)
     seen = np.linspace(0, 100, f.size.shape[1]) * np.ones(f.size.shape)
-    size = f.size * detail_factor(seen, 1.0)
+    size = f.size * detail_factor(seen)
     sites = make_sites(SiteField(f.x0, f.y0, f.u / factor, f.v / factor, size), 2, 10**6)
     full = sites.weight > -((0.7 * 8 * STEPS) ** 2)
     count, *_ = np.histogram2d(sites.y[full] / STEPS, sites.x[full] / STEPS, [np.arange(0, 241, 80), np.arange(0, 321, 80)])
@@ -214,7 +178,7 @@ def test_more_cells_than_pixels_and_one_cell() -> None:
     tiny = make_sites(still_field(12, 9, 0.5, 4), 0, 500, 0.5)
     assert 0 < len(tiny) <= 500
     found = label(tiny, Rect.of(12, 9))
-    assert np.array_equal(found.first, brute(tiny, Rect.of(12, 9), None)[0])
+    assert np.array_equal(found.first, nearest_two(tiny, Rect.of(12, 9))[0])
     one = eq1_sites(Rect.of(30, 20), 1, 1, 0)
     assert len(one) == 1 and not label(one, Rect.of(30, 20)).first.any()
 

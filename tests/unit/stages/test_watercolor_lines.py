@@ -11,25 +11,26 @@ import pytest
 
 from arfx.core.layers import packed
 from arfx.core.light import DirectionalLight, Light
+from arfx.core.rect import Rect
 from arfx.papers.s3_watercolor import eq4_edges
-from arfx.stages.watercolor.edges import trace_lines, virtual_edges, yuv_matrix
 from arfx.stages.watercolor.labels import STILL, Wobble
-from arfx.stages.watercolor.measure import edge_measure
-from arfx.stages.watercolor.pigment import paper_grain, repeat_tile, wobble_tile
-from arfx.stages.watercolor.rows import Picture
-from arfx.stages.watercolor.sites import STEPS, SiteField, still_field
-from arfx.stages.watercolor.temporal import backward_flow, temporal_blend
-from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, toon, toon_light
+from arfx.stages.watercolor.lines import add_object_edges, measure_edges, object_edges, trace_lines, yuv_matrix
+from arfx.stages.watercolor.pigment import paper_grain, wobble_tile
+from arfx.stages.watercolor.sites import STEPS, still_field
+from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, flat_tones, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
+from tests.reference.labels import displacement
 from tests.scenes import camera, facts, scene
 
 
 def line_strength(
-    image: np.ndarray, alpha: float, beta: float, low: float, high: float, width_px: float, smooth_px: float,
-    virtual: np.ndarray | None = None,
+    image: np.ndarray, low: float, high: float, width_px: float, smooth_px: float,
+    of_object: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    made = edge_measure(Picture(packed(image.astype(np.float32))), yuv_matrix(), alpha, beta, smooth_px)
-    return trace_lines(made, low, high, width_px, virtual)
+    edges = measure_edges(packed(image.astype(np.float32)), smooth_px)
+    if of_object is not None:
+        add_object_edges(edges, of_object, 0, 0, high)
+    return trace_lines(edges, low, high, width_px)
 
 
 def test_yuv_is_the_analogue_one_of_bt601_and_bt709_is_another() -> None:
@@ -48,20 +49,20 @@ def step_picture(contrast: float, width: int = 80) -> np.ndarray:
 def test_a_line_is_as_wide_as_asked_and_faint_steps_have_none() -> None:
     widths = []
     for asked in (2.0, 4.0):
-        line = line_strength(step_picture(0.4), 0.5, 0.5, 0.02, 0.06, asked, 2.0)
+        line = line_strength(step_picture(0.4), 0.02, 0.06, asked, 2.0)
         up = cv2.resize(line, (80, 40), interpolation=cv2.INTER_LINEAR)
         widths.append(float(up[20].sum()))
         assert up[20].max() > 0.75 and abs(float((up[20] * np.arange(80)).sum() / up[20].sum()) - 39.5) < 1
     assert 1.5 < widths[0] < 3.5 and 3 < widths[1] < 5  # the picture of half the size cannot draw finer
-    assert line_strength(step_picture(0.01), 0.5, 0.5, 0.02, 0.06, 2, 2).max() == 0
+    assert line_strength(step_picture(0.01), 0.02, 0.06, 2, 2).max() == 0
 
 
 def test_a_weak_line_lives_where_it_joins_a_strong_one() -> None:
     """Hysteresis: contrast fades along the edge; alone, the weak part would be fainter."""
     coded = np.full((80, 80, 3), 0.4, np.float32)
     coded[:, 40:] += np.linspace(0.4, 0.07, 80, dtype=np.float32)[:, None, None]
-    joined = line_strength(coded**2, 0.5, 0.5, 0.01, 0.1, 2, 2)
-    alone = line_strength(coded[50:] ** 2, 0.5, 0.5, 0.01, 0.1, 2, 2)
+    joined = line_strength(coded**2, 0.01, 0.1, 2, 2)
+    alone = line_strength(coded[50:] ** 2, 0.01, 0.1, 2, 2)
     assert joined[30:38].max(1).mean() > 1.5 * alone[5:13].max(1).mean() > 0
 
 
@@ -82,26 +83,9 @@ def test_lines_hold_still_in_noise_where_printed_edges_flip() -> None:
         base[:, 16 * k + 8 :] += contrast * (1 if k % 2 else -1)
     base = cv2.GaussianBlur(np.clip(base, 0.02, 0.98), (0, 0), 0.8)
     frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1).astype(np.float32) for _ in range(6)]
-    ours = flips([line_strength(f**2, 0.5, 0.5, 0.02, 0.06, 2, 2) for f in frames])
+    ours = flips([line_strength(f**2, 0.02, 0.06, 2, 2) for f in frames])
     printed = flips([(eq4_edges(f, 0.5, 0.5) > 0.04).astype(float) for f in frames])
     assert ours <= 0.02 < 0.1 < printed
-
-
-def test_what_is_held_is_taken_from_where_it_lay_and_only_where_it_is_alike() -> None:
-    nodes = still_field(200, 160, 8, 32)
-    c, s = 1.1 * np.cos(0.2), 1.1 * np.sin(0.2)
-    turned = SiteField(nodes.x0, nodes.y0, c * nodes.u - s * nodes.v + 7, s * nodes.u + c * nodes.v - 4, nodes.size)
-    back = backward_flow(turned, nodes)
-    assert back is not None
-    np.testing.assert_allclose(back, [turned.u - nodes.u, turned.v - nodes.v], atol=1e-3)
-    y, x = np.mgrid[0:80, 0:100].astype(np.float32)
-    wave = lambda x, y: (0.3 + 0.1 * np.sin(0.08 * x) + 0.1 * np.cos(0.07 * y)).astype(np.float32)  # noqa: E731
-    now = wave(c * (2 * x + 0.5) - s * (2 * y + 0.5) + 7, s * (2 * x + 0.5) + c * (2 * y + 0.5) - 4)
-    before = wave(2 * x + 0.5, 2 * y + 0.5)
-    out = temporal_blend(np.float32(1.02) * now, before, back, nodes.x0, nodes.y0)
-    away = np.abs(out / now - 1.01)
-    assert np.median(away) < 1e-3  # half of each; what comes into view is as it is
-    assert np.array_equal(temporal_blend(4 * now, before, back, nodes.x0, nodes.y0), 4 * now)
 
 
 def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases() -> None:
@@ -111,7 +95,7 @@ def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases
     normal = np.zeros((60, 60, 3), np.float32)
     normal[16:44, 16:30], normal[16:44, 30:44] = (1, 0, 0), (0, 0, 1)
     depth = np.where(coverage > 0, 1.0, np.inf).astype(np.float32)
-    line = lambda c, n, d: line_strength(grey, 0.5, 0.5, 0.02, 0.06, 2, 2, virtual_edges(c, n, d, 1.0))  # noqa: E731
+    line = lambda c, n, d: line_strength(grey, 0.02, 0.06, 2, 2, object_edges(c, n, d, 1.0))  # noqa: E731
     whole = line(coverage, normal, depth)
     assert whole[15, 7:9].max() > 0.7 and whole[15, 14:16].max() > 0.5 and whole[15, 3] == 0
     normal[..., :] = (0, 0, 1)
@@ -120,18 +104,17 @@ def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases
     depth[16:44, 30:44] = 1.2
     assert line(coverage, normal, depth)[15, 14:16].max() > 0.5
     assert np.isfinite(line(coverage, normal, np.full_like(depth, np.nan))).all()
-    assert line_strength(grey, 0.5, 0.5, 0.02, 0.06, 2, 2).max() == 0
+    assert line_strength(grey, 0.02, 0.06, 2, 2).max() == 0
 
 
 def tones(ramp: float) -> np.ndarray:
     n = 2001
     angle = np.linspace(0, np.pi, n)
     normal = np.stack([np.sin(angle), np.zeros(n), np.cos(angle)], -1)[None].astype(np.float32)
-    image = np.full((1, n, 3), 0.2, np.float32)
     albedo = np.full((1, n, 3), 0.5, np.float32)
     one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
-    of = Tones.of((np.array([0, 0, 1.0]), np.ones(3)), np.zeros(3), (0.5, 0.2), (1, 0.4, 0.1))._replace(ramp=np.float32(ramp))
-    made = toon(image, ObjectLayers(*map(packed, (image, one, normal, albedo, none))), of)
+    of = Tones.of((np.array([0, 0, 1.0]), np.ones(3)), np.zeros(3), (0.5, 0.2), (1, 0.4, 0.1), ramp)
+    made = flat_tones(ObjectLayers(*map(packed, (one, normal, albedo, none))), of)
     return made[0, :, 0]
 
 
@@ -153,25 +136,11 @@ def test_toon_light_is_the_strongest_of_the_clip() -> None:
     assert np.array_equal(toon_light(Light((0.3, 0.3, 0.3), ()), up)[0], up)
 
 
-def density(colour: np.ndarray, d: float) -> np.ndarray:
-    """Linear colour 0..1 under pigment of density d; 1 leaves it, more darkens, white stays white."""
-    return np.asarray(colour * (1 - (1 - colour) * (d - 1)))
-
-
-def test_pigment_darkens_by_its_formula_and_leaves_white_and_black() -> None:
-    assert density(np.array(0.5), 1.4) == pytest.approx(0.5 * (1 - 0.5 * 0.4))
-    np.testing.assert_array_equal(density(np.array([0.0, 1.0]), 1.7), [0, 1])
-    np.testing.assert_array_equal(density(np.array([0.2, 0.9]), 1.0), [0.2, 0.9])
-
-
 def test_paper_and_wobble_repeat_without_a_seam_and_keep_to_their_bounds() -> None:
-    for tile in (paper_grain(1, 2.0), wobble_tile(1, 1.5, 12.0)[0] / 8):
+    for tile in (paper_grain(1), wobble_tile(1, 1.5, 12.0)[0] / 8):
         inner = np.abs(np.diff(tile.astype(float), axis=1)).mean()
         assert np.abs(tile[:, 0].astype(float) - tile[:, -1]).mean() < 1.3 * inner
         assert np.abs(tile).max() <= 1.5
-    tile = paper_grain(1, 2.0)
-    out = repeat_tile(tile, 500, -3, 700, 40)
-    assert out[5, 20] == tile[2, 8] and out.shape == (40, 700)
 
 
 def test_borders_stray_with_the_things_between_pixels_too() -> None:
@@ -180,7 +149,7 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
     wobbles, nodes = Wobbles(1, 1.5), still_field(200, 160, 8, 32)
 
     def seen(wobble: Wobble) -> np.ndarray:
-        return repeat_tile(wobble.tile, wobble.x, wobble.y, 200, 160).astype(float) / STEPS
+        return displacement(wobble, Rect.of(200, 160)) / STEPS
 
     first = seen(wobbles.of_field(nodes))
     rows, columns = np.indices((160, 200)).astype(np.float32)

@@ -1,0 +1,21 @@
+"""Settings that are gone, each with what to write instead: the help of the error that names one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+_PRINTED = 'it belongs to watercolor.formula = "paper"; the corrected edges take {0}'
+GONE: Mapping[tuple[str, str], str] = {
+    ("watercolor", "detail"): "cells always follow what there is to see: leave it out",
+    ("watercolor", "anchored"): "cells always move with the things under them: leave it out",
+    ("watercolor", "two_patterns"): "one pattern is painted: leave it out",
+    ("watercolor", "line_hold"): "lines hold still by themselves; a higher line_high steadies more",
+    ("watercolor", "line_smooth_px"): "it is 3 px; a higher line_low leaves fine lines out",
+    ("watercolor", "alpha"): _PRINTED.format(".5"),
+    ("watercolor", "beta"): _PRINTED.format(".5"),
+    ("watercolor", "yuv"): _PRINTED.format("bt601"),
+    ("watercolor", "pigment"): "set flow, grain, edge_darkening and wobble_px to 0 for flat cells",
+    ("watercolor", "flow_px"): "it is 160 px; `flow` sets how strong the turbulence is",
+    ("watercolor", "grain_px"): "it is 2 px; `grain` sets how strong the paper's grain is",
+    ("watercolor", "dry_brush"): "`grain` sets how much the paper shows, in lines too",
+}

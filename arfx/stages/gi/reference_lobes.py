@@ -1,0 +1,254 @@
+"""Directions in which the reference's rays leave a surface, with the density of each and what it
+reflects.
+
+Both kinds of surface answer the same two questions: `directions` draws some, `at` tells of any
+direction what is reflected, and with which density `directions` takes it. So samples of bright
+parts of the environment can be weighed against these (balance heuristic). Source: Heitz 2014
+(Smith's G), 2018 (visible normals); Veach and Guibas 1995 (multiple importance sampling)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from arfx.core.numerics import divide, normalise
+
+SMOOTHEST = 0.02  # roughness: what is smoother is as good as a mirror
+# half-angles of lobes that see the environment as a mirror does, and as a matt surface does
+NARROW_DEG, WIDE_DEG = 6.0, 30.0
+NEAR = 1.3  # radii: from nearer a ball fills so much that the plane's own directions are better
+ABOVE = 1e-5  # least cosine of a direction that leaves a surface
+
+
+class Reflected(NamedTuple):
+    """Of directions (k): scattered, mirrored (k, 3) : share of their light, times the cosine
+    density (k, 1) : per steradian with
+    which they are drawn"""
+
+    scattered: np.ndarray
+    mirrored: np.ndarray
+    density: np.ndarray
+
+    @property
+    def total(self) -> np.ndarray:
+        """(k, 3) scattered or mirrored."""
+        return self.scattered + self.mirrored
+
+    @property
+    def weight(self) -> np.ndarray:
+        """(k, 3) by which the light of a direction counts that was drawn."""
+        return divide(self.total, self.density)
+
+
+class Lobes(Protocol):
+    """width (k, 1) : of what is mirrored, 0 as a mirror sees the environment, 1 as a matt surface
+    does"""
+
+    width: np.ndarray
+
+    def directions(self, numbers: np.ndarray) -> np.ndarray:
+        """(k, 3) unit, from numbers (k, 3) in [0, 1)."""
+
+    def at(self, directions: np.ndarray) -> Reflected:
+        """Of unit directions (k, 3)."""
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(k, 1) of vectors (k, 3)."""
+    return np.asarray((a * b).sum(-1, keepdims=True))
+
+
+def frames(normals: np.ndarray) -> np.ndarray:
+    """(k, 3, 3) whose rows are two tangents and the unit normals (k, 3)."""
+    x, y = np.eye(3)[:2]
+    steep = np.abs(normals[:, :1]) > 0.9
+    aside = np.where(steep, y, x)
+    u = normalise(np.cross(aside, normals))
+    v = np.cross(normals, u)
+    return np.stack([u, v, normals], 1)
+
+
+def to_frame(frame: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """(k, 3) in frames (k, 3, 3)."""
+    return np.einsum("kij,kj->ki", frame, vectors)
+
+
+def from_frame(frame: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """(k, 3) from frames (k, 3, 3)."""
+    return np.einsum("kij,ki->kj", frame, vectors)
+
+
+def disc(numbers: np.ndarray) -> np.ndarray:
+    """(k, 2) even over the unit disc, from numbers (k, 2)."""
+    u, v = numbers.T
+    r = np.sqrt(u)
+    phi = 2 * np.pi * v
+    return np.stack([r * np.cos(phi), r * np.sin(phi)], -1)
+
+
+def raised(places: np.ndarray) -> np.ndarray:
+    """(k, 3) places (k, 2) of the unit disc, on the half ball over it: cosine-weighted directions
+    (Malley)."""
+    height2 = 1 - (places**2).sum(1)
+    z = np.sqrt(np.maximum(height2, 0))
+    return np.column_stack([places, z])
+
+
+def schlick(f0: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Share that is mirrored at a cosine (k, 1), by that seen from above (k, c); what mirrors
+    nothing there never does."""
+    grazing = (1 - cosine) ** 5
+    share = f0 + (1 - f0) * grazing
+    return np.where(f0 > 0, share, 0.0)
+
+
+def smith(cosine: np.ndarray, a2: np.ndarray) -> np.ndarray:
+    """(k, 1) the root in Smith's masking of GGX of width a."""
+    return np.sqrt(a2 + (1 - a2) * cosine**2)
+
+
+def lobe_width(roughness: np.ndarray) -> np.ndarray:
+    """(k, 1) as `Lobes.width`, of a GGX lobe: of the cone that blurs as it does."""
+    half_rad = np.sqrt(8) * np.arctan(roughness**2)
+    half_deg = np.minimum(np.degrees(half_rad), 50)
+    return np.interp(half_deg, (NARROW_DEG, WIDE_DEG), (0.0, 1.0))
+
+
+class MaterialLobes:
+    """Lambert under GGX. normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3)
+    metal, f0, roughness (k, 1)"""
+
+    def __init__(
+        self,
+        normals: np.ndarray,
+        towards: np.ndarray,
+        albedo: np.ndarray,
+        metal: np.ndarray,
+        f0: np.ndarray,
+        roughness: np.ndarray,
+    ) -> None:
+        self._frame = frames(normals)
+        view = to_frame(self._frame, towards)
+        # normals of a mesh may look away from what sees it
+        view[:, 2] = np.maximum(view[:, 2], 1e-4)
+        self._view = normalise(view)
+        self._diffuse = albedo * (1 - metal)
+        self._matt_f0 = f0
+        self._f0 = f0 + albedo * metal
+        self._a = np.clip(roughness, SMOOTHEST, 1) ** 2
+        self.width = lobe_width(roughness)
+        cosine = self._view[:, 2:]
+        mirrored = schlick(self._f0, cosine)
+        scattered = self._diffuse * (1 - schlick(f0, cosine))
+        most = mirrored.max(1, keepdims=True)
+        # of a direction for the gloss
+        self._chance = divide(most, most + scattered.max(1, keepdims=True))
+
+    def directions(self, numbers: np.ndarray) -> np.ndarray:
+        choice, places = numbers[:, :1], disc(numbers[:, 1:])
+        h = self._visible_normals(places)
+        mirrored = 2 * dot(self._view, h) * h - self._view
+        scattered = raised(places)
+        local = np.where(choice < self._chance, mirrored, scattered)
+        return from_frame(self._frame, local)
+
+    def at(self, directions: np.ndarray) -> Reflected:
+        d = to_frame(self._frame, directions)
+        h = normalise(d + self._view)
+        cos_light = np.maximum(d[:, 2:], ABOVE)
+        cos_view = self._view[:, 2:]
+        cos_half = h[:, 2:]
+        a2 = self._a**2
+        grazing = np.clip(dot(self._view, h), 0, 1)
+        slope = cos_half**2 * (a2 - 1) + 1
+        spread = divide(a2, np.pi * slope**2)
+        seen = smith(cos_view, a2)
+        lit = smith(cos_light, a2)
+        # D G2 / (4 nv), G2 height-correlated; and D G1(v) / (4 nv)
+        masked = cos_light * seen + cos_view * lit
+        share = divide(spread * cos_light, 2 * masked)
+        of_gloss = divide(spread, 2 * (cos_view + seen))
+        mirrored = schlick(self._f0, grazing) * share
+        cosine = cos_light / np.pi
+        under_gloss = 1 - schlick(self._matt_f0, grazing)
+        scattered = self._diffuse * under_gloss * cosine
+        density = cosine + self._chance * (of_gloss - cosine)
+        above = d[:, 2:] > ABOVE
+        return Reflected(scattered * above, mirrored * above, density * above)
+
+    def _visible_normals(self, places: np.ndarray) -> np.ndarray:
+        """(k, 3) normals of microfacets that the viewer sees, from places (k, 2) on the unit
+        disc."""
+        shape = np.repeat(self._a, 3, axis=1)
+        shape[:, 2] = 1
+        # the view direction where the surface is stretched to a half ball, of which it sees a disc
+        stretched = normalise(self._view * shape)
+        x, y = places.T
+        half = (1 + stretched[:, 2]) / 2
+        edge = np.sqrt(np.maximum(1 - x**2, 0))
+        seen = np.stack([x, (1 - half) * edge + half * y], -1)
+        frame = _level_frames(stretched)
+        h = from_frame(frame, raised(seen)) * shape
+        h[:, 2] = np.maximum(h[:, 2], 1e-9)
+        return normalise(h)
+
+
+def _level_frames(directions: np.ndarray) -> np.ndarray:
+    """(k, 3, 3) about unit directions (k, 3), whose first axis is level."""
+    x, y, _ = directions.T
+    level = np.hypot(x, y) > 1e-9
+    across = np.zeros_like(directions)
+    across[:, 0] = np.where(level, -y, 1)
+    across[:, 1] = np.where(level, x, 0)
+    across = normalise(across)
+    up = np.cross(directions, across)
+    return np.stack([across, up, directions], 1)
+
+
+class PlaneLobes:
+    """White planes, for what the object changes of their light: directions into the cone that holds
+    a ball around the object.
+
+    About the normal where the ball is near; in half of the samples where what other planes lose or
+    gain counts too (`all_around`). points, normals (k, 3);  centre (3,), radius : of the ball"""
+
+    def __init__(
+        self,
+        points: np.ndarray,
+        normals: np.ndarray,
+        centre: np.ndarray,
+        radius: float,
+        all_around: bool,
+    ) -> None:
+        self._normals = normals
+        self._frame = frames(normals)
+        self.width = np.ones((len(points), 1))
+        towards = centre - points
+        away = np.linalg.norm(towards, axis=1, keepdims=True)
+        self._axis = divide(towards, away)
+        self._cone = frames(self._axis)
+        far = away > NEAR * radius
+        sine = divide(radius, away)
+        # cosine of the cone's half-angle
+        self._least = np.sqrt(1 - np.where(far, sine, 0) ** 2)
+        self._chance = far * (0.5 if all_around else 1.0)
+
+    def directions(self, numbers: np.ndarray) -> np.ndarray:
+        choice, u, v = numbers.T[:, :, None]
+        up = 1 - u * (1 - self._least)
+        side = np.sqrt(np.maximum(1 - up**2, 0))
+        phi = 2 * np.pi * v
+        local = np.column_stack([side * np.cos(phi), side * np.sin(phi), up])
+        in_cone = from_frame(self._cone, local)
+        about_normal = from_frame(self._frame, raised(disc(numbers[:, 1:])))
+        return np.where(choice < self._chance, in_cone, about_normal)
+
+    def at(self, directions: np.ndarray) -> Reflected:
+        cosine = np.maximum(dot(self._normals, directions), 0) / np.pi
+        solid_angle = 2 * np.pi * (1 - self._least)
+        inside = dot(self._axis, directions) >= self._least - 1e-12
+        in_cone = inside * divide(1.0, solid_angle)
+        density = cosine + self._chance * (in_cone - cosine)
+        scattered = np.repeat(cosine, 3, axis=1)
+        return Reflected(scattered, np.zeros_like(scattered), density)

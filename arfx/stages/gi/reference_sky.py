@@ -1,0 +1,100 @@
+"""The environment as the reference's rays see it, and samples of its bright parts.
+
+A ray in the direction that a surface's own reflection suggests meets a small lamp once in hundreds,
+and then counts hundredfold: single pixels far too bright. So directions are also drawn from the
+environment itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arfx.core.cube import face_directions, look_up, on_cube, solid_angles
+from arfx.core.numerics import divide, normalise
+
+IRRADIANCE_PX = 16  # of a face
+# An environment whose brightest texel is less than so many times its mean needs no samples of its
+# own.
+BRIGHT = 3.0
+# Share of the mean that every texel is chosen with: what lies between texels is never left out.
+FLOOR = 0.1
+GREY = np.array([0.2126, 0.7152, 0.0722])
+
+
+class Environment:
+    """Radiance from far away. cubes : (narrow, broad), (6, n, n, 3) each, as a mirror sees it and
+    as a matt surface does
+    turn (3, 3) : to the cubes' axes from the anchor's;  bright : whether its brightest parts need
+    samples of their own"""
+
+    def __init__(self, cubes: tuple[np.ndarray, np.ndarray], turn: np.ndarray) -> None:
+        self._narrow, self._broad = (np.asarray(cube, float) for cube in cubes)
+        self.turn = np.asarray(turn, float)
+        self._size = self._broad.shape[1]
+        grey = self._broad @ GREY
+        solid = np.tile(solid_angles(self._size), (6, 1, 1))
+        mean = float((grey * solid).sum() / solid.sum())
+        self.bright = mean > 0 and float(grey.max()) > BRIGHT * mean
+        # the largest of a texel and its neighbours, as radiance is linear between them
+        around = np.pad(grey, [(0, 0), (1, 1), (1, 1)], mode="edge")
+        windows = np.lib.stride_tricks.sliding_window_view(around, (1, 3, 3))
+        chance = (windows.max((3, 4, 5)) + FLOOR * mean) * solid
+        self._chance = divide(chance, chance.sum()).ravel()
+        self._up_to = np.cumsum(self._chance)
+
+    def radiance(self, directions: np.ndarray, wide: np.ndarray) -> np.ndarray:
+        """(n, 3) in unit directions. wide (n, 3) : 0 as a mirror sees it, 1 as a matt surface
+        does"""
+        turned = directions @ self.turn.T
+        narrow = look_up(self._narrow, turned)
+        broad = look_up(self._broad, turned)
+        return np.asarray(narrow + wide * (broad - narrow))
+
+    def density(self, directions: np.ndarray) -> np.ndarray:
+        """(n, 1) per steradian with which `samples` takes unit directions; 0 if it is not used."""
+        if not self.bright:
+            return np.zeros((len(directions), 1))
+        n = self._size
+        face, *places = on_cube(directions @ self.turn.T)
+        uv = np.array(places)
+        column, row = np.clip((uv + 1) / 2 * n, 0, n - 1).astype(int)
+        per_texel = n**2 / 4 * (1 + (uv**2).sum(0)) ** 1.5
+        chance = self._chance[(face * n + row) * n + column]
+        return np.asarray((chance * per_texel)[:, None])
+
+    def samples(self, numbers: np.ndarray) -> np.ndarray:
+        """(m, 3) unit directions, more where it is brighter, from numbers (m, 2) in [0, 1)."""
+        first, second = numbers.T
+        n = self._size
+        x = first * self._up_to[-1]
+        texel = np.searchsorted(self._up_to, x, side="right")
+        texel = np.minimum(texel, len(self._up_to) - 1)
+        left = divide(self._up_to[texel] - x, self._chance[texel])
+        face, row, column = np.unravel_index(texel, (6, n, n))
+        u = (column + 1 - np.clip(left, 1e-9, 1)) / n * 2 - 1
+        v = (row + second) / n * 2 - 1
+        sign = np.where(face % 2 == 0, 1.0, -1.0)
+        axis = face // 2
+        # as the faces of core.cube lie
+        x, y, z = (np.choose(axis, parts) for parts in ((sign, u, u), (v, sign, v), (-u, -v, sign)))
+        d = normalise(np.stack([x, y, z], -1))
+        return np.asarray(d @ self.turn)
+
+    def irradiance(self, below: np.ndarray, up: np.ndarray) -> np.ndarray:
+        """(6, k, k, 3) radiance of white surfaces by their normal, with radiance `below` (3,) under
+        the horizon of `up` (3,).
+
+        Axes are the cubes'."""
+        # it is smooth: few texels give the same
+        part = max(self._size // IRRADIANCE_PX, 1)
+        size = self._size // part
+        whole = self._broad[:, : size * part, : size * part]
+        blocks = whole.reshape(6, size, part, size, part, 3)
+        coarse = blocks.mean((2, 4)).reshape(-1, 3)
+        directions = face_directions(size).reshape(-1, 3)
+        under = (directions @ up < 0)[:, None]
+        around = np.where(under, below, coarse)
+        normals = face_directions(IRRADIANCE_PX).reshape(-1, 3)
+        solid = np.tile(solid_angles(size).ravel(), 6)
+        facing = np.maximum(normals @ directions.T, 0) * solid
+        mean = divide(facing @ around, facing.sum(1, keepdims=True))
+        return np.asarray(mean.reshape(6, IRRADIANCE_PX, IRRADIANCE_PX, 3))
