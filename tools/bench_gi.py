@@ -18,7 +18,6 @@ import cv2
 import numpy as np
 
 from arfx.core.layers import Layer, Layers
-from arfx.core.numerics import HALF_GREY
 from arfx.core.stage import ReadyStage, level_named
 from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.plan.planner import plan_frame
@@ -28,8 +27,6 @@ from arfx.stages.gi import Gi
 from arfx.stages.light.planes import SHOWS
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.raster import Raster
-
-SHOWS = HALF_GREY * 2.4 / 1.055  # half a step of an sRGB code, as a share of its linear light
 
 
 def layers_of(at: BenchScene) -> Layers:
