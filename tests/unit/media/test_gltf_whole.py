@@ -94,6 +94,7 @@ def test_used_extension_and_what_is_not_drawn_are_told(tmp_path):
     text = " ".join(w.load(tmp_path).notices)
     assert all(t in text for t in ("transmission", "XYZ_new"))
     assert all(t in text for t in ("occlusion maps", "clear coat"))
+    assert "normal maps" not in text
     assert "KHR_materials_ior" not in text
 
 
