@@ -1,14 +1,16 @@
 """Watercolour from Voronoi cells, as printed: Jia, Tang 2013.
 
-The object is toon-shaded; the picture is split into the cells of a jittered grid, new in every frame, drawn as cones into a
-depth buffer, each with the mean colour of its pixels; what an edge measure in RGB and Y'UV finds above a threshold is black.
-All of it works on coded values, as a frame buffer holds them.
+The object is toon-shaded; the picture is split into the cells of a jittered grid, new in every
+frame, drawn as cones into a depth buffer, each with the mean colour of its pixels; what an edge
+measure in RGB and Y'UV finds above a threshold is black. All of it works on coded values, as a
+frame buffer holds them.
 
-Not stated, and settings here: m, n, alpha, beta, the threshold, and the near clip plane of the depth buffer; the far one is at
-infinity. How a cone's size follows from the depth: in proportion. Cones are round and as long as it takes to leave no hole.
-The printed listing of the toon shader does not compile: its first threshold is `toon_thresholds`' first. Its `myColor` is the
-model's own colour at each pixel, `lightDir` points to the strongest light. Edges are drawn black.
-Its errors: docs/methods/watercolor.md#errata."""
+Not stated, and settings here: m, n, alpha, beta, the threshold, and the near clip plane of the
+depth buffer; the far one is at infinity. How a cone's size follows from the depth: in proportion.
+Cones are round and as long as it takes to leave no hole. The printed listing of the toon shader
+does not compile: its first threshold is `toon_thresholds`' first. Its `myColor` is the model's own
+colour at each pixel, `lightDir` points to the strongest light. Edges are drawn black. Its errors:
+docs/methods/watercolor.md#errata."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -89,7 +91,8 @@ class PrintedWatercolorParams:
 
 
 def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
-    """V(i, j) = (W/n (j + 1/2 + r), H/m (i + 1/2 + r')), r in (-1/2, 1/2). In the pixels' own coordinates.
+    """V(i, j) = (W/n (j + 1/2 + r), H/m (i + 1/2 + r')), r in (-1/2, 1/2). In the pixels' own
+    coordinates.
 
     key : of the random numbers, as core.noise takes it"""
     r = [noise(Rect.of(n, m), key, channel) for channel in (0, 1)]
@@ -106,8 +109,9 @@ def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
 
 
 def depth_buffer(view: View, near_m: float) -> np.ndarray:
-    """(h, w) float32 0..1: what OpenGL's depth buffer holds with the far clip plane at infinity, 1 - near_m / depth. Of the
-    object, around it of the measured depth or the marker's plane; 1, as it is cleared, where nothing is known."""
+    """(h, w) float32 0..1: what OpenGL's depth buffer holds with the far clip plane at infinity, 1
+    - near_m / depth. Of the object, around it of the measured depth or the marker's plane; 1, as it
+    is cleared, where nothing is known."""
     now = view.layers
     facts = view.facts
     rect = view.rect
@@ -125,9 +129,10 @@ def depth_buffer(view: View, near_m: float) -> np.ndarray:
 
 
 def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndarray:
-    """(h, w) int32: whose cone is nearest. A cone's apex is at its site and at depth 0; where it is as wide as its size, (m n,),
-    its depth is 1. Of m x n sites in a jittered grid."""
-    # no pixel is farther from the site of its own cell of the grid than that cell's diagonal: no cone need be longer
+    """(h, w) int32: whose cone is nearest. A cone's apex is at its site and at depth 0; where it is
+    as wide as its size, (m n,), its depth is 1. Of m x n sites in a jittered grid."""
+    # no pixel is farther from the site of its own cell of the grid than that cell's diagonal: no
+    # cone need be longer
     length = (np.hypot(rect.width / n, rect.height / m) + 1 / STEPS) / float(size.min())
     labels = np.zeros((rect.height, rect.width), np.int32)
     x, y = (a.astype(np.float64) for a in (sites.x / STEPS - rect.x0, sites.y / STEPS - rect.y0))
@@ -137,7 +142,8 @@ def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndar
 
 @numba.njit(cache=True, nogil=True)
 def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compiled
-    """depth (h, w) : the depth buffer, squared, and labels are written; of equal depths the first one stays."""
+    """depth (h, w) : the depth buffer, squared, and labels are written; of equal depths the first
+    one stays."""
     h, w = labels.shape
     for k in range(x.shape[0]):
         radius = length * size[k]
@@ -164,7 +170,9 @@ def at_sites(pixels: np.ndarray, sites: Sites, rect: Rect) -> np.ndarray:
 def named_by_colour(
     coded: np.ndarray, labels: np.ndarray, sites: Sites, rect: Rect
 ) -> tuple[np.ndarray, int]:
-    """(labels, count) in which cells whose sites show one 8-bit colour are one cell. coded : (h, w, 3) 0..1."""
+    """(labels, count) in which cells whose sites show one 8-bit colour are one cell.
+
+    coded : (h, w, 3) 0..1"""
     colour = np.round(np.clip(at_sites(coded, sites, rect), 0, 1) * 255).astype(
         np.int64
     ) @ np.array([65536, 256, 1])
@@ -182,7 +190,8 @@ def toon(
     threshold: tuple[float, float],
     factor: tuple[float, float, float],
 ) -> np.ndarray:
-    """The listing. (h, w, 3) coded: the colour itself where n . l is above the first threshold, .4 of it above .2, else .1.
+    """The listing. (h, w, 3) coded: the colour itself where n . l is above the first threshold, .4
+    of it above .2, else .1.
 
     myColor : (h, w, 3) coded;  threshold, factor : `toon_thresholds` and `toon_factors`"""
     intensity = normalise(normal) @ normalise(lightDir)
@@ -207,12 +216,14 @@ def eq3_rgb(coded: np.ndarray) -> np.ndarray:
 
 
 def eq4_edges(coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601") -> np.ndarray:
-    """(h, w) float32 beta Edge_YUV + (1 - beta) Edge_RGB, an edge where it is above the threshold."""
+    """(h, w) float32 beta Edge_YUV + (1 - beta) Edge_RGB, an edge where it is above the
+    threshold."""
     return (beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)).astype(np.float32)
 
 
 def gradient(a: np.ndarray) -> np.ndarray:
-    """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind the border."""
+    """(h, w, c) length of the difference to the pixels on the right and below; nothing lies behind
+    the border."""
     dx = np.zeros_like(a)
     dy = np.zeros_like(a)
     dx[:, :-1] = np.diff(a, axis=1)

@@ -1,7 +1,9 @@
-"""The site field of a frame: of the advection in its facts, or a still one; its cells are finer where things are near.
+"""The site field of a frame: of the advection in its facts, or a still one; its cells are finer
+where things are near.
 
-How near: by the measured depth of the scene around each node, else by the marker's plane. Noise and holes of a depth map hardly
-move the mean around a node, and sizes follow it without a threshold: a cell appears or goes slowly, as under a zoom."""
+How near: by the measured depth of the scene around each node, else by the marker's plane. Noise and
+holes of a depth map hardly move the mean around a node, and sizes follow it without a threshold: a
+cell appears or goes slowly, as under a zoom."""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ def pad_px(cell_px: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class RealDioptre:
-    """Measured depth of a frame. mean : (h, w) float32, 1/m, as far as the next nodes around each of a grid over `rect`"""
+    """Measured depth of a frame. mean : (h, w) float32, 1/m, as far as the next nodes around each
+    of a grid over `rect`"""
 
     rect: Rect
     mean: np.ndarray
@@ -100,7 +103,8 @@ def detail_factor(detail: np.ndarray) -> np.ndarray:
 def nearness(
     field: SiteField, scene: Scene, pose: Pose | None, real: RealDioptre | None
 ) -> np.ndarray | None:
-    """(gh, gw) depth of the marker / depth at the nodes, without a marker their mean / depth; None where nothing is known."""
+    """(gh, gw) depth of the marker / depth at the nodes, without a marker their mean / depth; None
+    where nothing is known."""
     if pose is None:
         if real is None:
             return None
@@ -124,7 +128,8 @@ def marker_depth_m(camera_from_anchor: Pose) -> float:
 def plane_dioptre(
     x: np.ndarray, y: np.ndarray, camera: Camera, camera_from_anchor: Pose
 ) -> np.ndarray:
-    """(h, w) 1 / depth of the marker's plane at columns x (w,) and rows y (h, 1), not above 0 where it is not seen.
+    """(h, w) 1 / depth of the marker's plane at columns x (w,) and rows y (h, 1), not above 0 where
+    it is not seen.
 
     Linear along the picture: lens distortion is left out."""
     normal = camera_from_anchor.rotation[:, 2]
@@ -136,7 +141,8 @@ def plane_dioptre(
 
 
 def nearness_limits(strength: float) -> tuple[float, float]:
-    """Least and greatest nearness that counts: a cell is _COARSEST and _FINEST times as large there."""
+    """Least and greatest nearness that counts: a cell is _COARSEST and _FINEST times as large
+    there."""
     low, high = (
         b ** min(1 / strength, 100.0) for b in (_FINEST, _COARSEST)
     )  # below a strength of 0.01 sizes hardly differ
@@ -144,6 +150,7 @@ def nearness_limits(strength: float) -> tuple[float, float]:
 
 
 def nearness_factor(near: np.ndarray, strength: float) -> np.ndarray:
-    """Factor on the size of cells. near : depth of the marker / depth;  strength : > 0, 1 = size in proportion to depth"""
+    """Factor on the size of cells. near : depth of the marker / depth;  strength : > 0, 1 = size in
+    proportion to depth"""
     out: np.ndarray = np.clip(near, *nearness_limits(strength)) ** -strength
     return out

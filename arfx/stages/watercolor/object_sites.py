@@ -1,9 +1,10 @@
 """Sites on the model's surface: they move with it, whatever it does.
 
-The surface is strewn with points once; a point's importance is the coarsest level of a nested grid in space at which it is
-still its cell's first (docs/methods/watercolor.md#sites). Each picture takes those that the wanted density calls for, which is
-higher where the surface is nearer than the marker. Cost: O(points) per set. Leaves out: which points other parts of the model
-hide; they add cells where they lie."""
+The surface is strewn with points once; a point's importance is the coarsest level of a nested grid
+in space at which it is still its cell's first (docs/methods/watercolor.md#sites). Each picture
+takes those that the wanted density calls for, which is higher where the surface is nearer than the
+marker. Cost: O(points) per set. Leaves out: which points other parts of the model hide; they add
+cells where they lie."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ _UNROLLED = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.4]])  # places on the surf
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """points, normals (n, 3) WORLD, metres;  importance (n,) log2 of the cell size in metres up to which a point counts
+    """points, normals (n, 3) WORLD, metres;  importance (n,) log2 of the cell size in metres up to
+    which a point counts
     extent_m : largest side of the model"""
 
     points: np.ndarray
@@ -62,7 +64,8 @@ def sample_surface(scene: Scene, seed: int) -> SurfacePoints:
 
 
 def _importance(points: np.ndarray, extent: float) -> np.ndarray:
-    """log2 metres. The lowest number in a cell is its first; it is the first of one of the cell's parts as well."""
+    """log2 metres. The lowest number in a cell is its first; it is the first of one of the cell's
+    parts as well."""
     finest = np.log2(extent) - _LEVELS + 1
     out = np.full(len(points), finest - 1.0)
     first = np.arange(len(points))
@@ -75,7 +78,8 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
         begins = np.flatnonzero(np.r_[True, np.diff(inverse[order]) != 0])
         count = np.diff(np.r_[begins, len(order)])
         rank = np.arange(len(order)) - np.repeat(begins, count)
-        # of k parts that hold a point, the one of rank r appears where the cell should hold r + 1/2 of them
+        # of k parts that hold a point, the one of rank r appears where the cell should hold r + 1/2
+        # of them
         parts = np.repeat(np.maximum(count, 2), count)
         out[first[order]] = finest + level - np.log(rank + 0.5 + 0.5 * (rank == 0)) / np.log(parts)
         first = np.sort(first[order[begins]])

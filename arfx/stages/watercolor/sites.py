@@ -1,10 +1,12 @@
-"""Sites of the cells: a nested jittered grid in the coordinates of the thing painted, carried to the picture.
+"""Sites of the cells: a nested jittered grid in the coordinates of the thing painted, carried to
+the picture.
 
-A cell of level k is 2^k cells wide and is parted into four of level k - 1. Its site is the site of one of the four, picked
-by a hash of (seed, level, column, row), and so on down: a site is the same point at every level it belongs to, so making
-the grid finer adds sites and moves none. The other three appear one by one in a fixed order; while one appears its cell
-grows from nothing (the weight of a power diagram), so that nothing pops.
-Source: jittered sampling, docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cost: O(sites)."""
+A cell of level k is 2^k cells wide and is parted into four of level k - 1. Its site is the site of
+one of the four, picked by a hash of (seed, level, column, row), and so on down: a site is the same
+point at every level it belongs to, so making the grid finer adds sites and moves none. The other
+three appear one by one in a fixed order; while one appears its cell grows from nothing (the weight
+of a power diagram), so that nothing pops. Source: jittered sampling,
+docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cost: O(sites)."""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ _HIGHEST = 24  # a site of this level is everywhere
 
 @dataclass(frozen=True, eq=False)
 class Sites:
-    """x, y (n,) float32 in 1/STEPS px of the frame, integers;  weight (n,) float32 <= 0, in 1/STEPS^2 px^2, integers
+    """x, y (n,) float32 in 1/STEPS px of the frame, integers;  weight (n,) float32 <= 0, in
+    1/STEPS^2 px^2, integers
     key (n,) int64 : which site it is, the same in every frame
     u, v (n,) float32 : position in the coordinates of the thing painted, px"""
 
@@ -46,7 +49,8 @@ class Sites:
 class SiteField:
     """What lies where. nodes every GRID_PX px from (x0, y0) of the frame.
 
-    u, v (gh, gw) float64 : the node's position in the coordinates of the thing painted, px of its first picture
+    u, v (gh, gw) float64 : the node's position in the coordinates of the thing painted, px of its
+        first picture
     size (gh, gw) float64 : wanted size of a cell, px of the frame, > 0"""
 
     x0: int
@@ -102,7 +106,8 @@ def _mixed(seed, level, i, j):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _importance(seed, level, i, j):  # pragma: no cover - compiled
-    """Coarsest density, as a level, at which the site of a cell is still there; and the bits of its topmost cell."""
+    """Coarsest density, as a level, at which the site of a cell is still there; and the bits of its
+    topmost cell."""
     while level < _HIGHEST:
         bits = _mixed(seed, level + 1, i >> 1, j >> 1)
         child = (i & 1) | ((j & 1) << 1)

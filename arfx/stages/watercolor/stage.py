@@ -1,15 +1,15 @@
 """Watercolor: the whole picture, real and virtual, as one painting of washes, lines, pigment and
 paper.
 
-1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the exact
-mean of its pixels; 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where colour,
-silhouette or crease are strong. Cells are kept while the field of sites stays what it is. Lines are
-made beside the cells, on a free core. Cost: O(pixels).
+1. the object is toon-shaded under the clip's light; 2. cells follow what they lie on, each the
+exact mean of its pixels; 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where
+colour, silhouette or crease are strong. Cells are kept while the field of sites stays what it is.
+Lines are made beside the cells, on a free core. Cost: O(pixels).
 Levels (levels.py) paint the same cells: standard with half the rounds of washes and plain borders;
 high all of it, at every pixel's middle; reference is the mean of sixteen places in each.
 Grain lies on the paper and stays there: coherence along the motion is measured without it.
-Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow; without measured depth, that of real
-things off the plane."""
+Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow; without measured depth, that of
+real things off the plane."""
 
 from __future__ import annotations
 
@@ -62,7 +62,8 @@ _VIRTUAL = (Layer.VIRTUAL, Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH, Layer.ALBE
 
 @dataclass(frozen=True, eq=False)
 class CellSet:
-    """Of one set of sites. labels : for each place in the pixels;  flow (n,) : turbulence at the sites
+    """Of one set of sites. labels : for each place in the pixels;  flow (n,) : turbulence at the
+        sites
     near, weight (n, k) : of cells.neighbours"""
 
     labels: tuple[Labels, ...]

@@ -2,8 +2,8 @@
 
 Above the first threshold of n . l the colour is kept, above the second it is scaled, else scaled
 more (.5, .2; 1, .4, .1). Corrected: the steps are ramps a few degrees wide, so that they do not
-crawl; only what comes from the light's side is scaled: in soft light no side is black; and the tones
-have the mean colour of the lit object.
+crawl; only what comes from the light's side is scaled: in soft light no side is black; and the
+tones have the mean colour of the lit object.
 Cost: O(covered pixels). Source: docs/methods/watercolor.md#toon. Leaves out: highlights, shadows of
 the object on itself."""
 
