@@ -106,20 +106,18 @@ def _mixed(seed, level, i, j):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True)
 def _importance(seed, level, i, j):  # pragma: no cover - compiled
-    """Coarsest density, as a level, at which the site of a cell is still there; and the bits of its
-    topmost cell."""
+    """(coarsest density, as a level, at which the site of a cell is still there; its topmost cell:
+    level, i, j)."""
     while level < _HIGHEST:
         bits = _mixed(seed, level + 1, i >> 1, j >> 1)
         child = (i & 1) | ((j & 1) << 1)
         chosen = np.int64(bits & np.uint64(3))
         if child != chosen:
             order = (child - chosen + 4) % 4 - 1  # 0, 1, 2 among the other three
-            order = (order + np.int64((bits >> np.uint64(2)) & np.uint64(0xFF)) % 3) % 3
-            return level + 1 - _LATER[order], _mixed(seed, level, i, j)
-        level = level + 1
-        i = i >> 1
-        j = j >> 1
-    return np.float64(_HIGHEST), _mixed(seed, level, i, j)
+            turn = np.int64((bits >> np.uint64(2)) & np.uint64(0xFF)) % 3
+            return level + 1 - _LATER[(order + turn) % 3], level, i, j
+        level, i, j = level + 1, i >> 1, j >> 1
+    return np.float64(_HIGHEST), level, i, j
 
 
 @numba.njit(cache=True, nogil=True)
@@ -177,7 +175,7 @@ def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compil
             j1 = np.int64(np.floor(quad_v.max() / cell))
             for j in range(j0, j1 + 1):
                 for i in range(i0, i1 + 1):
-                    importance, bits = _importance(seed, level, i, j)
+                    importance, top, top_i, top_j = _importance(seed, level, i, j)
                     if importance < least - 0.5 * FADE:
                         continue
                     pu, pv = _refine(seed, level, i, j)
@@ -206,6 +204,7 @@ def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compil
                         places[2, n] = -np.rint(max(1 - fade, 0.0) * grown)
                         places[3, n] = pu * unit
                         places[4, n] = pv * unit
+                        bits = _mixed(seed, top, top_i, top_j)
                         keys[n] = np.int64(bits & np.uint64(0x7FFFFFFFFFFFFFFF))
                         n += 1
     return _columns(places, keys, n)

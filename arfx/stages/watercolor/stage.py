@@ -48,7 +48,7 @@ from arfx.stages.watercolor.toon import (
     ObjectLayers,
     Tones,
     flat_tones,
-    gain_to_lit,
+    replace_lit,
     toon_light,
 )
 from arfx.stages.watercolor.wobble import Place, Wobbles
@@ -130,16 +130,10 @@ class Watercolor(Stage):
         brightest = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
         even = EVEN * np.clip(light.ambient_rgb, 0, brightest[1])
         tones = Tones.of(brightest, even, p.toon_thresholds, p.toon_factors)
-        flat = flat_tones(layers, tones)
-        lit = part[Layer.VIRTUAL]
         out = image.copy()
-        opacity = np.float32(view.facts.opacity)
         patch = out[box.slices_in(view.rect)]
-        change = gain_to_lit(lit, flat) * flat
-        change -= lit
-        change *= opacity
-        patch += change
-        np.maximum(patch, 0, out=patch)
+        lit = packed(part[Layer.VIRTUAL])
+        replace_lit(patch, lit, flat_tones(layers, tones), view.facts.opacity)
         return packed(out)
 
     def lines_of(self, view: View, picture: np.ndarray) -> np.ndarray:

@@ -131,3 +131,20 @@ def _shade_rows(
             for c in range(3):
                 lit = even[c] + direct[c] * tone
                 out[y, x, c] = covered * (albedo[y, x, c] * lit + emissive[y, x, c])
+
+
+def replace_lit(image: np.ndarray, lit: np.ndarray, flat: np.ndarray, opacity: float) -> None:
+    """Put flat tones in the place of the lit object, that was composited at this opacity.
+
+    image (h, w, 3) : changed;  lit, flat (h, w, 3) float32 premultiplied"""
+    gain = gain_to_lit(lit, flat)
+    parallel_rows(lambda a, b: _replace_rows(lit, flat, gain, _F(opacity), a, b, image), len(flat))
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _replace_rows(lit, flat, gain, opacity, first, last, out):  # pragma: no cover - compiled
+    for y in range(first, last):
+        for x in range(out.shape[1]):
+            for c in range(3):
+                change = gain[c] * flat[y, x, c] - lit[y, x, c]
+                out[y, x, c] = max(out[y, x, c] + opacity * change, _F(0))
