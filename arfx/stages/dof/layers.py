@@ -145,7 +145,7 @@ def _object(
     light = cv2.cvtColor(now[Layer.VIRTUAL], cv2.COLOR_RGB2RGBA)
     cv2.insertChannel(np.fmax(now[Layer.COVERAGE], np.float32(0)), light, 3)  # not a number is none
     if facts.opacity < 1:
-        light *= np.float32(facts.opacity)
+        light = light * np.float32(facts.opacity)
     return light, radius
 
 

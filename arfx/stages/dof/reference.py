@@ -112,7 +112,7 @@ def _circles(dioptre: np.ndarray, coc: CircleOfConfusion) -> tuple[np.ndarray, n
     radius = coc.radius_px(dioptre)
     slope = np.zeros((*signed.shape, 2))
     if min(signed.shape) > 1:
-        slope = np.stack(np.gradient(signed), -1)
+        slope = np.stack([*np.gradient(signed)], -1)
     free = (np.abs(signed) <= radius) & (radius > SHARP_PX)
     return radius, np.where(free[..., None], divide(slope, signed[..., None]), 0.0)
 
