@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from arfx.core.numerics import divide
-from arfx.core.push_pull import fill_unknown
 from arfx.stages.dof.aperture import SHARP_PX
 from arfx.stages.dof.optics import CircleOfConfusion
+from arfx.stages.push_pull import fill_unknown
 
 
 def dioptre_of(depth_m: np.ndarray) -> np.ndarray:

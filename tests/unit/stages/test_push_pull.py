@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.core.push_pull import fill_unknown
+from arfx.stages.push_pull import fill_unknown
 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
