@@ -1,0 +1,83 @@
+"""A texture as a sample sees it: the mean of bilinear taps spread over the sample's parallelogram,
+in the level of the texture's pyramid in which they lie one to two texels apart."""
+
+# mypy: disable-error-code="no-untyped-def, call-arg, arg-type, assignment"
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from arfx.core.compiled import line_kernel
+from arfx.stages.raster import textures
+
+_F = np.float32
+ROUNDED = {"contract", "arcp", "nsz"}  # what the compiler may do to rounding
+
+
+@numba.njit(inline="always")
+def _wrapped(t, mode):  # pragma: no cover - compiled
+    """A texture coordinate within 0..1."""
+    if mode == textures.REPEATS:
+        return t - np.floor(t)
+    if mode == textures.CLAMPS:
+        return min(max(t, _F(0)), _F(1))
+    return abs(t - _F(2) * np.floor(_F(0.5) * t + _F(0.5)))
+
+
+@line_kernel(error_model="numpy", fastmath=ROUNDED)
+def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover - compiled
+    """Four channels of texture t, 0..1: mean over a parallelogram.
+
+    place : u, v of its middle;  across, down : its sides in u, v
+    taps : along the short side, at most; twice as many along the long one"""
+    width, height = _F(table[t, textures.WIDTH]), _F(table[t, textures.HEIGHT])
+    ax, ay, bx, by = across[0] * width, across[1] * height, down[0] * width, down[1] * height
+    wide, high = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
+    finest = max(min(wide, high) / _F(taps), max(wide, high) / _F(2 * taps))
+    level = np.int32(0)
+    if finest > _F(2):
+        level = np.int32(np.log2(finest))
+        level = min(level, np.int32(table[t, textures.LEVELS] - 1))
+    least = np.int32(1)
+    n, m = least, least
+    if max(wide, high) > _F(1):  # else one tap is enough
+        spacing = max(finest, _F(0.5) * _F(1 << level))
+        n = max(np.int32(wide / spacing + _F(0.99)), least)
+        m = max(np.int32(high / spacing + _F(0.99)), least)
+    w, h = max(np.int32(width) >> level, least), max(np.int32(height) >> level, least)
+    start = np.int32(table[t, textures.OFFSETS + level])
+    wrap_u, wrap_v = table[t, textures.WRAP_U], table[t, textures.WRAP_V]
+    before_u = w - least if wrap_u == textures.REPEATS else np.int32(0)
+    before_v = h - least if wrap_v == textures.REPEATS else np.int32(0)
+    step_u, step_v = across[0] / _F(n), across[1] / _F(n)
+    row_u, row_v = down[0] / _F(m), down[1] / _F(m)
+    first_u = place[0] - _F(0.5) * (across[0] - step_u + down[0] - row_u)
+    first_v = place[1] - _F(0.5) * (across[1] - step_v + down[1] - row_v)
+    t0, t1, t2, t3 = _F(0), _F(0), _F(0), _F(0)
+    for j in range(m):
+        for i in range(n):
+            u = _wrapped(first_u + _F(i) * step_u + _F(j) * row_u, wrap_u)
+            v = _wrapped(first_v + _F(i) * step_v + _F(j) * row_v, wrap_v)
+            x, y = u * _F(w) - _F(0.5), v * _F(h) - _F(0.5)
+            left, top = np.floor(x), np.floor(y)
+            fx, fy = x - left, y - top
+            if table[t, textures.NEAREST] and level == 0:
+                fx, fy = _F(fx >= _F(0.5)), _F(fy >= _F(0.5))
+            x0, y0 = np.int32(left), np.int32(top)
+            x1, y1 = np.int32(x0 + least), np.int32(y0 + least)
+            x0, x1 = x0 if x0 >= 0 else before_u, x1 if x1 < w else w - least - before_u
+            y0, y1 = y0 if y0 >= 0 else before_v, y1 if y1 < h else h - least - before_v
+            b, c, d = fx * (_F(1) - fy), (_F(1) - fx) * fy, fx * fy
+            a = _F(1) - b - c - d
+            p, q = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
+            r, s = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
+            t0 += a * _F(texels[p, 0]) + b * _F(texels[q, 0])
+            t0 += c * _F(texels[r, 0]) + d * _F(texels[s, 0])
+            t1 += a * _F(texels[p, 1]) + b * _F(texels[q, 1])
+            t1 += c * _F(texels[r, 1]) + d * _F(texels[s, 1])
+            t2 += a * _F(texels[p, 2]) + b * _F(texels[q, 2])
+            t2 += c * _F(texels[r, 2]) + d * _F(texels[s, 2])
+            t3 += a * _F(texels[p, 3]) + b * _F(texels[q, 3])
+            t3 += c * _F(texels[r, 3]) + d * _F(texels[s, 3])
+    share = _F(1 / textures.FULL) / _F(n * m)
+    return t0 * share, t1 * share, t2 * share, t3 * share
