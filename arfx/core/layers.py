@@ -88,17 +88,8 @@ class Layers:
             both = where.clip(self.rect)
             if not both.empty:
                 seen[both.slices_in(self.rect)] = array[both.slices_in(where)]
-        if seen.ndim == 3 and seen.strides[-1] == 0:  # one value for all channels
-            seen = np.ascontiguousarray(seen)
         seen.setflags(write=False)
         return seen
-
-    def one_channel(self, name: Layer) -> np.ndarray:
-        """Like `layers[name]`, but (h, w, 1) where it was written with one value for all channels over all of `rect`."""
-        where, array = self.written[name].part, self.written[name].array
-        if array.ndim == 3 and array.strides[-1] == 0 and where.contains(self.rect):
-            return array[self.rect.slices_in(where)][..., :1]
-        return self[name]
 
     def extent(self, name: Layer) -> Rect:
         """Pixels of `rect` outside which the layer is neutral."""

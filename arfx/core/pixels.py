@@ -132,7 +132,7 @@ class Pixels:
 @dataclass(frozen=True, eq=False)
 class Attenuated:
     """The plate with less light, made where it is asked for: bias + (1 + opacity (transmittance - 1)) (plate - bias).
-    transmittance : (h, w, 3) or (h, w, 1) over `rect`; 1 elsewhere
+    transmittance : (h, w, 3) over `rect`; 1 elsewhere
     opacity : how much of that change is shown;  bias : (3,) what of the plate is no light and stays
     make : writes that into its last argument; arguments plate, transmittance, opacity, bias, out"""
 

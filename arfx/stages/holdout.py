@@ -80,12 +80,10 @@ class Holdout(Stage):
             fraction = refined(
                 fraction, np.ones_like(fraction), part[Layer.PLATE], window_px(scene)
             )
-        fraction = fraction[inside.slices_in(around)]
-        shadow = now.crop(inside).one_channel(Layer.SHADOW)
-        ratio = shadow + (1 - shadow) * (
-            1 - fraction[..., None]
-        )  # the same bits where the fraction is 1
-        return {Layer.SHADOW: Pixels(inside, np.broadcast_to(ratio, (*fraction.shape, 3)))}
+        fraction = fraction[inside.slices_in(around)][..., None]
+        shadow = now.crop(inside)[Layer.SHADOW]
+        # the same bits where the fraction is 1
+        return {Layer.SHADOW: Pixels(inside, shadow + (1 - shadow) * (1 - fraction))}
 
 
 def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.ndarray:

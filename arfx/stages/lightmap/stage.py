@@ -1,10 +1,9 @@
 """Lightmap: the object in the light of the frame, and its shadow on itself and, as a ratio, on its plane.
 
 The light comes from the facts (measured, given or refused: `Light.source`), or is the scene's. Shadows are kept by the
-direction of their light: a still light costs nothing per frame but the look-up.
-Soft light is hidden by what rays find once per clip: in `plane` and `self_occlusion`.
-`draft` looks light and shadow up for every 2 x 2 pixels: `coarse`, `lookup`.
-Cost: O(pixels of the shadow + covered pixels x taps); a light that moves adds O(directions x edges) a frame.
+direction of their lamp: a still light costs nothing per frame but the look-up. Soft light is hidden by what silhouettes
+(on the plane) and rays (on the object) find once a clip.
+Cost: O(pixels of the shadow + covered pixels x taps); a lamp that moves adds O(directions x edges) a frame.
 Leaves out: other real surfaces, shadows of unlike opacity, light from the plane onto the object, caustics.
 Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
 
@@ -24,23 +23,22 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
-from arfx.stages.lightmap.beams import FrameLight, frame_light
-from arfx.stages.lightmap.coarse import block_surface, blocks_around, colour
-from arfx.stages.lightmap.lookup import coarse_shadow_ratio, shadow_ratio
-from arfx.stages.lightmap.plane import (
+from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView, shadow_ratio
+from arfx.stages.light.plane_shadow import (
     PLANE_LEVELS,
     SoftPicture,
-    beam_texture,
+    beam_textures,
     plane_shadow_texture,
     within_surface,
 )
-from arfx.stages.lightmap.region import SHAPED, ShadowRegion, shadow_region
-from arfx.stages.lightmap.self_occlusion import (
-    OCCLUSION_LEVELS,
-    OcclusionGrid,
+from arfx.stages.light.region import UNEVEN, ShadowRegion, shadow_region
+from arfx.stages.light.soft_visibility import (
+    SoftVisibility,
     soft_visibility,
-    soft_visibility_by_rays,
+    visible_fraction,
+    visible_fraction_by_rays,
 )
+from arfx.stages.lightmap.beams import Beam, FrameLight, frame_light
 from arfx.stages.lightmap.self_shadow import (
     SELF_LEVELS,
     depth_map,
@@ -50,10 +48,12 @@ from arfx.stages.lightmap.self_shadow import (
 from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
 from arfx.stages.viewing import direction_grid, seen_rect
 
-COARSE = frozenset({"draft"})  # levels that look light and shadow up for every 2 x 2 pixels
 _BEAM_STEP = np.radians(
     0.02
 )  # lights nearer to each other than this cast the shadow that was made for the first
+
+_SHOWS_FAINTS = 1.45  # times `faint`: what is left of it, faded, is .0036 of the light, half a level of a grey plane
+_SOFT_STEPS = 32
 
 
 @dataclass(frozen=True)
@@ -61,29 +61,28 @@ class LightmapParams:
     """formula : corrected, or paper: Tan, Chen, Sun 2009 as printed
     shadow_strength : strength of the shadow on the plane: 0 = none, 1 = as computed
     self_shadow : strength of the object's shadow on itself: 0 = none, 1 = as computed
-    faint : a shadow that takes less than this fraction of the plane's light is not drawn; up to 3 times that it fades out, 0..0.3
     plane_blocks : light from below the marker's plane does not reach the object
     ambient : include light without a direction; a job with gi turns this off, because gi computes that light itself"""
 
     formula: str = field(default="corrected", init=False)
     shadow_strength: float = 1.0
     self_shadow: float = 1.0
-    faint: float = 0.02
     plane_blocks: bool = True
     ambient: bool = True
 
     def __post_init__(self) -> None:
-        require_within("lightmap", self, shadow_strength=(0, 1), self_shadow=(0, 1), faint=(0, 0.3))
+        require_within("lightmap", self, shadow_strength=(0, 1), self_shadow=(0, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level. ambient : on the plane;  occlusion : on the object, None = by rays;  grid : viewing
-    directions"""
+    """Of one clip, worker and level.
+
+    soft : pictures of the plane that add up;  visibility : on the object, None = by rays;  grid : viewing directions"""
 
     region: ShadowRegion
-    ambient: SoftPicture
-    occlusion: OcclusionGrid | None
+    soft: tuple[SoftPicture, ...]
+    visibility: SoftVisibility | None
     grid: np.ndarray
 
 
@@ -93,10 +92,12 @@ class Lightmap(Stage):
         {Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL, Layer.EMISSIVE}
     )
     writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
-    levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "high", "reference")
+    levels: ClassVar[tuple[str, ...]] = ("standard", "reference")
     facts = frozenset({"pose", "light"})
     Params = LightmapParams
     hard: ClassVar[bool] = False  # lights have no size
+    # A shadow that takes less than this share of the plane's light is not drawn; up to 3 times that it fades out.
+    faint: ClassVar[float] = 0.02
     always = True
     terms = ("frames", "mpx", "object_mpx", "lamps", "lamp_mpx", "new_directions")
 
@@ -113,9 +114,6 @@ class Lightmap(Stage):
         )
         return Demand(model.union(shadow), f"{lit}; {why}")
 
-    def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
-        return blocks_around(out) if level in COARSE else out
-
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
         """Shadows are made for each direction of a light, to within a step."""
         if facts.light is None:
@@ -129,15 +127,11 @@ class Lightmap(Stage):
 
     def prepare(self, scene: Scene, level: str) -> Prepared:
         region = shadow_region(scene)
-        grid = direction_grid(scene.camera, 2 if level in COARSE else 1).astype(np.float32)
-        ambient = region.ambient_picture(self.params.faint, PLANE_LEVELS[level])
-        by_grid = self._soft_occluded and OCCLUSION_LEVELS[level].cells > 0
-        return Prepared(
-            region,
-            ambient,
-            region.occlusion_grid(OCCLUSION_LEVELS[level]) if by_grid else None,
-            grid,
-        )
+        soft = region.soft_pictures(PLANE_LEVELS[level], self._shows_from)
+        visibility = None
+        if self._soft_occluded and level != "reference":
+            visibility = soft_visibility(scene, region.rays, region.soft)
+        return Prepared(region, soft, visibility, direction_grid(scene.camera))
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
         light = self._light(view.facts, view.scene)
@@ -156,15 +150,8 @@ class Lightmap(Stage):
         surface = Surface(*(packed(now[Layer(name)]) for name in Surface._fields))
         eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
-        if view.level not in COARSE:
-            hidden = self._visibilities(surface, view, prepared, light, reaching, eye)
-            return self.shaded(surface, *hidden, reaching, light, eye, view.facts)
-        at = now.rect.y0, now.rect.x0
-        black = block_surface(surface, *at)
-        hidden = self._visibilities(black, view, prepared, light, reaching, eye)
-        both = (black._replace(albedo=np.full_like(black.albedo, v)) for v in (1, 0))
-        made = (self.shaded(blocks, *hidden, reaching, light, eye, view.facts) for blocks in both)
-        return colour(surface, *at, black.coverage, *made)
+        hidden = self._visibilities(surface, view, prepared, light, reaching, eye)
+        return self.shaded(surface, *hidden, reaching, light, eye, view.facts)
 
     def _visibilities(
         self,
@@ -194,7 +181,7 @@ class Lightmap(Stage):
                 if level.rays:
                     visibility[i] = visibility_by_rays(
                         *seen,
-                        prepared.region.rays,
+                        prepared.region.rays.triangles,
                         caster,
                         beam,
                         anchor_from_world,
@@ -210,30 +197,17 @@ class Lightmap(Stage):
         self, surface: Surface, view: View, prepared: Prepared, light: FrameLight
     ) -> np.ndarray:
         """(h, w) share of the soft light that the object leaves itself."""
-        seen = surface.coverage, surface.normal, surface.position
+        layers = surface.coverage, surface.normal, surface.position
         if not self._soft_occluded:
             return np.ones(surface.coverage.shape, np.float32)
-        anchor_from_world, region, grid = (
-            view.scene.world_from_anchor.inverse(),
-            prepared.region,
-            prepared.occlusion,
-        )
-        if grid is None:
-            caster, count = region.caster, OCCLUSION_LEVELS[view.level].rays
-            visible = soft_visibility_by_rays(
-                *seen,
-                region.rays,
-                region.soft_picture,
-                caster,
-                anchor_from_world,
-                light.shape,
-                count,
-            )
+        anchor_from_world = view.scene.world_from_anchor.inverse()
+        region, kept, shape = prepared.region, prepared.visibility, light.shape
+        if kept is None:
+            what = region.rays, region.soft, anchor_from_world, shape
+            visible = visible_fraction_by_rays(layers, *what)
         else:
-            nodes = view.memo.of_light.get(
-                ("object", light.shape), lambda: grid.under(light.shape), "soft"
-            )
-            visible = soft_visibility(*seen, grid, nodes, anchor_from_world, light.shape)
+            nodes = view.memo.of_light.get(("object", shape), lambda: kept.under(shape), "soft")
+            visible = visible_fraction(layers, kept, nodes, anchor_from_world, shape)
         strength = np.float32(self.params.self_shadow)
         return visible if strength == 1 else 1 + strength * (visible - 1)
 
@@ -275,63 +249,78 @@ class Lightmap(Stage):
         strength = self.params.shadow_strength * prepared.region.caster.opacity
         if (
             anchor_from_camera.translation_m[2] <= 0
-            or strength * _darkest(light, scene) <= self.params.faint
+            or strength * _darkest(light, scene) <= self._shows_from
         ):
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
-        make_soft = lambda: within_surface(prepared.ambient.under(light.shape), scene.surface_m)  # noqa: E731
-        soft = view.memo.of_light.get(("plane", light.shape), make_soft, "soft")
-        textures, fractions = [soft], [np.float32(self.params.ambient) * light.ambient_fraction]
+        soft = self._soft_textures(view, prepared, light)
+        ambient = np.float32(self.params.ambient) * light.ambient_fraction
+        lamps: list[PlaneTexture] = []
+        weights = [ambient] * len(soft)
         for beam, fraction in zip(light.beams, light.direct_fractions, strict=True):
             if beam.direction[2] > 0 and fraction.max() > 0:
-                make = lambda b=beam: within_surface(  # noqa: E731
-                    beam_texture(prepared.region.caster, b, PLANE_LEVELS[view.level], self.hard),
-                    scene.surface_m,
-                )
-                textures.append(view.memo.of_light.get(("plane", beam), make))
-                fractions.append(fraction)
+                textures = self._lamp_textures(view, prepared, beam)
+                lamps += textures
+                weights += [fraction] * len(textures)
         real = view.facts.plane_shadow
         blocked = None if real is None else plane_shadow_texture(real, light.ambient_fraction)
-        what = (
-            anchor_from_camera,
-            textures,
-            np.array(fractions),
-            blocked,
-            self.params.faint,
-            strength,
-        )
-        if view.level in COARSE:
-            return Pixels(
-                view.out, coarse_shadow_ratio(view.out, scene.camera.rect, prepared.grid, *what)
-            )
-        return Pixels(view.out, shadow_ratio(view.out, prepared.grid, *what))
+        seen = PlaneView(view.out, prepared.grid, anchor_from_camera)
+        shares = np.reshape(weights, (-1, 3))
+        ratio = shadow_ratio(seen, soft, lamps, shares, ambient, blocked, self.faint, strength)
+        return Pixels(view.out, ratio)
+
+    def _soft_textures(
+        self, view: View, prepared: Prepared, light: FrameLight
+    ) -> tuple[PlaneTexture, ...]:
+        surface_m, shape = view.scene.surface_m, light.shape
+
+        def make() -> tuple[PlaneTexture, ...]:
+            return tuple(within_surface(p.under(shape), surface_m) for p in prepared.soft)
+
+        kept: tuple[PlaneTexture, ...] = view.memo.of_light.get(("plane", shape), make, "soft")
+        return kept
+
+    def _lamp_textures(
+        self, view: View, prepared: Prepared, beam: Beam
+    ) -> tuple[PlaneTexture, ...]:
+        surface_m, level = view.scene.surface_m, PLANE_LEVELS[view.level]
+
+        def make() -> tuple[PlaneTexture, ...]:
+            textures = beam_textures(prepared.region.caster, beam, level, self.hard)
+            return tuple(within_surface(t, surface_m) for t in textures)
+
+        kept: tuple[PlaneTexture, ...] = view.memo.of_light.get(("plane", beam), make)
+        return kept
 
     def _shadow_rect(
         self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight
     ) -> tuple[Rect, str]:
         """Pixels in which the shadow may show, and why those or none."""
-        faint = self.params.faint
+        region, least = shadow_region(scene), self._shows_from
         eye = scene.world_from_anchor.inverse().apply(facts.pose.inverse().translation_m)
         if eye[2] <= 0:
             return EMPTY, "no shadow: plane seen from behind"
-        most = (
-            self.params.shadow_strength
-            * shadow_region(scene).caster.opacity
-            * _darkest(light, scene)
-        )
-        if most <= faint:
+        darkest = _darkest(light, scene)
+        most = self.params.shadow_strength * region.caster.opacity * darkest
+        if most <= least:
             return (
                 EMPTY,
                 f"no shadow: the object takes at most {100 * most:.1f} % of the plane's light",
             )
-        beams = [
-            (b, float(s.max())) for b, s in zip(light.beams, light.direct_fractions, strict=True)
-        ]
+        fractions = light.direct_fractions.max(1) if light.beams else ()
+        beams = tuple(
+            beam
+            for beam, fraction in zip(light.beams, fractions, strict=True)
+            if fraction > self.faint and beam.direction[2] > 0
+        )
         soft = float(light.ambient_fraction.max()) * _unevenness(light)
-        outline = shadow_region(scene).outline_m(soft, beams, faint)
+        steps = max(
+            np.ceil(soft * _SOFT_STEPS), 1
+        )  # so that frames of a like light share an outline
+        outline = region.outline_m(least * _SOFT_STEPS / steps, beams)
         if not len(outline):
             return (
                 EMPTY,
-                f"no shadow: nowhere does the object take {100 * faint:.1f} % of the plane's light",
+                f"no shadow: nowhere does the object take {100 * least:.1f} % of the plane's light",
             )
         rect = _plane_rect(outline, facts, scene).clip(frame)
         if scene.surface_m is not None:
@@ -345,6 +334,11 @@ class Lightmap(Stage):
             if not rect.empty
             else "shadow out of view",
         )
+
+    @property
+    def _shows_from(self) -> float:
+        """The least darkening of which, faded, half a grey level remains."""
+        return _SHOWS_FAINTS * self.faint
 
     def _light(self, facts: FrameFacts, scene: Scene) -> FrameLight:
         return frame_light(
@@ -361,11 +355,10 @@ def _plane_rect(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
 def _darkest(light: FrameLight, scene: Scene) -> float:
     """The largest share of the plane's light, 0..1, that the object can take: every directional light, and of the ambient
     one what it hides where it hides most."""
-    hidden = float(shadow_region(scene).hidden.max())
-    hidden = min(hidden * _unevenness(light), 1.0)
+    hidden = min(shadow_region(scene).hidden * _unevenness(light), 1.0)
     return float((light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max())
 
 
 def _unevenness(light: FrameLight) -> float:
     """How many times as bright as its mean over the plane's hemisphere the soft light is at most, as far as pictures hold it."""
-    return min((1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), SHAPED)
+    return min((1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), UNEVEN)

@@ -66,10 +66,12 @@ def one_sided(shape: tuple[float, float, float], level: float = 0.4) -> Light:
 
 def run_stage(
     s: Scene, level: str = "standard", pose: Pose | None = None, params: LightmapParams | None = None,
-    layers: Layers | None = None, ready: ReadyStage | None = None, **changes: Any,
+    layers: Layers | None = None, ready: ReadyStage | None = None, faint: float | None = None, **changes: Any,
 ) -> dict[Layer, np.ndarray]:  # fmt: skip
-    """VIRTUAL and SHADOW over the whole picture; without layers nothing virtual covers it."""
-    stage = stage_of("lightmap", params or LightmapParams())
+    """VIRTUAL and SHADOW over the whole picture; without layers nothing virtual covers it. faint : None = the stage's own"""
+    stage: Any = stage_of("lightmap", params or LightmapParams())
+    if faint is not None:
+        stage.faint = faint
     f: FrameFacts = facts(s, pose or from_above()).with_(**changes)
     if layers is None:
         layers = layers_of(s.camera.rect, {name: neutral(name, s.camera.rect) for name in Lightmap.reads})

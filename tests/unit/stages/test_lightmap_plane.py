@@ -18,11 +18,11 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import BLEND, MASK, Material
 from arfx.core.stage import ReadyStage
 from arfx.errors import RenderError
+from arfx.stages.light.plane_shadow import PLANE_LEVELS, beam_texture
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.lightmap import stage as stage_module
 from arfx.stages.lightmap.beams import QUANTUM, REACH, disc_directions, quantised
 from arfx.stages.lightmap.caster import make_caster
-from arfx.stages.lightmap.plane import PLANE_LEVELS, beam_texture
 from arfx.stages.lightmap.silhouette import covered_fraction, height_map
 from arfx.stages.triangles import disc
 from tests.scenes import box_model, layers_of
@@ -46,7 +46,6 @@ from tests.unit.stages.lightmap_scenes import (
 LIT = 0.578  # linear light of code 200: the plane without shadow
 # Nothing virtual covers a pixel here: the object's shadow on itself, the dearest to prepare, would be read by none.
 PLANE = LightmapParams(self_shadow=0.0)
-PURE = LightmapParams(faint=0.0, self_shadow=0.0)
 
 
 @cache
@@ -65,11 +64,11 @@ def reference(name: str, azimuth: float, elevation: float, size: float) -> tuple
     return pick, true_ratio(light, HIDES[name], points[pick])
 
 
-def errors(name: str, level: str, params: LightmapParams, azimuth: float, elevation: float, size: float) -> tuple[float, float]:
+def errors(name: str, level: str, faint: float | None, azimuth: float, elevation: float, size: float) -> tuple[float, float]:
     """PSNR (dB) and mean absolute error (8-bit steps) on a plane of code 200, where the true shadow takes over 2 %."""
     pick, truth = reference(name, azimuth, elevation, size)
     s = on_plane(MODELS[name](), lamp(azimuth, elevation, size))
-    made = run_stage(s, level, params=params)[Layer.SHADOW].reshape(-1, 3)[pick]
+    made = run_stage(s, level, params=PLANE, faint=faint)[Layer.SHADOW].reshape(-1, 3)[pick]
     inside = truth.min(1) < 0.98
     assert inside.sum() > 150
     e = 255 * (SRGB.encode(LIT * made[inside].astype(float)) - SRGB.encode(LIT * truth[inside]))
@@ -81,13 +80,11 @@ def errors(name: str, level: str, params: LightmapParams, azimuth: float, elevat
     [((40, 50, 20.0), "ball"), ((40, 50, 20.0), "box"), ((150, 35, 5.0), "box"), ((100, 20, 10.0), "ball")],
 )
 def test_error_against_true_rays_falls_with_the_level(name: str, light: tuple[float, float, float]) -> None:
-    got = {level: errors(name, level, PURE, *light) for level in ("draft", "standard", "high", "reference")}
+    got = {level: errors(name, level, 0.0, *light) for level in ("standard", "reference")}
     psnr, mean = ({k: v[i] for k, v in got.items()} for i in (0, 1))
-    assert psnr["standard"] > 38 and mean["standard"] < 1.0, got
-    assert psnr["high"] > 42 and mean["high"] < 0.6 * mean["standard"], got
-    assert mean["draft"] > 2 * mean["standard"], got
+    assert psnr["standard"] > 38 and mean["standard"] < 0.8, got
     # what is left of these is the noise of the true rays
-    assert psnr["reference"] > 46 and mean["reference"] < mean["high"] + 0.03, got
+    assert psnr["reference"] > 46 and mean["reference"] < mean["standard"] + 0.03, got
 
 
 def test_soft_light_from_one_side_leaves_a_shadow_on_the_other() -> None:
@@ -101,20 +98,15 @@ def test_soft_light_from_one_side_leaves_a_shadow_on_the_other() -> None:
     light = 1 + sky @ shape
     hidden = HIDES["ball"](at, sky)
     truth, even = hidden @ light / light.sum(), hidden.mean(1)
-    made = 1 - run_stage(s, "standard", pose, PURE)[Layer.SHADOW][beside[:, 0], beside[:, 1], 0]
+    made = 1 - run_stage(s, "standard", pose, PLANE, faint=0.0)[Layer.SHADOW][beside[:, 0], beside[:, 1], 0]
     assert np.abs(made - truth).mean() < 0.006 < 0.03 < np.abs(even - truth).mean()
     assert made[at[:, 0] < 0].mean() > 1.3 * made[at[:, 0] > 0].mean()
 
 
 @pytest.mark.parametrize("name", ["ball", "box"])
 def test_leaving_out_what_is_faint_costs_less_than_two_grey_levels(name: str) -> None:
-    psnr, mean = errors(name, "standard", LightmapParams(), 40, 50, 20.0)
+    psnr, mean = errors(name, "standard", None, 40, 50, 20.0)
     assert psnr > 40 and mean < 2
-
-
-def test_draft_is_exact_for_a_small_light() -> None:
-    psnr, mean = errors("ball", "draft", PURE, 250, 60, 0.5)
-    assert psnr > 40 and mean < 0.8
 
 
 def test_half_the_light_makes_146_of_200() -> None:
@@ -126,7 +118,7 @@ def test_half_the_light_makes_146_of_200() -> None:
 
     sine = np.sin(np.radians(40))
     s = on_plane(box_model(), lamp(90, 40, 0.5, (0.5 / sine,) * 3, 0.5), height_m=0.5)
-    shadow = run_stage(s, params=PURE, pose=from_above(60, 2.0))[Layer.SHADOW]
+    shadow = run_stage(s, params=PLANE, faint=0.0, pose=from_above(60, 2.0))[Layer.SHADOW]
     at = s.camera.project(from_above(60, 2.0).apply(np.array([0, -(0.5 + RADIUS_M) / np.tan(np.radians(40)), 0])))
     x, y = np.round(at).astype(int)
     assert shadow[y, x] == pytest.approx(0.5, abs=0.012)  # a box half a metre up takes 0.6 % of the sky
@@ -152,7 +144,7 @@ def test_half_the_light_makes_146_of_200() -> None:
     np.testing.assert_allclose(made[y, x], np.array(bias) + (plate[y, x] - np.array(bias)) / 2, atol=1e-6)
 
 
-@pytest.mark.parametrize("level", ["draft", "standard", "high"])
+@pytest.mark.parametrize("level", ["standard"])
 @pytest.mark.parametrize("azimuth", [0, 100, 215])
 def test_it_falls_away_from_the_light(level: str, azimuth: float) -> None:
     s = on_plane(ball_model(3), lamp(azimuth, 35, 3.0, ambient=0.0))
@@ -165,7 +157,7 @@ def test_it_falls_away_from_the_light(level: str, azimuth: float) -> None:
     np.testing.assert_allclose(middle[:2], away[:2], atol=0.15 * RADIUS_M)
 
 
-@pytest.mark.parametrize("level", ["draft", "standard", "high"])
+@pytest.mark.parametrize("level", ["standard"])
 @pytest.mark.parametrize("elevation", [75, 30, 8])
 def test_contact_is_dark_and_the_shadow_hangs_on_the_object(level: str, elevation: float) -> None:
     s = on_plane(box_model(), lamp(0, elevation, 8.0, ambient=0.15))
@@ -186,7 +178,7 @@ def test_contact_is_dark_and_the_shadow_hangs_on_the_object(level: str, elevatio
 def test_no_shadow_where_the_light_reaches() -> None:
     s = on_plane(box_model(), lamp(0, 45, 2.0, ambient=0.0))
     pose = from_above()
-    for level in ("draft", "standard", "high"):
+    for level in ("standard",):
         shadow = run_stage(s, level, pose, PLANE)[Layer.SHADOW][..., 0]
         points = ground_points(s, pose)
         clear = np.abs(points[..., 1]) > RADIUS_M + 0.012
@@ -206,7 +198,7 @@ ELEVATIONS_DEG = (-90.0, -30.0, -1e-6, 0.0, 1e-9, 1e-3, 0.2, 3.0, 90.0)
 
 @pytest.mark.parametrize(
     ("level", "elevation"),
-    [*itertools.product(("draft", "standard", "high"), ELEVATIONS_DEG), *(("reference", e) for e in (-90.0, 0.0, 1e-3))],
+    [*itertools.product(("standard",), ELEVATIONS_DEG), *(("reference", e) for e in (-90.0, 0.0, 1e-3))],
 )
 def test_horizon(level: str, elevation: float) -> None:
     s = on_plane(ball_model(2), lamp(30, elevation, 6.0))
@@ -230,7 +222,7 @@ def test_two_lights_take_their_own_colours() -> None:
     lights = (DirectionalLight(towards(0, 40), red, 1.0), DirectionalLight(towards(120, 40), blue, 1.0))
     s = on_plane(box_model(), Light((0.2, 0.2, 0.2), lights), height_m=0.4)
     pose = from_above(50, 2.2)
-    shadow = run_stage(s, pose=pose, params=PURE)[Layer.SHADOW]
+    shadow = run_stage(s, pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW]
     sine, reach = np.sin(np.radians(40)), (0.4 + RADIUS_M) / np.tan(np.radians(40))
     whole = 0.2 + sine * (np.array(red) + np.array(blue))
     for azimuth, left in ((0, blue), (120, red)):
@@ -255,8 +247,8 @@ def test_what_is_blocked_already_is_not_taken_twice() -> None:
     grid[:10] = share  # plate over lit: below y = 0 only the ambient light is left
     shadow = PlaneShadow((-0.5, -0.5, 0.5, 0.5), tuple(map(tuple, grid.tolist())))
     pose = from_above()
-    free, known = (run_stage(s, pose=pose, params=PURE, plane_shadow=p)[Layer.SHADOW][..., 0] for p in (None, shadow))
-    sky = run_stage(on_plane(box_model(), Light((0.2, 0.2, 0.2), ())), pose=pose, params=PURE)[Layer.SHADOW][..., 0]
+    free, known = (run_stage(s, pose=pose, params=PLANE, faint=0.0, plane_shadow=p)[Layer.SHADOW][..., 0] for p in (None, shadow))
+    sky = run_stage(on_plane(box_model(), Light((0.2, 0.2, 0.2), ())), pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW][..., 0]
     points = ground_points(s, pose)
     shadowed, lit = points[..., 1] < -0.03, points[..., 1] > 0.03
     np.testing.assert_allclose(known[shadowed], sky[shadowed], atol=1e-4)
@@ -270,7 +262,7 @@ def test_what_is_blocked_already_is_not_taken_twice() -> None:
 
 def test_a_still_light_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
-    for name in ("beam_texture", "depth_map"):
+    for name in ("beam_textures", "depth_map"):
         real = getattr(stage_module, name)
         monkeypatch.setattr(stage_module, name, lambda *a, name=name, real=real: (made.append(name), real(*a))[1])
     light = lamp(30, 45, 5.0)
@@ -278,7 +270,7 @@ def test_a_still_light_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> Non
     ready = ReadyStage.of(Lightmap(), s, "standard")
     go = lambda li, **k: run_stage(s, ready=ready, light=li, **k)[Layer.SHADOW]  # noqa: E731
     first = go(light)
-    assert sorted(made) == ["beam_texture", "depth_map"]
+    assert sorted(made) == ["beam_textures", "depth_map"]
     d = np.array(towards(30, 45))
     same = Light((0.3, 0.3, 0.3), (DirectionalLight(tuple(d), (0.9, 0.8, 0.7), 5.0),), "marker")
     go(same), go(light, pose=from_above(50))
@@ -375,7 +367,7 @@ def test_the_highest_surface_wins() -> None:
     assert (made[x + y > 20] == -9).all()
 
 
-@pytest.mark.parametrize("level", ["standard", "high"])
+@pytest.mark.parametrize("level", ["standard"])
 def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str) -> None:
     """A box half a metre up under a vertical light of 10 degrees: its edge against the share of a disc beyond a chord."""
     s = on_plane(box_model(), lamp(0, 90, 10.0), height_m=0.5)
@@ -386,19 +378,19 @@ def test_the_penumbra_is_as_wide_as_the_light_and_the_height_make_it(level: str)
     made = cv2.remap(texture.dark, *(places[:, i : i + 1].astype(np.float32) for i in (0, 1)), cv2.INTER_LINEAR)[:, 0]
     truth = HIDES["box"](np.column_stack([x, np.zeros((61, 2))]), disc_samples(np.array([0, 0, 1.0]), 10.0, 64), 0.5).mean(1)
     assert ((truth > 0.05) & (truth < 0.95)).sum() > 20
-    assert np.abs(made - truth).max() < {"standard": 0.06, "high": 0.045}[level]
+    assert np.abs(made - truth).max() < 0.06
     assert np.diff(made).min() > -0.01, "a ramp without steps back"
     assert np.diff(made).max() < 1.8 * np.diff(truth).max(), "and without steps"
 
 
-@pytest.mark.parametrize("level", ["draft", "standard"])
+@pytest.mark.parametrize("level", ["standard"])
 def test_a_shadow_is_as_dark_as_its_object_is_opaque(level: str) -> None:
     light = lamp(30, 50, 5.0)
 
     def shadow(*materials: Material) -> np.ndarray:
         boxes = [box_model(material=m).parts[0] for m in materials]
         model = replace(box_model(), parts=tuple(replace(b, vertices=b.vertices / (k + 1)) for k, b in enumerate(boxes)))
-        return run_stage(on_plane(model, light), level, params=PURE)[Layer.SHADOW]
+        return run_stage(on_plane(model, light), level, params=PLANE, faint=0.0)[Layer.SHADOW]
 
     def made_of(alpha: float, mode: str = BLEND) -> Material:
         return Material(base_colour=(1.0, 1.0, 1.0, alpha), alpha_mode=mode)
@@ -423,6 +415,6 @@ def test_what_is_sunk_under_the_plane_casts_nothing_on_it() -> None:
     truth = HIDES["ball"](flat, to_light, -RADIUS_M).reshape(points.shape[:2])
     truth |= np.linalg.norm(points, axis=-1) < RADIUS_M  # within the ball: the light is outside it, on whatever side
     blurred = cv2.dilate(truth.astype(np.uint8), np.ones((5, 5))) != cv2.erode(truth.astype(np.uint8), np.ones((5, 5)))
-    shadow = run_stage(half_sunk, pose=pose, params=PURE)[Layer.SHADOW][..., 0]
+    shadow = run_stage(half_sunk, pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW][..., 0]
     assert (np.abs(shadow - (1 - truth))[~blurred] < 0.05).all()
-    assert (run_stage(whole, pose=pose, params=PURE)[Layer.SHADOW][..., 0] != shadow).mean() > 0.01
+    assert (run_stage(whole, pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW][..., 0] != shadow).mean() > 0.01

@@ -18,9 +18,9 @@ from arfx.core.stage import ReadyStage, level_named
 from arfx.papers.s1_lightmap import PrintedLightmapParams
 from arfx.run.parameters import stage_of
 from arfx.stages import STAGES
+from arfx.stages.light.region import ShadowRegion
+from arfx.stages.light.soft_visibility import soft_visibility, visible_fraction, visible_fraction_by_rays
 from arfx.stages.lightmap import Lightmap, LightmapParams
-from arfx.stages.lightmap.region import ShadowRegion
-from arfx.stages.lightmap.self_occlusion import OCCLUSION_LEVELS, soft_visibility, soft_visibility_by_rays
 from tests.contract.stage_laws import run as run_law
 from tests.scenes import box_model, facts, layers_of
 from tests.unit.stages.lightmap_scenes import (
@@ -38,7 +38,7 @@ from tests.unit.stages.lightmap_scenes import (
     towards,
 )
 
-LEVELS = ("draft", "standard", "high", "reference")
+LEVELS = ("standard", "reference")
 BARE = LightmapParams(self_shadow=0.0, plane_blocks=False)
 PRINTED = PrintedLightmapParams(self_shadow=0.0, plane_blocks=False)
 SOFT = (
@@ -65,29 +65,11 @@ def surface(
     return layers_of(s.camera.rect, arrays)
 
 
-def apart(s: Scene, layers: Layers) -> tuple[Scene, Layers]:
-    """Every pixel as a block of 2 x 2 with bare ones around it: draft's light of one place is no other's."""
-    camera = Camera(4 * s.camera.width, 4 * s.camera.height, s.camera.matrix)
-    arrays = {name: neutral(name, camera.rect) for name in Lightmap.reads}
-    for name, to in arrays.items():
-        for y, x in np.ndindex(2, 2):
-            to[y::4, x::4] = layers[name]
-    return replace(s, camera=camera), layers_of(camera.rect, arrays)
-
-
 def shaded(s: Scene, layers: Layers, params: LightmapParams = BARE, level: str = "standard", **changes: object) -> np.ndarray:
-    """VIRTUAL. The plane's shadow, which is not looked at, is a draft and left out: the reference's takes seconds."""
-    if level == "draft":
-        s, layers = apart(s, layers)
-        return shaded_as_they_are(s, layers, params, level, **changes)[::4, ::4]
-    return shaded_as_they_are(s, layers, params, level, **changes)
-
-
-def shaded_as_they_are(s: Scene, layers: Layers, params: LightmapParams, level: str, **changes: object) -> np.ndarray:
-    params = replace(params, shadow_strength=0.0)
-    stage = stage_of("lightmap", params)
-    draft = replace(ReadyStage.of(stage, s, "draft"), level=level_named(stage.levels, level))
-    return run_stage(s, layers=layers, ready=draft, model_box=s.camera.rect, **changes)[Layer.VIRTUAL]
+    """VIRTUAL. The plane's shadow, which is not looked at, is left out."""
+    stage = stage_of("lightmap", replace(params, shadow_strength=0.0))
+    ready = ReadyStage.of(stage, s, level_named(stage.levels, level))
+    return run_stage(s, layers=layers, ready=ready, model_box=s.camera.rect, **changes)[Layer.VIRTUAL]
 
 
 def any_normals(s: Scene) -> np.ndarray:
@@ -121,43 +103,6 @@ def test_virtual_paper_matches_the_paper_beside_it(exposure: float) -> None:
     np.testing.assert_allclose(made, np.broadcast_to(marker, made.shape), atol=2e-6)
 
 
-@pytest.mark.parametrize("material", [(0.0, 0.5, 0.5), (1.0, 0.4, 0.5)])
-def test_draft_is_standard_where_the_light_is_even_and_colours_are_not(material: tuple[float, float, float]) -> None:
-    """A flat piece of many colours with a soft rim and some glow, anywhere in the picture: only the light is coarse."""
-    s, g = on_plane(box_model(), Light(lights=TWO, soft=SOFT)), np.random.default_rng(3)
-    n, at = (np.broadcast_to(v, (s.camera.height, s.camera.width, 3)) for v in ([0.6, 0.0, 0.8], [0.0, 0.0, 0.3]))
-    layers = surface(s, n, at, material=material)
-    arrays = {name: layers[name].copy() for name in Lightmap.reads}
-    arrays[Layer.ALBEDO] = g.random(arrays[Layer.ALBEDO].shape, np.float32)
-    arrays[Layer.EMISSIVE] = g.random(arrays[Layer.EMISSIVE].shape, np.float32)
-    inside = np.hypot(*(np.indices(arrays[Layer.COVERAGE].shape) - [[[70]], [[90]]])) < 40
-    arrays[Layer.COVERAGE] = inside * g.random(inside.shape, np.float32)
-    for first in (0, 1):
-        layers = layers_of(s.camera.rect, arrays).crop(Rect(31 + first, 17, 200, 141))
-        draft, standard = (shaded_as_they_are(s, layers, BARE, level, bias_rgb=(0.1, 0.2, 0.3)) for level in LEVELS[:2])
-        np.testing.assert_allclose(draft, standard, atol=2e-6)
-        assert standard.max() > 0.5 and 0 < (standard > 0).mean() < 0.5
-
-
-def test_draft_shades_what_is_thinner_than_a_block_and_edges_keep_to_themselves() -> None:
-    """Single pixels, each with its own normal; and two sides of an edge, each lit as by itself but beside the edge."""
-    light = Light(lights=TWO[:1], ambient_rgb=(0.1, 0.1, 0.1))
-    s, g = on_plane(box_model(), light), np.random.default_rng(4)
-    n = any_normals(s)
-    layers = surface(s, n, far(s))
-    arrays = {name: layers[name].copy() for name in Lightmap.reads}
-    arrays[Layer.COVERAGE] = np.zeros_like(arrays[Layer.COVERAGE])
-    y, x = (a.ravel() for a in np.mgrid[:40, :50] * 4 + g.integers(0, 2, (2, 40, 50)))
-    arrays[Layer.COVERAGE][y, x] = g.uniform(0.1, 1, 2000)
-    draft, standard = (shaded_as_they_are(s, layers_of(s.camera.rect, arrays), BARE, level) for level in LEVELS[:2])
-    np.testing.assert_allclose(draft, standard, atol=2e-6)
-    sides = np.where((np.arange(s.camera.width) < 101)[None, :, None], [0.0, 0.0, 1.0], [0.8, 0.0, 0.6])
-    layers = surface(s, np.broadcast_to(sides, n.shape), far(s))
-    draft, standard = (shaded_as_they_are(s, layers, BARE, level) for level in LEVELS[:2])
-    apart_px = np.flatnonzero((np.abs(draft - standard) > 1e-5).any((0, 2)))
-    assert apart_px.min() >= 98 and apart_px.max() <= 103 and np.abs(draft - standard).max() > 0.01
-
-
 def test_light_under_the_horizon_reaches_the_object_only_if_the_plane_lets_it() -> None:
     s = on_plane(box_model(), lamp(0, -20, 2.0, ambient=0.0))
     down = np.broadcast_to(towards(0, -20), (s.camera.height, s.camera.width, 3))
@@ -188,7 +133,7 @@ def stacked() -> Model:
     return Model((cube, replace(slab, vertices=low)), up="z", source="cube on a table")
 
 
-@pytest.mark.parametrize(("level", "most"), [("draft", 0.25), ("standard", 0.05), ("high", 0.03), ("reference", 0.03)])
+@pytest.mark.parametrize(("level", "most"), [("standard", 0.05), ("reference", 0.03)])
 def test_shadow_on_itself_against_true_rays(level: str, most: float) -> None:
     """The table's top around the cube; the light of 12 degrees leaves a wide penumbra there."""
     light = lamp(30, 40, 12.0, ambient=0.0)
@@ -227,21 +172,18 @@ def test_soft_light_that_the_object_hides_from_itself_against_true_rays() -> Non
         light = 1 + sky @ shape
         truth = 1 - hidden @ light / light.sum()
         surface_, place = (covered, up, at.astype(np.float32)), (Pose.identity(), shape)
-        error = {}
-        for level in ("draft", "standard", "high"):
-            grid = region.occlusion_grid(OCCLUSION_LEVELS[level])
-            error[level] = np.abs(soft_visibility(*surface_, grid, grid.under(shape), *place)[0] - truth).mean()
-        traced = soft_visibility_by_rays(*surface_, region.rays, region.soft_picture, region.caster, *place, 400)[0]
-        error["reference"] = np.abs(traced - truth).mean()
-        assert truth.min() < 0.65 and error["standard"] < 0.02 and error["reference"] < 0.006, error
-        assert error["draft"] > error["standard"] > error["high"] > error["reference"], error
+        kept = soft_visibility(s, region.rays, region.soft)
+        standard = np.abs(visible_fraction(surface_, kept, kept.under(shape), *place)[0] - truth).mean()
+        traced = visible_fraction_by_rays(surface_, region.rays, region.soft, *place)[0]
+        reference = np.abs(traced - truth).mean()
+        assert truth.min() < 0.65 and reference < 0.006 < standard < 0.02, (standard, reference)
 
 
 def test_what_is_near_its_own_shadow_on_the_plane_is_dark() -> None:
     s = on_plane(ball_model(3), one_sided((0.0, 0.0, 0.0)), Camera(50, 50, np.array([[50.0, 0, 25], [0, 50, 25], [0, 0, 1]])))
     n = any_normals(s)
     layers = surface(s, n, RADIUS_M * n + [0, 0, RADIUS_M])
-    left = [shaded(s, layers, replace(LightmapParams(), self_shadow=k), "draft")[..., 0] / (0.87 * 0.4) for k in (1.0, 0.5, 0.0)]
+    left = [shaded(s, layers, replace(LightmapParams(), self_shadow=k))[..., 0] / (0.87 * 0.4) for k in (1.0, 0.5, 0.0)]
     assert np.abs(left[2] - 1).max() < 1e-3 and np.abs(left[1] - (1 + left[0]) / 2).max() < 1e-3
     height = n[..., 2]
     assert left[0][height > 0.3].min() > 0.93 and left[0][height < -0.9].max() < 0.5
@@ -308,11 +250,9 @@ def test_outside_the_demand_nothing_changes(light: Light) -> None:
     rect = Lightmap().demand(facts(s, from_above()), s, s.camera.rect).rect
     outside = np.ones((s.camera.height, s.camera.width), bool)
     outside[rect.slices] = False
-    for level in ("draft", "standard", "high"):
-        made = run_stage(s, level)
-        # the rectangle is found without the picture: what it leaves out is less than half a grey level
-        assert made[Layer.SHADOW][outside].min() > 1 - 0.0025 and (made[Layer.VIRTUAL] == 0).all()
-        assert (made[Layer.SHADOW][outside] == 1).mean() > 0.99
+    made = run_stage(s)
+    # what the rectangle leaves out is less than half a grey level
+    assert made[Layer.SHADOW][outside].min() > 1 - 0.0044 and (made[Layer.VIRTUAL] == 0).all()
     plate = np.random.default_rng(0).random((s.camera.height, s.camera.width, 3), np.float32)
     none = {name: neutral(name, s.camera.rect) for name in (Layer.VIRTUAL, Layer.COVERAGE)}
     layers = layers_of(s.camera.rect, {**none, Layer.PLATE: plate, Layer.IMAGE: plate, Layer.SHADOW: made[Layer.SHADOW]})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.stages.gi import stage
-from arfx.stages.lightmap.region import shadow_region
+from arfx.stages.light.region import shadow_region
 from tests.scenes import box_model, camera, scene
 
 

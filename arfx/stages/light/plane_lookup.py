@@ -1,0 +1,184 @@
+"""Textures of a real plane, looked up where each pixel's viewing ray meets it.
+
+The lens is followed by viewing directions at every GRID_PX-th pixel, linear between. Cost: O(pixels) for each texture."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+from arfx.stages.viewing import GRID_PX
+
+_FAST = {"contract", "nsz", "arcp"}
+_LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it counts as none
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneTexture:
+    """A picture of a plane.
+
+    dark (rows, columns) : float32, 0 along the border: so is everything outside
+    texel_from_m (2, 3) : column and row from plane coordinates (x, y, 1), metres"""
+
+    dark: np.ndarray
+    texel_from_m: np.ndarray
+
+
+class PlaneView:
+    """The pixels of a rectangle as they see a plane.
+
+    grid : viewing directions of the camera, as `direction_grid` makes them
+    plane_from_camera : pose whose z axis is the plane's normal"""
+
+    def __init__(self, rect: Rect, grid: np.ndarray, plane_from_camera: Pose) -> None:
+        left, top = rect.x0 // GRID_PX, rect.y0 // GRID_PX
+        right, bottom = (rect.x1 - 1) // GRID_PX + 2, (rect.y1 - 1) // GRID_PX + 2
+        self.rect = rect
+        self._corner = rect.x0 - left * GRID_PX, rect.y0 - top * GRID_PX
+        self._nodes = grid[top:bottom, left:right].astype(float) @ plane_from_camera.rotation.T
+        self._eye = plane_from_camera.translation_m
+
+    def add(
+        self,
+        out: np.ndarray,
+        texture: PlaneTexture,
+        weights: np.ndarray,
+        share: np.ndarray | None = None,
+    ) -> None:
+        """out (c, h, w) float32 += weights (c,) x the texture x share (h, w), None = 1."""
+        linear, offset = texture.texel_from_m[:, :2], texture.texel_from_m[:, 2]
+        directions = np.moveaxis(self._nodes, 2, 0)
+        across = np.tensordot(linear, directions[:2], 1)
+        nodes = np.stack([*across, directions[2]]).astype(np.float32)
+        start = np.array([*(linear @ self._eye[:2] + offset), self._eye[2]], np.float32)
+        none = np.zeros((0, 0), np.float32)
+        weights = np.asarray(weights, np.float32)
+        share = none if share is None else share
+        _add_texture(out, self._corner, nodes, start, texture.dark, weights, share)
+
+
+def shadow_ratio(
+    view: PlaneView,
+    soft: Sequence[PlaneTexture],
+    lamps: Sequence[PlaneTexture],
+    weights: np.ndarray,
+    ambient: np.ndarray,
+    blocked: PlaneTexture | None,
+    faint: float,
+    strength: float,
+) -> np.ndarray:
+    """(h, w, 3) float32 ratio of the light that the object leaves the plane; 1 where it leaves all.
+
+    soft, lamps : what is taken of their light;  weights (t, 3) : of each, its part of the plane's light
+    ambient (3,) : the soft light's part;  blocked : share of every lamp's light that something real takes already
+    faint : darkening under it is left out, over 3 times as much kept whole, faded between
+    strength : 0..1"""
+    height, width = view.rect.height, view.rect.width
+    grey = bool((weights == weights[:, :1]).all() and (ambient == ambient[0]).all())
+    channels = 1 if grey else 3
+    taken = np.zeros((channels, height, width), np.float32)
+    lamps_left = None
+    if blocked is not None:
+        lamps_left = np.ones((1, height, width), np.float32)
+        view.add(lamps_left, blocked, np.array([-1.0]))
+    for k, texture in enumerate((*soft, *lamps)):
+        reaches = None if lamps_left is None or k < len(soft) else lamps_left[0]
+        view.add(taken, texture, weights[k, :channels], reaches)
+    if lamps_left is not None:  # what is there already is less than the whole light
+        part = ambient[:channels].astype(np.float32)[:, None, None]
+        taken /= np.maximum(part + (1 - part) * lamps_left, _LEAST_LIGHT)
+    ratio = np.empty((height, width, 3), np.float32)
+    rise = np.float32(0.5 / max(faint, 1e-6))
+    _write_ratio(ratio, taken, np.float32(faint), rise, np.float32(strength))
+    return ratio
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _add_texture(out, corner, nodes, start, texture, weights, share):  # pragma: no cover - compiled
+    """Rows of `PlaneView.add`.
+
+    corner : the first pixel, from the first node
+    nodes (3, gh, gw) : column and row by which a ray moves on, and its rise;  start (3,) : of all"""
+    channels, height, width = out.shape
+    rows, columns = texture.shape
+    x0, y0 = corner
+    cells = nodes.shape[2] - 1
+    line = np.empty((3, cells + 1), np.float32)
+    across, down = np.empty(cells * GRID_PX, np.float32), np.empty(cells * GRID_PX, np.float32)
+    rise = np.empty(cells * GRID_PX, np.float32)
+    texel, value = np.empty(width, np.int32), np.empty(width, np.float32)
+    flat = texture.reshape(-1)
+    zero, step = np.float32(0), np.float32(1.0 / GRID_PX)
+    last_u, last_v = np.float32(columns - 1.01), np.float32(rows - 1.01)
+    for j in range(height):
+        cell_row, below_row = (y0 + j) // GRID_PX, np.float32((y0 + j) % GRID_PX) * step
+        for k in range(3):
+            above, below = nodes[k, cell_row], nodes[k, cell_row + 1]
+            for i in range(cells + 1):
+                line[k, i] = above[i] + below_row * (below[i] - above[i])
+        for q in range(cells):
+            left = np.uintp(q * GRID_PX)
+            u0, v0, z0 = line[0, q], line[1, q], line[2, q]
+            du, dv, dz = line[0, q + 1] - u0, line[1, q + 1] - v0, line[2, q + 1] - z0
+            for i in range(GRID_PX):
+                across[left + np.uintp(i)] = u0 + np.float32(i) * step * du
+            for i in range(GRID_PX):
+                down[left + np.uintp(i)] = v0 + np.float32(i) * step * dv
+            for i in range(GRID_PX):
+                rise[left + np.uintp(i)] = z0 + np.float32(i) * step * dz
+        u, v, z = across[x0 : x0 + width], down[x0 : x0 + width], rise[x0 : x0 + width]
+        for i in range(width):
+            meets = z[i] < zero
+            distance = start[2] / -z[i]
+            column = min(max(start[0] + distance * u[i], zero), last_u)
+            row = min(max(start[1] + distance * v[i], zero), last_v)
+            u[i], v[i] = column if meets else zero, row if meets else zero
+        first, after = 0, width
+        while first < after and not (zero < u[first] < last_u and zero < v[first] < last_v):
+            first += 1
+        while first < after and not (zero < u[after - 1] < last_u and zero < v[after - 1] < last_v):
+            after -= 1
+        n = after - first
+        u, v = u[first:after], v[first:after]
+        for i in range(n):
+            column, row = np.int32(u[i]), np.int32(v[i])
+            u[i] -= np.float32(column)
+            v[i] -= np.float32(row)
+            texel[i] = row * np.int32(columns) + column
+        for i in range(n):
+            a = np.uintp(texel[i])
+            b = a + np.uintp(columns)
+            top = flat[a] + u[i] * (flat[a + np.uintp(1)] - flat[a])
+            bottom = flat[b] + u[i] * (flat[b + np.uintp(1)] - flat[b])
+            value[i] = top + v[i] * (bottom - top)
+        if share.shape[0] > 0:
+            open_share = share[j, first:after]
+            for i in range(n):
+                value[i] *= open_share[i]
+        for c in range(channels):
+            to, weight = out[c, j, first:after], weights[c]
+            for i in range(n):
+                to[i] += weight * value[i]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+def _write_ratio(out, taken, faint, rise, strength):  # pragma: no cover - compiled
+    """out (h, w, 3) : 1 - `taken` (c, h, w), faded in above `faint` by the channel that loses most."""
+    channels, height, width = taken.shape
+    zero, one, three = np.float32(0), np.float32(1), np.float32(3)
+    shown = np.empty(width, np.float32)
+    for j in range(height):
+        r, g, b = taken[0, j], taken[channels // 2, j], taken[channels - 1, j]
+        for i in range(width):
+            t = min(max((max(max(r[i], g[i]), b[i]) - faint) * rise, zero), one)
+            shown[i] = strength * t * t * (three - t - t)
+        for i in range(width):
+            out[j, i, 0] = one - min(shown[i] * r[i], one)
+            out[j, i, 1] = one - min(shown[i] * g[i], one)
+            out[j, i, 2] = one - min(shown[i] * b[i], one)

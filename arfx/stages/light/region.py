@@ -1,0 +1,99 @@
+"""Where on the plane the shadow shows: points around it, for the rectangle of a frame. Found without the picture.
+
+The soft light: a coarse picture of the plane. Lamps: the hull of the object, cast from the rim of the lamp's disc."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from arfx.core.memo import memo_of
+from arfx.core.scene import Scene
+from arfx.stages.light.plane_shadow import PlaneLevel, SoftPicture, soft_picture, soft_pictures
+from arfx.stages.light.surfels import ObjectRays
+from arfx.stages.lightmap.beams import Beam, disc_directions
+from arfx.stages.lightmap.caster import Caster, make_caster
+
+_TEXELS, _SKY = 96, 256
+# Heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less.
+_BORDER = 2.5
+UNEVEN = (
+    2.0  # times what it takes of even light that an object takes of light from one side, at most
+)
+_PLACEMENTS = 4  # of one model, whose regions are kept
+_SIDES = 4  # points a side of an outline: a lens bends it
+_RIM = 1.04  # of a lamp's disc, as seen by the corners of a hull of twelve
+
+
+class ShadowRegion:
+    """The plane around one scene's object. caster, rays : the object;  soft : coarse picture of the plane around it"""
+
+    def __init__(self, scene: Scene) -> None:
+        self.caster: Caster = make_caster(scene)
+        self.rays = ObjectRays(scene)
+        footprint = self.caster.outline[:, :2]
+        border = max(_BORDER * self.caster.height_m, 1e-3 * self.caster.extent_m)
+        low, high = footprint.min(0) - border, footprint.max(0) + border
+        self.soft = soft_picture(self.caster, low, high, _TEXELS**2, _SKY)
+        self.outline_m = lru_cache(maxsize=256)(self._outline_m)
+        self.soft_pictures = lru_cache(maxsize=2)(self._soft_pictures)
+
+    @property
+    def hidden(self) -> float:
+        """The most that the object hides of the plane's hemisphere, 0..1."""
+        return float(self.soft.hidden[0].max())
+
+    def _soft_pictures(self, level: PlaneLevel, least: float) -> tuple[SoftPicture, ...]:
+        """What the object takes of the soft light, where that can be more than `least` whatever its shape."""
+        points = self._soft_outline_m(least / UNEVEN)
+        if not len(points):
+            return ()
+        return soft_pictures(self.caster, points.min(0), points.max(0), level)
+
+    def _outline_m(self, least_hidden: float, beams: tuple[Beam, ...]) -> np.ndarray:
+        """(k, 2) metres: points around the shadow; none where nothing shows.
+
+        least_hidden : share of the soft light that has to be hidden to show;  beams : lamps whose shadow shows"""
+        parts = [self._soft_outline_m(least_hidden), *map(self._beam_outline_m, beams)]
+        points = np.concatenate(parts)
+        return _subdivided(_hull(points)) if len(points) else points
+
+    def _soft_outline_m(self, least_hidden: float) -> np.ndarray:
+        dark = np.argwhere(self.soft.hidden[0] > least_hidden)[:, ::-1]
+        if not len(dark):
+            return np.zeros((0, 2))
+        # a texel and its neighbours: the coarse picture may miss the border by one
+        around = dark[:, None] + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        matrix = self.soft.texel_from_m
+        texels = _hull(around.reshape(-1, 2).astype(float))
+        return (texels - matrix[:, 2]) / np.diag(matrix[:, :2])
+
+    def _beam_outline_m(self, beam: Beam) -> np.ndarray:
+        angle = np.arange(12) * np.pi / 6
+        rim = _RIM * np.column_stack([np.cos(angle), np.sin(angle)])
+        towards = disc_directions(beam, np.concatenate([np.zeros((1, 2)), rim]))
+        p, slopes = self.caster.outline, towards[:, :2] / towards[:, 2:]
+        return _hull((p[None, :, :2] - slopes[:, None] * p[None, :, 2:]).reshape(-1, 2))
+
+
+def shadow_region(scene: Scene) -> ShadowRegion:
+    region: ShadowRegion = memo_of(scene.model).get(
+        scene.placed_by, lambda: ShadowRegion(scene), "shadow region", _PLACEMENTS
+    )
+    return region
+
+
+def _hull(points: np.ndarray) -> np.ndarray:
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # a point, or a line
+        low, high = points.min(0), points.max(0)
+        return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+
+
+def _subdivided(hull: np.ndarray) -> np.ndarray:
+    t = np.linspace(0, 1, _SIDES + 1)[:-1, None, None]
+    return (hull * (1 - t) + np.roll(hull, -1, 0) * t).reshape(-1, 2)

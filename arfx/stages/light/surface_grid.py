@@ -1,0 +1,123 @@
+"""What is known at points of the object's surface, kept at the nodes of a grid and read at its pixels.
+
+Points and pixels meet the grid one cell off the surface, along their normal: so what is on the two sides of a wall does
+not mix, nor what is on the two sides of an edge. A pixel reads between eight nodes.
+Cost: O(points) for new values, O(covered pixels) a frame. Source: irradiance volumes (Greger et al. 1998)."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+from arfx.core.layers import packed
+from arfx.core.pose import Pose
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+_FAR = 1e-4  # weight of a point for the nodes beyond its cell: they count where nothing is nearer
+
+
+class SurfaceGrid:
+    """points, normals (n, 3) : of the surface;  weights (n,) : of the points;  cells : along the largest side"""
+
+    def __init__(
+        self, points: np.ndarray, normals: np.ndarray, weights: np.ndarray, cells: int
+    ) -> None:
+        low, high = points.min(0), points.max(0)
+        self.pitch_m = max(float((high - low).max()) / cells, 1e-9)
+        self.low_m = low - 3 * self.pitch_m
+        x, y, z = np.ceil((high - self.low_m) / self.pitch_m).astype(int) + 4
+        self.shape = int(z), int(y), int(x)
+        self._spread = self._spreading(points, normals, weights)
+
+    def nodes(self, values: np.ndarray) -> np.ndarray:
+        """(z, y, x, c) float32: weighted means of the points' values (n, c) near each node."""
+        kept = self._spread @ np.ascontiguousarray(values, np.float32)
+        return np.ascontiguousarray(kept.reshape(*self.shape, -1), np.float32)
+
+    def nearest(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(n,) number of the node that places (n, 3) of the surface are nearest to."""
+        place = (points - self.low_m) / self.pitch_m + normals
+        i, j, k = np.rint(place).astype(np.int64).T
+        z, y, x = self.shape
+        i, j, k = np.clip(i, 0, x - 1), np.clip(j, 0, y - 1), np.clip(k, 0, z - 1)
+        return np.asarray((k * y + j) * x + i)
+
+    def read(
+        self,
+        nodes: np.ndarray,
+        coverage: np.ndarray,
+        normal: np.ndarray,
+        position: np.ndarray,
+        anchor_from_world: Pose,
+    ) -> np.ndarray:
+        """(h, w, c) float32 of pixels by their layers; 0 where nothing covers them."""
+        turn = anchor_from_world.rotation
+        shift = (anchor_from_world.translation_m - self.low_m) / self.pitch_m
+        matrix = np.column_stack([turn / self.pitch_m, shift, turn]).astype(np.float32)
+        return _read(packed(coverage), packed(normal), packed(position), nodes, matrix)
+
+    def _spreading(self, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> csr_array:
+        """(nodes, points) float32 weights whose rows sum to 1, or to 0 far from the surface."""
+        from scipy.sparse import csr_array, diags_array
+
+        place = (points - self.low_m) / self.pitch_m + normals
+        first = np.floor(place).astype(np.int64)
+        z, y, x = self.shape
+        rows, shares = [], []
+        for corner in np.ndindex(4, 4, 4):
+            node = first + np.array(corner) - 1
+            near = np.clip(1 - np.abs(place - node), 0, None).prod(1)
+            far = _FAR * np.exp(-((place - node) ** 2).sum(1))
+            i, j, k = node.T
+            inside = ((node >= 0) & (node < [x, y, z])).all(1)
+            rows.append(np.where(inside, (k * y + j) * x + i, 0))
+            shares.append(np.where(inside, weights * (near + far), 0))
+        columns = np.tile(np.arange(len(points)), 64)
+        entries = np.concatenate(shares), (np.concatenate(rows), columns)
+        table = csr_array(entries, shape=(z * y * x, len(points)))
+        total = np.asarray(table.sum(1)).ravel()
+        scaled = diags_array(np.divide(1, total, where=total > 0, out=np.zeros_like(total))) @ table
+        scaled.data[scaled.data < _FAR] = 0
+        scaled.eliminate_zeros()
+        return csr_array(scaled.astype(np.float32))
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _read(coverage, normal, position, nodes, matrix):  # pragma: no cover - compiled
+    """matrix (3, 7) : node of a WORLD place, and from it for a normal"""
+    rows, columns = coverage.shape
+    nz, ny, nx, channels = nodes.shape
+    out = np.zeros((rows, columns, channels), np.float32)
+    flat, zero = nodes.reshape(-1, channels), np.float32(0)
+    last = np.float32(nx - 1.001), np.float32(ny - 1.001), np.float32(nz - 1.001)
+    for y in range(rows):
+        for x in range(columns):
+            if coverage[y, x] <= zero:
+                continue
+            p, n = position[y, x], normal[y, x]
+            u = matrix[0, 0] * p[0] + matrix[0, 1] * p[1] + matrix[0, 2] * p[2] + matrix[0, 3]
+            v = matrix[1, 0] * p[0] + matrix[1, 1] * p[1] + matrix[1, 2] * p[2] + matrix[1, 3]
+            w = matrix[2, 0] * p[0] + matrix[2, 1] * p[1] + matrix[2, 2] * p[2] + matrix[2, 3]
+            u += matrix[0, 4] * n[0] + matrix[0, 5] * n[1] + matrix[0, 6] * n[2]
+            v += matrix[1, 4] * n[0] + matrix[1, 5] * n[1] + matrix[1, 6] * n[2]
+            w += matrix[2, 4] * n[0] + matrix[2, 5] * n[1] + matrix[2, 6] * n[2]
+            u = min(max(u, zero), last[0])
+            v = min(max(v, zero), last[1])
+            w = min(max(w, zero), last[2])
+            iu, iv, iw = np.int64(u), np.int64(v), np.int64(w)
+            fu, fv, fw = u - np.float32(iu), v - np.float32(iv), w - np.float32(iw)
+            a = np.uintp((iw * ny + iv) * nx + iu)
+            b, up, far = a + np.uintp(1), np.uintp(nx), np.uintp(nx * ny)
+            for c in range(channels):
+                low = flat[a, c] + fu * (flat[b, c] - flat[a, c])
+                high = flat[a + up, c] + fu * (flat[b + up, c] - flat[a + up, c])
+                near = low + fv * (high - low)
+                low = flat[a + far, c] + fu * (flat[b + far, c] - flat[a + far, c])
+                high = flat[a + far + up, c] + fu * (flat[b + far + up, c] - flat[a + far + up, c])
+                out[y, x, c] = near + fw * (low + fv * (high - low) - near)
+    return out

@@ -1,0 +1,204 @@
+"""Points all over the object that light is gathered at and sent from, and the rays between them.
+
+Rays meet the object's triangles (embree). A triangle that lets light pass stops a ray as often as it is opaque, so that
+thin and transparent parts dim what lies behind them. Cost: O(rays), once a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from arfx.core.colour import SRGB
+from arfx.core.model import Part
+from arfx.core.numerics import normalise
+from arfx.core.parallel import parallel_map
+from arfx.core.sampling import GOLDEN_RAD, frame_about, hemisphere, r2
+from arfx.core.scene import Scene
+from arfx.stages.triangles import Triangles, model_triangles
+
+_LIFT_EXTENTS = 1e-3  # rays begin that far over the surface
+_RAYS_IN_FLIGHT = 1 << 18
+_PASSES = 4  # of a ray through parts that let light pass
+_PROBES = 8  # rays that tell the inside of a closed surface
+_INSIDE = 0.6  # share of them that meets a back face there
+_OPAQUE, _UNSEEN = 0.999, 0.001
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What rays of some points meet: n points, k rays of each.
+
+    rows : of the points;  directions (n, k, 3) : unit;  face (n, k) : of the object, -1 = none
+    places (n, k, 3) : metres, where they meet it;  starts (n, 1, 3) : where they begin"""
+
+    rows: slice
+    starts: np.ndarray
+    directions: np.ndarray
+    face: np.ndarray
+    places: np.ndarray
+
+
+class ObjectRays:
+    """The object as rays meet it, anchor axes, metres.
+
+    corners (f, 3, 3) : triangles;  normals (f, 3) : unit, of their front sides;  opacity (f,) : 0..1
+    extent_m : largest side"""
+
+    def __init__(self, scene: Scene) -> None:
+        corners, _, part, face = model_triangles(scene)
+        opacities = np.array([part.opacity for part in scene.model.parts])
+        seen = opacities[part] > _UNSEEN
+        seen |= ~seen.any()
+        self.corners, self.part, self.face_of_part = corners[seen], part[seen], face[seen]
+        a, b, c = np.moveaxis(self.corners, 1, 0)
+        self.across = np.cross(b - a, c - a)
+        self.normals = normalise(self.across)
+        self.opacity = opacities[self.part]
+        self.extent_m = float(np.ptp(self.corners.reshape(-1, 3), axis=0).max())
+        self.lift_m = _LIFT_EXTENTS * self.extent_m
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        return Triangles(self.corners)
+
+    def first_hits(
+        self, starts: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(face (n,), -1 = none; distance (n,)) of rays (n, 3), through what lets them pass."""
+        face, distance = self._first(starts, directions)
+        number = np.arange(len(face))
+        for turn in range(_PASSES):
+            through = np.flatnonzero((face >= 0) & (self.opacity[face] < _OPAQUE))
+            chance = (number[through] * GOLDEN_RAD + turn * np.sqrt(2)) % 1
+            through = through[chance > self.opacity[face[through]]]
+            if not len(through):
+                break
+            behind = distance[through] + self.lift_m
+            moved = starts[through] + behind[:, None] * directions[through]
+            face[through], more = self._first(moved, directions[through])
+            distance[through] = behind + more
+        return face, distance
+
+    def _first(self, starts: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        hits = self.triangles.first_hits(starts, directions)
+        return np.array(hits["primID"], np.int64), np.array(hits["tfar"], np.float32)
+
+    def open_fraction(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(n,) share of `directions` (k, 3) in which nothing stops a ray from points (n, 3)."""
+        count = len(directions)
+        out = np.zeros(len(points))
+        if (self.opacity >= _OPAQUE).all():
+            return self.triangles.visible_fraction(points, directions)
+        for direction in directions:
+            face, _ = self.first_hits(points, np.broadcast_to(direction, points.shape))
+            out += (face < 0) / count
+        return out
+
+    def over(self, points: np.ndarray, normals: np.ndarray, count: int) -> Iterator[Hits]:
+        """Rays over the hemispheres of points (n, 3), as dense as the cosine, `count` of each.
+
+        Each point turns their pattern differently, so that what few rays leave is noise and no bands."""
+        step = max(_RAYS_IN_FLIGHT // count, 1)
+        local = hemisphere(count).astype(np.float32)
+
+        def part(first: int) -> Hits:
+            rows = slice(first, min(first + step, len(points)))
+            angle = (np.arange(rows.start, rows.stop) * GOLDEN_RAD)[:, None].astype(np.float32)
+            x = np.cos(angle) * local[:, 0] - np.sin(angle) * local[:, 1]
+            y = np.sin(angle) * local[:, 0] + np.cos(angle) * local[:, 1]
+            n = normals[rows].astype(np.float32)
+            u, v = frame_about(n)
+            directions = x[..., None] * u[:, None] + y[..., None] * v[:, None]
+            directions = (directions + local[:, 2:] * n[:, None]).astype(np.float32)
+            starts = (points[rows] + self.lift_m * normals[rows]).astype(np.float32)[:, None]
+            origins = np.broadcast_to(starts, directions.shape).reshape(-1, 3)
+            face, distance = self.first_hits(origins, directions.reshape(-1, 3))
+            shape = directions.shape[:2]
+            away = np.where(face >= 0, distance, 0).reshape(*shape, 1)
+            places = starts + away * directions
+            return Hits(rows, starts, directions, face.reshape(shape), places)
+
+        yield from parallel_map(part, range(0, len(points), step))
+
+
+@dataclass(frozen=True, eq=False)
+class Surfels:
+    """Points of the object, each of the side that it is seen from. Anchor axes.
+
+    points, normals (n, 3) : metres, unit, of their triangles: rays over a smooth normal would pass under them
+    face (n,) : the triangle
+    albedo, emission (n, 3) : of light that leaves in all directions, mirrored light counted as such"""
+
+    points: np.ndarray
+    normals: np.ndarray
+    face: np.ndarray
+    albedo: np.ndarray
+    emission: np.ndarray
+
+
+def surfels_of(scene: Scene, rays: ObjectRays, count: int) -> Surfels:
+    """About `count`, evenly over the surface: on both sides, but for the inside of what is closed."""
+    area = np.linalg.norm(rays.across, axis=1)
+    upto = np.cumsum(area)
+    i = np.arange(count) + 0.5
+    face = np.minimum(np.searchsorted(upto, i / count * upto[-1]), len(upto) - 1)
+    u, v = r2(count).T
+    folded = u + v > 1
+    u, v = np.where(folded, 1 - u, u), np.where(folded, 1 - v, v)
+    weights = np.column_stack([1 - u - v, u, v])
+    points = (weights[:, :, None] * rays.corners[face]).sum(1)
+    normals = rays.normals[face]
+    albedo, emission = _colours(scene, rays, face, weights)
+    front, back = (_seen_from_outside(rays, points, side * normals) for side in (1, -1))
+    both = front | back
+    front |= ~both  # a sliver between others: counted once
+    keep = np.concatenate([np.flatnonzero(front), np.flatnonzero(back)])
+    side = np.repeat([1.0, -1.0], [front.sum(), back.sum()])[:, None]
+    return Surfels(points[keep], side * normals[keep], face[keep], albedo[keep], emission[keep])
+
+
+def _seen_from_outside(rays: ObjectRays, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(n,) whether the rays of a side meet fewer back faces than they would inside of something."""
+    out = np.empty(len(points), bool)
+    for hits in rays.over(points, normals, _PROBES):
+        facing = (rays.normals[hits.face] * hits.directions).sum(-1)
+        backs = ((hits.face >= 0) & (facing > 0)).mean(1)
+        out[hits.rows] = backs < _INSIDE
+    return out
+
+
+def _colours(
+    scene: Scene, rays: ObjectRays, face: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(albedo, emission) (n, 3) at places in faces, by their corners' weights (n, 3)."""
+    albedo, emission = np.zeros((len(face), 3)), np.zeros((len(face), 3))
+    for k, part in enumerate(scene.model.parts):
+        rows = np.flatnonzero(rays.part[face] == k)
+        corners, m = part.faces[rays.face_of_part[face[rows]]], part.material
+        share = weights[rows]
+        colour = np.asarray(m.base_colour[:3]) * _texture(part, m.base_texture, corners, share)
+        if part.colours is not None:
+            colour = colour * (part.colours[corners][..., :3] * share[..., None]).sum(1)
+        metallic = m.metallic
+        if m.metallic_roughness_texture is not None:
+            metallic *= float(m.metallic_roughness_texture[..., 0].mean()) / 255
+        mirrored = 0.08 * m.specular * (1 - metallic)
+        albedo[rows] = colour * ((1 - metallic) * (1 - mirrored) + metallic) + mirrored
+        emission[rows] = np.asarray(m.emissive) * _texture(part, m.emissive_texture, corners, share)
+    return albedo, emission
+
+
+def _texture(
+    part: Part, texture: np.ndarray | None, corners: np.ndarray, share: np.ndarray
+) -> np.ndarray:
+    """(n, 3) linear colour of the texel nearest to each place; 1 without a texture."""
+    if texture is None or part.uv is None:
+        return np.ones((len(corners), 3))
+    uv = (part.uv[corners] * share[..., None]).sum(1) % 1
+    height, width = texture.shape[:2]
+    column = np.minimum((uv[:, 0] * width).astype(int), width - 1)
+    row = np.minimum((uv[:, 1] * height).astype(int), height - 1)
+    return np.asarray(SRGB.decode(texture[row, column, :3] / 255))
