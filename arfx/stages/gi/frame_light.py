@@ -1,10 +1,11 @@
-"""One frame's surroundings as the cones take them: environment, the picture on the real planes, and the voxels' light."""
+"""One frame's surroundings: the environment, and the picture on the real planes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -17,8 +18,7 @@ from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import View
 from arfx.errors import RenderError
-from arfx.stages.gi.field import Field, VoxelModel, make_field, upsampled, with_texture
-from arfx.stages.gi.plane_pixels import measured
+from arfx.stages.gi.plane_change import measured
 from arfx.stages.gi.real_planes import bounding_ball, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import (
     COARSE_PX,
@@ -32,48 +32,26 @@ from arfx.stages.gi.surroundings import (
 
 SOFT_DEG = 25.0
 _LIGHT_STEP = 0.03
-_STEP = 0.05  # the plane's brightness that lights the voxels is rounded to 5 %: of the planes' change that is 1 %
-
-
-@dataclass(frozen=True)
-class LevelSettings:
-    """voxels a side;  plane_side : texels of a plane's change, a power of two, plane_cones each
-    texture_side : texels of the picture on it, a power of two
-    plane_rays : of each texel towards the object, 0 = cones alone
-    block : pixels a side for which one gathers;  sharp : as of `pixels.Limits`"""
-
-    voxels: int
-    plane_side: int
-    plane_cones: int
-    texture_side: int
-    block: int
-    sharp: float
-    plane_rays: int = 0
+_STEP = 0.05  # the plane's mean brightness is rounded to 5 %: of the planes' change that is 1 %
 
 
 @dataclass(frozen=True, eq=False)
 class IncomingLight:
-    """picture (p, side, side, 3), known (p, side, side) on the planes
-    mean (3,) of it near the object, rounded;  background : for the cones, with the mean instead of the picture
-    soft : least channel of the light without a direction, of a white surface on the plane"""
+    """picture (p, side, side, 3) : radiance of the planes, filled where the frame does not show them
+    mean (3,) : of it near the object, rounded;  background : as mirrors see it, without the object"""
 
     picture: np.ndarray
-    known: np.ndarray
     mean: np.ndarray
     background: Background
-    soft: float
 
-    def background_with(self, field: Field, visibility: np.ndarray) -> Background:
-        """For the cones, with the picture darkened and lit by the object. visibility : of the `VoxelModel`"""
+    def background_with(self, left: np.ndarray) -> Background:
+        """As mirrors see it, the planes darkened and lit by the object. left (p, n, n, 3) : of `Indirect`"""
         side = self.picture.shape[1]
-        known = upsampled(visibility, side)
-        # what the picture does not show is filled before there is a shadow on it, not with the shadow's mean
-        picture = (
-            filled(self.picture, self.known, self.mean)
-            * upsampled(field.direct, side)
-            * known[..., None]
-        )
-        return with_texture(self.background, picture, known, self.mean)
+        shares = [cv2.resize(a.astype(np.float32), (side, side)) for a in left]
+        picture = (self.picture * np.stack(shares)).astype(np.float32)
+        known = np.ones(picture.shape[:3], np.float32)
+        textures, mips = mip_chain(picture, known, self.mean)
+        return self.background._replace(textures=textures, mips=mips)
 
 
 def surroundings_of(facts: FrameFacts, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
@@ -185,7 +163,7 @@ def above_horizon(size: int, up: np.ndarray) -> np.ndarray:
 
 
 def rounded(light: Light) -> Light:
-    """The light in steps too small to show by way of the voxels, so that their light can be cached."""
+    """The light in steps too small to show by what bounces, so that it can be kept."""
 
     def coarse(li: DirectionalLight) -> DirectionalLight:
         rgb, size_deg = triple(_in_steps(li.rgb, _LIGHT_STEP)), round(li.angular_size_deg)
@@ -256,7 +234,7 @@ def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray
     )
     extents = np.column_stack([np.full(p, planes.half_m), planes.bounds]).astype(np.float32)
     background = Background(planes.axes, extents, textures, mips, maps, widths, turn)
-    return IncomingLight(picture, known, mean, background, float(light.soft_radiance(up).min()))
+    return IncomingLight(filled(picture, known, mean), mean, background)
 
 
 def plane_mean(
@@ -277,20 +255,3 @@ def plane_mean(
     return _in_steps(
         (picture[0, ::step, ::step] * weight[..., None]).sum((0, 1)) / weight.sum(), _STEP
     )
-
-
-def frame_field(
-    view: View, model: VoxelModel, planes: Planes, incoming: IncomingLight, at: LevelSettings
-) -> Field:
-    """The voxels' light and the planes' change, cached by light, environment and plane. The guess of all surroundings is good
-    enough for them, and stays."""
-    coarse, memo = rounded(view.light), view.memo.of_light
-    cube, factor = environment_cube(view.facts, view.scene, coarse)
-    key = (repr(coarse), cube.tobytes(), incoming.mean.tobytes())
-
-    def make() -> Field:
-        maps = memo.get(cube.tobytes(), lambda: octahedral(cube))
-        background = incoming.background._replace(maps=factor.astype(np.float32) * maps)
-        return make_field(model, view.scene, coarse, planes, background, incoming.mean)
-
-    return memo.get(key, make)

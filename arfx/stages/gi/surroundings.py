@@ -338,10 +338,12 @@ def background_radiance(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def background_radiances(points, directions, skip, tan_half, half_deg, background: Background):  # pragma: no cover - compiled
-    """(m, 3) of `background_radiance` from points (m, 3), metres, along directions (m, 3)."""
+def background_radiances(points, directions, tangents, background: Background):  # pragma: no cover - compiled
+    """(m, 3) radiance from points (m, 3), metres, along directions (m, 3), in cones of these tangents (m,)."""
     out = np.empty((points.shape[0], 3), np.float32)
     for i in range(points.shape[0]):
         p, d = (points[i, 0], points[i, 1], points[i, 2]), (directions[i, 0], directions[i, 1], directions[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = background_radiance(background, skip, p, d, tan_half, half_deg, np.float32(1))
+        half_deg = np.float32(np.arctan(tangents[i]) * np.float32(57.29578))
+        share = wide_share(half_deg)
+        out[i, 0], out[i, 1], out[i, 2] = background_radiance(background, -1, p, d, tangents[i], half_deg, share)
     return out

@@ -31,7 +31,9 @@ _BESIDE = (
     0.08  # of the extent, around the contact; the outer half of it goes over to the wide texture
 )
 
-_EVENED_TEXELS = 2.0  # blur of the soft picture beside the contact: each silhouette's own edge would show
+_EVENED_TEXELS = (
+    2.0  # blur of the soft picture beside the contact: each silhouette's own edge would show
+)
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class Contact:
 
     def share(self, texture: PlaneTexture) -> np.ndarray:
         """(rows, columns) 1 inside, 0 outside, of a texture's texels."""
-        x, y = _texel_places(texture)
+        x, y = texel_places(texture)
         box = (*self.low, *self.high)
         return np.asarray(np.clip(_inside_m(x, y, box) / self.rim_m, 0, 1), np.float32)
 
@@ -232,7 +234,7 @@ def within_surface(
     if surface_m is None:
         return texture
     pitch = float(np.sqrt(abs(1 / np.linalg.det(texture.texel_from_m[:, :2]))))
-    inside = _inside_m(*_texel_places(texture), surface_m)
+    inside = _inside_m(*texel_places(texture), surface_m)
     share = np.clip(inside / pitch + 0.5, 0, 1)
     return PlaneTexture((texture.dark * share).astype(np.float32), texture.texel_from_m)
 
@@ -257,7 +259,7 @@ def plane_shadow_texture(shadow: PlaneShadow, ambient_fraction: np.ndarray) -> P
     )
 
 
-def _texel_places(texture: PlaneTexture) -> tuple[np.ndarray, np.ndarray]:
+def texel_places(texture: PlaneTexture) -> tuple[np.ndarray, np.ndarray]:
     """x, y (rows, columns), metres, of the texels' centres."""
     rows, columns = texture.dark.shape
     v, u = np.mgrid[:rows, :columns]

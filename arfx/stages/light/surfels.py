@@ -31,14 +31,14 @@ _OPAQUE, _UNSEEN = 0.999, 0.001
 class Hits:
     """What rays of some points meet: n points, k rays of each.
 
-    rows : of the points;  directions (n, k, 3) : unit;  face (n, k) : of the object, -1 = none
-    places (n, k, 3) : metres, where they meet it;  starts (n, 1, 3) : where they begin"""
+    rows : of the points;  starts (n, 1, 3) : metres, where they begin;  directions (n, k, 3) : unit
+    face (n, k) : of the object, -1 = none;  distance (n, k) : metres, inf = none"""
 
     rows: slice
     starts: np.ndarray
     directions: np.ndarray
     face: np.ndarray
-    places: np.ndarray
+    distance: np.ndarray
 
 
 class ObjectRays:
@@ -116,10 +116,9 @@ class ObjectRays:
             starts = (points[rows] + self.lift_m * normals[rows]).astype(np.float32)[:, None]
             origins = np.broadcast_to(starts, directions.shape).reshape(-1, 3)
             face, distance = self.first_hits(origins, directions.reshape(-1, 3))
-            shape = directions.shape[:2]
-            away = np.where(face >= 0, distance, 0).reshape(*shape, 1)
-            places = starts + away * directions
-            return Hits(rows, starts, directions, face.reshape(shape), places)
+            face, shape = face.reshape(directions.shape[:2]), directions.shape[:2]
+            distance = np.where(face >= 0, distance.reshape(shape), np.float32(np.inf))
+            return Hits(rows, starts, directions, face, distance)
 
         yield from parallel_map(part, range(0, len(points), step))
 

@@ -1,0 +1,173 @@
+"""What the object changes on the real planes, as textures that pixels look up.
+
+Places of a plane see the object by few rays, so what they gain is known coarsely; how much of their hemisphere it hides is
+known finely, by silhouettes. Their quotient, the radiance of what hides less that of what is hidden, is even: so the
+change is the fine share times the coarse quotient, sharp where the object stands. Planes that it does not stand on have
+the coarse share. Source: docs/methods/gi.md#delta."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from arfx.core.layers import Layer, Layers
+from arfx.core.numerics import divide
+from arfx.core.pose import Pose
+from arfx.core.rect import Rect
+from arfx.stages.gi.real_planes import SHOWS
+from arfx.stages.gi.surroundings import Planes
+from arfx.stages.holdout import on_plane, plane_dioptres
+from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView
+from arfx.stages.light.plane_shadow import SoftPicture, texel_places
+from arfx.stages.light.transport import warped
+
+DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
+SAME_DEPTH = 0.02  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
+_EVENED_TEXELS = 0.8  # blur of what few rays bring
+_OTHER_SIDE = 192  # texels of a plane that the object does not stand on
+_RIM = 0.85  # share of a plane's texture from which on the change fades out
+_CHANNELS = np.eye(3)
+
+
+def measured(layers: Layers) -> np.ndarray:
+    """(h, w) the layer REAL_DEPTH; (0, 0) where the job has none."""
+    if layers.extent(Layer.REAL_DEPTH).empty or not np.isfinite(layers[Layer.REAL_DEPTH]).any():
+        return np.zeros((0, 0), np.float32)
+    return np.array(layers[Layer.REAL_DEPTH], np.float32, order="C")
+
+
+def plane_pose(axes: np.ndarray) -> Pose:
+    """The plane's own axes from the anchor's. axes (4, 3) : of `Planes`"""
+    rotation = np.asarray(axes[1:], float)
+    return Pose(rotation, -rotation @ np.asarray(axes[0], float))
+
+
+def change_textures(
+    gain: np.ndarray,
+    hidden: np.ndarray,
+    total: np.ndarray,
+    planes: Planes,
+    soft: Sequence[SoftPicture],
+) -> list[list[tuple[PlaneTexture, ...]]]:
+    """Of each plane, textures that add up, each by channel: share of all the plane's light that the object adds.
+
+    gain (p, side, side, 3), hidden (p, side, side) : of `Transport`;  total (p, 3) : radiance of white planes
+    soft : pictures of the first plane that add up; these in the anchor's axes, the others' in the plane's"""
+    out = []
+    for k, axes in enumerate(planes.axes.astype(float)):
+        even = [cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS) for a in (gain[k], hidden[k])]
+        quotient = divide(even[0], even[1][..., None] * np.maximum(total[k], 1e-4))
+        if k > 0:
+            out.append([_texture(_even_picture(planes.half_m), even[1], quotient, planes.half_m)])
+            continue
+        rotation, shift = axes[1:3, :2], -axes[1:3] @ axes[0]
+        textures = []
+        for picture in soft:
+            places = np.stack(texel_places(picture.even), -1) @ rotation.T + shift
+            share = picture.hidden[0] * _faded(places / planes.half_m)
+            change = share[..., None] * _sampled(quotient, places / planes.half_m)
+            textures.append(_channels(change, picture.texel_from_m))
+        out.append(textures)
+    return out
+
+
+def _even_picture(half_m: float) -> PlaneTexture:
+    scale = (_OTHER_SIDE - 1) / (2 * half_m)
+    middle = (_OTHER_SIDE - 1) / 2
+    matrix = np.array([[scale, 0, middle], [0, scale, middle]])
+    return PlaneTexture(np.zeros((_OTHER_SIDE, _OTHER_SIDE), np.float32), matrix)
+
+
+def _texture(
+    blank: PlaneTexture, hidden: np.ndarray, quotient: np.ndarray, half_m: float
+) -> tuple[PlaneTexture, ...]:
+    places = np.stack(texel_places(blank), -1) / half_m
+    share = _sampled(hidden[..., None], places) * _faded(places)[..., None]
+    return _channels(share * _sampled(quotient, places), blank.texel_from_m)
+
+
+def _channels(change: np.ndarray, texel_from_m: np.ndarray) -> tuple[PlaneTexture, ...]:
+    bordered = np.pad(change[1:-1, 1:-1], ((1, 1), (1, 1), (0, 0))).astype(np.float32)
+    parts = np.ascontiguousarray(np.moveaxis(bordered, 2, 0))
+    return tuple(PlaneTexture(part, texel_from_m) for part in parts)
+
+
+def _sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(h, w, c) of a warped texture (side, side, c) at places (h, w, 2) in half sides from its middle."""
+    side = len(texels)
+    at = ((warped(np.clip(places, -1, 1)) + 1) / 2 * side - 0.5).astype(np.float32)
+    source = np.ascontiguousarray(texels, np.float32)
+    out = cv2.remap(source, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return out.reshape(*places.shape[:2], -1)
+
+
+def _faded(places: np.ndarray) -> np.ndarray:
+    """(h, w) 1 inside, 0 from the rim of the texture on."""
+    away = np.linalg.norm(places, axis=-1)
+    return np.clip((1 - away) / (1 - _RIM), 0, 1)
+
+
+def add_change(
+    shadow: np.ndarray,
+    rect: Rect,
+    grid: np.ndarray,
+    anchor_from_camera: Pose,
+    planes: Planes,
+    textures: Sequence[Sequence[tuple[PlaneTexture, ...]]],
+    real: np.ndarray,
+    strength: float,
+) -> None:
+    """shadow (h, w, 3) over `rect` += strength x the planes' change, never below 0.
+
+    grid : viewing directions;  textures : of `change_textures`;  real : of `measured`, what is not on a plane stays"""
+    change = np.zeros((3, rect.height, rect.width), np.float32)
+    poses = [plane_pose(axes) for axes in planes.axes]
+    shares = shown_planes(rect, grid, anchor_from_camera, poses, real)
+    for k, (pose, share) in enumerate(zip(poses, shares, strict=True)):
+        own = anchor_from_camera if k == 0 else pose @ anchor_from_camera
+        if own.translation_m[2] <= 0:
+            continue
+        view = PlaneView(rect, grid, own)
+        for parts in textures[k]:
+            for channel, part in enumerate(parts):
+                view.add(change, part, strength * _CHANNELS[channel], share)
+    shadow += np.moveaxis(change, 0, 2)
+    np.maximum(shadow, 0, out=shadow)
+
+
+def shown_planes(
+    rect: Rect,
+    grid: np.ndarray,
+    anchor_from_camera: Pose,
+    poses: Sequence[Pose],
+    real: np.ndarray,
+) -> list[np.ndarray | None]:
+    """(h, w) of each plane: is it what a pixel shows, 0..1; None = wherever it is in view."""
+    if len(poses) == 1 and not real.size:
+        return [None]
+    placed = [(pose @ anchor_from_camera).inverse() for pose in poses]
+    dioptres = np.stack([plane_dioptres(grid, pose, rect) for pose in placed])
+    fronts = np.array([(pose @ anchor_from_camera).translation_m[2] > 0 for pose in poses])
+    dioptres[~fronts] = -1
+    nearest = dioptres.argmax(0)
+    shares = [(nearest == k) & (dioptres[k] > 0) for k in range(len(poses))]
+    if not real.size:
+        return [share.astype(np.float32) for share in shares]
+    agree = [on_plane(real, d, SAME_DEPTH) for d in dioptres]
+    return [
+        np.where(share, a, 0).astype(np.float32) for share, a in zip(shares, agree, strict=True)
+    ]
+
+
+def visible_radius_m(
+    gain: np.ndarray, total: np.ndarray, planes: Planes, positions: np.ndarray
+) -> float:
+    """Distance from the planes' origins beyond which no texel's change shows.
+
+    gain, positions (p, side, side, 3);  total (p, 3)"""
+    change = np.abs(divide(gain, np.maximum(total, 1e-4)[:, None, None])).max(-1)
+    shows = change >= SHOWS
+    away = np.linalg.norm(positions - planes.axes[:, None, None, 0], axis=-1)
+    return float(min(away[shows].max() * 1.25, planes.half_m)) if shows.any() else 0.0
