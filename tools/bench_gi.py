@@ -25,7 +25,7 @@ from arfx.run.frame import FrameLayers
 from arfx.stages import STAGES
 from arfx.stages.gi import Gi
 from arfx.stages.gi.pyramid import structure_of
-from arfx.stages.gi.real_planes import SHOWS
+from arfx.stages.light.planes import SHOWS
 from arfx.stages.gi.voxelise import voxelise
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.raster import Raster

@@ -22,8 +22,8 @@ from arfx.core.facts import FrameFacts
 from arfx.core.light import harmonics
 from arfx.core.numerics import divide, normalise
 from arfx.errors import RenderError
+from arfx.stages.light.beams import FrameLight
 from arfx.stages.lightmap import Lightmap
-from arfx.stages.lightmap.beams import FrameLight
 from arfx.stages.lightmap.shading import Surface
 from arfx.stages.lightmap.stage import LightmapParams
 

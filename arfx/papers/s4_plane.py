@@ -17,7 +17,7 @@ import numpy as np
 from arfx.core.model import Material, Model, Part
 from arfx.core.numerics import normalise
 from arfx.core.scene import Scene
-from arfx.stages.gi.real_planes import planes_of
+from arfx.stages.light.planes import planes_of
 
 
 def step1_mesh(scene: Scene, albedo: float) -> tuple[Part, ...]:

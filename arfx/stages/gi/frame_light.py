@@ -19,16 +19,15 @@ from arfx.core.scene import Scene
 from arfx.core.stage import View
 from arfx.errors import RenderError
 from arfx.stages.gi.plane_change import measured
-from arfx.stages.gi.real_planes import bounding_ball, filled, mip_chain, picture_on_planes
 from arfx.stages.gi.surroundings import (
     COARSE_PX,
     HALF_ANGLES_DEG,
     Background,
-    Planes,
     from_light,
     irradiance,
     octahedral,
 )
+from arfx.stages.light.planes import Planes, bounding_ball, filled, mip_chain, picture_on_planes
 
 SOFT_DEG = 25.0
 _LIGHT_STEP = 0.03

@@ -16,12 +16,10 @@ from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
-from arfx.stages.gi.real_planes import SHOWS
-from arfx.stages.gi.surroundings import Planes
 from arfx.stages.holdout import on_plane, plane_dioptres
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView
 from arfx.stages.light.plane_shadow import SoftPicture, texel_places
-from arfx.stages.light.transport import warped
+from arfx.stages.light.planes import SHOWS, Planes, warped
 
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 SAME_DEPTH = 0.02  # of the distance: measured depth that is off by less lies on the plane; by twice that, not

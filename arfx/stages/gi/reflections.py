@@ -23,18 +23,25 @@ from arfx.stages.lightmap.shading import Surface
 
 _OCCLUDED = 0.01  # share of a place's hemisphere that the object hides, from which on a ray is sent
 _LIFT_EXTENTS = 2e-3  # rays begin that far over the surface
+_MIRRORS = 2  # times that a ray is mirrored on by metal
+_METAL, _METAL_TANGENT = (
+    0.5,
+    0.2,
+)  # metallic from which on; cone in which metal in a mirror sees its surroundings
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
     """What is mirrored. eye (3,) : the camera, anchor axes;  background : without the object
-    sent (z, y, x, 3) : nodes of what the object sends;  shows : share of a white surface's light that can be seen"""
+    sent, albedo (z, y, x, 3) : nodes of what the object sends, and of its colour
+    shows : share of a white surface's light that can be seen"""
 
     anchor_from_world: Pose
     eye: np.ndarray
     background: Background
     transport: Transport
     sent: np.ndarray
+    albedo: np.ndarray
     shows: float
 
     def along(self, places: np.ndarray, directions: np.ndarray, tangents: np.ndarray) -> np.ndarray:
@@ -44,9 +51,11 @@ class Sight:
         return np.asarray(background_radiances(places, directions, cones, self.background))
 
     def of_object(
-        self, starts: np.ndarray, directions: np.ndarray
+        self, starts: np.ndarray, directions: np.ndarray, turns: int = _MIRRORS
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(rays (m,) that meet the object, before any plane; radiance (m, 3) that it sends there)."""
+        """(rays (m,) that meet the object, before any plane; radiance (m, 3) that it sends there).
+
+        turns : of a ray that metal mirrors on; then metal sends its light in all directions"""
         rays = self.transport.rays
         face, distance = rays.first_hits(starts, directions)
         met = np.flatnonzero(face >= 0)
@@ -54,15 +63,28 @@ class Sight:
             down = -(directions[met] @ axes[3])
             height = (starts[met] - axes[0]) @ axes[3]
             met = met[(down <= 0) | (distance[met] * down <= height + rays.lift_m)]
+        face = face[met]
         places = starts[met] + distance[met, None] * directions[met]
-        normals = rays.normals[face[met]]
-        away = np.where((normals * directions[met]).sum(1, keepdims=True) > 0, -1.0, 1.0)
-        return met, self._sent_at(places, away * normals)
+        along = (rays.normals[face] * directions[met]).sum(1, keepdims=True)
+        normals = np.where(along > 0, -1.0, 1.0) * rays.normals[face]
+        sent = self._at(self.sent, places, normals)
+        metal = np.flatnonzero(rays.metallic[face] > _METAL)
+        if turns > 0 and len(metal):
+            towards = directions[met][metal] + 2 * np.abs(along[metal]) * normals[metal]
+            starts = places[metal] + rays.lift_m * normals[metal]
+            cones = np.full(len(metal), _METAL_TANGENT)
+            seen = self.along(starts, towards, cones)
+            again, more = self.of_object(starts, towards, turns - 1)
+            seen[again] = more
+            tint = self._at(self.albedo, places[metal], normals[metal])
+            share = rays.metallic[face[metal], None]
+            sent[metal] = (1 - share) * sent[metal] + share * tint * seen
+        return met, sent
 
-    def _sent_at(self, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def _at(self, nodes: np.ndarray, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
         layers = np.ones(len(places)), normals, places
         row = [np.ascontiguousarray(a[None], np.float32) for a in layers]
-        return self.transport.grid.read(self.sent, *row, Pose.identity())[0]
+        return self.transport.grid.read(nodes, *row, Pose.identity())[0]
 
 
 def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.ndarray:
@@ -93,18 +115,17 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
     n, v, rough = normals[shines], to_eye[shines], wide[shines]
     directions = off_specular_peak(rough, n, 2 * facing[shines] * n - v)
     seen = sight.along(places[shines], directions, mirror_tangent(rough))
-    if sight.transport.level.mirror:
-        occluded = sight.transport.grid.read(
-            sight.transport.occluded,
-            surface.coverage,
-            surface.normal,
-            surface.position,
-            sight.anchor_from_world,
-        )[covered][shines, 0]
-        near = np.flatnonzero(occluded > _OCCLUDED)
-        lift = _LIFT_EXTENTS * sight.transport.rays.extent_m
-        met, sent = sight.of_object(places[shines][near] + lift * n[near], directions[near])
-        seen[near[met]] = sent
+    occluded = sight.transport.grid.read(
+        sight.transport.occluded,
+        surface.coverage,
+        surface.normal,
+        surface.position,
+        sight.anchor_from_world,
+    )[covered][shines, 0]
+    near = np.flatnonzero(occluded > _OCCLUDED)
+    lift = _LIFT_EXTENTS * sight.transport.rays.extent_m
+    met, sent = sight.of_object(places[shines][near] + lift * n[near], directions[near])
+    seen[near[met]] = sent
     mirrored[shines] = seen
     out[covered] = surface.coverage[covered][:, None] * (diffuse * light + gloss * mirrored)
     return out

@@ -47,19 +47,19 @@ from arfx.stages.gi.plane_change import (
     shown_planes,
     visible_radius_m,
 )
-from arfx.stages.gi.real_planes import (
+from arfx.stages.gi.reference import trace_frame
+from arfx.stages.gi.reflections import Sight, reflected_light
+from arfx.stages.light.plane_lookup import PlaneTexture
+from arfx.stages.light.plane_shadow import PLANE_LEVELS, SoftPicture, soft_pictures
+from arfx.stages.light.planes import (
     SHOWS,
+    Planes,
     disc_radius_m,
     disc_rect,
     mirror_rect,
     planes_of,
     texel_positions,
 )
-from arfx.stages.gi.reference import trace_frame
-from arfx.stages.gi.reflections import Sight, reflected_light
-from arfx.stages.gi.surroundings import Planes
-from arfx.stages.light.plane_lookup import PlaneTexture
-from arfx.stages.light.plane_shadow import PLANE_LEVELS, SoftPicture, soft_pictures
 from arfx.stages.light.region import shadow_region
 from arfx.stages.light.transport import SKY, Indirect, Transport, TransportLevel
 from arfx.stages.lightmap.shading import Surface
@@ -69,8 +69,8 @@ TRANSPORTS_KEPT = 1  # of a model: one level on its planes
 PLANE_ROUGHNESS = 0.1  # of a plane's reflection, 0 = a mirror
 TEXTURE_SIDE = 128  # texels of the picture on a plane
 LEVELS = {
-    "draft": TransportLevel(4000, 64, 32, 24, 1, False),
-    "standard": TransportLevel(6000, 192, 64, 32, 3, True),
+    "draft": TransportLevel(6000, 48, 32, 32, 3),
+    "standard": TransportLevel(12_000, 96, 64, 48, 8),
 }
 
 
@@ -194,6 +194,7 @@ class Gi(Stage):
             incoming.background_with(lit.indirect.left),
             prepared.transport,
             lit.sent,
+            prepared.transport.colours,
             SHOWS * float(divide(_soft(view), _brightest(incoming, lit))),
         )
         virtual = self._virtual(view, prepared, incoming, lit, sight)

@@ -8,7 +8,6 @@ plane."""
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,6 +19,7 @@ from arfx.core.compiled import line_kernel
 from arfx.core.cube import bordered, face_directions, on_cube, solid_angles
 from arfx.core.light import Light, harmonics
 from arfx.core.numerics import divide, normalise
+from arfx.stages.light.planes import WARP
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -29,26 +29,9 @@ FINE_SIDE = 128  # of a cube with more than COARSE_PX texels a face
 COARSE_PX = 16  # of a cube that cones with a width are made of
 HALF_ANGLES_DEG = (0.0, 6.0, 12.0, 20.0, 30.0, 50.0)
 NARROW_DEG, WIDE_DEG = 6.0, 30.0  # half-angles: of a mirror's cone at most, of a cone for diffuse light
-ENDLESS = 1e6  # metres
 _OUTER = np.float32(3)  # levels from the coarsest: an eighth of a side, beyond four radii of the object
 EDGE = np.float32(0.03)  # of half_m: softness of a plane's end, at least
-WARP = np.float32(3.0)  # how much denser a plane's texture is in its middle than if it were even
 _FAST = {"contract", "nsz", "arcp"}
-
-
-@dataclass(frozen=True, eq=False)
-class Planes:
-    """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the plane, normal;  half_m : of textures
-    bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was seen to end; +-ENDLESS"""
-
-    axes: np.ndarray
-    half_m: float
-    bounds: np.ndarray
-
-    @property
-    def key(self) -> tuple[bytes, float, bytes]:
-        """Equal for equal planes."""
-        return self.axes.tobytes(), self.half_m, self.bounds.tobytes()
 
 
 class Background(NamedTuple):
@@ -216,12 +199,6 @@ def wide_share(half_deg):  # pragma: no cover - compiled
 def warped(x):  # pragma: no cover - compiled
     """Texture coordinate, -1..1 inside, of a place x on the plane in units of its texture's half side."""
     return WARP * x / (np.float32(1) + (WARP - np.float32(1)) * abs(x))
-
-
-def unwarped(u: np.ndarray) -> np.ndarray:
-    """The inverse of `warped`."""
-    k = float(WARP)
-    return u / (k - (k - 1) * np.abs(u))
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")

@@ -19,10 +19,10 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.sampling import disc, hemisphere
 from arfx.errors import RenderError
+from arfx.stages.light.beams import Beam, disc_directions
+from arfx.stages.light.caster import Caster
 from arfx.stages.light.plane_lookup import PlaneTexture
-from arfx.stages.lightmap.beams import Beam, disc_directions
-from arfx.stages.lightmap.caster import Caster
-from arfx.stages.lightmap.silhouette import covered_fraction, smoothed
+from arfx.stages.light.silhouette import covered_fraction, smoothed
 
 _MARGIN = 3  # texels without shadow around it
 _BUNDLES = 16  # of directions of the hemisphere, each of which counts as its middle

@@ -10,10 +10,10 @@ import numpy as np
 
 from arfx.core.memo import memo_of
 from arfx.core.scene import Scene
+from arfx.stages.light.beams import Beam, disc_directions
+from arfx.stages.light.caster import Caster, make_caster
 from arfx.stages.light.plane_shadow import PlaneLevel, SoftPicture, soft_picture, soft_pictures
 from arfx.stages.light.surfels import ObjectRays
-from arfx.stages.lightmap.beams import Beam, disc_directions
-from arfx.stages.lightmap.caster import Caster, make_caster
 
 _TEXELS, _SKY = 96, 256
 # Heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less.

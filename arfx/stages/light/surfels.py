@@ -24,6 +24,7 @@ _RAYS_IN_FLIGHT = 1 << 18
 _PASSES = 4  # of a ray through parts that let light pass
 _PROBES = 8  # rays that tell the inside of a closed surface
 _INSIDE = 0.6  # share of them that meets a back face there
+_STRIP = 0.04  # of the extent: a face counts at least as much as a strip of that width as long as its longest edge
 _OPAQUE, _UNSEEN = 0.999, 0.001
 
 
@@ -44,7 +45,7 @@ class Hits:
 class ObjectRays:
     """The object as rays meet it, anchor axes, metres.
 
-    corners (f, 3, 3) : triangles;  normals (f, 3) : unit, of their front sides;  opacity (f,) : 0..1
+    corners (f, 3, 3) : triangles;  normals (f, 3) : unit, of their front sides;  opacity, metallic (f,) : 0..1
     extent_m : largest side"""
 
     def __init__(self, scene: Scene) -> None:
@@ -57,6 +58,7 @@ class ObjectRays:
         self.across = np.cross(b - a, c - a)
         self.normals = normalise(self.across)
         self.opacity = opacities[self.part]
+        self.metallic = np.array([_metallic(part) for part in scene.model.parts])[self.part]
         self.extent_m = float(np.ptp(self.corners.reshape(-1, 3), axis=0).max())
         self.lift_m = _LIFT_EXTENTS * self.extent_m
 
@@ -139,9 +141,10 @@ class Surfels:
 
 
 def surfels_of(scene: Scene, rays: ObjectRays, count: int) -> Surfels:
-    """About `count`, evenly over the surface: on both sides, but for the inside of what is closed."""
-    area = np.linalg.norm(rays.across, axis=1)
-    upto = np.cumsum(area)
+    """About `count`, evenly over the surface, more on thin faces: on both sides, but for the inside of what is closed."""
+    edges = np.linalg.norm(rays.corners - np.roll(rays.corners, 1, 1), axis=2).max(1)
+    # thin faces have some along all of their length
+    upto = np.cumsum(np.linalg.norm(rays.across, axis=1) / 2 + _STRIP * rays.extent_m * edges)
     i = np.arange(count) + 0.5
     face = np.minimum(np.searchsorted(upto, i / count * upto[-1]), len(upto) - 1)
     u, v = r2(count).T
@@ -152,8 +155,9 @@ def surfels_of(scene: Scene, rays: ObjectRays, count: int) -> Surfels:
     normals = rays.normals[face]
     albedo, emission = _colours(scene, rays, face, weights)
     front, back = (_seen_from_outside(rays, points, side * normals) for side in (1, -1))
-    both = front | back
-    front |= ~both  # a sliver between others: counted once
+    through = rays.opacity[face] < _OPAQUE  # its inside shows
+    front, back = front | through, back | through
+    front |= ~(front | back)  # a sliver between others: counted once
     keep = np.concatenate([np.flatnonzero(front), np.flatnonzero(back)])
     side = np.repeat([1.0, -1.0], [front.sum(), back.sum()])[:, None]
     return Surfels(points[keep], side * normals[keep], face[keep], albedo[keep], emission[keep])
@@ -181,13 +185,18 @@ def _colours(
         colour = np.asarray(m.base_colour[:3]) * _texture(part, m.base_texture, corners, share)
         if part.colours is not None:
             colour = colour * (part.colours[corners][..., :3] * share[..., None]).sum(1)
-        metallic = m.metallic
-        if m.metallic_roughness_texture is not None:
-            metallic *= float(m.metallic_roughness_texture[..., 0].mean()) / 255
+        metallic = _metallic(part)
         mirrored = 0.08 * m.specular * (1 - metallic)
         albedo[rows] = colour * ((1 - metallic) * (1 - mirrored) + metallic) + mirrored
         emission[rows] = np.asarray(m.emissive) * _texture(part, m.emissive_texture, corners, share)
     return albedo, emission
+
+
+def _metallic(part: Part) -> float:
+    """Mean of a part, 0..1."""
+    texture = part.material.metallic_roughness_texture
+    mean = 1.0 if texture is None else float(texture[..., 0].mean()) / 255
+    return part.material.metallic * mean
 
 
 def _texture(

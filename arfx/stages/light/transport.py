@@ -20,8 +20,7 @@ from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
 from arfx.core.sampling import disc, frame_about
 from arfx.core.scene import Scene
-from arfx.stages.gi.real_planes import texel_positions
-from arfx.stages.gi.surroundings import WARP, Planes
+from arfx.stages.light.planes import Planes, texel_positions, warped
 from arfx.stages.light.soft_visibility import LEAST_SEEN
 from arfx.stages.light.surface_grid import SurfaceGrid
 from arfx.stages.light.surfels import Hits, ObjectRays, surfels_of
@@ -37,14 +36,13 @@ _LEAST_TOTAL = 1e-4  # radiance of a white plane under which it has no light
 @dataclass(frozen=True)
 class TransportLevel:
     """surfels : of the object, about;  rays : of each place;  side : texels of a plane;  cells : of the surface's grid
-    bounces : of light from place to place;  mirror : rays show the object in itself"""
+    bounces : of light from place to place"""
 
     surfels: int
     rays: int
     side: int
     cells: int
     bounces: int
-    mirror: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +58,10 @@ class Indirect:
 
 
 class Transport:
-    """planes : real ones;  rays : of the object"""
+    """planes : real ones;  rays : of the object
+
+    occluded (z, y, x, 1), colours (z, y, x, 3) : nodes of `grid`, share of the hemisphere that the object hides, albedo
+    hidden (p, side, side) : share of a texel's hemisphere in which the object is nearest"""
 
     def __init__(
         self, scene: Scene, planes: Planes, rays: ObjectRays, level: TransportLevel
@@ -72,8 +73,10 @@ class Transport:
         self._texel_normals = np.repeat(planes.axes[:, 3].astype(float), level.side**2, 0)
         traced = [*rays.over(points, normals, level.rays)]
         met = np.concatenate([(hits.face >= 0).mean(1) for hits in traced])
-        self.grid = SurfaceGrid(points, normals, np.maximum(1 - met, LEAST_SEEN), level.cells)
+        seen = np.concatenate([_open(hits).mean(1) for hits in traced])
+        self.grid = SurfaceGrid(points, normals, np.maximum(seen, LEAST_SEEN), level.cells)
         self.occluded = self.grid.nodes(met[:, None])
+        self.colours = self.grid.nodes(self.surfels.albedo)
         self._of_surfels = self._matrix(len(points), *self._columns(traced))
         lifted = rays.over(self.texels, self._texel_normals, level.rays)
         self._trace_planes([*lifted])
@@ -83,7 +86,6 @@ class Transport:
         return int(np.prod(self.grid.shape))
 
     def _trace_planes(self, traced: Sequence[Hits]) -> None:
-        """hidden (p, side, side) : share of a texel's hemisphere in which the object is nearest."""
         count, side = len(self.texels), self.level.side
         own = np.repeat(np.arange(len(self.planes.axes)), side**2)
         rows, to, past = [], [], []
@@ -212,6 +214,11 @@ class Transport:
         return on_surfels, shadow
 
 
+def _open(hits: Hits) -> np.ndarray:
+    """(n, k) rays over the anchor's plane that meet nothing: as cameras see a surfel, which counts by that."""
+    return np.asarray((hits.face < 0) & (hits.directions[..., 2] > 0))
+
+
 def _stacked(*parts: np.ndarray) -> np.ndarray:
     return np.concatenate(parts).astype(np.float32)
 
@@ -222,8 +229,3 @@ def sky_texels(directions: np.ndarray) -> np.ndarray:
     column = np.minimum((u + 1) / 2 * SKY, SKY - 1).astype(int)
     row = np.minimum((v + 1) / 2 * SKY, SKY - 1).astype(int)
     return np.asarray((face * SKY + row) * SKY + column).reshape(directions.shape[:-1])
-
-
-def warped(places: np.ndarray) -> np.ndarray:
-    """Texture coordinate, -1..1, of places on a plane in units of its texture's half side."""
-    return np.asarray(WARP * places / (1 + (WARP - 1) * np.abs(places)))

@@ -18,9 +18,9 @@ import numpy as np
 from arfx.core.layers import packed
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
-from arfx.stages.lightmap.beams import Beam, disc_directions
-from arfx.stages.lightmap.caster import Caster
-from arfx.stages.lightmap.silhouette import height_map
+from arfx.stages.light.beams import Beam, disc_directions
+from arfx.stages.light.caster import Caster
+from arfx.stages.light.silhouette import height_map
 from arfx.stages.triangles import Triangles, disc
 
 _EMPTY = -1e9

@@ -23,6 +23,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
+from arfx.stages.light.beams import Beam, FrameLight, frame_light
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView, shadow_ratio
 from arfx.stages.light.plane_shadow import (
     PLANE_LEVELS,
@@ -38,7 +39,6 @@ from arfx.stages.light.soft_visibility import (
     visible_fraction,
     visible_fraction_by_rays,
 )
-from arfx.stages.lightmap.beams import Beam, FrameLight, frame_light
 from arfx.stages.lightmap.self_shadow import (
     SELF_LEVELS,
     depth_map,

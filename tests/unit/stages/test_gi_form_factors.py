@@ -14,9 +14,9 @@ from arfx.stages.gi.field import make_voxel_model
 from arfx.stages.gi.form_factors import factors_of, solid, voxel_at
 from arfx.stages.gi.frame_light import at_horizon, environment_cube
 from arfx.stages.gi.pixels import widened_roughness
-from arfx.stages.gi.real_planes import planes_of, texel_positions
 from arfx.stages.gi.surroundings import irradiance
 from arfx.stages.gi.voxelise import voxelise
+from arfx.stages.light.planes import planes_of, texel_positions
 from tests.scenes import facts
 from tests.unit.stages.gi_scenes import (
     BLACK,

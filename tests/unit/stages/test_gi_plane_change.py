@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arfx.stages.gi.plane_pixels import PlaneChange, add_delta, cell_px
-from arfx.stages.gi.surroundings import WARP
+from arfx.stages.light.planes import WARP
 
 HEIGHT, WIDTH = 96, 128
 FLOOR = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]

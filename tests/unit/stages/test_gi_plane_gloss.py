@@ -17,7 +17,7 @@ from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, level_named
 from arfx.papers.s4_gi import PrintedGi
 from arfx.stages.gi import Gi, GiParams
-from arfx.stages.gi.real_planes import picture_on_planes, planes_of, texel_positions
+from arfx.stages.light.planes import picture_on_planes, planes_of, texel_positions
 from tests.contract.stage_laws import check_roi_law
 from tests.scenes import facts
 from tests.unit.stages.gi_scenes import (

@@ -18,12 +18,12 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import BLEND, MASK, Material
 from arfx.core.stage import ReadyStage
 from arfx.errors import RenderError
+from arfx.stages.light.beams import QUANTUM, REACH, disc_directions, quantised
+from arfx.stages.light.caster import make_caster
 from arfx.stages.light.plane_shadow import PLANE_LEVELS, beam_texture
+from arfx.stages.light.silhouette import covered_fraction, height_map
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.lightmap import stage as stage_module
-from arfx.stages.lightmap.beams import QUANTUM, REACH, disc_directions, quantised
-from arfx.stages.lightmap.caster import make_caster
-from arfx.stages.lightmap.silhouette import covered_fraction, height_map
 from arfx.stages.triangles import disc
 from tests.scenes import box_model, layers_of
 from tests.unit.stages.lightmap_scenes import (
@@ -319,7 +319,7 @@ def soup(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("seed", range(5))
 def test_silhouettes_are_the_union_of_the_triangles(seed: int) -> None:
     """Whatever the mesh is: open, in itself crossing, facets facing any way."""
-    from arfx.stages.lightmap.caster import _edges
+    from arfx.stages.light.caster import _edges
 
     vertices, faces = soup(14, seed)
     across = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
@@ -343,7 +343,7 @@ def test_silhouettes_are_the_union_of_the_triangles(seed: int) -> None:
 
 def test_many_crossings_of_a_row_are_counted_as_well_as_sorted() -> None:
     """A comb of 60 teeth: more crossings than are sorted."""
-    from arfx.stages.lightmap.caster import _edges
+    from arfx.stages.light.caster import _edges
 
     x = np.arange(60) * 2.0 + 2
     vertices = np.concatenate(

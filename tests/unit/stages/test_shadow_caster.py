@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from arfx.analyse.pose import visibility
-from arfx.stages.lightmap.caster import _outline
+from arfx.stages.light.caster import _outline
 
 CUBE = np.array(np.meshgrid([0, 1], [0, 1], [0, 1.0])).reshape(3, -1).T
 

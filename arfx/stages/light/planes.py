@@ -5,6 +5,7 @@ Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -16,7 +17,6 @@ from arfx.core.pose import Pose
 from arfx.core.real_depth import RealPlane
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
-from arfx.stages.gi.surroundings import ENDLESS, Planes, unwarped
 from arfx.stages.viewing import seen_rect
 
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c + .055)) x step, least at c = 1.
@@ -28,6 +28,36 @@ _SAME_DEPTH = 0.03  # of the distance
 COARSE = 16  # texels of a plane by which the unseen parts are filled
 BLUR = 0.6  # a rough plane's mirror image is wider by this share of the object's height, times the lobe's tangent
 NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
+
+
+ENDLESS = 1e6  # metres
+WARP = np.float32(3.0)  # how much denser a plane's texture is in its middle than if it were even
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the plane, normal;  half_m : of textures
+    bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was seen to end; +-ENDLESS"""
+
+    axes: np.ndarray
+    half_m: float
+    bounds: np.ndarray
+
+    @property
+    def key(self) -> tuple[bytes, float, bytes]:
+        """Equal for equal planes."""
+        return self.axes.tobytes(), self.half_m, self.bounds.tobytes()
+
+
+def unwarped(u: np.ndarray) -> np.ndarray:
+    """The inverse of `warped`."""
+    k = float(WARP)
+    return u / (k - (k - 1) * np.abs(u))
+
+
+def warped(places: np.ndarray) -> np.ndarray:
+    """Texture coordinate, -1..1 inside, of places on a plane in units of its texture's half side."""
+    return np.asarray(WARP * places / (1 + (WARP - 1) * np.abs(places)))
 
 
 @lru_cache(maxsize=4)
