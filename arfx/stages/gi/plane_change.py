@@ -20,6 +20,7 @@ from arfx.stages.holdout import on_plane, plane_dioptres
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView
 from arfx.stages.light.plane_shadow import SoftPicture, texel_places
 from arfx.stages.light.planes import SHOWS, Planes, warped
+from arfx.stages.light.transport import Indirect
 
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 SAME_DEPTH = 0.02  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
@@ -43,47 +44,41 @@ def plane_pose(axes: np.ndarray) -> Pose:
 
 
 def change_textures(
-    gain: np.ndarray,
-    hidden: np.ndarray,
-    total: np.ndarray,
-    planes: Planes,
-    soft: Sequence[SoftPicture],
+    light: Indirect, hidden: np.ndarray, planes: Planes, soft: Sequence[SoftPicture]
 ) -> list[list[tuple[PlaneTexture, ...]]]:
     """Of each plane, textures that add up, each by channel: share of all the plane's light that the object adds.
 
-    gain (p, side, side, 3), hidden (p, side, side) : of `Transport`;  total (p, 3) : radiance of white planes
-    soft : pictures of the first plane that add up; these in the anchor's axes, the others' in the plane's"""
+    hidden (p, side, side) : of `Transport`;  soft : pictures of the first plane that add up, in the anchor's axes; the
+    other planes' textures are in their own"""
     out = []
     for k, axes in enumerate(planes.axes.astype(float)):
-        even = [cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS) for a in (gain[k], hidden[k])]
-        quotient = divide(even[0], even[1][..., None] * np.maximum(total[k], 1e-4))
-        if k > 0:
-            out.append([_texture(_even_picture(planes.half_m), even[1], quotient, planes.half_m)])
-            continue
-        rotation, shift = axes[1:3, :2], -axes[1:3] @ axes[0]
+        even = [cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS) for a in (light.gain[k], hidden[k])]
+        quotient = divide(even[0], even[1][..., None] * light.total[k])
+        to_own = (np.eye(2), np.zeros(2))
+        if k == 0:
+            to_own = axes[1:3, :2], -axes[1:3] @ axes[0]
+        blank = _even_picture(planes.half_m, -np.linalg.solve(*to_own))
+        pictures = soft if k == 0 else (SoftPicture(blank.dark[None], blank.texel_from_m),)
         textures = []
-        for picture in soft:
-            places = np.stack(texel_places(picture.even), -1) @ rotation.T + shift
-            share = picture.hidden[0] * _faded(places / planes.half_m)
-            change = share[..., None] * _sampled(quotient, places / planes.half_m)
+        for picture in pictures:
+            places = (texel_places(picture.even) @ to_own[0].T + to_own[1]) / planes.half_m
+            share = picture.hidden[0] if k == 0 else _sampled(even[1][..., None], places)[..., 0]
+            change = (share * _faded(places))[..., None] * _sampled(quotient, places)
             textures.append(_channels(change, picture.texel_from_m))
+        if len(planes.axes) > 1:
+            places = (texel_places(blank) @ to_own[0].T + to_own[1]) / planes.half_m
+            change = _faded(places)[..., None] * _sampled(light.spread[k] / light.total[k], places)
+            textures.append(_channels(change, blank.texel_from_m))
         out.append(textures)
     return out
 
 
-def _even_picture(half_m: float) -> PlaneTexture:
+def _even_picture(half_m: float, middle_m: np.ndarray) -> PlaneTexture:
+    """Nothing, about a place of the plane."""
     scale = (_OTHER_SIDE - 1) / (2 * half_m)
-    middle = (_OTHER_SIDE - 1) / 2
-    matrix = np.array([[scale, 0, middle], [0, scale, middle]])
+    corner = (_OTHER_SIDE - 1) / 2 - scale * middle_m
+    matrix = np.column_stack([scale * np.eye(2), corner])
     return PlaneTexture(np.zeros((_OTHER_SIDE, _OTHER_SIDE), np.float32), matrix)
-
-
-def _texture(
-    blank: PlaneTexture, hidden: np.ndarray, quotient: np.ndarray, half_m: float
-) -> tuple[PlaneTexture, ...]:
-    places = np.stack(texel_places(blank), -1) / half_m
-    share = _sampled(hidden[..., None], places) * _faded(places)[..., None]
-    return _channels(share * _sampled(quotient, places), blank.texel_from_m)
 
 
 def _channels(change: np.ndarray, texel_from_m: np.ndarray) -> tuple[PlaneTexture, ...]:
@@ -159,13 +154,11 @@ def shown_planes(
     ]
 
 
-def visible_radius_m(
-    gain: np.ndarray, total: np.ndarray, planes: Planes, positions: np.ndarray
-) -> float:
+def visible_radius_m(light: Indirect, planes: Planes, positions: np.ndarray) -> float:
     """Distance from the planes' origins beyond which no texel's change shows.
 
-    gain, positions (p, side, side, 3);  total (p, 3)"""
-    change = np.abs(divide(gain, np.maximum(total, 1e-4)[:, None, None])).max(-1)
+    positions (p, side, side, 3) : of the texels"""
+    change = np.abs((light.gain + light.spread) / light.total).max(-1)
     shows = change >= SHOWS
     away = np.linalg.norm(positions - planes.axes[:, None, None, 0], axis=-1)
     return float(min(away[shows].max() * 1.25, planes.half_m)) if shows.any() else 0.0

@@ -199,7 +199,9 @@ class Gi(Stage):
         )
         virtual = self._virtual(view, prepared, incoming, lit, sight)
         if not disc.empty:
-            disc = disc_rect(scene, prepared.planes, lit.radius_m, view.pose, frame)
+            radius_m = lit.radius_m
+            shown = disc_rect(scene, prepared.planes, radius_m, view.pose, frame)
+            disc = shown if radius_m > 0 else EMPTY
         shadow = self._shadow(view, prepared, lit, sight, disc, mirror)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow}
 
@@ -216,12 +218,9 @@ class Gi(Stage):
             places = len(transport.texels)
             picture = np.broadcast_to(incoming.mean, (places, 3))
             indirect = transport.solve(scene, light, picture, sky)
-            up = planes.axes[:, 3] @ scene.world_from_anchor.rotation.T
-            total = light.radiance(up)
-            hidden = transport.hidden
-            changes = change_textures(indirect.gain, hidden, total, planes, prepared.soft)
-            positions = transport.texels.reshape(*hidden.shape, 3)
-            radius_m = visible_radius_m(indirect.gain, total, planes, positions)
+            changes = change_textures(indirect, transport.hidden, planes, prepared.soft)
+            positions = transport.texels.reshape(*transport.hidden.shape, 3)
+            radius_m = visible_radius_m(indirect, planes, positions)
             sent = transport.grid.nodes(indirect.sent)
             return LitScene(indirect, changes, radius_m, sent, incoming.mean)
 

@@ -61,9 +61,8 @@ class Contact:
 
     def share(self, texture: PlaneTexture) -> np.ndarray:
         """(rows, columns) 1 inside, 0 outside, of a texture's texels."""
-        x, y = texel_places(texture)
-        box = (*self.low, *self.high)
-        return np.asarray(np.clip(_inside_m(x, y, box) / self.rim_m, 0, 1), np.float32)
+        inside = _inside_m(texel_places(texture), (*self.low, *self.high))
+        return np.asarray(np.clip(inside / self.rim_m, 0, 1), np.float32)
 
     @property
     def corners(self) -> np.ndarray:
@@ -234,7 +233,7 @@ def within_surface(
     if surface_m is None:
         return texture
     pitch = float(np.sqrt(abs(1 / np.linalg.det(texture.texel_from_m[:, :2]))))
-    inside = _inside_m(*texel_places(texture), surface_m)
+    inside = _inside_m(texel_places(texture), surface_m)
     share = np.clip(inside / pitch + 0.5, 0, 1)
     return PlaneTexture((texture.dark * share).astype(np.float32), texture.texel_from_m)
 
@@ -259,17 +258,17 @@ def plane_shadow_texture(shadow: PlaneShadow, ambient_fraction: np.ndarray) -> P
     )
 
 
-def texel_places(texture: PlaneTexture) -> tuple[np.ndarray, np.ndarray]:
-    """x, y (rows, columns), metres, of the texels' centres."""
+def texel_places(texture: PlaneTexture) -> np.ndarray:
+    """(rows, columns, 2) x and y, metres, of the texels' centres."""
     rows, columns = texture.dark.shape
     v, u = np.mgrid[:rows, :columns]
     inverse = np.linalg.inv(texture.texel_from_m[:, :2])
-    places = (np.stack([u, v], -1) - texture.texel_from_m[:, 2]) @ inverse.T
-    return places[..., 0], places[..., 1]
+    return np.asarray((np.stack([u, v], -1) - texture.texel_from_m[:, 2]) @ inverse.T)
 
 
-def _inside_m(x: np.ndarray, y: np.ndarray, box: Sequence[float]) -> np.ndarray:
-    """How far places lie inside a box x0, y0, x1, y1; below 0 outside."""
+def _inside_m(places: np.ndarray, box: Sequence[float]) -> np.ndarray:
+    """How far places (..., 2) lie inside a box x0, y0, x1, y1; below 0 outside."""
+    x, y = places[..., 0], places[..., 1]
     across, along = np.minimum(x - box[0], box[2] - x), np.minimum(y - box[1], box[3] - y)
     return np.asarray(np.minimum(across, along))
 

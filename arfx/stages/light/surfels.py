@@ -131,12 +131,13 @@ class Surfels:
 
     points, normals (n, 3) : metres, unit, of their triangles: rays over a smooth normal would pass under them
     face (n,) : the triangle
-    albedo, emission (n, 3) : of light that leaves in all directions, mirrored light counted as such"""
+    albedo, matt, emission (n, 3) : of light that leaves in all directions, mirrored light counted as such, and without"""
 
     points: np.ndarray
     normals: np.ndarray
     face: np.ndarray
     albedo: np.ndarray
+    matt: np.ndarray
     emission: np.ndarray
 
 
@@ -153,14 +154,14 @@ def surfels_of(scene: Scene, rays: ObjectRays, count: int) -> Surfels:
     weights = np.column_stack([1 - u - v, u, v])
     points = (weights[:, :, None] * rays.corners[face]).sum(1)
     normals = rays.normals[face]
-    albedo, emission = _colours(scene, rays, face, weights)
+    colours = _colours(scene, rays, face, weights)
     front, back = (_seen_from_outside(rays, points, side * normals) for side in (1, -1))
     through = rays.opacity[face] < _OPAQUE  # its inside shows
     front, back = front | through, back | through
     front |= ~(front | back)  # a sliver between others: counted once
     keep = np.concatenate([np.flatnonzero(front), np.flatnonzero(back)])
     side = np.repeat([1.0, -1.0], [front.sum(), back.sum()])[:, None]
-    return Surfels(points[keep], side * normals[keep], face[keep], albedo[keep], emission[keep])
+    return Surfels(points[keep], side * normals[keep], face[keep], *(c[keep] for c in colours))
 
 
 def _seen_from_outside(rays: ObjectRays, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -175,9 +176,9 @@ def _seen_from_outside(rays: ObjectRays, points: np.ndarray, normals: np.ndarray
 
 def _colours(
     scene: Scene, rays: ObjectRays, face: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(albedo, emission) (n, 3) at places in faces, by their corners' weights (n, 3)."""
-    albedo, emission = np.zeros((len(face), 3)), np.zeros((len(face), 3))
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(albedo, matt, emission) (n, 3) at places in faces, by their corners' weights (n, 3)."""
+    albedo, matt, emission = (np.zeros((len(face), 3)) for _ in range(3))
     for k, part in enumerate(scene.model.parts):
         rows = np.flatnonzero(rays.part[face] == k)
         corners, m = part.faces[rays.face_of_part[face[rows]]], part.material
@@ -187,9 +188,10 @@ def _colours(
             colour = colour * (part.colours[corners][..., :3] * share[..., None]).sum(1)
         metallic = _metallic(part)
         mirrored = 0.08 * m.specular * (1 - metallic)
-        albedo[rows] = colour * ((1 - metallic) * (1 - mirrored) + metallic) + mirrored
+        matt[rows] = colour * (1 - metallic) * (1 - mirrored)
+        albedo[rows] = matt[rows] + colour * metallic + mirrored
         emission[rows] = np.asarray(m.emissive) * _texture(part, m.emissive_texture, corners, share)
-    return albedo, emission
+    return albedo, matt, emission
 
 
 def _metallic(part: Part) -> float:

@@ -49,11 +49,14 @@ class TransportLevel:
 class Indirect:
     """Of one light. received, sent (n, 3) : radiance of white surfels from all but the lamps, and what surfels send
     gain (p, side, side, 3) : radiance that white planes gain or lose by the object, but for the lamps' shadow
-    left (p, side, side, 3) : share of a plane's light that is left, lamps counted too"""
+    spread : the same, by what the object changes on other planes and by the light that these hide
+    total : of white planes without the object;  left : share of it that is left, lamps counted too"""
 
     received: np.ndarray
     sent: np.ndarray
     gain: np.ndarray
+    spread: np.ndarray
+    total: np.ndarray
     left: np.ndarray
 
 
@@ -88,7 +91,7 @@ class Transport:
     def _trace_planes(self, traced: Sequence[Hits]) -> None:
         count, side = len(self.texels), self.level.side
         own = np.repeat(np.arange(len(self.planes.axes)), side**2)
-        rows, to, past = [], [], []
+        rows, to, past, beside, without = [], [], [], [], []
         for hits in traced:
             behind, distance = self._beyond(hits, own[hits.rows])
             nearer = hits.distance < distance
@@ -96,11 +99,26 @@ class Transport:
             rows.append(row + hits.rows.start)
             to.append(self._nodes_met(hits, nearer))
             past.append(behind[row, ray])
+            if len(self.planes.axes) > 1:
+                numbers = np.arange(hits.rows.start, hits.rows.stop)
+                number = np.broadcast_to(numbers[:, None], behind.shape)
+                other = np.isfinite(distance) & ~nearer
+                beside.append((number[other], behind[other]))
+                without.append((number.ravel(), behind.ravel()))
+        self._beside = self._joined(count, beside)
+        self._without = self._joined(count, without)
         row = np.concatenate(rows)
         self._to_object = self._matrix(count, row, np.concatenate(to))
         self._past_object = self._matrix(count, row, np.concatenate(past))
         shares = np.bincount(row, minlength=count) / self.level.rays
         self.hidden = shares.reshape(-1, side, side)
+
+    def _joined(self, count: int, parts: list[tuple[np.ndarray, np.ndarray]]) -> csr_array | None:
+        """None where there is one plane."""
+        if not parts:
+            return None
+        row, column = (np.concatenate(values) for values in zip(*parts, strict=True))
+        return self._matrix(count, row, column)
 
     def _columns(self, traced: Sequence[Hits]) -> tuple[np.ndarray, np.ndarray]:
         """(row, column) of each ray of surfels: what it meets."""
@@ -169,21 +187,33 @@ class Transport:
         the anchor's, as `sky_texels` numbers them"""
         surfels, shape = self.surfels, (*self.hidden.shape, 3)
         on_surfels, shadow = self._lamps(scene, light)
-        turn = scene.world_from_anchor.rotation
-        total = np.maximum(light.radiance(self._texel_normals @ turn.T), _LEAST_TOTAL)
-        base = 1 - np.minimum(shadow / total, 1)
+        normals = self._texel_normals @ scene.world_from_anchor.rotation.T
+        alone = np.maximum(light.radiance(normals), _LEAST_TOTAL)
+        total, extra, beside = alone, np.zeros_like(alone), np.zeros_like(alone)
         unseen = np.zeros((self._node_count, 3), np.float32)
-        lost = self._past_object @ _stacked(unseen, picture, sky)
-        sent, left, gain = surfels.albedo * on_surfels + surfels.emission, base, -lost
+        undisturbed = _stacked(unseen, picture, sky)
+        if self._without is not None:
+            soft = light.soft_radiance(normals)
+            total = np.maximum(alone + self._without @ undisturbed - soft, _LEAST_TOTAL)
+            # a lamp's shadow on the first plane is drawn as if no other plane hid soft light that is left in it
+            first = np.arange(len(total)) < self.level.side**2
+            extra = np.where(first[:, None], shadow * (total / alone - 1), 0)
+        base = 1 - np.minimum(shadow / total, 1)
+        lost = self._past_object @ undisturbed
+        direct = surfels.matt * on_surfels + surfels.emission
+        sent, left, gain = direct, base, -lost
         received = np.zeros_like(sent)
         for _ in range(self.level.bounces + 1):
             nodes = self.grid.nodes(sent).reshape(-1, 3)
             arriving = _stacked(nodes, picture * left, sky)
             received = self._of_surfels @ arriving
             gain = self._to_object @ arriving - lost
-            left = np.clip(base + divide(gain, total), 0, None)
-            sent = surfels.albedo * (received + on_surfels) + surfels.emission
-        return Indirect(received, sent, gain.reshape(shape), left.reshape(shape))
+            if self._beside is not None:
+                beside = self._beside @ _stacked(unseen, picture * (left - 1), np.zeros_like(sky))
+            left = np.clip(base + divide(gain + beside, total), 0, None)
+            sent = surfels.albedo * received + direct
+        fields = (gain, beside + extra, total, left)
+        return Indirect(received, sent, *(np.reshape(field, shape) for field in fields))
 
     def more_from_planes(self, change: np.ndarray) -> np.ndarray:
         """(n, 3) light on surfels by a change (p side^2, 3) of the planes' radiance."""

@@ -35,7 +35,7 @@ EVEN = Light((1.0, 1.0, 1.0), ())
 NIGHT = Light((0.0, 0.0, 0.0), ())
 LAMP = Light((0.4, 0.4, 0.4), (DirectionalLight((0.5, 0.5, 0.7), (0.5, 0.5, 0.5), 8.0),))
 CAMERA = Camera(160, 120, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]))
-stage_module.VOXELS_KEPT = 8  # tests come back to the same few models at other levels and heights
+stage_module.TRANSPORTS_KEPT = 8  # tests come back to the same few models at other levels and heights
 
 
 @cache

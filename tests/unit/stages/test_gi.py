@@ -20,8 +20,6 @@ from arfx.errors import ConfigError, RenderError
 from arfx.run.parameters import make_stages
 from arfx.stages import STAGES, stages_with
 from arfx.stages.gi import Gi, GiParams
-from arfx.stages.gi import stage as stage_module
-from arfx.stages.gi.frame_light import LevelSettings
 from tests.scenes import box_model, facts, layers_of
 from tests.unit.stages.gi_scenes import (
     BLACK,
@@ -43,7 +41,7 @@ from tests.unit.stages.gi_scenes import (
     run_gi,
 )
 
-CONES = ["draft", "standard", "high"]
+LEVELS = ["draft", "standard"]
 
 
 def on(shape, material, light: Light = LAMP, height_m: float = 0.0, camera: Camera = CAMERA) -> Scene:  # type: ignore[no-untyped-def]
@@ -56,17 +54,15 @@ def ring(s: Scene, coverage: np.ndarray, low_m: float, high_m: float, pose: Pose
     return (coverage == 0) & (away > low_m) & (away < high_m)
 
 
-@pytest.mark.parametrize("n", [32, 64, 128])
+@pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("shape", [ball, box])
-def test_white_furnace(n: int, shape, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
-    """White object, white plane, even light of 1 from everywhere: nothing is to be seen, at every resolution."""
-    monkeypatch.setitem(stage_module.LEVELS, "standard", LevelSettings(n, 64, 16, 64, 2, 0.35))
-    s = on(shape, MATT_WHITE, EVEN)
-    made = run_gi(s, plate=plain_plate(rgb=(1, 1, 1)))
+def test_white_furnace(level: str, shape) -> None:  # type: ignore[no-untyped-def]
+    """White object, white plane, even light of 1 from everywhere: nothing is to be seen, at every level."""
+    made = run_gi(on(shape, MATT_WHITE, EVEN), level, plate=plain_plate(rgb=(1, 1, 1)))
     light = made[Layer.VIRTUAL][inner(made[Layer.COVERAGE])]
     assert light.mean() == pytest.approx(1, abs=0.02)
-    # where walls and floor meet each sees the other darkened a little more than it is, once per bounce that is left out
-    assert light.min() > 0.96 and light.max() < 1.02
+    # what is left out after the last bounce is missing where walls and floor meet
+    assert light.min() > 0.9 and light.max() < 1.02
     outside = made[Layer.SHADOW][made[Layer.COVERAGE] == 0]
     assert outside.mean() == pytest.approx(1, abs=0.01) and outside.max() < 1.02
 
@@ -74,14 +70,14 @@ def test_white_furnace(n: int, shape, monkeypatch: pytest.MonkeyPatch) -> None: 
 @pytest.mark.parametrize("shape", [ball, box])
 def test_brightness_does_not_depend_on_the_resolution(shape) -> None:  # type: ignore[no-untyped-def]
     s = on(shape, MATT_RED)
-    a, b = run_gi(s, "standard"), run_gi(s, "high")
+    a, b = run_gi(s, "draft"), run_gi(s, "standard")
     core = inner(a[Layer.COVERAGE])
     assert a[Layer.VIRTUAL][core].mean() == pytest.approx(b[Layer.VIRTUAL][core].mean(), rel=0.03)
     near = ring(s, a[Layer.COVERAGE], 0, 0.15)
     assert (1 - a[Layer.SHADOW][near]).mean() == pytest.approx((1 - b[Layer.SHADOW][near]).mean(), abs=0.01)
 
 
-@pytest.mark.parametrize("level", [*CONES, "reference"])
+@pytest.mark.parametrize("level", [*LEVELS, "reference"])
 def test_a_red_object_colours_the_plane_and_a_black_one_darkens_it(level: str) -> None:
     params = GiParams(samples=16)
     red = run_gi(on(box, MATT_RED), level, params=params)
@@ -97,9 +93,9 @@ def test_a_red_object_colours_the_plane_and_a_black_one_darkens_it(level: str) -
 
 
 @pytest.mark.parametrize("shape", [ball, box])
-@pytest.mark.parametrize("level", CONES)
+@pytest.mark.parametrize("level", LEVELS)
 def test_a_convex_object_does_not_hide_the_light_from_itself(level: str, shape) -> None:  # type: ignore[no-untyped-def]
-    """Cones that met the voxels of the surface they start on would find a dark grey object in an even light."""
+    """Rays that met the surface they start on would find a dark grey object in an even light."""
     dark = replace(MATT_WHITE, base_colour=(0.1, 0.1, 0.1, 1.0))
     made = run_gi(on(shape, dark, EVEN), level, plate=plain_plate(rgb=(1, 1, 1)))
     up = inner(made[Layer.COVERAGE]) & (made[Layer.NORMAL][..., 2] > 0.9)
@@ -163,7 +159,7 @@ def test_camera_inside_and_an_object_that_fills_the_picture(level: str) -> None:
         assert np.isfinite(made[Layer.VIRTUAL]).all() and np.isfinite(made[Layer.SHADOW]).all()
 
 
-@pytest.mark.parametrize("level", [*CONES, "reference"])
+@pytest.mark.parametrize("level", [*LEVELS, "reference"])
 def test_no_light_at_all(level: str) -> None:
     s = on(box, MATT_RED, NIGHT)
     made = run_gi(s, level, plate=plain_plate(rgb=(0, 0, 0)), params=GiParams(samples=2))
