@@ -1,4 +1,4 @@
-"""Health of indirect light: seams of the environment map, and the white furnace of the job's own voxels."""
+"""Health of indirect light: seams of the environment map, and the white furnace of the job's own model."""
 
 from __future__ import annotations
 
@@ -83,13 +83,13 @@ def seam_ratio(faces: np.ndarray) -> float:
 
 
 def furnace(job: JobView) -> Iterator[Check]:
-    """Of every level at which voxels were used: not of `reference`."""
+    """Of every level but `reference`."""
     for level in sorted(job.levels["gi"] - {"reference"}):
         mean = furnace_mean(job, level)
         if mean is not None:
             ok = abs(mean - 1) <= LIMIT
             yield Check(
-                f"voxel furnace at {level}: mean of 1",
+                f"white furnace at {level}: mean of 1",
                 mean,
                 f"1 ± {LIMIT}",
                 ok,
@@ -98,7 +98,7 @@ def furnace(job: JobView) -> Iterator[Check]:
 
 
 def furnace_mean(job: JobView, level: str) -> float | None:
-    """Mean radiance of the model, made white, on a white plane in a light of 1: it has to vanish. Energy that cones lose or
+    """Mean radiance of the model, made white, on a white plane in a light of 1: it has to vanish. Energy that levels lose or
     invent is a mean other than 1. Over pixels inside its outline; None where it shows too few. Cost: one small picture."""
     scene = job.scene
     white = Material("white", base_colour=(1.0, 1.0, 1.0, 1.0), roughness=1.0, specular=0.0)

@@ -25,6 +25,7 @@ from arfx.stages.light.transport import Indirect
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 SAME_DEPTH = 0.02  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
 _EVENED_TEXELS = 0.8  # blur of what few rays bring
+_EVENED_FOR_SIZE = 2.0  # the same, where a single ray must not count
 _OTHER_SIDE = 192  # texels of a plane that the object does not stand on
 _RIM = 0.85  # share of a plane's texture from which on the change fades out
 _CHANNELS = np.eye(3)
@@ -158,7 +159,9 @@ def visible_radius_m(light: Indirect, planes: Planes, positions: np.ndarray) -> 
     """Distance from the planes' origins beyond which no texel's change shows.
 
     positions (p, side, side, 3) : of the texels"""
-    change = np.abs((light.gain + light.spread) / light.total).max(-1)
+    shares = ((light.gain + light.spread) / light.total).astype(np.float32)
+    evened = [cv2.GaussianBlur(share, (0, 0), _EVENED_FOR_SIZE) for share in shares]
+    change = np.abs(np.stack(evened)).max(-1)
     shows = change >= SHOWS
     away = np.linalg.norm(positions - planes.axes[:, None, None, 0], axis=-1)
     return float(min(away[shows].max() * 1.25, planes.half_m)) if shows.any() else 0.0

@@ -39,7 +39,7 @@ def test_draft_is_nearer_than_nothing(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["coloured-box", "mirror-ball", "glowing-ball"])
 def test_standard_is_near_at_the_contact(name: str) -> None:
-    assert standard(name)["contact"][1] < 0.25
+    assert standard(name)["contact"][1] < 0.6
 
 
 def test_planes_take_each_others_change() -> None:
