@@ -1,10 +1,10 @@
-"""Cost of `gi` where exactly a given share of the picture is affected, and the memory of its voxels.
+"""Cost of `gi` where exactly a given share of the picture is affected.
 
     python tools/bench_gi.py [--share 0.3] [--size 640x480 --size 1280x720] [--runs 9]
 
 Affected is a pixel that the object covers, or whose plane changes by half a grey level or more. The benchmark's ball is brought
 as near as that takes. Times are medians of turns with the yardstick of `arfx bench` (one Gaussian blur, float32, 3 channels,
-sigma 5, of the whole picture), at a light that stands still (its voxels' light is kept), and for a light never seen before.
+sigma 5, of the whole picture), at a light that stands still (what bounces is kept), and for a light never seen before.
 """
 
 from __future__ import annotations
@@ -19,14 +19,12 @@ import numpy as np
 
 from arfx.core.layers import Layer, Layers
 from arfx.core.stage import ReadyStage, level_named
-from arfx.measure.bench_scene import BenchScene, ball, bench_scene
+from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import FrameLayers
 from arfx.stages import STAGES
 from arfx.stages.gi import Gi
-from arfx.stages.gi.pyramid import structure_of
 from arfx.stages.light.planes import SHOWS
-from arfx.stages.gi.voxelise import voxelise
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.raster import Raster
 
@@ -103,19 +101,6 @@ def timed(share: float, size: tuple[int, int], levels: list[str], runs: int) -> 
         )
 
 
-def memory() -> None:
-    scene = bench_scene(640, 480, model=ball()).scene
-    for n in (64, 128, 256):
-        structure = structure_of(voxelise(scene, n).cells, n)
-        size = 4 * structure.floats + structure.brick_of.nbytes
-        dense = sum(4 * (4 if k == 0 else 24) * layer.n**3 for k, layer in enumerate(structure.layers))
-        print(
-            f"{n}^3: {len(structure.layers[0].cells)} voxels, {size / 2**20:.1f} MiB, "
-            f"dense {dense / 2**20:.0f} MiB, {dense / size:.0f} times as much",
-            flush=True,
-        )
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--share", type=float, default=0.3)
@@ -123,7 +108,6 @@ def main() -> None:
     parser.add_argument("--level", action="append")
     parser.add_argument("--runs", type=int, default=9)
     given = parser.parse_args()
-    memory()
     for size in given.size or ["640x480", "1280x720"]:
         width, height = (int(v) for v in size.split("x"))
         timed(given.share, (width, height), given.level or ["standard", "high"], given.runs)

@@ -56,8 +56,9 @@ def shade(
     """The plane's pixels without an object before it: the same as `_over` with coverage 0.
 
     plate, shadow, out : (h, w, 3)"""
-    lines = [np.ascontiguousarray(a).reshape(len(a), -1) for a in (plate, shadow)]
-    out[...] = _shade(*lines, opacity, np.tile(bias, plate.shape[1])).reshape(plate.shape)
+    flat, shares = (np.ascontiguousarray(a).reshape(len(a), -1) for a in (plate, shadow))
+    lines = _shade(flat, shares, opacity, np.tile(bias, plate.shape[1]))
+    out[...] = lines.reshape(plate.shape)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

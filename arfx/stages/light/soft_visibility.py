@@ -102,7 +102,7 @@ def visible_fraction_by_rays(
     y, x = np.nonzero((coverage > 0) & (normal != 0).any(-1))
     n = normalise(normal[y, x].astype(float) @ anchor_from_world.rotation.T)
     points = anchor_from_world.apply(position[y, x].astype(float))
-    traced = rays.over(points, n, _PIXEL_RAYS)
+    traced = rays.over(points, n, _PIXEL_RAYS, turned=False)
     parts = np.concatenate([np.zeros((0, 4)), *(hidden_parts(hits, plane) for hits in traced)])
     light = 1 + DIFFUSE_RISE * n @ np.array(shape)
     out[y, x] = np.clip(1 - divide(parts @ [1.0, *shape], light), 0, 1)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.model import Part
+from arfx.core.model import Part, Texture
 from arfx.core.numerics import normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.sampling import GOLDEN_RAD, frame_about, hemisphere, r2
@@ -70,23 +70,26 @@ class ObjectRays:
         self, starts: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(face (n,), -1 = none; distance (n,)) of rays (n, 3), through what lets them pass."""
-        face, distance = self._first(starts, directions)
-        number = np.arange(len(face))
-        for turn in range(_PASSES):
+        face, distance, chance = self._first(starts, directions)
+        for _ in range(_PASSES):
             through = np.flatnonzero((face >= 0) & (self.opacity[face] < _OPAQUE))
-            chance = (number[through] * GOLDEN_RAD + turn * np.sqrt(2)) % 1
-            through = through[chance > self.opacity[face[through]]]
+            through = through[chance[through] > self.opacity[face[through]]]
             if not len(through):
                 break
             behind = distance[through] + self.lift_m
             moved = starts[through] + behind[:, None] * directions[through]
-            face[through], more = self._first(moved, directions[through])
+            face[through], more, chance[through] = self._first(moved, directions[through])
             distance[through] = behind + more
         return face, distance
 
-    def _first(self, starts: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _first(
+        self, starts: np.ndarray, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(face, distance, a number in 0..1 that depends on the place that is met alone), each (n,)."""
         hits = self.triangles.first_hits(starts, directions)
-        return np.array(hits["primID"], np.int64), np.array(hits["tfar"], np.float32)
+        place = np.asarray(hits["u"], float) * 12.9898 + np.asarray(hits["v"], float) * 78.233
+        chance = (np.sin(place) * 43758.5453) % 1
+        return np.array(hits["primID"], np.int64), np.array(hits["tfar"], np.float32), chance
 
     def open_fraction(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(n,) share of `directions` (k, 3) in which nothing stops a ray from points (n, 3)."""
@@ -99,16 +102,19 @@ class ObjectRays:
             out += (face < 0) / count
         return out
 
-    def over(self, points: np.ndarray, normals: np.ndarray, count: int) -> Iterator[Hits]:
+    def over(
+        self, points: np.ndarray, normals: np.ndarray, count: int, turned: bool = True
+    ) -> Iterator[Hits]:
         """Rays over the hemispheres of points (n, 3), as dense as the cosine, `count` of each.
 
-        Each point turns their pattern differently, so that what few rays leave is noise and no bands."""
+        turned : each point turns their pattern by its number, so that what few rays leave is noise and no bands"""
         step = max(_RAYS_IN_FLIGHT // count, 1)
         local = hemisphere(count).astype(np.float32)
 
         def part(first: int) -> Hits:
             rows = slice(first, min(first + step, len(points)))
-            angle = (np.arange(rows.start, rows.stop) * GOLDEN_RAD)[:, None].astype(np.float32)
+            numbers = turned * np.arange(rows.start, rows.stop)
+            angle = (numbers * GOLDEN_RAD)[:, None].astype(np.float32)
             x = np.cos(angle) * local[:, 0] - np.sin(angle) * local[:, 1]
             y = np.sin(angle) * local[:, 0] + np.cos(angle) * local[:, 1]
             n = normals[rows].astype(np.float32)
@@ -197,18 +203,19 @@ def _colours(
 def _metallic(part: Part) -> float:
     """Mean of a part, 0..1."""
     texture = part.material.metallic_roughness_texture
-    mean = 1.0 if texture is None else float(texture[..., 0].mean()) / 255
+    mean = 1.0 if texture is None else float(texture.picture[..., 2].mean()) / 255
     return part.material.metallic * mean
 
 
 def _texture(
-    part: Part, texture: np.ndarray | None, corners: np.ndarray, share: np.ndarray
+    part: Part, texture: Texture | None, corners: np.ndarray, share: np.ndarray
 ) -> np.ndarray:
     """(n, 3) linear colour of the texel nearest to each place; 1 without a texture."""
-    if texture is None or part.uv is None:
+    places = None if texture is None else part.uv_on(texture)
+    if texture is None or places is None:
         return np.ones((len(corners), 3))
-    uv = (part.uv[corners] * share[..., None]).sum(1) % 1
-    height, width = texture.shape[:2]
+    uv = (places[corners] * share[..., None]).sum(1) % 1
+    height, width = texture.picture.shape[:2]
     column = np.minimum((uv[:, 0] * width).astype(int), width - 1)
     row = np.minimum((uv[:, 1] * height).astype(int), height - 1)
-    return np.asarray(SRGB.decode(texture[row, column, :3] / 255))
+    return np.asarray(SRGB.decode(texture.picture[row, column, :3] / 255))
