@@ -4,11 +4,14 @@ Of what lies about the mirrored direction F0 x a + b is reflected, over the micr
 reference traces it. Source: Karis 2013 (split sum); Heitz 2014 (G), 2018 (visible normals); docs/methods/gi.md#gloss.
 Leaves out: light from microfacet to microfacet."""
 
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from functools import lru_cache
 
 import numpy as np
+
+from arfx.core.compiled import line_kernel
 
 ROUGHNESSES, COSINES = 16, 32  # entries of the split sum's table
 _MICROFACETS = 512
@@ -25,29 +28,31 @@ def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
     return np.clip(np.tan(np.minimum(np.sqrt(8) * np.arctan(a), np.radians(50))), 0.01, None)
 
 
-def off_specular_peak(
-    roughness: np.ndarray, normals: np.ndarray, mirrored: np.ndarray
-) -> np.ndarray:
-    """(n, 3) unit directions of the lobes' middles: nearer to the normal the rougher, as what would go under the surface is
-    missing (Lagarde and de Rousiers 2014). roughness (n,);  normals, mirrored (n, 3) : unit"""
-    a = np.minimum(roughness * roughness, 1)[:, None]
-    middle = normals + (1 - a) * (np.sqrt(1 - a) + a) * (mirrored - normals)
-    length = np.sqrt(np.maximum((middle * middle).sum(1, keepdims=True), 1e-12))
-    return np.asarray(middle / length)
-
-
-def gloss_weights(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def gloss_weights(roughness: float, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(a, b), each (n,): F0 x a + b of what lies about the mirrored direction is reflected. cosine (n,) : of the view"""
-    table = split_sum()
-    s = np.clip(roughness, 0, 1) * (ROUGHNESSES - 1)
-    t = np.clip(cosine, 0, 1) * (COSINES - 1)
-    i = np.minimum(s.astype(int), ROUGHNESSES - 2)
-    j = np.minimum(t.astype(int), COSINES - 2)
-    fs, ft = (s - i)[:, None].astype(np.float32), (t - j)[:, None].astype(np.float32)
-    low = table[i, j] * (1 - ft) + table[i, j + 1] * ft
-    high = table[i + 1, j] * (1 - ft) + table[i + 1, j + 1] * ft
-    a, b = (low * (1 - fs) + high * fs).T
+    at = np.full(len(cosine), roughness * (ROUGHNESSES - 1)), cosine * (COSINES - 1)
+    from scipy.ndimage import map_coordinates
+
+    a, b = (
+        map_coordinates(part, at, order=1, mode="nearest")
+        for part in np.moveaxis(split_sum(), 2, 0)
+    )
     return a, b
+
+
+@line_kernel(fastmath={"contract", "nsz", "arcp"})
+def table_entry(table, roughness, cosine):  # pragma: no cover - compiled
+    """(a, b) of one view. table : `split_sum`, linear between entries"""
+    one, zero = np.float32(1), np.float32(0)
+    s = min(max(roughness, zero), one) * np.float32(table.shape[0] - 1)
+    t = min(max(cosine, zero), one) * np.float32(table.shape[1] - 1)
+    i, j = min(int(s), table.shape[0] - 2), min(int(t), table.shape[1] - 2)
+    fs, ft = s - np.float32(i), t - np.float32(j)
+    low, high = table[i], table[i + 1]
+    a = (one - fs) * (low[j, 0] + ft * (low[j + 1, 0] - low[j, 0]))
+    a += fs * (high[j, 0] + ft * (high[j + 1, 0] - high[j, 0]))
+    b = (one - fs) * (low[j, 1] + ft * (low[j + 1, 1] - low[j, 1]))
+    return a, b + fs * (high[j, 1] + ft * (high[j + 1, 1] - high[j, 1]))
 
 
 def widened_roughness(

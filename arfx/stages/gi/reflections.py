@@ -3,20 +3,16 @@
 Gloss: the surroundings in a cone about the lobe's middle, as wide as the roughness asks; where the object hides some of
 its own surroundings a ray along that middle shows which. Cost: O(covered pixels + rays). Source: docs/methods/gi.md#gloss."""
 
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
-from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
-from arfx.stages.gi.gloss import (
-    gloss_weights,
-    mirror_tangent,
-    off_specular_peak,
-    widened_roughness,
-)
+from arfx.stages.gi.gloss import mirror_tangent, split_sum, table_entry, widened_roughness
 from arfx.stages.gi.surroundings import Background, background_radiances
 from arfx.stages.light.transport import Transport
 from arfx.stages.lightmap.shading import Surface
@@ -92,40 +88,85 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
 
     received (h, w, 3) : radiance of a white surface from all but the lamps. Where too little is mirrored to be seen, what
     is mirrored is the light that falls on the surface."""
-    covered = (surface.coverage > 0) & ((surface.normal**2).sum(-1) > 1e-6)
-    out = np.zeros((*covered.shape, 3), np.float32)
-    if not covered.any():
+    roughness = np.ascontiguousarray(surface.material[..., 1])
+    wide = widened_roughness(roughness, surface.coverage, surface.normal).astype(np.float32)
+    anchor = sight.anchor_from_world
+    turn, offset = anchor.rotation.astype(np.float32), anchor.translation_m.astype(np.float32)
+    out = np.zeros((*surface.coverage.shape, 3), np.float32)
+    placed = turn, offset, sight.eye.astype(np.float32)
+    pixels, lobes = _lobes(
+        surface, wide, received, placed, split_sum(), np.float32(sight.shows), out
+    )
+    if not len(pixels):
         return out
-    turn = sight.anchor_from_world.rotation.astype(np.float32)
-    normals = normalise(surface.normal[covered]) @ turn.T
-    places = surface.position[covered] @ turn.T
-    places = places + sight.anchor_from_world.translation_m.astype(np.float32)
-    to_eye = normalise(sight.eye.astype(np.float32) - places)
-    facing = (normals * to_eye).sum(1, keepdims=True)
-    metallic, roughness, specular = (surface.material[covered][:, k, None] for k in range(3))
-    albedo, light = surface.albedo[covered], received[covered]
-    a, b = (w[:, None] for w in gloss_weights(roughness[:, 0], facing[:, 0]))
-    f0 = 0.08 * specular * (1 - metallic)
-    b = np.where(f0 + metallic > 0, b, 0)
-    gloss = (f0 + albedo * metallic) * a + b
-    diffuse = albedo * (1 - metallic) * (1 - np.minimum(f0 * a + b, 1))
-    shines = np.flatnonzero(gloss.max(1) > sight.shows * np.maximum(albedo.max(1), 1e-3))
-    mirrored = light.copy()
-    wide = widened_roughness(surface.material[..., 1], surface.coverage, surface.normal)[covered]
-    n, v, rough = normals[shines], to_eye[shines], wide[shines]
-    directions = off_specular_peak(rough, n, 2 * facing[shines] * n - v)
-    seen = sight.along(places[shines], directions, mirror_tangent(rough))
-    occluded = sight.transport.grid.read(
-        sight.transport.occluded,
-        surface.coverage,
-        surface.normal,
-        surface.position,
-        sight.anchor_from_world,
-    )[covered][shines, 0]
+    row, column = pixels.T
+    places, normals, directions, rough, weights = np.split(lobes, [3, 6, 9, 10], 1)
+    seen = sight.along(places, directions, mirror_tangent(rough[:, 0]))
+    layers = surface.coverage, surface.normal, surface.position
+    grid = sight.transport.grid
+    occluded = grid.read(sight.transport.occluded, *layers, anchor)[row, column, 0]
     near = np.flatnonzero(occluded > _OCCLUDED)
     lift = _LIFT_EXTENTS * sight.transport.rays.extent_m
-    met, sent = sight.of_object(places[shines][near] + lift * n[near], directions[near])
+    met, sent = sight.of_object(places[near] + lift * normals[near], directions[near])
     seen[near[met]] = sent
-    mirrored[shines] = seen
-    out[covered] = surface.coverage[covered][:, None] * (diffuse * light + gloss * mirrored)
+    out[row, column] += weights * seen
     return out
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+def _lobes(
+    surface: Surface, wide, received, placed, table, shows, out
+):  # pragma: no cover - compiled
+    """(pixels (m, 2), lobes (m, 13)) of those whose mirrored light shows: place, normal, direction, roughness, weights.
+
+    Anchor axes. out (h, w, 3) += what the pixels send of the light that falls on them; of those pixels the matt part alone
+    wide (h, w) : roughness, no less than a pixel of the curved surface holds;  placed : rotation, offset, eye"""
+    coverage, normal, position, albedo, material, _ = surface
+    turn, offset, eye = placed
+    rows, columns = coverage.shape
+    pixels, lobes = (
+        np.empty((rows * columns, 2), np.int64),
+        np.empty((rows * columns, 13), np.float32),
+    )
+    zero, one, count = np.float32(0), np.float32(1), 0
+    for y in range(rows):
+        for x in range(columns):
+            n, p, to = normal[y, x], position[y, x], lobes[count]
+            length = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
+            if coverage[y, x] <= 0 or not length > np.float32(1e-6):
+                continue
+            scale, away = one / np.sqrt(length), zero
+            for k in range(3):
+                to[k] = turn[k, 0] * p[0] + turn[k, 1] * p[1] + turn[k, 2] * p[2] + offset[k]
+                to[3 + k] = scale * (turn[k, 0] * n[0] + turn[k, 1] * n[1] + turn[k, 2] * n[2])
+                away += (eye[k] - to[k]) ** 2
+            away = one / np.sqrt(max(away, np.float32(1e-12)))
+            facing = zero
+            for k in range(3):
+                facing += (eye[k] - to[k]) * away * to[3 + k]
+            metal, f0 = material[y, x, 0], np.float32(0.08) * material[y, x, 2]
+            f0 *= one - metal
+            a, b = table_entry(table, material[y, x, 1], facing)
+            if f0 + metal <= zero:
+                b = zero
+            most = max(albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2])
+            shines = (f0 + most * metal) * a + b > shows * max(most, np.float32(1e-3))
+            matt = (one - metal) * (one - min(f0 * a + b, one)) * coverage[y, x]
+            for k in range(3):
+                colour, light = albedo[y, x, k], received[y, x, k]
+                gloss = coverage[y, x] * ((f0 + colour * metal) * a + b)
+                out[y, x, k] = matt * colour * light + (zero if shines else gloss * light)
+                to[10 + k] = gloss
+            if not shines:
+                continue
+            to[9], spread = wide[y, x], min(wide[y, x] * wide[y, x], one)
+            lean, size = (one - spread) * (np.sqrt(one - spread) + spread), zero
+            for k in range(3):
+                mirrored = 2 * facing * to[3 + k] - (eye[k] - to[k]) * away
+                to[6 + k] = to[3 + k] + lean * (mirrored - to[3 + k])
+                size += to[6 + k] * to[6 + k]
+            for k in range(3):
+                to[6 + k] /= np.sqrt(max(size, np.float32(1e-12)))
+            pixels[count, 0], pixels[count, 1] = y, x
+            count += 1
+    return pixels[:count], lobes[:count]

@@ -297,7 +297,7 @@ class Gi(Stage):
             along = d @ normal
             height = (sight.eye - axes[0]) @ normal
             places = sight.eye - (height / along)[:, None] * d
-            a, b = gloss_weights(np.full(len(d), PLANE_ROUGHNESS), -along)
+            a, b = gloss_weights(PLANE_ROUGHNESS, -along)
             fresnel = self.params.plane_gloss * a + b
             towards = d - 2 * along[:, None] * normal
             starts = places + sight.transport.rays.lift_m * normal

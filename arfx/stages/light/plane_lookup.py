@@ -12,10 +12,11 @@ import numba
 import numpy as np
 
 from arfx.core.pose import Pose
-from arfx.core.rect import Rect
+from arfx.core.rect import EMPTY, Rect
 from arfx.stages.viewing import GRID_PX
 
 _FAST = {"contract", "nsz", "arcp"}
+_CELL = ((0, 0), (0, 1), (1, 0), (1, 1))  # rows and columns of a cell's corners
 _LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it counts as none
 
 
@@ -41,8 +42,11 @@ class PlaneView:
         right, bottom = (rect.x1 - 1) // GRID_PX + 2, (rect.y1 - 1) // GRID_PX + 2
         self.rect = rect
         self._corner = rect.x0 - left * GRID_PX, rect.y0 - top * GRID_PX
-        self._nodes = grid[top:bottom, left:right].astype(float) @ plane_from_camera.rotation.T
+        near = grid[top:bottom, left:right]
+        turned = near.reshape(-1, 3) @ plane_from_camera.rotation.T
+        self._directions = np.ascontiguousarray(turned.T).reshape(3, *near.shape[:2])
         self._eye = plane_from_camera.translation_m
+        self._from_corner = Rect(0, 0, rect.width, rect.height)
 
     def add(
         self,
@@ -53,14 +57,41 @@ class PlaneView:
     ) -> None:
         """out (c, h, w) float32 += weights (c,) x the texture x share (h, w), None = 1."""
         linear, offset = texture.texel_from_m[:, :2], texture.texel_from_m[:, 2]
-        directions = np.moveaxis(self._nodes, 2, 0)
-        across = np.tensordot(linear, directions[:2], 1)
-        nodes = np.stack([*across, directions[2]]).astype(np.float32)
+        across = np.tensordot(linear, self._directions[:2], 1)
+        nodes = np.stack([*across, self._directions[2]]).astype(np.float32)
         start = np.array([*(linear @ self._eye[:2] + offset), self._eye[2]], np.float32)
-        none = np.zeros((0, 0), np.float32)
+        part = self._seen_part(nodes, start, texture.dark.shape)
+        if part.empty:
+            return
+        left, top = part.x0 // GRID_PX, part.y0 // GRID_PX
+        corner = part.x0 - left * GRID_PX, part.y0 - top * GRID_PX
+        right, bottom = (part.x1 - 1) // GRID_PX + 2, (part.y1 - 1) // GRID_PX + 2
+        near = np.ascontiguousarray(nodes[:, top:bottom, left:right])
+        at = part.shift(-self._corner[0], -self._corner[1]).slices_in(self._from_corner)
+        seen = np.zeros((0, 0), np.float32) if share is None else share[at]
         weights = np.asarray(weights, np.float32)
-        share = none if share is None else share
-        _add_texture(out, self._corner, nodes, start, texture.dark, weights, share)
+        _add_texture(out[:, *at], corner, near, start, texture.dark, weights, seen)
+
+    def _seen_part(self, nodes: np.ndarray, start: np.ndarray, shape: tuple[int, int]) -> Rect:
+        """Pixels, from the first node, that may see a texture of that shape: whole cells of the grid."""
+        with np.errstate(all="ignore"):
+            distance = start[2] / -nodes[2]
+            places = nodes[:2] * distance + start[:2, None, None]
+        places[:, nodes[2] >= 0] = np.nan
+        corners = [
+            places[:, j : j + nodes.shape[1] - 1, i : i + nodes.shape[2] - 1] for j, i in _CELL
+        ]
+        low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+        # a cell on the horizon, where not all corners meet the plane, may see anything
+        beside = (low[0] > shape[1]) | (high[0] < -1) | (low[1] > shape[0]) | (high[1] < -1)
+        none = np.all([np.isnan(corner[0]) for corner in corners], 0)
+        rows, columns = np.nonzero(~beside & ~none)
+        if not len(rows):
+            return EMPTY
+        spans = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
+        x, y = self._corner
+        whole = Rect(x, y, x + self.rect.width, y + self.rect.height)
+        return Rect(*(GRID_PX * int(v) for v in spans)).clip(whole)
 
 
 def shadow_ratio(
