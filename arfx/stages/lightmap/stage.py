@@ -301,11 +301,9 @@ class Lightmap(Stage):
             return EMPTY, "no shadow: plane seen from behind"
         darkest = _darkest(light, scene)
         most = self.params.shadow_strength * region.caster.opacity * darkest
+        share = 100 * most
         if most <= least:
-            return (
-                EMPTY,
-                f"no shadow: the object takes at most {100 * most:.1f} % of the plane's light",
-            )
+            return EMPTY, f"no shadow: the object takes at most {share:.1f} % of the plane's light"
         fractions = light.direct_fractions.max(1) if light.beams else ()
         beams = tuple(
             beam
@@ -318,9 +316,10 @@ class Lightmap(Stage):
         )  # so that frames of a like light share an outline
         outline = region.outline_m(least * _SOFT_STEPS / steps, beams)
         if not len(outline):
+            part = 100 * least
             return (
                 EMPTY,
-                f"no shadow: nowhere does the object take {100 * least:.1f} % of the plane's light",
+                f"no shadow: nowhere does the object take {part:.1f} % of the plane's light",
             )
         rect = _plane_rect(outline, facts, scene).clip(frame)
         if scene.surface_m is not None:
@@ -330,7 +329,7 @@ class Lightmap(Stage):
             )
         return (
             rect,
-            f"shadow takes up to {100 * most:.0f} % of the plane's light"
+            f"shadow takes up to {share:.0f} % of the plane's light"
             if not rect.empty
             else "shadow out of view",
         )
