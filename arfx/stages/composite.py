@@ -56,6 +56,8 @@ def shade(
     """The plane's pixels without an object before it: the same as `_over` with coverage 0.
 
     plate, shadow, out : (h, w, 3)"""
+    if not plate.size:
+        return
     flat, shares = (np.ascontiguousarray(a).reshape(len(a), -1) for a in (plate, shadow))
     lines = _shade(flat, shares, opacity, np.tile(bias, plate.shape[1]))
     out[...] = lines.reshape(plate.shape)

@@ -93,7 +93,8 @@ def _sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
     side = len(texels)
     at = ((warped(np.clip(places, -1, 1)) + 1) / 2 * side - 0.5).astype(np.float32)
     source = np.ascontiguousarray(texels, np.float32)
-    out = cv2.remap(source, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+    out = cv2.remap(source, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return out.reshape(*places.shape[:2], -1)
 
 

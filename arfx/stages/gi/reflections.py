@@ -78,9 +78,10 @@ class Sight:
         return met, sent
 
     def _at(self, nodes: np.ndarray, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        layers = np.ones(len(places)), normals, places
-        row = [np.ascontiguousarray(a[None], np.float32) for a in layers]
-        return self.transport.grid.read(nodes, *row, Pose.identity())[0]
+        covered = np.ones((1, len(places)), np.float32)
+        row = normals[None].astype(np.float32), places[None].astype(np.float32)
+        grid = self.transport.grid
+        return np.asarray(grid.read(nodes, covered, row[0], row[1], Pose.identity())[0])
 
 
 def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.ndarray:

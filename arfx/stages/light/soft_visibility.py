@@ -21,7 +21,7 @@ from arfx.stages.light.surfels import Hits, ObjectRays, surfels_of
 
 DIFFUSE_RISE = 2 / 3  # of the light's rise towards one side that is left in the light on a surface
 LEAST_SEEN = 1e-3  # of the hemisphere: a surfel counts by what it sees, as cameras see it
-_CELLS, _SURFELS, _RAYS = 32, 8_000, 64
+_CELLS, _SURFELS, _RAYS = 32, 16_000, 48
 _PIXEL_RAYS = 400  # of level reference
 _PLACEMENTS = 4  # of one model, whose grids are kept
 _NOWHERE_M = 1e9
