@@ -28,7 +28,7 @@ from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.gi.reference_tracer import BOUNCES, LOBE, NUMBERS, Tracer
-from arfx.stages.gi.surroundings import Planes
+from arfx.stages.light.planes import Planes
 
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 DARKEST = 0.002  # radiance below which a pixel is no base for a ratio

@@ -18,7 +18,7 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.reference_sky import Environment
-from arfx.stages.gi.surroundings import ENDLESS, Planes
+from arfx.stages.light.planes import ENDLESS, Planes
 from arfx.stages.triangles import Triangles, model_triangles
 
 UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show

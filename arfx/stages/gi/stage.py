@@ -79,7 +79,7 @@ class GiParams:
     """formula : corrected, or paper: Yao, Tao, Wu 2018 as printed
     strength : strength of the indirect light on the real planes: 0 = none, 1 = as computed
     plane_gloss : fraction of light that the real plane reflects like a mirror, seen from above: 0 = matt, .04 = varnish or glass
-    samples : most rays per pixel at level reference; fewer where the noise that is left does not show"""
+    samples : paths per pixel at level reference: noise falls with their root, best at powers of two"""
 
     formula: str = field(default="corrected", init=False)
     strength: float = 1.0
