@@ -6,6 +6,10 @@ from collections.abc import Mapping
 
 _PRINTED = 'it belongs to watercolor.formula = "paper"; the corrected edges take {0}'
 GONE: Mapping[tuple[str, str], str] = {
+    ("lightmap", "faint"): "a shadow that takes less than 2 % of the plane's light is not drawn",
+    ("gi", "plane_roughness"): "it is .1; `plane_gloss` sets how much the plane mirrors",
+    ("dof", "plane_extent_m"): "the plane is endless; `background_m` says where it ends",
+    ("dof", "max_radius_px"): "the radius is at most a tenth of the picture's width",
     ("watercolor", "detail"): "cells always follow what there is to see: leave it out",
     ("watercolor", "anchored"): "cells always move with the things under them: leave it out",
     ("watercolor", "two_patterns"): "one pattern is painted: leave it out",

@@ -30,7 +30,7 @@ from arfx.media.images import load_image, load_print
 from arfx.media.models import load_model
 from arfx.media.output import OutputPlan, OutputSettings, plan_output
 from arfx.media.pose_files import CameraPath, load_poses
-from arfx.run.parameters import with_machine_settings
+from arfx.run.parameters import quality_notices, with_machine_settings
 
 CARD = 0.17  # of the print's side: what a sheet that is held in the hand has beyond it, at least
 
@@ -68,7 +68,7 @@ def open_inputs(config: JobConfig, progress: Callable[[str, int, int | None], ob
         maps.load(0, clip.width, clip.height)
     return Inputs(
         with_machine_settings(config), clip, camera, model, marker_map(config), output,
-        (*notices, *model.notices, *output.notices), panorama(config), maps,
+        (*notices, *model.notices, *output.notices, *quality_notices(config)), panorama(config), maps,
         None if config.input.poses is None else load_poses(config.input.poses), prints,
     )  # fmt: skip
 

@@ -87,6 +87,14 @@ def with_machine_settings(config: JobConfig) -> JobConfig:
     return config.model_copy(update={"params": {**config.params, **settled}})
 
 
+def quality_notices(config: JobConfig) -> list[str]:
+    """What a quality by name comes to where an effect of the job has no such level."""
+    quality = config.pipeline.quality
+    if quality != "high" or any(quality in stage.levels for stage in make_stages(config).values()):
+        return []
+    return ["quality high is standard: no effect of this job has a level between standard and reference"]
+
+
 def fold_classes(config: JobConfig) -> dict[str, Any]:
     """Classes of folds in place of the usual ones, by name."""
     formula = config.params["light"].formula

@@ -13,7 +13,7 @@ from arfx.core.pose import Pose
 from arfx.errors import ConfigError, InputError
 from arfx.run.folder import digest
 from arfx.run.inputs import job_model, marker_map, open_inputs, placement
-from arfx.run.parameters import parameters, pipeline
+from arfx.run.parameters import parameters, pipeline, quality_notices
 from arfx.stages.raster.backends import BACKENDS, Backend
 from tests.clips import MARKER, write_camera, write_clip
 
@@ -156,3 +156,10 @@ def test_a_model_is_read_once_by_whatever_path(tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(tmp_path)
     first, again = (job_model(load(None, {"model": {"file": str(p)}}, parameters())) for p in (Path("a.obj"), tmp_path / "a.obj"))
     assert first is again
+
+
+@pytest.mark.parametrize(("stages", "notices"), [(["dof"], 1), (["watercolor"], 0)])
+def test_high_is_said_to_be_standard_where_no_effect_has_it(stages: list[str], notices: int) -> None:
+    pipeline = {"stages": stages, "quality": "high"}
+    config = load(None, {"input": {"clip": "clip.mp4"}, "pipeline": pipeline}, parameters())
+    assert len(quality_notices(config)) == notices
