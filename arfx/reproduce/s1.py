@@ -111,7 +111,7 @@ def equation_3(situation: Situation) -> Iterator[Item]:
         expected = rho * M + np.array(facts.bias_rgb)
         off.append(100 * float(np.median(np.abs(virtual - expected)) / np.median(expected)))
     item = "equation (3), difference of the object's pixels, highlights included, median"
-    yield shown("s1", item, "I = g ρ M(n) + b", *both(off), max(off) < 5, "highlights", "%")
+    yield shown("s1", item, "I = g ρ M(n) + b", *both(off), max(off) < 5, "highlights, and reflections of the room", "%")
 
 
 def figure_1(situation: Situation) -> Iterator[Item]:

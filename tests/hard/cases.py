@@ -53,7 +53,7 @@ CASES: tuple[Case, ...] = (
     Case("white furnace", "1 at every resolution", (f"{_GI}::test_white_furnace",)),
     Case("focus within the focal length", "an input error", (f"{_DOF}::test_a_focus_within_the_focal_length_is_an_input_error",)),
     Case("depths that are none", "sharp, finite", (f"{_DOF}::test_depths_that_are_none",)),
-    Case("a blur larger than the picture", "finite", (f"{_DOF}::test_a_blur_larger_than_the_picture_and_odd_sizes",)),
+    Case("a blur larger than the picture", "finite", (f"{_DOF}::test_a_bounded_blur_and_odd_sizes",)),
     Case("flat frames, any size, bad depth to paint", "flat stays flat, finite",
          (f"{_PAINT}::test_flat_frames_stay_flat", f"{_PAINT}::test_any_size_is_painted",
           f"{_PAINT}::test_depth_that_is_not_a_number_harms_nothing")),

@@ -196,7 +196,7 @@ def test_near_the_marker_the_pose_is_believed() -> None:
     poses = [look_at(0.5, 40, 20), look_at(0.5, 40, 26)]
     given = [FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1.0) for k, p in enumerate(poses)]
     facts = with_advection(given, steps, s.camera, s.world_from_anchor, 0.15)
-    where, pose = reader.frame_field(facts[1], s, 8.0, 0.0, True)
+    where, pose = reader.frame_field(facts[1], s, 8.0, 0.0)
     assert pose == poses[1]
     ground = np.array([[0.05, 0.02, 0], [-0.04, 0.05, 0], [0.0, -0.06, 0]])
     before, now = (s.camera.project(p.apply(ground)) for p in poses)
@@ -215,12 +215,10 @@ def test_the_stage_reads_what_is_written_and_json_keeps_it() -> None:
     facts = facts_of(folded([view(world, pan(t), t) for t in range(4)]), 4)
     back = FrameFacts.from_json(json.loads(json.dumps(facts[-1].to_json())))
     assert GRID_PX == STAGE_GRID_PX and back.status == ABSENT
-    where, pose = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5, True)
+    where, pose = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5)
     assert pose is None and where.u.shape == node_positions(W, H)[0].shape
     assert where.x0 == node_positions(W, H)[0][0, 0]
     assert np.median(where.u - node_positions(W, H)[0]) == pytest.approx(7.5, abs=0.4)
-    still_, _ = reader.frame_field(back, scene(camera(W, H)), 8.0, 0.5, False)
-    assert np.ptp(still_.u - np.arange(still_.u.shape[1]) * GRID_PX) == 0
 
 
 def fields_of(f: FrameFacts, way: str) -> tuple[np.ndarray, np.ndarray]:
@@ -286,7 +284,7 @@ def test_detail_goes_with_the_things_and_holds_still() -> None:
     facts = with_advection([FrameFacts(t, t / 30) for t in range(16)], motion.steps, camera(W, H), Pose.identity(), 0.0)
     s, on, off = scene(camera(W, H)), [], []
     for t, f in enumerate(facts):
-        field, _ = reader.frame_field(f, s, 8.0, 0.0, True, detail=1.0)
+        field, _ = reader.frame_field(f, s, 8.0, 0.0)
         assert (field.size >= 8 * 2**-0.91).all() and (field.size <= 8 * 2**0.31).all()
         x, y = (295 - 150 - 2.5 * t - field.x0) / GRID_PX, (270 - 150 + t - field.y0) / GRID_PX
         grid = field.size.astype(np.float32)
@@ -294,8 +292,6 @@ def test_detail_goes_with_the_things_and_holds_still() -> None:
         off.append(float(field.size[-2, 4]))
     assert max(on) < 0.8 * 8 < 8 < min(off)
     assert np.abs(np.diff(np.log2(on))).max() < 0.08
-    plain, _ = reader.frame_field(facts[3], s, 8.0, 0.0, True)
-    assert np.ptp(plain.size) == 0
 
 
 def test_detail_goes_on_after_a_pause_and_begins_anew_at_a_cut() -> None:
@@ -303,5 +299,5 @@ def test_detail_goes_on_after_a_pause_and_begins_anew_at_a_cut() -> None:
     motion = folded([b, b, a, a])
     facts = [FrameFacts(t, t / 30, shot=t // 2) for t in range(4)]
     made = with_advection(facts, motion.steps, camera(W, H), Pose.identity(), 0.0)
-    size = [reader.frame_field(f, scene(camera(W, H)), 8.0, 0.0, True, detail=1.0)[0].size for f in made]
+    size = [reader.frame_field(f, scene(camera(W, H)), 8.0, 0.0)[0].size for f in made]
     assert np.array_equal(size[0], size[1]) and size[0].mean() < 7 and (size[2] > 8).all()
