@@ -109,6 +109,19 @@ def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
     return min(max(visible + turned, np.float32(0)), one)
 
 
+@line_kernel(fastmath=_FAST)
+def reflected_shares(table, metal, roughness, specular, n_v):  # pragma: no cover - compiled
+    """(matt, coat, direct, grazing, lost): shares of even light, of the matt part, of what a dielectric mirrors, the split
+    sum's two, and how much single reflections lose of white over what they mirror."""
+    one, two = np.float32(1), np.float32(2)
+    direct, grazing = table_entry(table, roughness, n_v)
+    lost = one / (direct + grazing) - one
+    varnish = np.float32(0.08) * specular
+    coat = varnish * direct + min(two * specular, one) * grazing
+    coat = min(coat * (one + varnish * lost), one)
+    return (one - metal) * (one - coat), coat, direct, grazing, lost
+
+
 def shade(
     surface: Surface,
     eye: np.ndarray,
@@ -153,12 +166,8 @@ def _shade(
             base = np.float32(0.08) * specular * (one - metal)
             # at grazing angles all is mirrored, unless the material is set not to be glossy at all (F0 under 4 %)
             edge = metal + (one - metal) * min(two * specular, one)
-            direct, grazing = table_entry(table, rough, n_v)
-            lost = one / (direct + grazing) - one
-            varnish = np.float32(0.08) * specular
-            coat = varnish * direct + min(two * specular, one) * grazing
-            coat = min(coat * (one + varnish * lost), one)  # what a dielectric mirrors
-            matt = (one - metal) * (one - coat)
+            shares = reflected_shares(table, metal, rough, specular, n_v)
+            matt, coat, direct, grazing, lost = shares
             colour, pixel = albedo[y, x], out[y, x]
             visible = soft_visibility[y, x]
             for c in range(3):

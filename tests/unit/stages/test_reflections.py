@@ -180,6 +180,16 @@ def test_a_mirror_shows_what_the_clip_saw_and_a_guess_as_bright() -> None:
     assert (matt > elsewhere).all(), "what is missing of the light comes from lamps between which a mirror looks through"
 
 
+def test_a_guess_begins_with_the_plane_at_its_horizon() -> None:
+    """A mirror would show a hard ring there, between a picture and a guess."""
+    d = face_directions(8)
+    guess = np.where(d[..., :1] > 0, 0.9, 0.2) * np.ones(3)
+    environment = surrounded(Light((0.5, 0.5, 0.5), ()), guess)
+    below, above = looked_up(environment, np.array([[0.9, 0, -0.4], [0.9, 0, 0.9]], F32), 0.0)
+    np.testing.assert_allclose(below, 0.2, rtol=1e-3)
+    assert above[0] > 0.4
+
+
 def test_a_camera_at_rest_keeps_what_was_filtered_while_the_world_turns() -> None:
     s, memo, light = small_scene(model=box_model()), Memo(), Light((0.5, 0.5, 0.5), ())
     room = np.random.default_rng(0).random((6, 6, 6, 3))

@@ -16,13 +16,13 @@ from arfx.core.cube import bordered, face_directions, look_up, resampled
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
+from arfx.core.memo import Memo
 from arfx.core.pose import rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.errors import RenderError
-from arfx.stages.gi.frame_light import seen_map, surroundings_of
 from arfx.stages.gi.health import seam_ratio
-from arfx.stages.gi.surroundings import irradiance, octahedral
-from tests.unit.analyse.light.seen_rooms import CAMERA, UP, Clip, sky, walls
+from arfx.stages.light.surroundings import frame_surroundings, seen_map
+from tests.unit.analyse.light.seen_rooms import CAMERA, UP, Clip, irradiance, sky, walls
 from tests.unit.stages.gi_scenes import MIRROR, ball, facts, inner, on_plane, run_gi, surface
 
 QUAD = np.array([[30.0, 70], [45, 70], [45, 85], [30, 85]])  # on the desk, in the looks' pixels
@@ -43,6 +43,12 @@ def analysed(clip: Clip, still_camera: bool = False) -> tuple[tuple[FrameFacts, 
 
 def scene(maps: dict[str, np.ndarray]) -> Scene:
     return replace(on_plane(ball(MIRROR), Light(), CAMERA), environment_maps=maps)
+
+
+def cubes(f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance as a mirror sees it, and as a matt surface does."""
+    assert f.light is not None
+    return frame_surroundings(f, s, f.light, Memo()).cubes()
 
 
 def traced(clip: Clip, f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -85,13 +91,11 @@ def test_a_grey_room_is_grey_without_a_seam() -> None:
     grey = np.array([0.2, 0.4, 0.3])
     clip = Clip(lambda o, d: np.broadcast_to(grey, d.shape), (-170, 170))
     found, maps = analysed(clip)
-    for cube in surroundings_of(found[20], scene(maps), clip.facts[20].light):  # type: ignore[arg-type]
+    for cube in cubes(found[20], scene(maps)):
         np.testing.assert_allclose(cube, np.broadcast_to(grey, cube.shape), rtol=4e-3)
-    assert octahedral(cube).shape == (1, 6, 130, 130, 3)
-    np.testing.assert_allclose(octahedral(cube), np.broadcast_to(grey, (1, 6, 130, 130, 3)), rtol=4e-3)
     # a room with something in it
     found, maps = analysed(ROUND)
-    whole = surroundings_of(found[20], scene(maps), ROUND.facts[20].light)[0]  # type: ignore[arg-type]
+    whole = cubes(found[20], scene(maps))[0]
     assert seam_ratio(whole[:, ::4, ::4]) < 1.6
 
 
@@ -133,13 +137,14 @@ def test_a_still_room_does_not_flicker() -> None:
              for look in clip.looks]  # fmt: skip
     found, maps = with_seen(analysed(clip)[0], looks, CAMERA, False, np.zeros(3), UP)
     s = scene(maps)
-    cubes = [surroundings_of(f, s, f.light)[0] for f in found]  # type: ignore[arg-type]
-    step = np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(cubes)])
+    memo = Memo()
+    shown = [frame_surroundings(f, s, f.light, memo).cubes()[0] for f in found]  # type: ignore[arg-type]
+    step = np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(shown)])
     alone = [with_seen([*clip.facts], [look], CAMERA, False, np.zeros(3), UP) for look in looks[6:8]]
     a, b = (seen_map(f[0].seen_environment, scene(m))[..., :3] for f, m in alone)  # type: ignore[arg-type]
     each_alone = np.abs((b - a) * clip.facts[0].light.mean_radiance).mean()  # type: ignore[union-attr]
     assert step < 0.1 * each_alone and step < 1e-3
-    assert max(np.abs(b - a).max() for a, b in itertools.pairwise(cubes)) < 0.02
+    assert max(np.abs(b - a).max() for a, b in itertools.pairwise(shown)) < 0.02
 
 
 def test_a_lamp_that_is_a_light_is_not_seen_twice() -> None:
@@ -185,8 +190,9 @@ def test_a_given_panorama_is_known_everywhere() -> None:
     assert side / other == pytest.approx(4, rel=0.1)
     assert {f.seen_environment for f in found} == {found[0].seen_environment}
     given = with_environment(found, [], False, picture, np.eye(3))[0]
-    narrow, wide = surroundings_of(given, scene(maps), given.light)  # type: ignore[arg-type]
-    assert narrow is wide and irradiance(narrow, UP) == pytest.approx(given.light.soft_radiance(UP), rel=1e-4)  # type: ignore[union-attr]
+    narrow, wide = cubes(given, scene(maps))
+    np.testing.assert_array_equal(narrow, wide)
+    assert irradiance(narrow, UP) == pytest.approx(given.light.soft_radiance(UP), rel=1e-4)  # type: ignore[union-attr]
 
 
 def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
