@@ -62,17 +62,6 @@ def highlight_width(size_deg: np.ndarray) -> np.ndarray:
     return (np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8).astype(np.float32)
 
 
-@line_kernel()
-def covered_span(coverage):  # pragma: no cover - compiled
-    """(first, last) covered pixel of a line, (0, -1) without one. Bare ones between cost less than leaving them out."""
-    first, last = 0, coverage.shape[0] - 1
-    while last >= 0 and not coverage[last] > 0:
-        last -= 1
-    while first < last and not coverage[first] > 0:
-        first += 1
-    return first, last
-
-
 @line_kernel(fastmath=_FAST)
 def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
     """What a lamp shows by microfacets, without Fresnel's factor, over the radiance of a white surface that faces it.

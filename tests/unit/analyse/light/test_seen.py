@@ -10,7 +10,7 @@ import pytest
 
 from arfx.analyse.light import seen
 from arfx.analyse.light.seen import Look, given_everywhere, with_seen
-from arfx.analyse.light.surroundings import environment_sample, with_environment
+from arfx.analyse.light.surroundings import environment_sample, turned, with_environment
 from arfx.core.camera import Camera
 from arfx.core.cube import bordered, face_directions, look_up, resampled
 from arfx.core.facts import FrameFacts
@@ -43,6 +43,15 @@ def analysed(clip: Clip, still_camera: bool = False) -> tuple[tuple[FrameFacts, 
 
 def scene(maps: dict[str, np.ndarray]) -> Scene:
     return replace(on_plane(ball(MIRROR), Light(), CAMERA), environment_maps=maps)
+
+
+def seen_now(f: FrameFacts, s: Scene) -> np.ndarray:
+    """(6, n, n, 4) what was seen, WORLD axes."""
+    known = f.seen_environment
+    assert known is not None
+    first, second = (seen_map(name, s) for name in known.maps)
+    axes = np.eye(3) if known.axes is None else np.reshape(known.axes, (3, 3))
+    return turned(first + known.share * (second - first), axes)
 
 
 def cubes(f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +123,7 @@ def test_faces_join_across_their_edges() -> None:
 def test_what_was_seen_is_known_and_the_rest_is_the_guess() -> None:
     clip = Clip(walls(1.4), (-90, -80))
     found, maps = analysed(clip)
-    rgba = seen_map(found[20].seen_environment, scene(maps))  # type: ignore[arg-type]
+    rgba = seen_now(found[20], scene(maps))
     ahead, behind, above = look_up(rgba, np.array([[0.08, 1, 0.3], [0, -1, 0.3], [0, 0, 1.0]]))[:, 3]
     assert ahead == pytest.approx(1, abs=1e-3) and behind < 0.02 and above < 0.5
     assert (rgba[..., 3].ravel() <= 1).all() and np.ptp(rgba[..., 3]) > 0.97
@@ -124,7 +133,7 @@ def test_the_map_follows_the_clip() -> None:
     clip = Clip(walls(2.0), (-90, -90), seconds=16.0, later=walls(2.0, tint=0.4))
     found, maps = analysed(clip)
     ahead = np.array([[0.2, 1, 0.25]])
-    first, last = (look_up(seen_map(found[k].seen_environment, scene(maps)), ahead)[0, :3] for k in (4, 36))  # type: ignore[arg-type]
+    first, last = (look_up(seen_now(found[k], scene(maps)), ahead)[0, :3] for k in (4, 36))
     shares = [found[k].light.mean_radiance for k in (4, 36)]  # type: ignore[union-attr]
     assert last * shares[1] == pytest.approx(0.4 * first * shares[0], rel=0.1)
 
@@ -141,7 +150,7 @@ def test_a_still_room_does_not_flicker() -> None:
     shown = [frame_surroundings(f, s, f.light, memo).cubes()[0] for f in found]  # type: ignore[arg-type]
     step = np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(shown)])
     alone = [with_seen([*clip.facts], [look], CAMERA, False, np.zeros(3), UP) for look in looks[6:8]]
-    a, b = (seen_map(f[0].seen_environment, scene(m))[..., :3] for f, m in alone)  # type: ignore[arg-type]
+    a, b = (seen_now(f[0], scene(m))[..., :3] for f, m in alone)
     each_alone = np.abs((b - a) * clip.facts[0].light.mean_radiance).mean()  # type: ignore[union-attr]
     assert step < 0.1 * each_alone and step < 1e-3
     assert max(np.abs(b - a).max() for a, b in itertools.pairwise(shown)) < 0.02
@@ -157,11 +166,11 @@ def test_a_lamp_that_is_a_light_is_not_seen_twice() -> None:
     clip = Clip(lit, (-100, -80))
     found, maps = analysed(clip)
     at = np.array([lamp])
-    assert look_up(seen_map(found[20].seen_environment, scene(maps)), at)[0, :3].max() > 1.5  # type: ignore[arg-type]
+    assert look_up(seen_now(found[20], scene(maps)), at)[0, :3].max() > 1.5
     light = replace(clip.facts[0].light, lights=(DirectionalLight(tuple(lamp), (0.0, 0.0, 0.0)),))  # type: ignore[type-var]
     known = [f.with_(light=light) for f in clip.facts]
     found, maps = with_seen(known, clip.looks, CAMERA, False, np.zeros(3), UP)
-    assert look_up(seen_map(found[20].seen_environment, scene(maps)), at)[0, :3].max() < 1.2  # type: ignore[arg-type]
+    assert look_up(seen_now(found[20], scene(maps)), at)[0, :3].max() < 1.2
 
 
 def test_before_a_still_camera_the_map_rests_in_the_cameras_axes() -> None:
@@ -171,7 +180,7 @@ def test_before_a_still_camera_the_map_rests_in_the_cameras_axes() -> None:
         f.with_(camera_from_world=replace(f.pose, rotation=f.pose.rotation @ turn)) if f.index > 20 else f for f in clip.facts
     ]
     found, maps = with_seen(moved, clip.looks, CAMERA, True, np.zeros(3), UP)
-    before, after = (seen_map(found[k].seen_environment, scene(maps)) for k in (20, 21))  # type: ignore[arg-type]
+    before, after = (seen_now(found[k], scene(maps)) for k in (20, 21))
     ahead = np.array([0, 0, 1.0])
     for k, rgba in ((20, before), (21, after)):
         world = found[k].pose.rotation.T @ ahead
@@ -200,7 +209,7 @@ def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
     found, maps = with_seen(lost, [Look(1, ROUND.looks[0].picture)], CAMERA, False, np.zeros(3), UP)
     assert found[0].seen_environment is None and found[1].seen_environment is not None and len(maps) == 1
     with pytest.raises(RenderError, match="is not among the job's"):
-        seen_map(found[1].seen_environment, scene({}))
+        seen_now(found[1], scene({}))
     assert with_seen(lost, [], CAMERA, False, np.zeros(3), UP)[1] == {}
     assert FrameFacts.from_json(found[1].to_json()).seen_environment == found[1].seen_environment
 
@@ -210,7 +219,7 @@ def test_a_fisheye_lens_sees_what_it_sees() -> None:
     clip = CLIPS["under a sky"].at_rest()
     looks = [Look(k, clip.picture(k, wide).astype(np.float16)) for k in (0, 20)]
     found, maps = with_seen(clip.facts, looks, wide, False, np.zeros(3), UP)
-    rgba = seen_map(found[0].seen_environment, scene(maps))  # type: ignore[arg-type]
+    rgba = seen_now(found[0], scene(maps))
     assert np.isfinite(rgba).all() and (rgba[..., 3] > 0.99).mean() > 0.15
     around = np.array(
         [
