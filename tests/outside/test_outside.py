@@ -87,16 +87,8 @@ def places_on_plane(scene: Scene, facts: FrameFacts) -> np.ndarray:
 MATERIAL_LEVELS, CONTACT_LEVELS = 4.0, 3.0
 BY_NAME = {scene.name: scene for scene in scenes.SCENES}
 MISSING = {
-    "clear_coat": "raster writes no COAT: 8.0 levels; 2.1 with the layer made by hand",
-    "cloth": "raster writes no SHEEN: 12.0 levels; 2.5 with the layer made by hand",
     "stone": "raster reads no normal maps: 18.2 levels",
-    "box_soft": "texels of the plane's shadow are wider than a pixel: 5.7 levels",
-    "box_lamp": "texels of the plane's shadow are wider than a pixel: 3.8 levels",
-    "ball_soft": "the deepest dark under a ball is blurred: 5.6 levels",
-    "ball_lamp": "the deepest dark under a ball is blurred: 3.9 levels",
-    "thin_wall_soft": "texels of the plane's shadow are wider than the wall: 5.6 levels",
     "thin_wall_lamp": "texels of the plane's shadow are wider than the wall: 4.5 levels",
-    "thin_wall_sun": "texels of the plane's shadow are wider than the wall: 3.1 levels",
 }
 
 

@@ -17,11 +17,11 @@ from arfx.core.model import Material
 from arfx.core.numerics import angle_between, divide
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.stage import Check, JobView
-from arfx.stages.gi.frame_light import checked
-from arfx.stages.gi.surroundings import COARSE_PX
+from arfx.stages.light.surroundings import checked_faces
 
 SIZE = (96, 72)
 LIMIT = 0.05  # of the mean: thin parts and corners darken a little, as each sees the other darkened once more
+_COARSE_PX = 16  # of a face: finer maps are looked at by their means
 _LOOKS = 5  # environments that are looked at, evenly over the clip
 T = TypeVar("T")
 
@@ -29,18 +29,14 @@ T = TypeVar("T")
 def seams(job: JobView) -> Iterator[Check]:
     """Steps of environment maps across the edges of their cubes beside those between texels within a face."""
     maps = [
-        checked(f.environment)
+        checked_faces(f.environment)
         for f in _evenly([f for f in job.facts if f.environment is not None])
         if f.environment
     ]
     for rgba in _evenly([*job.scene.environment_maps.values()]):
-        block = rgba.shape[1] // COARSE_PX
-        maps.append(
-            rgba[..., :3]
-            .astype(float)
-            .reshape(6, COARSE_PX, block, COARSE_PX, block, 3)
-            .mean((2, 4))
-        )
+        block = rgba.shape[1] // _COARSE_PX
+        blocks = rgba[..., :3].astype(float).reshape(6, _COARSE_PX, block, _COARSE_PX, block, 3)
+        maps.append(blocks.mean((2, 4)))
     if maps:
         worst = max(map(seam_ratio, maps))
         name = "environment: steps across cube edges / within faces"

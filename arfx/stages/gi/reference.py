@@ -23,12 +23,12 @@ from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import View
-from arfx.stages.gi.frame_light import surroundings_of
 from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.gi.reference_tracer import BOUNCES, LOBE, NUMBERS, Tracer
 from arfx.stages.light.planes import Planes
+from arfx.stages.light.surroundings import frame_surroundings
 
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 DARKEST = 0.002  # radiance below which a pixel is no base for a ratio
@@ -57,13 +57,14 @@ def trace_frame(
     mirror : pixels that can mirror the object"""
     scene, rect = view.scene, view.rect
     rays = RayScene(scene)
-    cubes = surroundings_of(view.facts, scene, view.light)
+    known = frame_surroundings(view.facts, scene, view.light, view.memo.of_light)
+    cube_from_anchor = known.axes @ scene.world_from_anchor.rotation
     around = Surroundings(
         view.layers,
         visible_rect,
         scene,
         view.facts,
-        Environment(cubes, scene.world_from_anchor.rotation),
+        Environment(known.cubes(), cube_from_anchor),
         planes,
         rays.radius,
     )

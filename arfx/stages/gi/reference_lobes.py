@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from arfx.core.numerics import divide, normalise
+from arfx.stages.gi.gloss import gloss_weights
 
 SMOOTHEST = 0.02  # roughness: what is smoother is as good as a mirror
 # half-angles of lobes that see the environment as a mirror does, and as a matt surface does
@@ -115,6 +116,13 @@ def lobe_width(roughness: np.ndarray) -> np.ndarray:
     return np.interp(half_deg, (NARROW_DEG, WIDE_DEG), (0.0, 1.0))
 
 
+def lost_share(roughness: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """(k, 1) light that single reflections of a white mirror lose, over what they reflect: microfacets send it on to each
+    other, and the lobe gives it back (Turquin 2019)."""
+    direct, grazing = gloss_weights(roughness[:, 0], cosine[:, 0])
+    return divide(1.0, direct + grazing)[:, None] - 1
+
+
 class MaterialLobes:
     """Lambert under GGX. normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3)
     metal, f0, roughness (k, 1)"""
@@ -139,6 +147,7 @@ class MaterialLobes:
         self._a = np.clip(roughness, SMOOTHEST, 1) ** 2
         self.width = lobe_width(roughness)
         cosine = self._view[:, 2:]
+        self._returned = 1 + self._f0 * lost_share(roughness, cosine)
         mirrored = schlick(self._f0, cosine)
         scattered = self._diffuse * (1 - schlick(f0, cosine))
         most = mirrored.max(1, keepdims=True)
@@ -169,7 +178,7 @@ class MaterialLobes:
         masked = cos_light * seen + cos_view * lit
         share = divide(spread * cos_light, 2 * masked)
         of_gloss = divide(spread, 2 * (cos_view + seen))
-        mirrored = schlick(self._f0, grazing) * share
+        mirrored = schlick(self._f0, grazing) * share * self._returned
         cosine = cos_light / np.pi
         under_gloss = 1 - schlick(self._matt_f0, grazing)
         scattered = self._diffuse * under_gloss * cosine

@@ -12,18 +12,17 @@ import numba
 import numpy as np
 
 from arfx.core.pose import Pose
-from arfx.stages.gi.gloss import mirror_tangent, split_sum, table_entry, widened_roughness
-from arfx.stages.gi.surroundings import Background, background_radiances
+from arfx.stages.gi.background import Background, behind_object
+from arfx.stages.gi.gloss import widened_roughness
+from arfx.stages.light.split_sum import split_sum
 from arfx.stages.light.transport import Transport
-from arfx.stages.lightmap.shading import Surface
+from arfx.stages.lightmap.shading import SMOOTHEST, Surface, reflected_shares
 
 _OCCLUDED = 0.01  # share of a place's hemisphere that the object hides, from which on a ray is sent
 _LIFT_EXTENTS = 2e-3  # rays begin that far over the surface
 _MIRRORS = 2  # times that a ray is mirrored on by metal
-_METAL, _METAL_TANGENT = (
-    0.5,
-    0.2,
-)  # metallic from which on; cone in which metal in a mirror sees its surroundings
+_METAL = 0.5  # metallic from which on what a mirror shows of it is mirrored on
+_METAL_ROUGHNESS = 0.27  # of metal that is seen in a mirror
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +39,11 @@ class Sight:
     albedo: np.ndarray
     shows: float
 
-    def along(self, places: np.ndarray, directions: np.ndarray, tangents: np.ndarray) -> np.ndarray:
-        """(m, 3) radiance of the planes and the sky, anchor axes. tangents (m,) : of the cones' half-angles"""
-        places, directions = (np.ascontiguousarray(a, np.float32) for a in (places, directions))
-        cones = tangents.astype(np.float32)
-        return np.asarray(background_radiances(places, directions, cones, self.background))
+    def along(
+        self, places: np.ndarray, directions: np.ndarray, roughness: np.ndarray
+    ) -> np.ndarray:
+        """(m, 3) radiance of the planes and the environment, anchor axes. roughness (m,) : of what mirrors them"""
+        return behind_object(self.background, places, directions, roughness)
 
     def of_object(
         self, starts: np.ndarray, directions: np.ndarray, turns: int = _MIRRORS
@@ -68,8 +67,7 @@ class Sight:
         if turns > 0 and len(metal):
             towards = directions[met][metal] + 2 * np.abs(along[metal]) * normals[metal]
             starts = places[metal] + rays.lift_m * normals[metal]
-            cones = np.full(len(metal), _METAL_TANGENT)
-            seen = self.along(starts, towards, cones)
+            seen = self.along(starts, towards, np.full(len(metal), _METAL_ROUGHNESS))
             again, more = self.of_object(starts, towards, turns - 1)
             seen[again] = more
             tint = self._at(self.albedo, places[metal], normals[metal])
@@ -102,7 +100,7 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
         return out
     row, column = pixels.T
     places, normals, directions, rough, weights = np.split(lobes, [3, 6, 9, 10], 1)
-    seen = sight.along(places, directions, mirror_tangent(rough[:, 0]))
+    seen = sight.along(places, directions, rough[:, 0])
     layers = surface.coverage, surface.normal, surface.position
     grid = sight.transport.grid
     occluded = grid.read(sight.transport.occluded, *layers, anchor)[row, column, 0]
@@ -145,19 +143,22 @@ def _lobes(
             facing = zero
             for k in range(3):
                 facing += (eye[k] - to[k]) * away * to[3 + k]
-            metal, f0 = material[y, x, 0], np.float32(0.08) * material[y, x, 2]
-            f0 *= one - metal
-            a, b = table_entry(table, material[y, x, 1], facing)
-            if f0 + metal <= zero:
-                b = zero
-            most = max(albedo[y, x, 0], albedo[y, x, 1], albedo[y, x, 2])
-            shines = (f0 + most * metal) * a + b > shows * max(most, np.float32(1e-3))
-            matt = (one - metal) * (one - min(f0 * a + b, one)) * coverage[y, x]
+            metal, specular = material[y, x, 0], material[y, x, 2]
+            rough = max(material[y, x, 1], np.float32(SMOOTHEST))
+            n_v = max(facing, np.float32(1e-3))
+            shares = reflected_shares(table, metal, rough, specular, n_v)
+            matt, coat, direct, grazing, lost = shares
+            brightest, strongest = np.float32(1e-3), zero
             for k in range(3):
-                colour, light = albedo[y, x, k], received[y, x, k]
-                gloss = coverage[y, x] * ((f0 + colour * metal) * a + b)
-                out[y, x, k] = matt * colour * light + (zero if shines else gloss * light)
-                to[10 + k] = gloss
+                colour = albedo[y, x, k]
+                mirrored = metal * (colour * direct + grazing) * (one + colour * lost)
+                to[10 + k] = coverage[y, x] * ((one - metal) * coat + mirrored)
+                brightest, strongest = max(brightest, colour), max(strongest, to[10 + k])
+            shines = strongest > shows * brightest * coverage[y, x]
+            for k in range(3):
+                gloss = zero if shines else to[10 + k]
+                sent = coverage[y, x] * matt * albedo[y, x, k] + gloss
+                out[y, x, k] = sent * received[y, x, k]
             if not shines:
                 continue
             to[9], spread = wide[y, x], min(wide[y, x] * wide[y, x], one)

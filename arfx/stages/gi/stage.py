@@ -19,7 +19,6 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 
-from arfx.core.cube import face_directions, look_up
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers, neutral, packed
 from arfx.core.light import Light
@@ -30,14 +29,9 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, Demand, JobView, Stage, View
 from arfx.errors import require_within
-from arfx.stages.gi.frame_light import (
-    IncomingLight,
-    environment_cube,
-    incoming_light,
-    rounded,
-)
 from arfx.stages.gi.gloss import gloss_weights, mirror_tangent
 from arfx.stages.gi.health import furnace, seams
+from arfx.stages.gi.incoming import IncomingLight, in_steps, incoming_light, sky_radiance
 from arfx.stages.gi.plane_change import (
     DARKEST,
     add_change,
@@ -61,7 +55,7 @@ from arfx.stages.light.planes import (
     texel_positions,
 )
 from arfx.stages.light.region import shadow_region
-from arfx.stages.light.transport import SKY, Indirect, Transport, TransportLevel
+from arfx.stages.light.transport import Indirect, Transport, TransportLevel
 from arfx.stages.lightmap.shading import Surface
 from arfx.stages.viewing import direction_grid, viewing
 
@@ -156,7 +150,8 @@ class Gi(Stage):
         """What bounces is made for each light and its surroundings, both rounded."""
         if facts.light is None:
             return {"new_lights": None}
-        return {"new_lights": (repr(rounded(facts.light)), facts.environment)}
+        known = in_steps(facts, facts.light)
+        return {"new_lights": (repr(known.light), known.seen_environment, known.environment)}
 
     def health(self, job: JobView) -> Iterable[Check]:
         return chain(seams(job), furnace(job))
@@ -191,7 +186,7 @@ class Gi(Stage):
         sight = Sight(
             anchor,
             anchor.apply(view.pose.inverse().translation_m),
-            incoming.background_with(lit.indirect.left),
+            incoming.background(lit.indirect.left),
             prepared.transport,
             lit.sent,
             prepared.transport.colours,
@@ -207,14 +202,15 @@ class Gi(Stage):
 
     def _lit(self, view: View, prepared: Prepared, incoming: IncomingLight) -> LitScene:
         """Kept by light, environment and mean of the planes."""
-        scene, light, memo = view.scene, rounded(view.light), view.memo.of_light
-        cube, factor = environment_cube(view.facts, scene, light)
-        key = repr(light), cube.tobytes(), incoming.mean.tobytes()
+        scene, memo = view.scene, view.memo.of_light
+        known = in_steps(view.facts, view.light)
+        light = scene.light_of(known)
+        around = known.seen_environment, known.environment
+        key = repr(light), *around, incoming.mean.tobytes()
 
         def make() -> LitScene:
             transport, planes = prepared.transport, prepared.planes
-            towards = face_directions(SKY).reshape(-1, 3) @ scene.world_from_anchor.rotation.T
-            sky = look_up(_coarse(cube * factor), towards)
+            sky = sky_radiance(known, scene, light, memo)
             places = len(transport.texels)
             picture = np.broadcast_to(incoming.mean, (places, 3))
             indirect = transport.solve(scene, light, picture, sky)
@@ -289,7 +285,6 @@ class Gi(Stage):
         real = measured(view.layers.crop(rect))
         shares = shown_planes(rect, prepared.grid, anchor_from_camera, poses, real)
         directions = viewing(prepared.grid @ anchor_from_camera.rotation.T, rect)
-        tangent = mirror_tangent(PLANE_ROUGHNESS)
         for axes, share in zip(prepared.planes.axes.astype(float), shares, strict=True):
             normal = axes[3]
             rows = np.nonzero((directions @ normal < 0) & (True if share is None else share > 0))
@@ -302,7 +297,7 @@ class Gi(Stage):
             towards = d - 2 * along[:, None] * normal
             starts = places + sight.transport.rays.lift_m * normal
             met, sent = sight.of_object(starts, towards)
-            behind = sight.along(places[met], towards[met], np.full(len(met), tangent))
+            behind = sight.along(places[met], towards[met], np.full(len(met), PLANE_ROUGHNESS))
             weight = self.params.strength * fresnel[met]
             if share is not None:
                 weight = weight * share[rows][met]
@@ -349,15 +344,7 @@ def _soft(view: View) -> float:
 
 def _brightest(incoming: IncomingLight, lit: LitScene) -> float:
     """No radiance that is mirrored is greater."""
-    return float(max(incoming.background.maps.max(), incoming.picture.max(), lit.sent.max()))
-
-
-def _coarse(cube: np.ndarray) -> np.ndarray:
-    """(6, SKY, SKY, 3) means of a cube of as many texels or more, else the cube."""
-    if cube.shape[1] <= SKY:
-        return cube
-    faces = [cv2.resize(face, (SKY, SKY), interpolation=cv2.INTER_AREA) for face in cube]
-    return np.stack(faces)
+    return float(max(incoming.environment.texels.max(), incoming.picture.max(), lit.sent.max()))
 
 
 def _written(layers: Layers, name: Layer, part: Rect) -> np.ndarray:

@@ -129,7 +129,9 @@ def radiance(environment: Environment, dx, dy, dz, roughness):  # pragma: no cov
     k = 0
     while k < levels.shape[0] - 2 and roughness > levels[k + 1]:
         k += 1
-    part = (roughness - levels[k]) / (levels[k + 1] - levels[k])
+    # a lobe's half-angle grows as the square of its roughness
+    low = levels[k] * levels[k]
+    part = (roughness * roughness - low) / (levels[k + 1] * levels[k + 1] - low)
     return look_up(texels, sides, starts, np.float32(k) + part, x, y, z)
 
 

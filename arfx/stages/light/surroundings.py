@@ -43,10 +43,8 @@ _LEAST_SKY = 0.3  # share of the plane's light that comes from what was not seen
 _LEAST_COLOUR = 1e-3  # of the brightest, that a guess has everywhere of each colour
 _MOST = 1e3  # times as bright as it was found
 _UP_STEP = 1 / 16  # of the plane's normal where it turns in a cube's axes
-_NARROW_RAD, _WIDE_RAD = (
-    np.radians(6.0),
-    np.radians(30.0),
-)  # half-angles of lobes: a mirror's, a matt surface's
+# half-angles of lobes: a mirror's, a matt surface's
+_NARROW_RAD, _WIDE_RAD = np.radians(6.0), np.radians(30.0)
 _KEPT = 8  # maps, 1.3 MB each
 _SHAPE_STEPS = 64  # of a harmonic over the first
 
@@ -79,8 +77,42 @@ class SurroundingParts:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class FrameSurroundings:
+    """What is known of the surroundings in one frame.
+
+    narrow, wide (3, 3) : factors of the parts for a mirror, and for a surface that sees far around
+    axes (3, 3) : rotation to the cubes' axes from the world's"""
+
+    parts: SurroundingParts
+    narrow: np.ndarray
+    wide: np.ndarray
+    axes: np.ndarray
+
+    def environment(self) -> Environment:
+        """Filtered, as surfaces of any roughness mirror it."""
+        return environment_of(_weighed(self.parts.texels, self.narrow, self.wide), self.axes)
+
+    def cubes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(6, n, n, 3) radiance as a mirror sees it, and as a matt surface does; not filtered."""
+        finest = self.parts.texels[:, level_slices()[0]]
+        side = SIDES[0] + 2
+        narrow, wide = (
+            np.einsum("pc,pnc->nc", factors, finest).reshape(6, side, side, 3)[:, 1:-1, 1:-1]
+            for factors in (self.narrow, self.wide)
+        )
+        return narrow, wide
+
+
 def frame_environment(facts: FrameFacts, scene: Scene, light: Light, memo: Memo) -> Environment:
-    """What the frame's object mirrors. memo : keeps what is filtered
+    """What the frame's object mirrors. As `frame_surroundings`."""
+    return frame_surroundings(facts, scene, light, memo).environment()
+
+
+def frame_surroundings(
+    facts: FrameFacts, scene: Scene, light: Light, memo: Memo
+) -> FrameSurroundings:
+    """The best that is known around the frame's object. memo : keeps what is filtered
 
     Raises RenderError for radiance that is not finite and >= 0, and for a map that is missing."""
     seen, guess = facts.seen_environment, facts.environment
@@ -112,7 +144,7 @@ def frame_environment(facts: FrameFacts, scene: Scene, light: Light, memo: Memo)
             mixed = mixed.towards(kept(seen.maps[1]), seen.share)
     plane_rgb = _radiance(np.zeros(3) if plane is None else np.array(plane))
     narrow, wide = brightness(mixed, light, light.soft_radiance(up), plane_rgb)
-    return environment_of(_weighed(mixed.texels, narrow, wide), axes)
+    return FrameSurroundings(mixed, narrow, wide, axes)
 
 
 def parts_of(
@@ -187,6 +219,14 @@ def seen_map(name: str, scene: Scene) -> np.ndarray:
     return resampled(rgba, SIDES[0])
 
 
+def checked_faces(environment: CubeMap) -> np.ndarray:
+    """(6, n, n, 3) float64, its own axes. Raises RenderError for values that are not finite and >= 0."""
+    cube = environment.faces().astype(float)
+    if not np.isfinite(cube).all() or (cube < 0).any():
+        raise RenderError("facts: the environment holds values that are not finite and >= 0")
+    return cube
+
+
 def above_horizon(size: int, up: np.ndarray) -> np.ndarray:
     """(6, size, size, 1) from 0 at the plane's horizon to 1 from SOFT_DEG on."""
     return smoothstep((face_directions(size) @ up) / np.sin(np.radians(SOFT_DEG)))[..., None]
@@ -214,10 +254,8 @@ def _guess_of(environment: CubeMap | None, light: Light) -> np.ndarray:
     if environment is None:
         cube = _from_light(light)
     else:
-        cube = environment.faces().astype(float)
-        if not np.isfinite(cube).all() or (cube < 0).any():
-            raise RenderError("facts: the environment holds values that are not finite and >= 0")
-        cube = spread(resampled(cube, _GUESS_PX), 90 / environment.size / 2)
+        cube = resampled(checked_faces(environment), _GUESS_PX)
+        cube = spread(cube, 90 / environment.size / 2)
     most = float(cube.max())
     cube = np.maximum(cube, _LEAST_COLOUR * most) if most > 0 else np.ones_like(cube)
     return resampled(cube.astype(np.float32), SIDES[0])

@@ -62,17 +62,6 @@ def highlight_width(size_deg: np.ndarray) -> np.ndarray:
     return (np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8).astype(np.float32)
 
 
-@line_kernel()
-def covered_span(coverage):  # pragma: no cover - compiled
-    """(first, last) covered pixel of a line, (0, -1) without one. Bare ones between cost less than leaving them out."""
-    first, last = 0, coverage.shape[0] - 1
-    while last >= 0 and not coverage[last] > 0:
-        last -= 1
-    while first < last and not coverage[first] > 0:
-        first += 1
-    return first, last
-
-
 @line_kernel(fastmath=_FAST)
 def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
     """What a lamp shows by microfacets, without Fresnel's factor, over the radiance of a white surface that faces it.
@@ -107,6 +96,19 @@ def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
     smooth *= smooth
     turned = np.float32(0.5) * smooth * smooth * (n_v + visible - one)
     return min(max(visible + turned, np.float32(0)), one)
+
+
+@line_kernel(fastmath=_FAST)
+def reflected_shares(table, metal, roughness, specular, n_v):  # pragma: no cover - compiled
+    """(matt, coat, direct, grazing, lost): shares of even light, of the matt part, of what a dielectric mirrors, the split
+    sum's two, and how much single reflections lose of white over what they mirror."""
+    one, two = np.float32(1), np.float32(2)
+    direct, grazing = table_entry(table, roughness, n_v)
+    lost = one / (direct + grazing) - one
+    varnish = np.float32(0.08) * specular
+    coat = varnish * direct + min(two * specular, one) * grazing
+    coat = min(coat * (one + varnish * lost), one)
+    return (one - metal) * (one - coat), coat, direct, grazing, lost
 
 
 def shade(
@@ -153,12 +155,8 @@ def _shade(
             base = np.float32(0.08) * specular * (one - metal)
             # at grazing angles all is mirrored, unless the material is set not to be glossy at all (F0 under 4 %)
             edge = metal + (one - metal) * min(two * specular, one)
-            direct, grazing = table_entry(table, rough, n_v)
-            lost = one / (direct + grazing) - one
-            varnish = np.float32(0.08) * specular
-            coat = varnish * direct + min(two * specular, one) * grazing
-            coat = min(coat * (one + varnish * lost), one)  # what a dielectric mirrors
-            matt = (one - metal) * (one - coat)
+            shares = reflected_shares(table, metal, rough, specular, n_v)
+            matt, coat, direct, grazing, lost = shares
             colour, pixel = albedo[y, x], out[y, x]
             visible = soft_visibility[y, x]
             for c in range(3):

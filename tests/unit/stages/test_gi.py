@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,14 @@ from arfx.core.camera import Camera
 from arfx.core.cube import CubeMap
 from arfx.core.layers import Layer
 from arfx.core.light import Light
-from arfx.core.model import Model, Part
+from arfx.core.model import Material, Model, Part
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.core.stage import level_named
 from arfx.errors import ConfigError, RenderError
+from arfx.plan.planner import plan_frame
+from arfx.run.frame import ready_stages, run_frame
 from arfx.run.parameters import make_stages
 from arfx.stages import STAGES, stages_with
 from arfx.stages.gi import Gi, GiParams
@@ -245,8 +249,6 @@ def test_kept_light_is_used_again_and_another_is_not() -> None:
 
 def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:
     assert stages_with(["gi"]) == ("raster", "lightmap", "gi", "composite")
-    from types import SimpleNamespace
-
     config = SimpleNamespace(
         pipeline=SimpleNamespace(stages=("lightmap", "gi")), input=SimpleNamespace(depth=None),
         params={name: STAGES[name].Params() for name in STAGES},
@@ -257,6 +259,25 @@ def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:
     assert make_stages(config)["lightmap"].params.ambient is True  # type: ignore[arg-type]
     config.pipeline.stages = "auto"
     assert "gi" not in make_stages(config)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("pipeline", [("lightmap",), ("lightmap", "gi")])
+@pytest.mark.parametrize(("metallic", "roughness"), [(0.0, 0.5), (1.0, 0.1), (1.0, 0.4), (1.0, 0.9)])
+def test_a_ball_in_an_even_white_room_shows_its_light_once(pipeline: tuple[str, ...], metallic: float, roughness: float) -> None:
+    """What lightmap mirrors of the surroundings in every job gi does not add again."""
+    white = Material(base_colour=(1.0, 1.0, 1.0, 1.0), metallic=metallic, roughness=roughness)
+    s = on(ball, white, EVEN)
+    params = {name: STAGES[name].Params() for name in STAGES}
+    config = SimpleNamespace(pipeline=SimpleNamespace(stages=pipeline), input=SimpleNamespace(depth=None), params=params)
+    stages = make_stages(config)  # type: ignore[arg-type]
+    levels = {name: level_named(stage.levels, "standard") for name, stage in stages.items()}
+    plan = plan_frame(list(stages.values()), levels, facts(s, from_above()), s, CAMERA.rect)
+    plate = plain_plate(rgb=(1, 1, 1))[plan.rect.slices]
+    layers = run_frame(plate, facts(s, from_above()), plan, ready_stages(plan, stages, s)).layers
+    made = layers.view(frozenset(layers.stored), plan.rect)
+    assert ("gi" in stages) == ("gi" in pipeline)
+    light = made[Layer.VIRTUAL][inner(made[Layer.COVERAGE])]
+    assert len(light) > 500 and light.mean() == pytest.approx(1, abs=0.02)
 
 
 def test_settings_are_checked_and_the_demand_tells_why() -> None:

@@ -1,4 +1,4 @@
-"""Light from place to place against closed forms: form factors, a cavity, mirrors, guessed surroundings."""
+"""Light from place to place against closed forms: form factors, a cavity, mirrors."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from arfx.core.cube import CubeMap, face_directions
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
-from arfx.stages.gi.frame_light import at_horizon, environment_cube
-from arfx.stages.gi.surroundings import irradiance
 from tests.scenes import facts
 from tests.unit.stages.gi_scenes import (
     BLACK,
@@ -88,39 +85,6 @@ def test_a_mirror_sends_on_what_it_mirrors_and_no_lamp_as_if_it_were_matt() -> N
         lit[name] = made[Layer.SHADOW][side].mean()
     assert lit["matt"] > lit["mirror"] + 0.01
     assert 0.9 < lit["mirror"] < 1.02
-
-
-def test_a_guessed_environment_begins_with_the_plane_and_keeps_the_light() -> None:
-    up = np.array([0, 0, 1.0])
-    cube = np.where(face_directions(8)[..., :1] > 0, 1.6, 0.2) * np.ones(3)
-    plane, want = np.array([0.5, 0.4, 0.3]), np.array([0.9, 0.9, 0.9])
-    soft = at_horizon(cube, up, plane, want)
-    assert soft is not None
-    made, factor = soft
-    np.testing.assert_allclose(irradiance(made * factor, up), want, rtol=1e-6)
-    below, high = face_directions(8)[..., 2] < 0, face_directions(8)[..., 2] > 0.5
-    np.testing.assert_allclose((made * factor)[below], np.broadcast_to(plane, (int(below.sum()), 3)))
-    np.testing.assert_allclose(made[high], cube[high])
-    for nothing in ([np.nan] * 3, [50.0] * 3):
-        assert at_horizon(cube, up, np.array(nothing), want) is None
-    s = on_plane(box(MATT_WHITE), LAMP, CAMERA)
-    f = facts(s, from_above())
-    given = environment_cube(f.with_(environment=CubeMap.of(cube)), s, LAMP)[0]
-    np.testing.assert_allclose(given, cube, rtol=1e-3)  # a panorama is taken as it is
-    guessed = environment_cube(f.with_(environment=CubeMap.of(cube, None, plane)), s, LAMP)[0]
-    assert np.abs(guessed - cube).max() > 0.1
-
-
-def test_the_lamps_are_no_part_of_the_environment() -> None:
-    """A picture of the surroundings holds a clipped lamp at most: it is scaled to the light without lamps, those stay exact."""
-    cube = np.full((6, 8, 8, 3), 0.3)
-    cube[4, 3:5, 3:5] = 1.0  # clipped
-    s = on_plane(box(MATT_RED), LAMP, CAMERA)
-    f = facts(s, from_above()).with_(environment=CubeMap.of(cube))
-    got, factor = environment_cube(f, s, LAMP)
-    up = np.array([0, 0, 1.0])
-    np.testing.assert_allclose(irradiance(got * factor, up), LAMP.soft_radiance(up), rtol=1e-3)
-    assert (LAMP.radiance(up) > 1.5 * LAMP.soft_radiance(up)).all(), "all of the light would count the lamp twice"
 
 
 def test_the_light_is_the_frames_own() -> None:

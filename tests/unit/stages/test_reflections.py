@@ -92,6 +92,17 @@ def test_a_filtered_cube_is_the_mean_under_the_lobe() -> None:
         assert np.abs(looked_up(environment, seen, roughness) - truth).mean() < 0.03
 
 
+def test_between_levels_a_lobe_is_as_wide_as_its_roughness_asks() -> None:
+    """Red if levels count by roughness: a lobe of .1 then is as blurred as half of one of .2."""
+    d = face_directions(64)
+    edge = environment_of(prefiltered((d[..., :1] > 0) * np.ones(3)), np.eye(3))
+    degrees = np.linspace(-30, 30, 601)
+    across = np.stack([np.sin(np.radians(degrees)), np.cos(np.radians(degrees)), 0 * degrees], -1).astype(F32)
+    seen = {r: looked_up(edge, across, r)[:, 0] for r in (0.0, 0.1, 0.2)}
+    blur = {r: np.abs(seen[r] - seen[0.0]).sum() for r in (0.1, 0.2)}
+    assert 0.15 < blur[0.1] / blur[0.2] < 0.35
+
+
 def test_no_seam_between_faces_nor_step_between_levels() -> None:
     g = np.random.default_rng(1)
     environment = environment_of(prefiltered(g.random((6, 16, 16, 3))), np.eye(3))
@@ -178,6 +189,16 @@ def test_a_mirror_shows_what_the_clip_saw_and_a_guess_as_bright() -> None:
     np.testing.assert_allclose(elsewhere, 0.8 * 0.5, rtol=0.05)
     matt = looked_up(environment, np.array([[0, 0, 1]], F32), 1.0)
     assert (matt > elsewhere).all(), "what is missing of the light comes from lamps between which a mirror looks through"
+
+
+def test_a_guess_begins_with_the_plane_at_its_horizon() -> None:
+    """A mirror would show a hard ring there, between a picture and a guess."""
+    d = face_directions(8)
+    guess = np.where(d[..., :1] > 0, 0.9, 0.2) * np.ones(3)
+    environment = surrounded(Light((0.5, 0.5, 0.5), ()), guess)
+    below, above = looked_up(environment, np.array([[0.9, 0, -0.4], [0.9, 0, 0.9]], F32), 0.0)
+    np.testing.assert_allclose(below, 0.2, rtol=1e-3)
+    assert above[0] > 0.4
 
 
 def test_a_camera_at_rest_keeps_what_was_filtered_while_the_world_turns() -> None:

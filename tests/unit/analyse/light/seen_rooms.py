@@ -10,17 +10,24 @@ import numpy as np
 
 from arfx.analyse.light.seen import Look
 from arfx.core.camera import Camera
-from arfx.core.cube import face_directions
+from arfx.core.cube import face_directions, solid_angles
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, triple
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
-from arfx.stages.gi.surroundings import irradiance
 
 UP = np.array([0.0, 0.0, 1.0])
 DESK = np.array([0.30, 0.26, 0.22])
 CAMERA = Camera(150, 200, np.array([[140.0, 0, 74.5], [0, 140, 99.5], [0, 0, 1]]))  # a phone held upright
+
 Radiance = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def irradiance(cube: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(3,) radiance of a white diffuse surface of unit normal (3,) under a cube (6, n, n, 3)."""
+    n = cube.shape[1]
+    weight = np.clip(face_directions(n) @ up, 0, None) * solid_angles(n)
+    return np.asarray(np.tensordot(weight, cube, 3) / weight.sum())
 
 
 def walls(half_m: float, top_m: float = 1.8, tint: float = 1.0) -> Radiance:

@@ -10,19 +10,19 @@ import pytest
 
 from arfx.analyse.light import seen
 from arfx.analyse.light.seen import Look, given_everywhere, with_seen
-from arfx.analyse.light.surroundings import environment_sample, with_environment
+from arfx.analyse.light.surroundings import environment_sample, turned, with_environment
 from arfx.core.camera import Camera
 from arfx.core.cube import bordered, face_directions, look_up, resampled
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
+from arfx.core.memo import Memo
 from arfx.core.pose import rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.errors import RenderError
-from arfx.stages.gi.frame_light import seen_map, surroundings_of
 from arfx.stages.gi.health import seam_ratio
-from arfx.stages.gi.surroundings import irradiance, octahedral
-from tests.unit.analyse.light.seen_rooms import CAMERA, UP, Clip, sky, walls
+from arfx.stages.light.surroundings import frame_surroundings, seen_map
+from tests.unit.analyse.light.seen_rooms import CAMERA, UP, Clip, irradiance, sky, walls
 from tests.unit.stages.gi_scenes import MIRROR, ball, facts, inner, on_plane, run_gi, surface
 
 QUAD = np.array([[30.0, 70], [45, 70], [45, 85], [30, 85]])  # on the desk, in the looks' pixels
@@ -43,6 +43,21 @@ def analysed(clip: Clip, still_camera: bool = False) -> tuple[tuple[FrameFacts, 
 
 def scene(maps: dict[str, np.ndarray]) -> Scene:
     return replace(on_plane(ball(MIRROR), Light(), CAMERA), environment_maps=maps)
+
+
+def seen_now(f: FrameFacts, s: Scene) -> np.ndarray:
+    """(6, n, n, 4) what was seen, WORLD axes."""
+    known = f.seen_environment
+    assert known is not None
+    first, second = (seen_map(name, s) for name in known.maps)
+    axes = np.eye(3) if known.axes is None else np.reshape(known.axes, (3, 3))
+    return turned(first + known.share * (second - first), axes)
+
+
+def cubes(f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance as a mirror sees it, and as a matt surface does."""
+    assert f.light is not None
+    return frame_surroundings(f, s, f.light, Memo()).cubes()
 
 
 def traced(clip: Clip, f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -85,13 +100,11 @@ def test_a_grey_room_is_grey_without_a_seam() -> None:
     grey = np.array([0.2, 0.4, 0.3])
     clip = Clip(lambda o, d: np.broadcast_to(grey, d.shape), (-170, 170))
     found, maps = analysed(clip)
-    for cube in surroundings_of(found[20], scene(maps), clip.facts[20].light):  # type: ignore[arg-type]
+    for cube in cubes(found[20], scene(maps)):
         np.testing.assert_allclose(cube, np.broadcast_to(grey, cube.shape), rtol=4e-3)
-    assert octahedral(cube).shape == (1, 6, 130, 130, 3)
-    np.testing.assert_allclose(octahedral(cube), np.broadcast_to(grey, (1, 6, 130, 130, 3)), rtol=4e-3)
     # a room with something in it
     found, maps = analysed(ROUND)
-    whole = surroundings_of(found[20], scene(maps), ROUND.facts[20].light)[0]  # type: ignore[arg-type]
+    whole = cubes(found[20], scene(maps))[0]
     assert seam_ratio(whole[:, ::4, ::4]) < 1.6
 
 
@@ -110,7 +123,7 @@ def test_faces_join_across_their_edges() -> None:
 def test_what_was_seen_is_known_and_the_rest_is_the_guess() -> None:
     clip = Clip(walls(1.4), (-90, -80))
     found, maps = analysed(clip)
-    rgba = seen_map(found[20].seen_environment, scene(maps))  # type: ignore[arg-type]
+    rgba = seen_now(found[20], scene(maps))
     ahead, behind, above = look_up(rgba, np.array([[0.08, 1, 0.3], [0, -1, 0.3], [0, 0, 1.0]]))[:, 3]
     assert ahead == pytest.approx(1, abs=1e-3) and behind < 0.02 and above < 0.5
     assert (rgba[..., 3].ravel() <= 1).all() and np.ptp(rgba[..., 3]) > 0.97
@@ -120,7 +133,7 @@ def test_the_map_follows_the_clip() -> None:
     clip = Clip(walls(2.0), (-90, -90), seconds=16.0, later=walls(2.0, tint=0.4))
     found, maps = analysed(clip)
     ahead = np.array([[0.2, 1, 0.25]])
-    first, last = (look_up(seen_map(found[k].seen_environment, scene(maps)), ahead)[0, :3] for k in (4, 36))  # type: ignore[arg-type]
+    first, last = (look_up(seen_now(found[k], scene(maps)), ahead)[0, :3] for k in (4, 36))
     shares = [found[k].light.mean_radiance for k in (4, 36)]  # type: ignore[union-attr]
     assert last * shares[1] == pytest.approx(0.4 * first * shares[0], rel=0.1)
 
@@ -133,13 +146,14 @@ def test_a_still_room_does_not_flicker() -> None:
              for look in clip.looks]  # fmt: skip
     found, maps = with_seen(analysed(clip)[0], looks, CAMERA, False, np.zeros(3), UP)
     s = scene(maps)
-    cubes = [surroundings_of(f, s, f.light)[0] for f in found]  # type: ignore[arg-type]
-    step = np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(cubes)])
+    memo = Memo()
+    shown = [frame_surroundings(f, s, f.light, memo).cubes()[0] for f in found]  # type: ignore[arg-type]
+    step = np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(shown)])
     alone = [with_seen([*clip.facts], [look], CAMERA, False, np.zeros(3), UP) for look in looks[6:8]]
-    a, b = (seen_map(f[0].seen_environment, scene(m))[..., :3] for f, m in alone)  # type: ignore[arg-type]
+    a, b = (seen_now(f[0], scene(m))[..., :3] for f, m in alone)
     each_alone = np.abs((b - a) * clip.facts[0].light.mean_radiance).mean()  # type: ignore[union-attr]
     assert step < 0.1 * each_alone and step < 1e-3
-    assert max(np.abs(b - a).max() for a, b in itertools.pairwise(cubes)) < 0.02
+    assert max(np.abs(b - a).max() for a, b in itertools.pairwise(shown)) < 0.02
 
 
 def test_a_lamp_that_is_a_light_is_not_seen_twice() -> None:
@@ -152,11 +166,11 @@ def test_a_lamp_that_is_a_light_is_not_seen_twice() -> None:
     clip = Clip(lit, (-100, -80))
     found, maps = analysed(clip)
     at = np.array([lamp])
-    assert look_up(seen_map(found[20].seen_environment, scene(maps)), at)[0, :3].max() > 1.5  # type: ignore[arg-type]
+    assert look_up(seen_now(found[20], scene(maps)), at)[0, :3].max() > 1.5
     light = replace(clip.facts[0].light, lights=(DirectionalLight(tuple(lamp), (0.0, 0.0, 0.0)),))  # type: ignore[type-var]
     known = [f.with_(light=light) for f in clip.facts]
     found, maps = with_seen(known, clip.looks, CAMERA, False, np.zeros(3), UP)
-    assert look_up(seen_map(found[20].seen_environment, scene(maps)), at)[0, :3].max() < 1.2  # type: ignore[arg-type]
+    assert look_up(seen_now(found[20], scene(maps)), at)[0, :3].max() < 1.2
 
 
 def test_before_a_still_camera_the_map_rests_in_the_cameras_axes() -> None:
@@ -166,7 +180,7 @@ def test_before_a_still_camera_the_map_rests_in_the_cameras_axes() -> None:
         f.with_(camera_from_world=replace(f.pose, rotation=f.pose.rotation @ turn)) if f.index > 20 else f for f in clip.facts
     ]
     found, maps = with_seen(moved, clip.looks, CAMERA, True, np.zeros(3), UP)
-    before, after = (seen_map(found[k].seen_environment, scene(maps)) for k in (20, 21))  # type: ignore[arg-type]
+    before, after = (seen_now(found[k], scene(maps)) for k in (20, 21))
     ahead = np.array([0, 0, 1.0])
     for k, rgba in ((20, before), (21, after)):
         world = found[k].pose.rotation.T @ ahead
@@ -185,8 +199,9 @@ def test_a_given_panorama_is_known_everywhere() -> None:
     assert side / other == pytest.approx(4, rel=0.1)
     assert {f.seen_environment for f in found} == {found[0].seen_environment}
     given = with_environment(found, [], False, picture, np.eye(3))[0]
-    narrow, wide = surroundings_of(given, scene(maps), given.light)  # type: ignore[arg-type]
-    assert narrow is wide and irradiance(narrow, UP) == pytest.approx(given.light.soft_radiance(UP), rel=1e-4)  # type: ignore[union-attr]
+    narrow, wide = cubes(given, scene(maps))
+    np.testing.assert_array_equal(narrow, wide)
+    assert irradiance(narrow, UP) == pytest.approx(given.light.soft_radiance(UP), rel=1e-4)  # type: ignore[union-attr]
 
 
 def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
@@ -194,7 +209,7 @@ def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
     found, maps = with_seen(lost, [Look(1, ROUND.looks[0].picture)], CAMERA, False, np.zeros(3), UP)
     assert found[0].seen_environment is None and found[1].seen_environment is not None and len(maps) == 1
     with pytest.raises(RenderError, match="is not among the job's"):
-        seen_map(found[1].seen_environment, scene({}))
+        seen_now(found[1], scene({}))
     assert with_seen(lost, [], CAMERA, False, np.zeros(3), UP)[1] == {}
     assert FrameFacts.from_json(found[1].to_json()).seen_environment == found[1].seen_environment
 
@@ -204,7 +219,7 @@ def test_a_fisheye_lens_sees_what_it_sees() -> None:
     clip = CLIPS["under a sky"].at_rest()
     looks = [Look(k, clip.picture(k, wide).astype(np.float16)) for k in (0, 20)]
     found, maps = with_seen(clip.facts, looks, wide, False, np.zeros(3), UP)
-    rgba = seen_map(found[0].seen_environment, scene(maps))  # type: ignore[arg-type]
+    rgba = seen_now(found[0], scene(maps))
     assert np.isfinite(rgba).all() and (rgba[..., 3] > 0.99).mean() > 0.15
     around = np.array(
         [

@@ -25,7 +25,7 @@ from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.light import Light, harmonics
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.papers.s4_environment import step3_environment
-from arfx.stages.gi.frame_light import checked
+from arfx.stages.light.surroundings import checked_faces
 
 GREY = np.full((90, 120, 3), [0.2, 0.4, 0.6])
 
@@ -141,13 +141,15 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     samples = [EnvironmentSample(k, turned(room, p.rotation.T), np.zeros(3)) for k, p in enumerate(poses)]
     made = with_environment(facts, samples, False, None, np.eye(3))
     assert made[3].environment is None and made[0].environment is made[2].environment is not None
-    np.testing.assert_allclose(checked(made[0].environment), room, atol=0.12)
+    np.testing.assert_allclose(checked_faces(made[0].environment), room, atol=0.12)
     # a camera that stands still sees the same while the marker turns: other axes every frame, one room
     still = with_environment(facts, [EnvironmentSample(0, room, np.zeros(3))], True, None, np.eye(3))
-    back = turned(checked(still[2].environment), poses[2].rotation.T)
+    assert still[2].environment is not None and still[2].environment.axes is not None
+    room_at_rest = turned(checked_faces(still[2].environment), np.reshape(still[2].environment.axes, (3, 3)))
+    back = turned(room_at_rest, poses[2].rotation.T)
     np.testing.assert_allclose(back, room, atol=0.25)
     given = with_environment(facts, [], False, np.full((16, 32, 3), 0.3), np.eye(3))
-    np.testing.assert_allclose(checked(given[1].environment), 0.3, rtol=2e-3)
+    np.testing.assert_allclose(checked_faces(given[1].environment), 0.3, rtol=2e-3)
 
 
 def looking(pitch_deg: float) -> np.ndarray:

@@ -1,0 +1,150 @@
+"""What arrives at the object in one frame: the environment, and the picture on the real planes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, look_up
+from arfx.core.facts import FrameFacts
+from arfx.core.layers import Layer
+from arfx.core.light import DirectionalLight, Light, triple
+from arfx.core.memo import Memo
+from arfx.core.numerics import divide
+from arfx.core.rect import Rect
+from arfx.core.scene import Scene
+from arfx.core.stage import View
+from arfx.stages.gi.background import Background
+from arfx.stages.gi.plane_change import measured
+from arfx.stages.light.environment import Environment
+from arfx.stages.light.planes import Planes, bounding_ball, filled, mip_chain, picture_on_planes
+from arfx.stages.light.surroundings import frame_environment, frame_surroundings
+from arfx.stages.light.transport import SKY
+
+_LIGHT_STEP = 0.03
+_PLANE_STEP = (
+    0.05  # the plane's mean brightness is rounded to 5 %: of the planes' change that is 1 %
+)
+_SHARE_STEP = 1 / 8  # of the way from one map of the surroundings to the next, a second later
+_AXES_STEP = 1 / 32
+_NEAR_RADII = 3  # of the object: how far the plane counts for its mean
+
+
+@dataclass(frozen=True, eq=False)
+class IncomingLight:
+    """picture (p, side, side, 3) : radiance of the planes, filled where the frame does not show them
+    mean (3,) : of it near the object, rounded;  environment : with the turn from the anchor's axes"""
+
+    planes: Planes
+    picture: np.ndarray
+    mean: np.ndarray
+    environment: Environment
+
+    def background(self, left: np.ndarray) -> Background:
+        """As mirrors see it, the planes darkened and lit by the object. left (p, n, n, 3) : of `Indirect`"""
+        planes, side = self.planes, self.picture.shape[1]
+        shares = [cv2.resize(a.astype(np.float32), (side, side)) for a in left]
+        picture = (self.picture * np.stack(shares)).astype(np.float32)
+        known = np.ones(picture.shape[:3], np.float32)
+        extents = np.column_stack([np.full(len(planes.axes), planes.half_m), planes.bounds])
+        textures = mip_chain(picture, known, self.mean)
+        return Background(planes.axes, extents.astype(np.float32), *textures, self.environment)
+
+
+def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray) -> IncomingLight:
+    """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  positions : of the
+    texels of the picture on the planes"""
+    facts, scene, light = view.facts, view.scene, view.light
+    picture, known = picture_on_planes(
+        view[Layer.PLATE],
+        view.rect,
+        seen,
+        scene.camera,
+        view.pose @ scene.world_from_anchor,
+        positions,
+        planes.axes.astype(float),
+        np.array(facts.bias_rgb, np.float32),
+        measured(view.layers),
+    )
+    turn = scene.world_from_anchor.rotation
+    mean = _plane_mean(picture, known, positions, planes, scene, 0.4 * light.radiance(turn[:, 2]))
+    environment = frame_environment(facts, scene, light, view.memo.of_light)
+    cube_from_anchor = (environment.turn @ turn).astype(np.float32)
+    environment = environment._replace(turn=cube_from_anchor)
+    return IncomingLight(planes, filled(picture, known, mean), mean, environment)
+
+
+def sky_radiance(facts: FrameFacts, scene: Scene, light: Light, memo: Memo) -> np.ndarray:
+    """(6 SKY^2, 3) of the surroundings as matt surfaces see them, the anchor's axes, as `sky_texels` numbers them."""
+    around = frame_surroundings(facts, scene, light, memo)
+    cube = around.cubes()[1].astype(np.float32)
+    coarse = [cv2.resize(face, (SKY, SKY), interpolation=cv2.INTER_AREA) for face in cube]
+    cube_from_anchor = around.axes @ scene.world_from_anchor.rotation
+    return look_up(np.stack(coarse), face_directions(SKY).reshape(-1, 3) @ cube_from_anchor.T)
+
+
+def in_steps(facts: FrameFacts, light: Light) -> FrameFacts:
+    """The light and its surroundings in steps too small to show by what bounces, so that it can be kept."""
+    seen, guess = facts.seen_environment, facts.environment
+    if seen is not None:
+        share = float(_nearest(seen.share, _SHARE_STEP))
+        seen = replace(seen, share=share, axes=_axes_in_steps(seen))
+    if guess is not None:
+        plane = guess.plane_rgb
+        rgb = None if plane is None else triple(_powers(plane, _PLANE_STEP))
+        guess = replace(guess, axes=_axes_in_steps(guess), plane_rgb=rgb)
+    return facts.with_(light=_light_in_steps(light), seen_environment=seen, environment=guess)
+
+
+def _light_in_steps(light: Light) -> Light:
+    def coarse(lamp: DirectionalLight) -> DirectionalLight:
+        rgb, size_deg = triple(_powers(lamp.rgb, _LIGHT_STEP)), round(lamp.angular_size_deg)
+        direction = triple(np.round(lamp.unit, 2))
+        return replace(lamp, direction=direction, rgb=rgb, angular_size_deg=size_deg)
+
+    soft = np.asarray(light.soft, float).reshape(-1, 3)
+    if light.soft:
+        shape = _nearest(divide(soft, soft[0]), _LIGHT_STEP)
+        soft = shape * _powers(soft[0], _LIGHT_STEP)
+    return replace(
+        light,
+        ambient_rgb=triple(_powers(light.ambient_rgb, _LIGHT_STEP)),
+        lights=tuple(map(coarse, light.lights)),
+        soft=tuple(map(triple, soft)),
+    )
+
+
+def _axes_in_steps(found: SeenEnvironment | CubeMap) -> tuple[float, ...] | None:
+    return None if found.axes is None else tuple(_nearest(found.axes, _AXES_STEP).tolist())
+
+
+def _nearest(values: ArrayLike, step: float) -> np.ndarray:
+    return np.asarray(np.round(np.asarray(values, float) / step) * step)
+
+
+def _powers(values: ArrayLike, step: float) -> np.ndarray:
+    """The nearest power of e^step; 0 up to 1e-6."""
+    a = np.asarray(values, float)
+    return np.where(a > 1e-6, np.exp(_nearest(np.log(np.maximum(a, 1e-6)), step)), 0.0)
+
+
+def _plane_mean(
+    picture: np.ndarray,
+    known: np.ndarray,
+    positions: np.ndarray,
+    planes: Planes,
+    scene: Scene,
+    otherwise: np.ndarray,
+) -> np.ndarray:
+    """(3,) mean radiance of the first plane near the object, in steps of 5 %; `otherwise` if unknown."""
+    reach_m = _NEAR_RADII * bounding_ball(scene)[1]
+    step = max(picture.shape[1] // 64, 1)
+    away2 = ((positions[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1)
+    weight = known[0, ::step, ::step] * (away2 < reach_m**2)
+    if not weight.sum() > 0:
+        return otherwise
+    sums = np.tensordot(weight, picture[0, ::step, ::step], 2)
+    return _powers(sums / weight.sum(), _PLANE_STEP)
