@@ -6,14 +6,11 @@ same everywhere."""
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from threading import Lock
 from typing import Any, Generic, TypeVar
-
-import numpy as np
 
 from arfx.core.machine import usable_cores
 
@@ -23,7 +20,6 @@ T = TypeVar("T")
 ONE_THREAD = dict.fromkeys(("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 BANDS = 4
 _SMALL = 64  # rows: below it threads cost more than they save
-_own = threading.local()
 
 
 @cache
@@ -104,14 +100,3 @@ class BackgroundTask(Generic[T]):
 def _make_offered(offered: list[BackgroundTask[Any]]) -> None:
     for one in tuple(offered):
         one.make()
-
-
-def scratch(name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """A float32 array of zeros that this thread uses again under the same name: fresh memory costs more than clearing it."""
-    size = int(np.prod(shape))
-    kept: dict[str, np.ndarray] = _own.__dict__
-    if name not in kept or kept[name].size < size:
-        kept[name] = np.empty(size, np.float32)
-    part = kept[name][:size].reshape(shape)
-    part.fill(0)
-    return part

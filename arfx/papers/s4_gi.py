@@ -12,7 +12,7 @@ mirrors. With the printed labels V_delta has its sign turned round: it is subtra
 environment is said once to be for real and once for virtual surfaces: the picture of real ones
 holds it already. Only light with a direction is in the voxels, so where the frame has none nothing
 changes on the planes. The picture is changed by a ratio, so black pixels of it gain little.
-Processor instead of graphics card. Gloss: s4_gloss.py. Its errors: docs/methods/gi.md#errata."""
+Processor instead of graphics card. Gloss, which the paper leaves open: Karis 2013 (split sum). Its errors: docs/methods/gi.md#errata."""
 
 from __future__ import annotations
 
@@ -32,13 +32,14 @@ from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError, require_within
 from arfx.papers.s4_cones import around_normals, cone_steps, cone_trace, six_cones
 from arfx.papers.s4_environment import FACE_PX, step3_environment, step3_mipmap, step4_environment
-from arfx.papers.s4_gloss import fresnel, mirror_tangent
 from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import GiParams
+from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.reference import bands
 from arfx.stages.gi.reference_scene import RayScene
+from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
 
 VOXELS = (32, 64, 128, 256)
@@ -299,6 +300,15 @@ def wide_cones(
             environment, d.reshape(-1, 3) @ turn.T, half_deg
         ).reshape(d.shape)
     return np.asarray((weights[:, None] * out).sum(1))
+
+
+def fresnel(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(a, b), (m, 1) each: F0 a + b of the mirrored light is reflected. roughness, cosine of view
+    (m,)"""
+    row = np.rint(np.clip(roughness, 0, 1) * (ROUGHNESSES - 1)).astype(int)
+    column = np.rint(np.clip(cosine, 0, 1) * (COSINES - 1)).astype(int)
+    entry = split_sum()[row, column]
+    return entry[:, :1], entry[:, 1:]
 
 
 def mirror_cones(

@@ -12,13 +12,13 @@ from arfx.core.stage import JobView, Stage
 from arfx.papers.s4_cones import WIDE_DEG, six_cones
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGi, PrintedGiParams, Surfels, wide_cones
-from arfx.papers.s4_gloss import mirror_tangent
 from arfx.reproduce.rows import Row
 from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, said, settings
 from arfx.reproduce.s4_volumes import N, ray, small
 from arfx.reproduce.work import Work
 from arfx.run.summary import picture
 from arfx.stages import STAGES
+from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.health import furnace_mean
 
 FURNACE = (32, 64, 128)  # voxels a side

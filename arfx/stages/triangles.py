@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numba
 import numpy as np
@@ -67,49 +67,22 @@ class Triangles:
             )
             return out
 
-        def of(part: slice, met: np.ndarray) -> np.ndarray:
-            seen = np.ones((len(points[part]), len(directions)), bool)
-            seen.flat[met] = False
-            if normals is None:
-                return np.asarray(seen.mean(1))
-            weight = np.clip(normals[part] @ directions.T, 0, None)
-            return divide((weight * seen).sum(1), weight.sum(1), where_zero=1.0)
-
-        return self._by_parts(points, directions, of, np.zeros(0))
-
-    def hidden_sum(
-        self, points: np.ndarray, directions: np.ndarray, weights: np.ndarray
-    ) -> np.ndarray:
-        """(n, c) float64: sum of the weights (k, c) of those `directions` in which something is met from each point."""
-
-        def of(part: slice, met: np.ndarray) -> np.ndarray:
-            row, column = np.divmod(met, len(directions))
-            return np.stack([np.bincount(row, w[column], len(points[part])) for w in weights.T], 1)
-
-        return self._by_parts(points, directions, of, np.zeros((0, weights.shape[1])))
-
-    def _by_parts(
-        self,
-        points: np.ndarray,
-        directions: np.ndarray,
-        of: Callable[[slice, np.ndarray], np.ndarray],
-        none: np.ndarray,
-    ) -> np.ndarray:
-        """What `of` makes of points and of the numbers, point by point, of those rays (m k) that meet something, part by part.
-
-        none : of no points"""
         k, towards = len(directions), directions.astype(np.float32)
 
         def one(part: slice) -> np.ndarray:
             p = points[part].astype(np.float32)
             starts, along, number = (np.empty((len(p) * k, *more), kind) for more, kind in _RAYS)
             count = _through_box(p, towards, self._box, starts, along, number)
-            return of(part, number[:count][self.blocked(starts[:count], along[:count])])
+            seen = np.ones((len(p), k), bool)
+            seen.flat[number[:count][self.blocked(starts[:count], along[:count])]] = False
+            if normals is None:
+                return np.asarray(seen.mean(1))
+            weight = np.clip(normals[part] @ directions.T, 0, None)
+            return divide((weight * seen).sum(1), weight.sum(1), where_zero=1.0)
 
         step = max(_BATCH // k, 1)
-        return np.concatenate(
-            [none, *parallel_map(one, [slice(a, a + step) for a in range(0, len(points), step)])]
-        )
+        parts = [slice(a, a + step) for a in range(0, len(points), step)]
+        return np.concatenate([np.zeros(0), *parallel_map(one, parts)])
 
 
 _RAYS = (((3,), np.float32), ((3,), np.float32), ((), np.int64))
@@ -149,15 +122,3 @@ def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
     face = np.concatenate([np.arange(len(p.faces)) for p in parts])
     good = np.isfinite(corners).all((1, 2))
     return corners[good], normals[good], part[good], face[good]
-
-
-def disc(n: int) -> np.ndarray:
-    """(n, 2) points of equal area on the unit disc (Vogel's spiral)."""
-    i = np.arange(n) + 0.5
-    r, phi = np.sqrt(i / n), i * np.pi * (3 - np.sqrt(5))
-    return np.stack([r * np.cos(phi), r * np.sin(phi)], -1)
-
-
-def hemisphere(n: int) -> np.ndarray:
-    """(n, 3) unit directions around +z whose mean visibility is the cosine-weighted one (Malley's method)."""
-    return np.column_stack([disc(n), np.sqrt(1 - (np.arange(n) + 0.5) / n)])

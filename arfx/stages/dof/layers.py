@@ -40,13 +40,6 @@ class LightLayer:
     radius: np.ndarray
 
 
-def real_radius_px(
-    real: Real, grid: np.ndarray, coc: CircleOfConfusion, params: DofParams
-) -> float:
-    """Largest blur radius of the real scene; 0 where it keeps its own."""
-    return coc.largest_px(real.dioptre_range(grid)) if params.scope == "all" else 0.0
-
-
 def depth_range(facts: FrameFacts) -> tuple[float, float]:
     """Nearest and farthest distance, m, that a point of the object can have; a little wider for
     rounding."""

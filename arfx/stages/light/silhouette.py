@@ -15,17 +15,17 @@ import cv2
 import numba
 import numpy as np
 
+from arfx.core.sampling import r2
+
 _MANY = 48  # crossings of a row from which on counting is quicker than sorting
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 COARSE = 8  # texels a side of a cell of the height map
 
 
 def sample_offsets(n: int) -> np.ndarray:
-    """(n, 2) offsets within +-0.5 that fill a texel evenly (R2 sequence, Roberts 2018), their mean 0."""
-    g = 1.32471795724474602596
-    i = np.arange(1, n + 1)[:, None]
-    at = np.mod(0.5 + i * np.array([1 / g, 1 / g**2]), 1) - 0.5
-    return at - at.mean(0)
+    """(n, 2) offsets within +-0.5 that fill a texel evenly (`r2`), their mean 0."""
+    offsets = r2(n) - 0.5
+    return offsets - offsets.mean(0)
 
 
 def covered_fraction(

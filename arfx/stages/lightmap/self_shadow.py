@@ -18,10 +18,11 @@ import numpy as np
 from arfx.core.layers import packed
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
+from arfx.core.sampling import disc
 from arfx.stages.light.beams import Beam, disc_directions
 from arfx.stages.light.caster import Caster
 from arfx.stages.light.silhouette import height_map
-from arfx.stages.triangles import Triangles, disc
+from arfx.stages.triangles import Triangles
 
 _EMPTY = -1e9
 _LIFT_TEXELS = 1.5

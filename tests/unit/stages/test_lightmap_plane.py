@@ -16,6 +16,7 @@ from arfx.core.facts import PlaneShadow
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import BLEND, MASK, Material
+from arfx.core.sampling import disc
 from arfx.core.stage import ReadyStage
 from arfx.errors import RenderError
 from arfx.stages.light.beams import QUANTUM, REACH, disc_directions, quantised
@@ -24,7 +25,6 @@ from arfx.stages.light.plane_shadow import PLANE_LEVELS, beam_texture
 from arfx.stages.light.silhouette import covered_fraction, height_map
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from arfx.stages.lightmap import stage as stage_module
-from arfx.stages.triangles import disc
 from tests.scenes import box_model, layers_of
 from tests.unit.stages.lightmap_scenes import (
     HIDES,
