@@ -7,8 +7,8 @@ TESTS ?= tests
 # Of make fuzz. Case N of seed S is the same everywhere: the minute of make check is how 10,000 begin.
 CASES ?= 10000
 SEED ?= 0
-# -v undoes the -q of pyproject.toml, so that the closing line is pytest's full one; -rs gives the reason of every skip.
-PYTEST = $(BIN)/python -m pytest -v -rs -n $(JOBS) --dist worksteal --durations 10
+# -v undoes the -q of pyproject.toml, so that the closing line is pytest's full one; -rfEs names what fails and gives the reason of every skip.
+PYTEST = $(BIN)/python -m pytest -v -rfEs -n $(JOBS) --dist worksteal --durations 10
 
 .PHONY: help demo test check lint fuzz bench hard calibrated errors golden wheel clean distclean venv
 

@@ -1,4 +1,6 @@
-"""Build step beside pyproject.toml: the presets of configs/ go into the wheel as arfx/config/presets/."""
+"""Build step beside pyproject.toml: the presets of configs/ go into the wheel as
+arfx/config/presets/.
+"""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""The errors a user can meet: one message each (what, where, what would be right) and an exit code."""
+"""The errors a user can meet: one message each (what, where, what would be right) and an
+exit code.
+"""
 
 from __future__ import annotations
 
@@ -69,12 +71,29 @@ def explained(e: BaseException) -> tuple[int, str]:
     if isinstance(e, OSError):
         return 5, f"{e.strerror or e}{f': {e.filename}' if e.filename else ''}"
     if isinstance(e, RuntimeError) and str(e).startswith("Symlink loop"):  # pathlib's
-        return 2, f"{str(e).removeprefix('Symlink loop from ')} is a link to itself\nhelp: remove it, or name another place"
+        return (
+            2,
+            (
+                f"{str(e).removeprefix('Symlink loop from ')} is a link to itself\nhelp:"
+                " remove it, or name another place"
+            ),
+        )
     if isinstance(e, MemoryError):
-        what = f"there is not enough memory: {e}" if str(e) else "there is not enough memory"
-        return 5, f"{what}\nhelp: close programs, raise the limit (ulimit -v), or --workers 1"
+        what = (
+            f"there is not enough memory: {e}" if str(e) else "there is not enough memory"
+        )
+        return (
+            5,
+            f"{what}\nhelp: close programs, raise the limit (ulimit -v), or --workers 1",
+        )
     # a fault of arfx itself: one message all the same
-    return 5, f"arfx failed: {type(e).__name__}: {cut(str(e))}\nhelp: ARFX_DEBUG=1 shows where; please report it"
+    return (
+        5,
+        (
+            f"arfx failed: {type(e).__name__}: {cut(str(e))}\nhelp: ARFX_DEBUG=1 shows"
+            " where; please report it"
+        ),
+    )
 
 
 def counted(number: int, things: str) -> str:
@@ -84,7 +103,9 @@ def counted(number: int, things: str) -> str:
 
 def on_one_line(message: str) -> str:
     """A message and its help, for a list of several."""
-    return " ".join(filter(None, map(str.strip, message.replace("\nhelp: ", "; ").splitlines())))
+    return " ".join(
+        filter(None, map(str.strip, message.replace("\nhelp: ", "; ").splitlines()))
+    )
 
 
 def require_within(section: str, settings: object, **limits: tuple[float, float]) -> None:
@@ -92,4 +113,6 @@ def require_within(section: str, settings: object, **limits: tuple[float, float]
     for name, (low, high) in limits.items():
         value = getattr(settings, name)
         if not low <= value <= high:
-            raise ConfigError(f"{section}.{name} must be between {low:g} and {high:g}, is {value:g}")
+            raise ConfigError(
+                f"{section}.{name} must be between {low:g} and {high:g}, is {value:g}"
+            )

@@ -18,13 +18,17 @@ import pytest
 
 from arfx.errors import RenderError
 
-# As `arfx` does, before numpy reads it: two test processes with a pool of threads each get in each other's way.
+# As `arfx` does, before numpy reads it: two test processes with a pool of threads each get
+# in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Where bytecode is not to be written every process that a test starts would compile that of arfx again.
+# Where bytecode is not to be written every process that a test starts would compile that of
+# arfx again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-gc.disable()  # until all tests are collected: what importing makes stays, and was looked over for a quarter of that time
+# until all tests are collected: what importing makes stays, and was looked over for a
+# quarter of that time
+gc.disable()
 
 COMPILED = pytest.StashKey[tuple[int, float]]()  # how many kernels, in how many seconds
 
@@ -32,9 +36,10 @@ STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|
     |raise_signal|os\.kill"""
 
 
-# Files that take long, the longest first. Their tests come first, dealt out to as many heaps as there are test processes. Short
-# tests follow: a process that is done takes half of what is left off the end of another's list. So both end together, and what
-# the tests of a file share is made once.
+# Files that take long, the longest first. Their tests come first, dealt out to as many
+# heaps as there are test processes. Short tests follow: a process that is done takes half
+# of what is left off the end of another's list. So both end together, and what the tests of
+# a file share is made once.
 LONG = (
     "golden/test_sample_scenes", "cli/test_cluster", "cli/test_opengl_jobs", "unit/reproduce/test_papers", "cli/test_process",
     "unit/stages/test_gi", "unit/stages/test_dof", "plugins/test_film_grain", "unit/run/test_stretches",
@@ -51,9 +56,18 @@ LONG = (
 
 
 def longest_first(items: list[pytest.Item], processes: int) -> list[pytest.Item]:
-    """In the order in which they are shared out: to each process in turn as many as to any other, one behind the other."""
+    """In the order in which they are shared out: to each process in turn as many as to any
+    other, one behind the other.
+    """
     here = Path(__file__).parent
-    names = [item.path.relative_to(here).with_suffix("").as_posix() if here in item.path.parents else "" for item in items]
+    names = [
+        (
+            item.path.relative_to(here).with_suffix("").as_posix()
+            if here in item.path.parents
+            else ""
+        )
+        for item in items
+    ]
     ranks = {name: rank for rank, name in enumerate(LONG)}
     short, files = list[pytest.Item](), defaultdict[int, list[pytest.Item]](list)
     for item, name in zip(items, names, strict=True):
@@ -71,17 +85,23 @@ def longest_first(items: list[pytest.Item], processes: int) -> list[pytest.Item]
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Files in LONG come first. `-m process` takes every test whose source starts a process or a thread or sends a signal,
-    marked by hand or not."""
-    items[:] = longest_first(items, getattr(config, "workerinput", {}).get("workercount", 1))
+    """Files in LONG come first. `-m process` takes every test whose source starts a process
+    or a thread or sends a signal, marked by hand or not."""
+    items[:] = longest_first(
+        items, getattr(config, "workerinput", {}).get("workercount", 1)
+    )
     if "process" in config.getoption("markexpr"):
         for item in items:
-            if isinstance(item, pytest.Function) and re.search(STARTS, inspect.getsource(item.function), re.VERBOSE):
+            if isinstance(item, pytest.Function) and re.search(
+                STARTS, inspect.getsource(item.function), re.VERBOSE
+            ):
                 item.add_marker(pytest.mark.process)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before several test processes compile the same kernels side by side, what jobs call is compiled once."""
+    """Before several test processes compile the same kernels side by side, what jobs call
+    is compiled once.
+    """
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         from arfx.run.kernels import compile_ahead
         from arfx_cli.console import Progress
@@ -99,8 +119,12 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture
 def ctrl_c() -> Iterator[None]:
-    """Signals as at a terminal: tests started in the background, or by nohup, leave them ignored, for children too."""
-    names = [getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)]
+    """Signals as at a terminal: tests started in the background, or by nohup, leave them
+    ignored, for children too.
+    """
+    names = [
+        getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)
+    ]
     before = [signal.signal(name, signal.default_int_handler) for name in names]
     yield
     for name, handler in zip(names, before, strict=True):
@@ -108,7 +132,9 @@ def ctrl_c() -> Iterator[None]:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Tests marked `opengl` run where a context opens in this process, and are skipped with the reason elsewhere."""
+    """Tests marked `opengl` run where a context opens in this process, and are skipped with
+    the reason elsewhere.
+    """
     if item.get_closest_marker("opengl"):
         from arfx.stages.raster.gl_context import open_context
 
@@ -119,15 +145,28 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    """How long compiling took; what ran by OpenGL, or why nothing did: nobody has to look for it among the skips."""
+    """How long compiling took; what ran by OpenGL, or why nothing did: nobody has to look
+    for it among the skips.
+    """
     count, seconds = terminalreporter.config.stash.get(COMPILED, (0, 0.0))
     if count:
         terminalreporter.write_line(
-            f"compiled {count} kernels before the tests, which is done once: {seconds:.0f} s, not counted below"
+            f"compiled {count} kernels before the tests, which is done once: {seconds:.0f}"
+            " s, not counted below"
         )
     stats = terminalreporter.stats
-    told = {v for group in ("passed", "failed") for r in stats.get(group, ()) for k, v in r.user_properties if k == "OpenGL"}
-    reasons = {r.longrepr[2].removeprefix("Skipped: ") for r in stats.get("skipped", ()) if isinstance(r.longrepr, tuple)}
+    told = {
+        v
+        for group in ("passed", "failed")
+        for r in stats.get(group, ())
+        for k, v in r.user_properties
+        if k == "OpenGL"
+    }
+    reasons = {
+        r.longrepr[2].removeprefix("Skipped: ")
+        for r in stats.get("skipped", ())
+        if isinstance(r.longrepr, tuple)
+    }
     told |= {f"not tested, because {reason}" for reason in reasons if "OpenGL" in reason}
     for line in sorted(told):
         terminalreporter.write_line(f"OpenGL: {line}")

@@ -19,7 +19,9 @@ def identical(a: Any, b: Any) -> bool:
         layout = (a.dtype, a.shape, a.strides) == (b.dtype, b.shape, b.strides)
         return layout and a.tobytes() == b.tobytes()
     if isinstance(a, dict):
-        return len(a) == len(b) and all(identical(x, y) for x, y in zip(a.items(), b.items(), strict=True))
+        return len(a) == len(b) and all(
+            identical(x, y) for x, y in zip(a.items(), b.items(), strict=True)
+        )
     if isinstance(a, list | tuple):
         return len(a) == len(b) and all(identical(x, y) for x, y in zip(a, b, strict=True))
     if is_dataclass(a):

@@ -2,10 +2,11 @@
 
     python tools/bench_gi.py [--share 0.3] [--size 640x480 --size 1280x720] [--runs 9]
 
-Affected is a pixel that the object covers, or whose plane changes by half a grey level or more. The benchmark's ball is brought
-as near as that takes. Times are medians of turns with the yardstick of `arfx bench` (one Gaussian blur, float32, 3 channels,
-sigma 5, of the whole picture), at a light that stands still (what bounces is kept), and for a light never seen before.
-"""
+Affected is a pixel that the object covers, or whose plane changes by half a grey level or
+more. The benchmark's ball is brought as near as that takes. Times are medians of turns with
+the yardstick of `arfx bench` (one Gaussian blur, float32, 3 channels, sigma 5, of the whole
+picture), at a light that stands still (what bounces is kept), and for a light never seen
+before."""
 
 from __future__ import annotations
 
@@ -31,14 +32,21 @@ from arfx.stages.raster import Raster
 
 def layers_of(at: BenchScene) -> Layers:
     """What gi reads, over all that it needs."""
-    stages: list[Any] = [Raster(), Lightmap(LightmapParams(ambient=False)), Gi(), STAGES["composite"]()]
+    stages: list[Any] = [
+        Raster(),
+        Lightmap(LightmapParams(ambient=False)),
+        Gi(),
+        STAGES["composite"](),
+    ]
     levels = {s.name: level_named(s.levels, "standard") for s in stages}
     plan = plan_frame(stages, levels, at.facts, at.scene, at.scene.camera.rect)
     layers = FrameLayers(at.plate, at.scene.camera.rect)
     steps = {step.stage: step for step in plan.steps}
     for s in stages[:2]:
         step = steps[s.name]
-        made = ReadyStage.of(s, at.scene, levels[s.name]).run(layers.view(s.reads, step.need), at.facts)
+        made = ReadyStage.of(s, at.scene, levels[s.name]).run(
+            layers.view(s.reads, step.need), at.facts
+        )
         for layer, array in made.items():
             layers.put(layer, array, step.need, step.out)
     return layers.view(Gi.reads, steps["gi"].need)
@@ -51,7 +59,9 @@ def affected(before: Layers, made: Any, size: tuple[int, int]) -> float:
 
 
 def scene_with(share: float, size: tuple[int, int]) -> tuple[BenchScene, float]:
-    """The bench scene with `share` of the picture affected at level standard, by bisection of how much the ball covers."""
+    """The bench scene with `share` of the picture affected at level standard, by bisection
+    of how much the ball covers.
+    """
     low, high = 0.01, 0.6
     for _ in range(12):
         covered = (low + high) / 2
@@ -75,7 +85,11 @@ def once(at: BenchScene, level: str) -> tuple[Any, Any]:
 
     def other() -> Any:
         count[0] += 1
-        return go(replace(at.facts, light=at.scene.light.scaled(np.full(3, 1.1 ** (count[0] % 40)))))
+        return go(
+            replace(
+                at.facts, light=at.scene.light.scaled(np.full(3, 1.1 ** (count[0] % 40)))
+            )
+        )
 
     return go, other
 
@@ -89,14 +103,17 @@ def timed(share: float, size: tuple[int, int], levels: list[str], runs: int) -> 
         other()
         seconds = np.empty((runs, 3))
         for k in range(runs):
-            for i, call in enumerate((go, other, lambda: cv2.GaussianBlur(picture, (0, 0), 5))):
+            for i, call in enumerate(
+                (go, other, lambda: cv2.GaussianBlur(picture, (0, 0), 5))
+            ):
                 start = time.perf_counter()
                 call()
                 seconds[k, i] = time.perf_counter() - start
         still, new, yard = np.median(seconds, 0)
         print(
-            f"{size[0]}x{size[1]} {level}: {100 * got:.1f} % affected, {still / yard:.1f} yardsticks, "
-            f"{new / yard:.1f} under a new light ({1e3 * still:.0f} ms, yardstick {1e3 * yard:.1f} ms)",
+            f"{size[0]}x{size[1]} {level}: {100 * got:.1f} % affected, {still / yard:.1f}"
+            f" yardsticks, {new / yard:.1f} under a new light ({1e3 * still:.0f} ms,"
+            f" yardstick {1e3 * yard:.1f} ms)",
             flush=True,
         )
 
@@ -110,7 +127,9 @@ def main() -> None:
     given = parser.parse_args()
     for size in given.size or ["640x480", "1280x720"]:
         width, height = (int(v) for v in size.split("x"))
-        timed(given.share, (width, height), given.level or ["draft", "standard"], given.runs)
+        timed(
+            given.share, (width, height), given.level or ["draft", "standard"], given.runs
+        )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
 """What one state of the code gives for many jobs, kept, and held against what another state gives.
 
-`python tools/freeze.py make FOLDER [NAME…] [--tree DIR]` runs the jobs (names may be patterns: `scene-*`) by the code of a
-checkout, and keeps of each its facts, plan, report, output and exit code. Clips are made once, by the first tree that needs
-them, and kept in the folder that --clips names: states to be compared must share it, and the machine.
-`python tools/freeze.py compare OLD NEW [--expected FILE]` lists what differs, with amounts; exit 1 if anything does that the
-file does not expect. A line of it is `JOB | WHERE | reason`, the first two as patterns.
-"""
+`python tools/freeze.py make FOLDER [NAME…] [--tree DIR]` runs the jobs (names may be
+patterns: `scene-*`) by the code of a checkout, and keeps of each its facts, plan, report,
+output and exit code. Clips are made once, by the first tree that needs them, and kept in
+the folder that --clips names: states to be compared must share it, and the machine. `python
+tools/freeze.py compare OLD NEW [--expected FILE]` lists what differs, with amounts; exit 1
+if anything does that the file does not expect. A line of it is `JOB | WHERE | reason`, the
+first two as patterns."""
 
 from __future__ import annotations
 
@@ -35,7 +36,18 @@ PRESET_SCENE = "0041-indirect-light"
 PLAIN_SCENE = "0001-orbit"
 DEPTH_SCENE = "0022-before-and-behind"
 COMMANDS = (
-    *("demo", "process", "plan", "batch", "tradeoff", "inspect", "calibrate", "target", "synth", "verify"),
+    *(
+        "demo",
+        "process",
+        "plan",
+        "batch",
+        "tradeoff",
+        "inspect",
+        "calibrate",
+        "target",
+        "synth",
+        "verify",
+    ),
     *("reproduce", "stages", "report", "lens", "bench", "doctor"),
 )
 KEPT = ("facts.jsonl", "plan.jsonl", "plan_summary.json", "frames.json")
@@ -45,8 +57,10 @@ KEPT = ("facts.jsonl", "plan.jsonl", "plan_summary.json", "frames.json")
 class Job:
     """One call of arfx, in a folder of its own.
 
-    name : unique, the folder's name;  scene : the sample scene whose clip and job it takes, "" = none
-    arguments : of the command line; {scene} is the scene's folder;  needs : a file without which it is left out
+    name : unique, the folder's name;  scene : the sample scene whose clip and job it takes,
+    "" = none
+    arguments : of the command line; {scene} is the scene's folder;  needs : a file without
+    which it is left out
     whole : it renders a clip, whose facts, plan, report and pictures are kept"""
 
     name: str
@@ -74,7 +88,9 @@ def jobs() -> Iterator[Job]:
         yield scene_job(f"preset-{preset.stem}", PRESET_SCENE, "--config", preset.stem)
     yield scene_job("formula-paper", PRESET_SCENE, "--formula", "paper")
     yield scene_job("pyrender", PLAIN_SCENE, "--set", "raster.backend=pyrender")
-    yield scene_job("effects-draft", PRESET_SCENE, "--pipeline", "lightmap,gi,dof", "--quality", "draft")
+    yield scene_job(
+        "effects-draft", PRESET_SCENE, "--pipeline", "lightmap,gi,dof", "--quality", "draft"
+    )
     yield scene_job("workers", PLAIN_SCENE, "--workers", "2")
     yield scene_job("dask", PLAIN_SCENE, "--executor", "local:2")
     poses = ("--anchor", "plane", "--poses", "{scene}/poses.txt")
@@ -89,30 +105,68 @@ def jobs() -> Iterator[Job]:
     tag = REAL / "SciKit-Surgery-snappysonic" / "aruco_tag.avi"
     yield real_job("real-aruco-tag", tag, 0, "--marker", "4X4_50:0:50mm", "--fit", "5cm")
     dark = REAL / "JunkyByte-deepcharuco" / "video_test.mp4"
-    yield real_job("real-deepcharuco", dark, 1.0, "--marker", "4X4_50:0:10mm", "--fit", "2cm")
-    batch = ("batch", "{scene}/clip.mp4", "--config", "{scene}/job.toml", "-o", "{stem}-out.mkv", "--codec", "ffv1")
+    yield real_job(
+        "real-deepcharuco", dark, 1.0, "--marker", "4X4_50:0:10mm", "--fit", "2cm"
+    )
+    batch = (
+        "batch",
+        "{scene}/clip.mp4",
+        "--config",
+        "{scene}/job.toml",
+        "-o",
+        "{stem}-out.mkv",
+        "--codec",
+        "ffv1",
+    )
     yield Job("batch", (*batch, "--json"), PLAIN_SCENE, whole=False)
-    yield Job("plan", ("plan", "--config", "{scene}/job.toml", "--json"), PLAIN_SCENE, whole=False)
-    yield Job("inspect", ("inspect", "{scene}/clip.mp4", "--json"), PLAIN_SCENE, whole=False)
+    yield Job(
+        "plan", ("plan", "--config", "{scene}/job.toml", "--json"), PLAIN_SCENE, whole=False
+    )
+    yield Job(
+        "inspect", ("inspect", "{scene}/clip.mp4", "--json"), PLAIN_SCENE, whole=False
+    )
     yield Job("stages", ("stages", "all"), whole=False)
     yield Job("stages-json", ("stages", "--json"), whole=False)
-    yield Job("reproduce", ("reproduce", "all", "-o", "pages", "--short", "--json"), whole=False)
+    yield Job(
+        "reproduce", ("reproduce", "all", "-o", "pages", "--short", "--json"), whole=False
+    )
     yield Job("help", ("--help",), whole=False)
     for command in COMMANDS:
         yield Job(f"help-{command}", (command, "--help"), whole=False)
     yield Job("error-usage", ("process", "--no-such-option"), whole=False)
     yield Job("error-input", ("inspect", "missing.mp4"), whole=False)
-    other = ("process", "{scene}/clip.mp4", "--marker", "4X4_50:7:5cm", "--model", "{scene}/model.glb")
+    other = (
+        "process",
+        "{scene}/clip.mp4",
+        "--marker",
+        "4X4_50:7:5cm",
+        "--model",
+        "{scene}/model.glb",
+    )
     yield Job("error-no-marker", (*other, "-o", "out.mkv"), PLAIN_SCENE, whole=False)
-    wrong = ("process", "--config", "{scene}/job.toml", "--set", "dof.nothing=1", "-o", "out.mkv")
+    wrong = (
+        "process",
+        "--config",
+        "{scene}/job.toml",
+        "--set",
+        "dof.nothing=1",
+        "-o",
+        "out.mkv",
+    )
     yield Job("error-setting", wrong, PLAIN_SCENE, whole=False)
 
 
 def run(tree: Path, arguments: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """One call of the tree's arfx, at a fixed width of the terminal."""
-    environment = {**os.environ, "PYTHONPATH": f"{tree}{os.pathsep}{tree / 'cli'}", "COLUMNS": "100"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": f"{tree}{os.pathsep}{tree / 'cli'}",
+        "COLUMNS": "100",
+    }
     command = [sys.executable, "-m", "arfx_cli", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
 
 
 def scene_folder(tree: Path, scene: str, clips: Path) -> Path:
@@ -131,7 +185,9 @@ def scene_folder(tree: Path, scene: str, clips: Path) -> Path:
 
 
 def add_inputs(folder: Path) -> None:
-    """Beside a scene's clip: its camera's path by the truth, and a print as a picture without code."""
+    """Beside a scene's clip: its camera's path by the truth, and a print as a picture
+    without code.
+    """
     lines = []
     for line in (folder / "truth.jsonl").read_text().splitlines()[1:]:
         turn, place = np.split(np.array(json.loads(line)["camera_from_room"]), 2)
@@ -157,9 +213,20 @@ def make(folder: Path, tree: Path, clips: Path, names: list[str]) -> None:
         source = scene_folder(tree, job.scene, clips) if job.scene else None
         arguments = [a.replace("{scene}", str(source)) for a in job.arguments]
         if job.whole:
-            arguments += ["-o", "out.mkv", "--codec", "ffv1", "--job", "job", "--report", "report"]
+            arguments += [
+                "-o",
+                "out.mkv",
+                "--codec",
+                "ffv1",
+                "--job",
+                "job",
+                "--report",
+                "report",
+            ]
         done = run(tree, arguments, kept)
-        (kept / "call.json").write_text(json.dumps({"exit": done.returncode, "output": done.stdout}, indent=1))
+        (kept / "call.json").write_text(
+            json.dumps({"exit": done.returncode, "output": done.stdout}, indent=1)
+        )
         (kept / "messages.txt").write_text(done.stderr)
         for name in KEPT:
             if (kept / "job" / name).is_file():
@@ -172,7 +239,9 @@ def make(folder: Path, tree: Path, clips: Path, names: list[str]) -> None:
 
 
 def read_expected(path: Path | None) -> list[tuple[str, str]]:
-    """(pattern of the job, pattern of the place) of every line; a line without a reason is an error."""
+    """(pattern of the job, pattern of the place) of every line; a line without a reason is
+    an error.
+    """
     out = []
     for number, line in enumerate(path.read_text().splitlines() if path else [], 1):
         if not line.strip() or line.startswith("#"):
@@ -196,24 +265,43 @@ def compare(old: Path, new: Path, expected: Path | None) -> int:
         else:
             found = compare_jobs(old / name, new / name)
         for difference in found:
-            fits = [fnmatch.fnmatchcase(name, a) and fnmatch.fnmatchcase(difference.where, b) for a, b in rules]
+            fits = [
+                fnmatch.fnmatchcase(name, a) and fnmatch.fnmatchcase(difference.where, b)
+                for a, b in rules
+            ]
             unexplained += not any(fits)
-            print(f"{name}: {difference.where}: {difference.what}{' (expected)' if any(fits) else ''}")
+            print(
+                f"{name}: {difference.where}:"
+                f" {difference.what}{' (expected)' if any(fits) else ''}"
+            )
     print(f"{len(names)} jobs, {unexplained} differences that are not expected")
     return unexplained
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=("make", "compare"))
     parser.add_argument("folder", type=Path)
-    parser.add_argument("more", nargs="*", help="make: names of jobs; compare: the folder of the other state")
+    parser.add_argument(
+        "more",
+        nargs="*",
+        help="make: names of jobs; compare: the folder of the other state",
+    )
     parser.add_argument("--tree", type=Path, default=ROOT, help="checkout whose code runs")
-    parser.add_argument("--clips", type=Path, default=Path(tempfile.gettempdir()) / "arfx-freeze-clips")
+    parser.add_argument(
+        "--clips", type=Path, default=Path(tempfile.gettempdir()) / "arfx-freeze-clips"
+    )
     parser.add_argument("--expected", type=Path)
     given = parser.parse_intermixed_args()
     if given.what == "make":
-        make(given.folder.absolute(), given.tree.absolute(), given.clips.absolute(), given.more)
+        make(
+            given.folder.absolute(),
+            given.tree.absolute(),
+            given.clips.absolute(),
+            given.more,
+        )
         return 0
     if len(given.more) != 1:
         parser.error("compare takes two folders")

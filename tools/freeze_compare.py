@@ -1,4 +1,6 @@
-"""How two states of one job of `tools/freeze.py` differ: pictures, times, streams, facts, plans, reports, text."""
+"""How two states of one job of `tools/freeze.py` differ: pictures, times, streams, facts,
+plans, reports, text.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ LARGE_FRACTION = 0.001
 _TIMES = re.compile(
     r"timing|measured_s|wall_s|prepare_s|encode_s|render_s|analyse_s|decode_s|plan_s|frames_per_s|rss|report\.version"
     r"|bytes|machine|cores|jobs\[\*\]\.seconds|rows\[\*\]\.(reason|seconds)|workers\[\*\]"
-    r"|predicted\.(wall|share|phases\.(before|decode|prepare|edit|encode))"  # from a speed that the job measures
+    # from a speed that the job measures
+    r"|predicted\.(wall|share|phases\.(before|decode|prepare|edit|encode))"
 )
 _PREDICTED = re.compile(r"predict|between|\.seconds$|_s$")
 _LIGHT = re.compile(r"light|bias|environment|ambient|gain|rgb|photometry")
@@ -67,7 +70,12 @@ def _leaves(value: Any, where: str) -> Iterator[tuple[str, Any]]:
 def _apart(where: str, a: Any, b: Any) -> float | None:
     """By how much two values differ, None if they count as equal; inf where that has no amount."""
     numbers = (int, float)
-    if isinstance(a, numbers) and isinstance(b, numbers) and not isinstance(a, bool) and not isinstance(b, bool):
+    if (
+        isinstance(a, numbers)
+        and isinstance(b, numbers)
+        and not isinstance(a, bool)
+        and not isinstance(b, bool)
+    ):
         if a == b or (a != a and b != b):
             return None
         absolute, relative = tolerance_of(where)
@@ -87,11 +95,15 @@ def compare_documents(a: Any, b: Any, name: str) -> list[Difference]:
         if _TIMES.search(general):
             continue
         if where not in old or where not in new:
-            rows.setdefault(general, []).append((float("inf"), f"only in the {'old' if where in old else 'new'}"))
+            rows.setdefault(general, []).append(
+                (float("inf"), f"only in the {'old' if where in old else 'new'}")
+            )
             continue
         apart = _apart(general, old[where], new[where])
         if apart is not None:
-            rows.setdefault(general, []).append((apart, f"{old[where]!r:.80} and {new[where]!r:.80}"))
+            rows.setdefault(general, []).append(
+                (apart, f"{old[where]!r:.80} and {new[where]!r:.80}")
+            )
     out = []
     for where, found in sorted(rows.items()):
         most, example = max(found)
@@ -121,26 +133,46 @@ def _streams(path: Path) -> dict[str, Any]:
     """Streams, tags and audio packets of a file."""
     out: dict[str, Any] = {"streams": []}
     with av.open(str(path)) as container:
-        out["tags"] = {k: v for k, v in container.metadata.items() if k.upper() != "ENCODER"}
+        out["tags"] = {
+            k: v for k, v in container.metadata.items() if k.upper() != "ENCODER"
+        }
         for s in container.streams:
-            tags = {k: v for k, v in s.metadata.items() if k.upper() not in ("ENCODER", "DURATION")}
-            out["streams"].append({"kind": s.type, "codec": s.codec_context.name, "tags": tags})
+            tags = {
+                k: v
+                for k, v in s.metadata.items()
+                if k.upper() not in ("ENCODER", "DURATION")
+            }
+            out["streams"].append(
+                {"kind": s.type, "codec": s.codec_context.name, "tags": tags}
+            )
         audio = [s for s in container.streams if s.type == "audio"]
-        out["audio"] = [[p.pts, hash(bytes(p))] for p in container.demux(audio) if p.size] if audio else []
+        out["audio"] = (
+            [[p.pts, hash(bytes(p))] for p in container.demux(audio) if p.size]
+            if audio
+            else []
+        )
     return out
 
 
-def compare_pictures(old: Path, new: Path, source: Path | None, rectangles: list[list[int]] | None) -> list[Difference]:
+def compare_pictures(
+    old: Path, new: Path, source: Path | None, rectangles: list[list[int]] | None
+) -> list[Difference]:
     """Differences of two losslessly coded clips.
 
-    source : the clip they were made from, whose first frames are theirs; None = every sample counts as touched
-    rectangles : of every frame, x0 y0 x1 y1 outside of which the old one left the source alone"""
+    source : the clip they were made from, whose first frames are theirs; None = every
+    sample counts as touched
+    rectangles : of every frame, x0 y0 x1 y1 outside of which the old one left the source alone
+    """
     touched = large = count = outside = 0
     total = 0.0
     most, worst, frames = 0, -1, 0
     apart_s: list[float] = []
-    sources: Iterator[av.VideoFrame | None] = _frames(source) if source else itertools.repeat(None)
-    for number, (a, b, s) in enumerate(itertools.zip_longest(_frames(old), _frames(new), _until(sources, old))):
+    sources: Iterator[av.VideoFrame | None] = (
+        _frames(source) if source else itertools.repeat(None)
+    )
+    for number, (a, b, s) in enumerate(
+        itertools.zip_longest(_frames(old), _frames(new), _until(sources, old))
+    ):
         if a is None or b is None:
             return [Difference("frames", f"one ends after {number}")]
         frames += 1
@@ -150,7 +182,11 @@ def compare_pictures(old: Path, new: Path, source: Path | None, rectangles: list
         given = _samples(s) if s is not None and s.format.name == a.format.name else None
         for k, (p, q) in enumerate(zip(_samples(a), _samples(b), strict=True)):
             d = np.abs(p.astype(np.int32) - q)
-            where = np.ones(p.shape, bool) if given is None else (p != given[k]) | (q != given[k])
+            where = (
+                np.ones(p.shape, bool)
+                if given is None
+                else (p != given[k]) | (q != given[k])
+            )
             touched += int(where.sum())
             total += float(d[where].sum())
             large += int((d > LARGE_LEVELS).sum())
@@ -158,23 +194,36 @@ def compare_pictures(old: Path, new: Path, source: Path | None, rectangles: list
             if int(d.max()) > most:
                 most, worst = int(d.max()), number
             if k == 0 and given is not None and rectangles is not None:
-                x0, y0, x1, y1 = rectangles[number] if number < len(rectangles) else (0, 0, 0, 0)
+                x0, y0, x1, y1 = (
+                    rectangles[number] if number < len(rectangles) else (0, 0, 0, 0)
+                )
                 changed = d > 0
                 changed[y0:y1, x0:x1] = False
                 outside += int(changed.sum())
     out = []
     if apart_s:
-        out.append(Difference("times", f"{len(apart_s)} of {frames} frames, up to {max(apart_s):.6f} s"))
+        out.append(
+            Difference(
+                "times", f"{len(apart_s)} of {frames} frames, up to {max(apart_s):.6f} s"
+            )
+        )
     if outside:
-        out.append(Difference("pixels.untouched", f"{outside} differ where nothing is changed"))
+        out.append(
+            Difference("pixels.untouched", f"{outside} differ where nothing is changed")
+        )
     mean = total / max(touched, 1)
     if mean > MEAN_LEVELS or large > LARGE_FRACTION * touched:
-        what = f"mean {mean:.3f} of {touched} touched, {count} differ, {large} by more than {LARGE_LEVELS}"
+        what = (
+            f"mean {mean:.3f} of {touched} touched, {count} differ, {large} by more than"
+            f" {LARGE_LEVELS}"
+        )
         out.append(Difference("pixels.touched", f"{what}, up to {most} in frame {worst}"))
     return out
 
 
-def _until(sources: Iterator[av.VideoFrame | None], old: Path) -> Iterator[av.VideoFrame | None]:
+def _until(
+    sources: Iterator[av.VideoFrame | None], old: Path
+) -> Iterator[av.VideoFrame | None]:
     """As many frames of the source as the old output has."""
     with av.open(str(old)) as container:
         count = sum(p.size > 0 for p in container.demux(video=0))
@@ -208,9 +257,14 @@ def _source_of(report: Path) -> Path | None:
 
 
 def _rectangles(job: Path) -> list[list[int]] | None:
-    """Of every frame the rectangle that its plan changes, where stored and upright pictures are the same."""
+    """Of every frame the rectangle that its plan changes, where stored and upright pictures
+    are the same.
+    """
     plan, report = job / "plan.jsonl", job / "report.json"
-    if not (plan.is_file() and report.is_file()) or json.loads(report.read_text())["input"]["rotation"]:
+    if (
+        not (plan.is_file() and report.is_file())
+        or json.loads(report.read_text())["input"]["rotation"]
+    ):
         return None
     return [frame.get("changed") or [0, 0, 0, 0] for frame in _lines(plan)]
 
@@ -218,7 +272,9 @@ def _rectangles(job: Path) -> list[list[int]] | None:
 def compare_jobs(old: Path, new: Path) -> list[Difference]:
     """All differences of two folders of one job."""
     out = compare_documents(_call(old / "call.json"), _call(new / "call.json"), "call")
-    names = {p.name for folder in (old, new) for p in folder.glob("[!.]*.json*")} - {"call.json"}
+    names = {p.name for folder in (old, new) for p in folder.glob("[!.]*.json*")} - {
+        "call.json"
+    }
     for name in sorted(names):
         if not ((old / name).is_file() and (new / name).is_file()):
             out.append(Difference(name, "is there in one only"))
@@ -231,5 +287,7 @@ def compare_jobs(old: Path, new: Path) -> list[Difference]:
             out.append(Difference(name, "is there in one only"))
             continue
         out += compare_documents(_streams(old / name), _streams(new / name), "file")
-        out += compare_pictures(old / name, new / name, _source_of(old / "report.json"), _rectangles(old))
+        out += compare_pictures(
+            old / name, new / name, _source_of(old / "report.json"), _rectangles(old)
+        )
     return out

@@ -1,8 +1,11 @@
-"""One job by one worker, threads, processes and a local Dask cluster: the same bytes? Wall and processor seconds of each.
+"""One job by one worker, threads, processes and a local Dask cluster: the same bytes? Wall
+and processor seconds of each.
 
     measure_executors.py                           the whole job, four ways
-    measure_executors.py --analysis                its analysis by two threads and two processes, against one worker
-    measure_executors.py --simulate JOB_FOLDER     what 1 to 64 workers would take, from the recorded times of a job
+    measure_executors.py --analysis                its analysis by two threads and two
+    processes, against one worker
+    measure_executors.py --simulate JOB_FOLDER     what 1 to 64 workers would take, from the
+    recorded times of a job
 
 Take the machine for it: times of a machine that does other things say little.
 """
@@ -38,8 +41,9 @@ ANALYSES = {
 
 
 def timed(command: list[str]) -> tuple[float, float]:
-    """Wall seconds of a process, and processor seconds of it and of all that it started: what it leaves behind, as the server
-    that forked its workers, becomes a child of this process."""
+    """Wall seconds of a process, and processor seconds of it and of all that it started:
+    what it leaves behind, as the server that forked its workers, becomes a child of this
+    process."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER
     start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -63,10 +67,17 @@ def compare_jobs(command: list[str], folder: Path, keep: Path | None) -> None:
     found = set()
     timed([*command, "--workers", "2"])  # compiles, and fills the caches of the disk
     for name, more in JOBS.items():
-        kept = ["--job", str(keep), "--overwrite"] if keep is not None and name == "one worker" else []
+        kept = (
+            ["--job", str(keep), "--overwrite"]
+            if keep is not None and name == "one worker"
+            else []
+        )
         wall_s, cpu_s = timed([*command, *more, *kept])
         found.add(sha256(folder / "out.mp4"))
-        print(f"{name:36}{wall_s:8.1f}{cpu_s:13.1f}  {sha256(folder / 'out.mp4')[:16]}", flush=True)
+        print(
+            f"{name:36}{wall_s:8.1f}{cpu_s:13.1f}  {sha256(folder / 'out.mp4')[:16]}",
+            flush=True,
+        )
     print("the same bytes" if len(found) == 1 else "OTHER BYTES")
 
 
@@ -75,7 +86,18 @@ def compare_analyses(command: list[str], folder: Path) -> None:
     base, found = 0.0, set()
     for name, how in ANALYSES.items():
         out = folder / "told"
-        timed([sys.executable, __file__, "--one", *map(str, how), str(out), *command[3:], "--job", str(folder / "job")])
+        timed(
+            [
+                sys.executable,
+                __file__,
+                "--one",
+                *map(str, how),
+                str(out),
+                *command[3:],
+                "--job",
+                str(folder / "job"),
+            ]
+        )
         wall_s, facts = json.loads(out.read_text())
         base = base or wall_s
         found.add(facts)
@@ -83,8 +105,12 @@ def compare_analyses(command: list[str], folder: Path) -> None:
     print("the same facts" if len(found) == 1 else "OTHER FACTS")
 
 
-def one_analysis(workers: int, threads: bool, decoders: bool, told: Path, command: list[str]) -> None:
-    """In a process of its own: the analysis alone, once to load compiled code and once measured, with workers that start anew."""
+def one_analysis(
+    workers: int, threads: bool, decoders: bool, told: Path, command: list[str]
+) -> None:
+    """In a process of its own: the analysis alone, once to load compiled code and once
+    measured, with workers that start anew.
+    """
     from arfx.run import job, stretches
 
     if not decoders:
@@ -97,7 +123,14 @@ def one_analysis(workers: int, threads: bool, decoders: bool, told: Path, comman
     job.worker_count = lambda pixels, stated=None: (workers, threads)
     analyse = job._analyse
 
-    def measured(inputs: object, folder: job.JobFolder, key: str, options: job.Options, log: object, cluster: object) -> None:
+    def measured(
+        inputs: object,
+        folder: job.JobFolder,
+        key: str,
+        options: job.Options,
+        log: object,
+        cluster: object,
+    ) -> None:
         rest = key, options, log, cluster
         analyse(inputs, folder, *rest)
         options.processes._end()
@@ -115,49 +148,87 @@ def one_analysis(workers: int, threads: bool, decoders: bool, told: Path, comman
 
 
 def simulate(folder: Path, repeated: int) -> None:
-    """Amdahl's bound, and the chunks and stretches as the workers would take them, from the job's own times.
+    """Amdahl's bound, and the chunks and stretches as the workers would take them, from the
+    job's own times.
 
-    repeated : the clip so many times on end; what is done in order takes so many times as long (measure_growth.py)"""
+    repeated : the clip so many times on end; what is done in order takes so many times as
+    long (measure_growth.py)
+    """
     report = json.loads((folder / "report.json").read_text())
-    rows = [json.loads(line) for line in (folder / "timings.jsonl").read_text().splitlines()]
+    rows = [
+        json.loads(line) for line in (folder / "timings.jsonl").read_text().splitlines()
+    ]
     loads = {
         work: [
-            Load(r["first"], r["last"], sum(r["seconds"].values()) + sum(r.get("stages", {}).values()))
-            for r in sorted((r for r in rows if r["work"] == work and "first" in r), key=lambda r: r["first"])
+            Load(
+                r["first"],
+                r["last"],
+                sum(r["seconds"].values()) + sum(r.get("stages", {}).values()),
+            )
+            for r in sorted(
+                (r for r in rows if r["work"] == work and "first" in r),
+                key=lambda r: r["first"],
+            )
         ]
         for work in ("stretch", "chunk")
     }
     shared_s = {work: sum(load.seconds for load in every) for work, every in loads.items()}
     analysis_s = next(r for r in rows if r["work"] == "analysis")["seconds"]
-    joined_s = report["timing"]["encode_s"] - sum(r["seconds"]["encode"] for r in rows if r["work"] == "chunk")
-    serial_s = sum(analysis_s.values()) - shared_s["stretch"] + report["timing"]["plan_s"] + joined_s
+    joined_s = report["timing"]["encode_s"] - sum(
+        r["seconds"]["encode"] for r in rows if r["work"] == "chunk"
+    )
+    serial_s = (
+        sum(analysis_s.values())
+        - shared_s["stretch"]
+        + report["timing"]["plan_s"]
+        + joined_s
+    )
     loads = {work: every * repeated for work, every in loads.items()}
-    serial_s, shared_s = serial_s * repeated, {work: s * repeated for work, s in shared_s.items()}
+    serial_s, shared_s = (
+        serial_s * repeated,
+        {work: s * repeated for work, s in shared_s.items()},
+    )
     total_s = serial_s + sum(shared_s.values())
     print(
-        f"{report['input']['frames'] * repeated} frames: stretches {shared_s['stretch']:.1f} s, "
-        f"chunks {shared_s['chunk']:.1f} s, in order {serial_s:.1f} s ({serial_s / total_s:.1%})"
+        f"{report['input']['frames'] * repeated} frames: stretches"
+        f" {shared_s['stretch']:.1f} s, chunks {shared_s['chunk']:.1f} s, in order"
+        f" {serial_s:.1f} s ({serial_s / total_s:.1%})"
     )
     print(f"{'workers':>8}{'Amdahl':>9}{'simulated':>11}{'stretches by 2':>16}{'by 1':>7}")
     for workers in WORKERS:
         chunks_s = elapsed(loads["chunk"], workers)[0]
         row = [total_s / (serial_s + sum(shared_s.values()) / workers)]
         for others in (workers, min(workers, 2), 1):
-            row.append(total_s / (serial_s + elapsed(loads["stretch"], others)[0] + chunks_s))
+            row.append(
+                total_s / (serial_s + elapsed(loads["stretch"], others)[0] + chunks_s)
+            )
         print(f"{workers:8}{row[0]:9.1f}{row[1]:11.1f}{row[2]:16.1f}{row[3]:7.1f}")
 
 
 def main() -> None:
     if sys.argv[1:2] == ["--one"]:
         workers, threads, decoders = map(int, sys.argv[2:5])
-        one_analysis(workers, bool(threads), bool(decoders), Path(sys.argv[5]), sys.argv[6:])
+        one_analysis(
+            workers, bool(threads), bool(decoders), Path(sys.argv[5]), sys.argv[6:]
+        )
         return
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     p.add_argument("--frames", type=int, default=1000)
     p.add_argument("--analysis", action="store_true")
-    p.add_argument("--keep", type=Path, help="job folder of the job by one worker, to be kept")
-    p.add_argument("--simulate", type=Path, metavar="JOB_FOLDER", help="of a job by one worker")
-    p.add_argument("--repeated", type=int, default=100, help="simulate its clip so many times on end too")
+    p.add_argument(
+        "--keep", type=Path, help="job folder of the job by one worker, to be kept"
+    )
+    p.add_argument(
+        "--simulate", type=Path, metavar="JOB_FOLDER", help="of a job by one worker"
+    )
+    p.add_argument(
+        "--repeated",
+        type=int,
+        default=100,
+        help="simulate its clip so many times on end too",
+    )
     given = p.parse_args()
     if given.simulate:
         for repeated in (1, given.repeated):

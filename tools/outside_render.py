@@ -1,13 +1,16 @@
-"""Render the scenes of tests/outside with Blender's Cycles, which reads the same models and surroundings as arfx does.
+"""Render the scenes of tests/outside with Blender's Cycles, which reads the same models and
+surroundings as arfx does.
 
-    python3.11 -m venv JUDGE && JUDGE/bin/pip install "bpy==4.5.*" "numpy<2"    # an environment of its own
+    python3.11 -m venv JUDGE && JUDGE/bin/pip install "bpy==4.5.*" "numpy<2"    # an
+    environment of its own
     .venv/bin/python -m tests.outside.scenes FOLDER
     JUDGE/bin/python tools/outside_render.py FOLDER tests/outside [--only NAME] [--samples 1024]
 
-Run by hand when a scene changes: the tests compare with the pictures that this writes, and need no Blender. A picture is sRGB,
-8 bit: an object alone, premultiplied by its coverage; or the plane as it would look if it were evenly grey without the object,
-which itself is not shown. Shading is Blender's own, by its glTF importer; nothing is denoised, no view transform is applied.
-"""
+Run by hand when a scene changes: the tests compare with the pictures that this writes, and
+need no Blender. A picture is sRGB, 8 bit: an object alone, premultiplied by its coverage;
+or the plane as it would look if it were evenly grey without the object, which itself is not
+shown. Shading is Blender's own, by its glTF importer; nothing is denoised, no view
+transform is applied."""
 
 from __future__ import annotations
 
@@ -26,7 +29,9 @@ EVEN_SAMPLES = 16  # of each pixel of the bare plane, whose mean is taken
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--only", default="")
@@ -61,7 +66,9 @@ def rendered(scene: dict[str, Any], folder: Path, samples: int) -> np.ndarray:
     with_object = picture()
     for o in objects:
         o.hide_render = True
-    settings.samples = EVEN_SAMPLES  # distant light: each place of a bare plane has the same
+    settings.samples = (
+        EVEN_SAMPLES  # distant light: each place of a bare plane has the same
+    )
     even = picture().mean((0, 1))
     return PLANE_ALBEDO * with_object / even
 
@@ -128,7 +135,9 @@ def write_png(path: Path, linear: np.ndarray) -> None:
     coded = np.where(low <= 0.0031308, 12.92 * low, 1.055 * low ** (1 / 2.4) - 0.055)
     image = bpy.data.images.new(path.stem, coded.shape[1], coded.shape[0], alpha=False)
     image.colorspace_settings.name = "Non-Color"
-    image.pixels = np.concatenate([coded, np.ones_like(coded[..., :1])], -1)[::-1].ravel().tolist()
+    image.pixels = (
+        np.concatenate([coded, np.ones_like(coded[..., :1])], -1)[::-1].ravel().tolist()
+    )
     image.filepath_raw, image.file_format = str(path.resolve()), "PNG"
     image.save()
 

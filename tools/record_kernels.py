@@ -1,10 +1,11 @@
-"""Write arfx/run/kernels.json: which compiled functions jobs call, for which types, and what each takes to compile.
+"""Write arfx/run/kernels.json: which compiled functions jobs call, for which types, and
+what each takes to compile.
 
     python tools/record_kernels.py
 
-Runs typical jobs one after the other, each in a process of its own, and notes every function that is compiled or loaded because
-Python calls it; one that an earlier job has noted is not noted again. The tests' come last. Takes some minutes.
-"""
+Runs typical jobs one after the other, each in a process of its own, and notes every
+function that is compiled or loaded because Python calls it; one that an earlier job has
+noted is not noted again. The tests' come last. Takes some minutes."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ from arfx.stages import STAGES
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ROOT / "arfx" / "run" / "kernels.json"
 
-# part of the list -> the arguments of the job that brings what none before it has; a stage's own kernels are its own part
+# part of the list -> the arguments of the job that brings what none before it has; a
+# stage's own kernels are its own part
 JOBS = {
     "synth": "synth sample_scenes/0001-orbit/scene.toml -o MADE/clip",
     "job": "process --config MADE/clip/job.toml -o MADE/job.mp4 --set pipeline.stages=[]",
@@ -35,13 +37,18 @@ JOBS = {
     "hide": "verify sample_scenes/0022-before-and-behind",
     "gi": "verify sample_scenes/0041-indirect-light",
     "watercolor": "verify sample_scenes/0030-watercolor",
-    SELDOM: "tests tests/unit/media tests/unit/papers tests/unit/reproduce tests/unit/stages tests/contract",
+    SELDOM: (
+        "tests tests/unit/media tests/unit/papers tests/unit/reproduce tests/unit/stages"
+        " tests/contract"
+    ),
 }
 SELDOM_S = 0.2  # what takes less is compiled where it is called
 
 
 def record(file: Path, arguments: list[str]) -> None:
-    """In the process of one job: run it, and write (module, name, types, seconds) of what was called."""
+    """In the process of one job: run it, and write (module, name, types, seconds) of what
+    was called.
+    """
     from numba.core.dispatcher import Dispatcher
 
     from arfx.run.kernels import signature
@@ -74,20 +81,43 @@ def run_all() -> dict[str, list[list[Any]]]:
     parts: dict[str, list[list[Any]]] = {}
     noted: set[tuple[str, ...]] = set()
     with tempfile.TemporaryDirectory() as made:
-        for name in ("arfx", "cli", "configs", "sample_scenes", "tests"):  # without what was compiled before
-            shutil.copytree(ROOT / name, Path(made) / "tree" / name, ignore=shutil.ignore_patterns("__pycache__"))
+        for name in (
+            "arfx",
+            "cli",
+            "configs",
+            "sample_scenes",
+            "tests",
+        ):  # without what was compiled before
+            shutil.copytree(
+                ROOT / name,
+                Path(made) / "tree" / name,
+                ignore=shutil.ignore_patterns("__pycache__"),
+            )
         shutil.copy(ROOT / "pyproject.toml", Path(made) / "tree")
         tree = Path(made) / "tree"
-        (tree / "arfx" / "run" / "kernels.json").write_text("{}")  # compiled where it is called, so that it is seen
-        environment = {**os.environ, "PYTHONPATH": f"{tree}{os.pathsep}{tree / 'cli'}", "OPENBLAS_NUM_THREADS": "1"}
+        (tree / "arfx" / "run" / "kernels.json").write_text(
+            "{}"
+        )  # compiled where it is called, so that it is seen
+        environment = {
+            **os.environ,
+            "PYTHONPATH": f"{tree}{os.pathsep}{tree / 'cli'}",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
         for part, job in JOBS.items():
             file = Path(made) / f"{part}.json"
-            command = [sys.executable, __file__, str(file), *job.replace("MADE", made).split()]
+            command = [
+                sys.executable,
+                __file__,
+                str(file),
+                *job.replace("MADE", made).split(),
+            ]
             subprocess.run(command, cwd=tree, env=environment, check=True)
             for row in sorted(json.loads(file.read_text())):
                 if tuple(row[:3]) not in noted and (part != SELDOM or row[3] >= SELDOM_S):
                     noted.add(tuple(row[:3]))
-                    parts.setdefault((part != SELDOM and part_of(row[0])) or part, []).append(row)
+                    parts.setdefault(
+                        (part != SELDOM and part_of(row[0])) or part, []
+                    ).append(row)
     return parts
 
 
@@ -102,7 +132,10 @@ def part_of(module: str) -> str:
 
 def as_text(parts: dict[str, list[list[Any]]]) -> str:
     """A kernel a line."""
-    lines = [f' "{part}": [\n' + ",\n".join(f"  {json.dumps(row)}" for row in rows) + "\n ]" for part, rows in parts.items()]
+    lines = [
+        f' "{part}": [\n' + ",\n".join(f"  {json.dumps(row)}" for row in rows) + "\n ]"
+        for part, rows in parts.items()
+    ]
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 

@@ -1,5 +1,6 @@
-"""What is learned of a clip, each thing by a fold: it is fed the frames of a stretch of the clip in order. What the folds of all
-stretches learned is joined, in order, and says what it means when the whole clip is known."""
+"""What is learned of a clip, each thing by a fold: it is fed the frames of a stretch of the
+clip in order. What the folds of all stretches learned is joined, in order, and says what it
+means when the whole clip is known."""
 
 from __future__ import annotations
 
@@ -22,7 +23,9 @@ from arfx.core.stage import Check
 
 MARKER, PLANE = "marker", "plane"  # what the object stands on
 T = TypeVar("T")
-PLANE_MARKER = MarkerSpec(PLANE, 0, 0.1)  # in place of a marker; its square is that beside which the plane's radiance is read
+PLANE_MARKER = MarkerSpec(
+    PLANE, 0, 0.1
+)  # in place of a marker; its square is that beside which the plane's radiance is read
 
 
 class Picture(Protocol):
@@ -38,7 +41,8 @@ class Picture(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class AnalysisFrame:
-    """index : number of the frame, from 0;  luma : (h, w) uint8, upright;  picture : its colours, None = no light is read
+    """index : number of the frame, from 0;  luma : (h, w) uint8, upright;  picture : its
+    colours, None = no light is read
     following : luma of the frame after it; None = there is none, or it is not known"""
 
     index: int
@@ -57,7 +61,9 @@ class OfFrames(Protocol):
 class Poses(Protocol):
     """The camera's, as they were given (media.pose_files.CameraPath)."""
 
-    def of_frames(self, times_s: list[float], before: int, whole: bool, gap_s: float) -> list[Any]: ...
+    def of_frames(
+        self, times_s: list[float], before: int, whole: bool, gap_s: float
+    ) -> list[Any]: ...
 
 
 class Maps(OfFrames, Protocol):
@@ -84,14 +90,17 @@ class Maps(OfFrames, Protocol):
 class AnalysisJob:
     """What a clip is analysed with.
 
-    markers : the configured ones, the first that is seen is the world;  camera : for the clip's size or the same aspect
+    markers : the configured ones, the first that is seen is the world;  camera : for the
+    clip's size or the same aspect
     marker_map : world_from_marker of a known layout; None = mapped from the clip
     panorama : of LightParams.environment;  anchor : MARKER or PLANE
-    depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of the camera, camera_from_given
+    depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of
+    the camera, camera_from_given
     scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
     kinds : classes of folds in place of the usual ones, by name
     prints : pictures of the markers that are patterns, by key, (h, w, 3) linear
-    length_s : about how long all frames last: what is kept of some of them is spread over that"""
+    length_s : about how long all frames last: what is kept of some of them is spread over that
+    """
 
     markers: tuple[Marker, ...]
     camera: Camera
@@ -115,10 +124,13 @@ class Analysis:
     """What is known of a clip.
 
     facts : one per frame;  world_from_marker : by key, of markers that could be placed
-    anchor : what the object stands on;  static : "camera", "marker" or "both" (both move), see pose/at_rest.py
-    summary : figures for the report, JSON-able;  notices : sentences for the user;  real_planes : measured
+    anchor : what the object stands on;  static : "camera", "marker" or "both" (both move),
+    see pose/at_rest.py
+    summary : figures for the report, JSON-able;  notices : sentences for the user;
+    real_planes : measured
     environment_maps : of the facts' `seen_environment` (core.scene.Scene)
-    frame_span : which of the clip's frames these are: seconds of each after the clip's first, how many lie before, whether they
+    frame_span : which of the clip's frames these are: seconds of each after the clip's
+    first, how many lie before, whether they
         reach to its end"""
 
     facts: tuple[FrameFacts, ...] = ()
@@ -128,27 +140,37 @@ class Analysis:
     notices: tuple[str, ...] = ()
     anchor: Marker = PLANE_MARKER
     real_planes: tuple[RealPlane, ...] = ()
-    environment_maps: Mapping[str, np.ndarray] = field(default_factory=dict, compare=False)  # the facts name their contents
+    environment_maps: Mapping[str, np.ndarray] = field(
+        default_factory=dict, compare=False
+    )  # the facts name their contents
     frame_span: tuple[list[float], int, bool] = ([], 0, True)
 
     @property
     def world_from_anchor(self) -> Pose:
         return self.world_from_marker.get(self.anchor.key, Pose.identity())
 
-    def adding(self, facts: Iterable[FrameFacts] | None = None, notice: str | None = None, **summary: Any) -> Analysis:
+    def adding(
+        self,
+        facts: Iterable[FrameFacts] | None = None,
+        notice: str | None = None,
+        **summary: Any,
+    ) -> Analysis:
         """With these facts in place of its own, a sentence and figures more."""
         return replace(
-            self, facts=self.facts if facts is None else tuple(facts), summary={**self.summary, **summary},
+            self,
+            facts=self.facts if facts is None else tuple(facts),
+            summary={**self.summary, **summary},
             notices=self.notices if notice is None else (*self.notices, notice),
-        )  # fmt: skip
+        )
 
 
 class Stateful:
-    """Its state is what it learned: all attributes but these two kinds. `core.codec` must be able to write it; parts that are
-    Stateful have their own.
+    """Its state is what it learned: all attributes but these two kinds. `core.codec` must
+    be able to write it; parts that are Stateful have their own.
 
     given : names of the attributes that the constructor's arguments make and no frame changes
-    carried : of those that go from one frame to the next, and begin anew with every stretch"""
+    carried : of those that go from one frame to the next, and begin anew with every stretch
+    """
 
     given: ClassVar[frozenset[str]] = frozenset()
     carried: ClassVar[frozenset[str]] = frozenset()
@@ -156,7 +178,11 @@ class Stateful:
     def state(self) -> dict[str, Any]:
         """By attribute. It is shared with the object: to be written before the next frame."""
         left_out = self.given | self.carried
-        kept = {k: v for k, v in vars(self).items() if k not in left_out and not isinstance(v, Fold)}
+        kept = {
+            k: v
+            for k, v in vars(self).items()
+            if k not in left_out and not isinstance(v, Fold)
+        }
         return {k: v.state() if isinstance(v, Stateful) else v for k, v in kept.items()}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -170,9 +196,11 @@ class Stateful:
 
 
 class Fold(Stateful):
-    """One thing that is learned of a clip. An attribute that is another fold is no part of its state.
+    """One thing that is learned of a clip. An attribute that is another fold is no part of
+    its state.
 
-    name : what stages (`Stage.facts`) and other folds ask for;  needs : the folds that its constructor is given; they have seen
+    name : what stages (`Stage.facts`) and other folds ask for;  needs : the folds that its
+    constructor is given; they have seen
     a frame, and are finished, before it"""
 
     name: ClassVar[str]
@@ -188,14 +216,17 @@ class Fold(Stateful):
     def end(self, frame: AnalysisFrame) -> dict[str, Any] | None:
         """The stretch is over. frame : the first one of the next
 
-        Returns what a new start at that frame would lose, for `go_on` there; None = nothing."""
+        Returns what a new start at that frame would lose, for `go_on` there; None = nothing.
+        """
         return None
 
     def go_on(self, lost: dict[str, Any]) -> None:
         """Before the first frame: begin with what `end` of the stretch before returned."""
 
     def settle(self, later: Self) -> Mapping[str, Any]:
-        """Before `join`: settings of AnalyseParams that `later` has to be made again with, as the clip before it says."""
+        """Before `join`: settings of AnalyseParams that `later` has to be made again with,
+        as the clip before it says.
+        """
         return {}
 
     def join(self, later: Self, shift: int) -> None:
@@ -212,13 +243,19 @@ class Fold(Stateful):
 
 
 def shifted(items: Sequence[T], shift: int) -> list[T]:
-    """Tuples and dataclasses whose first field is the number of a frame, with `shift` added to it."""
+    """Tuples and dataclasses whose first field is the number of a frame, with `shift` added
+    to it.
+    """
     if not shift:
         return list(items)
-    return [
-        (item[0] + shift, *item[1:]) if isinstance(item, tuple) else replace(item, **_shifted_first(item, shift))  # type: ignore
-        for item in items
-    ]
+    moved = list[Any]()
+    item: Any
+    for item in items:
+        if isinstance(item, tuple):
+            moved.append((item[0] + shift, *item[1:]))
+        else:
+            moved.append(replace(item, **_shifted_first(item, shift)))
+    return moved
 
 
 def _shifted_first(item: Any, shift: int) -> dict[str, int]:

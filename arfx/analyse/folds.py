@@ -1,6 +1,7 @@
 """The analysis of a clip: the folds that are wanted, and those that they need, over its stretches.
 
-Cost per 720p frame: .5 to 2 ms with a marker tracked, about 3 ms without one; at the end about .5 ms per frame more.
+Cost per 720p frame: .5 to 2 ms with a marker tracked, about 3 ms without one; at the end
+about .5 ms per frame more.
 Memory: some hundred bytes per frame and marker, no pixels but one reduced image."""
 
 from __future__ import annotations
@@ -22,23 +23,46 @@ from arfx.analyse.pose.visibility import ModelBox
 # Every fold behind those that it needs. On a plane there are no markers, nor what needs them.
 FOLDS: dict[str, type[Fold]] = {
     kind.name: kind
-    for kind in (Markers, MarkerPose, LightOfMarkers, Environment, Advection, FootageLens, ModelBox, Depth, RealPlanes)
+    for kind in (
+        Markers,
+        MarkerPose,
+        LightOfMarkers,
+        Environment,
+        Advection,
+        FootageLens,
+        ModelBox,
+        Depth,
+        RealPlanes,
+    )
 }
 ON_PLANE: dict[str, type[Fold]] = {
-    kind.name: kind for kind in (PlanePose, LightOnPlane, Environment, Advection, ModelBox, Depth, RealPlanes)
+    kind.name: kind
+    for kind in (
+        PlanePose,
+        LightOnPlane,
+        Environment,
+        Advection,
+        ModelBox,
+        Depth,
+        RealPlanes,
+    )
 }
 
 
 class Analyser:
-    """Feed frames in order with `step`, then call `finish`. wanted : names of folds; what this job cannot have is left out
+    """Feed frames in order with `step`, then call `finish`. wanted : names of folds; what
+    this job cannot have is left out
 
-    Or feed each stretch of a clip to an analyser of its own, `end` it, and `join` these in order to one that saw no frame.
+    Or feed each stretch of a clip to an analyser of its own, `end` it, and `join` these in
+    order to one that saw no frame.
 
     Raises ConfigError for no marker, the same one twice, or a map that lacks one."""
 
     def __init__(self, job: AnalysisJob, wanted: Collection[str] = ("pose",)) -> None:
         table = ON_PLANE if job.anchor == PLANE else FOLDS
-        kinds = table | {name: kind for name, kind in job.kinds.items() if {*kind.needs} <= table.keys()}
+        kinds = table | {
+            name: kind for name, kind in job.kinds.items() if {*kind.needs} <= table.keys()
+        }
         names = {n for n in wanted if n in kinds}
         for kind in reversed(kinds.values()):
             names.update(kind.needs if kind.name in names else ())
@@ -53,8 +77,14 @@ class Analyser:
             fold.step(frame)
 
     def end(self, frame: AnalysisFrame) -> dict[str, Any] | None:
-        """The stretch is over. frame : the first one of the next;  what it returns is for `go_on`, None = nothing is lost"""
-        lost = {name: of for name, fold in self.folds.items() if (of := fold.end(frame)) is not None}
+        """The stretch is over. frame : the first one of the next;  what it returns is for
+        `go_on`, None = nothing is lost
+        """
+        lost = {
+            name: of
+            for name, fold in self.folds.items()
+            if (of := fold.end(frame)) is not None
+        }
         return lost or None
 
     def go_on(self, lost: dict[str, Any]) -> None:
@@ -63,8 +93,14 @@ class Analyser:
             self.folds[name].go_on(of)
 
     def settle(self, later: Analyser) -> dict[str, Any]:
-        """Settings of AnalyseParams that the next stretch has to be made again with before it is joined; mostly none."""
-        return {k: v for name, fold in self.folds.items() for k, v in fold.settle(later.folds[name]).items()}
+        """Settings of AnalyseParams that the next stretch has to be made again with before
+        it is joined; mostly none.
+        """
+        return {
+            k: v
+            for name, fold in self.folds.items()
+            for k, v in fold.settle(later.folds[name]).items()
+        }
 
     def join(self, later: Analyser, shift: int = 0) -> None:
         """Add the next stretch. shift : to be added to its frames' numbers"""
@@ -72,8 +108,13 @@ class Analyser:
             fold.join(later.folds[name], shift)
 
     def finish(self, clip: Analysis | None = None) -> Analysis:
-        """clip : what is known of it beside the frames. Raises NothingToDoError where nothing was seen to stand on."""
-        return reduce(lambda clip, fold: fold.finish(clip), self.folds.values(), clip or Analysis())
+        """clip : what is known of it beside the frames.
+
+        Raises NothingToDoError where nothing was seen to stand on.
+        """
+        return reduce(
+            lambda clip, fold: fold.finish(clip), self.folds.values(), clip or Analysis()
+        )
 
     def state(self) -> dict[str, Any]:
         return {name: fold.state() for name, fold in self.folds.items()}

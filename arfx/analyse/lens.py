@@ -1,8 +1,10 @@
-"""The lens that a clip was filmed with, from the blur of its markers' sides against their distance (core/lens_fit.py).
+"""The lens that a clip was filmed with, from the blur of its markers' sides against their
+distance (core/lens_fit.py).
 
-Blur is the standard deviation of a side's mean profile of gradients, under a Gaussian window whose own narrowing is taken out, in
-linear light. Sides that move across themselves count less, or not at all: motion blurs them too. Both halves of the clip have to
-give the same lens."""
+Blur is the standard deviation of a side's mean profile of gradients, under a Gaussian
+window whose own narrowing is taken out, in linear light. Sides that move across themselves
+count less, or not at all: motion blurs them too. Both halves of the clip have to give the
+same lens."""
 
 from __future__ import annotations
 
@@ -22,9 +24,14 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
 
 NORMALS = 24  # per side
-FRACTIONS = 0.12 + 0.76 * (np.arange(NORMALS) + 0.5) / NORMALS  # corners are blurred by two sides
+FRACTIONS = (
+    0.12 + 0.76 * (np.arange(NORMALS) + 0.5) / NORMALS
+)  # corners are blurred by two sides
 _STEP_PX = 0.25
-_HALF_CELLS, _MOST_HALF_PX = 0.8, 24.0  # what is looked at: the rim and the margin are a cell wide
+_HALF_CELLS, _MOST_HALF_PX = (
+    0.8,
+    24.0,
+)  # what is looked at: the rim and the margin are a cell wide
 _WINDOWS = 2.5  # window by standard deviations of the blur
 _LARGEST = 0.22  # of the half width: a disc beyond it is measured too small, by 5 % there
 _FAINT = 20.0  # light (of 255) across an edge
@@ -35,10 +42,15 @@ Readings = Sequence[tuple[int, str, np.ndarray, np.ndarray]]
 _SIGMA_PX, _SIGMA_FRACTION = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
 
 
-def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.ndarray) -> np.ndarray:
-    """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN where it cannot be measured.
+def side_blurs(
+    luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.ndarray
+) -> np.ndarray:
+    """(4,) standard deviation, px, of the blur across each side (corner k to k + 1); NaN
+    where it cannot be measured.
 
-    luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,) coded luma to linear light, 0..255"""
+    luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,)
+    coded luma to linear light, 0..255
+    """
     out = np.full(4, np.nan)
     x0, y0 = np.maximum(np.floor(corners_px.min(0)).astype(int) - int(_MOST_HALF_PX) - 2, 0)
     x1, y1 = np.ceil(corners_px.max(0)).astype(int) + int(_MOST_HALF_PX) + 3
@@ -51,10 +63,19 @@ def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.n
         a, b = corners_px[side] - [x0, y0], corners_px[(side + 1) % 4] - [x0, y0]
         along = normalise(b - a)
         across = np.array([-along[1], along[0]])
-        # a cell is less deep across the side than it is long where the print is tilted, the less the farther the side
+        # a cell is less deep across the side than it is long where the print is tilted, the
+        # less the farther the side
         before, after = corners_px[side - 1], corners_px[(side + 2) % 4]
-        deep = min(abs(float((before - corners_px[side]) @ across)), abs(float((after - corners_px[(side + 1) % 4]) @ across)))
-        deep *= min(float(divide(float(np.linalg.norm(b - a)), float(np.linalg.norm(after - before)))), 1.0)
+        deep = min(
+            abs(float((before - corners_px[side]) @ across)),
+            abs(float((after - corners_px[(side + 1) % 4]) @ across)),
+        )
+        deep *= min(
+            float(
+                divide(float(np.linalg.norm(b - a)), float(np.linalg.norm(after - before)))
+            ),
+            1.0,
+        )
         half = min(_HALF_CELLS * deep / cells, _MOST_HALF_PX)
         count = int(half / _STEP_PX)
         if count < 8:
@@ -70,14 +91,20 @@ def side_blurs(luma: np.ndarray, corners_px: np.ndarray, cells: int, table: np.n
     return out
 
 
-def _deviation(profiles: np.ndarray, where: np.ndarray, at: np.ndarray, half: float) -> float:
-    """Standard deviation px of the common edge of profiles (n, s) at offsets at (s,) px; NaN where there is none."""
+def _deviation(
+    profiles: np.ndarray, where: np.ndarray, at: np.ndarray, half: float
+) -> float:
+    """Standard deviation px of the common edge of profiles (n, s) at offsets at (s,) px;
+    NaN where there is none.
+    """
     middle = (at[1:] + at[:-1]) / 2
     slope = np.diff(profiles, axis=1)
     if slope.sum() < 0:
         slope = -slope
     window = np.exp(-0.5 * (middle / (half / 2)) ** 2)
-    centre = divide((slope * window * middle).sum(1), (slope * window).sum(1), where_zero=np.nan)
+    centre = divide(
+        (slope * window * middle).sum(1), (slope * window).sum(1), where_zero=np.nan
+    )
     ok = np.isfinite(centre) & (np.abs(centre) < half / 2)
     if ok.sum() < len(where) // 2:
         return np.nan
@@ -87,7 +114,10 @@ def _deviation(profiles: np.ndarray, where: np.ndarray, at: np.ndarray, half: fl
     if ok.sum() < len(where) // 2:
         return np.nan
     shift = np.polyval(np.polyfit(where[ok], centre[ok], 2), where[ok])
-    mean = np.mean([np.interp(middle, middle - s, g) for s, g in zip(shift, slope[ok], strict=True)], axis=0)
+    mean = np.mean(
+        [np.interp(middle, middle - s, g) for s, g in zip(shift, slope[ok], strict=True)],
+        axis=0,
+    )
     s = half / 4
     for _ in range(_ROUNDS):
         w = min(max(_WINDOWS * s, 1.0), half / 2)
@@ -97,11 +127,19 @@ def _deviation(profiles: np.ndarray, where: np.ndarray, at: np.ndarray, half: fl
             return np.nan
         first = (g * middle).sum() / mass
         second = (g * (middle - first) ** 2).sum() / mass
-        s = float(np.sqrt(divide(1.0, divide(1.0, second) - 1 / w**2, where_zero=half**2))) if second > 0 else np.nan
+        s = (
+            float(np.sqrt(divide(1.0, divide(1.0, second) - 1 / w**2, where_zero=half**2)))
+            if second > 0
+            else np.nan
+        )
         if not 0 < s < half:
             return np.nan
     stray = np.abs(mean[np.abs(middle) > 3 * s]).sum() / np.abs(mean).sum()
-    return s if s <= _LARGEST * half and abs(mean.sum()) > _FAINT and stray < _STRAY else np.nan
+    return (
+        s
+        if s <= _LARGEST * half and abs(mean.sum()) > _FAINT and stray < _STRAY
+        else np.nan
+    )
 
 
 class FootageLens(Fold):
@@ -120,7 +158,9 @@ class FootageLens(Fold):
             family = s.key.rpartition(":")[0]
             if family not in FAMILIES:  # a pattern: nothing is known of the edges around it
                 continue
-            blur = side_blurs(frame.luma, s.corners_px, cells_per_side(family), self._markers.table)
+            blur = side_blurs(
+                frame.luma, s.corners_px, cells_per_side(family), self._markers.table
+            )
             if np.isfinite(blur).any():
                 self.readings.append((frame.index, s.key, blur, s.corners_px))
 
@@ -128,13 +168,24 @@ class FootageLens(Fold):
         self.readings += shifted(later.readings, shift)
 
     def finish(self, clip: Analysis) -> Analysis:
-        fit = footage_lens(clip.facts, self.readings, self.job.markers, clip.world_from_marker)
-        notice = None if fit.known else f"the lens cannot be measured from the footage: {fit.reason}"
-        return clip.adding((f.with_(lens=fit) for f in clip.facts), notice, footage_lens=fit.to_json())
+        fit = footage_lens(
+            clip.facts, self.readings, self.job.markers, clip.world_from_marker
+        )
+        notice = (
+            None
+            if fit.known
+            else f"the lens cannot be measured from the footage: {fit.reason}"
+        )
+        return clip.adding(
+            (f.with_(lens=fit) for f in clip.facts), notice, footage_lens=fit.to_json()
+        )
 
 
 def footage_lens(
-    facts: Sequence[FrameFacts], readings: Readings, markers: Sequence[Marker], world_from_marker: Mapping[str, Pose]
+    facts: Sequence[FrameFacts],
+    readings: Readings,
+    markers: Sequence[Marker],
+    world_from_marker: Mapping[str, Pose],
 ) -> LensFit:
     corners_m = {m.key: m.corners_m for m in markers}
     before: dict[str, tuple[int, np.ndarray]] = {}
@@ -142,7 +193,11 @@ def footage_lens(
     for number, key, blurs, corners in readings:
         last, before[key] = before.get(key), (number, corners)
         fact = facts[number]
-        if fact.status != MEASURED or fact.camera_from_world is None or key not in world_from_marker:
+        if (
+            fact.status != MEASURED
+            or fact.camera_from_world is None
+            or key not in world_from_marker
+        ):
             continue
         shift = corners - last[1] if last is not None and last[0] == number - 1 else None
         z = (fact.camera_from_world @ world_from_marker[key]).apply(corners_m[key])[:, 2]
@@ -154,19 +209,37 @@ def footage_lens(
             normal = np.array([-along[1], along[0]])
             across = 0.0 if shift is None else float(np.abs(shift[[a, b]] @ normal).max())
             if across <= MOST_MOTION_PX:
-                rows.append((number, float(np.mean(1 / (z[a] + (z[b] - z[a]) * FRACTIONS))), blurs[side], across))
-    frame, dioptre, blur, moved = np.array(rows, float).reshape(-1, 4).T  # of every usable side
+                rows.append(
+                    (
+                        number,
+                        float(np.mean(1 / (z[a] + (z[b] - z[a]) * FRACTIONS))),
+                        blurs[side],
+                        across,
+                    )
+                )
+    frame, dioptre, blur, moved = (
+        np.array(rows, float).reshape(-1, 4).T
+    )  # of every usable side
     # a shutter that is open for up to all of the time adds up to moved^2 / 12 to the variance
     sigma = _SIGMA_PX + _SIGMA_FRACTION * blur + divide(moved**2, 24 * blur)
     fit = lens_from_blur(dioptre, blur, sigma)
     if not fit.known:
         return fit
     middle = np.median(frame)
-    halves = [lens_from_blur(dioptre[half], blur[half], sigma[half]) for half in (frame < middle, frame >= middle)]
+    halves = [
+        lens_from_blur(dioptre[half], blur[half], sigma[half])
+        for half in (frame < middle, frame >= middle)
+    ]
     if all(h.known for h in halves):
         early, late = halves
         apart = abs(early.focus - late.focus)
-        if apart > 1.5 * float(np.hypot(early.focus_ci95, late.focus_ci95)) + 0.05 * fit.focus:
-            words = f"the focus moves: {early.focus:.3g} and {late.focus:.3g} dioptres in the two halves of the clip"
+        if (
+            apart
+            > 1.5 * float(np.hypot(early.focus_ci95, late.focus_ci95)) + 0.05 * fit.focus
+        ):
+            words = (
+                f"the focus moves: {early.focus:.3g} and {late.focus:.3g} dioptres in the"
+                " two halves of the clip"
+            )
             return replace(fit, known=False, reason=words)
     return fit

@@ -15,7 +15,10 @@ from arfx.errors import ConfigError
 
 CHESSBOARD = "chessboard"
 CHARUCO = "charuco"
-EXAMPLES = "chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100 (squares), with :legacy for the old pattern"
+EXAMPLES = (
+    "chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100 (squares), with"
+    " :legacy for the old pattern"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +26,11 @@ class BoardSpec:
     """A flat calibration board.
 
     kind : "chessboard" or "charuco"
-    columns, rows : inner corners of a chessboard, squares of a ChArUco board (each as its users count them)
+    columns, rows : inner corners of a chessboard, squares of a ChArUco board (each as its
+    users count them)
     square_m : side of a square
-    marker_m, family, legacy : ChArUco only. `legacy` is the pattern of OpenCV before 4.6, whose first square is a marker
+    marker_m, family, legacy : ChArUco only. `legacy` is the pattern of OpenCV before 4.6,
+    whose first square is a marker
         also where the number of rows is even"""
 
     kind: str
@@ -39,7 +44,11 @@ class BoardSpec:
     @property
     def inner(self) -> tuple[int, int]:
         """Inner corners (across, down)."""
-        return (self.columns, self.rows) if self.kind == CHESSBOARD else (self.columns - 1, self.rows - 1)
+        return (
+            (self.columns, self.rows)
+            if self.kind == CHESSBOARD
+            else (self.columns - 1, self.rows - 1)
+        )
 
     @property
     def squares(self) -> tuple[int, int]:
@@ -47,25 +56,33 @@ class BoardSpec:
 
     @property
     def corners_m(self) -> np.ndarray:
-        """(n, 3) inner corners row by row, metres, in the board's plane z = 0; x along a row, y down the rows."""
+        """(n, 3) inner corners row by row, metres, in the board's plane z = 0; x along a
+        row, y down the rows.
+        """
         across, down = self.inner
         x, y = np.meshgrid(np.arange(across), np.arange(down))
         return np.stack([x.ravel(), y.ravel(), np.zeros(across * down)], -1) * self.square_m
 
     @property
     def turn_is_ambiguous(self) -> bool:
-        """Whether the board turned by half a turn looks the same (a chessboard with both counts odd, or both even)."""
+        """Whether the board turned by half a turn looks the same (a chessboard with both
+        counts odd, or both even).
+        """
         return self.kind == CHESSBOARD and self.columns % 2 == self.rows % 2
 
     def __str__(self) -> str:
         size = f"{self.kind}:{self.columns}x{self.rows}:{self.square_m * 1e3:.12g}mm"
         if self.kind == CHESSBOARD:
             return size
-        return f"{size}:{self.marker_m * 1e3:.12g}mm:{self.family}{':legacy' if self.legacy else ''}"
+        legacy = ":legacy" if self.legacy else ""
+        return f"{size}:{self.marker_m * 1e3:.12g}mm:{self.family}{legacy}"
 
     @staticmethod
     def parse(text: str) -> BoardSpec:
-        """The board of `chessboard:9x6:25mm` or `charuco:12x8:18mm:14mm:5X5_100[:legacy]`. Raises ConfigError."""
+        """The board of `chessboard:9x6:25mm` or `charuco:12x8:18mm:14mm:5X5_100[:legacy]`.
+
+        Raises ConfigError.
+        """
         kind, *parts = text.strip().split(":")
         kind = kind.lower()
         legacy = bool(parts) and parts[-1].lower() == "legacy"
@@ -78,17 +95,28 @@ class BoardSpec:
             raise ConfigError(f"board {text!r}: {parts[0]!r} is not COLUMNSxROWS", EXAMPLES)
         columns, rows = int(counts[1]), int(counts[2])
         if not (3 <= columns <= 100 and 3 <= rows <= 100):
-            raise ConfigError(f"board {text!r}: {columns}x{rows} is too small or too large", "3 to 100 each way")
+            raise ConfigError(
+                f"board {text!r}: {columns}x{rows} is too small or too large",
+                "3 to 100 each way",
+            )
         square = length_m(parts[1], what=f"square of board {text!r}")
         if square <= 0:
             raise ConfigError(f"board {text!r}: the square must be larger than 0")
         if kind == CHESSBOARD:
             return BoardSpec(kind, columns, rows, square)
-        marker, family = length_m(parts[2], what=f"marker of board {text!r}"), canonical_family(parts[3])
+        marker, family = (
+            length_m(parts[2], what=f"marker of board {text!r}"),
+            canonical_family(parts[3]),
+        )
         if not 0 < marker < square:
-            raise ConfigError(f"board {text!r}: the marker must be smaller than its square", EXAMPLES)
+            raise ConfigError(
+                f"board {text!r}: the marker must be smaller than its square", EXAMPLES
+            )
         if (columns * rows) // 2 > FAMILIES[family]:
-            raise ConfigError(f"board {text!r} needs {columns * rows // 2} markers, {family} has {FAMILIES[family]}")
+            raise ConfigError(
+                f"board {text!r} needs {columns * rows // 2} markers, {family} has"
+                f" {FAMILIES[family]}"
+            )
         return BoardSpec(kind, columns, rows, square, marker, family, legacy)
 
 
@@ -101,7 +129,10 @@ def opencv_dictionary(family: str) -> cv2.aruco.Dictionary:
 def charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:
     """OpenCV's board object of a ChArUco spec."""
     board = cv2.aruco.CharucoBoard(
-        (spec.columns, spec.rows), float(spec.square_m), float(spec.marker_m), opencv_dictionary(spec.family)
+        (spec.columns, spec.rows),
+        float(spec.square_m),
+        float(spec.marker_m),
+        opencv_dictionary(spec.family),
     )
     board.setLegacyPattern(spec.legacy)
     return board

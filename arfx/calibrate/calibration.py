@@ -9,16 +9,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.calibrate.advice import Coverage, Verdict, coverage, figures, judge, next_picture, projection_uncertainty_px
+from arfx.calibrate.advice import (
+    Coverage,
+    Verdict,
+    coverage,
+    figures,
+    judge,
+    next_picture,
+    projection_uncertainty_px,
+)
 from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec
 from arfx.calibrate.corners import View, find_view, seen_instead
-from arfx.calibrate.screen import Rejected, drop_copies, drop_corners, most_varied, reject_views
+from arfx.calibrate.screen import (
+    Rejected,
+    drop_copies,
+    drop_corners,
+    most_varied,
+    reject_views,
+)
 from arfx.calibrate.solve import Evidence, Fit, Uncertainty, choose_model, fit, uncertainty
 from arfx.errors import InputError, NothingToDoError
 
 KEEP_VIEWS = 40  # more add little (errors fall with the root) and cost linearly
-SECOND_OPINIONS = 60  # pictures searched with both chessboard finders; of a video's frames the first ones
-UPSIDE_DOWN = (3, 4, 7, 8)  # EXIF's orientations of a camera held the other way up than by 1, 2, 5 and 6
+SECOND_OPINIONS = (
+    60  # pictures searched with both chessboard finders; of a video's frames the first ones
+)
+UPSIDE_DOWN = (
+    3,
+    4,
+    7,
+    8,
+)  # EXIF's orientations of a camera held the other way up than by 1, 2, 5 and 6
 LOOKED_AT = 4  # pictures without the board that are searched for other boards
 
 
@@ -32,8 +53,10 @@ class Picture(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Detection's result. spec : the board, its pattern corrected where the pictures say so; searched : pictures looked at;
-    empty : names of those without the board, with what was seen there; notices : for the user"""
+    """Detection's result. spec : the board, its pattern corrected where the pictures say
+    so; searched : pictures looked at;
+    empty : names of those without the board, with what was seen there; notices : for the user
+    """
 
     spec: BoardSpec
     views: tuple[View, ...]
@@ -45,8 +68,9 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """fitted, known, seen : solution, uncertainty from the views alone, coverage. finder_sd : (p,) what the choice of corner
-    finder adds, 0 where there is only one; standard_deviations : (p,) both together. evidence : every lens model's showing"""
+    """fitted, known, seen : solution, uncertainty from the views alone, coverage. finder_sd
+    : (p,) what the choice of corner finder adds, 0 where there is only one;
+    standard_deviations : (p,) both together. evidence : every lens model's showing"""
 
     spec: BoardSpec
     fitted: Fit
@@ -69,13 +93,17 @@ class Calibration:
         return np.hypot(self.known.standard_deviations, self.finder_sd)
 
 
-def find_board(pictures: Iterable[Picture], spec: BoardSpec, progress: Callable[[int, int], None] = lambda *_: None) -> Found:
-    """Search pictures for the board. Those that cannot be read, or are not of the camera's usual size and orientation, are
-    left out with a notice.
+def find_board(
+    pictures: Iterable[Picture],
+    spec: BoardSpec,
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> Found:
+    """Search pictures for the board. Those that cannot be read, or are not of the camera's
+    usual size and orientation, are left out with a notice.
 
     progress : called with pictures searched and boards found
-    Raises InputError where none can be read, or no size and orientation is that of most; NothingToDoError, saying what is seen
-    instead, if no board is found."""
+    Raises InputError where none can be read, or no size and orientation is that of most;
+    NothingToDoError, saying what is seen instead, if no board is found."""
     views, empty, notices = list[View](), list[str](), list[str]()
     damage: dict[str, list[tuple[str, str]]] = defaultdict(list)
     samples: list[tuple[str, np.ndarray]] = []
@@ -93,7 +121,10 @@ def find_board(pictures: Iterable[Picture], spec: BoardSpec, progress: Callable[
             view = find_view(gray, other, name)
             if view is not None:
                 was, spec = spec, other
-                notices.append(f"the board has the {'legacy' if spec.legacy else 'new'} pattern: {spec}, not {was}")
+                notices.append(
+                    f"the board has the {'legacy' if spec.legacy else 'new'} pattern:"
+                    f" {spec}, not {was}"
+                )
         if view is None:
             empty.append(name)
             if len(samples) < LOOKED_AT:
@@ -101,31 +132,50 @@ def find_board(pictures: Iterable[Picture], spec: BoardSpec, progress: Callable[
         else:
             views.append(view)
         progress(searched, len(views))
-    bad = ["; likewise ".join([rows[0][1], *(name for name, _ in rows[1:])]) for rows in damage.values()]
+    bad = [
+        "; likewise ".join([rows[0][1], *(name for name, _ in rows[1:])])
+        for rows in damage.values()
+    ]
     if bad and not kinds:
         raise InputError("; ".join(bad), "; ".join(damage))
-    notices += [f"left out: {text} ({hint})" for text, hint in zip(bad, damage, strict=True)]
+    notices += [
+        f"left out: {text} ({hint})" for text, hint in zip(bad, damage, strict=True)
+    ]
     others = _of_other_kinds(kinds, notices)
     views = [v for v in views if v.name not in others]
-    instead = tuple(f"{name}: {what}" for name, gray in samples if (what := seen_instead(gray, spec)))
+    instead = tuple(
+        f"{name}: {what}" for name, gray in samples if (what := seen_instead(gray, spec))
+    )
     if not views:
         if not kinds:
-            raise NothingToDoError("no pictures to search", "give images or a video of the board")
-        saw = f"; instead {'; '.join(instead)}" if instead else "; no other board or marker either"
+            raise NothingToDoError(
+                "no pictures to search", "give images or a video of the board"
+            )
+        saw = (
+            f"; instead {'; '.join(instead)}"
+            if instead
+            else "; no other board or marker either"
+        )
         saw += "".join(f"; {n}" for n in notices)
         raise NothingToDoError(
             f"board {spec} is in none of {searched} pictures{saw}",
-            "give the --board that was printed; a chessboard must be wholly in the picture, with a white margin",
+            "give the --board that was printed; a chessboard must be wholly in the picture,"
+            " with a white margin",
         )
     if instead:
         notices.append("mixed boards or markers: " + "; ".join(instead) + " (not used)")
     return Found(spec, tuple(views), searched, tuple(empty), instead, tuple(notices))
 
 
-def _of_other_kinds(kinds: Mapping[str, tuple[int, int, int]], notices: list[str]) -> set[str]:
-    """Names of the pictures that are not of the usual size, or upside down against the others; a notice says so.
+def _of_other_kinds(
+    kinds: Mapping[str, tuple[int, int, int]], notices: list[str]
+) -> set[str]:
+    """Names of the pictures that are not of the usual size, or upside down against the
+    others; a notice says so.
 
-    kinds : width, height and EXIF orientation by name. Raises InputError where no kind is that of most."""
+    kinds : width, height and EXIF orientation by name. Raises InputError where no kind is
+    that of most.
+    """
     groups: dict[tuple[int, int, bool], list[str]] = defaultdict(list)
     for name, (width, height, turn) in kinds.items():
         groups[width, height, turn in UPSIDE_DOWN].append(name)
@@ -134,15 +184,31 @@ def _of_other_kinds(kinds: Mapping[str, tuple[int, int, int]], notices: list[str
     mixed = len({turn for _, _, turn in kinds.values()}) > 1
     words = {}
     for (width, height, _), names in groups.items():
-        tags = f" by EXIF orientation {', '.join(map(str, sorted({kinds[n][2] for n in names})))}" if mixed else ""
-        words[names[0]] = f"{_first_names(names)} {'is' if len(names) == 1 else 'are'} {width}x{height}{tags}"
+        tags = (
+            " by EXIF orientation"
+            f" {', '.join(map(str, sorted({kinds[n][2] for n in names})))}"
+            if mixed
+            else ""
+        )
+        words[names[0]] = (
+            f"{_first_names(names)} {'is' if len(names) == 1 else 'are'}"
+            f" {width}x{height}{tags}"
+        )
     most = max(groups.values(), key=len)
-    cause = "; their EXIF orientations are mixed: the camera was turned, or its tags are wrong" if mixed else ""
+    cause = (
+        "; their EXIF orientations are mixed: the camera was turned, or its tags are wrong"
+        if mixed
+        else ""
+    )
     if 2 * len(most) <= len(kinds):
         raise InputError(
-            f"pictures of different sizes or orientations: {', '.join(words.values())}{cause}",
-            "a calibration belongs to one size and orientation: give those of one camera mode, held one way"
-            + (" (if they are, exiftool -Orientation=1 -n mends the tags)" if mixed else ""),
+            "pictures of different sizes or orientations:"
+            f" {', '.join(words.values())}{cause}",
+            "a calibration belongs to one size and orientation: give those of one camera"
+            " mode, held one way"
+            + (
+                " (if they are, exiftool -Orientation=1 -n mends the tags)" if mixed else ""
+            ),
         )
     usual = words.pop(most[0])
     notices.append(f"left out: {', '.join(words.values())}; {usual}{cause}")
@@ -150,17 +216,22 @@ def _of_other_kinds(kinds: Mapping[str, tuple[int, int, int]], notices: list[str
 
 
 def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
-    """Intrinsics from the views found. Raises NothingToDoError if fewer than three different views agree."""
+    """Intrinsics from the views found.
+
+    Raises NothingToDoError if fewer than three different views agree.
+    """
     notices = list(found.notices)
     unique, copies = drop_copies(found.views)
     unique = most_varied(unique, keep)
     if len(unique) < 3:
         raise NothingToDoError(
-            f"board {found.spec} is seen in {len(found.views)} of {found.searched} pictures, {len(unique)} of them different"
+            f"board {found.spec} is seen in {len(found.views)} of {found.searched}"
+            f" pictures, {len(unique)} of them different"
             + "".join(f"; {n}" for n in found.notices),
             "at least 3 different views are needed, 15 are good",
         )
-    # twice: with a rich model the views' errors are smaller, and a bad view stands out that hid behind the lens's distortion
+    # twice: with a rich model the views' errors are smaller, and a bad view stands out that
+    # hid behind the lens's distortion
     first_fit, rejected = reject_views(unique)
     chosen, _ = choose_model(first_fit.views)
     again, rejected = reject_views(unique, chosen.model)
@@ -174,41 +245,70 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     total = replace(known, covariance=known.covariance + np.outer(between, between))
     sd = total.standard_deviations
     projection = projection_uncertainty_px(fitted, total)
-    measured = figures(fitted, seen, float(max(sd[:2])), projection, chosen.held_out_rms_px, len(rejected))
+    measured = figures(
+        fitted, seen, float(max(sd[:2])), projection, chosen.held_out_rms_px, len(rejected)
+    )
     word, reasons = judge(measured)
     oriented = [v for v in fitted.views if v.upside_down is not None]
     usually = sum(bool(v.upside_down) for v in oriented) * 2 > len(oriented)
     turned = tuple(v.name for v in oriented if v.upside_down != usually)
     if copies:
-        notices.append(f"{len(copies)} views are copies of others and count once: {_first_names([c.name for c in copies])}")
+        notices.append(
+            f"{len(copies)} views are copies of others and count once:"
+            f" {_first_names([c.name for c in copies])}"
+        )
     notices += [f"{r.name} is left out: {r.reason}" for r in rejected]
     if turned:
-        notices.append(f"{len(turned)} views show the board upside down (corners renumbered): {_first_names(turned)}")
+        notices.append(
+            f"{len(turned)} views show the board upside down (corners renumbered):"
+            f" {_first_names(turned)}"
+        )
     if found.spec.turn_is_ambiguous and found.spec.kind == CHESSBOARD:
         notices.append(
-            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half a turn: which views are upside "
-            "down cannot be known (the intrinsics do not suffer; one odd and one even count avoids it)"
+            f"a {found.spec.columns}x{found.spec.rows} chessboard looks the same after half"
+            " a turn: which views are upside down cannot be known (the intrinsics do not"
+            " suffer; one odd and one even count avoids it)"
         )
     if found.empty:
-        notices.append(f"no board in {len(found.empty)} of {found.searched} pictures: {_first_names(found.empty)}")
+        notices.append(
+            f"no board in {len(found.empty)} of {found.searched} pictures:"
+            f" {_first_names(found.empty)}"
+        )
     if corners_dropped:
         notices.append(f"{corners_dropped} corners miss by far and are left out")
     verdict = Verdict(word, reasons, next_picture(fitted, known, found.spec))
     return Calibration(
-        found.spec, fitted, known, np.abs(between), seen, projection, chosen, tuple(table), verdict, measured, found,
-        tuple(copies), tuple(rejected), turned, tuple(notices),
-    )  # fmt: skip
+        found.spec,
+        fitted,
+        known,
+        np.abs(between),
+        seen,
+        projection,
+        chosen,
+        tuple(table),
+        verdict,
+        measured,
+        found,
+        tuple(copies),
+        tuple(rejected),
+        turned,
+        tuple(notices),
+    )
 
 
 def _finder_difference(fitted: Fit) -> np.ndarray:
-    """(p,) what the parameters move by when the other corner finder is taken, over sqrt(2): the standard deviation of two
-    equally careful measurements. On the views that have both; 0 where fewer than half of them, or fewer than 5, do."""
+    """(p,) what the parameters move by when the other corner finder is taken, over sqrt(2):
+    the standard deviation of two equally careful measurements. On the views that have both;
+    0 where fewer than half of them, or fewer than 5, do."""
     both = [v for v in fitted.views if v.alternative is not None]
     nothing = np.zeros(len(fitted.model.parameters))
     if len(both) < max(5, len(fitted.views) / 2):
         return nothing
     try:
-        other = fit([replace(v, pixels=v.alternative) for v in both if v.alternative is not None], fitted.model)
+        other = fit(
+            [replace(v, pixels=v.alternative) for v in both if v.alternative is not None],
+            fitted.model,
+        )
         own = fit(both, fitted.model)
     except NothingToDoError:
         return nothing

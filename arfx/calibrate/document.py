@@ -1,4 +1,6 @@
-"""A calibration as one JSON-able document, as extras of the camera file, and as lines for people."""
+"""A calibration as one JSON-able document, as extras of the camera file, and as lines for
+people.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,10 @@ from arfx.calibrate.calibration import Calibration
 
 
 def document(result: Calibration) -> dict[str, Any]:
-    """Everything that was found out. Lengths in px unless named otherwise; `camera_matrix` 3x3 nested."""
+    """Everything that was found out.
+
+    Lengths in px unless named otherwise; `camera_matrix` 3x3 nested.
+    """
     fitted, names = result.fitted, result.fitted.model.parameters
     camera = fitted.camera
     return {
@@ -25,11 +30,19 @@ def document(result: Calibration) -> dict[str, Any]:
         "camera_matrix": camera.matrix.tolist(),
         "distortion_coefficients": camera.distortion.tolist(),
         "lens_model": fitted.model.name,
-        "standard_deviations": dict(zip(names, result.standard_deviations.tolist(), strict=True)),
+        "standard_deviations": dict(
+            zip(names, result.standard_deviations.tolist(), strict=True)
+        ),
         "standard_deviation_parts": {
-            "independent_corners": dict(zip(names, result.known.independent.tolist(), strict=True)),
-            "between_views_jackknife": dict(zip(names, result.known.jackknife.tolist(), strict=True)),
-            "between_corner_finders": dict(zip(names, result.finder_sd.tolist(), strict=True)),
+            "independent_corners": dict(
+                zip(names, result.known.independent.tolist(), strict=True)
+            ),
+            "between_views_jackknife": dict(
+                zip(names, result.known.jackknife.tolist(), strict=True)
+            ),
+            "between_corner_finders": dict(
+                zip(names, result.finder_sd.tolist(), strict=True)
+            ),
         },
         "reprojection_rms_px": fitted.rms_px,
         "held_out_rms_px": result.chosen.held_out_rms_px,
@@ -42,55 +55,87 @@ def document(result: Calibration) -> dict[str, Any]:
         },
         "models": [
             {
-                "model": e.model.name, "held_out_rms_px": e.held_out_rms_px, "chosen": e is result.chosen, "rejected": e.rejected,
-                "fx": e.fitted.camera.fx if e.fitted else None, "rms_px": e.fitted.rms_px if e.fitted else None,
+                "model": e.model.name,
+                "held_out_rms_px": e.held_out_rms_px,
+                "chosen": e is result.chosen,
+                "rejected": e.rejected,
+                "fx": e.fitted.camera.fx if e.fitted else None,
+                "rms_px": e.fitted.rms_px if e.fitted else None,
             }
             for e in result.evidence
         ],
         "coverage": {
-            "cells": result.seen.cells, "counts": result.seen.counts.tolist(), "radius": result.seen.radius,
-            "tilt_max_deg": float(result.seen.tilt_deg.max()), "tilt_span_deg": result.seen.span_deg,
+            "cells": result.seen.cells,
+            "counts": result.seen.counts.tolist(),
+            "radius": result.seen.radius,
+            "tilt_max_deg": float(result.seen.tilt_deg.max()),
+            "tilt_span_deg": result.seen.span_deg,
             "tilt_directions": result.seen.directions,
         },
         "figures": result.figures,
         "pictures": {
-            "searched": result.found.searched, "with_board": len(result.found.views), "used": len(fitted.views),
-            "without_board": list(result.found.empty), "other_boards": list(result.found.instead),
+            "searched": result.found.searched,
+            "with_board": len(result.found.views),
+            "used": len(fitted.views),
+            "without_board": list(result.found.empty),
+            "other_boards": list(result.found.instead),
             "copies": [{"name": c.name, "reason": c.reason} for c in result.copies],
             "rejected": [{"name": r.name, "reason": r.reason} for r in result.rejected],
             "upside_down": list(result.upside_down),
         },
         "views": [
             {
-                "name": v.name, "corners": len(v.ids), "finder": v.finder, "rms_px": float(fitted.view_rms_px[i]),
-                "held_out_rms_px": float(result.chosen.held_out_px[i]), "tilt_deg": float(result.seen.tilt_deg[i]),
-                "tilt_towards_deg": float(result.seen.azimuth_deg[i]), "sharpness": v.sharpness,
+                "name": v.name,
+                "corners": len(v.ids),
+                "finder": v.finder,
+                "rms_px": float(fitted.view_rms_px[i]),
+                "held_out_rms_px": float(result.chosen.held_out_px[i]),
+                "tilt_deg": float(result.seen.tilt_deg[i]),
+                "tilt_towards_deg": float(result.seen.azimuth_deg[i]),
+                "sharpness": v.sharpness,
             }
             for i, v in enumerate(fitted.views)
         ],
-    }  # fmt: skip
+    }
 
 
 def file_extras(result: Calibration) -> dict[str, Any]:
     """What the camera file holds besides the camera."""
     d = document(result)
-    keys = ("verdict", "reasons", "board", "lens_model", "standard_deviations", "reprojection_rms_px", "held_out_rms_px")
+    keys = (
+        "verdict",
+        "reasons",
+        "board",
+        "lens_model",
+        "standard_deviations",
+        "reprojection_rms_px",
+        "held_out_rms_px",
+    )
     return {k: d[k] for k in keys} | {"views_used": len(result.fitted.views)}
 
 
 def summary(result: Calibration) -> list[str]:
     """Lines for a terminal."""
     fitted, tilt = result.fitted, result.seen.tilt_deg
-    pairs = zip(fitted.model.parameters, fitted.values, result.standard_deviations, strict=True)
-    numbers = [f"{n} {v:.2f} ±{s:.2f}" if n[0] in "fc" else f"{n} {v:.4f} ±{s:.4f}" for n, v, s in pairs]
+    pairs = zip(
+        fitted.model.parameters, fitted.values, result.standard_deviations, strict=True
+    )
+    numbers = [
+        f"{n} {v:.2f} ±{s:.2f}" if n[0] in "fc" else f"{n} {v:.4f} ±{s:.4f}"
+        for n, v, s in pairs
+    ]
     out = [
         f"verdict: {result.verdict.word}",
         *(f"  - {r}" for r in result.verdict.reasons),
         f"intrinsics: {', '.join(numbers[:4])} px",
-        f"lens model {fitted.model.name}" + (f": {', '.join(numbers[4:])}" if numbers[4:] else ""),
-        f"{len(fitted.views)} views: rms {fitted.rms_px:.3f} px, held out {result.chosen.held_out_rms_px:.3f} px; "
-        f"tilt {tilt.min():.0f} to {tilt.max():.0f}°, {(tilt > TILTED_DEG).sum()} of {len(tilt)} views above {TILTED_DEG:.0f}°; "
-        f"{result.seen.cells:.0%} of the picture covered",
+        f"lens model {fitted.model.name}"
+        + (f": {', '.join(numbers[4:])}" if numbers[4:] else ""),
+        (
+            f"{len(fitted.views)} views: rms {fitted.rms_px:.3f} px, held out"
+            f" {result.chosen.held_out_rms_px:.3f} px; tilt {tilt.min():.0f} to"
+            f" {tilt.max():.0f}°, {(tilt > TILTED_DEG).sum()} of {len(tilt)} views above"
+            f" {TILTED_DEG:.0f}°; {result.seen.cells:.0%} of the picture covered"
+        ),
     ]
     out += [f"note: {n}" for n in result.notices]
     return [*out, f"next picture: {result.verdict.next_picture}"]

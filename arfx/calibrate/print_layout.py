@@ -1,4 +1,5 @@
-"""A printed sheet: markers or a board, their labels and a ruler, in millimetres on a page; and its file, true to scale.
+"""A printed sheet: markers or a board, their labels and a ruler, in millimetres on a page;
+and its file, true to scale.
 
 Page coordinates: x right, y down from the upper left corner."""
 
@@ -12,7 +13,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from arfx.calibrate.board import CHARUCO, CHESSBOARD, BoardSpec, charuco_board, opencv_dictionary
+from arfx.calibrate.board import (
+    CHARUCO,
+    CHESSBOARD,
+    BoardSpec,
+    charuco_board,
+    opencv_dictionary,
+)
 from arfx.core.guard import atomic_write
 from arfx.core.marker import FAMILIES, MarkerSpec
 from arfx.core.units import length_m
@@ -35,7 +42,10 @@ RULER_MM = (100.0, 50.0)  # the first that fits
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Square cells of one size. x_mm, y_mm : upper left corner; cell_mm : side; black : (rows, columns) bool"""
+    """Square cells of one size.
+
+    x_mm, y_mm : upper left corner; cell_mm : side; black : (rows, columns) bool
+    """
 
     x_mm: float
     y_mm: float
@@ -76,13 +86,20 @@ def parse_targets(texts: Sequence[str]) -> list[Target]:
         elif m := re.fullmatch(r"([^:]+):(\d+)-(\d+):(.+)", text.strip()):
             first, last = int(m[2]), int(m[3])
             if last < first:
-                raise ConfigError(f"markers {text!r}: the range runs backwards", f"{m[1]}:{last}-{first}:{m[4]}")
-            MarkerSpec.parse(f"{m[1]}:{last}:{m[4]}")  # a range that is too long fails here, before it is listed
+                raise ConfigError(
+                    f"markers {text!r}: the range runs backwards",
+                    f"{m[1]}:{last}-{first}:{m[4]}",
+                )
+            MarkerSpec.parse(
+                f"{m[1]}:{last}:{m[4]}"
+            )  # a range that is too long fails here, before it is listed
             out += [MarkerSpec.parse(f"{m[1]}:{i}:{m[4]}") for i in range(first, last + 1)]
         else:
             out.append(MarkerSpec.parse(text))
     if any(isinstance(t, BoardSpec) for t in out) and len(out) > 1:
-        raise ConfigError("a board fills its own sheet", "one board, or any number of markers")
+        raise ConfigError(
+            "a board fills its own sheet", "one board, or any number of markers"
+        )
     return out
 
 
@@ -94,15 +111,24 @@ def page_mm(name: str) -> tuple[float, float]:
         width, height = (1000 * length_m(g, what=f"page {name!r}") for g in m.groups())
         if width > 0 and height > 0:
             return width, height
-    raise ConfigError(f"unknown page {name!r}", f"{', '.join(PAGES_MM)}, or a size such as 300mmx400mm")
+    raise ConfigError(
+        f"unknown page {name!r}", f"{', '.join(PAGES_MM)}, or a size such as 300mmx400mm"
+    )
 
 
 def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
-    """The sheet, upright if it fits so, else across. Raises ConfigError, with the sizes, if it fits neither way."""
+    """The sheet, upright if it fits so, else across.
+
+    Raises ConfigError, with the sizes, if it fits neither way.
+    """
     width, height = page_mm(page)
     problems = []
     for w, h in ((width, height), (height, width)):
-        sheet = _board_sheet(targets[0], w, h) if isinstance(targets[0], BoardSpec) else _marker_sheet(targets, w, h)
+        sheet = (
+            _board_sheet(targets[0], w, h)
+            if isinstance(targets[0], BoardSpec)
+            else _marker_sheet(targets, w, h)
+        )
         if isinstance(sheet, Sheet):
             return sheet
         problems.append(sheet)
@@ -126,8 +152,13 @@ def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> She
     room_x, room_y = width - 2 * over, height - over - FOOT_MM
     across, down = int((room_x + 1e-6) // pitch_x), int((room_y + 1e-6) // pitch_y)
     if across * down < len(markers):
-        wanted = f"{largest:g} mm, with white margin and label {pitch_x:.0f} x {pitch_y:.0f} mm"
-        return f"{across * down} of {len(markers)} markers ({wanted}) fit on {width:g} x {height:g} mm"
+        wanted = (
+            f"{largest:g} mm, with white margin and label {pitch_x:.0f} x {pitch_y:.0f} mm"
+        )
+        return (
+            f"{across * down} of {len(markers)} markers ({wanted}) fit on {width:g} x"
+            f" {height:g} mm"
+        )
     columns = min(across, len(markers))
     rows = -(-len(markers) // columns)
     left, top = (width - columns * pitch_x) / 2, over + (room_y - rows * pitch_y) / 2
@@ -139,8 +170,20 @@ def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> She
         bits = marker_bits(m.family, m.id)
         cells.append(Cells(middle - size / 2, upper, size / len(bits), bits))
         words = f"{m}" if size >= 40 else f"{m.family}:{m.id} {size:g}mm"
-        texts.append(Text(middle, top + (i // columns) * pitch_y + 2 * white + largest + LABEL_MM - 1, words))
-    return _with_ruler(", ".join(map(str, markers[:4])) + (" ..." if len(markers) > 4 else ""), width, height, cells, texts)
+        texts.append(
+            Text(
+                middle,
+                top + (i // columns) * pitch_y + 2 * white + largest + LABEL_MM - 1,
+                words,
+            )
+        )
+    return _with_ruler(
+        ", ".join(map(str, markers[:4])) + (" ..." if len(markers) > 4 else ""),
+        width,
+        height,
+        cells,
+        texts,
+    )
 
 
 def _board_sheet(spec: BoardSpec, width: float, height: float) -> Sheet | str:
@@ -150,55 +193,89 @@ def _board_sheet(spec: BoardSpec, width: float, height: float) -> Sheet | str:
     w, h = columns * square, rows * square
     room_x, room_y = width - 2 * MARGIN_MM, height - MARGIN_MM - FOOT_MM - LABEL_MM
     if w > room_x + 1e-6 or h > room_y + 1e-6:
-        return f"{spec} is {w:g} x {h:g} mm; of {width:g} x {height:g} mm {room_x:g} x {room_y:g} can be printed on"
+        return (
+            f"{spec} is {w:g} x {h:g} mm; of {width:g} x {height:g} mm {room_x:g} x"
+            f" {room_y:g} can be printed on"
+        )
     x, y = (width - w) / 2, MARGIN_MM + (room_y - h) / 2
-    # OpenCV draws the first square black, and with the legacy pattern white where the number of rows is even
+    # OpenCV draws the first square black, and with the legacy pattern white where the
+    # number of rows is even
     first_white = spec.legacy and spec.rows % 2 == 0
     i, j = np.mgrid[0:rows, 0:columns]
     cells = [Cells(x, y, square, (i + j) % 2 == int(first_white))]
     if spec.kind == CHARUCO:
         board = charuco_board(spec)
-        for number, corners in zip(np.ravel(board.getIds()), board.getObjPoints(), strict=True):
+        for number, corners in zip(
+            np.ravel(board.getIds()), board.getObjPoints(), strict=True
+        ):
             bits = marker_bits(spec.family, int(number))
             corner = 1000 * np.asarray(corners, float)[0]
-            cells.append(Cells(x + corner[0], y + corner[1], spec.marker_m * 1000 / len(bits), bits))
+            cells.append(
+                Cells(x + corner[0], y + corner[1], spec.marker_m * 1000 / len(bits), bits)
+            )
     words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
-    return _with_ruler(str(spec), width, height, cells, [Text(width / 2, y + h + LABEL_MM, words)])
+    return _with_ruler(
+        str(spec), width, height, cells, [Text(width / 2, y + h + LABEL_MM, words)]
+    )
 
 
-def _with_ruler(title: str, width: float, height: float, cells: list[Cells], texts: list[Text]) -> Sheet:
+def _with_ruler(
+    title: str, width: float, height: float, cells: list[Cells], texts: list[Text]
+) -> Sheet:
     length = next((r for r in RULER_MM if r <= width - 2 * MARGIN_MM), RULER_MM[-1])
     x, y = (width - length) / 2, height - MARGIN_MM
     lines = [(x, y, x + length, y)]
     ticks = np.arange(0, length + 1, 10)
     lines += [(x + t, y - (3.0 if t in (0, length) else 1.5), x + t, y) for t in ticks]
-    texts = [*texts, Text(width / 2, y - 3.5, f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'")]
+    texts = [
+        *texts,
+        Text(
+            width / 2,
+            y - 3.5,
+            f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'",
+        ),
+    ]
     return Sheet(title, width, height, tuple(cells), tuple(texts), tuple(lines))
 
 
 def marker_bits(family: str, number: int) -> np.ndarray:
-    """(n, n) bool, True = black; n modules along the marker's black square, its border of one included."""
+    """(n, n) bool, True = black; n modules along the marker's black square, its border of
+    one included.
+    """
     if not 0 <= number < FAMILIES[family]:
-        raise ConfigError(f"marker {family}:{number}: {family} has ids 0 to {FAMILIES[family] - 1}")
+        raise ConfigError(
+            f"marker {family}:{number}: {family} has ids 0 to {FAMILIES[family] - 1}"
+        )
     dictionary = opencv_dictionary(family)
-    return cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) < 128
+    return (
+        cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) < 128
+    )
 
 
 def outlines(cells: Cells) -> np.ndarray:
-    """(n, 4, 2) mm, a rectangle for every run of black cells in a row: filled as one path they show no hairlines between them."""
+    """(n, 4, 2) mm, a rectangle for every run of black cells in a row: filled as one path
+    they show no hairlines between them.
+    """
     edges = np.diff(np.pad(cells.black, ((0, 0), (1, 1))).astype(int))
     (row, left), (_, right) = np.argwhere(edges > 0).T, np.argwhere(edges < 0).T
-    corners = np.array([(left, row), (right, row), (right, row + 1), (left, row + 1)], float)
+    corners = np.array(
+        [(left, row), (right, row), (right, row + 1), (left, row + 1)], float
+    )
     return corners.transpose(2, 0, 1) * cells.cell_mm + [cells.x_mm, cells.y_mm]
 
 
 def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
-    """Write by the ending of the name: .pdf, .svg or .png (dpi, to the nearest of which all edges are rounded).
+    """Write by the ending of the name: .pdf, .svg or .png (dpi, to the nearest of which all
+    edges are rounded).
 
-    The file appears by atomic rename. Raises ConfigError for other endings and for a PNG that is too large."""
+    The file appears by atomic rename. Raises ConfigError for other endings and for a PNG
+    that is too large."""
     ending = path.suffix.lower()
     if ending not in (".pdf", ".svg", ".png"):
-        raise ConfigError(f"{path}: cannot write {ending or 'a file without ending'}", "a name that ends in .pdf, .svg or .png")
+        raise ConfigError(
+            f"{path}: cannot write {ending or 'a file without ending'}",
+            "a name that ends in .pdf, .svg or .png",
+        )
     with atomic_write(path) as part:
         if ending == ".png":
             _png(sheet, part, dpi)
@@ -218,12 +295,30 @@ def _drawn(sheet: Sheet, path: Path, kind: str) -> None:
     axes.set(xlim=(0, sheet.width_mm), ylim=(sheet.height_mm, 0))
     axes.set_axis_off()
     for cells in sheet.cells:
-        path_of_all = Outline.make_compound_path_from_polys(outlines(cells)[:, [0, 1, 2, 3, 0]])
-        axes.add_patch(PathPatch(path_of_all, facecolor="black", edgecolor="none", linewidth=0))
+        path_of_all = Outline.make_compound_path_from_polys(
+            outlines(cells)[:, [0, 1, 2, 3, 0]]
+        )
+        axes.add_patch(
+            PathPatch(path_of_all, facecolor="black", edgecolor="none", linewidth=0)
+        )
     for x0, y0, x1, y1 in sheet.lines:
-        axes.plot([x0, x1], [y0, y1], color="black", linewidth=LINE_MM / MM_PER_INCH * 72, solid_capstyle="butt", clip_on=False)
+        axes.plot(
+            [x0, x1],
+            [y0, y1],
+            color="black",
+            linewidth=LINE_MM / MM_PER_INCH * 72,
+            solid_capstyle="butt",
+            clip_on=False,
+        )
     for t in sheet.texts:
-        axes.text(t.x_mm, t.y_mm, t.words, ha="center", va="baseline", fontsize=TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72)
+        axes.text(
+            t.x_mm,
+            t.y_mm,
+            t.words,
+            ha="center",
+            va="baseline",
+            fontsize=TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72,
+        )
     # no date and no random names, so that the same sheet gives the same bytes
     undated = {"CreationDate" if kind == "pdf" else "Date": None}
     with rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}):
@@ -237,13 +332,18 @@ def _png(sheet: Sheet, path: Path, dpi: float) -> None:
     size = round(sheet.width_mm * scale), round(sheet.height_mm * scale)
     if not 36 <= dpi <= 4800 or max(size) > LARGEST_PX:
         raise ConfigError(
-            f"{dpi:g} dpi gives a picture of {size[0]}x{size[1]} px", f"36 to 4800 dpi, up to {LARGEST_PX} px; or .pdf, .svg"
+            f"{dpi:g} dpi gives a picture of {size[0]}x{size[1]} px",
+            f"36 to 4800 dpi, up to {LARGEST_PX} px; or .pdf, .svg",
         )
     picture = np.full((size[1], size[0]), 255, np.uint8)
     for cells in sheet.cells:
         rows, columns = cells.black.shape
-        xs = np.round((cells.x_mm + cells.cell_mm * np.arange(columns + 1)) * scale).astype(int)
-        ys = np.round((cells.y_mm + cells.cell_mm * np.arange(rows + 1)) * scale).astype(int)
+        xs = np.round((cells.x_mm + cells.cell_mm * np.arange(columns + 1)) * scale).astype(
+            int
+        )
+        ys = np.round((cells.y_mm + cells.cell_mm * np.arange(rows + 1)) * scale).astype(
+            int
+        )
         for r, c in np.argwhere(cells.black):
             picture[ys[r] : ys[r + 1], xs[c] : xs[c + 1]] = 0
     image = Image.fromarray(picture)

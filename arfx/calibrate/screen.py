@@ -1,8 +1,10 @@
-"""Which views take part. Of a video: sharp frames, and the most varied of the views in them. Copies are dropped, views that
-disagree with the others are rejected, then single wrong corners.
+"""Which views take part. Of a video: sharp frames, and the most varied of the views in
+them. Copies are dropped, views that disagree with the others are rejected, then single
+wrong corners.
 
-Rejection starts from the subset of views that agrees best with the most others (as in RANSAC), so that some views of another
-board or camera cannot drag the solution to themselves first."""
+Rejection starts from the subset of views that agrees best with the most others (as in
+RANSAC), so that some views of another board or camera cannot drag the solution to
+themselves first."""
 
 from __future__ import annotations
 
@@ -16,18 +18,26 @@ from arfx.calibrate.corners import View
 from arfx.calibrate.solve import FIRST_MODEL, Fit, LensModel, fit, pose_residual, rms
 from arfx.errors import NothingToDoError
 
-# Two views whose corners lie within this share of the picture's width of each other are one view seen twice: they would count
-# the same noise, and the same bent board, as if they were independent. 2 px at 640.
+# Two views whose corners lie within this share of the picture's width of each other are one
+# view seen twice: they would count the same noise, and the same bent board, as if they were
+# independent. 2 px at 640.
 SAME_VIEW_FRACTION = 0.003
-# A view is rejected when its rms is this many robust standard deviations above the median of all, and twice the median. With
-# views that differ only by chance (n corners each, rms spread about 1/sqrt(2n)) neither is reached in 10,000 views.
+# A view is rejected when its rms is this many robust standard deviations above the median
+# of all, and twice the median. With views that differ only by chance (n corners each, rms
+# spread about 1/sqrt(2n)) neither is reached in 10,000 views.
 REJECT_SIGMA, REJECT_RATIO = 5.0, 2.0
-FLOOR_PX = 0.05  # below this a view is fine whatever the others do: corner noise of the best pictures
+# below this a view is fine whatever the others do: corner noise of the best pictures
+FLOOR_PX = 0.05
 SUBSETS, SUBSET_SIZE = 12, 5
-# A corner is left out when it misses by this many times the typical miss: chance does so once in exp(20) = 5e8 corners.
+# A corner is left out when it misses by this many times the typical miss: chance does so
+# once in exp(20) = 5e8 corners.
 CORNER_RATIO = 4.5
-BLUR_FRACTION = 0.7  # views with less than this share of the median corner sharpness are left out: blur moves corners
-MOST_CORNERS = 0.1  # of a view; one that would lose more stays as it is, for `reject_views` to judge
+# views with less than this share of the median corner sharpness are left out: blur moves
+# corners
+BLUR_FRACTION = 0.7
+MOST_CORNERS = (
+    0.1  # of a view; one that would lose more stays as it is, for `reject_views` to judge
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,27 +53,46 @@ def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
     kept: list[View] = []
     dropped: list[Rejected] = []
     for view in sorted(views, key=lambda v: -v.sharpness):
-        twin = next((k for k in kept if _moved_px(view, k) < SAME_VIEW_FRACTION * view.size[0]), None)
+        twin = next(
+            (k for k in kept if _moved_px(view, k) < SAME_VIEW_FRACTION * view.size[0]),
+            None,
+        )
         if twin is None:
             kept.append(view)
         else:
             moved = _moved_px(view, twin)
-            dropped.append(Rejected(view.name, f"the same view as {twin.name}: its corners moved {moved:.2f} px"))
+            dropped.append(
+                Rejected(
+                    view.name,
+                    f"the same view as {twin.name}: its corners moved {moved:.2f} px",
+                )
+            )
     order = {id(v): i for i, v in enumerate(views)}
     return sorted(kept, key=lambda v: order[id(v)]), dropped
 
 
 def _moved_px(a: View, b: View) -> float:
-    """Root mean square distance of the corners both have; inf if they share fewer than half. Half turns count as equal."""
+    """Root mean square distance of the corners both have; inf if they share fewer than
+    half. Half turns count as equal.
+    """
     shared, ia, ib = np.intersect1d(a.ids, b.ids, return_indices=True)
     if len(shared) < max(len(a.ids), len(b.ids)) / 2:
         return float("inf")
     straight = rms(a.pixels[ia] - b.pixels[ib])
-    return min(straight, rms(a.pixels[ia] - b.pixels[ib][::-1])) if len(shared) == len(a.ids) == len(b.ids) else straight
+    return (
+        min(straight, rms(a.pixels[ia] - b.pixels[ib][::-1]))
+        if len(shared) == len(a.ids) == len(b.ids)
+        else straight
+    )
 
 
-def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL) -> tuple[Fit, list[Rejected]]:
-    """The fit of the views that agree, and the views that do not. Raises NothingToDoError if no three views agree."""
+def reject_views(
+    views: Sequence[View], model: LensModel = FIRST_MODEL
+) -> tuple[Fit, list[Rejected]]:
+    """The fit of the views that agree, and the views that do not.
+
+    Raises NothingToDoError if no three views agree.
+    """
     start = _most_agreed(views, model)
     inside = [v for v in views if start is None or v in start]
     fitted = fit(inside, model)
@@ -78,7 +107,11 @@ def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL) -> tuple
     errors = np.array([typical_px(pose_residual(v, fitted.camera)) for v in views])
     usual = float(np.median([typical_px(r) for r in fitted.residuals]))
     left_out = [
-        Rejected(v.name, f"its corners miss by {e:.2f} px with the camera of the other views, which miss by {usual:.2f} px")
+        Rejected(
+            v.name,
+            f"its corners miss by {e:.2f} px with the camera of the other views, which miss"
+            f" by {usual:.2f} px",
+        )
         for v, e in zip(views, errors, strict=True)
         if v not in inside
     ]
@@ -86,15 +119,16 @@ def reject_views(views: Sequence[View], model: LensModel = FIRST_MODEL) -> tuple
 
 
 def typical_px(residuals: np.ndarray) -> float:
-    """The rms length of residuals (n, 2) estimated from their median (of a round Gaussian, median of squares = ln 2 x mean):
-    a few wrong corners do not make a wrong view."""
+    """The rms length of residuals (n, 2) estimated from their median (of a round Gaussian,
+    median of squares = ln 2 x mean): a few wrong corners do not make a wrong view."""
     return float(np.sqrt(np.median((residuals**2).sum(1)) / np.log(2)))
 
 
 def drop_corners(fitted: Fit) -> tuple[list[View], int]:
     """The views without corners that miss by far, and how many those were.
 
-    One by one, the worst first, with the pose found anew each time: a wrong corner drags its neighbours' residuals along."""
+    One by one, the worst first, with the pose found anew each time: a wrong corner drags
+    its neighbours' residuals along."""
     limit = CORNER_RATIO * max(FLOOR_PX, typical_px(np.concatenate(fitted.residuals)))
     out, dropped = [], 0
     for view, residual in zip(fitted.views, fitted.residuals, strict=True):
@@ -102,7 +136,12 @@ def drop_corners(fitted: Fit) -> tuple[list[View], int]:
         trimmed = view
         while (misses := np.linalg.norm(residual, axis=1)).max() > limit:
             kept[np.flatnonzero(kept)[misses.argmax()]] = False
-            trimmed = replace(view, ids=view.ids[kept], board_m=view.board_m[kept], pixels=view.pixels[kept])
+            trimmed = replace(
+                view,
+                ids=view.ids[kept],
+                board_m=view.board_m[kept],
+                pixels=view.pixels[kept],
+            )
             if (~kept).sum() > MOST_CORNERS * len(kept):
                 kept[:] = True
                 break
@@ -111,7 +150,12 @@ def drop_corners(fitted: Fit) -> tuple[list[View], int]:
             out.append(view)
             continue
         dropped += int((~kept).sum())
-        out.append(replace(trimmed, alternative=None if view.alternative is None else view.alternative[kept]))
+        out.append(
+            replace(
+                trimmed,
+                alternative=None if view.alternative is None else view.alternative[kept],
+            )
+        )
     return out, dropped
 
 
@@ -123,12 +167,17 @@ def rejection_limit_px(view_rms_px: np.ndarray) -> float:
 
 
 def _most_agreed(views: Sequence[View], model: LensModel) -> list[View] | None:
-    """The views that the best of some small subsets agrees with; None if all views together are as good."""
+    """The views that the best of some small subsets agrees with; None if all views together
+    are as good.
+    """
     if len(views) <= SUBSET_SIZE:
         return None
     rng = np.random.default_rng(0)
     candidates: list[Sequence[View]] = [views]
-    candidates += [[views[i] for i in rng.choice(len(views), SUBSET_SIZE, replace=False)] for _ in range(SUBSETS)]
+    candidates += [
+        [views[i] for i in rng.choice(len(views), SUBSET_SIZE, replace=False)]
+        for _ in range(SUBSETS)
+    ]
     best, best_score, best_index = None, float("inf"), 0
     for index, subset in enumerate(candidates):
         try:
@@ -136,8 +185,11 @@ def _most_agreed(views: Sequence[View], model: LensModel) -> list[View] | None:
         except NothingToDoError:
             continue
         errors = np.array([typical_px(pose_residual(v, camera)) for v in views])
-        score = float(np.quantile(errors, 0.6))  # a majority must agree; what the others say does not matter
-        # a small subset must be clearly better: its intrinsics are weaker, so equal agreement speaks for all views
+        score = float(
+            np.quantile(errors, 0.6)
+        )  # a majority must agree; what the others say does not matter
+        # a small subset must be clearly better: its intrinsics are weaker, so equal
+        # agreement speaks for all views
         if score < best_score * (1.0 if best_index else 0.7) or best is None:
             best, best_score, best_index = errors, score, index
     if best is None or best_index == 0:
@@ -148,14 +200,22 @@ def _most_agreed(views: Sequence[View], model: LensModel) -> list[View] | None:
 
 
 def picture_sharpness(gray: np.ndarray) -> float:
-    """Variance of the Laplacian of the picture at about 640 px width; only comparable between frames of one clip."""
+    """Variance of the Laplacian of the picture at about 640 px width; only comparable
+    between frames of one clip.
+    """
     factor = max(1, round(gray.shape[1] / 640))
-    small = cv2.resize(gray, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(
+        gray, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA
+    )
     return float(cv2.Laplacian(small, cv2.CV_32F).var())
 
 
-def sharpest_of_each(frames: Iterable[tuple[str, np.ndarray]], group: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Of every `group` frames (name, gray) in a row the sharpest, so that 1 in `group` is searched for the board."""
+def sharpest_of_each(
+    frames: Iterable[tuple[str, np.ndarray]], group: int
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Of every `group` frames (name, gray) in a row the sharpest, so that 1 in `group` is
+    searched for the board.
+    """
     best: tuple[str, np.ndarray] | None = None
     best_score, count = -1.0, 0
     for name, gray in frames:
@@ -171,7 +231,9 @@ def sharpest_of_each(frames: Iterable[tuple[str, np.ndarray]], group: int) -> It
 
 
 def most_varied(views: Sequence[View], keep: int) -> list[View]:
-    """At most `keep` sharp views that differ most in place, size and tilt, in their order (farthest point selection)."""
+    """At most `keep` sharp views that differ most in place, size and tilt, in their order
+    (farthest point selection).
+    """
     if len(views) <= keep:
         return list(views)
     usual = float(np.median([v.sharpness for v in views]))
@@ -183,21 +245,32 @@ def most_varied(views: Sequence[View], keep: int) -> list[View]:
     nearest = np.linalg.norm(features - features[chosen[0]], axis=1)
     while len(chosen) < keep:
         chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, np.linalg.norm(features - features[chosen[-1]], axis=1))
+        nearest = np.minimum(
+            nearest, np.linalg.norm(features - features[chosen[-1]], axis=1)
+        )
     return [sharp[i] for i in sorted(chosen)]
 
 
 def _features(view: View) -> np.ndarray:
     """Place (2), size, and foreshortening (2) of a board, each about 1 over its range.
 
-    Foreshortening: the perspective terms of the homography times the board's size; 0 facing the camera."""
+    Foreshortening: the perspective terms of the homography times the board's size; 0 facing
+    the camera.
+    """
     xy = view.board_m[:, :2] - view.board_m[:, :2].mean(0)
     extent = float(np.ptp(xy, axis=0).max())
     h, _ = cv2.findHomography(xy / extent, view.pixels)
     lean = h[2, :2] if h is not None else np.zeros(2)
     width = view.size[0]
     middle = view.pixels.mean(0) / width
-    # turned to the picture's axes, so that a board lying on its side with the same tilt is the same view
+    # turned to the picture's axes, so that a board lying on its side with the same tilt is
+    # the same view
     turn = float(np.arctan2(h[1, 0], h[0, 0])) if h is not None else 0.0
     c, s = np.cos(turn), np.sin(turn)
-    return np.array([*middle, float(np.ptp(view.pixels, axis=0).max()) / width, *(3 * np.array([[c, -s], [s, c]]) @ lean)])
+    return np.array(
+        [
+            *middle,
+            float(np.ptp(view.pixels, axis=0).max()) / width,
+            *(3 * np.array([[c, -s], [s, c]]) @ lean),
+        ]
+    )

@@ -1,12 +1,18 @@
-"""Least squares intrinsics from views of a board, with covariance; and which lens model the views call for.
+"""Least squares intrinsics from views of a board, with covariance; and which lens model the
+views call for.
 
-Source: Zhang 2000 through cv2.calibrateCamera; covariance: delete-one-view jackknife, linearised at the solution
-(Efron and Stein 1981; Bell and McCaffrey 2002), because the errors of corners in one picture are not independent (blur,
-light, a bent board) and sigma^2 (J^T J)^-1, which assumes that they are, is then too small.
-The model is the simplest that predicts views it has not seen as well as the best does: one-standard-error rule (Hastie,
-Tibshirani and Friedman, The Elements of Statistical Learning, 7.10) of a cross-validation by view. Leaving out single corners, or
-an information criterion that counts corners as independent, favours models that are too rich.
-Cost: 10 ms for 14 views of 54 corners, .1-.3 s for 40 views of 77; (models x folds) times that for the choice."""
+Source: Zhang 2000 through cv2.calibrateCamera; covariance: delete-one-view jackknife,
+linearised at the solution
+(Efron and Stein 1981; Bell and McCaffrey 2002), because the errors of corners in one
+picture are not independent (blur, light, a bent board) and sigma^2 (J^T J)^-1, which
+assumes that they are, is then too small. The model is the simplest that predicts views it
+has not seen as well as the best does: one-standard-error rule (Hastie, Tibshirani and
+Friedman, The Elements of Statistical Learning, 7.10) of a cross-validation by view. Leaving
+out single corners, or an information criterion that counts corners as independent, favours
+models that are too rich.
+Cost: 10 ms for 14 views of 54 corners, .1-.3 s for 40 views of 77; (models x folds) times
+that for the choice.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +28,8 @@ from arfx.core.numerics import condition, divide
 from arfx.errors import ArfxError, NothingToDoError
 
 FOLDS = 7
-# An improvement of the held-out error by less than this is not worth a parameter, however certain it is.
+# An improvement of the held-out error by less than this is not worth a parameter, however
+# certain it is.
 LEAST_GAIN = 0.005
 NO_K = cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-9)
@@ -30,7 +37,9 @@ STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-9)
 
 @dataclass(frozen=True, slots=True)
 class LensModel:
-    """A nested lens model. free : indices into OpenCV's coefficients that are estimated; the others are zero."""
+    """A nested lens model. free : indices into OpenCV's coefficients that are estimated;
+    the others are zero.
+    """
 
     name: str
     flags: int
@@ -46,7 +55,9 @@ COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 # Each model holds the one before it.
 MODELS = (
     LensModel("pinhole", NO_K | cv2.CALIB_ZERO_TANGENT_DIST, ()),
-    LensModel("k1", cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0,)),
+    LensModel(
+        "k1", cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0,)
+    ),
     LensModel("k1 k2", cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0, 1)),
     LensModel("k1 k2 p1 p2", cv2.CALIB_FIX_K3, (0, 1, 2, 3)),
     LensModel("k1 k2 p1 p2 k3", 0, (0, 1, 2, 3, 4)),
@@ -59,8 +70,11 @@ FIRST_MODEL = MODELS[2]  # for telling good views from bad ones, before a model 
 class Fit:
     """A least squares solution.
 
-    views : the V views it rests on; rotations, translations : (V, 3) board to camera, Rodrigues vectors and metres
-    residuals : per view (n, 2) px, found minus predicted; rms_px over both coordinates together (as OpenCV counts)"""
+    views : the V views it rests on; rotations, translations : (V, 3) board to camera,
+    Rodrigues vectors and metres
+    residuals : per view (n, 2) px, found minus predicted; rms_px over both coordinates
+    together (as OpenCV counts)
+    """
 
     model: LensModel
     camera: Camera
@@ -85,9 +99,12 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """covariance : (p, p) of `model.parameters`, the jackknife's, or that of independent errors where it is larger;
-    independent, jackknife : (p,) standard deviations of each; sigma_px : noise of one coordinate of one corner;
-    condition : of the normal matrix with unit diagonal (poses eliminated); inf = something cannot be determined"""
+    """covariance : (p, p) of `model.parameters`, the jackknife's, or that of independent
+    errors where it is larger; independent, jackknife : (p,) standard deviations of each;
+    sigma_px : noise of one coordinate of one corner;
+    condition : of the normal matrix with unit diagonal (poses eliminated); inf = something
+    cannot be determined
+    """
 
     covariance: np.ndarray
     independent: np.ndarray
@@ -106,36 +123,64 @@ def rms(residuals: np.ndarray) -> float:
 
 
 def fit(views: Sequence[View], model: LensModel) -> Fit:
-    """Intrinsics and one pose per view. Raises NothingToDoError if they do not determine a camera at all."""
+    """Intrinsics and one pose per view.
+
+    Raises NothingToDoError if they do not determine a camera at all.
+    """
     if len(views) < 3:
-        raise NothingToDoError(f"{len(views)} different views of the board", "at least 3 are needed, 15 are good")
+        raise NothingToDoError(
+            f"{len(views)} different views of the board",
+            "at least 3 are needed, 15 are good",
+        )
     boards = [v.board_m.astype(np.float32) for v in views]
     pixels = [v.pixels.astype(np.float32).reshape(-1, 1, 2) for v in views]
     try:
         _, matrix, distortion, rvecs, tvecs = cv2.calibrateCamera(
-            boards, pixels, views[0].size, np.eye(3), np.zeros(model.size), flags=model.flags, criteria=STOP
+            boards,
+            pixels,
+            views[0].size,
+            np.eye(3),
+            np.zeros(model.size),
+            flags=model.flags,
+            criteria=STOP,
         )
-        if not (np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.isfinite(distortion).all()):
+        if not (
+            np.isfinite(matrix).all()
+            and matrix[0, 0] > 0
+            and matrix[1, 1] > 0
+            and np.isfinite(distortion).all()
+        ):
             raise ArfxError("not finite")
     except (cv2.error, ArfxError):
         raise NothingToDoError(
             f"{len(views)} views of the board do not determine a camera",
-            "take pictures with the board tilted by 20 to 45 degrees in different directions",
+            "take pictures with the board tilted by 20 to 45 degrees in different"
+            " directions",
         ) from None
     camera = Camera(*views[0].size, matrix, np.ravel(distortion)[: model.size])
     r, t = np.reshape(rvecs, (-1, 3)), np.reshape(tvecs, (-1, 3))
-    residuals = tuple(v.pixels - _projected(v, r[i], t[i], camera) for i, v in enumerate(views))
+    residuals = tuple(
+        v.pixels - _projected(v, r[i], t[i], camera) for i, v in enumerate(views)
+    )
     return Fit(model, camera, tuple(views), r, t, residuals)
 
 
-def _projected(view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera) -> np.ndarray:
-    return cv2.projectPoints(view.board_m, rvec, tvec, camera.matrix, camera.distortion)[0].reshape(-1, 2)
+def _projected(
+    view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera
+) -> np.ndarray:
+    return cv2.projectPoints(view.board_m, rvec, tvec, camera.matrix, camera.distortion)[
+        0
+    ].reshape(-1, 2)
 
 
 def pose_residual(view: View, camera: Camera) -> np.ndarray:
-    """Residuals (n, 2) px of a view that the camera was not fitted to: only its pose is. Infinite where there is no pose."""
+    """Residuals (n, 2) px of a view that the camera was not fitted to: only its pose is.
+    Infinite where there is no pose.
+    """
     try:
-        ok, rvec, tvec = cv2.solvePnP(view.board_m, view.pixels, camera.matrix, camera.distortion)
+        ok, rvec, tvec = cv2.solvePnP(
+            view.board_m, view.pixels, camera.matrix, camera.distortion
+        )
     except cv2.error:
         ok = False
     if not ok:
@@ -144,34 +189,51 @@ def pose_residual(view: View, camera: Camera) -> np.ndarray:
     return np.where(np.isfinite(out), out, np.inf)
 
 
-def jacobians(view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera, model: LensModel) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the projected corners (2n, .): by the intrinsics of the model (2n, p), and by the pose (2n, 6)."""
+def jacobians(
+    view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera, model: LensModel
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the projected corners (2n, .): by the intrinsics of the model (2n, p),
+    and by the pose (2n, 6).
+    """
     j = cv2.projectPoints(view.board_m, rvec, tvec, camera.matrix, camera.distortion)[1]
     return np.hstack([j[:, 6:10], j[:, [10 + i for i in model.free]]]), j[:, :6]
 
 
 def without_pose(by_intrinsics: np.ndarray, by_pose: np.ndarray) -> np.ndarray:
-    """What of the intrinsics' derivatives (2n, p) no motion of the board can imitate: the projection off `by_pose` (2n, 6)."""
+    """What of the intrinsics' derivatives (2n, p) no motion of the board can imitate: the
+    projection off `by_pose` (2n, 6).
+    """
     scale = np.linalg.norm(by_pose, axis=0)
     q, r = np.linalg.qr(divide(by_pose, scale[None]))
-    firm = np.abs(np.diag(r)) > 1e-10  # below that a pose direction does not move the corners at all
+    firm = (
+        np.abs(np.diag(r)) > 1e-10
+    )  # below that a pose direction does not move the corners at all
     q = q[:, firm]
     return by_intrinsics - q @ (q.T @ by_intrinsics)
 
 
 def information(fitted: Fit) -> list[np.ndarray]:
-    """Per view, J (2n, p): sum of J^T J is the normal matrix of the intrinsics with all poses eliminated."""
+    """Per view, J (2n, p): sum of J^T J is the normal matrix of the intrinsics with all
+    poses eliminated.
+    """
     parts = (
-        jacobians(v, fitted.rotations[i], fitted.translations[i], fitted.camera, fitted.model) for i, v in enumerate(fitted.views)
+        jacobians(
+            v, fitted.rotations[i], fitted.translations[i], fitted.camera, fitted.model
+        )
+        for i, v in enumerate(fitted.views)
     )
     return [without_pose(a, b) for a, b in parts]
 
 
 def uncertainty(fitted: Fit) -> Uncertainty:
-    """How far the intrinsics can be off, from the residuals and the geometry. See the header for the method."""
+    """How far the intrinsics can be off, from the residuals and the geometry.
+
+    See the header for the method.
+    """
     js = information(fitted)
     p, n = len(fitted.model.parameters), len(js)
-    # unit diagonal, so that pixels, and distortion coefficients of 1e-3, weigh alike in the inverses
+    # unit diagonal, so that pixels, and distortion coefficients of 1e-3, weigh alike in the
+    # inverses
     total = np.zeros((p, p)) + sum(j.T @ j for j in js)
     scale = divide(1.0, np.sqrt(np.diag(total)), where_zero=1.0)
     js = [j * scale for j in js]
@@ -180,27 +242,43 @@ def uncertainty(fitted: Fit) -> Uncertainty:
     degrees = max(1, 2 * points - p - 6 * n)
     sigma = float(np.sqrt(sum((r**2).sum() for r in fitted.residuals) / degrees))
     independent = sigma**2 * _inverse(normal)
-    steps = np.array([_inverse(normal - j.T @ j) @ (j.T @ r.ravel()) for j, r in zip(js, fitted.residuals, strict=True)])
+    steps = np.array(
+        [
+            _inverse(normal - j.T @ j) @ (j.T @ r.ravel())
+            for j, r in zip(js, fitted.residuals, strict=True)
+        ]
+    )
     steps -= steps.mean(0)
     jack = (n - 1) / n * steps.T @ steps
     a, b = np.sqrt(np.diag(independent)), np.sqrt(np.diag(jack))
-    # The jackknife's matrix holds the true correlations, but with few views it is singular, and so blind to some directions:
-    # then the correlations of the other one. Either way each parameter gets the larger of its two standard deviations.
+    # The jackknife's matrix holds the true correlations, but with few views it is singular,
+    # and so blind to some directions: then the correlations of the other one. Either way
+    # each parameter gets the larger of its two standard deviations.
     shape, size = (jack, b) if n >= 2 * p else (independent, a)
     correlation = shape * divide(1.0, np.outer(size, size))
     larger = np.maximum(a, b) * scale
-    return Uncertainty(correlation * np.outer(larger, larger), a * scale, b * scale, sigma, condition(normal))
+    return Uncertainty(
+        correlation * np.outer(larger, larger),
+        a * scale,
+        b * scale,
+        sigma,
+        condition(normal),
+    )
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:
-    """Of a normal matrix of unit diagonal. What rounding hides counts as hardly known: a pseudo-inverse would call it certain."""
+    """Of a normal matrix of unit diagonal.
+
+    What rounding hides counts as hardly known: a pseudo-inverse would call it certain.
+    """
     values, vectors = np.linalg.eigh(normal)
     return (vectors / np.maximum(values, len(values) * np.finfo(float).eps)) @ vectors.T
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One model's showing. held_out_px : (V,) rms per view, predicted from the other views, in the order of the views;
+    """One model's showing. held_out_px : (V,) rms per view, predicted from the other views,
+    in the order of the views;
     rejected : why it cannot be used, or empty"""
 
     model: LensModel
@@ -214,19 +292,31 @@ class Evidence:
 
 
 def choose_model(views: Sequence[View]) -> tuple[Evidence, list[Evidence]]:
-    """The chosen model's evidence, and that of all. Raises NothingToDoError if no model can be fitted."""
+    """The chosen model's evidence, and that of all.
+
+    Raises NothingToDoError if no model can be fitted.
+    """
     table = [cross_validate(views, m) for m in MODELS]
     usable = [e for e in table if not e.rejected]
     if not usable:
         raise NothingToDoError(
             f"no lens model fits the {len(views)} views: {table[0].rejected}",
-            "take pictures with the board tilted by 20 to 45 degrees in different directions",
+            "take pictures with the board tilted by 20 to 45 degrees in different"
+            " directions",
         )
     best = min(usable, key=lambda e: e.held_out_rms_px)
-    for simple in usable:  # its mean squared held-out error is higher by no more than one standard error of the difference
+    # its mean squared held-out error is higher by no more than one standard error of the
+    # difference
+    for simple in usable:
         difference = simple.held_out_px**2 - best.held_out_px**2
-        error = float(np.std(difference, ddof=1) / np.sqrt(len(difference))) if len(difference) > 1 else 0.0
-        if float(np.mean(difference)) <= max(error, LEAST_GAIN * 2 * best.held_out_rms_px**2):
+        error = (
+            float(np.std(difference, ddof=1) / np.sqrt(len(difference)))
+            if len(difference) > 1
+            else 0.0
+        )
+        if float(np.mean(difference)) <= max(
+            error, LEAST_GAIN * 2 * best.held_out_rms_px**2
+        ):
             return simple, table
     return best, table
 
@@ -245,21 +335,35 @@ def cross_validate(views: Sequence[View], model: LensModel) -> Evidence:
                 held_out[i] = rms(pose_residual(views[i], camera))
     except NothingToDoError as e:
         return Evidence(model, None, held_out, e.message)
-    if not folds:  # too few views to hold one out: residuals times sqrt(N / degrees of freedom), what fitting took away
+    # too few views to hold one out: residuals times sqrt(N / degrees of freedom), what
+    # fitting took away
+    if not folds:
         numbers = 2 * sum(len(r) for r in fitted.residuals)
         used = len(fitted.model.parameters) + 6 * len(fitted.views)
-        held_out = fitted.view_rms_px * float(np.sqrt(divide(numbers, max(1, numbers - used))))
+        held_out = fitted.view_rms_px * float(
+            np.sqrt(divide(numbers, max(1, numbers - used)))
+        )
     if not one_to_one(fitted.camera):
         return Evidence(model, fitted, held_out, "its distortion folds the picture over")
     if not np.isfinite(held_out).all():
-        return Evidence(model, fitted, held_out, "a view that it was not fitted to has no pose")
+        return Evidence(
+            model, fitted, held_out, "a view that it was not fitted to has no pose"
+        )
     return Evidence(model, fitted, held_out)
 
 
 def one_to_one(camera: Camera) -> bool:
-    """Whether every pixel on the picture's border has one viewing direction: the distortion does not fold inside."""
+    """Whether every pixel on the picture's border has one viewing direction: the distortion
+    does not fold inside.
+    """
     w, h = camera.width, camera.height
     x, y = np.linspace(0, w - 1, 25), np.linspace(0, h - 1, 25)
-    border = np.concatenate([np.stack([x, x * 0], -1), np.stack([x, x * 0 + h - 1], -1), np.stack([y * 0, y], -1),
-                             np.stack([y * 0 + w - 1, y], -1)])  # fmt: skip
+    border = np.concatenate(
+        [
+            np.stack([x, x * 0], -1),
+            np.stack([x, x * 0 + h - 1], -1),
+            np.stack([y * 0, y], -1),
+            np.stack([y * 0 + w - 1, y], -1),
+        ]
+    )
     return bool(np.isfinite(camera.normalised(border)).all())

@@ -12,14 +12,17 @@ from arfx.config.sections import JobConfig, Setting, Turn, settings
 from arfx.core.opener import parse_toml
 from arfx.errors import ConfigError
 
-Given = tuple[Sequence[str], Any, str]  # key path in a job file, value, and the words that gave it
+Given = tuple[
+    Sequence[str], Any, str
+]  # key path in a job file, value, and the words that gave it
 
 _MOST_PARTS = 8  # of a --set key: settings have two
 
 
 def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
     """All of it as one tree. texts : of --set
-    Raises ConfigError naming the words, also for an option and a --set that give one key different values."""
+    Raises ConfigError naming the words, also for an option and a --set that give one key
+    different values."""
     tree: dict[str, Any] = {}
     others: list[Given] = [(*parse_setting(text), f"--set {text}") for text in texts]
     for path, value, words in others:
@@ -31,8 +34,8 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
 
 
 def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
-    """The settings of a job's sections that have an option. given : by the option's name; None, False and () are not given.
-    Raises ConfigError."""
+    """The settings of a job's sections that have an option. given : by the option's name;
+    None, False and () are not given. Raises ConfigError."""
     for s in settings():
         value = given[s.name] if s.flags else None
         if value is None or value is False or value == ():
@@ -40,12 +43,15 @@ def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
         if s.repeated:
             yield *option_given(s, value), " ".join(f"{s.flags[0]} {v}" for v in value)
         elif value or list[str] not in s.kinds:  # an empty list of effects is not given
-            yield *option_given(s, value), s.flags[0] if value is True else f"{s.flags[0]} {value}"
+            yield (
+                *option_given(s, value),
+                s.flags[0] if value is True else f"{s.flags[0]} {value}",
+            )
 
 
 def option_given(s: Setting, value: Any) -> tuple[tuple[str, ...], Any]:
-    """Key path and value, in a job's tables, of what an option gives. value : a list where the option is repeatable
-    Raises ConfigError."""
+    """Key path and value, in a job's tables, of what an option gives. value : a list where
+    the option is repeatable Raises ConfigError."""
     if s.repeated:
         return (s.section,), [{s.key: v} for v in value]
     return (s.section, s.key), not s.default if value is True else _read(s, value)
@@ -62,24 +68,33 @@ def _read(s: Setting, value: Any) -> Any:
         return value
     three = [p.strip() for p in value.split(",")]
     if len(three) != 3:
-        raise ConfigError(f"{s.flags[0]} {value!r} is not three values", "X,Y,Z with commas")
+        raise ConfigError(
+            f"{s.flags[0]} {value!r} is not three values", "X,Y,Z with commas"
+        )
     for part in three if Turn in s.kinds else ():
         try:
             float(part)
         except ValueError:
-            raise ConfigError(f"{s.flags[0]}: {part!r} is not a number of degrees") from None
+            raise ConfigError(
+                f"{s.flags[0]}: {part!r} is not a number of degrees"
+            ) from None
     return [float(part) for part in three] if Turn in s.kinds else three
 
 
 def parse_setting(text: str) -> tuple[list[str], Any]:
-    """`--set raster.backend=rays` to (["raster", "backend"], "rays"). Values are TOML where they parse as it, else text.
-    Raises ConfigError."""
+    """`--set raster.backend=rays` to (["raster", "backend"], "rays"). Values are TOML where
+    they parse as it, else text. Raises ConfigError."""
     key, equals, value = text.partition("=")
     parts = [p.strip() for p in key.split(".")]
     if not equals or len(parts) < 2 or not all(parts):
-        raise ConfigError(f"--set {_short(text)!r} is not STAGE.KEY=VALUE", "for example --set output.crf=20")
+        raise ConfigError(
+            f"--set {_short(text)!r} is not STAGE.KEY=VALUE",
+            "for example --set output.crf=20",
+        )
     if len(parts) > _MOST_PARTS:
-        raise ConfigError(f"--set {_short(text)!r}: a key of {len(parts)} parts", "STAGE.KEY=VALUE")
+        raise ConfigError(
+            f"--set {_short(text)!r}: a key of {len(parts)} parts", "STAGE.KEY=VALUE"
+        )
     return parts, parse_value(value, f"--set {_short(text)}")
 
 
@@ -103,30 +118,51 @@ def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str
     for part in path[:-1]:
         at = at.setdefault(part, {})
         if not isinstance(at, dict):
-            raise ConfigError(f"{words}: {part!r} was given a value of its own, it has no keys", "give one of them")
+            raise ConfigError(
+                f"{words}: {part!r} was given a value of its own, it has no keys",
+                "give one of them",
+            )
     if isinstance(at.get(path[-1]), dict):
-        raise ConfigError(f"{words}: keys of {path[-1]!r} were given values already", "give one of them")
+        raise ConfigError(
+            f"{words}: keys of {path[-1]!r} were given values already", "give one of them"
+        )
     at[path[-1]] = value
 
 
-def _check_conflicts(path: Sequence[str], value: Any, words: str, others: Sequence[Given]) -> None:
-    """Refuse a --set that gives another value to the key that an option gives: one of them would be lost unsaid."""
-    for other_path, other, other_words in reversed(others):  # of several --set the last one counts
+def _check_conflicts(
+    path: Sequence[str], value: Any, words: str, others: Sequence[Given]
+) -> None:
+    """Refuse a --set that gives another value to the key that an option gives: one of them
+    would be lost unsaid.
+    """
+    for other_path, other, other_words in reversed(
+        others
+    ):  # of several --set the last one counts
         common = min(len(path), len(other_path))
         if tuple(other_path[:common]) != tuple(path[:common]):
             continue
         if len(other_path) != len(path) or not _equivalent(path, value, other):
-            raise ConfigError(f"{words} and {other_words} give different values to {'.'.join(path)}", "give one of them")
+            raise ConfigError(
+                f"{words} and {other_words} give different values to {'.'.join(path)}",
+                "give one of them",
+            )
         return
 
 
 def _equivalent(path: Sequence[str], a: Any, b: Any) -> bool:
-    """Whether two ways to write a value of a job's key mean the same: 15cm and 0.15m, [0, 0, 90] and [0.0, 0.0, 90.0]."""
+    """Whether two ways to write a value of a job's key mean the same: 15cm and 0.15m, [0,
+    0, 90] and [0.0, 0.0, 90.0].
+    """
     section, *keys = path
     if len(keys) != 1:
         return bool(a == b)
     try:
-        read = [getattr(getattr(JobConfig.model_validate({section: {keys[0]: v}}), section), keys[0]) for v in (a, b)]
+        read = [
+            getattr(
+                getattr(JobConfig.model_validate({section: {keys[0]: v}}), section), keys[0]
+            )
+            for v in (a, b)
+        ]
     except (ValidationError, AttributeError):
         return str(a) == str(b)  # errors in them are reported when the whole job is read
     return bool(read[0] == read[1])

@@ -6,19 +6,31 @@ from collections.abc import Mapping
 
 _PRINTED = 'it belongs to watercolor.formula = "paper"; the corrected edges take {0}'
 GONE: Mapping[tuple[str, str], str] = {
-    ("lightmap", "faint"): "a shadow that takes less than 2 % of the plane's light is not drawn",
+    (
+        "lightmap",
+        "faint",
+    ): "a shadow that takes less than 2 % of the plane's light is not drawn",
     ("gi", "plane_roughness"): "it is .1; `plane_gloss` sets how much the plane mirrors",
     ("dof", "plane_extent_m"): "the plane is endless; `background_m` says where it ends",
     ("dof", "max_radius_px"): "the radius is at most a tenth of the picture's width",
     ("watercolor", "detail"): "cells always follow what there is to see: leave it out",
-    ("watercolor", "anchored"): "cells always move with the things under them: leave it out",
+    (
+        "watercolor",
+        "anchored",
+    ): "cells always move with the things under them: leave it out",
     ("watercolor", "two_patterns"): "one pattern is painted: leave it out",
-    ("watercolor", "line_hold"): "lines hold still by themselves; a higher line_high steadies more",
+    (
+        "watercolor",
+        "line_hold",
+    ): "lines hold still by themselves; a higher line_high steadies more",
     ("watercolor", "line_smooth_px"): "it is 3 px; a higher line_low leaves fine lines out",
     ("watercolor", "alpha"): _PRINTED.format(".5"),
     ("watercolor", "beta"): _PRINTED.format(".5"),
     ("watercolor", "yuv"): _PRINTED.format("bt601"),
-    ("watercolor", "pigment"): "set flow, grain, edge_darkening and wobble_px to 0 for flat cells",
+    (
+        "watercolor",
+        "pigment",
+    ): "set flow, grain, edge_darkening and wobble_px to 0 for flat cells",
     ("watercolor", "flow_px"): "it is 160 px; `flow` sets how strong the turbulence is",
     ("watercolor", "grain_px"): "it is 2 px; `grain` sets how strong the paper's grain is",
     ("watercolor", "dry_brush"): "`grain` sets how much the paper shows, in lines too",

@@ -1,4 +1,5 @@
-"""TOML and command-line settings to a typed job. Every error names file, line and what would be right, all at once.
+"""TOML and command-line settings to a typed job. Every error names file, line and what
+would be right, all at once.
 
 `load` receives the table of stages as an argument, so that config imports no stage."""
 
@@ -23,13 +24,20 @@ from arfx.errors import ConfigError, InputError
 
 KeyPath = tuple[str | int, ...]
 Parameters = Mapping[str, Mapping[str, type]]
-_PRESETS = (Path(__file__).parent / "presets", Path(__file__).parents[2] / "configs")  # in a wheel, in the source tree
-_TYPE_TAGS = ("constrained-str", "function-before")  # parts of pydantic's places that are no keys
+_PRESETS = (
+    Path(__file__).parent / "presets",
+    Path(__file__).parents[2] / "configs",
+)  # in a wheel, in the source tree
+_TYPE_TAGS = (
+    "constrained-str",
+    "function-before",
+)  # parts of pydantic's places that are no keys
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
 
 class JobFile(NamedTuple):
-    """Settings that a file gives. document : the tables of a job file, with paths as they are from here
+    """Settings that a file gives. document : the tables of a job file, with paths as they
+    are from here
     at : key path of these in the file's text;  names : of those that are written otherwise there
     line : of a table's row, in which all of them stand; 0 = found by key"""
 
@@ -42,19 +50,30 @@ class JobFile(NamedTuple):
 
     def located(self, message: str, path: KeyPath, hint: str = "") -> str:
         """The message with file, line and key."""
-        path = next((name for n in (2, 1) if (name := self.names.get(path[:n])) is not None), path)
-        return with_location(message, str(self.path), self.text, (*self.at, *path), hint, self.line)
+        path = next(
+            (name for n in (2, 1) if (name := self.names.get(path[:n])) is not None), path
+        )
+        return with_location(
+            message, str(self.path), self.text, (*self.at, *path), hint, self.line
+        )
 
 
 def load(
-    files: Path | Sequence[Path | JobFile] | None, overrides: Mapping[str, Any], parameters: Parameters
-) -> JobConfig:  # fmt: skip
+    files: Path | Sequence[Path | JobFile] | None,
+    overrides: Mapping[str, Any],
+    parameters: Parameters,
+) -> JobConfig:
     """Read a job.
-    files : job file or several; key by key the later wins;  overrides : nested mapping from the command line, which wins over all
-    parameters : section name -> formula -> frozen dataclass, for every stage and for "analyse"; the usual formula first
+    files : job file or several; key by key the later wins;  overrides : nested mapping from
+    the command line, which wins over all
+    parameters : section name -> formula -> frozen dataclass, for every stage and for
+    "analyse"; the usual formula first
     Raises ConfigError holding every problem found; InputError if a file cannot be read."""
     named = [files] if isinstance(files, Path) else files or ()
-    read = [file if isinstance(file, JobFile) else read_job_file(file, parameters) for file in named]
+    read = [
+        file if isinstance(file, JobFile) else read_job_file(file, parameters)
+        for file in named
+    ]
     merged: dict[str, Any] = {}
     for tree in (*(file.document for file in read), overrides):
         merged = merge(merged, tree)
@@ -63,17 +82,29 @@ def load(
     def problem(path: KeyPath, message: str, hint: str = "") -> None:
         if _contains(overrides, path) or not read:
             dotted = ".".join(map(str, path))
-            problems.append(f"{message}\n  --> command line: {dotted}" + (f"\nhelp: {hint}" if hint else ""))
+            problems.append(
+                f"{message}\n  --> command line: {dotted}"
+                + (f"\nhelp: {hint}" if hint else "")
+            )
         else:
             # the last file that holds the key, or else its nearest parent
-            file = next(f for n in range(len(path), -1, -1) for f in reversed(read) if _contains(f.document, path[:n]))
+            file = next(
+                f
+                for n in range(len(path), -1, -1)
+                for f in reversed(read)
+                if _contains(f.document, path[:n])
+            )
             problems.append(file.located(message, path, hint))
 
     sections = {s.section for s in settings()}
     params: dict[str, Any] = {}
     for name in merged:
         if name not in sections and name not in parameters:
-            problem((name,), f"there is no section or stage {name!r}", suggestion(name, [*sections, *parameters]))
+            problem(
+                (name,),
+                f"there is no section or stage {name!r}",
+                suggestion(name, [*sections, *parameters]),
+            )
     for name, formulas in parameters.items():
         table = merged.get(name, {})
         if not isinstance(table, dict):
@@ -82,16 +113,33 @@ def load(
         params[name] = _params(name, formulas, table, problem)
     job = None
     try:
-        own = {"params": params, "sources": tuple(dict.fromkeys(file.path for file in read))}
-        job = JobConfig.model_validate({**{k: merged[k] for k in sections if k in merged}, **own})
+        own = {
+            "params": params,
+            "sources": tuple(dict.fromkeys(file.path for file in read)),
+        }
+        job = JobConfig.model_validate(
+            {**{k: merged[k] for k in sections if k in merged}, **own}
+        )
     except ValidationError as e:
         for error in e.errors(include_url=False):
-            path = tuple(p for p in error["loc"] if not (isinstance(p, str) and ("[" in p or p in _TYPE_TAGS)))
+            path = tuple(
+                p
+                for p in error["loc"]
+                if not (isinstance(p, str) and ("[" in p or p in _TYPE_TAGS))
+            )
             known = [s.key for s in settings() if s.section == path[0]]
             if error["type"] == "extra_forbidden" and known:
-                problem(path, f"section {path[0]!r} has no setting {path[-1]!r}", suggestion(str(path[-1]), known))
+                problem(
+                    path,
+                    f"section {path[0]!r} has no setting {path[-1]!r}",
+                    suggestion(str(path[-1]), known),
+                )
             else:
-                problem(path, f"{'.'.join(map(str, path))}: {error['msg'].removeprefix('Value error, ')}")
+                problem(
+                    path,
+                    f"{'.'.join(map(str, path))}:"
+                    f" {error['msg'].removeprefix('Value error, ')}",
+                )
     if problems:
         raise ConfigError("\n\n".join(dict.fromkeys(problems)))
     assert job is not None
@@ -119,8 +167,12 @@ def locate_paths(document: Mapping[str, Any], folder: Path, parameters: Paramete
 
 
 def _paths(parameters: Parameters) -> set[tuple[str, str]]:
-    """(section, key) of the settings that are, or begin with, paths: in a job file they are relative to it."""
-    out = {(s.section, s.key) for s in settings() if Path in s.kinds or PatternSpec in s.kinds}
+    """(section, key) of the settings that are, or begin with, paths: in a job file they are
+    relative to it.
+    """
+    out = {
+        (s.section, s.key) for s in settings() if Path in s.kinds or PatternSpec in s.kinds
+    }
     for name, formulas in parameters.items():
         for kind in formulas.values():
             out |= {(name, key) for key in _path_fields(kind)}
@@ -129,7 +181,9 @@ def _paths(parameters: Parameters) -> set[tuple[str, str]]:
 
 @cache
 def _path_fields(kind: type) -> frozenset[str]:
-    return frozenset(key for key, hint in get_type_hints(kind).items() if Path in kinds(hint))
+    return frozenset(
+        key for key, hint in get_type_hints(kind).items() if Path in kinds(hint)
+    )
 
 
 @cache
@@ -137,12 +191,18 @@ def _adapter(kind: type) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
-def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], problem: Any) -> Any:
+def _params(
+    name: str, formulas: Mapping[str, type], table: dict[str, Any], problem: Any
+) -> Any:
     formula = next(iter(formulas))
     if len(formulas) > 1 and "formula" in table:
         formula = (table := dict(table)).pop("formula")
         if formula not in list(formulas):
-            return problem((name, "formula"), f"{name}.formula {formula!r} is unknown", "one of " + ", ".join(formulas))
+            return problem(
+                (name, "formula"),
+                f"{name}.formula {formula!r} is unknown",
+                "one of " + ", ".join(formulas),
+            )
     kind = formulas[formula]
     fields, good = _fields(kind), {}
     for key, value in table.items():
@@ -153,9 +213,17 @@ def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], prob
                 hint = GONE.get((name, key)) or suggestion(key, fields)
                 problem((name, key), f"{owner} has no setting {key!r}", hint)
             else:
-                problem((name, key), f'{name}.{key} belongs to formula = "{other}"', f'{name}.formula is "{formula}"')
+                problem(
+                    (name, key),
+                    f'{name}.{key} belongs to formula = "{other}"',
+                    f'{name}.formula is "{formula}"',
+                )
         elif (bad := _out_of_range(value)) is not None:
-            problem((name, key), f"{name}.{key}: {bad:g} is out of range", f"between -{_LARGEST:g} and {_LARGEST:g}")
+            problem(
+                (name, key),
+                f"{name}.{key}: {bad:g} is out of range",
+                f"between -{_LARGEST:g} and {_LARGEST:g}",
+            )
         else:
             good[key] = value
     try:
@@ -164,9 +232,13 @@ def _params(name: str, formulas: Mapping[str, type], table: dict[str, Any], prob
     except ValidationError as e:
         for error in e.errors(include_url=False):
             key = str(error["loc"][0]) if error["loc"] else ""
-            problem((name, key), f"{name}.{key}: {error['msg'].removeprefix('Value error, ')}")
+            problem(
+                (name, key), f"{name}.{key}: {error['msg'].removeprefix('Value error, ')}"
+            )
     except ConfigError as e:
-        named = next((k for k in good if re.search(rf"\b{re.escape(k)}\b", e.message)), None)
+        named = next(
+            (k for k in good if re.search(rf"\b{re.escape(k)}\b", e.message)), None
+        )
         problem((name,) if named is None else (name, named), str(e))
     return None
 
@@ -215,9 +287,9 @@ def _contains(tree: Any, path: KeyPath) -> bool:
 
 
 def line_of(text: str, path: KeyPath) -> int:
-    """1-based line of a key path such as ("marker", 1, "spec"); its nearest written parent, or 0 if none.
-    Knows tables, arrays of tables and dotted keys, which is what job files hold; a key inside an inline
-    table is found at the line of that table."""
+    """1-based line of a key path such as ("marker", 1, "spec"); its nearest written parent,
+    or 0 if none. Knows tables, arrays of tables and dotted keys, which is what job files
+    hold; a key inside an inline table is found at the line of that table."""
     lines = _key_lines(text)
     return next((lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in lines), 0)
 
@@ -229,7 +301,9 @@ def _key_lines(text: str) -> dict[KeyPath, int]:
     seen: dict[KeyPath, int] = {}
     found: dict[KeyPath, int] = {}
     for number, raw in enumerate(_lines(text), 1):
-        m = re.match(r"(?P<array>\[?)(?P<table>\[)\s*([^\]]+?)\s*\]|([\w\-.\"']+)\s*=", raw.strip())
+        m = re.match(
+            r"(?P<array>\[?)(?P<table>\[)\s*([^\]]+?)\s*\]|([\w\-.\"']+)\s*=", raw.strip()
+        )
         if not m:
             continue
         name = tuple(p.strip(" \"'") for p in (m[3] or m[4]).split("."))
@@ -251,7 +325,9 @@ def _lines(text: str) -> list[str]:
 
 
 def _numbered(name: KeyPath, seen: Mapping[KeyPath, int]) -> KeyPath:
-    """The key path of a table: within an array of tables it belongs to the last of them. seen : of each array, by its path"""
+    """The key path of a table: within an array of tables it belongs to the last of them.
+    seen : of each array, by its path
+    """
     out: KeyPath = ()
     for key in name:
         out = (*out, key)
@@ -259,19 +335,32 @@ def _numbered(name: KeyPath, seen: Mapping[KeyPath, int]) -> KeyPath:
     return out
 
 
-def with_location(message: str, file: str, text: str, path: KeyPath, hint: str = "", line: int = 0) -> str:
-    """The message with file:line, the line itself and carets under its key. line : 0 = where the key is found"""
+def with_location(
+    message: str, file: str, text: str, path: KeyPath, hint: str = "", line: int = 0
+) -> str:
+    """The message with file:line, the line itself and carets under its key.
+
+    line : 0 = where the key is found
+    """
     number = line or line_of(text, path)
     shown = [message, f"  --> {file}"]
     if number:
         source = _lines(text)[number - 1]
         start, length = len(source) - len(source.lstrip()), max(len(source.strip()), 1)
         for key in path:
-            if isinstance(key, str) and (m := re.search(rf"(?<![\w-]){re.escape(key)}(?![\w-])", source)):
+            if isinstance(key, str) and (
+                m := re.search(rf"(?<![\w-]){re.escape(key)}(?![\w-])", source)
+            ):
                 start, length = m.start(), m.end() - m.start()
         gutter = " " * len(str(number))
         caret = f"{gutter} | {' ' * start}{'^' * length}"
-        shown = [message, f"{gutter} --> {file}:{number}", f"{gutter} |", f"{number} | {source}", caret]
+        shown = [
+            message,
+            f"{gutter} --> {file}:{number}",
+            f"{gutter} |",
+            f"{number} | {source}",
+            caret,
+        ]
     return "\n".join([*shown, f"help: {hint}"] if hint else shown)
 
 
@@ -287,5 +376,8 @@ def find_job_file(name_or_file: Path) -> Path:
         return name_or_file
     known = presets()
     if str(name_or_file) not in known:
-        raise InputError(f"there is no job file or preset {str(name_or_file)!r}", suggestion(str(name_or_file), known))
+        raise InputError(
+            f"there is no job file or preset {str(name_or_file)!r}",
+            suggestion(str(name_or_file), known),
+        )
     return known[str(name_or_file)]

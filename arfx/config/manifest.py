@@ -1,7 +1,9 @@
-"""A batch's table: [[job]] tables of TOML under the settings of a job file, or a row of CSV for each job.
+"""A batch's table: [[job]] tables of TOML under the settings of a job file, or a row of CSV
+for each job.
 
-A column, or a key of a [[job]], is an option of `process` that takes a value, without its dashes (clip, camera, output, fit), or
-a setting: in CSV as `section.key`, in TOML in a table of the [[job]]. `config` names a job file that it is laid over."""
+A column, or a key of a [[job]], is an option of `process` that takes a value, without its
+dashes (clip, camera, output, fit), or a setting: in CSV as `section.key`, in TOML in a
+table of the [[job]]. `config` names a job file that it is laid over."""
 
 from __future__ import annotations
 
@@ -12,7 +14,15 @@ from pathlib import Path
 from typing import Any
 
 from arfx.config.given import option_given, parse_value
-from arfx.config.load import JobFile, KeyPath, Parameters, find_job_file, locate_paths, read_job_file, suggestion
+from arfx.config.load import (
+    JobFile,
+    KeyPath,
+    Parameters,
+    find_job_file,
+    locate_paths,
+    read_job_file,
+    suggestion,
+)
 from arfx.config.sections import Setting, settings
 from arfx.core.opener import read_text
 from arfx.errors import ConfigError
@@ -22,8 +32,9 @@ _MOST_PROBLEMS = 10  # that a message lists
 
 
 def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
-    """The files of each job, for `load`: what all share, job files that the job names as `config`, and last its own settings.
-    Paths are from the manifest's folder. Raises ConfigError with the problems of all rows, InputError where it cannot be read."""
+    """The files of each job, for `load`: what all share, job files that the job names as
+    `config`, and last its own settings. Paths are from the manifest's folder. Raises
+    ConfigError with the problems of all rows, InputError where it cannot be read."""
     shared, raw = _toml(path, parameters) if path.suffix.lower() == ".toml" else _csv(path)
     options = {s.name: s for s in settings() if s.flags and bool not in s.kinds}
     rows, problems = [], []
@@ -34,7 +45,10 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
             problems.append(e.message)
     if not raw:
         what = "[[job]] table" if path.suffix.lower() == ".toml" else "row below its heads"
-        problems.append(f"manifest {path} holds no {what}\nhelp: each names at least a clip; a job file is given with --config")
+        problems.append(
+            f"manifest {path} holds no {what}\nhelp: each names at least a clip; a job file"
+            " is given with --config"
+        )
     if problems:
         raise ConfigError(listed(problems))
     return rows
@@ -43,7 +57,11 @@ def read_manifest(path: Path, parameters: Parameters) -> list[list[JobFile]]:
 def listed(problems: Sequence[str]) -> str:
     """The first of them, once each, and how many more there are."""
     different = list(dict.fromkeys(problems))
-    more = [f"… and {len(different) - _MOST_PROBLEMS} more"] if len(different) > _MOST_PROBLEMS else []
+    more = (
+        [f"… and {len(different) - _MOST_PROBLEMS} more"]
+        if len(different) > _MOST_PROBLEMS
+        else []
+    )
     return "\n\n".join([*different[:_MOST_PROBLEMS], *more])
 
 
@@ -51,15 +69,21 @@ def _toml(path: Path, parameters: Parameters) -> tuple[list[JobFile], list[JobFi
     file = read_job_file(path, parameters, "manifest")
     tables = file.document.pop("job", [])
     if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
-        raise ConfigError(file.located("'job' must be tables", ("job",), "[[job]], one for each clip"))
-    return [file], [file._replace(document=table, at=("job", k)) for k, table in enumerate(tables)]
+        raise ConfigError(
+            file.located("'job' must be tables", ("job",), "[[job]], one for each clip")
+        )
+    return [file], [
+        file._replace(document=table, at=("job", k)) for k, table in enumerate(tables)
+    ]
 
 
 def _csv(path: Path) -> tuple[list[JobFile], list[JobFile]]:
     text = read_text(path, "manifest")
     file = JobFile(path, text, {}, line=1)
     first = text.partition("\n")[0]
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True)
+    reader = csv.reader(
+        io.StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True
+    )
     rows: list[JobFile] = []
     heads: list[str] = []
     begin = 1
@@ -67,7 +91,9 @@ def _csv(path: Path) -> tuple[list[JobFile], list[JobFile]]:
         try:
             cells = next(reader, None)
         except csv.Error as e:
-            raise ConfigError(file._replace(line=begin).located(f"not valid CSV: {e}", ())) from None
+            raise ConfigError(
+                file._replace(line=begin).located(f"not valid CSV: {e}", ())
+            ) from None
         if cells is None:
             return [], rows
         here, begin = file._replace(line=begin), reader.line_num + 1
@@ -77,22 +103,48 @@ def _csv(path: Path) -> tuple[list[JobFile], list[JobFile]]:
         if not heads:
             heads = cells
             if twice := [h for h in heads if heads.count(h) > 1]:
-                raise ConfigError(here.located(f"column {twice[0]!r} is there twice", (twice[0],)))
+                raise ConfigError(
+                    here.located(f"column {twice[0]!r} is there twice", (twice[0],))
+                )
         elif len(cells) > len(heads):
-            raise ConfigError(here.located(f"{len(cells)} cells under {len(heads)} heads", (), "quote a cell that holds a comma"))
+            raise ConfigError(
+                here.located(
+                    f"{len(cells)} cells under {len(heads)} heads",
+                    (),
+                    "quote a cell that holds a comma",
+                )
+            )
         else:
-            rows.append(here._replace(document={h: cell for h, cell in zip(heads, cells, strict=False) if cell}))
+            rows.append(
+                here._replace(
+                    document={
+                        h: cell for h, cell in zip(heads, cells, strict=False) if cell
+                    }
+                )
+            )
 
 
-def _job_files(row: JobFile, options: Mapping[str, Setting], parameters: Parameters) -> list[JobFile]:
-    """The job files that a row names, and the row as the tables of one. Raises ConfigError with file, line and key."""
+def _job_files(
+    row: JobFile, options: Mapping[str, Setting], parameters: Parameters
+) -> list[JobFile]:
+    """The job files that a row names, and the row as the tables of one.
+
+    Raises ConfigError with file, line and key.
+    """
     sections = {s.section for s in settings()} | parameters.keys()
     named = row.document.pop("config", [])
-    if not isinstance(named, (str, list)) or not all(isinstance(name, str) for name in named):
-        raise ConfigError(row.located("config must be a job file or a list of them", ("config",)))
+    if not isinstance(named, (str, list)) or not all(
+        isinstance(name, str) for name in named
+    ):
+        raise ConfigError(
+            row.located("config must be a job file or a list of them", ("config",))
+        )
     names = [Path(name) for name in ([named] if isinstance(named, str) else named)]
     presets = (len(name.parts) == 1 and not name.suffix for name in names)
-    paths = [name if preset else row.path.parent / name for name, preset in zip(names, presets, strict=True)]
+    paths = [
+        name if preset else row.path.parent / name
+        for name, preset in zip(names, presets, strict=True)
+    ]
     files = [read_job_file(find_job_file(path), parameters) for path in paths]
     tree: dict[str, Any] = {}
     written_as: dict[KeyPath, KeyPath] = {}
@@ -105,9 +157,22 @@ def _job_files(row: JobFile, options: Mapping[str, Setting], parameters: Paramet
         at[path[-1]] = value
         written_as[path] = written
     locate_paths(tree, row.path.parent, parameters)
-    files.append(row._replace(document=tree, names={path: written for path, written in written_as.items() if path != written}))
+    files.append(
+        row._replace(
+            document=tree,
+            names={
+                path: written for path, written in written_as.items() if path != written
+            },
+        )
+    )
     if not any("clip" in file.document.get("input", {}) for file in files):
-        raise ConfigError(row.located("no clip is named", (), "clip = the path of a video, from the manifest's folder"))
+        raise ConfigError(
+            row.located(
+                "no clip is named",
+                (),
+                "clip = the path of a video, from the manifest's folder",
+            )
+        )
     return files
 
 
@@ -119,15 +184,33 @@ def _settings(
         section, dot, rest = key.partition(".")
         if isinstance(value, dict) and key in sections:
             yield from (((key, inner), v, (key, inner)) for inner, v in value.items())
-        elif isinstance(value, list) and all(isinstance(v, dict) for v in value) and key in sections:
+        elif (
+            isinstance(value, list)
+            and all(isinstance(v, dict) for v in value)
+            and key in sections
+        ):
             yield (key,), value, (key,)
         elif (option := options.get(key.replace("-", "_"))) is not None:
             try:
-                yield *option_given(option, value if isinstance(value, list) or not option.repeated else [value]), (key,)
+                yield (
+                    *option_given(
+                        option,
+                        (
+                            value
+                            if isinstance(value, list) or not option.repeated
+                            else [value]
+                        ),
+                    ),
+                    (key,),
+                )
             except ConfigError as e:
                 raise ConfigError(row.located(e.message, (key,), e.hint)) from None
         elif dot and section in sections and rest and not row.at:
             yield (section, rest), parse_value(value, key), (key,)
         else:
             known = suggestion(key, [*options, *(f"{s}.…" for s in sorted(sections))])
-            raise ConfigError(row._replace(line=row.line and 1).located(f"a job has no setting {key!r}", (key,), known))
+            raise ConfigError(
+                row._replace(line=row.line and 1).located(
+                    f"a job has no setting {key!r}", (key,), known
+                )
+            )

@@ -1,5 +1,6 @@
-"""The sections of a job file, as typed, frozen models: everything about a setting is stated on its field. And a job as plain
-data and TOML, which the job folder keeps and chunk keys are made of.
+"""The sections of a job file, as typed, frozen models: everything about a setting is stated
+on its field. And a job as plain data and TOML, which the job folder keeps and chunk keys
+are made of.
 
 Options of the commands, and which settings are paths, follow from `settings`."""
 
@@ -41,36 +42,70 @@ def _transfer(value: Any) -> str:
 
 
 class Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False, defer_build=True)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        arbitrary_types_allowed=True,
+        allow_inf_nan=False,
+        defer_build=True,
+    )
 
 
 def _field(default: Any, text: str, option: str = "", help: str = "", **limits: Any) -> Any:
     """A setting and what it does.
-    option : its option as in help, "-o --output PATH"; FILE is no folder, PATH may be one; CLIP alone is an argument.
-    What a bool's option gives is not the default;  help : where the option says something else than `text`"""
-    return Field(default=default, description=text, json_schema_extra={"option": option, "help": help or text}, **limits)
+    option : its option as in help, "-o --output PATH"; FILE is no folder, PATH may be one;
+    CLIP alone is an argument.
+    What a bool's option gives is not the default;  help : where the option says something
+    else than `text`
+    """
+    return Field(
+        default=default,
+        description=text,
+        json_schema_extra={"option": option, "help": help or text},
+        **limits,
+    )
 
 
 class InputSection(Section):
     clip: Path | None = _field(None, "The video to process.", "CLIP")
     camera: Path | None = _field(
-        None, "Calibration: OpenCV, ROS, COLMAP, Kalibr, WPILib. Without it the focal length is guessed.", "--camera FILE"
+        None,
+        "Calibration: OpenCV, ROS, COLMAP, Kalibr, WPILib. Without it the focal length is"
+        " guessed.",
+        "--camera FILE",
     )
     marker_map: Path | None = _field(  # TOML, or WPILib field JSON
-        None, "Known layout of several markers; without it they are mapped from the clip.", "--marker-map FILE"
+        None,
+        "Known layout of several markers; without it they are mapped from the clip.",
+        "--marker-map FILE",
     )
     poses: Path | None = _field(  # or with the time before the pose
-        None, "Camera poses for --anchor plane: a line tx ty tz qx qy qz qw for each frame.", "--poses FILE"
+        None,
+        "Camera poses for --anchor plane: a line tx ty tz qx qy qz qw for each frame.",
+        "--poses FILE",
     )
-    depth: Path | None = _field(None, "Real depth: maps (16-bit PNG, PGM, EXR, TIFF), video (FFV1).", "--depth PATH")
+    depth: Path | None = _field(
+        None, "Real depth: maps (16-bit PNG, PGM, EXR, TIFF), video (FFV1).", "--depth PATH"
+    )
     depth_scale: float | None = _field(
-        None, "Depth steps to a metre; default 1000 (mm), EXR 1.", "--depth-scale N", ge=1e-6, le=1e9
+        None,
+        "Depth steps to a metre; default 1000 (mm), EXR 1.",
+        "--depth-scale N",
+        ge=1e-6,
+        le=1e9,
     )
-    depth_start: Time | None = _field(None, "When the first map was taken, from the clip's first frame.")
+    depth_start: Time | None = _field(
+        None, "When the first map was taken, from the clip's first frame."
+    )
     depth_align: Literal["marker", "none"] = _field(
-        "marker", "marker: the maps' scale is what makes the markers' planes true; none: as stated."
+        "marker",
+        "marker: the maps' scale is what makes the markers' planes true; none: as stated.",
     )
-    start: Time | None = _field(None, "First moment to process, from the clip's first frame: 1.5s, 0:10.", "--start T")
+    start: Time | None = _field(
+        None,
+        "First moment to process, from the clip's first frame: 1.5s, 0:10.",
+        "--start T",
+    )
     end: Time | None = _field(None, "Last moment to process.", "--end T")
     transfer: Annotated[str, BeforeValidator(_transfer)] = _field(
         "srgb", "How coded values become light: srgb, bt709, bt1886, gamma:X."
@@ -79,66 +114,115 @@ class InputSection(Section):
 
 class MarkerSection(Section):
     spec: Annotated[MarkerSpec, _parsed_by(MarkerSpec.parse)] = _field(
-        ..., "FAMILY:ID:SIZE, such as 36h11:3:165mm.", "--marker FAMILY:ID:SIZE", "Repeatable: 36h11:3:165mm."
+        ...,
+        "FAMILY:ID:SIZE, such as 36h11:3:165mm.",
+        "--marker FAMILY:ID:SIZE",
+        "Repeatable: 36h11:3:165mm.",
     )
 
 
 class PatternSection(Section):
     spec: Annotated[PatternSpec, _parsed_by(PatternSpec.parse)] = _field(
-        ..., "IMAGE:SIZE, a print whose picture is known, and its width, such as poster.png:20cm.", "--pattern IMAGE:SIZE",
-        "A print without code as marker: its picture and width, poster.png:20cm. Repeatable.",
-    )  # fmt: skip
+        ...,
+        "IMAGE:SIZE, a print whose picture is known, and its width, such as"
+        " poster.png:20cm.",
+        "--pattern IMAGE:SIZE",
+        "A print without code as marker: its picture and width, poster.png:20cm."
+        " Repeatable.",
+    )
 
 
 class ModelSection(Section):
     file: Path | None = _field(
-        None, "glTF/GLB, OBJ, PLY, STL …; the middle of its base stands on the marker's centre.", "--model FILE"
+        None,
+        "glTF/GLB, OBJ, PLY, STL …; the middle of its base stands on the marker's centre.",
+        "--model FILE",
     )
-    anchor: Literal["marker", "plane"] = _field("marker", "Stand on the marker, or on the depth's main plane.", "--anchor")
+    anchor: Literal["marker", "plane"] = _field(
+        "marker", "Stand on the marker, or on the depth's main plane.", "--anchor"
+    )
     scale: float = _field(1.0, "Metres per file unit.", "--scale", ge=1e-12, le=1e12)
     fit: Length | None = _field(  # after scaling: it overrides scale
         None, "Scale the model's largest extent to this length: 15cm.", "--fit SIZE"
     )
-    rotate: tuple[Turn, Turn, Turn] = _field((0.0, 0.0, 0.0), "Degrees about the marker's axes, in this order.", "--rotate X,Y,Z")
-    offset: tuple[Length, Length, Length] = _field(
-        (0.0, 0.0, 0.0), "Lengths along the marker's axes (x right, y up, z out): 0cm,2cm,0cm.", "--offset X,Y,Z"
+    rotate: tuple[Turn, Turn, Turn] = _field(
+        (0.0, 0.0, 0.0), "Degrees about the marker's axes, in this order.", "--rotate X,Y,Z"
     )
-    up: Literal["x", "y", "z"] | None = _field(None, "Which axis of the file points up; default by file type.", "--up")
+    offset: tuple[Length, Length, Length] = _field(
+        (0.0, 0.0, 0.0),
+        "Lengths along the marker's axes (x right, y up, z out): 0cm,2cm,0cm.",
+        "--offset X,Y,Z",
+    )
+    up: Literal["x", "y", "z"] | None = _field(
+        None, "Which axis of the file points up; default by file type.", "--up"
+    )
 
 
 class PipelineSection(Section):
     stages: list[str] | Literal["auto"] = _field(
         "auto",
-        "Effects to run, in order. Default auto: those that the job has a setting for. Light and shadow always run.",
+        "Effects to run, in order. Default auto: those that the job has a setting for."
+        " Light and shadow always run.",
         "--pipeline A,B,C",
     )
-    quality: Literal["draft", "standard", "high", "reference"] = _field("standard", "Level of every effect.", "--quality")
-    budget: Time | None = _field(None, "Choose the best levels whose predicted time fits: 90s, 1:30.", "--budget TIME", gt=0)
-    fps: float | None = _field(None, "The same, as frames per second.", "--fps", gt=0, le=1e6)
+    quality: Literal["draft", "standard", "high", "reference"] = _field(
+        "standard", "Level of every effect.", "--quality"
+    )
+    budget: Time | None = _field(
+        None,
+        "Choose the best levels whose predicted time fits: 90s, 1:30.",
+        "--budget TIME",
+        gt=0,
+    )
+    fps: float | None = _field(
+        None, "The same, as frames per second.", "--fps", gt=0, le=1e6
+    )
     max_error: float | None = _field(
-        None, "Choose the fastest levels within this error, mean grey levels of 255.", "--max-error E", ge=0, le=255
+        None,
+        "Choose the fastest levels within this error, mean grey levels of 255.",
+        "--max-error E",
+        ge=0,
+        le=255,
     )
     tradeoff: Path | None = _field(
-        None, "Errors of this clip's levels, by `arfx tradeoff`; default: a shipped table.", "--tradeoff FILE"
+        None,
+        "Errors of this clip's levels, by `arfx tradeoff`; default: a shipped table.",
+        "--tradeoff FILE",
     )
     skip: bool = _field(
-        True, "Leave out stages that would change nothing in a frame; false runs every stage.",
-        "--no-skip", "Run every stage on every frame that has a pose.",
-    )  # fmt: skip
+        True,
+        "Leave out stages that would change nothing in a frame; false runs every stage.",
+        "--no-skip",
+        "Run every stage on every frame that has a pose.",
+    )
     seed: int = _field(0, "Seed of all random numbers.", ge=0, lt=2**63)
 
 
 class OutputSection(Section):
-    path: Path | None = _field(None, "out.mp4 .mkv .mov .webm, or frames/%06d.png|exr.", "-o --output PATH")
-    codec: str | None = _field(None, "h264, h265, av1, prores, ffv1, png, exr; default by the output's name.", "--codec NAME")
-    crf: float | None = _field(None, "Constant rate factor of the codec: lower is better and larger.", "--crf", ge=-1e3, le=1e3)
+    path: Path | None = _field(
+        None, "out.mp4 .mkv .mov .webm, or frames/%06d.png|exr.", "-o --output PATH"
+    )
+    codec: str | None = _field(
+        None,
+        "h264, h265, av1, prores, ffv1, png, exr; default by the output's name.",
+        "--codec NAME",
+    )
+    crf: float | None = _field(
+        None,
+        "Constant rate factor of the codec: lower is better and larger.",
+        "--crf",
+        ge=-1e3,
+        le=1e3,
+    )
     preset: str | None = _field(None, "Encoder preset.")
-    pixel_format: str | None = _field(None, "FFmpeg pixel format, such as yuv444p10le.", "--pixel-format NAME")
+    pixel_format: str | None = _field(
+        None, "FFmpeg pixel format, such as yuv444p10le.", "--pixel-format NAME"
+    )
 
 
 class JobConfig(Section):
-    """A whole job: what `arfx process` needs to know. `params` holds one frozen dataclass per stage and `analyse`;
-    `sources` are the job files that it was read from."""
+    """A whole job: what `arfx process` needs to know. `params` holds one frozen dataclass
+    per stage and `analyse`; `sources` are the job files that it was read from."""
 
     input: InputSection = Field(default_factory=InputSection)
     marker: tuple[MarkerSection, ...] = ()
@@ -160,8 +244,10 @@ class JobConfig(Section):
 
 
 class Setting(NamedTuple):
-    """A setting of a job file. kinds : its type and what that is made of;  repeated : its section is an array of tables;
-    limits : of pydantic;  flags, metavar, help : of its option; no flags: it has none; messages name the first
+    """A setting of a job file. kinds : its type and what that is made of;  repeated : its
+    section is an array of tables;
+    limits : of pydantic;  flags, metavar, help : of its option; no flags: it has none;
+    messages name the first
     text : what it does"""
 
     section: str
@@ -190,11 +276,20 @@ def settings() -> tuple[Setting, ...]:
 def _settings() -> Iterator[Setting]:
     for section, outer in JobConfig.model_fields.items():
         repeated = get_origin(outer.annotation) is tuple
-        for key, field in getattr(kinds(outer.annotation)[int(repeated)], "model_fields", {}).items():
+        for key, field in getattr(
+            kinds(outer.annotation)[int(repeated)], "model_fields", {}
+        ).items():
             option = field.json_schema_extra["option"].split()
             flags = [word for word in option if word.startswith("-")] or option
             metavar = option[-1] if len(option) > len(flags) else None
-            about = (field.default, field.metadata, flags, metavar, field.json_schema_extra["help"], field.description)
+            about = (
+                field.default,
+                field.metadata,
+                flags,
+                metavar,
+                field.json_schema_extra["help"],
+                field.description,
+            )
             yield Setting(section, key, kinds(field.annotation), repeated, *about)
 
 
@@ -222,8 +317,14 @@ def plain(value: Any) -> Any:
 
 def frozen(config: JobConfig) -> dict[str, Any]:
     """The job as plain data that `load` reads back to the same job (paths absolute)."""
-    tree = {name: getattr(config, name).model_dump() for name in ("input", "model", "pipeline", "output")}
-    tree |= {"marker": [{"spec": m.spec} for m in config.marker], "pattern": [{"spec": p.spec} for p in config.pattern]}
+    tree = {
+        name: getattr(config, name).model_dump()
+        for name in ("input", "model", "pipeline", "output")
+    }
+    tree |= {
+        "marker": [{"spec": m.spec} for m in config.marker],
+        "pattern": [{"spec": p.spec} for p in config.pattern],
+    }
     if tree["model"]["fit"] is not None:
         tree["model"]["fit"] = f"{float(tree['model']['fit'])!r}m"
     tree["model"]["offset"] = [f"{float(v)!r}m" for v in tree["model"]["offset"]]
@@ -231,14 +332,20 @@ def frozen(config: JobConfig) -> dict[str, Any]:
 
 
 def to_toml(tree: Mapping[str, Any], prefix: str = "") -> str:
-    """TOML text of nested plain data (strings, numbers, booleans, lists of those, tables, lists of tables)."""
+    """TOML text of nested plain data (strings, numbers, booleans, lists of those, tables,
+    lists of tables).
+    """
     lines, tables = [], []
     for key, value in tree.items():
         if isinstance(value, Mapping):
             body = to_toml(value, f"{prefix}{key}.")
             tables.append(f"\n[{prefix}{key}]\n{body}")
-        elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
-            tables += [f"\n[[{prefix}{key}]]\n{to_toml(v, f'{prefix}{key}.')}" for v in value]
+        elif (
+            isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value)
+        ):
+            tables += [
+                f"\n[[{prefix}{key}]]\n{to_toml(v, f'{prefix}{key}.')}" for v in value
+            ]
         else:
             lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
     return "\n".join([*lines, *tables])

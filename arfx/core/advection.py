@@ -1,6 +1,7 @@
 """How the background moved: for each node of a grid, the original position of what it shows now.
 
-The frames of an epoch, in which little moves, share one set of positions. Paint laid out in these moves with the scene."""
+The frames of an epoch, in which little moves, share one set of positions. Paint laid out in
+these moves with the scene."""
 
 from __future__ import annotations
 
@@ -18,10 +19,12 @@ STEPS_PER_PX = 16  # positions of nodes are whole numbers of them
 
 @dataclass(frozen=True)
 class AdvectionField(Document):
-    """set : number of the epoch;  pitch : px from node to node;  origin : x, y of the first;  shape : rows, columns
+    """set : number of the epoch;  pitch : px from node to node;  origin : x, y of the
+    first;  shape : rows, columns
 
     nodes : positions, of `pack_positions`, carried since the shot began
-    forward, backward : the same of two patterns that begin undistorted at the ends of an interval, "" = none
+    forward, backward : the same of two patterns that begin undistorted at the ends of an
+    interval, "" = none
     share : weight of the second of them in this frame
     detail : how much there is to see around each node, of `pack_detail`, "" = not known
     pose : camera_from_world of the frame for which the set was made"""

@@ -14,7 +14,9 @@ from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.errors import InputError
 
-BROWN = "brown"  # OpenCV k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]: Brown-Conrady, rational, thin prism, tilt
+# OpenCV k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]: Brown-Conrady, rational, thin
+# prism, tilt
+BROWN = "brown"
 FISHEYE = "fisheye"  # OpenCV fisheye k1..k4 (Kannala-Brandt, also "equidistant")
 
 
@@ -22,9 +24,11 @@ FISHEYE = "fisheye"  # OpenCV fisheye k1..k4 (Kannala-Brandt, also "equidistant"
 @dataclass(frozen=True, eq=False)
 class Camera(Document):
     """Intrinsics of one picture size.
-    width, height : px;  matrix : (3, 3) float64, zero skew;  source : where it came from, for messages
+    width, height : px;  matrix : (3, 3) float64, zero skew;  source : where it came from,
+    for messages
     distortion : (n,) float64, n in 0, 4, 5, 8, 12, 14 for `brown`, 4 for `fisheye`
-    Raises InputError for non-finite values, a focal length <= 0 or a wrong number of coefficients."""
+    Raises InputError for non-finite values, a focal length <= 0 or a wrong number of coefficients.
+    """
 
     width: int
     height: int
@@ -42,15 +46,27 @@ class Camera(Document):
         object.__setattr__(self, "distortion", d)
         where = f" in {self.source}" if self.source else ""
         if m.shape != (3, 3) or not np.isfinite(m).all() or not np.isfinite(d).all():
-            raise InputError(f"camera calibration{where} holds values that are not finite numbers", "calibrate again")
+            raise InputError(
+                f"camera calibration{where} holds values that are not finite numbers",
+                "calibrate again",
+            )
         if m[0, 0] <= 0 or m[1, 1] <= 0:
-            raise InputError(f"camera calibration{where}: focal length must be above 0, is {m[0, 0]:g}, {m[1, 1]:g} px")
+            raise InputError(
+                f"camera calibration{where}: focal length must be above 0, is {m[0, 0]:g},"
+                f" {m[1, 1]:g} px"
+            )
         if self.width <= 0 or self.height <= 0:
-            raise InputError(f"camera calibration{where}: picture size {self.width}x{self.height}")
+            raise InputError(
+                f"camera calibration{where}: picture size {self.width}x{self.height}"
+            )
         allowed = (0, 4) if self.model == FISHEYE else (0, 4, 5, 8, 12, 14)
         if self.model not in (BROWN, FISHEYE) or d.size not in allowed:
             hint = f"one of {', '.join(map(str, allowed))}"
-            raise InputError(f"camera calibration{where}: {d.size} distortion coefficients for model {self.model!r}", hint)
+            raise InputError(
+                f"camera calibration{where}: {d.size} distortion coefficients for model"
+                f" {self.model!r}",
+                hint,
+            )
 
     fx = property(lambda self: float(self.matrix[0, 0]))
     fy = property(lambda self: float(self.matrix[1, 1]))
@@ -72,23 +88,35 @@ class Camera(Document):
 
     @cached_property
     def max_radius(self) -> float:
-        """Largest normalised radius r = |(x, y)/z| up to which the distortion is one-to-one; inf if everywhere.
-        Beyond it the polynomial folds back, and points that are out of the picture would reappear inside it."""
+        """Largest normalised radius r = |(x, y)/z| up to which the distortion is
+        one-to-one; inf if everywhere. Beyond it the polynomial folds back, and points that
+        are out of the picture would reappear inside it."""
         if self.model == FISHEYE:
             theta = np.linspace(1e-4, np.pi / 2 - 1e-3, 2000)
             d = self._coefficients()
-            t = theta * (1 + theta**2 * (d[0] + theta**2 * (d[1] + theta**2 * (d[2] + theta**2 * d[3]))))
+            t = theta * (
+                1
+                + theta**2
+                * (d[0] + theta**2 * (d[1] + theta**2 * (d[2] + theta**2 * d[3])))
+            )
             fold = np.flatnonzero(np.diff(t) <= 0)
             return float(np.tan(theta[fold[0]])) if fold.size else float(np.tan(theta[-1]))
         d = self._coefficients()
         r = np.linspace(0, 10, 20001)[1:]
         r2 = r * r
-        radial = divide(1 + r2 * (d[0] + r2 * (d[1] + r2 * d[4])), 1 + r2 * (d[5] + r2 * (d[6] + r2 * d[7])), where_zero=-1.0)
+        radial = divide(
+            1 + r2 * (d[0] + r2 * (d[1] + r2 * d[4])),
+            1 + r2 * (d[5] + r2 * (d[6] + r2 * d[7])),
+            where_zero=-1.0,
+        )
         fold = np.flatnonzero(np.diff(r * radial) <= 0)
         return float(r[fold[0]]) if fold.size else float("inf")
 
     def distort(self, xy: np.ndarray) -> np.ndarray:
-        """Ideal normalised coordinates (..., 2) to distorted ones. Source: OpenCV calib3d documentation."""
+        """Ideal normalised coordinates (..., 2) to distorted ones.
+
+        Source: OpenCV calib3d documentation.
+        """
         xy = np.asarray(xy, float)
         if not self.distorted:
             return xy.copy("K")
@@ -102,7 +130,11 @@ class Camera(Document):
             td = th * (1 + t2 * (d[0] + t2 * (d[1] + t2 * (d[2] + t2 * d[3]))))
             return xy * divide(td, r, where_zero=1.0)[..., None]
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, tx, ty = d
-        radial = divide(1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6)), where_zero=1.0)
+        radial = divide(
+            1 + r2 * (k1 + r2 * (k2 + r2 * k3)),
+            1 + r2 * (k4 + r2 * (k5 + r2 * k6)),
+            where_zero=1.0,
+        )
         xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + r2 * s2)
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + r2 * s4)
         if tx or ty:
@@ -111,14 +143,16 @@ class Camera(Document):
         return np.stack([xd, yd], -1)
 
     def undistort(self, xy: np.ndarray, iterations: int = 12) -> np.ndarray:
-        """Distorted normalised coordinates (..., 2) to ideal ones: Newton with a numerical Jacobian.
-        Points that no direction maps to (beyond the fold) give NaN."""
+        """Distorted normalised coordinates (..., 2) to ideal ones: Newton with a numerical
+        Jacobian. Points that no direction maps to (beyond the fold) give NaN."""
         target = np.asarray(xy, float)
         if not self.distorted:
             return target.copy()
         h, guess = 1e-6, target.copy()
         along_x, along_y = np.array([h, 0.0]), np.array([0.0, h])
-        todo = np.ones(target.shape[:-1], bool)  # each point until its own steps end, whatever points are beside it
+        todo = np.ones(
+            target.shape[:-1], bool
+        )  # each point until its own steps end, whatever points are beside it
         for _ in range(iterations):
             at = guess[todo]
             if not len(at):
@@ -131,7 +165,9 @@ class Camera(Document):
             sy = divide(err[..., 1] * dx[..., 0] - err[..., 0] * dx[..., 1], det)
             step = np.stack([sx, sy], -1)
             size = np.linalg.norm(step, axis=-1)
-            guess[todo] = at + step * np.minimum(1.0, divide(0.3, size, where_zero=1.0))[..., None]  # damped near a fold
+            guess[todo] = (
+                at + step * np.minimum(1.0, divide(0.3, size, where_zero=1.0))[..., None]
+            )  # damped near a fold
             todo[todo] = size > 1e-12
         found = np.linalg.norm(self.distort(guess) - target, axis=-1) <= 1e-6
         guess[~found | (np.linalg.norm(guess, axis=-1) > self.max_radius)] = np.nan
@@ -139,8 +175,8 @@ class Camera(Document):
 
     def project(self, points_camera: np.ndarray) -> np.ndarray:
         """Points (..., 3) in camera coordinates, metres, to pixels (..., 2).
-        NaN for points closer than EPS_DEPTH_M in front of the camera, or beyond the distortion's fold.
-        Agrees with cv2.projectPoints to 1e-9 px inside."""
+        NaN for points closer than EPS_DEPTH_M in front of the camera, or beyond the
+        distortion's fold. Agrees with cv2.projectPoints to 1e-9 px inside."""
         p = np.asarray(points_camera, float)
         z = p[..., 2]
         ok = z > EPS_DEPTH_M
@@ -148,12 +184,19 @@ class Camera(Document):
         ok &= xy[..., 0] ** 2 + xy[..., 1] ** 2 <= self.max_radius**2
         if ok.all():
             return self.distort(xy) * [self.fx, self.fy] + [self.cx, self.cy]
-        uv = self.distort(np.where(ok[..., None], xy, 0.0)) * [self.fx, self.fy] + [self.cx, self.cy]
+        uv = self.distort(np.where(ok[..., None], xy, 0.0)) * [self.fx, self.fy] + [
+            self.cx,
+            self.cy,
+        ]
         return np.where(ok[..., None], uv, np.nan)
 
     def normalised(self, pixels: np.ndarray) -> np.ndarray:
-        """Pixels (..., 2) to ideal normalised coordinates (x/z, y/z); NaN where no direction maps there."""
-        return self.undistort((np.asarray(pixels, float) - [self.cx, self.cy]) / [self.fx, self.fy])
+        """Pixels (..., 2) to ideal normalised coordinates (x/z, y/z); NaN where no
+        direction maps there.
+        """
+        return self.undistort(
+            (np.asarray(pixels, float) - [self.cx, self.cy]) / [self.fx, self.fy]
+        )
 
     def directions(self, pixels: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) to viewing directions (..., 3) with z = 1 (not unit length)."""
@@ -162,36 +205,66 @@ class Camera(Document):
 
     def scaled_to(self, width: int, height: int, pixel_aspect: float = 1.0) -> Camera:
         """The same lens for another picture size.
-        pixel_aspect : of the wanted pixels; the calibration may be of these or of the square ones that are displayed
+        pixel_aspect : of the wanted pixels; the calibration may be of these or of the
+        square ones that are displayed
         Raises InputError if the aspect ratio differs by more than 0.5 % from both."""
         if (width, height) == (self.width, self.height):
             return self
         stretch = width * self.height / (height * self.width)
         if min(abs(stretch - 1), abs(stretch * pixel_aspect - 1)) > 0.005:
             raise InputError(
-                f"camera calibration {self.source or ''} is for {self.width}x{self.height}, the clip is {width}x{height}",
-                "the aspect ratios differ: calibrate with the same camera mode (crop) as the clip",
+                f"camera calibration {self.source or ''} is for {self.width}x{self.height},"
+                f" the clip is {width}x{height}",
+                "the aspect ratios differ: calibrate with the same camera mode (crop) as"
+                " the clip",
             )
         sx, sy = width / self.width, height / self.height
         m = self.matrix.copy()
         m[0] *= sx
         m[1] *= sy
-        m[0, 2] = (self.cx + 0.5) * sx - 0.5  # pixel centres at integers: the picture's edge is at -0.5
+        m[0, 2] = (
+            self.cx + 0.5
+        ) * sx - 0.5  # pixel centres at integers: the picture's edge is at -0.5
         m[1, 2] = (self.cy + 0.5) * sy - 0.5
         m[2] = [0, 0, 1]
-        return Camera(width, height, m, self.distortion, self.model, self.source, self.guessed)
+        return Camera(
+            width, height, m, self.distortion, self.model, self.source, self.guessed
+        )
 
     def ideal(self) -> Camera:
         """The same camera without lens distortion."""
-        return Camera(self.width, self.height, self.matrix, np.zeros(0), BROWN, self.source, self.guessed)
+        return Camera(
+            self.width,
+            self.height,
+            self.matrix,
+            np.zeros(0),
+            BROWN,
+            self.source,
+            self.guessed,
+        )
 
     @staticmethod
-    def guess(width: int, height: int, horizontal_fov_deg: float = 65.0, pixel_aspect: float = 1.0) -> Camera:
-        """A pinhole with a typical phone's field of view along the long side as displayed; `guessed` is set.
+    def guess(
+        width: int, height: int, horizontal_fov_deg: float = 65.0, pixel_aspect: float = 1.0
+    ) -> Camera:
+        """A pinhole with a typical phone's field of view along the long side as displayed;
+        `guessed` is set.
         pixel_aspect : width of a pixel over its height"""
-        f = max(width * pixel_aspect, height) / 2 / np.tan(np.radians(horizontal_fov_deg) / 2)
-        m = np.array([[f / pixel_aspect, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])
-        return Camera(width, height, m, source=f"guess ({horizontal_fov_deg:g} deg along the long side)", guessed=True)
+        f = (
+            max(width * pixel_aspect, height)
+            / 2
+            / np.tan(np.radians(horizontal_fov_deg) / 2)
+        )
+        m = np.array(
+            [[f / pixel_aspect, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]]
+        )
+        return Camera(
+            width,
+            height,
+            m,
+            source=f"guess ({horizontal_fov_deg:g} deg along the long side)",
+            guessed=True,
+        )
 
 
 def _tilt(tx: float, ty: float) -> np.ndarray:

@@ -1,8 +1,11 @@
-"""What is written down and read again: state as bytes, exactly (`dumps`), and dataclasses as JSON (`Document`).
+"""What is written down and read again: state as bytes, exactly (`dumps`), and dataclasses
+as JSON (`Document`).
 
-State, from one process to the next, keeps type, bits and order. Taken: None, bool, int, float, str, list, tuple, dict, Counter,
-numeric numpy arrays and scalars, dataclasses marked `serialisable`. Anything else is refused when it is written, subclasses
-too. What is read can only be of these types: no file names code to run. A file begins with its format and a digest of the
+State, from one process to the next, keeps type, bits and order. Taken: None, bool, int,
+float, str, list, tuple, dict, Counter, numeric numpy arrays and scalars, dataclasses marked
+`serialisable`. Anything else is refused when it is written, subclasses too. What is read
+can only be of these types: no file names code to run. A file begins with its format and a
+digest of the
 rest: one of another version, or a damaged one, is refused as a whole."""
 
 from __future__ import annotations
@@ -20,7 +23,16 @@ from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Self,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 
@@ -31,9 +43,15 @@ T = TypeVar("T")
 
 
 def serialisable(kind: type[T]) -> type[T]:
-    """Decorator of a dataclass whose objects may be written. They are made anew from their fields, in order."""
+    """Decorator of a dataclass whose objects may be written.
+
+    They are made anew from their fields, in order.
+    """
     if kind.__name__ in _CLASSES or not all(f.init and not f.kw_only for f in fields(kind)):  # type: ignore[arg-type]
-        raise TypeError(f"{kind.__name__}: another class of this name is serialisable, or not every field is a plain argument")
+        raise TypeError(
+            f"{kind.__name__}: another class of this name is serialisable, or not every"
+            " field is a plain argument"
+        )
     _CLASSES[kind.__name__] = kind
     return kind
 
@@ -72,7 +90,9 @@ def _digest(body: bytes) -> bytes:
 
 
 def _encode(v: Any, raw: bytearray) -> Any:
-    """As JSON; what is not text or a finite number goes into raw, in the order in which it will be read."""
+    """As JSON; what is not text or a finite number goes into raw, in the order in which it
+    will be read.
+    """
     kind = type(v)
     if v is None or kind in (bool, int, str) or (kind is float and math.isfinite(v)):
         return v  # JSON's decimals are the shortest that are read back as the same float
@@ -89,7 +109,9 @@ def _encode(v: Any, raw: bytearray) -> Any:
         if kind is not np.ndarray:
             raw += v.tobytes()
             return ["scalar", v.dtype.str]
-        order = "F" if v.flags.f_contiguous and not v.flags.c_contiguous else "C"  # sums may depend on it
+        order = (
+            "F" if v.flags.f_contiguous and not v.flags.c_contiguous else "C"
+        )  # sums may depend on it
         raw += v.tobytes(order)
         return ["array", v.dtype.str, order, *v.shape]
     raise TypeError(f"{kind.__qualname__} cannot be stored")
@@ -101,7 +123,11 @@ def _decode(node: Any, take: Callable[[int], bytes]) -> Any:
     tag, rest = node[0], node[1:]
     if tag == "array":
         dtype, order, shape = np.dtype(rest[0]), rest[1], rest[2:]
-        return np.frombuffer(take(dtype.itemsize * math.prod(shape)), dtype).reshape(shape, order=order).copy(order)
+        return (
+            np.frombuffer(take(dtype.itemsize * math.prod(shape)), dtype)
+            .reshape(shape, order=order)
+            .copy(order)
+        )
     if tag == "scalar":
         dtype = np.dtype(rest[0])
         return np.frombuffer(take(dtype.itemsize), dtype)[0]
@@ -124,12 +150,14 @@ Convert = Callable[[Any], Any]
 
 
 class Document:
-    """Base of dataclasses that JSON files hold: written and read by the types of their fields, through one pair of functions
-    for each class. A field that the JSON lacks has its default.
+    """Base of dataclasses that JSON files hold: written and read by the types of their
+    fields, through one pair of functions for each class. A field that the JSON lacks has
+    its default.
 
-    Types: what JSON holds itself, Any, Path, Fraction; arrays (lists of numbers, float64 when read; with `Gaps`, or `Packed`);
-    `Unbounded`; Documents, and classes with a `to_json` and `from_json` of their own; tuples, sequences, mappings and
-    optionals of these."""
+    Types: what JSON holds itself, Any, Path, Fraction; arrays (lists of numbers, float64
+    when read; with `Gaps`, or `Packed`);
+    `Unbounded`; Documents, and classes with a `to_json` and `from_json` of their own;
+    tuples, sequences, mappings and optionals of these."""
 
     __slots__ = ()
 
@@ -139,7 +167,9 @@ class Document:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """Raises TypeError, ValueError, KeyError or AttributeError for what is not of this class."""
+        """Raises TypeError, ValueError, KeyError or AttributeError for what is not of this
+        class.
+        """
         kind: Any = cls
         return _of_class(kind)[1](document)
 
@@ -151,13 +181,19 @@ class Document:
 
 @dataclass(frozen=True)
 class Packed:
-    """Annotation of an array that is written as text. dtype : such as "<f2";  dtype_read : when read, None = the same"""
+    """Annotation of an array that is written as text.
+
+    dtype : such as "<f2";  dtype_read : when read, None = the same
+    """
 
     dtype: str
     dtype_read: str | None = None
 
     def write(self, a: np.ndarray) -> dict[str, Any]:
-        return {"shape": list(a.shape), "data": base64.b64encode(a.astype(self.dtype).tobytes()).decode()}
+        return {
+            "shape": list(a.shape),
+            "data": base64.b64encode(a.astype(self.dtype).tobytes()).decode(),
+        }
 
     def read(self, v: Mapping[str, Any]) -> np.ndarray:
         a = np.frombuffer(base64.b64decode(v["data"]), self.dtype).reshape(v["shape"])
@@ -170,7 +206,9 @@ class _InfinityAsNull:
 
 
 class Gaps:
-    """Annotation of a float or an array in which what is not finite is unknown: null, NaN when read."""
+    """Annotation of a float or an array in which what is not finite is unknown: null, NaN
+    when read.
+    """
 
     @staticmethod
     def write(v: float | np.ndarray) -> Any:
@@ -183,7 +221,9 @@ class Gaps:
         return np.array(v, float)[()]
 
 
-Unbounded = Annotated[float, _InfinityAsNull]  # a float that may be infinite, which JSON cannot say: null
+Unbounded = Annotated[
+    float, _InfinityAsNull
+]  # a float that may be infinite, which JSON cannot say: null
 
 
 @cache
@@ -197,14 +237,20 @@ def _of_type(hint: Any) -> tuple[Convert | None, Convert | None]:
     if origin in (Union, UnionType):
         every = [_of_type(p) for p in parts if p is not type(None)]
         write, read = every[0] if len(every) == 1 else (None, None)
-        return write and (lambda v: None if v is None else write(v)), read and (lambda v: None if v is None else read(v))
+        return write and (lambda v: None if v is None else write(v)), read and (
+            lambda v: None if v is None else read(v)
+        )
     if origin in (tuple, Sequence):
         write, read = _of_type(parts[0])
         container: Convert = tuple if origin is tuple else list
-        return write and (lambda v: list(map(write, v))), (lambda v: container(map(read, v))) if read else container
+        return write and (lambda v: list(map(write, v))), (
+            (lambda v: container(map(read, v))) if read else container
+        )
     if origin in (dict, Mapping):
         write, read = _of_type(parts[1])
-        return write and (lambda v: {k: write(x) for k, x in v.items()}), read and (lambda v: {k: read(x) for k, x in v.items()})
+        return write and (lambda v: {k: write(x) for k, x in v.items()}), read and (
+            lambda v: {k: read(x) for k, x in v.items()}
+        )
     if hint is np.ndarray:
         return (lambda a: np.asarray(a).tolist()), (lambda v: np.array(v, float))
     if hint in (Path, Fraction):
@@ -220,7 +266,10 @@ def _of_class(kind: type) -> tuple[Convert, Convert]:
     """(writes, reads) an object of this dataclass."""
     hints = get_type_hints(kind, include_extras=True)
     of = {f.name: _of_type(hints[f.name]) for f in fields(kind)}
-    writers, readers = ([(name, pair[k]) for name, pair in of.items() if pair[k] is not None] for k in (0, 1))
+    writers, readers = (
+        [(name, pair[k]) for name, pair in of.items() if pair[k] is not None]
+        for k in (0, 1)
+    )
 
     def write(v: Any) -> dict[str, Any]:
         out = {name: getattr(v, name) for name in of}

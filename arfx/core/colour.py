@@ -1,6 +1,7 @@
 """Transfer functions and luma/chroma matrices: how coded values relate to linear light.
 
-Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6, BT.1886, BT.601-7, BT.2020-2 (matrix coefficients)."""
+Sources: IEC 61966-2-1 (sRGB), ITU-R BT.709-6, BT.1886, BT.601-7, BT.2020-2 (matrix coefficients).
+"""
 
 from __future__ import annotations
 
@@ -32,9 +33,13 @@ class Transfer:
     def __post_init__(self) -> None:
         kind, _, value = self.name.partition(":")
         with contextlib.suppress(ValueError):
-            if self.name in ("srgb", "bt709", "bt1886") or (kind == "gamma" and 0.1 <= float(value) <= 10):
+            if self.name in ("srgb", "bt709", "bt1886") or (
+                kind == "gamma" and 0.1 <= float(value) <= 10
+            ):
                 return
-        raise ConfigError(f"unknown transfer {self.name!r}", "one of srgb, bt709, bt1886, gamma:2.2")
+        raise ConfigError(
+            f"unknown transfer {self.name!r}", "one of srgb, bt709, bt1886, gamma:2.2"
+        )
 
     def to_json(self) -> str:
         return self.name
@@ -45,15 +50,24 @@ class Transfer:
 
     @property
     def curve(self) -> tuple[float, float, float, float]:
-        """(toe, slope, alpha, power): a line v / slope up to the coded value `toe`, ((v + alpha - 1) / alpha)^power above."""
+        """(toe, slope, alpha, power): a line v / slope up to the coded value `toe`, ((v +
+        alpha - 1) / alpha)^power above.
+        """
         if self.name == "srgb":
             return 0.04045, 12.92, 1.055, 2.4
         if self.name == "bt709":
             return 4.5 * _BETA, 4.5, _ALPHA, 1 / 0.45
-        return 0.0, 1.0, 1.0, 2.4 if self.name == "bt1886" else float(self.name.partition(":")[2])
+        return (
+            0.0,
+            1.0,
+            1.0,
+            2.4 if self.name == "bt1886" else float(self.name.partition(":")[2]),
+        )
 
     def decode(self, v: np.ndarray) -> np.ndarray:
-        """Coded value (0..1; outside is mirrored through zero) to linear light, same shape and float type."""
+        """Coded value (0..1; outside is mirrored through zero) to linear light, same shape
+        and float type.
+        """
         v = np.asarray(v)
         a = np.abs(v)
         toe, slope, alpha, power = self.curve
@@ -73,10 +87,12 @@ SRGB = Transfer("srgb")
 
 
 def yuv_from_rgb(matrix: str) -> np.ndarray:
-    """(3, 3) float64 from coded R'G'B' to Y'CbCr with Y' in 0..1 and Cb, Cr in -0.5..0.5 (full scale).
-    Raises ConfigError for an unknown matrix name."""
+    """(3, 3) float64 from coded R'G'B' to Y'CbCr with Y' in 0..1 and Cb, Cr in -0.5..0.5
+    (full scale). Raises ConfigError for an unknown matrix name."""
     if matrix not in LUMA_COEFFICIENTS:
-        raise ConfigError(f"unknown colour matrix {matrix!r}", "one of " + ", ".join(LUMA_COEFFICIENTS))
+        raise ConfigError(
+            f"unknown colour matrix {matrix!r}", "one of " + ", ".join(LUMA_COEFFICIENTS)
+        )
     kr, kb = LUMA_COEFFICIENTS[matrix]
     kg = 1 - kr - kb
     y = np.array([kr, kg, kb])

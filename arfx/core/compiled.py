@@ -1,9 +1,11 @@
-"""How loops are compiled: for which processor, where compiled code is kept, when it is stale, and options of loops by lines.
+"""How loops are compiled: for which processor, where compiled code is kept, when it is
+stale, and options of loops by lines.
 
-numba alone compiles for the very processor that it runs on, fails where neither the package nor the home can be written, passes
-over compiled code that came with a package that cannot be written, and does not see that a function of another module, which
-is compiled in, has changed. `configure_numba`, called before
-numba is imported, sets the target and `CacheLocator`."""
+numba alone compiles for the very processor that it runs on, fails where neither the package
+nor the home can be written, passes over compiled code that came with a package that cannot
+be written, and does not see that a function of another module, which is compiled in, has
+changed. `configure_numba`, called before numba is imported, sets the target and
+`CacheLocator`."""
 
 from __future__ import annotations
 
@@ -26,11 +28,15 @@ from typing import Any
 from arfx.core.machine import cache_folder, instructions
 
 _PACKAGES = ("arfx", "arfx_cli")
-_NUMBAS = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
+_NUMBAS = ",".join(
+    f"{kind}CacheLocator"
+    for kind in ("UserProvided", "InTree", "UserWide", "IPython", "Zip")
+)
 # What every x86-64 processor since 2013 (Intel) or 2015 (AMD) can do: code for it can be shipped.
 TARGET = "x86-64-v3"
 _REQUIRED = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
-# Four channels of a pixel, written one by one, become one vector. Off by default, and not part of the index of cached code.
+# Four channels of a pixel, written one by one, become one vector. Off by default, and not
+# part of the index of cached code.
 _SLP = "NUMBA_SLP_VECTORIZE"
 _LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
 
@@ -51,18 +57,22 @@ def configure_numba() -> None:
 
 @functools.cache
 def target_cpu() -> str:
-    """The processor to compile for: TARGET; "" = this very one, where TARGET's instructions are lacking or not known."""
+    """The processor to compile for: TARGET; "" = this very one, where TARGET's instructions
+    are lacking or not known.
+    """
     if platform.machine() not in ("x86_64", "AMD64"):
         return ""
     return TARGET if instructions() >= _REQUIRED else ""
 
 
 def line_kernel(**options: Any) -> Any:
-    """`numba.njit` for a function that is called for every line or ray and counts no references to arrays. options : more of njit
+    """`numba.njit` for a function that is called for every line or ray and counts no
+    references to arrays. options : more of njit
 
-    Otherwise each array or slice that is made or passed on costs two locked additions: a fifth of a line kernel's time, half of
-    the ray tracer's, and more where two threads count the same array's. Such a function allocates no arrays: its caller, which
-    counts, allocates scratch and owns the arguments."""
+    Otherwise each array or slice that is made or passed on costs two locked additions: a
+    fifth of a line kernel's time, half of the ray tracer's, and more where two threads
+    count the same array's. Such a function allocates no arrays: its caller, which counts,
+    allocates scratch and owns the arguments."""
     return import_module("numba").njit(cache=True, nogil=True, _nrt=False, **options)
 
 
@@ -93,7 +103,9 @@ class CacheLocator:
 
 @functools.cache
 def _take_damaged_files_for_stale() -> None:
-    """numba alone fails when it reads one: cut short, or of a type that the code no longer has. It is compiled again."""
+    """numba alone fails when it reads one: cut short, or of a type that the code no longer
+    has. It is compiled again.
+    """
     index_file = import_module("numba.core.caching").IndexDataCacheFile
     load_index, load_data = index_file._load_index, index_file._load_data
 
@@ -113,8 +125,9 @@ def _take_damaged_files_for_stale() -> None:
 
 
 class _Stamp:
-    """Digest of all that the code compiled for a function depends on, made when first compared: what the function calls may
-    be defined further down. Pickled it is a string."""
+    """Digest of all that the code compiled for a function depends on, made when first
+    compared: what the function calls may be defined further down. Pickled it is a
+    string."""
 
     def __init__(self, function: FunctionType) -> None:
         self._function = function
@@ -137,14 +150,18 @@ class _Stamp:
 
 
 def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
-    """The files of a function, of the compiled functions it calls and of the named tuples it says it takes, and the values that
-    are compiled in as constants."""
+    """The files of a function, of the compiled functions it calls and of the named tuples
+    it says it takes, and the values that are compiled in as constants."""
     if id(function) in seen:
         return
     seen.add(id(function))
     yield _file_digest(function.__code__.co_filename)
-    for name in sorted(set(map(str, function.__annotations__.values())) & function.__globals__.keys()):
-        if file := getattr(sys.modules.get(function.__globals__[name].__module__), "__file__", None):
+    for name in sorted(
+        set(map(str, function.__annotations__.values())) & function.__globals__.keys()
+    ):
+        if file := getattr(
+            sys.modules.get(function.__globals__[name].__module__), "__file__", None
+        ):
             yield _file_digest(file)
     names = sorted(_names(function.__code__) & function.__globals__.keys())
     for value in _closure_values(function) + [function.__globals__[name] for name in names]:
@@ -172,7 +189,9 @@ def _closure_values(function: FunctionType) -> list[Any]:
 
 
 def _names(code: CodeType) -> set[str]:
-    return set(code.co_names).union(*(_names(c) for c in code.co_consts if isinstance(c, CodeType)))
+    return set(code.co_names).union(
+        *(_names(c) for c in code.co_consts if isinstance(c, CodeType))
+    )
 
 
 @functools.cache
@@ -180,18 +199,23 @@ def _file_digest(file: str) -> bytes:
     return hashlib.sha256(Path(file).read_bytes()).digest()
 
 
-# Folders of compiled code, of which files are unpickled, that are not used as others may write to them.
+# Folders of compiled code, of which files are unpickled, that are not used as others may
+# write to them.
 open_folders: list[Path] = []
 
 
 @functools.cache
 def code_folder(folder: Path) -> Path:
-    """Where the compiled code of the modules in this folder is kept: the first place that can be written of NUMBA_CACHE_DIR,
-    beside the modules, the user's cache folder, and one for this run. Code that was shipped with the package is copied."""
+    """Where the compiled code of the modules in this folder is kept: the first place that
+    can be written of NUMBA_CACHE_DIR, beside the modules, the user's cache folder, and one
+    for this run. Code that was shipped with the package is copied."""
     beside = folder / "__pycache__"
     trusted = not beside.exists() or not _open_to_others(beside)
     shipped = sorted(beside.glob("*.nb[ic]")) if trusted else []
-    state = [str(folder), *((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in shipped)]
+    state = [
+        str(folder),
+        *((file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in shipped),
+    ]
     name = f"{folder.name}-{hashlib.sha256(repr(state).encode()).hexdigest()[:16]}"
     given = os.environ.get(_FOLDER)
     if given and _prepare_folder(Path(given) / name, shipped):
@@ -217,7 +241,9 @@ def cache_persists() -> bool:
 
 @functools.cache
 def _folder_of_this_run() -> Path:
-    """For this process and those that it starts; removed when it ends. Raises OSError where there is no temporary folder."""
+    """For this process and those that it starts; removed when it ends. Raises OSError where
+    there is no temporary folder.
+    """
     folder = tempfile.mkdtemp(prefix="arfx-compiled-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ[_FOLDER] = folder
@@ -225,7 +251,10 @@ def _folder_of_this_run() -> Path:
 
 
 def _open_to_others(place: Path) -> bool:
-    """Whether another user owns the folder, or may write or replace it. One of the user's own group may not be another."""
+    """Whether another user owns the folder, or may write or replace it.
+
+    One of the user's own group may not be another.
+    """
     if not hasattr(os, "getuid"):
         return False
     status, above = place.stat(), place.parent.stat()
@@ -237,7 +266,10 @@ def _open_to_others(place: Path) -> bool:
 
 
 def _prepare_folder(place: Path, shipped: list[Path]) -> bool:
-    """Make the folder, with copies of these files if it is new. False if it cannot be written, or others may write to it."""
+    """Make the folder, with copies of these files if it is new.
+
+    False if it cannot be written, or others may write to it.
+    """
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         if shipped and not place.exists():

@@ -1,10 +1,12 @@
 """Predicted cost: a price list fitted on a machine, and predictions that carry their interval.
 
-A price is linear in a few terms of the work, with coefficients >= 0, so that more work never costs less:
+A price is linear in a few terms of the work, with coefficients >= 0, so that more work
+never costs less:
 
-frames 1 per run · mpx pixels given, millions · object_mpx those of them in the object's box · mfaces triangles, millions · lamps
-lights with a direction · lamp_mpx these times object_mpx · depth_mpx those of mpx in a frame with measured depth ·
-new_directions, new_lights 1 where the frame's light is not one that was met before"""
+frames 1 per run · mpx pixels given, millions · object_mpx those of them in the object's box
+· mfaces triangles, millions · lamps lights with a direction · lamp_mpx these times
+object_mpx · depth_mpx those of mpx in a frame with measured depth · new_directions,
+new_lights 1 where the frame's light is not one that was met before"""
 
 from __future__ import annotations
 
@@ -20,8 +22,19 @@ from typing import Any
 from arfx.core.codec import Document
 from arfx.core.machine import cache_folder, processor_name, usable_cores
 
-TERMS = ("frames", "mpx", "object_mpx", "mfaces", "lamps", "lamp_mpx", "depth_mpx", "new_directions", "new_lights")
-# An interval covers nine in ten where the logarithm of measured / predicted is normal with standard deviation `spread`.
+TERMS = (
+    "frames",
+    "mpx",
+    "object_mpx",
+    "mfaces",
+    "lamps",
+    "lamp_mpx",
+    "depth_mpx",
+    "new_directions",
+    "new_lights",
+)
+# An interval covers nine in ten where the logarithm of measured / predicted is normal with
+# standard deviation `spread`.
 _Z_90 = 1.645
 UNCALIBRATED = 0.7  # spread of a price from another machine: a factor of 3 either way
 FORMAT = 1
@@ -48,11 +61,15 @@ def measured(seconds: float) -> Prediction:
 
 
 def with_spread(seconds: float, spread: float) -> Prediction:
-    return Prediction(seconds, seconds * math.exp(-_Z_90 * spread), seconds * math.exp(_Z_90 * spread))
+    return Prediction(
+        seconds, seconds * math.exp(-_Z_90 * spread), seconds * math.exp(_Z_90 * spread)
+    )
 
 
 def sum_independent(parts: Iterable[Prediction]) -> Prediction:
-    """The sum of predictions whose errors have nothing to do with each other: their widths add in quadrature."""
+    """The sum of predictions whose errors have nothing to do with each other: their widths
+    add in quadrature.
+    """
     predictions = list(parts)
     total = sum(p.seconds for p in predictions)
     below = math.sqrt(sum((p.seconds - p.low_s) ** 2 for p in predictions))
@@ -62,7 +79,9 @@ def sum_independent(parts: Iterable[Prediction]) -> Prediction:
 
 @dataclass(frozen=True)
 class Price(Document):
-    """coefficients : seconds per unit of each term, >= 0;  spread : of log(measured / predicted);  runs : fitted to so many"""
+    """coefficients : seconds per unit of each term, >= 0;  spread : of log(measured /
+    predicted);  runs : fitted to so many
+    """
 
     coefficients: Mapping[str, float]
     spread: float
@@ -74,9 +93,11 @@ class Price(Document):
 
 @dataclass(frozen=True)
 class Prices:
-    """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode codec", "join"
+    """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode
+    codec", "join"
     threads : how many worked at once when it was fitted;  source : where it comes from, in words
-    calibrated : measured on this machine; what that had no time for has a spread of UNCALIBRATED at least
+    calibrated : measured on this machine; what that had no time for has a spread of
+    UNCALIBRATED at least
     alone : time of one that works alone, as a fraction of its time among `threads`"""
 
     prices: Mapping[str, Price] = field(default_factory=dict)
@@ -89,7 +110,10 @@ class Prices:
         """None = not known."""
         if (price := self.prices.get(key)) is None:
             return None
-        return with_spread(price.seconds(terms), price.spread if self.calibrated else max(price.spread, UNCALIBRATED))
+        return with_spread(
+            price.seconds(terms),
+            price.spread if self.calibrated else max(price.spread, UNCALIBRATED),
+        )
 
     def with_stage(self, stage: str, own: Prices) -> Prices:
         """These, but for one stage, which `own` prices."""
@@ -98,9 +122,13 @@ class Prices:
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "format": FORMAT, "threads": self.threads, "source": self.source, "alone": self.alone, "calibrated": self.calibrated,
+            "format": FORMAT,
+            "threads": self.threads,
+            "source": self.source,
+            "alone": self.alone,
+            "calibrated": self.calibrated,
             "prices": {k: p.to_json() for k, p in sorted(self.prices.items())},
-        }  # fmt: skip
+        }
 
     @staticmethod
     def from_json(d: Mapping[str, Any], calibrated: bool) -> Prices:
@@ -109,24 +137,42 @@ class Prices:
             raise ValueError("price list of another format")
         prices = {key: Price.from_json(p) for key, p in d["prices"].items()}
         for key, p in prices.items():
-            if not all(t in TERMS and math.isfinite(c) and c >= 0 for t, c in p.coefficients.items()):
+            if not all(
+                t in TERMS and math.isfinite(c) and c >= 0
+                for t, c in p.coefficients.items()
+            ):
                 raise ValueError(f"price of {key}")
         alone = float(d.get("alone", 1.0))
         if not 0 < alone <= 1:
             raise ValueError("price list: alone")
-        return Prices(prices, int(d["threads"]), str(d["source"]), calibrated and bool(d.get("calibrated", True)), alone)
+        return Prices(
+            prices,
+            int(d["threads"]),
+            str(d["source"]),
+            calibrated and bool(d.get("calibrated", True)),
+            alone,
+        )
 
 
 def prices_file() -> Path:
-    """Where this machine's price list lies: in the user's cache folder, under a name of processor and cores."""
-    name = "".join(c if c.isalnum() else "-" for c in f"{platform.machine()}-{processor_name()}-{usable_cores()}")
+    """Where this machine's price list lies: in the user's cache folder, under a name of
+    processor and cores.
+    """
+    name = "".join(
+        c if c.isalnum() else "-"
+        for c in f"{platform.machine()}-{processor_name()}-{usable_cores()}"
+    )
     return cache_folder() / f"costs-{name}.json"
 
 
 def load_prices(file: Path | None = None) -> Prices:
     """This machine's price list where `arfx bench --calibrate` left one, else the shipped one."""
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError):
-        return Prices.from_json(json.loads((file or prices_file()).read_text(encoding="utf-8")), calibrated=True)
+    with contextlib.suppress(
+        OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError
+    ):
+        return Prices.from_json(
+            json.loads((file or prices_file()).read_text(encoding="utf-8")), calibrated=True
+        )
     return shipped_prices()
 
 

@@ -15,18 +15,28 @@ from arfx.core.numerics import divide, normalise
 @lru_cache(maxsize=4)
 def face_directions(size: int) -> np.ndarray:
     """(6, size, size, 3) unit directions of the texels' centres.
-    A face's rows and columns run along the other two axes, the last of them towards -z on the sides: with camera axes
-    (x right, y down, z forward) a picture lies upright on +z."""
+    A face's rows and columns run along the other two axes, the last of them towards -z on
+    the sides: with camera axes (x right, y down, z forward) a picture lies upright on
+    +z."""
     out = normalise(on_faces((np.arange(size) + 0.5) / size * 2 - 1))
     out.setflags(write=False)
     return out
 
 
 def on_faces(t: np.ndarray) -> np.ndarray:
-    """(6, n, n, 3) places on the planes of the faces, at t (n,) along rows and columns; a face ends at -1 and 1."""
+    """(6, n, n, 3) places on the planes of the faces, at t (n,) along rows and columns; a
+    face ends at -1 and 1.
+    """
     v, u = np.meshgrid(t, t, indexing="ij")
     one = np.ones_like(u)
-    faces = [(one, v, -u), (-one, v, -u), (u, one, -v), (u, -one, -v), (u, v, one), (u, v, -one)]
+    faces = [
+        (one, v, -u),
+        (-one, v, -u),
+        (u, one, -v),
+        (u, -one, -v),
+        (u, v, one),
+        (u, v, -one),
+    ]
     return np.stack([np.stack(f, -1) for f in faces])
 
 
@@ -42,7 +52,9 @@ def solid_angles(size: int) -> np.ndarray:
 
 
 def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(face (n,), u, v (n,) in -1..1, along columns and rows) of directions (n, 3) of any length."""
+    """(face (n,), u, v (n,) in -1..1, along columns and rows) of directions (n, 3) of any
+    length.
+    """
     axis = np.abs(directions).argmax(1)
     major = np.take_along_axis(directions, axis[:, None], 1)[:, 0]
     x, y, z = divide(directions, np.abs(major)[:, None]).T
@@ -51,27 +63,38 @@ def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(n, 3) radiance in directions (n, 3), axes of the cube (6, size, size, 3): linear between the texels of a face."""
+    """(n, 3) radiance in directions (n, 3), axes of the cube (6, size, size, 3): linear
+    between the texels of a face.
+    """
     last = faces.shape[1] - 1
     face, u, v = on_cube(np.asarray(directions, float))
     x, y = (np.clip((t + 1) / 2 * (last + 1) - 0.5, 0, last) for t in (u, v))
-    i, j = np.minimum(x.astype(int), max(last - 1, 0)), np.minimum(y.astype(int), max(last - 1, 0))
+    i, j = (
+        np.minimum(x.astype(int), max(last - 1, 0)),
+        np.minimum(y.astype(int), max(last - 1, 0)),
+    )
     i1, j1 = np.minimum(i + 1, last), np.minimum(j + 1, last)
     fx, fy = (x - i)[:, None], (y - j)[:, None]
     top = faces[face, j, i] * (1 - fx) + faces[face, j, i1] * fx
-    return np.asarray(top * (1 - fy) + (faces[face, j1, i] * (1 - fx) + faces[face, j1, i1] * fx) * fy)
+    return np.asarray(
+        top * (1 - fy) + (faces[face, j1, i] * (1 - fx) + faces[face, j1, i1] * fx) * fy
+    )
 
 
 @lru_cache(maxsize=4)
 def _border(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, (n, 3) directions of those)."""
+    """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, (n, 3)
+    directions of those).
+    """
     around = np.ones((6, size + 2, size + 2), bool)
     around[:, 1:-1, 1:-1] = False
     return around, on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
 
 
 def bordered(faces: np.ndarray) -> np.ndarray:
-    """(6, n + 2, n + 2, c) of a cube (6, n, n, c): each face with a texel of its neighbours all around."""
+    """(6, n + 2, n + 2, c) of a cube (6, n, n, c): each face with a texel of its neighbours
+    all around.
+    """
     around, directions = _border(faces.shape[1])
     out = np.empty((*around.shape, faces.shape[-1]), faces.dtype)
     out[:, 1:-1, 1:-1], out[around] = faces, look_up(faces, directions)
@@ -79,7 +102,9 @@ def bordered(faces: np.ndarray) -> np.ndarray:
 
 
 def resampled(faces: np.ndarray, size: int) -> np.ndarray:
-    """(6, size, size, c) of a cube (6, n, n, c) with fewer texels: linear between them, over the edges too."""
+    """(6, size, size, c) of a cube (6, n, n, c) with fewer texels: linear between them,
+    over the edges too.
+    """
     n = faces.shape[1]
     x = ((np.arange(size) + 0.5) / size * n + 0.5)[:, None] - np.arange(n + 2)
     share = np.clip(1 - np.abs(x), 0, None).astype(faces.dtype)
@@ -96,16 +121,22 @@ def _nearby(size: int, reach_deg: float) -> np.ndarray:
 
 
 def spread(faces: np.ndarray, reach_deg: float) -> np.ndarray:
-    """(6, n, n, c) float32 of a cube: each texel the mean of all, whose weight falls to 1 / e within an angle. n <= 16: its
-    cost is O(n^4)"""
-    return (_nearby(faces.shape[1], reach_deg) @ faces.reshape(-1, faces.shape[-1]).astype(np.float32)).reshape(faces.shape)
+    """(6, n, n, c) float32 of a cube: each texel the mean of all, whose weight falls to 1 /
+    e within an angle. n <= 16: its cost is O(n^4)"""
+    return (
+        _nearby(faces.shape[1], reach_deg)
+        @ faces.reshape(-1, faces.shape[-1]).astype(np.float32)
+    ).reshape(faces.shape)
 
 
 @dataclass(frozen=True)
 class SeenEnvironment(Document):
-    """What the clip saw of the surroundings about one frame, between two of the scene's `environment_maps`.
+    """What the clip saw of the surroundings about one frame, between two of the scene's
+    `environment_maps`.
     maps : their names;  share : weight of the second, 0..1
-    axes : nine numbers, row by row, of the rotation to the maps' axes from the world's; None = they are the world's"""
+    axes : nine numbers, row by row, of the rotation to the maps' axes from the world's;
+    None = they are the world's
+    """
 
     maps: tuple[str, str]
     share: float
@@ -114,9 +145,13 @@ class SeenEnvironment(Document):
 
 @dataclass(frozen=True)
 class CubeMap(Document):
-    """A cube of radiance, as facts hold one. size : texels along a face's side;  data : text of float16, see `faces`
-    axes : nine numbers, row by row, of the rotation to the cube's axes from the world's; None = they are the world's
-    plane_rgb : radiance of the anchor's plane as seen, where the cube is a guess: what is next to its horizon agrees with it"""
+    """A cube of radiance, as facts hold one. size : texels along a face's side;  data :
+    text of float16, see `faces`
+    axes : nine numbers, row by row, of the rotation to the cube's axes from the world's;
+    None = they are the world's
+    plane_rgb : radiance of the anchor's plane as seen, where the cube is a guess: what is
+    next to its horizon agrees with it
+    """
 
     size: int
     data: str
@@ -124,12 +159,23 @@ class CubeMap(Document):
     plane_rgb: tuple[float, ...] | None = None
 
     @staticmethod
-    def of(faces: np.ndarray, axes: np.ndarray | None = None, plane_rgb: np.ndarray | None = None) -> CubeMap:
+    def of(
+        faces: np.ndarray,
+        axes: np.ndarray | None = None,
+        plane_rgb: np.ndarray | None = None,
+    ) -> CubeMap:
         """faces : (6, n, n, 3), clipped to +-6e4;  axes : (3, 3);  plane_rgb : (3,)"""
-        data = base64.b64encode(np.clip(faces, -6e4, 6e4).astype("<f2").tobytes()).decode()  # float16 ends at 65504
-        rows = (None if a is None else tuple(np.asarray(a, float).ravel().tolist()) for a in (axes, plane_rgb))
+        data = base64.b64encode(
+            np.clip(faces, -6e4, 6e4).astype("<f2").tobytes()
+        ).decode()  # float16 ends at 65504
+        rows = (
+            None if a is None else tuple(np.asarray(a, float).ravel().tolist())
+            for a in (axes, plane_rgb)
+        )
         return CubeMap(faces.shape[1], data, *rows)
 
     def faces(self) -> np.ndarray:
         """(6, n, n, 3) float16"""
-        return np.frombuffer(base64.b64decode(self.data), "<f2").reshape(6, self.size, self.size, 3)
+        return np.frombuffer(base64.b64decode(self.data), "<f2").reshape(
+            6, self.size, self.size, 3
+        )

@@ -1,4 +1,6 @@
-"""What the analysis learned about each frame: the only thing that crosses from one frame to another."""
+"""What the analysis learned about each frame: the only thing that crosses from one frame to
+another.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.errors import InputError
 
 MEASURED, INTERPOLATED, ABSENT = "measured", "interpolated", "absent"
-_FORMAT, _VERSION = "arfx-facts", 3  # of a facts file: JSON lines, a header and then one line per frame
+_FORMAT, _VERSION = (
+    "arfx-facts",
+    3,
+)  # of a facts file: JSON lines, a header and then one line per frame
 
 
 @dataclass(frozen=True)
@@ -37,8 +42,10 @@ class Hypothesis(Document):
 class MarkerSighting(Document):
     """One configured marker seen in one frame.
     key : "36h11:3";  corners_px : (4, 2) refined, order of MarkerSpec.corners_m
-    sigma_px : standard deviation of a corner coordinate;  hypotheses : best first, one or two (IPPE)
-    chosen : index of the hypothesis that the whole clip supports;  inverted : white on black print"""
+    sigma_px : standard deviation of a corner coordinate;  hypotheses : best first, one or
+    two (IPPE)
+    chosen : index of the hypothesis that the whole clip supports;  inverted : white on black print
+    """
 
     key: str
     corners_px: np.ndarray
@@ -49,7 +56,9 @@ class MarkerSighting(Document):
 
     @property
     def ambiguity(self) -> float:
-        """Ratio of the second solution's error to the first's, >= 1; inf with one solution. Below 3-4: danger."""
+        """Ratio of the second solution's error to the first's, >= 1; inf with one solution.
+        Below 3-4: danger.
+        """
         if len(self.hypotheses) < 2:
             return float("inf")
         a, b = (h.reprojection_px for h in self.hypotheses[:2])
@@ -58,10 +67,13 @@ class MarkerSighting(Document):
 
 @dataclass(frozen=True)
 class PlaneShadow(Document):
-    """Where a real shadow lies on the anchor's plane already, as seen where the surface is known (the white of the marker).
-    box_m : (x0, y0, x1, y1), anchor axes;  ratio : rows from y0 up, columns from x0: plate over what the frame's light gives
-    the same surface without anything in the way, both without the camera's bias. 1 = lit; the ambient fraction of the light = all
-    directional light blocked. Outside the box nothing is known: lit."""
+    """Where a real shadow lies on the anchor's plane already, as seen where the surface is
+    known (the white of the marker).
+    box_m : (x0, y0, x1, y1), anchor axes;  ratio : rows from y0 up, columns from x0: plate
+    over what the frame's light gives
+    the same surface without anything in the way, both without the camera's bias. 1 = lit;
+    the ambient fraction of the light = all directional light blocked. Outside the box
+    nothing is known: lit."""
 
     box_m: tuple[float, float, float, float]
     ratio: tuple[tuple[float, ...], ...]
@@ -69,17 +81,22 @@ class PlaneShadow(Document):
 
 @dataclass(frozen=True)
 class FrameFacts(Document):
-    """One frame: everything a stage may know about the clip beside the pixels. What was not measured is None.
+    """One frame: everything a stage may know about the clip beside the pixels. What was not
+    measured is None.
 
     index : number in decoding order of presentation, from 0 at the clip's first frame
     time_s : presentation time;  shot : number of the cut-free segment
     status : MEASURED (marker seen), INTERPOLATED (a bridged gap) or ABSENT
     camera_from_world : smoothed pose or None;  raw_camera_from_world : the same before smoothing
-    pose_covariance : (6, 6) of the smoothed pose, left perturbation [rotation rad, translation m] in the camera frame
+    pose_covariance : (6, 6) of the smoothed pose, left perturbation [rotation rad,
+    translation m] in the camera frame
     opacity : 0..1, fades the object over a few frames at the ends of its presence
-    light : of this frame, WORLD frame, None = the scene's;  bias_rgb : linear light that the camera adds where none falls
-    model_box : pixels the object can touch, EMPTY when out of view;  depth_range_m : nearest, farthest point of it
-    real_depth : measured;  lens : of the footage;  environment : a guess of all surroundings, WORLD axes
+    light : of this frame, WORLD frame, None = the scene's;  bias_rgb : linear light that
+    the camera adds where none falls
+    model_box : pixels the object can touch, EMPTY when out of view;  depth_range_m :
+    nearest, farthest point of it
+    real_depth : measured;  lens : of the footage;  environment : a guess of all
+    surroundings, WORLD axes
     seen_environment : what the clip saw of them, to be laid over the guess
     light_map : M of the printed method;  plane_shadow : real, on the anchor's plane
     advection : how the background moved since the clip's first frame"""
@@ -115,7 +132,10 @@ class FrameFacts(Document):
 
     @property
     def pose(self) -> Pose:
-        """camera_from_world of a frame that has one. Raises ValueError: where there is none, it is not to be asked for."""
+        """camera_from_world of a frame that has one.
+
+        Raises ValueError: where there is none, it is not to be asked for.
+        """
         if self.camera_from_world is None:
             raise ValueError(f"frame {self.index} has no pose: look at `present` first")
         return self.camera_from_world
@@ -132,7 +152,9 @@ class FrameFacts(Document):
     @property
     def poses(self) -> Iterator[Pose]:
         """Every pose in these facts."""
-        yield from (p for p in (self.camera_from_world, self.raw_camera_from_world) if p is not None)
+        yield from (
+            p for p in (self.camera_from_world, self.raw_camera_from_world) if p is not None
+        )
         yield from (h.camera_from_marker for m in self.markers for h in m.hypotheses)
         if self.advection is not None and self.advection.pose is not None:
             yield self.advection.pose
@@ -152,19 +174,34 @@ def write_facts(path: Path | str, facts: Sequence[FrameFacts]) -> None:
 
 
 def read_facts(path: Path | str) -> tuple[FrameFacts, ...]:
-    """All frames of a facts file. Raises InputError for a file of another kind or one that is cut short."""
+    """All frames of a facts file.
+
+    Raises InputError for a file of another kind or one that is cut short.
+    """
     path = Path(path)
     line = 0
     try:
         with path.open(encoding="utf-8") as f:
             header = json.loads(f.readline() or "{}")
-            if not isinstance(header, dict) or header.get("format") != _FORMAT or header.get("version") != _VERSION:
-                raise InputError(f"{path} is no facts file of version {_VERSION}", "analyse the clip again")
+            if (
+                not isinstance(header, dict)
+                or header.get("format") != _FORMAT
+                or header.get("version") != _VERSION
+            ):
+                raise InputError(
+                    f"{path} is no facts file of version {_VERSION}",
+                    "analyse the clip again",
+                )
             facts = []
             for line, row in enumerate(f, 2):  # noqa: B007 - named in the message below
                 facts.append(FrameFacts.from_line(row))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as e:
-        raise InputError(f"{path}:{line}: not a frame's facts ({e})", "analyse the clip again") from e
+        raise InputError(
+            f"{path}:{line}: not a frame's facts ({e})", "analyse the clip again"
+        ) from e
     if len(facts) != header["frames"]:
-        raise InputError(f"{path} holds {len(facts)} frames of {header['frames']}", "it was cut short: analyse the clip again")
+        raise InputError(
+            f"{path} holds {len(facts)} frames of {header['frames']}",
+            "it was cut short: analyse the clip again",
+        )
     return tuple(facts)

@@ -1,4 +1,6 @@
-"""What a command may write: never a file that it reads, nothing over an existing file unasked, and all of a file or none."""
+"""What a command may write: never a file that it reads, nothing over an existing file
+unasked, and all of a file or none.
+"""
 
 from __future__ import annotations
 
@@ -17,35 +19,61 @@ TIMES = "times.txt"  # beside the images of a sequence
 
 
 class Guard:
-    """Checks on paths that a command is going to write to. Each raises ConfigError and touches nothing.
-    reads : (what it is, path) of every file and folder that the command reads;  overwrite : outputs may be replaced
-    own : fingerprints of outputs that the same job wrote before it was killed: they may be replaced unasked"""
+    """Checks on paths that a command is going to write to. Each raises ConfigError and
+    touches nothing.
+    reads : (what it is, path) of every file and folder that the command reads;  overwrite :
+    outputs may be replaced
+    own : fingerprints of outputs that the same job wrote before it was killed: they may be
+    replaced unasked
+    """
 
     def __init__(self, reads: Iterable[tuple[str, Path]], overwrite: bool = False) -> None:
         self.overwrite = overwrite
         self.own: frozenset[Fingerprint] = frozenset()
         self._reads = {_real(path): what for what, path in reads}
-        self._by_identity = {_identity(Path(path)): what for path, what in self._reads.items()}
+        self._by_identity = {
+            _identity(Path(path)): what for path, what in self._reads.items()
+        }
         self._by_identity.pop(None, None)
 
-    def file(self, path: Path, start: bytes = b"", option: str = "-o", folder_made: bool = False) -> None:
-        """A file to write. start : how those of arfx begin; one that begins otherwise is not replaced at all."""
+    def file(
+        self, path: Path, start: bytes = b"", option: str = "-o", folder_made: bool = False
+    ) -> None:
+        """A file to write. start : how those of arfx begin; one that begins otherwise is
+        not replaced at all.
+        """
         self.check_not_read(path, option)
         if not (folder_made or path.absolute().parent.is_dir()):
-            raise ConfigError(f"output folder {path.parent} does not exist", f"make it first, or name another with {option}")
+            raise ConfigError(
+                f"output folder {path.parent} does not exist",
+                f"make it first, or name another with {option}",
+            )
         if not os.path.lexists(path):
             return
         if path.is_dir() or not (path.is_file() or path.is_symlink()):
             raise ConfigError(f"output {path} is not a file", f"name another with {option}")
-        if not (self._may_replace(path) or (start and self.own)):  # a report that was begun behind the output is the job's too
-            raise ConfigError(f"output {path} exists", f"--overwrite replaces it; or name another with {option}")
+        if not (
+            self._may_replace(path) or (start and self.own)
+        ):  # a report that was begun behind the output is the job's too
+            raise ConfigError(
+                f"output {path} exists",
+                f"--overwrite replaces it; or name another with {option}",
+            )
         if start and not _begins_with(path, start):
-            raise ConfigError(f"{path} was not written by arfx: it is not replaced", f"name another place with {option}")
+            raise ConfigError(
+                f"{path} was not written by arfx: it is not replaced",
+                f"name another place with {option}",
+            )
 
     def files(self, folder: Path, starts: Mapping[str, bytes], option: str = "-o") -> None:
-        """Files of these names in a folder that is made where there is none. starts : as in `file`"""
+        """Files of these names in a folder that is made where there is none.
+
+        starts : as in `file`
+        """
         if os.path.lexists(folder) and not folder.is_dir():
-            raise ConfigError(f"{folder} is a file, not a folder", f"name another with {option}")
+            raise ConfigError(
+                f"{folder} is a file, not a folder", f"name another with {option}"
+            )
         for name, start in starts.items():
             self.file(folder / name, start, option, folder_made=True)
 
@@ -54,7 +82,10 @@ class Guard:
         if os.path.lexists(folder) and not folder.is_dir():
             raise ConfigError(f"output folder {folder} is a file", "name another with -o")
         if not (folder.is_dir() or folder.absolute().parent.is_dir()):
-            raise ConfigError(f"output folder {folder.parent} does not exist", "make it first, or name another with -o")
+            raise ConfigError(
+                f"output folder {folder.parent} does not exist",
+                "make it first, or name another with -o",
+            )
         if not folder.is_dir():
             return
         self._refuse_if_read(folder, "-o")
@@ -63,19 +94,31 @@ class Guard:
             if mine:
                 self._refuse_if_read(folder / name, "-o")
             if mine and (folder / name).is_dir():
-                raise ConfigError(f"output {folder / name} is not a file", "name another with -o")
-            if (mine or Path(name).suffix.lower() == suffix.lower()) and not self._may_replace(folder / name):
-                raise ConfigError(f"output {folder / name} exists", "--overwrite replaces it; or name another with -o")
+                raise ConfigError(
+                    f"output {folder / name} is not a file", "name another with -o"
+                )
+            if (
+                mine or Path(name).suffix.lower() == suffix.lower()
+            ) and not self._may_replace(folder / name):
+                raise ConfigError(
+                    f"output {folder / name} exists",
+                    "--overwrite replaces it; or name another with -o",
+                )
 
     def folder(self, path: Path, option: str) -> None:
         """A folder that the command keeps for itself: no input is in it."""
         check_file_name(path / ("0" * 60) / ("0" * 120), option)
         if os.path.lexists(path) and not path.is_dir():
-            raise ConfigError(f"{path} is a file, not a folder", f"name another with {option}")
+            raise ConfigError(
+                f"{path} is a file, not a folder", f"name another with {option}"
+            )
         inside = _real(path) + os.sep
         for real, what in self._reads.items():
             if (real + os.sep).startswith(inside):
-                raise ConfigError(f"{what} {real} lies in {path}: it could be lost", f"name another with {option}")
+                raise ConfigError(
+                    f"{what} {real} lies in {path}: it could be lost",
+                    f"name another with {option}",
+                )
 
     def check_not_read(self, path: Path, option: str = "-o") -> None:
         """A file that is no input, under whatever name, and whose own name can be written."""
@@ -87,19 +130,32 @@ class Guard:
 
     def _refuse_if_read(self, path: Path, option: str) -> None:
         if what := self._reads.get(_real(path)) or self._by_identity.get(_identity(path)):
-            raise ConfigError(f"output {path} is also an input ({what}): it would be lost", f"name another with {option}")
+            raise ConfigError(
+                f"output {path} is also an input ({what}): it would be lost",
+                f"name another with {option}",
+            )
 
 
 def check_file_name(path: Path, option: str = "-o") -> None:
-    """Raises ConfigError where the system takes no such name: too long, or with a character that names cannot hold."""
+    """Raises ConfigError where the system takes no such name: too long, or with a character
+    that names cannot hold.
+    """
     try:
         os.lstat(path.absolute())
     except OSError as e:
         if e.errno in (errno.ENAMETOOLONG, errno.EINVAL):
-            name = str(path) if len(str(path)) <= 100 else f"{str(path)[:60]}…{str(path)[-30:]}"
-            raise ConfigError(f"the name {name} is too long for this disk", f"a shorter one with {option}") from None
+            name = (
+                str(path)
+                if len(str(path)) <= 100
+                else f"{str(path)[:60]}…{str(path)[-30:]}"
+            )
+            raise ConfigError(
+                f"the name {name} is too long for this disk", f"a shorter one with {option}"
+            ) from None
     except ValueError as e:
-        raise ConfigError(f"{str(path)!r} cannot be a file's name: {e}", f"name another with {option}") from None
+        raise ConfigError(
+            f"{str(path)!r} cannot be a file's name: {e}", f"name another with {option}"
+        ) from None
 
 
 def part_name(path: Path) -> Path:
@@ -109,7 +165,9 @@ def part_name(path: Path) -> Path:
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A name to write to instead of `path`: renamed to it after the body, removed after an error."""
+    """A name to write to instead of `path`: renamed to it after the body, removed after an
+    error.
+    """
     part = part_name(path)
     try:
         yield part
@@ -119,7 +177,10 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def fingerprint(path: Path) -> Fingerprint:
-    """What a file keeps when it is renamed, and loses when anyone writes to it or replaces it. (0, 0, 0) : no such file"""
+    """What a file keeps when it is renamed, and loses when anyone writes to it or replaces it.
+
+    (0, 0, 0) : no such file
+    """
     try:
         s = path.lstat()
     except OSError:
@@ -132,7 +193,9 @@ def _real(path: Path) -> str:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Device and number of a file: the same under every name of it, hard links and other spellings included."""
+    """Device and number of a file: the same under every name of it, hard links and other
+    spellings included.
+    """
     try:
         s = path.stat()
     except (OSError, ValueError):

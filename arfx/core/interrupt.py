@@ -1,8 +1,10 @@
-"""Ctrl-C, SIGTERM and SIGHUP: recorded when they arrive, so that none is lost where a library swallows what they raise.
+"""Ctrl-C, SIGTERM and SIGHUP: recorded when they arrive, so that none is lost where a
+library swallows what they raise.
 
-A signal raises KeyboardInterrupt in the main thread, and `check`, called often, raises it again. Where work must not be cut
-in two, it is deferred until the end. Once an output is in place under its final name, signals no longer change the outcome.
-A second signal ends the process at once: whatever arfx writes is complete or absent at all times."""
+A signal raises KeyboardInterrupt in the main thread, and `check`, called often, raises it
+again. Where work must not be cut in two, it is deferred until the end. Once an output is in
+place under its final name, signals no longer change the outcome. A second signal ends the
+process at once: whatever arfx writes is complete or absent at all times."""
 
 from __future__ import annotations
 
@@ -19,9 +21,12 @@ if TYPE_CHECKING:
     from typing import Any
 
 STOPPING: tuple[signal.Signals, ...] = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+    if hasattr(signal, name)
 )
-_SAME_SIGNAL_S = 0.3  # `timeout`, a container's init or a wrapper send what the terminal has sent already
+# `timeout`, a container's init or a wrapper send what the terminal has sent already
+_SAME_SIGNAL_S = 0.3
 
 
 class _State:
@@ -52,8 +57,9 @@ def _handle(number: int, _: object) -> None:
 
 
 def catch(signals: Sequence[signal.Signals] = STOPPING) -> None:
-    """Catch `signals` from here on, and forget those received. One that is ignored (nohup, a job in a script's background)
-    stays so, and one that the program handles itself is left to it. Elsewhere than in the main thread nothing is caught."""
+    """Catch `signals` from here on, and forget those received. One that is ignored (nohup,
+    a job in a script's background) stays so, and one that the program handles itself is
+    left to it. Elsewhere than in the main thread nothing is caught."""
     global _now
     _now = _State()
     if not _in_main_thread():
@@ -66,8 +72,8 @@ def catch(signals: Sequence[signal.Signals] = STOPPING) -> None:
 
 @contextlib.contextmanager
 def catching(signals: Sequence[signal.Signals] = STOPPING) -> Iterator[None]:
-    """Catch `signals` in the body, unless they are caught already. One received after the outcome was final is passed on
-    afterwards."""
+    """Catch `signals` in the body, unless they are caught already. One received after the
+    outcome was final is passed on afterwards."""
     global _now
     if _now.previous:
         yield
@@ -91,19 +97,30 @@ def pending() -> bool:
 
 
 def check() -> None:
-    """Raise KeyboardInterrupt if a signal was received and is not deferred: what it raised may have been swallowed."""
+    """Raise KeyboardInterrupt if a signal was received and is not deferred: what it raised
+    may have been swallowed.
+    """
     if pending() and not _now.deferred:
         raise KeyboardInterrupt
 
 
 def exit_code() -> int:
     """0 = none came in time; 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
-    return 128 + (_now.number if _now.number != getattr(signal, "SIGBREAK", 0) else signal.SIGINT) if pending() else 0
+    return (
+        128
+        + (_now.number if _now.number != getattr(signal, "SIGBREAK", 0) else signal.SIGINT)
+        if pending()
+        else 0
+    )
 
 
 def cause() -> str:
     """What stopped the work, in words."""
-    return "interrupted" if exit_code() in (0, 130) else f"stopped by {signal.Signals(_now.number).name}"
+    return (
+        "interrupted"
+        if exit_code() in (0, 130)
+        else f"stopped by {signal.Signals(_now.number).name}"
+    )
 
 
 def _in_main_thread() -> bool:
@@ -112,7 +129,10 @@ def _in_main_thread() -> bool:
 
 @contextlib.contextmanager
 def deferred() -> Iterator[None]:
-    """Signals are recorded in the body, and raised after it. Other threads than the main one never see them anyway."""
+    """Signals are recorded in the body, and raised after it.
+
+    Other threads than the main one never see them anyway.
+    """
     if not _in_main_thread():
         yield
         return
@@ -126,7 +146,10 @@ def deferred() -> Iterator[None]:
 
 @contextlib.contextmanager
 def committing() -> Iterator[None]:
-    """The body puts the output in place. Raises KeyboardInterrupt before it if a signal was received; after it none counts."""
+    """The body puts the output in place.
+
+    Raises KeyboardInterrupt before it if a signal was received; after it none counts.
+    """
     if not _in_main_thread():
         yield
         return
@@ -143,20 +166,30 @@ def commit(code: int = 0) -> None:
 
 
 def resume() -> None:
-    """More is to be done after an output was completed: signals count again, including those received meanwhile."""
+    """More is to be done after an output was completed: signals count again, including
+    those received meanwhile.
+    """
     _now.committed = False
     check()
 
 
 @contextlib.contextmanager
 def starting_workers() -> Iterator[None]:
-    """No process started in the body is left half started, nor sees Ctrl-C before `in_worker` turns that off."""
-    if os.name == "posix":  # Python's tracker of shared memory goes first: its start unblocks Ctrl-C again
+    """No process started in the body is left half started, nor sees Ctrl-C before
+    `in_worker` turns that off.
+    """
+    if (
+        os.name == "posix"
+    ):  # Python's tracker of shared memory goes first: its start unblocks Ctrl-C again
         from multiprocessing import resource_tracker
 
         resource_tracker.ensure_running()
     with deferred():
-        previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
+        previous = (
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            if hasattr(signal, "pthread_sigmask")
+            else None
+        )
         try:
             yield
         finally:
@@ -165,7 +198,9 @@ def starting_workers() -> Iterator[None]:
 
 
 def in_worker() -> None:
-    """First in a worker process: leave Ctrl-C to the parent, and end when the parent has ended, however that was."""
+    """First in a worker process: leave Ctrl-C to the parent, and end when the parent has
+    ended, however that was.
+    """
     import multiprocessing
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -173,7 +208,9 @@ def in_worker() -> None:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     parent = multiprocessing.parent_process()
     if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), name="parent", daemon=True).start()
+        threading.Thread(
+            target=_end_with, args=(parent.sentinel,), name="parent", daemon=True
+        ).start()
 
 
 def _end_with(sentinel: int) -> None:
@@ -184,7 +221,10 @@ def _end_with(sentinel: int) -> None:
 
 
 def exit_process(code: int) -> None:
-    """End the process with `code`. Nothing can change it any more: no signal, no thread that is still at work."""
+    """End the process with `code`.
+
+    Nothing can change it any more: no signal, no thread that is still at work.
+    """
     import atexit
 
     for number in STOPPING:

@@ -13,29 +13,53 @@ from arfx.core.rect import EMPTY, Rect
 
 
 class Layer(StrEnum):
-    """Layer names. Arrays are float32 unless stated; colours are linear RGB, scene referred, 1 = paper white."""
+    """Layer names. Arrays are float32 unless stated; colours are linear RGB, scene
+    referred, 1 = paper white.
+    """
 
     PLATE = "plate"  # (h, w, 3) the real frame; never changed
     IMAGE = "image"  # (h, w, 3) the composite so far
     VIRTUAL = "virtual"  # (h, w, 3) shaded virtual object, premultiplied by COVERAGE
-    COVERAGE = "coverage"  # (h, w) fraction of the pixel that the virtual object covers, 0..1
-    DEPTH = "depth"  # (h, w) metres along the optical axis of the nearest virtual surface; inf = none
+    COVERAGE = (  # (h, w) fraction of the pixel that the virtual object covers, 0..1
+        "coverage"
+    )
+    DEPTH = (  # (h, w) metres along the optical axis of the nearest virtual surface; inf = none
+        "depth"
+    )
     NORMAL = "normal"  # (h, w, 3) unit, WORLD frame, towards the camera; zero = none
-    POSITION = "position"  # (h, w, 3) metres, WORLD frame, of the nearest virtual surface; zero = none
+    POSITION = (  # (h, w, 3) metres, WORLD frame, of the nearest virtual surface; zero = none
+        "position"
+    )
     ALBEDO = "albedo"  # (h, w, 3) base colour, not premultiplied
-    MATERIAL = "material"  # (h, w, 4) metallic, roughness, specular (dielectric F0 / 0.08), alpha
+    MATERIAL = (  # (h, w, 4) metallic, roughness, specular (dielectric F0 / 0.08), alpha
+        "material"
+    )
     EMISSIVE = "emissive"  # (h, w, 3) emitted radiance
-    OCCLUSION = "occlusion"  # (h, w) share of the soft light that the material's own picture leaves, 1 = all
+    OCCLUSION = (  # (h, w) share of the soft light that the material's own picture leaves, 1 = all
+        "occlusion"
+    )
     COAT = "coat"  # (h, w, 2) clear coat: how much, 0..1; roughness
     SHEEN = "sheen"  # (h, w, 4) colour of fibres, 0 = none; roughness
     OBJECT_ID = "object_id"  # (h, w) int32, 0 = none, else 1 + part index
-    SHADOW = "shadow"  # (h, w, 3) transmittance: ratio of light that still reaches the real surface, 1 = all
-    REAL_DEPTH = "real_depth"  # (h, w) metres along the axis of the real surface, measured; inf = the job has no depth
+    # (h, w, 3) transmittance: ratio of light that still reaches the real surface, 1 = all
+    SHADOW = "shadow"
+    # (h, w) metres along the axis of the real surface, measured; inf = the job has no depth
+    REAL_DEPTH = "real_depth"
 
 
-# (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing virtual, no shadow.
+# (channels, 0 = none; dtype; value) that a layer has where no stage has written it: nothing
+# virtual, no shadow.
 _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
-    **{name: (3, np.float32, 0.0) for name in (Layer.VIRTUAL, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.EMISSIVE)},
+    **{
+        name: (3, np.float32, 0.0)
+        for name in (
+            Layer.VIRTUAL,
+            Layer.NORMAL,
+            Layer.POSITION,
+            Layer.ALBEDO,
+            Layer.EMISSIVE,
+        )
+    },
     Layer.COVERAGE: (0, np.float32, 0.0),
     Layer.DEPTH: (0, np.float32, np.inf),
     Layer.MATERIAL: (4, np.float32, 0.0),
@@ -49,14 +73,21 @@ _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
 
 
 def neutral(name: Layer, rect: Rect) -> np.ndarray:
-    """A new array over `rect` as if nothing virtual were there. PLATE and IMAGE have no neutral value: KeyError."""
+    """A new array over `rect` as if nothing virtual were there.
+
+    PLATE and IMAGE have no neutral value: KeyError.
+    """
     channels, dtype, value = _NEUTRAL[name]
     shape = (rect.height, rect.width, channels)[: 3 if channels else 2]
-    return np.full(shape, value, dtype) if value else np.zeros(shape, dtype)  # zeros are several times as fast
+    return (
+        np.full(shape, value, dtype) if value else np.zeros(shape, dtype)
+    )  # zeros are several times as fast
 
 
 def packed(array: np.ndarray) -> np.ndarray:
-    """The array read-only and with its rows end to end, a copy where they are not: the form that kernels are compiled for."""
+    """The array read-only and with its rows end to end, a copy where they are not: the form
+    that kernels are compiled for.
+    """
     out = np.ascontiguousarray(array).view()
     out.setflags(write=False)
     return out
@@ -67,16 +98,19 @@ UNWRITTEN = Pixels(EMPTY)
 
 @dataclass(frozen=True)
 class Layers:
-    """Layers seen over one rectangle, read-only: each as it was written, neutral where nothing has written it.
+    """Layers seen over one rectangle, read-only: each as it was written, neutral where
+    nothing has written it.
     written : every name that may be read -> what was written of it
-    A layer's neutral pixels are made when it is asked for, so cropping first costs nothing for what is cut off."""
+    A layer's neutral pixels are made when it is asked for, so cropping first costs nothing
+    for what is cut off."""
 
     rect: Rect
     written: Mapping[Layer, Pixels] = field(default_factory=dict)
 
     def __getitem__(self, name: Layer) -> np.ndarray:
-        """(h, w, ...) over `rect`. Raises KeyError for a layer that is not among `written`, and for PLATE and IMAGE where
-        they do not cover `rect`, as they have no neutral value."""
+        """(h, w, ...) over `rect`. Raises KeyError for a layer that is not among `written`,
+        and for PLATE and IMAGE where they do not cover `rect`, as they have no neutral
+        value."""
         pixels = self.written[name]
         where, array = pixels.part, pixels.array
         if pixels.rest is not None and pixels.rect.contains(self.rect):

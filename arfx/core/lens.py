@@ -1,7 +1,9 @@
-"""A thin lens: blur circle, depth of field and hyperfocal distance; limits as printed: papers/s2_lens.py.
+"""A thin lens: blur circle, depth of field and hyperfocal distance; limits as printed:
+papers/s2_lens.py.
 
-Distances run along the optical axis from the lens. In dioptres (1 / distance) the blur circle is affine: there is no
-pole at infinity and none at the hyperfocal distance. Source: docs/methods/dof.md#lens."""
+Distances run along the optical axis from the lens. In dioptres (1 / distance) the blur
+circle is affine: there is no pole at infinity and none at the hyperfocal distance. Source:
+docs/methods/dof.md#lens."""
 
 from __future__ import annotations
 
@@ -13,8 +15,9 @@ import numpy as np
 from arfx.core.numerics import divide
 from arfx.errors import InputError
 
-# A surface nearer to the lens than this fraction of the focal length is treated as if it were there: the blur circle of
-# Equation 3 grows without bound as the distance goes to 0. At the bound it is about 100 apertures wide.
+# A surface nearer to the lens than this fraction of the focal length is treated as if it
+# were there: the blur circle of Equation 3 grows without bound as the distance goes to 0.
+# At the bound it is about 100 apertures wide.
 NEAREST_SHARE = 1e-2
 
 
@@ -31,35 +34,54 @@ class Lens:
         if not (math.isfinite(self.focal_mm) and self.focal_mm > 0):
             raise InputError(f"focal length must be above 0 mm, is {self.focal_mm:g} mm")
         if not self.fnumber > 0:
-            raise InputError(f"f-number must be above 0, is {self.fnumber:g}", "for example 2.8")
+            raise InputError(
+                f"f-number must be above 0, is {self.fnumber:g}", "for example 2.8"
+            )
         if not self.focus_mm > self.focal_mm:
             hint = "the focus distance must be beyond the focal length"
-            raise InputError(f"a lens of {self.focal_mm:g} mm cannot be focused at {self.focus_mm:g} mm", hint)
+            raise InputError(
+                f"a lens of {self.focal_mm:g} mm cannot be focused at {self.focus_mm:g} mm",
+                hint,
+            )
 
     @property
     def coc_at_infinity_mm(self) -> float:
         """Diameter of the blur circle of something infinitely far: F^2 / (N (U - F))."""
-        return self.focal_mm / self.fnumber * self.focal_mm / (self.focus_mm - self.focal_mm)
+        return (
+            self.focal_mm / self.fnumber * self.focal_mm / (self.focus_mm - self.focal_mm)
+        )
 
     @property
     def coc_mm_per_dioptre(self) -> float:
-        """Growth of the blur circle's diameter, mm, with |1/U - 1/L| in 1/mm: F^2 U / (N (U - F))."""
-        ratio = 1.0 if math.isinf(self.focus_mm) else self.focus_mm / (self.focus_mm - self.focal_mm)
+        """Growth of the blur circle's diameter, mm, with |1/U - 1/L| in 1/mm: F^2 U / (N (U
+        - F)).
+        """
+        ratio = (
+            1.0
+            if math.isinf(self.focus_mm)
+            else self.focus_mm / (self.focus_mm - self.focal_mm)
+        )
         return self.focal_mm / self.fnumber * self.focal_mm * ratio
 
 
 def circle_of_confusion_mm(distance_mm: np.ndarray | float, lens: Lens) -> np.ndarray:
     """Diameter of the blur circle of a thin lens, on the sensor.
-    distance_mm : (...) > 0, inf allowed; a NaN or a distance <= 0 gives 0 (no surface). Finite for every input."""
+    distance_mm : (...) > 0, inf allowed; a NaN or a distance <= 0 gives 0 (no surface).
+    Finite for every input.
+    """
     d = np.asarray(distance_mm, float)
     known = d > 0
     dioptre = 1.0 / np.maximum(np.where(known, d, 1.0), NEAREST_SHARE * lens.focal_mm)
-    return np.where(known, lens.coc_mm_per_dioptre * np.abs(1.0 / lens.focus_mm - dioptre), 0.0)
+    return np.where(
+        known, lens.coc_mm_per_dioptre * np.abs(1.0 / lens.focus_mm - dioptre), 0.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What looks sharp before and behind the focus distance, mm; None = not defined (as printed, at a pole and beyond)."""
+    """What looks sharp before and behind the focus distance, mm; None = not defined (as
+    printed, at a pole and beyond).
+    """
 
     front_mm: float | None
     back_mm: float | None
@@ -77,13 +99,15 @@ def checked(lens: Lens, coc_mm: float) -> None:
 
 
 def depth_of_field(lens: Lens, coc_mm: float) -> Limits:
-    """Depth of field around the focus distance for the largest blur circle `coc_mm`, a diameter, that passes as sharp: its
-    limits stand where the blur circle is exactly that. Back and total are inf from the hyperfocal distance on.
-    Raises InputError as `checked`."""
+    """Depth of field around the focus distance for the largest blur circle `coc_mm`, a
+    diameter, that passes as sharp: its limits stand where the blur circle is exactly that.
+    Back and total are inf from the hyperfocal distance on. Raises InputError as
+    `checked`."""
     checked(lens, coc_mm)
     u = lens.focus_mm
     far = hyperfocal_mm(lens.focal_mm, lens.fnumber, coc_mm)
-    # ratio = N c (U - F) / F^2: 1 at the hyperfocal distance. The limits are at dioptres (1 + ratio) / U, (1 - ratio) / U
+    # ratio = N c (U - F) / F^2: 1 at the hyperfocal distance. The limits are at dioptres (1
+    # + ratio) / U, (1 - ratio) / U
     ratio = float(divide(coc_mm, lens.coc_at_infinity_mm, where_zero=math.inf))
     front = u * (1.0 if math.isinf(ratio) else ratio / (1.0 + ratio))
     back = u * ratio / (1.0 - ratio) if ratio < 1.0 else math.inf

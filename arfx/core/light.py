@@ -9,15 +9,18 @@ import numpy as np
 from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import normalise
 
-# Fraction of each degree of a radiance distribution that remains in the radiance of a white diffuse surface over its normal
-# (Ramamoorthi and Hanrahan 2001, eq. 8, over pi), for the nine `harmonics`.
+# Fraction of each degree of a radiance distribution that remains in the radiance of a white
+# diffuse surface over its normal (Ramamoorthi and Hanrahan 2001, eq. 8, over pi), for the
+# nine `harmonics`.
 DIFFUSE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])
 
 
 @dataclass(frozen=True)
 class DirectionalLight(Document):
-    """direction : unit, WORLD frame, towards the light;  rgb : irradiance on a surface that faces it, such that a
-    white diffuse surface shows radiance rgb (the factor pi is folded in);  angular_size_deg : full angle of its disc;
+    """direction : unit, WORLD frame, towards the light;  rgb : irradiance on a surface that
+    faces it, such that a
+    white diffuse surface shows radiance rgb (the factor pi is folded in);  angular_size_deg
+    : full angle of its disc;
     confidence_deg : half-angle of its confidence cone, inf = not measured."""
 
     direction: tuple[float, float, float]
@@ -32,20 +35,27 @@ class DirectionalLight(Document):
 
 @dataclass(frozen=True)
 class Light(Document):
-    """ambient_rgb : radiance of a white diffuse surface without any directional light, mean over its normals
-    soft : (9, 3) real spherical harmonics, WORLD frame, of that radiance over the normal (`soft_radiance`); empty = the
-    same for every normal. source : what it was taken from ("default", "given", "marker", "environment", ...)
-    Radiance is scene referred linear RGB as the camera codes it: gain and exposure are in it, its bias is not."""
+    """ambient_rgb : radiance of a white diffuse surface without any directional light, mean
+    over its normals
+    soft : (9, 3) real spherical harmonics, WORLD frame, of that radiance over the normal
+    (`soft_radiance`); empty = the
+    same for every normal. source : what it was taken from ("default", "given", "marker",
+    "environment", ...) Radiance is scene referred linear RGB as the camera codes it: gain
+    and exposure are in it, its bias is not."""
 
     ambient_rgb: tuple[float, float, float] = (0.45, 0.45, 0.45)
     lights: tuple[DirectionalLight, ...] = field(
-        default_factory=lambda: (DirectionalLight((0.35, 0.45, 0.82), (0.5, 0.5, 0.5), 20.0),)
+        default_factory=lambda: (
+            DirectionalLight((0.35, 0.45, 0.82), (0.5, 0.5, 0.5), 20.0),
+        )
     )
     source: str = "default"
     soft: tuple[tuple[float, float, float], ...] = ()
 
     def radiance(self, normals: np.ndarray) -> np.ndarray:
-        """(..., 3) radiance of white diffuse surfaces with unit `normals` (..., 3), WORLD frame, nothing in the light's way."""
+        """(..., 3) radiance of white diffuse surfaces with unit `normals` (..., 3), WORLD
+        frame, nothing in the light's way.
+        """
         n = np.asarray(normals, float)
         out = self.soft_radiance(n)
         for li in self.lights:
@@ -62,48 +72,83 @@ class Light(Document):
     @property
     def mean_radiance(self) -> np.ndarray:
         """(3,) `radiance`, mean over all normals."""
-        return np.asarray(self.ambient_rgb, float) + sum((np.asarray(li.rgb, float) for li in self.lights), np.zeros(3)) / 4
+        return (
+            np.asarray(self.ambient_rgb, float)
+            + sum((np.asarray(li.rgb, float) for li in self.lights), np.zeros(3)) / 4
+        )
 
     def scaled(self, factor: np.ndarray) -> Light:
         """The light times a factor (3,), one per channel."""
-        rows = np.array([self.ambient_rgb, *(li.rgb for li in self.lights), *self.soft]) * factor
+        rows = (
+            np.array([self.ambient_rgb, *(li.rgb for li in self.lights), *self.soft])
+            * factor
+        )
         ambient, *rgb = map(tuple, rows.tolist())
         lights = tuple(replace(li, rgb=c) for li, c in zip(self.lights, rgb, strict=False))
         return Light(ambient, lights, self.source, tuple(rgb[len(lights) :]))
 
     def turned(self, rotation: np.ndarray) -> Light:
         """The light in other axes. rotation : (3, 3), to those from the light's."""
-        lights = tuple(replace(li, direction=triple(np.asarray(rotation) @ li.unit)) for li in self.lights)
-        soft = tuple(triple(row) for row in turned_harmonics(np.array(self.soft, float), rotation)) if self.soft else ()
+        lights = tuple(
+            replace(li, direction=triple(np.asarray(rotation) @ li.unit))
+            for li in self.lights
+        )
+        soft = (
+            tuple(
+                triple(row)
+                for row in turned_harmonics(np.array(self.soft, float), rotation)
+            )
+            if self.soft
+            else ()
+        )
         return Light(self.ambient_rgb, lights, self.source, soft)
 
     @staticmethod
-    def of_soft(soft: np.ndarray, lights: tuple[DirectionalLight, ...], source: str) -> Light:
+    def of_soft(
+        soft: np.ndarray, lights: tuple[DirectionalLight, ...], source: str
+    ) -> Light:
         """A light whose ambient part is `soft` (9, 3), with its mean over all normals."""
         return Light(
-            triple(soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]), lights, source, tuple(triple(row) for row in soft)
+            triple(soft[0] * harmonics(np.array([0.0, 0.0, 1.0]))[0]),
+            lights,
+            source,
+            tuple(triple(row) for row in soft),
         )
 
 
 def harmonics(n: np.ndarray) -> np.ndarray:
-    """(..., 9) real spherical harmonics up to degree 2 of unit vectors (..., 3), orthonormal on the sphere.
-    Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3)."""
+    """(..., 9) real spherical harmonics up to degree 2 of unit vectors (..., 3),
+    orthonormal on the sphere.
+    Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2 (Ramamoorthi and Hanrahan 2001, eq. 3).
+    """
     x, y, z = n[..., 0], n[..., 1], n[..., 2]
     terms = (
-        np.full(x.shape, 0.28209479177387814), 0.4886025119029199 * y, 0.4886025119029199 * z, 0.4886025119029199 * x,
-        1.0925484305920792 * x * y, 1.0925484305920792 * y * z, 0.31539156525252005 * (3 * z * z - 1),
-        1.0925484305920792 * x * z, 0.5462742152960396 * (x * x - y * y),
-    )  # fmt: skip
+        np.full(x.shape, 0.28209479177387814),
+        0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        1.0925484305920792 * y * z,
+        0.31539156525252005 * (3 * z * z - 1),
+        1.0925484305920792 * x * z,
+        0.5462742152960396 * (x * x - y * y),
+    )
     return np.stack(terms, -1)
 
 
 def turned_harmonics(coefficients: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree. rotation : as in Light.turned"""
-    k = np.arange(24) + 0.5  # a spiral of even height, by which all nine harmonics can be separated
+    """(9, k) of `harmonics` in other axes; exact, as a rotation does not leave a degree.
+    rotation : as in Light.turned
+    """
+    k = (
+        np.arange(24) + 0.5
+    )  # a spiral of even height, by which all nine harmonics can be separated
     z, phi = 1 - 2 * k / 24, k * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z * z)
     directions = np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
-    return np.linalg.pinv(harmonics(directions)) @ (harmonics(directions @ np.asarray(rotation)) @ coefficients)
+    return np.linalg.pinv(harmonics(directions)) @ (
+        harmonics(directions @ np.asarray(rotation)) @ coefficients
+    )
 
 
 def triple(v: np.ndarray) -> tuple[float, float, float]:

@@ -1,5 +1,5 @@
-"""The machine that this runs on: usable cores, the processor's name and scheduling, the user's cache folder; and how often
-this process looks for garbage."""
+"""The machine that this runs on: usable cores, the processor's name and scheduling, the
+user's cache folder; and how often this process looks for garbage."""
 
 from __future__ import annotations
 
@@ -17,13 +17,19 @@ _QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
 @cache
 def usable_cores() -> int:
-    """Cores that this process may use: of those of the machine the ones it is bound to, and what a container allows."""
+    """Cores that this process may use: of those of the machine the ones it is bound to, and
+    what a container allows.
+    """
     bound_to = getattr(os, "sched_getaffinity", None)  # Linux alone has it
     cores = len(bound_to(0)) if bound_to else os.cpu_count() or 1
     try:
         quota, period = _QUOTA.read_text(encoding="ascii").split()
         return max(min(cores, round(int(quota) / int(period))), 1)
-    except (OSError, ValueError, ZeroDivisionError):  # no control groups here, or no limit ("max")
+    except (
+        OSError,
+        ValueError,
+        ZeroDivisionError,
+    ):  # no control groups here, or no limit ("max")
         return cores
 
 
@@ -33,28 +39,37 @@ def processor_name() -> str:
 
 
 def instructions() -> frozenset[str]:
-    """Names of the processor's extensions of its instruction set; none where the system does not say."""
+    """Names of the processor's extensions of its instruction set; none where the system
+    does not say.
+    """
     return frozenset(_cpuinfo("flags").split())
 
 
 def _cpuinfo(name: str) -> str:
     """What Linux says of the first core; "" elsewhere."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = (
+            Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        )
     except OSError:
         return ""
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith(name)), "")
+    return next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith(name)), ""
+    )
 
 
 def collect_seldom() -> None:
-    """Look for garbage seldom: importing all that a job needs makes 300,000 objects that stay, and looking through them took a
-    thirtieth of a short command, and a tenth of a worker process."""
+    """Look for garbage seldom: importing all that a job needs makes 300,000 objects that
+    stay, and looking through them took a thirtieth of a short command, and a tenth of a
+    worker process."""
     gc.set_threshold(400_000, 10, 100)
 
 
 @contextlib.contextmanager
 def preserve_scheduling() -> Iterator[None]:
-    """Threads that the body starts, and its own, get no more of the processor afterwards than this one had before."""
+    """Threads that the body starts, and its own, get no more of the processor afterwards
+    than this one had before.
+    """
     if not hasattr(os, "sched_setscheduler"):  # POSIX has it, macOS and Windows do not
         yield
         return
@@ -65,14 +80,24 @@ def preserve_scheduling() -> Iterator[None]:
         raised = os.sched_getscheduler(0)
         if raised != policy:
             tasks = Path("/proc/self/task")
-            for thread in (0, *(int(task.name) for task in (tasks.iterdir() if tasks.is_dir() else ()))):  # 0 = this one
+            for thread in (
+                0,
+                *(int(task.name) for task in (tasks.iterdir() if tasks.is_dir() else ())),
+            ):  # 0 = this one
                 with contextlib.suppress(OSError):  # it has ended
                     if os.sched_getscheduler(thread) == raised:
                         os.sched_setscheduler(thread, policy, priority)
 
 
 def cache_folder() -> Path:
-    """arfx's own folder in the user's cache folder; it may not exist yet. Raises RuntimeError where the user has no home."""
+    """arfx's own folder in the user's cache folder; it may not exist yet. Raises
+    RuntimeError where the user has no home.
+    """
     home = Path.home()
     by_system = {"win32": home / "AppData" / "Local", "darwin": home / "Library" / "Caches"}
-    return Path(os.environ.get("XDG_CACHE_HOME") or by_system.get(sys.platform, home / ".cache")) / "arfx"
+    return (
+        Path(
+            os.environ.get("XDG_CACHE_HOME") or by_system.get(sys.platform, home / ".cache")
+        )
+        / "arfx"
+    )

@@ -1,4 +1,6 @@
-"""Prints that tell a pose, coded markers and pictures: which ones, how large, where their corners are."""
+"""Prints that tell a pose, coded markers and pictures: which ones, how large, where their
+corners are.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,16 @@ from arfx.errors import ConfigError
 if TYPE_CHECKING:
     import numpy as np
 
-MIN_MARKER_M, MAX_MARKER_M = 1e-4, 1e3  # of a print: a tenth of a millimetre is the nearest that anything is projected
+MIN_MARKER_M, MAX_MARKER_M = (
+    1e-4,
+    1e3,
+)  # of a print: a tenth of a millimetre is the nearest that anything is projected
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerSpec:
-    """One marker of the scene. family : dictionary name as in FAMILIES ("36h11", "4X4_50", "ORIGINAL");
+    """One marker of the scene. family : dictionary name as in FAMILIES ("36h11", "4X4_50",
+    "ORIGINAL");
     size_m : length of the black square's side."""
 
     family: str
@@ -32,7 +38,9 @@ class MarkerSpec:
 
     @property
     def corners_m(self) -> np.ndarray:
-        """(4, 3) top left, top right, bottom right, bottom left; x right, y up, z out of the print."""
+        """(4, 3) top left, top right, bottom right, bottom left; x right, y up, z out of
+        the print.
+        """
         return _corners(self.size_m, self.size_m)
 
     def __str__(self) -> str:
@@ -43,18 +51,28 @@ class MarkerSpec:
         """FAMILY:ID:SIZE such as 36h11:3:165mm. Raises ConfigError."""
         m = re.fullmatch(r"([^:]+):(\d{1,9}):(.+)", text.strip())
         if not m:
-            raise ConfigError(f"marker {text!r} is not FAMILY:ID:SIZE", "for example 36h11:3:165mm or 4X4_50:0:50mm")
+            raise ConfigError(
+                f"marker {text!r} is not FAMILY:ID:SIZE",
+                "for example 36h11:3:165mm or 4X4_50:0:50mm",
+            )
         family = canonical_family(m[1])
-        size = _size_m(m[3], f"marker {text!r}", "the length of the black square's side: 165mm")
+        size = _size_m(
+            m[3], f"marker {text!r}", "the length of the black square's side: 165mm"
+        )
         if int(m[2]) >= FAMILIES[family]:
-            raise ConfigError(f"marker {text!r}: {family} has ids 0 to {FAMILIES[family] - 1}")
+            raise ConfigError(
+                f"marker {text!r}: {family} has ids 0 to {FAMILIES[family] - 1}"
+            )
         return MarkerSpec(family, int(m[2]), size)
 
 
 @dataclass(frozen=True, slots=True)
 class PatternSpec:
-    """A flat print whose picture is known. image : its file, by the name of which the print is called
-    size_m : its width;  height_m : None until the picture is opened, if the print has the picture's shape"""
+    """A flat print whose picture is known. image : its file, by the name of which the print
+    is called
+    size_m : its width;  height_m : None until the picture is opened, if the print has the
+    picture's shape
+    """
 
     image: Path
     size_m: float
@@ -68,7 +86,9 @@ class PatternSpec:
     def corners_m(self) -> np.ndarray:
         """As of a MarkerSpec. Raises ValueError where the picture was not opened."""
         if self.height_m is None:
-            raise ValueError(f"the height of {self.key} is not known: open its picture first")
+            raise ValueError(
+                f"the height of {self.key} is not known: open its picture first"
+            )
         return _corners(self.size_m, self.height_m)
 
     def __str__(self) -> str:
@@ -84,7 +104,11 @@ class PatternSpec:
             raise ConfigError(f"pattern {text!r} is not IMAGE:SIZE", hint)
         width, times, height = size.partition("x")
         what = f"pattern {text!r}"
-        return PatternSpec(Path(image), _size_m(width, what, hint), _size_m(height, what, hint) if times else None)
+        return PatternSpec(
+            Path(image),
+            _size_m(width, what, hint),
+            _size_m(height, what, hint) if times else None,
+        )
 
 
 Marker = MarkerSpec | PatternSpec
@@ -101,19 +125,28 @@ def _size_m(text: str, what: str, hint: str) -> float:
     size = length_m(text, what=f"size of {what}")
     if not MIN_MARKER_M <= size <= MAX_MARKER_M:
         between = f"between {MIN_MARKER_M:g} m and {MAX_MARKER_M:g} m, is {size:g} m"
-        raise ConfigError(f"{what}: the size must be {between if size > 0 else 'above 0'}", hint)
+        raise ConfigError(
+            f"{what}: the size must be {between if size > 0 else 'above 0'}", hint
+        )
     return size
 
 
 # name -> number of ids. Every predefined square dictionary of OpenCV's objdetect module.
 FAMILIES: dict[str, int] = {
     **{f"{n}X{n}_{k}": k for n in (4, 5, 6, 7) for k in (50, 100, 250, 1000)},
-    "ORIGINAL": 1024, "16h5": 30, "25h9": 35, "36h10": 2320, "36h11": 587, "MIP_36h12": 250,
-}  # fmt: skip
+    "ORIGINAL": 1024,
+    "16h5": 30,
+    "25h9": 35,
+    "36h10": 2320,
+    "36h11": 587,
+    "MIP_36h12": 250,
+}
 
 
 def smallest_family(family: str, highest_id: int) -> str:
-    """The smallest of a family's nested dictionaries that holds ids up to `highest_id`: 4X4_1000 -> 4X4_50."""
+    """The smallest of a family's nested dictionaries that holds ids up to `highest_id`:
+    4X4_1000 -> 4X4_50.
+    """
     root, _, size = family.partition("_")
     if family.startswith("MIP") or not size:
         return family
@@ -122,14 +155,22 @@ def smallest_family(family: str, highest_id: int) -> str:
 
 
 def opencv_name(family: str) -> str:
-    """What OpenCV calls the dictionary of a FAMILIES key: DICT_4X4_50, DICT_APRILTAG_36h11, DICT_ARUCO_ORIGINAL."""
-    maker = "ARUCO_" if family.startswith(("ORIGINAL", "MIP")) else "APRILTAG_" if "h" in family else ""
+    """What OpenCV calls the dictionary of a FAMILIES key: DICT_4X4_50, DICT_APRILTAG_36h11,
+    DICT_ARUCO_ORIGINAL.
+    """
+    maker = (
+        "ARUCO_"
+        if family.startswith(("ORIGINAL", "MIP"))
+        else "APRILTAG_"
+        if "h" in family
+        else ""
+    )
     return f"DICT_{maker}{family}"
 
 
 def canonical_family(name: str) -> str:
-    """The FAMILIES key for any usual spelling (DICT_4X4_50, 4x4_50, tag36h11, AprilTag_36h11, ARUCO_ORIGINAL …).
-    Raises ConfigError, naming the known ones."""
+    """The FAMILIES key for any usual spelling (DICT_4X4_50, 4x4_50, tag36h11,
+    AprilTag_36h11, ARUCO_ORIGINAL …). Raises ConfigError, naming the known ones."""
     s = name.strip().upper()
     for prefix in ("DICT_", "ARUCO_", "APRILTAG_", "APRILTAG", "TAG", "_"):
         s = s.removeprefix(prefix)
@@ -140,5 +181,7 @@ def canonical_family(name: str) -> str:
 
 
 def anchor_marker(markers: Sequence[Marker], placed: Container[str]) -> Marker:
-    """The one that the model stands on: the first of `markers` whose key is in the map, else the first."""
+    """The one that the model stands on: the first of `markers` whose key is in the map,
+    else the first.
+    """
     return next((m for m in markers if m.key in placed), markers[0])

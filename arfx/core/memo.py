@@ -13,14 +13,19 @@ from arfx.core.model import Model
 
 
 class Memo:
-    """`make` is pure: two threads that call it for one key get equal results. made : how many calls there were"""
+    """`make` is pure: two threads that call it for one key get equal results.
+
+    made : how many calls there were
+    """
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._kinds: dict[str, OrderedDict[Hashable, Any]] = defaultdict(OrderedDict)
         self.made = 0
 
-    def get(self, key: Hashable, make: Callable[[], Any], kind: str = "", most: int = 8) -> Any:
+    def get(
+        self, key: Hashable, make: Callable[[], Any], kind: str = "", most: int = 8
+    ) -> Any:
         """most : results kept of this kind; the least recently used is dropped first"""
         with self._lock:
             things = self._kinds[kind]
@@ -44,15 +49,18 @@ _OF_MODEL: WeakKeyDictionary[Model, Memo] = WeakKeyDictionary()
 
 
 def memo_of(model: Model) -> Memo:
-    """What is made of a model alone and of how it stands: found again by planner, renderer and later jobs of this process, which
-    have scenes of their own. It is gone with the model, to which it must not refer."""
+    """What is made of a model alone and of how it stands: found again by planner, renderer
+    and later jobs of this process, which have scenes of their own. It is gone with the
+    model, to which it must not refer."""
     return _OF_MODEL.setdefault(model, Memo())
 
 
 @dataclass(frozen=True, eq=False)
 class Memos:
     """What a stage keeps from frame to frame, at one level, in one process.
-    of_light : made for a light, found again while the light stays;  of_frame : made of a frame's pixels: empty before timing"""
+    of_light : made for a light, found again while the light stays;  of_frame : made of a
+    frame's pixels: empty before timing
+    """
 
     of_light: Memo = field(default_factory=Memo)
     of_frame: Memo = field(default_factory=Memo)

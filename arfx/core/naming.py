@@ -17,13 +17,20 @@ def has_field(pattern: Path) -> bool:
 
 
 def named(pattern: Path, source: Path, numbered: bool = False) -> Path:
-    """The pattern's path for one source, a file or a folder. numbered : its name is a format with a frame number in it
+    """The pattern's path for one source, a file or a folder. numbered : its name is a
+    format with a frame number in it
 
     Raises ConfigError as `has_field`, and where the source gives a field no name."""
-    values = {"stem": source.name if source.is_dir() else source.stem, "parent": source.parent.resolve().name}
+    values = {
+        "stem": source.name if source.is_dir() else source.stem,
+        "parent": source.parent.resolve().name,
+    }
     for field in {field for _, field in _parts(str(pattern)) if field is not None}:
         if values[field] in ("", ".", ".."):
-            raise ConfigError(f"{source}: -o {pattern} needs its {{{field}}}, which is {values[field]!r}", "rename it")
+            raise ConfigError(
+                f"{source}: -o {pattern} needs its {{{field}}}, which is {values[field]!r}",
+                "rename it",
+            )
     name = {field: v.replace("%", "%%") if numbered else v for field, v in values.items()}
     return Path(_filled(str(pattern.parent), values)) / _filled(pattern.name, name)
 
@@ -36,7 +43,10 @@ def fixed_folder(pattern: Path) -> Path:
 
 
 def _filled(text: str, values: dict[str, str]) -> str:
-    return "".join(literal + ("" if field is None else values[field]) for literal, field in _parts(text))
+    return "".join(
+        literal + ("" if field is None else values[field])
+        for literal, field in _parts(text)
+    )
 
 
 def _parts(text: str) -> list[tuple[str, str | None]]:
@@ -45,9 +55,14 @@ def _parts(text: str) -> list[tuple[str, str | None]]:
     try:
         parts = list(string.Formatter().parse(text))
     except ValueError:
-        raise ConfigError(f"-o {text}: a brace stands alone", f"{known}; {{{{ is a brace") from None
+        raise ConfigError(
+            f"-o {text}: a brace stands alone", f"{known}; {{{{ is a brace"
+        ) from None
     for _, field, form, conversion in parts:
         if field is not None and (field not in FIELDS or form or conversion):
-            shown = f"{{{field}{f'!{conversion}' if conversion else ''}{f':{form}' if form else ''}}}"
-            raise ConfigError(f"-o {text}: there is no field {shown}", f"{known}; {{{{ is a brace")
+            rest = (f"!{conversion}" if conversion else "") + (f":{form}" if form else "")
+            shown = f"{{{field}{rest}}}"
+            raise ConfigError(
+                f"-o {text}: there is no field {shown}", f"{known}; {{{{ is a brace"
+            )
     return [(literal, field) for literal, field, _, _ in parts]

@@ -1,6 +1,7 @@
 """Random numbers that belong to a pixel: the same whatever rectangle they are asked for.
 
-A 32-bit integer hash (the finaliser of MurmurHash3, A. Appleby) of key, channel and position. Cost: 5 ns a pixel."""
+A 32-bit integer hash (the finaliser of MurmurHash3, A. Appleby) of key, channel and
+position. Cost: 5 ns a pixel."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Every epsilon and every guarded operation, each with its derivation.
 
-No other module divides by data, takes an arccos of data or normalises data without going through here."""
+No other module divides by data, takes an arccos of data or normalises data without going
+through here."""
 
 from __future__ import annotations
 
@@ -10,11 +11,14 @@ from typing import Any
 
 import numpy as np
 
-# Shortest vector with a direction: float64 rounding (2.2e-16) of coordinates up to 1e4 m leaves 2e-12 m of noise.
+# Shortest vector with a direction: float64 rounding (2.2e-16) of coordinates up to 1e4 m
+# leaves 2e-12 m of noise.
 EPS_LENGTH = 1e-12
-# Below this angle sin(x)/x and friends use their series: the dropped term x^4/120 is then under 1e-18.
+# Below this angle sin(x)/x and friends use their series: the dropped term x^4/120 is then
+# under 1e-18.
 EPS_ANGLE = 1e-4
-# Nearest projected point: nothing physical is closer, and focal lengths up to 1e5 px stay finite in float32.
+# Nearest projected point: nothing physical is closer, and focal lengths up to 1e5 px stay
+# finite in float32.
 EPS_DEPTH_M = 1e-4
 # Least weight of a mean: below that of one pixel in a picture of 2^20 x 2^20 nothing is known.
 EPS_WEIGHT = 1e-12
@@ -22,7 +26,9 @@ EPS_WEIGHT = 1e-12
 HALF_GREY = 0.5 / 255.0
 
 
-def divide(a: np.ndarray | float, b: np.ndarray | float, where_zero: float = 0.0) -> np.ndarray:
+def divide(
+    a: np.ndarray | float, b: np.ndarray | float, where_zero: float = 0.0
+) -> np.ndarray:
     """a / b, with `where_zero` where b is zero or the quotient is not finite. Broadcasts."""
     with np.errstate(all="ignore"):
         q = np.asarray(a, float) / np.asarray(b, float)
@@ -35,7 +41,9 @@ def normalise(v: np.ndarray, axis: int = -1) -> np.ndarray:
     with np.errstate(all="ignore"):
         n = np.linalg.norm(v, axis=axis, keepdims=True)
         ok = (n > EPS_LENGTH) & np.isfinite(n)
-        return np.where(ok, v / np.where(ok, n, 1), 0).astype(v.dtype if v.dtype.kind == "f" else float)
+        return np.where(ok, v / np.where(ok, n, 1), 0).astype(
+            v.dtype if v.dtype.kind == "f" else float
+        )
 
 
 def arccos(c: np.ndarray | float) -> np.ndarray:
@@ -76,8 +84,9 @@ def smoothstep(t: Any) -> np.ndarray:
 
 
 def same_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of rows (n, k): (m,) the first of each that differ, in their order, and (n,) which of these m each row is.
-    As of np.unique(axis=0), in half its time; and Ctrl-C is heard meanwhile: it lets other threads work."""
+    """Of rows (n, k): (m,) the first of each that differ, in their order, and (n,) which of
+    these m each row is. As of np.unique(axis=0), in half its time; and Ctrl-C is heard
+    meanwhile: it lets other threads work."""
     order = np.lexsort(rows.T[::-1])
     ordered = rows[order]
     new = np.ones(len(rows), bool)

@@ -1,8 +1,8 @@
 """Opens and checks every external file: a regular file of a bounded size, taken by its path alone.
 
-A name is never an address, a protocol or a pattern. Devices, pipes, sockets and folders are refused before they are opened.
-Files that libraries read themselves (FFmpeg, OpenCV) pass `regular` first; what the formats may hold is checked by their readers.
-"""
+A name is never an address, a protocol or a pattern. Devices, pipes, sockets and folders are
+refused before they are opened. Files that libraries read themselves (FFmpeg, OpenCV) pass
+`regular` first; what the formats may hold is checked by their readers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ LIMITS: dict[str, tuple[float, str]] = {
     "image": (512, "an environment of 8192 x 4096 px of 32-bit float RGB, with room"),
     "picture": (512, "a camera's largest raw-sized TIFF"),
     "pattern": (256, "a print's picture: a page scanned at 600 dpi, uncompressed"),
-    "camera file": (0.25, "a hundred times a calibration; YAML takes seconds and 100 MB for that much"),
+    "camera file": (
+        0.25,
+        "a hundred times a calibration; YAML takes seconds and 100 MB for that much",
+    ),
     "job file": (1, "thousands of settings"),
     "manifest": (64, "a hundred thousand clips with settings of their own"),
     "scene": (1, "thousands of objects"),
@@ -40,29 +43,41 @@ LIMITS: dict[str, tuple[float, str]] = {
     "report": (4096, "facts of hours of video, about 2 kB a frame"),
     "tradeoff": (64, "every level of every stage on thousands of frames"),
 }
-MAX_NESTING = 64  # nesting of tables and lists in text: people write five; parsers and printers recurse
+# nesting of tables and lists in text: people write five; parsers and printers recurse
+MAX_NESTING = 64
 MAX_INTEGER = 1 << 63  # TOML's range; beyond it numbers overflow wherever they are used
-_UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-_DOTTED = re.compile(r"(?<![^\s.=])(?:[^\s.=]++[ \t]*+\.[ \t]*+){64}")  # tomllib takes the square of a dotted key's parts
+_UNPRINTABLE = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+_DOTTED = re.compile(
+    r"(?<![^\s.=])(?:[^\s.=]++[ \t]*+\.[ \t]*+){64}"
+)  # tomllib takes the square of a dotted key's parts
 
 
 def check_name(name: str | Path) -> None:
-    """Raises ConfigError for a name that is not text in the system's encoding: job files cannot hold it, and OpenCV crashes."""
+    """Raises ConfigError for a name that is not text in the system's encoding: job files
+    cannot hold it, and OpenCV crashes.
+    """
     try:
         str(name).encode()
     except UnicodeEncodeError:
         encoding = sys.getfilesystemencoding()
-        raise ConfigError(f"the name {str(os.fsencode(name))[1:]} is not {encoding} text", "rename it") from None
+        raise ConfigError(
+            f"the name {str(os.fsencode(name))[1:]} is not {encoding} text", "rename it"
+        ) from None
 
 
 def printable(text: str) -> str:
-    """Text with what is no character, and what terminals obey, written as numbers; line ends and tabs stay."""
+    """Text with what is no character, and what terminals obey, written as numbers; line
+    ends and tabs stay.
+    """
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def regular(path: Path | str, kind: str) -> Path:
     """The path, if it names a regular file no larger than LIMITS[kind].
-    Raises InputError: missing, a folder, a device or pipe, too large, not permitted; ConfigError: its name is no text."""
+    Raises InputError: missing, a folder, a device or pipe, too large, not permitted;
+    ConfigError: its name is no text."""
     path = Path(path)
     check_name(path)
     try:
@@ -81,7 +96,10 @@ def is_folder(path: Path, kind: str) -> bool:
 
 
 def folder_entries(folder: Path, kind: str = "folder") -> list[Path]:
-    """What is in a folder, by name, without what is hidden. Raises InputError where it cannot be listed."""
+    """What is in a folder, by name, without what is hidden.
+
+    Raises InputError where it cannot be listed.
+    """
     try:
         return sorted(p for p in folder.iterdir() if not p.name.startswith("."))
     except OSError as e:
@@ -94,13 +112,19 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
     limit = LIMITS[kind][0] * MIB
     try:
         # not blocking: what was a file a moment ago may be a pipe now
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        handle = os.open(
+            path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        )
         with os.fdopen(handle, "rb") as f:
             status = os.fstat(handle)
             _check_status(status, path, kind)
             data = f.read(status.st_size + 1)
-            while len(data) > status.st_size and len(data) <= limit and (more := f.read(MIB)):
-                data += more  # it grows, or is one of /proc, which say that they hold nothing
+            while (
+                len(data) > status.st_size and len(data) <= limit and (more := f.read(MIB))
+            ):
+                data += (
+                    more  # it grows, or is one of /proc, which say that they hold nothing
+                )
     except OSError as e:
         raise _unreadable(path, kind, e) from None
     if len(data) > limit:
@@ -109,7 +133,10 @@ def read_bytes(path: Path | str, kind: str) -> bytes:
 
 
 def read_text(path: Path | str, kind: str) -> str:
-    """The whole file as UTF-8, without a byte order mark. Raises InputError also where it is not text."""
+    """The whole file as UTF-8, without a byte order mark.
+
+    Raises InputError also where it is not text.
+    """
     return as_text(read_bytes(path, kind), path, kind)
 
 
@@ -118,7 +145,9 @@ def as_text(data: bytes, path: Path | str, kind: str) -> str:
     try:
         return data.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as e:
-        raise InputError(f"{kind} {path} is not text (byte {e.start} is not UTF-8)", "save it as UTF-8") from None
+        raise InputError(
+            f"{kind} {path} is not text (byte {e.start} is not UTF-8)", "save it as UTF-8"
+        ) from None
 
 
 def ffmpeg_url(path: Path | str) -> str:
@@ -127,15 +156,21 @@ def ffmpeg_url(path: Path | str) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Raises ValueError that says what is wrong: no TOML, nested too deep, a number out of range."""
+    """Raises ValueError that says what is wrong: no TOML, nested too deep, a number out of
+    range.
+    """
     if _DOTTED.search(text):
         raise ValueError("a key of more than 64 parts")
     return _parse(lambda: tomllib.loads(text))
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Raises ValueError that says what is wrong: no JSON, nested too deep, a number out of range, NaN."""
-    return _parse(lambda: json.loads(text, parse_constant=_no_constant, parse_float=_finite))
+    """Raises ValueError that says what is wrong: no JSON, nested too deep, a number out of
+    range, NaN.
+    """
+    return _parse(
+        lambda: json.loads(text, parse_constant=_no_constant, parse_float=_finite)
+    )
 
 
 def _parse(parse: Callable[[], Any]) -> Any:
@@ -150,7 +185,9 @@ def _parse(parse: Callable[[], Any]) -> Any:
 
 
 def bounded(tree: Any) -> Any:
-    """The same tree, if it is at most MAX_NESTING deep and its integers are at most MAX_INTEGER. Raises ValueError."""
+    """The same tree, if it is at most MAX_NESTING deep and its integers are at most
+    MAX_INTEGER. Raises ValueError.
+    """
     level = [tree]
     for _ in range(MAX_NESTING + 1):
         inner: list[Any] = []
@@ -181,7 +218,11 @@ def _finite(text: str) -> float:
 def _check_status(status: os.stat_result, path: Path, kind: str) -> None:
     if not stat.S_ISREG(status.st_mode):
         is_folder = stat.S_ISDIR(status.st_mode)
-        what = "is a folder" if is_folder else "is not a regular file (a device, pipe or socket)"
+        what = (
+            "is a folder"
+            if is_folder
+            else "is not a regular file (a device, pipe or socket)"
+        )
         raise InputError(f"{kind} {path} {what}", "give a file")
     if status.st_size > LIMITS[kind][0] * MIB:
         raise _too_large(path, kind, status.st_size)
@@ -189,10 +230,16 @@ def _check_status(status: os.stat_result, path: Path, kind: str) -> None:
 
 def _too_large(path: Path, kind: str, size: int) -> InputError:
     limit, _ = LIMITS[kind]
-    return InputError(f"{kind} {path} holds more than {limit:g} MiB ({size / MIB:.3g} MiB)", f"at most {limit:g} MiB")
+    return InputError(
+        f"{kind} {path} holds more than {limit:g} MiB ({size / MIB:.3g} MiB)",
+        f"at most {limit:g} MiB",
+    )
 
 
 def _unreadable(path: Path, kind: str, e: OSError | ValueError) -> InputError:
     if isinstance(e, FileNotFoundError):
         return InputError(f"{kind} {path}: no such file", "check the path")
-    return InputError(f"{kind} {path} cannot be read: {getattr(e, 'strerror', None) or e}", "check the path and its permissions")
+    return InputError(
+        f"{kind} {path} cannot be read: {getattr(e, 'strerror', None) or e}",
+        "check the path and its permissions",
+    )

@@ -1,7 +1,8 @@
-"""Work on several threads: items of a list, rows of a picture in bands, whole tasks in the background. Kernels release the GIL.
+"""Work on several threads: items of a list, rows of a picture in bands, whole tasks in the
+background. Kernels release the GIL.
 
-What is computed never depends on the number of threads: bands depend on the picture alone, so that sums over bands are the
-same everywhere."""
+What is computed never depends on the number of threads: bands depend on the picture alone,
+so that sums over bands are the same everywhere."""
 
 from __future__ import annotations
 
@@ -16,8 +17,11 @@ from arfx.core.machine import usable_cores
 
 S = TypeVar("S")
 T = TypeVar("T")
-# the environment of one of several processes: one thread for its kernels, its matrices and its software rendering each
-ONE_THREAD = dict.fromkeys(("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+# the environment of one of several processes: one thread for its kernels, its matrices and
+# its software rendering each
+ONE_THREAD = dict.fromkeys(
+    ("LP_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"
+)
 BANDS = 4
 _SMALL = 64  # rows: below it threads cost more than they save
 
@@ -30,12 +34,15 @@ def _pool(pid: int) -> ThreadPoolExecutor:
 @cache
 def _threads() -> int:
     """As many as compiled code may use here."""
-    return max(min(usable_cores(), int(os.environ.get("NUMBA_NUM_THREADS") or usable_cores())), 1)
+    return max(
+        min(usable_cores(), int(os.environ.get("NUMBA_NUM_THREADS") or usable_cores())), 1
+    )
 
 
 def parallel_map(work: Callable[[S], T], items: Iterable[S]) -> list[T]:
     """work(item) of each, in their order.
-    The caller works too and waits for no thread that has not begun: where cores are busy it does all the work itself."""
+    The caller works too and waits for no thread that has not begun: where cores are busy it
+    does all the work itself."""
     every = list(items)
     others = min(_threads(), len(every)) - 1
     if others < 1:
@@ -49,7 +56,8 @@ def parallel_map(work: Callable[[S], T], items: Iterable[S]) -> list[T]:
         for other in begun:
             if not other.cancel():
                 other.result()
-        shared.clear()  # one that never began may stay in the queue for a while: it holds no picture
+        # one that never began may stay in the queue for a while: it holds no picture
+        shared.clear()
     results = [out[k] for k in range(len(every))]
     out.clear()
     return results
@@ -62,21 +70,34 @@ def _do_pending(shared: list[Any], out: dict[int, Any]) -> None:
             out[k] = work(items[k])
 
 
-def parallel_rows(work: Callable[[int, int], T], height: int, unit: int = 1, least: int = _SMALL) -> list[T]:
+def parallel_rows(
+    work: Callable[[int, int], T], height: int, unit: int = 1, least: int = _SMALL
+) -> list[T]:
     """work(first row, row behind the last) of each band, in order of rows.
-    unit : bands begin at multiples of it;  least : fewer rows are done one band after the other"""
+    unit : bands begin at multiples of it;  least : fewer rows are done one band after the other
+    """
     step = -(-height // (BANDS * unit)) * unit
     spans = [(y, min(y + step, height)) for y in range(0, height, step)] if height else []
-    return [work(*span) for span in spans] if height < least else parallel_map(lambda span: work(*span), spans)
+    return (
+        [work(*span) for span in spans]
+        if height < least
+        else parallel_map(lambda span: work(*span), spans)
+    )
 
 
 class BackgroundTask(Generic[T]):
-    """Something that is made on another thread if a core is free before it is asked for, else by the one who asks first."""
+    """Something that is made on another thread if a core is free before it is asked for,
+    else by the one who asks first.
+    """
 
     def __init__(self, work: Callable[[], T]) -> None:
         self._work: Callable[[], T] | None = work
         self._lock, self._out, self._offered = Lock(), Future[T](), [self]
-        self._begun = _pool(os.getpid()).submit(_make_offered, self._offered) if _threads() > 1 else None
+        self._begun = (
+            _pool(os.getpid()).submit(_make_offered, self._offered)
+            if _threads() > 1
+            else None
+        )
 
     def make(self) -> None:
         with self._lock:
@@ -93,7 +114,8 @@ class BackgroundTask(Generic[T]):
         if self._begun is None or self._begun.cancel():
             self.make()
         out = self._out.result()
-        self._offered.clear()  # what never began may stay in the queue for a while: it holds no picture
+        # what never began may stay in the queue for a while: it holds no picture
+        self._offered.clear()
         return out
 
 

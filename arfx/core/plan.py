@@ -1,4 +1,6 @@
-"""The plan of one frame: which steps, on which pixels, at which level, and what was left out and why."""
+"""The plan of one frame: which steps, on which pixels, at which level, and what was left
+out and why.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from arfx.core.rect import Rect
 @dataclass(frozen=True, slots=True)
 class Step(Document):
     """One stage run.
-    out : pixels it must deliver; need : pixels it is given; seconds : predicted, None = unknown; between : its interval"""
+    out : pixels it must deliver; need : pixels it is given; seconds : predicted, None =
+    unknown; between : its interval
+    """
 
     stage: str
     level: str
@@ -31,7 +35,9 @@ class Skip(Document):
 
 @dataclass(frozen=True, slots=True)
 class FramePlan(Document):
-    """rect : all pixels that are read or changed; changed : pixels that are written back to the frame."""
+    """rect : all pixels that are read or changed; changed : pixels that are written back to
+    the frame.
+    """
 
     index: int
     rect: Rect

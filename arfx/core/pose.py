@@ -1,4 +1,7 @@
-"""Rigid transforms and rotations. `dest_from_source` poses map source coordinates to destination ones."""
+"""Rigid transforms and rotations.
+
+`dest_from_source` poses map source coordinates to destination ones.
+"""
 
 from __future__ import annotations
 
@@ -54,25 +57,49 @@ def _single_rotation(x: float, y: float, z: float) -> np.ndarray:
 
 
 def rotvec_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Matrix (..., 3, 3) to rotation vector of length <= pi, through a quaternion: stable at 0 and pi."""
+    """Matrix (..., 3, 3) to rotation vector of length <= pi, through a quaternion: stable
+    at 0 and pi.
+    """
     q = quaternion_from_rotation(rotation)
     q = np.where(q[..., :1] < 0, -q, q)
     s = np.linalg.norm(q[..., 1:], axis=-1)
     angle = 2 * np.arctan2(s, q[..., 0])
-    factor = np.where(s < EPS_ANGLE, 2.0 + s * s / 3, angle / np.where(s < EPS_ANGLE, 1.0, s))
+    factor = np.where(
+        s < EPS_ANGLE, 2.0 + s * s / 3, angle / np.where(s < EPS_ANGLE, 1.0, s)
+    )
     return q[..., 1:] * factor[..., None]
 
 
 def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) to unit quaternion (..., 4), scalar first (Shepperd: the largest element is the pivot)."""
+    """(..., 3, 3) to unit quaternion (..., 4), scalar first (Shepperd: the largest element
+    is the pivot).
+    """
     m = np.asarray(rotation, float)
     d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], -1)
     tr = d.sum(-1)
     cand = np.stack([tr, d[..., 0], d[..., 1], d[..., 2]], -1)
     pick = cand.argmax(-1)
-    w = np.stack([1 + tr, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], -1)
-    x = np.stack([w[..., 1], 1 + 2 * d[..., 0] - tr, m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0]], -1)
-    y = np.stack([w[..., 2], x[..., 2], 1 + 2 * d[..., 1] - tr, m[..., 1, 2] + m[..., 2, 1]], -1)
+    w = np.stack(
+        [
+            1 + tr,
+            m[..., 2, 1] - m[..., 1, 2],
+            m[..., 0, 2] - m[..., 2, 0],
+            m[..., 1, 0] - m[..., 0, 1],
+        ],
+        -1,
+    )
+    x = np.stack(
+        [
+            w[..., 1],
+            1 + 2 * d[..., 0] - tr,
+            m[..., 0, 1] + m[..., 1, 0],
+            m[..., 0, 2] + m[..., 2, 0],
+        ],
+        -1,
+    )
+    y = np.stack(
+        [w[..., 2], x[..., 2], 1 + 2 * d[..., 1] - tr, m[..., 1, 2] + m[..., 2, 1]], -1
+    )
     z = np.stack([w[..., 3], x[..., 3], y[..., 3], 1 + 2 * d[..., 2] - tr], -1)
     every = np.stack([w, x, y, z], -2)
     return normalise(np.take_along_axis(every, pick[..., None, None], -2)[..., 0, :])
@@ -91,7 +118,9 @@ def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarr
 
 def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:
     """Rotation about x, then y, then z (fixed axes), degrees."""
-    rx, ry, rz = (rotation_from_rotvec(np.radians(a) * np.eye(3)[i]) for i, a in enumerate((x, y, z)))
+    rx, ry, rz = (
+        rotation_from_rotvec(np.radians(a) * np.eye(3)[i]) for i, a in enumerate((x, y, z))
+    )
     return rz @ ry @ rx
 
 
@@ -105,7 +134,10 @@ class Pose:
     translation_m: np.ndarray
 
     def __matmul__(self, other: Pose) -> Pose:
-        return Pose(self.rotation @ other.rotation, self.rotation @ other.translation_m + self.translation_m)
+        return Pose(
+            self.rotation @ other.rotation,
+            self.rotation @ other.translation_m + self.translation_m,
+        )
 
     def inverse(self) -> Pose:
         return Pose(self.rotation.T, -self.rotation.T @ self.translation_m)
@@ -136,10 +168,15 @@ class Pose:
 
     @staticmethod
     def from_rotvec(rotvec: np.ndarray, translation_m: np.ndarray) -> Pose:
-        return Pose(rotation_from_rotvec(np.asarray(rotvec, float).reshape(3)), np.asarray(translation_m, float).reshape(3))
+        return Pose(
+            rotation_from_rotvec(np.asarray(rotvec, float).reshape(3)),
+            np.asarray(translation_m, float).reshape(3),
+        )
 
     def to_json(self) -> list[float]:
-        """[rx, ry, rz, tx, ty, tz]: rotation vector in radians, metres. Exact to float64 round trip of the log."""
+        """[rx, ry, rz, tx, ty, tz]: rotation vector in radians, metres. Exact to float64
+        round trip of the log.
+        """
         return [*map(float, self.rotvec), *map(float, self.translation_m)]
 
     @staticmethod
@@ -148,7 +185,8 @@ class Pose:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Pose) and bool(
-            np.array_equal(self.rotation, other.rotation) and np.array_equal(self.translation_m, other.translation_m)
+            np.array_equal(self.rotation, other.rotation)
+            and np.array_equal(self.translation_m, other.translation_m)
         )
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside; compare by value only
@@ -158,7 +196,11 @@ def compute_rotvecs(poses: Iterable[Pose]) -> None:
     """Work out `rotvec` of many poses at once, which takes little longer than of one."""
     missing = [p for p in poses if "rotvec" not in p.__dict__]
     if missing:
-        for p, r in zip(missing, rotvec_from_rotation(np.stack([p.rotation for p in missing])), strict=True):
+        for p, r in zip(
+            missing,
+            rotvec_from_rotation(np.stack([p.rotation for p in missing])),
+            strict=True,
+        ):
             p.__dict__["rotvec"] = r
 
 

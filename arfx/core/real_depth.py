@@ -1,6 +1,8 @@
-"""Measured depth of the real scene: in one frame, as the facts carry it, and the planes that were found in it.
+"""Measured depth of the real scene: in one frame, as the facts carry it, and the planes
+that were found in it.
 
-The pixels are `Layer.REAL_DEPTH`; what the planner needs to know of them before any pixel is read is here."""
+The pixels are `Layer.REAL_DEPTH`; what the planner needs to know of them before any pixel
+is read is here."""
 
 from __future__ import annotations
 
@@ -18,9 +20,13 @@ TYPICAL_NOISE = 0.007  # of depth cameras, fraction of the distance
 
 @dataclass(frozen=True, eq=False)
 class RealDepth(Document):
-    """map : number of the depth map;  scale : metres of it to true ones;  digest : of the map's file
-    tiles : (2, th, tw) float32, least and greatest dioptre, 1/m, in every TILE_PX-th tile of the frame
-    noise : standard deviation of a pixel on the prints, fraction of its distance; the typical one without prints"""
+    """map : number of the depth map;  scale : metres of it to true ones;  digest : of the
+    map's file
+    tiles : (2, th, tw) float32, least and greatest dioptre, 1/m, in every TILE_PX-th tile
+    of the frame
+    noise : standard deviation of a pixel on the prints, fraction of its distance; the
+    typical one without prints
+    """
 
     map: int
     scale: float
@@ -29,11 +35,15 @@ class RealDepth(Document):
     noise: float = TYPICAL_NOISE
 
     @staticmethod
-    def of(map: int, scale: float, digest: str, tiles: np.ndarray, noise: float = TYPICAL_NOISE) -> RealDepth:
+    def of(
+        map: int, scale: float, digest: str, tiles: np.ndarray, noise: float = TYPICAL_NOISE
+    ) -> RealDepth:
         """tiles : of `tile_ranges`, which are made a little wider, to what float16 can hold"""
         low = np.nextafter(tiles[0].astype(np.float16), np.float16(0))
         high = np.nextafter(tiles[1].astype(np.float16), np.float16(np.inf))
-        wider = np.stack([low, np.minimum(high, np.finfo(np.float16).max)]).astype(np.float32)
+        wider = np.stack([low, np.minimum(high, np.finfo(np.float16).max)]).astype(
+            np.float32
+        )
         return RealDepth(map, scale, digest, wider, noise)
 
     @property
@@ -42,8 +52,10 @@ class RealDepth(Document):
 
 
 def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(2, th, tw) float32, least and greatest dioptre in every tile of a frame of `size` (width, height).
-    depth_m : (h, w), any size of the same shape as the frame; not finite or <= 0 = unknown. A tile that holds an unknown
+    """(2, th, tw) float32, least and greatest dioptre in every tile of a frame of `size`
+    (width, height).
+    depth_m : (h, w), any size of the same shape as the frame; not finite or <= 0 = unknown.
+    A tile that holds an unknown
     pixel has the range of the whole map, since it may be filled from anywhere.
     Raises ValueError where nothing is known."""
     with np.errstate(all="ignore"):
@@ -57,20 +69,32 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     out = np.empty((2, th, tw), np.float32)
     for j in range(th):
         # one pixel more on each side: the map is resampled to the frame
-        y0, y1 = max(j * TILE_PX * h // size[1] - 1, 0), min(-(-(j + 1) * TILE_PX * h // size[1]) + 1, h)
+        y0, y1 = (
+            max(j * TILE_PX * h // size[1] - 1, 0),
+            min(-(-(j + 1) * TILE_PX * h // size[1]) + 1, h),
+        )
         for i in range(tw):
-            x0, x1 = max(i * TILE_PX * w // size[0] - 1, 0), min(-(-(i + 1) * TILE_PX * w // size[0]) + 1, w)
+            x0, x1 = (
+                max(i * TILE_PX * w // size[0] - 1, 0),
+                min(-(-(i + 1) * TILE_PX * w // size[0]) + 1, w),
+            )
             here = dioptre[y0:y1, x0:x1]
-            out[:, j, i] = (here.min(), here.max()) if known[y0:y1, x0:x1].all() else (low, high)
+            out[:, j, i] = (
+                (here.min(), here.max()) if known[y0:y1, x0:x1].all() else (low, high)
+            )
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class RealPlane(Document):
-    """world_from_plane : z out of the plane, towards the room, origin in the middle of what was seen of it
+    """world_from_plane : z out of the plane, towards the room, origin in the middle of what
+    was seen of it
     extent_m : (x0, y0, x1, y1) of what was seen, plane axes;  area_m2 : of it, holes left out
-    ends : for each of its four sides, whether the plane was seen to end there, or the picture did (False)
-    residual_mm : root mean square of its points' distances;  points : how many;  frames : in how many maps it was found"""
+    ends : for each of its four sides, whether the plane was seen to end there, or the
+    picture did (False)
+    residual_mm : root mean square of its points' distances;  points : how many;  frames :
+    in how many maps it was found
+    """
 
     world_from_plane: Pose
     extent_m: tuple[float, float, float, float]

@@ -44,11 +44,18 @@ class Rect:
         return self.shift(-outer.x0, -outer.y0).slices
 
     def pad(self, n: int) -> Rect:
-        return self if self.empty else Rect(self.x0 - n, self.y0 - n, self.x1 + n, self.y1 + n)
+        return (
+            self if self.empty else Rect(self.x0 - n, self.y0 - n, self.x1 + n, self.y1 + n)
+        )
 
     def clip(self, other: Rect) -> Rect:
         """Intersection; EMPTY where the two do not meet."""
-        r = Rect(max(self.x0, other.x0), max(self.y0, other.y0), min(self.x1, other.x1), min(self.y1, other.y1))
+        r = Rect(
+            max(self.x0, other.x0),
+            max(self.y0, other.y0),
+            min(self.x1, other.x1),
+            min(self.y1, other.y1),
+        )
         return EMPTY if r.empty else r
 
     def union(self, other: Rect) -> Rect:
@@ -57,13 +64,23 @@ class Rect:
             return other
         if other.empty:
             return self
-        return Rect(min(self.x0, other.x0), min(self.y0, other.y0), max(self.x1, other.x1), max(self.y1, other.y1))
+        return Rect(
+            min(self.x0, other.x0),
+            min(self.y0, other.y0),
+            max(self.x1, other.x1),
+            max(self.y1, other.y1),
+        )
 
     def shift(self, dx: int, dy: int) -> Rect:
         return Rect(self.x0 + dx, self.y0 + dy, self.x1 + dx, self.y1 + dy)
 
     def contains(self, other: Rect) -> bool:
-        return other.empty or (self.x0 <= other.x0 and self.y0 <= other.y0 and self.x1 >= other.x1 and self.y1 >= other.y1)
+        return other.empty or (
+            self.x0 <= other.x0
+            and self.y0 <= other.y0
+            and self.x1 >= other.x1
+            and self.y1 >= other.y1
+        )
 
     def align(self, step_x: int, step_y: int) -> Rect:
         """Grown outwards to multiples of a grid (chroma subsampling, tiles)."""
@@ -82,10 +99,19 @@ class Rect:
             p = p[finite.all(1)]
         if not len(p):
             return EMPTY
-        x, y = p[:, 0], p[:, 1]  # column by column: many times as fast as over the first axis of two columns
+        x, y = (
+            p[:, 0],
+            p[:, 1],
+        )  # column by column: many times as fast as over the first axis of two columns
         limit = 1 << 24  # beyond any picture; keeps the integers small
-        x0, y0 = (min(max(math.floor(float(v.min()) - pad_px + 0.5), -limit), limit) for v in (x, y))
-        x1, y1 = (min(max(math.floor(float(v.max()) + pad_px + 0.5), -limit), limit) for v in (x, y))
+        x0, y0 = (
+            min(max(math.floor(float(v.min()) - pad_px + 0.5), -limit), limit)
+            for v in (x, y)
+        )
+        x1, y1 = (
+            min(max(math.floor(float(v.max()) + pad_px + 0.5), -limit), limit)
+            for v in (x, y)
+        )
         return Rect(x0, y0, x1 + 1, y1 + 1)
 
     @staticmethod

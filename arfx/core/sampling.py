@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 GOLDEN_RAD = float(np.pi * (3 - np.sqrt(5)))
-_PLASTIC = 1.32471795724474602596  # its powers give sequences of low discrepancy (Roberts 2018)
+_PLASTIC = (
+    1.32471795724474602596  # its powers give sequences of low discrepancy (Roberts 2018)
+)
 
 
 def disc(n: int) -> np.ndarray:

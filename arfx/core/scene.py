@@ -1,4 +1,7 @@
-"""What is where: camera, markers, the virtual object and the default light. Fixed for a whole clip."""
+"""What is where: camera, markers, the virtual object and the default light.
+
+Fixed for a whole clip.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,8 @@ from arfx.core.real_depth import RealPlane
 from arfx.core.scene_mesh import SceneMesh, flatten
 from arfx.errors import ConfigError, InputError
 
-# Columns are the file's axes in marker axes (x right, y up the print, z out of it): a y-up file's y goes out of the print.
+# Columns are the file's axes in marker axes (x right, y up the print, z out of it): a y-up
+# file's y goes out of the print.
 _UPRIGHT = {
     "z": np.eye(3),
     "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
@@ -38,10 +42,19 @@ class Placement:
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def world_from_model(self, model: Model, up: str | None = None) -> np.ndarray:
-        """(4, 4) from the model file's coordinates to metres in marker axes; the middle of the base is the origin.
-        Raises ConfigError for a scale that is not above 0, InputError for a model without extent."""
+        """(4, 4) from the model file's coordinates to metres in marker axes; the middle of
+        the base is the origin. Raises ConfigError for a scale that is not above 0,
+        InputError for a model without extent."""
         axes = _UPRIGHT[up or model.up]
-        box = np.array([[model.bounds[i][k] for k, i in enumerate(idx)] for idx in np.ndindex(2, 2, 2)]) @ axes.T
+        box = (
+            np.array(
+                [
+                    [model.bounds[i][k] for k, i in enumerate(idx)]
+                    for idx in np.ndindex(2, 2, 2)
+                ]
+            )
+            @ axes.T
+        )
         low, high = box.min(0), box.max(0)
         extent = float((high - low).max())
         if not np.isfinite(extent) or extent <= 0:
@@ -63,10 +76,13 @@ class Scene:
 
     world_from_model : (4, 4), rigid times a uniform scale
     world_from_marker : pose of each marker by key
-    world_from_anchor : the marker that the model stands on; its plane z = 0 is the real surface below it
-    surface_m : extent (x0, y0, x1, y1) of that surface, anchor axes; None = unknown, taken for unlimited
+    world_from_anchor : the marker that the model stands on; its plane z = 0 is the real
+    surface below it
+    surface_m : extent (x0, y0, x1, y1) of that surface, anchor axes; None = unknown, taken
+    for unlimited
     real_planes : of the real scene, measured; those seen most first
-    environment_maps : of facts' `seen_environment`, by name: (6, n, n, 4) float16, radiance as a share of `Light.mean_radiance`,
+    environment_maps : of facts' `seen_environment`, by name: (6, n, n, 4) float16, radiance
+    as a share of `Light.mean_radiance`,
         times the fourth: how well it is known, 0..1"""
 
     camera: Camera
@@ -88,10 +104,13 @@ class Scene:
     @cached_property
     def placed_by(self) -> bytes:
         """Equal where the model stands on its anchor in the same way."""
-        return np.concatenate([self.world_from_model, self.world_from_anchor.matrix]).tobytes()
+        return np.concatenate(
+            [self.world_from_model, self.world_from_anchor.matrix]
+        ).tobytes()
 
     def mesh_at(self, time_s: float) -> SceneMesh:
-        """The model's triangles at a time of the clip; a model that does not move has the same at all times.
+        """The model's triangles at a time of the clip; a model that does not move has the
+        same at all times.
 
         Raises InputError where the model is larger than MAX_EXTENT_M."""
         return self._rest_mesh
@@ -104,14 +123,20 @@ class Scene:
     @cached_property
     def model_points_m(self) -> np.ndarray:
         """(n, 3) all vertices in world coordinates, metres."""
-        return self.model.vertices @ self.world_from_model[:3, :3].T + self.world_from_model[:3, 3]
+        return (
+            self.model.vertices @ self.world_from_model[:3, :3].T
+            + self.world_from_model[:3, 3]
+        )
 
     def check_extent(self) -> None:
         """Raises InputError where the model is larger than MAX_EXTENT_M."""
         extent = float(np.ptp(self.model_corners_m, axis=0).max())
         if not extent <= MAX_EXTENT_M:
             size = f"{extent:.6g} m large in the scene, more than {MAX_EXTENT_M:g} m"
-            hint = "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the unit"
+            hint = (
+                "is the file in millimetres? --fit 15cm sets the size, --scale 0.001 the"
+                " unit"
+            )
             raise InputError(f"model {self.model.source} is {size}", hint)
 
     @cached_property

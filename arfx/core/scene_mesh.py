@@ -11,13 +11,16 @@ import numpy as np
 from arfx.core.model import Material, Model
 from arfx.core.numerics import divide, normalise, same_rows
 
-_CREASE_COS = np.cos(np.radians(20.0))  # edges sharper than this are visible inside the silhouette
+_CREASE_COS = np.cos(
+    np.radians(20.0)
+)  # edges sharper than this are visible inside the silhouette
 
 
 class Edges(NamedTuple):
     """Edges between positions.
 
-    vertices : (e, 2) int32, its ends;  faces : (e, 2) int32, its sides, the second -1 where there is
+    vertices : (e, 2) int32, its ends;  faces : (e, 2) int32, its sides, the second -1 where
+    there is
     one alone. An edge of more than two faces is listed once for each, as an edge of that face alone
     sharp : (e,) bool, it shows from whatever side it is seen"""
 
@@ -36,7 +39,8 @@ class SceneMesh:
     uv : (n, 4) float32, both sets of texture coordinates, v = 0 at a picture's top row
     has_uv : (p, 2) bool, which of them a part has;  tangents : (n, 4) float32 as of `Part`, else 0
     faces : (m, 3) int32;  part : (m,) int32, of each face;  face_normal : (m, 3) float32, unit
-    materials : of each part;  object_of : (p,) int32, number of the object that a part belongs to"""
+    materials : of each part;  object_of : (p,) int32, number of the object that a part belongs to
+    """
 
     centre_m: np.ndarray
     vertices: np.ndarray
@@ -67,7 +71,9 @@ class SceneMesh:
         """Of faces that may join in any way."""
         return _edges(self)
 
-    def sample(self, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def sample(
+        self, count: int, seed: int = 0
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points spread evenly over the surface, area by area.
 
         Returns face (count,) int64, barycentric weights (count, 3), positions (count, 3) float64
@@ -93,7 +99,9 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
     starts = np.cumsum([0, *counts[:-1]])
     centre = model.bounds.mean(0) @ linear.T + shift_m
     vertices = np.concatenate([p.vertices @ linear.T + shift_m - centre for p in parts])
-    faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)])
+    faces = np.concatenate(
+        [p.faces + start for p, start in zip(parts, starts, strict=True)]
+    )
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     first_uv = _rows([p.uv for p in parts], np.zeros(2), counts)
     second_uv = _rows([p.second_uv for p in parts], np.zeros(2), counts)
@@ -108,16 +116,23 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
         has_uv=np.array([(p.uv is not None, p.second_uv is not None) for p in parts]),
         tangents=tangents.astype(np.float32),
         faces=faces.astype(np.int32),
-        part=np.repeat(np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts]),
+        part=np.repeat(
+            np.arange(len(parts), dtype=np.int32), [len(p.faces) for p in parts]
+        ),
         face_normal=normalise(np.cross(b - a, c - a)).astype(np.float32),
         materials=tuple(p.material for p in parts),
         object_of=np.zeros(len(parts), np.int32),
     )
 
 
-def _rows(given: list[np.ndarray | None], otherwise: np.ndarray, counts: list[int]) -> np.ndarray:
+def _rows(
+    given: list[np.ndarray | None], otherwise: np.ndarray, counts: list[int]
+) -> np.ndarray:
     """Rows of all parts end to end; `otherwise` for each vertex of a part that has none."""
-    rows = [np.tile(otherwise, (count, 1)) if own is None else own for own, count in zip(given, counts, strict=True)]
+    rows = [
+        np.tile(otherwise, (count, 1)) if own is None else own
+        for own, count in zip(given, counts, strict=True)
+    ]
     return np.concatenate(rows)
 
 
@@ -151,7 +166,9 @@ def _edges(mesh: SceneMesh) -> Edges:
     a, b = owner[pair], owner[pair + 1]
     flat = (mesh.face_normal[a] * mesh.face_normal[b]).sum(1) > _CREASE_COS
     alone = np.flatnonzero(np.repeat(count != 2, count))
-    sides = np.concatenate([np.stack([a, b], 1), np.stack([owner[alone], np.full(len(alone), -1)], 1)])
+    sides = np.concatenate(
+        [np.stack([a, b], 1), np.stack([owner[alone], np.full(len(alone), -1)], 1)]
+    )
     sharp = np.r_[~flat | (mesh.part[a] != mesh.part[b]), np.ones(len(alone), bool)]
     vertices = first[ends[np.r_[pair, alone]]]
     return Edges(vertices.astype(np.int32), sides.astype(np.int32), sharp)

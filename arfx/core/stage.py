@@ -27,7 +27,9 @@ LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
 class Demand:
     """What a stage would change in a frame.
     rect : pixels it may change, empty = it does not run;  reason : in units
-    within_earlier : it can only change pixels in which an earlier stage of the frame writes (the composite)"""
+    within_earlier : it can only change pixels in which an earlier stage of the frame writes
+    (the composite)
+    """
 
     rect: Rect
     reason: str
@@ -38,7 +40,9 @@ class Demand:
 class View:
     """One frame as `run` sees it. view[LAYER] is what the layer holds over `rect`, read-only.
     out : the pixels that are kept of what it makes: a slow stage may leave the others as they are
-    key : of its random numbers, from seed, frame and stage;  memo : what it keeps from frame to frame"""
+    key : of its random numbers, from seed, frame and stage;  memo : what it keeps from
+    frame to frame
+    """
 
     layers: Layers
     facts: FrameFacts
@@ -57,7 +61,9 @@ class View:
 
     @property
     def pose(self) -> Pose:
-        """CAMERA from WORLD. Raises ValueError in a frame without one: `without_object` stages ask the facts."""
+        """CAMERA from WORLD. Raises ValueError in a frame without one: `without_object`
+        stages ask the facts.
+        """
         return self.facts.pose
 
     @property
@@ -66,7 +72,9 @@ class View:
         return self.scene.light_of(self.facts)
 
     def noise(self, channel: int = 0) -> np.ndarray:
-        """(h, w) float32 in [0, 1): random, new in every frame, the same for a pixel whatever the rectangle."""
+        """(h, w) float32 in [0, 1): random, new in every frame, the same for a pixel
+        whatever the rectangle.
+        """
         return noise(self.rect, self.key, channel)
 
 
@@ -82,13 +90,20 @@ class Check:
 
     def to_json(self) -> dict[str, Any]:
         verdict, action = ("ok", "none") if self.ok else ("warn", self.action)
-        return {"check": self.name, "value": self.value, "limit": self.limit, "verdict": verdict, "action": action}
+        return {
+            "check": self.name,
+            "value": self.value,
+            "limit": self.limit,
+            "verdict": verdict,
+            "action": action,
+        }
 
 
 @dataclass(frozen=True)
 class JobView:
     """A job whose frames are rendered.
-    levels : those at which each stage ran;  picture : renders one frame of a scene by the stages named, at these levels, over a
+    levels : those at which each stage ran;  picture : renders one frame of a scene by the
+    stages named, at these levels, over a
     plate of ones; None where nothing of the model is in view"""
 
     facts: Sequence[FrameFacts]
@@ -103,52 +118,86 @@ class NoParams:
 
 
 class Stage:
-    """One effect. Required: name, reads, writes, run. The rest has a default that fits an effect on the object's own pixels.
-    One instance per job, made from `params` (what the user meant). `prepare` once per clip, worker and level; `run` is pure."""
+    """One effect. Required: name, reads, writes, run. The rest has a default that fits an
+    effect on the object's own pixels. One instance per job, made from `params` (what the
+    user meant). `prepare` once per clip, worker and level; `run` is pure."""
 
     name: ClassVar[str]
     reads: ClassVar[frozenset[Layer]]
     writes: ClassVar[frozenset[Layer]]
 
-    Params: ClassVar[type] = NoParams  # frozen dataclass; its docstring is the documentation of its fields
+    Params: ClassVar[type] = (
+        NoParams  # frozen dataclass; its docstring is the documentation of its fields
+    )
     levels: ClassVar[tuple[str, ...]] = ("standard",)  # some of LEVELS, cheapest first
 
-    always: ClassVar[bool] = False  # part of every job; else of those that name it, or set something of it
-    requires: ClassVar[frozenset[str]] = frozenset()  # inputs ("depth") without which it is left out
-    overrides: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # settings of other stages that it sets: stage, setting, value
-    after: ClassVar[str] = ""  # of a plug-in: the stage that it runs behind; "" = the last one that writes what it reads
+    always: ClassVar[bool] = (
+        False  # part of every job; else of those that name it, or set something of it
+    )
+    requires: ClassVar[frozenset[str]] = (
+        frozenset()
+    )  # inputs ("depth") without which it is left out
+    overrides: ClassVar[
+        Mapping[str, Mapping[str, Any]]
+    ] = {}  # settings of other stages that it sets: stage, setting, value
+    after: ClassVar[
+        str
+        # of a plug-in: the stage that it runs behind; "" = the last one that writes what it
+        # reads
+    ] = ""
 
-    facts: frozenset[str] = frozenset({"pose"})  # parts of the analysis that it reads, by name
+    facts: frozenset[str] = frozenset(
+        {"pose"}
+    )  # parts of the analysis that it reads, by name
     padding_px: int = 0  # input pixels that it takes around each output pixel
-    terms: ClassVar[tuple[str, ...]] = ("frames", "mpx", "object_mpx")  # its price is linear in these (core/cost.py)
-    distribution: ClassVar[str] = ""  # of a plug-in, with its version: set when it is loaded
-    without_object: ClassVar[bool] = False  # it also runs in frames in which the object is not visible
+    terms: ClassVar[tuple[str, ...]] = (
+        "frames",
+        "mpx",
+        "object_mpx",
+    )  # its price is linear in these (core/cost.py)
+    distribution: ClassVar[str] = (
+        ""  # of a plug-in, with its version: set when it is loaded
+    )
+    without_object: ClassVar[bool] = (
+        False  # it also runs in frames in which the object is not visible
+    )
 
     def __init__(self, params: Any = None) -> None:
         self.params: Any = self.Params() if params is None else params
 
     def __init_subclass__(cls) -> None:
-        missing = [name for name in ("name", "reads", "writes", "run") if getattr(cls, name, None) in (None, Stage.run)]
+        missing = [
+            name
+            for name in ("name", "reads", "writes", "run")
+            if getattr(cls, name, None) in (None, Stage.run)
+        ]
         if missing:
             raise TypeError(f"stage {cls.__qualname__} lacks {', '.join(missing)}")
 
     @classmethod
     def settled(cls, params: Any) -> Any:
-        """The settings with what they leave to the machine chosen: once for a job, for all workers, and part of its keys."""
+        """The settings with what they leave to the machine chosen: once for a job, for all
+        workers, and part of its keys.
+        """
         return params
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        """Pixels that it may change in this frame, and why; an empty rectangle: why it does not run.
-        The planner does not ask where the object is not visible, unless `without_object`."""
+        """Pixels that it may change in this frame, and why; an empty rectangle: why it does
+        not run. The planner does not ask where the object is not visible, unless
+        `without_object`."""
         rect = facts.raster_box.clip(frame)
         return Demand(rect, "model out of view" if rect.empty else "model in view")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
-        """Pixels that it reads to make `out`; what lies outside the frame is cut off by the planner."""
+        """Pixels that it reads to make `out`; what lies outside the frame is cut off by the
+        planner.
+        """
         return out.pad(self.padding_px)
 
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
-        """Terms of its price whose work is done once for each new value: {"new_lights": what the light is known by}."""
+        """Terms of its price whose work is done once for each new value: {"new_lights":
+        what the light is known by}.
+        """
         return {}
 
     def prepare(self, scene: Scene, level: str) -> Any:
@@ -166,7 +215,9 @@ class Stage:
 
 @contextlib.contextmanager
 def blamed(stage: Stage, when: str) -> Iterator[None]:
-    """What a plug-in raises in the body, arfx's errors apart, becomes a RenderError that names it."""
+    """What a plug-in raises in the body, arfx's errors apart, becomes a RenderError that
+    names it.
+    """
     try:
         yield
     except ArfxError:
@@ -175,14 +226,17 @@ def blamed(stage: Stage, when: str) -> Iterator[None]:
         if not stage.distribution:
             raise
         raise RenderError(
-            f"stage {stage.name!r} of {stage.distribution} fails {when}: {type(e).__name__}: {e}",
+            f"stage {stage.name!r} of {stage.distribution} fails {when}:"
+            f" {type(e).__name__}: {e}",
             "tell its authors (ARFX_DEBUG=1 shows where), or leave it out",
         ) from e
 
 
 @dataclass(frozen=True, eq=False)
 class ReadyStage:
-    """A stage at one level, with what it prepared for a clip and what it keeps; threads may share it."""
+    """A stage at one level, with what it prepared for a clip and what it keeps; threads may
+    share it.
+    """
 
     stage: Stage
     scene: Scene
@@ -198,9 +252,19 @@ class ReadyStage:
     def view(self, layers: Layers, facts: FrameFacts, out: Rect | None = None) -> View:
         """out : None = all"""
         key = noise_key(self.scene.seed, facts.index, self.stage.name)
-        return View(layers, facts, self.scene, self.level, layers.rect if out is None else out, key, self.memo)
+        return View(
+            layers,
+            facts,
+            self.scene,
+            self.level,
+            layers.rect if out is None else out,
+            key,
+            self.memo,
+        )
 
-    def run(self, layers: Layers, facts: FrameFacts, out: Rect | None = None) -> Mapping[Layer, np.ndarray | Pixels]:
+    def run(
+        self, layers: Layers, facts: FrameFacts, out: Rect | None = None
+    ) -> Mapping[Layer, np.ndarray | Pixels]:
         """One frame by itself."""
         return self.stage.run(self.view(layers, facts, out), self.prepared)
 

@@ -1,4 +1,6 @@
-"""Long work that counts no steps: it is told to go on, and Ctrl-C is heard in the middle of a library's loop."""
+"""Long work that counts no steps: it is told to go on, and Ctrl-C is heard in the middle of
+a library's loop.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,20 @@ from typing import TypeVar
 
 T = TypeVar("T")
 # Phases of progress that count seconds, and what they are
-WAITS = {"model": "reading the model", "plan": "planning the frames", "table": "reading the jobs", "check": "checking the jobs"}
+WAITS = {
+    "model": "reading the model",
+    "plan": "planning the frames",
+    "table": "reading the jobs",
+    "check": "checking the jobs",
+}
 _SOON_S = 2  # before that nothing is said
 
 
-def wait_for(phase: str, work: Callable[[], T], progress: Callable[[str, int, int | None], object]) -> T:
-    """What `work` returns or raises. It runs in a thread: a signal ends the wait at once, the thread ends with the process.
+def wait_for(
+    phase: str, work: Callable[[], T], progress: Callable[[str, int, int | None], object]
+) -> T:
+    """What `work` returns or raises. It runs in a thread: a signal ends the wait at once,
+    the thread ends with the process.
 
     phase : of WAITS;  progress(phase, seconds, None) : called every second"""
     if threading.current_thread() is not threading.main_thread():

@@ -35,17 +35,24 @@ _PICTURE = re.compile(rb'<img class="out"[^>]* src="data:image/jpeg;base64,([^"]
 
 
 def run_batch(
-    jobs: Sequence[BatchJob], options: Options, started: Started, ended: Callable[[int, Row], None]
-) -> dict[str, Any]:  # fmt: skip
-    """Run all jobs; batch.json and batch.html are written into the folder of reports, else that of the outputs, when all have
-    ended or the batch is interrupted.
+    jobs: Sequence[BatchJob],
+    options: Options,
+    started: Started,
+    ended: Callable[[int, Row], None],
+) -> dict[str, Any]:
+    """Run all jobs; batch.json and batch.html are written into the folder of reports, else
+    that of the outputs, when all have ended or the batch is interrupted.
 
     options : as of `process_all`;  started, ended : called for each job, from 0
-    Returns {"jobs": [...], "failed": N}. Raises ConfigError and InputError before any work, JobInterruptedError."""
+    Returns {"jobs": [...], "failed": N}. Raises ConfigError and InputError before any work,
+    JobInterruptedError."""
     kept = not (options.resume or options.overwrite)
     wait_for("check", lambda: check_batch(jobs, kept), options.progress)
     home = options.report or home_of(jobs)
-    guard = Guard({read for job in jobs for read in files_named(job.config)}, options.overwrite or options.resume)
+    guard = Guard(
+        {read for job in jobs for read in files_named(job.config)},
+        options.overwrite or options.resume,
+    )
     rows: list[Row] = []
     with files_locked(guard, home, FILES, "--report"):
         try:
@@ -55,15 +62,22 @@ def run_batch(
             interrupt.commit(6 if any(row["exit_code"] for row in rows) else 0)
         finally:
             document = _document(rows)
-            write(home / "batch.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
+            write(
+                home / "batch.json", json.dumps(document, indent=1, allow_nan=False) + "\n"
+            )
             write(home / "batch.html", page(rows, len(jobs), home))
     return document
 
 
 def plan_batch(
-    jobs: Sequence[BatchJob], options: Options, started: Started, ended: Callable[[int, Row], None]
-) -> dict[str, Any]:  # fmt: skip
-    """{"jobs": [... with "plan"], "failed": N, "predicted": {s, low_s, high_s} of all or null}; nothing is written."""
+    jobs: Sequence[BatchJob],
+    options: Options,
+    started: Started,
+    ended: Callable[[int, Row], None],
+) -> dict[str, Any]:
+    """{"jobs": [... with "plan"], "failed": N, "predicted": {s, low_s, high_s} of all or
+    null}; nothing is written.
+    """
     wait_for("check", lambda: check_batch(jobs, kept=False), options.progress)
     rows = []
     for k, row in enumerate(plan_all(jobs, options, started)):
@@ -73,25 +87,42 @@ def plan_batch(
 
 
 def _document(rows: Sequence[Row]) -> dict[str, Any]:
-    document: dict[str, Any] = finite({"jobs": list(rows), "failed": sum(row["exit_code"] != 0 for row in rows)})
+    document: dict[str, Any] = finite(
+        {"jobs": list(rows), "failed": sum(row["exit_code"] != 0 for row in rows)}
+    )
     return document
 
 
 def page(rows: Sequence[Row], count: int, home: Path) -> str:
-    """batch.html. count : jobs of the batch, of which some may not have been begun;  home : the folder that links start from"""
+    """batch.html. count : jobs of the batch, of which some may not have been begun;  home :
+    the folder that links start from
+    """
     failed = [row for row in rows if row["exit_code"]]
     tiles = [
-        (f"{len(rows) - len(failed)} of {count}", "clips done"), (f"{len(failed)}", "failed"),
+        (f"{len(rows) - len(failed)} of {count}", "clips done"),
+        (f"{len(failed)}", "failed"),
         (f"{number(sum(row['seconds'] for row in rows))} s", "all jobs together"),
-    ]  # fmt: skip
+    ]
     if len(rows) < count:
         tiles.insert(2, (f"{count - len(rows)}", "not begun"))
-    boxes = "".join(f'<div class="tile"><b>{escaped(big)}</b><span>{escaped(small)}</span></div>' for big, small in tiles)
+    boxes = "".join(
+        f'<div class="tile"><b>{escaped(big)}</b><span>{escaped(small)}</span></div>'
+        for big, small in tiles
+    )
     place = escaped(os.path.abspath(home))  # noqa: PTH100 - without ".."
-    header = f'<header><h1>Batch</h1><p class="path">{place}</p><div class="tiles">{boxes}</div></header>'
-    items = "".join(f"<li><b>{escaped(Path(r['clip']).name)}</b>: {escaped(r['message'])}</li>" for r in failed)
+    header = (
+        f'<header><h1>Batch</h1><p class="path">{place}</p><div'
+        f' class="tiles">{boxes}</div></header>'
+    )
+    items = "".join(
+        f"<li><b>{escaped(Path(r['clip']).name)}</b>: {escaped(r['message'])}</li>"
+        for r in failed
+    )
     warning = items and f'<section class="warn"><h2>Failed</h2><ul>{items}</ul></section>'
-    return full_page(f"{count} clips – arfx batch", [header, warning, section("Clips", _table(rows, home))])
+    return full_page(
+        f"{count} clips – arfx batch",
+        [header, warning, section("Clips", _table(rows, home))],
+    )
 
 
 def _table(rows: Sequence[Row], home: Path) -> str:
@@ -99,11 +130,23 @@ def _table(rows: Sequence[Row], home: Path) -> str:
     cells = []
     for row in rows:
         picture = _thumbnail(Path(row["report"])) if id(row) in with_picture else ""
-        result = f'<span class="bad">exit {row["exit_code"]}</span>' if row["exit_code"] else '<span class="ok">done</span>'
+        result = (
+            f'<span class="bad">exit {row["exit_code"]}</span>'
+            if row["exit_code"]
+            else '<span class="ok">done</span>'
+        )
         report = _link(row["report"], home, "report") if row["report"] else "–"
-        output = escaped(row["output"]) if row["exit_code"] else _link(row["output"], home, row["output"])
-        cells.append((picture, escaped(row["clip"]), result, f"{row['seconds']:.1f}", report, output))
-    return html_table(("", "clip", "result", "seconds", "report", "output"), cells, frozenset({3}))
+        output = (
+            escaped(row["output"])
+            if row["exit_code"]
+            else _link(row["output"], home, row["output"])
+        )
+        cells.append(
+            (picture, escaped(row["clip"]), result, f"{row['seconds']:.1f}", report, output)
+        )
+    return html_table(
+        ("", "clip", "result", "seconds", "report", "output"), cells, frozenset({3})
+    )
 
 
 def _link(path: str, home: Path, text: str) -> str:
@@ -120,7 +163,10 @@ def _thumbnail(report: Path) -> str:
     """The middle output picture of a job's report, small; "" where there is none."""
     try:
         found = _PICTURE.findall(report.read_bytes())
-        whole = cv2.imdecode(np.frombuffer(base64.b64decode(found[len(found) // 2]), np.uint8), cv2.IMREAD_COLOR)
+        whole = cv2.imdecode(
+            np.frombuffer(base64.b64decode(found[len(found) // 2]), np.uint8),
+            cv2.IMREAD_COLOR,
+        )
         if whole is None:
             return ""
         size = (_WIDTH_PX, max(round(whole.shape[0] * _WIDTH_PX / whole.shape[1]), 1))

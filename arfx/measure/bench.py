@@ -1,7 +1,10 @@
-"""Cost of every stage and level on this machine, as a ratio to a yardstick that is timed in the same run.
+"""Cost of every stage and level on this machine, as a ratio to a yardstick that is timed in
+the same run.
 
-Yardstick: one cv2.GaussianBlur(float32, 3 channels, sigma 5) of a picture of that size. Stages and yardstick take turns,
-each with all cores, and medians are reported: a ratio survives a change of machine or of load, a time does not."""
+Yardstick: one cv2.GaussianBlur(float32, 3 channels, sigma 5) of a picture of that size.
+Stages and yardstick take turns,
+each with all cores, and medians are reported: a ratio survives a change of machine or of
+load, a time does not."""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import cv2
@@ -34,7 +37,8 @@ SLOW_S = 3.0  # a run that takes longer is not made again for the median
 
 @dataclass
 class Cell:
-    """One stage at one level on the standard scene. seconds : of each run;  yardstick_s : of the blurs beside them
+    """One stage at one level on the standard scene. seconds : of each run;  yardstick_s :
+    of the blurs beside them
 
     before : the steps before it;  out : what it makes"""
 
@@ -48,7 +52,9 @@ class Cell:
 
     @cached_property
     def run(self) -> StageRun:
-        """Threads share it. When it is first asked for, the steps before are rendered, and the stage is prepared."""
+        """Threads share it. When it is first asked for, the steps before are rendered, and
+        the stage is prepared.
+        """
         return self.frame.run((*self.before, (self.stage, self.level)))
 
     def render(self, facts: FrameFacts | None = None) -> None:
@@ -61,27 +67,46 @@ class Cell:
     @property
     def done(self) -> bool:
         min_runs = 1 if max(self.seconds, default=0.0) > SLOW_S else MIN_RUNS
-        return len(self.seconds) >= MAX_RUNS or (len(self.seconds) >= min_runs and sum(self.seconds) > BUDGET_S)
+        return len(self.seconds) >= MAX_RUNS or (
+            len(self.seconds) >= min_runs and sum(self.seconds) > BUDGET_S
+        )
 
     def to_json(self, errors: Errors) -> dict[str, Any]:
-        camera, stage = self.frame.prepared.scene.camera, self.frame.prepared.stages[self.stage]
-        ms, yard = 1e3 * float(np.median(self.seconds)), 1e3 * float(np.median(self.yardstick_s))
+        camera, stage = (
+            self.frame.prepared.scene.camera,
+            self.frame.prepared.stages[self.stage],
+        )
+        ms, yard = (
+            1e3 * float(np.median(self.seconds)),
+            1e3 * float(np.median(self.yardstick_s)),
+        )
         return {
-            "stage": self.stage, "level": self.level, "size": f"{camera.width}x{camera.height}", "ms": ms,
-            "yardstick_ms": yard, "ratio": ms / yard, "error": errors.known(self.stage, self.level, stage.levels[-1]),
-            "runs": len(self.seconds), "area_px": self.out.area,
-        }  # fmt: skip
+            "stage": self.stage,
+            "level": self.level,
+            "size": f"{camera.width}x{camera.height}",
+            "ms": ms,
+            "yardstick_ms": yard,
+            "ratio": ms / yard,
+            "error": errors.known(self.stage, self.level, stage.levels[-1]),
+            "runs": len(self.seconds),
+            "area_px": self.out.area,
+        }
 
 
 def bench(
-    sizes: Sequence[tuple[int, int]], stage: str | None = None, level: str | None = None,
+    sizes: Sequence[tuple[int, int]],
+    stage: str | None = None,
+    level: str | None = None,
     progress: Callable[[str, int, int], None] = lambda *_: None,
-    stages: Mapping[str, type[Stage]] = STAGES, errors: Errors | None = None,
-) -> list[dict[str, Any]]:  # fmt: skip
-    """Rows of {stage, level, size, ms, yardstick_ms, ratio, error, runs, area_px}; ms >= 0, medians; error None = not measured.
+    stages: Mapping[str, type[Stage]] = STAGES,
+    errors: Errors | None = None,
+) -> list[dict[str, Any]]:
+    """Rows of {stage, level, size, ms, yardstick_ms, ratio, error, runs, area_px}; ms >= 0,
+    medians; error None = not measured.
 
     stage, level : only these;  sizes : (width, height) px;  errors : None = those that are shipped
-    Raises ConfigError for an unknown stage, a level that no chosen stage has, or a size below 64x64."""
+    Raises ConfigError for an unknown stage, a level that no chosen stage has, or a size
+    below 64x64."""
     check(stages, stage, level, sizes)
     keep_memory()  # as a worker does
     rows = []
@@ -89,56 +114,101 @@ def bench(
         cells = make_cells(bench_scene(*size), stage, level, stages)
         if not cells:
             what = stage or f"level {level}"
-            why = f"in the standard scene of {size[0]}x{size[1]} px there is nothing for {what} to do"
+            why = (
+                f"in the standard scene of {size[0]}x{size[1]} px there is nothing for"
+                f" {what} to do"
+            )
             raise ConfigError(why, "another size, such as 1280x720")
-        _interleave(cells, size, lambda done, total, size=size: progress(f"bench {size[0]}x{size[1]}", done, total))  # type: ignore[misc]
+        _interleave(cells, size, partial(progress, f"bench {size[0]}x{size[1]}"))
         rows += [c.to_json(errors or shipped_errors()) for c in cells]
     return rows
 
 
-def check(stages: Mapping[str, type[Stage]], stage: str | None, level: str | None, sizes: Sequence[tuple[int, int]]) -> None:
+def check(
+    stages: Mapping[str, type[Stage]],
+    stage: str | None,
+    level: str | None,
+    sizes: Sequence[tuple[int, int]],
+) -> None:
     if stage is not None and stage not in stages:
         raise ConfigError(f"there is no stage {stage!r}", suggestion(stage, list(stages)))
     for width, height in sizes:
         if min(width, height) < 64 or max(width, height) > 8192:
-            raise ConfigError(f"size {width}x{height} cannot be benchmarked", "from 64 to 8192 px a side: 1280x720")
+            raise ConfigError(
+                f"size {width}x{height} cannot be benchmarked",
+                "from 64 to 8192 px a side: 1280x720",
+            )
     chosen = [stages[stage]] if stage is not None else list(stages.values())
     levels = {level for s in chosen for level in s.levels}
     if level is not None and level not in levels:
         where = f" of stage {stage!r}" if stage else ""
-        raise ConfigError(f"no such level {level!r}{where}", suggestion(level, sorted(levels)))
+        raise ConfigError(
+            f"no such level {level!r}{where}", suggestion(level, sorted(levels))
+        )
 
 
-def make_cells(at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type[Stage]]) -> list[Cell]:
-    """What is to be timed; the layers that a stage reads are made once by the standard levels of those before it.
+def make_cells(
+    at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type[Stage]]
+) -> list[Cell]:
+    """What is to be timed; the layers that a stage reads are made once by the standard
+    levels of those before it.
 
     Stages that require measured depth are timed on the same scene with a depth map."""
     instances: dict[str, Stage] = {name: stages[name]() for name in stages}
     wanted = {stage} if stage is not None else set(instances)
     on_depth = {name for name in wanted if "depth" in instances[name].requires}
-    scenes = [(at, wanted - on_depth), (at.with_depth(), on_depth)] if on_depth else [(at, wanted)]
-    return [cell for scene, names in scenes if names for cell in _cells(scene, instances, names, level)]
+    scenes = (
+        [(at, wanted - on_depth), (at.with_depth(), on_depth)]
+        if on_depth
+        else [(at, wanted)]
+    )
+    return [
+        cell
+        for scene, names in scenes
+        if names
+        for cell in _cells(scene, instances, names, level)
+    ]
 
 
-def _cells(at: BenchScene, stages: Mapping[str, Stage], wanted: Collection[str], level: str | None) -> list[Cell]:
+def _cells(
+    at: BenchScene, stages: Mapping[str, Stage], wanted: Collection[str], level: str | None
+) -> list[Cell]:
     """Of the stages with these names; none where the scene does not call for them."""
     standard = {name: level_named(s.levels, "standard") for name, s in stages.items()}
     whole = at.scene.camera.rect
     plan = plan_frame(list(stages.values()), standard, at.facts, at.scene, whole)
     if not any(s.stage in wanted for s in plan.steps):
         return []
-    frame = FrameRenderer(at.facts, at.plate, plan, whole, PreparedStages(at.scene, stages), real_depth_m=at.real_depth_m)
+    frame = FrameRenderer(
+        at.facts,
+        at.plate,
+        plan,
+        whole,
+        PreparedStages(at.scene, stages),
+        real_depth_m=at.real_depth_m,
+    )
     chain = chain_of(plan, standard)
     steps = [(k, step) for k, step in enumerate(plan.steps) if step.stage in wanted]
-    levels = {step.stage: [le for le in stages[step.stage].levels if level in (None, le)] for _, step in steps}
-    return [Cell(frame, chain[:k], step.stage, le, step.out) for k, step in steps for le in levels[step.stage]]
+    levels = {
+        step.stage: [le for le in stages[step.stage].levels if level in (None, le)]
+        for _, step in steps
+    }
+    return [
+        Cell(frame, chain[:k], step.stage, le, step.out)
+        for k, step in steps
+        for le in levels[step.stage]
+    ]
 
 
-def _interleave(cells: list[Cell], size: tuple[int, int], progress: Callable[[int, int], None]) -> None:
+def _interleave(
+    cells: list[Cell], size: tuple[int, int], progress: Callable[[int, int], None]
+) -> None:
     picture = np.random.default_rng(1).random((size[1], size[0], 3), np.float32)
     for _ in range(3):
         cv2.GaussianBlur(picture, (0, 0), 5)
-    for cell in cells:  # loads, allocates, uploads: not counted, unless so slow that it hardly matters
+    for cell in (
+        cells
+    ):  # loads, allocates, uploads: not counted, unless so slow that it hardly matters
         _ = cell.run  # renders the steps before it
         seconds = WALL.of(cell.render)
         if seconds > SLOW_S:
@@ -172,7 +242,8 @@ class Runs:
 class Stopwatch:
     """Seconds of work, less those in which numba compiled for it: later work is spared them.
 
-    processor : processor time, which other programs disturb least, not wall-clock time; divided by the threads that work at
+    processor : processor time, which other programs disturb least, not wall-clock time;
+    divided by the threads that work at
     once, both are the same on a machine that does nothing else
     pool, concurrency : so many of its threads do the same work at once, as in a job"""
 
@@ -192,8 +263,13 @@ class Stopwatch:
         assert self.pool is not None
         if self.processor:
             pool = self.pool
-            return self.of(lambda: list(pool.map(lambda _: work(), range(self.concurrency)))) / self.concurrency
-        return float(np.mean(list(self.pool.map(lambda _: self.of(work), range(self.concurrency)))))
+            return (
+                self.of(lambda: list(pool.map(lambda _: work(), range(self.concurrency))))
+                / self.concurrency
+            )
+        return float(
+            np.mean(list(self.pool.map(lambda _: self.of(work), range(self.concurrency))))
+        )
 
 
 WALL = Stopwatch()

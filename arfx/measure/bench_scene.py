@@ -1,4 +1,6 @@
-"""The standard scene of the benchmark: a ball of 6,000 triangles on the plane, covering a tenth of the picture."""
+"""The standard scene of the benchmark: a ball of 6,000 triangles on the plane, covering a
+tenth of the picture.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,15 @@ _DIAMETER_M, _TILT_DEG = 0.2, 40.0
 
 
 def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
-    """A unit-diameter sphere, z up, smooth normals, textured so that texture lookups are timed too."""
+    """A unit-diameter sphere, z up, smooth normals, textured so that texture lookups are
+    timed too.
+    """
     theta = np.linspace(0, np.pi, latitudes + 1)
     phi = np.linspace(0, 2 * np.pi, longitudes + 1)
     t, p = np.meshgrid(theta, phi, indexing="ij")
-    normals = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1).reshape(-1, 3)
+    normals = np.stack(
+        [np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1
+    ).reshape(-1, 3)
     uv = np.stack([p / (2 * np.pi), t / np.pi], -1).reshape(-1, 2)
     faces = []
     for i in range(latitudes):
@@ -39,8 +45,20 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
                 faces.append([b, b + 1, a + 1])
     y, x = np.indices((128, 256))
     squares = ((x // 16 + y // 16) % 2).astype(np.uint8)
-    texture = np.dstack([90 + 130 * squares, 120 + 60 * squares, np.full_like(squares, 60), np.full_like(squares, 255)])
-    material = Material("ball", base_colour=(1.0, 1.0, 1.0, 1.0), base_texture=Texture(texture.astype(np.uint8)), roughness=0.6)
+    texture = np.dstack(
+        [
+            90 + 130 * squares,
+            120 + 60 * squares,
+            np.full_like(squares, 60),
+            np.full_like(squares, 255),
+        ]
+    )
+    material = Material(
+        "ball",
+        base_colour=(1.0, 1.0, 1.0, 1.0),
+        base_texture=Texture(texture.astype(np.uint8)),
+        roughness=0.6,
+    )
     part = Part(normals / 2, np.array(faces, np.int32), normalise(normals), material, uv)
     return Model((part,), up="z", source="benchmark ball")
 
@@ -49,7 +67,8 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
 class BenchScene:
     """scene, the facts of its one frame, and the real picture: linear RGB float32 (h, w, 3).
 
-    real_depth_m : (h, w) float32, measured depth of the real scene, None = it was not measured"""
+    real_depth_m : (h, w) float32, measured depth of the real scene, None = it was not measured
+    """
 
     scene: Scene
     facts: FrameFacts
@@ -67,28 +86,54 @@ class BenchScene:
         box = self.facts.model_box
         half = Rect(box.x0, box.y0, (box.x0 + box.x1) // 2, box.y1).clip(camera.rect)
         depth_m[half.slices] = 0.8 * self.facts.depth_range_m[0]
-        measured = RealDepth.of(0, 1.0, "", tile_ranges(depth_m, (camera.width, camera.height)))
+        measured = RealDepth.of(
+            0, 1.0, "", tile_ranges(depth_m, (camera.width, camera.height))
+        )
         facts = self.facts.with_(real_depth=measured)
         return BenchScene(self.scene, facts, self.plate, depth_m.astype(np.float32))
 
 
-def bench_scene(width: int, height: int, covered: float = COVERED, model: Model | None = None) -> BenchScene:
-    """The ball on a marker, seen from 40 degrees off the vertical by an undistorted camera of the given picture size.
+def bench_scene(
+    width: int, height: int, covered: float = COVERED, model: Model | None = None
+) -> BenchScene:
+    """The ball on a marker, seen from 40 degrees off the vertical by an undistorted camera
+    of the given picture size.
 
-    covered : fraction of the picture that it covers;  model : another ball than the standard one"""
+    covered : fraction of the picture that it covers;  model : another ball than the standard one
+    """
     focal = 0.9 * max(width, height)
-    camera = Camera(width, height, np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]))
+    camera = Camera(
+        width,
+        height,
+        np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]),
+    )
     model, marker = model or ball(), MarkerSpec("36h11", 0, 0.15)
     radius_px = np.sqrt(covered * width * height / np.pi)
-    # a sphere's outline subtends asin(r / d): tan of it times the focal length is the radius in the picture
+    # a sphere's outline subtends asin(r / d): tan of it times the focal length is the
+    # radius in the picture
     distance = _DIAMETER_M / 2 / np.sin(np.arctan(radius_px / focal))
-    rotation = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-_TILT_DEG, 0, 0)
+    rotation = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(
+        -_TILT_DEG, 0, 0
+    )
     centre = np.array([0, 0, _DIAMETER_M / 2])
     pose = Pose(rotation, np.array([0, 0, distance]) - rotation @ centre)
     scene = Scene(
-        camera, model, Placement(fit_m=_DIAMETER_M).world_from_model(model), (marker,), {marker.key: Pose.identity()}
-    )  # fmt: skip
-    seen = FrameFacts(0, 0.0, status=MEASURED, camera_from_world=pose, raw_camera_from_world=pose, opacity=1.0)
+        camera,
+        model,
+        Placement(fit_m=_DIAMETER_M).world_from_model(model),
+        (marker,),
+        {marker.key: Pose.identity()},
+    )
+    seen = FrameFacts(
+        0,
+        0.0,
+        status=MEASURED,
+        camera_from_world=pose,
+        raw_camera_from_world=pose,
+        opacity=1.0,
+    )
     (facts,) = with_model([seen], scene)
-    plate = np.random.default_rng(0).uniform(0.05, 0.8, (height, width, 3)).astype(np.float32)
+    plate = (
+        np.random.default_rng(0).uniform(0.05, 0.8, (height, width, 3)).astype(np.float32)
+    )
     return BenchScene(scene, facts, plate)

@@ -1,7 +1,9 @@
-"""The price list of this machine: every stage and level timed on small standard scenes, fitted, kept in the cache folder.
+"""The price list of this machine: every stage and level timed on small standard scenes,
+fitted, kept in the cache folder.
 
-As in a job, as many threads as it would render with do the same work at once, so that what they take from each other is in
-the price. Coefficients by non-negative least squares on relative errors (scipy nnls): more work never costs less.
+As in a job, as many threads as it would render with do the same work at once, so that what
+they take from each other is in the price. Coefficients by non-negative least squares on
+relative errors (scipy nnls): more work never costs less.
 Cost: `arfx bench --calibrate` takes under a minute on a quiet machine."""
 
 from __future__ import annotations
@@ -33,21 +35,32 @@ from arfx.run.folder import write
 from arfx.run.job import MOST_THREADS, worker_count
 from arfx.stages import STAGES
 
-# Width, height, fraction of the picture under the object, (longitudes, latitudes): 720 to 24,000 triangles; its shape, and
-# whether depth was measured. Small ones come early: they tell what a frame costs by itself.
+# Width, height, fraction of the picture under the object, (longitudes, latitudes): 720 to
+# 24,000 triangles; its shape, and whether depth was measured. Small ones come early: they
+# tell what a frame costs by itself.
 SCENES = (
-    (640, 480, 0.08, (60, 51), "pile", False), (160, 120, 0.1, (60, 51), "ball", True), (320, 240, 0.3, (20, 19), "pile", True),
-    (1280, 720, 0.04, (60, 51), "ball", False), (480, 360, 0.15, (120, 101), "pile", True),
+    (640, 480, 0.08, (60, 51), "pile", False),
+    (160, 120, 0.1, (60, 51), "ball", True),
+    (320, 240, 0.3, (20, 19), "pile", True),
+    (1280, 720, 0.04, (60, 51), "ball", False),
+    (480, 360, 0.15, (120, 101), "pile", True),
     (960, 540, 0.25, (20, 19), "ball", False),
-)  # fmt: skip
+)
 # Of levels `reference`, each on the first two that show its effect.
 SLOW_SCENES = (
-    (64, 64, 0.08, (20, 19), "ball", False), (96, 64, 0.1, (60, 51), "pile", True), (160, 120, 0.1, (20, 19), "ball", False),
+    (64, 64, 0.08, (20, 19), "ball", False),
+    (96, 64, 0.1, (60, 51), "pile", True),
+    (160, 120, 0.1, (20, 19), "ball", False),
     (128, 96, 0.3, (60, 51), "pile", True),
-)  # fmt: skip
+)
 LIMIT_S = 55.0
-PREPARE_S = 1.0  # of one level: preparing it again and again would take all the time there is
-SHORT_RUN_S, LONG_RUN_S = 0.01, 0.1  # a shorter run times the clock and the interpreter; a longer one is made once
+PREPARE_S = (
+    1.0  # of one level: preparing it again and again would take all the time there is
+)
+SHORT_RUN_S, LONG_RUN_S = (
+    0.01,
+    0.1,
+)  # a shorter run times the clock and the interpreter; a longer one is made once
 ENVIRONMENT_SIZE = 16
 LEAST_SPREAD = 0.12  # a shared machine never keeps its speed better than this
 
@@ -55,12 +68,14 @@ LEAST_SPREAD = 0.12  # a shared machine never keeps its speed better than this
 def fit(runs: Runs, terms: Iterable[str]) -> Price:
     """Coefficients >= 0 of the terms that make the relative errors smallest.
 
-    The spread is that of log(measured / fitted), or of each scene from a fit to the others where that is more, and at least
-    LEAST_SPREAD; a fit to few runs gets more."""
+    The spread is that of log(measured / fitted), or of each scene from a fit to the others
+    where that is more, and at least LEAST_SPREAD; a fit to few runs gets more."""
     names = [t for t in terms if any(row.get(t, 0.0) > 0 for row in runs.terms)]
     if not names:
         raise ValueError("nothing to fit")
-    if len(runs.seconds) <= len(names) and "mpx" in names:  # too few to tell terms apart: by pixels, and what is there or not
+    if (
+        len(runs.seconds) <= len(names) and "mpx" in names
+    ):  # too few to tell terms apart: by pixels, and what is there or not
         names = [t for t in names if t in ("mpx", "depth_mpx") or t.startswith("new_")]
     rows = np.array([[row.get(t, 0.0) for t in names] for row in runs.terms], float)
     measured = np.array(runs.seconds)
@@ -68,8 +83,18 @@ def fit(runs: Runs, terms: Iterable[str]) -> Price:
     fitted = np.maximum(rows @ found, 1e-9)
     free = max(len(measured) - int((found > 0).sum()), 1)
     deviation = float(np.sqrt((np.log(measured / fitted) ** 2).sum() / free))
-    spread = min(max(max(deviation, LEAST_SPREAD) * (1 + 1.0 / free), _cross_validation_error(rows, measured)), 1.0)
-    return Price({t: float(c) for t, c in zip(names, found, strict=True) if c > 0}, spread, len(measured))
+    spread = min(
+        max(
+            max(deviation, LEAST_SPREAD) * (1 + 1.0 / free),
+            _cross_validation_error(rows, measured),
+        ),
+        1.0,
+    )
+    return Price(
+        {t: float(c) for t, c in zip(names, found, strict=True) if c > 0},
+        spread,
+        len(measured),
+    )
 
 
 def _coefficients(rows: np.ndarray, measured: np.ndarray) -> np.ndarray:
@@ -77,12 +102,18 @@ def _coefficients(rows: np.ndarray, measured: np.ndarray) -> np.ndarray:
     weight = 1.0 / measured
     found, _ = nnls(rows * weight[:, None], measured * weight)
     off = np.abs(measured - rows @ found) / measured
-    weight = weight * np.minimum(1.0, np.maximum(np.median(off), 0.02) * 2 / np.maximum(off, 1e-9)) ** 0.5
+    weight = (
+        weight
+        * np.minimum(1.0, np.maximum(np.median(off), 0.02) * 2 / np.maximum(off, 1e-9))
+        ** 0.5
+    )
     return np.asarray(nnls(rows * weight[:, None], measured * weight)[0])
 
 
 def _cross_validation_error(rows: np.ndarray, measured: np.ndarray) -> float:
-    """Root mean square of log(measured / predicted) of each scene from a fit to the others; 0 for fewer than three scenes."""
+    """Root mean square of log(measured / predicted) of each scene from a fit to the others;
+    0 for fewer than three scenes.
+    """
     _, scene = np.unique(rows.round(9), axis=0, return_inverse=True)
     if scene.max() < 2:
         return 0.0
@@ -95,46 +126,93 @@ def _cross_validation_error(rows: np.ndarray, measured: np.ndarray) -> float:
 
 
 def calibrate(
-    progress: Callable[[str, int, int], None] = lambda *_: None, stages: Mapping[str, type[Stage]] = STAGES,
-    limit_s: float = LIMIT_S, output: bool = True, processor: bool = False, stage: str | None = None,
-) -> Prices:  # fmt: skip
-    """Time, fit, and return the price list; nothing is written. Raises ConfigError for an unknown stage.
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+    stages: Mapping[str, type[Stage]] = STAGES,
+    limit_s: float = LIMIT_S,
+    output: bool = True,
+    processor: bool = False,
+    stage: str | None = None,
+) -> Prices:
+    """Time, fit, and return the price list; nothing is written. Raises ConfigError for an
+    unknown stage.
 
     stage : only this one, and nothing that is not a stage's
     limit_s : after this the remaining scenes are skipped (what has runs is fitted)
-    output : time what is not a stage's too: editing planes, encoding, joining;  processor : as of `Stopwatch`"""
+    output : time what is not a stage's too: editing planes, encoding, joining;  processor :
+    as of `Stopwatch`
+    """
     check(stages, stage, None, ())
     workers, threads = worker_count(1)
     concurrency = min(workers, MOST_THREADS) if threads else 1
     began = time.perf_counter()
     timed: dict[str, Runs] = defaultdict(Runs)
     alone: list[float] = []
-    plan = [(s, False) for s in SCENES[:3]] + [(s, True) for s in SLOW_SCENES] + [(s, False) for s in SCENES[3:]]
+    plan = (
+        [(s, False) for s in SCENES[:3]]
+        + [(s, True) for s in SLOW_SCENES]
+        + [(s, False) for s in SCENES[3:]]
+    )
     with ThreadPoolExecutor(concurrency) as pool:
         watch = Stopwatch(processor, pool, concurrency)
         if output and stage is None:
-            time_output(timed, watch, lambda done, total: progress("calibrate output", done, total))
+            time_output(
+                timed, watch, lambda done, total: progress("calibrate output", done, total)
+            )
         for k, ((width, height, covered, triangles, shape, deep), slow) in enumerate(plan):
             if time.perf_counter() - began > limit_s:
                 break
-            at = bench_scene(width, height, covered, (ball if shape == "ball" else sphere_cluster)(*triangles))
-            alone += _time_scene(at.with_depth() if deep else at, slow, stages, stage, timed, watch)
+            at = bench_scene(
+                width,
+                height,
+                covered,
+                (ball if shape == "ball" else sphere_cluster)(*triangles),
+            )
+            alone += _time_scene(
+                at.with_depth() if deep else at, slow, stages, stage, timed, watch
+            )
             progress("calibrate scenes", k + 1, len(plan))
     prices = {}
     for key, runs in timed.items():
         name = key.removeprefix("prepare ").split("/")[0]
         of = stages.get(name, Stage)  # encoding and the like: the usual terms
-        depth_terms = ("depth_mpx",) if Layer.REAL_DEPTH in getattr(of, "reads", ()) and "depth" not in of.requires else ()
-        prices[key] = fit(runs, ("frames", "mfaces") if key.startswith("prepare ") else dict.fromkeys((*of.terms, *depth_terms)))
-    for key, shipped in shipped_prices().prices.items():  # of levels for which there was no time
-        if key.removeprefix("prepare ").split("/")[0] in ([stage] if stage is not None else stages):
-            prices.setdefault(key, replace(shipped, spread=max(shipped.spread, UNCALIBRATED)))
+        depth_terms = (
+            ("depth_mpx",)
+            if Layer.REAL_DEPTH in getattr(of, "reads", ()) and "depth" not in of.requires
+            else ()
+        )
+        prices[key] = fit(
+            runs,
+            (
+                ("frames", "mfaces")
+                if key.startswith("prepare ")
+                else dict.fromkeys((*of.terms, *depth_terms))
+            ),
+        )
+    for (
+        key,
+        shipped,
+    ) in shipped_prices().prices.items():  # of levels for which there was no time
+        if key.removeprefix("prepare ").split("/")[0] in (
+            [stage] if stage is not None else stages
+        ):
+            prices.setdefault(
+                key, replace(shipped, spread=max(shipped.spread, UNCALIBRATED))
+            )
     source = f"measured on this machine in {time.perf_counter() - began:.0f} s"
-    return Prices(prices, concurrency, source, True, float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0)
+    return Prices(
+        prices,
+        concurrency,
+        source,
+        True,
+        float(np.clip(np.median(alone), 0.1, 1.0)) if alone else 1.0,
+    )
 
 
 def save_prices(prices: Prices, file: Path | None = None) -> Path:
-    """Keep a price list for the next jobs on this machine. Returns where. Raises RenderError where it cannot be written."""
+    """Keep a price list for the next jobs on this machine.
+
+    Returns where. Raises RenderError where it cannot be written.
+    """
     path = file or prices_file()
     path.parent.mkdir(parents=True, exist_ok=True)
     write(path, json.dumps(prices.to_json(), indent=1))
@@ -142,14 +220,25 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
 
 
 def _time_scene(
-    at: BenchScene, slow: bool, stages: Mapping[str, type[Stage]], stage: str | None, timed: dict[str, Runs], watch: Stopwatch
-) -> list[float]:  # fmt: skip
-    """slow : the levels `reference` alone, once;  otherwise all others, the cheap ones twice, and under a light that changes
+    at: BenchScene,
+    slow: bool,
+    stages: Mapping[str, type[Stage]],
+    stage: str | None,
+    timed: dict[str, Runs],
+    watch: Stopwatch,
+) -> list[float]:
+    """slow : the levels `reference` alone, once;  otherwise all others, the cheap ones
+    twice, and under a light that changes
 
-    Returns what one thread alone took, as a fraction of what it took among others: of the runs that are long enough."""
+    Returns what one thread alone took, as a fraction of what it took among others: of the
+    runs that are long enough."""
     best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}
     alone = []
-    for cell in (c for c in make_cells(at, stage, None, stages) if (best.get(c.stage) == c.level) == slow):
+    for cell in (
+        c
+        for c in make_cells(at, stage, None, stages)
+        if (best.get(c.stage) == c.level) == slow
+    ):
         key = f"{cell.stage}/{cell.level}"
         prepared, runs = timed[f"prepare {key}"], timed[key]
         if slow and len({t["mpx"] for t in runs.terms}) > 1:
@@ -166,7 +255,9 @@ def _time_scene(
             continue
         perturbed = _perturbed_light(at)
 
-        def render(cell: Cell = cell, perturbed: Callable[[], FrameFacts] = perturbed) -> None:
+        def render(
+            cell: Cell = cell, perturbed: Callable[[], FrameFacts] = perturbed
+        ) -> None:
             cell.render(perturbed())
 
         render()  # compiles, loads, makes what is kept for this light
@@ -178,7 +269,9 @@ def _time_scene(
         ambient = replace(perturbed(), light=Light(ambient_rgb=(0.5, 0.5, 0.5), lights=()))
         if any(cell.terms(ambient)[t] != terms[t] for t in own if t not in new):
             cell.render(ambient)
-            runs.add(cell.terms(ambient), watch.of_concurrent(partial(cell.render, ambient)))
+            runs.add(
+                cell.terms(ambient), watch.of_concurrent(partial(cell.render, ambient))
+            )
         for term in new:
             seconds = watch.of_concurrent(partial(cell.render, _new_light(at, runs)))
             runs.add({**terms, term: 1.0}, seconds)
@@ -186,10 +279,15 @@ def _time_scene(
 
 
 def sphere_cluster(longitudes: int, latitudes: int) -> Model:
-    """Nine small balls, each a part of its own, with as many triangles as one large: outlines cost more than insides."""
+    """Nine small balls, each a part of its own, with as many triangles as one large:
+    outlines cost more than insides.
+    """
     whole = ball(longitudes, latitudes)
     (one,) = ball(max(longitudes // 3, 8), max(latitudes // 3, 6)).parts
-    positions = np.array([(x, y, 0.3 * abs(x * y)) for x in (-1, 0, 1) for y in (-1, 0, 1)], float) * 0.35
+    positions = (
+        np.array([(x, y, 0.3 * abs(x * y)) for x in (-1, 0, 1) for y in (-1, 0, 1)], float)
+        * 0.35
+    )
     parts = tuple(replace(one, vertices=one.vertices * 0.33 + at) for at in positions)
     return Model(parts, up=whole.up, source="benchmark pile")
 
@@ -197,20 +295,31 @@ def sphere_cluster(longitudes: int, latitudes: int) -> Model:
 def _new_light(at: BenchScene, runs: Runs) -> FrameFacts:
     """The scene's facts under a light that was not met before: every call another."""
     turn = 0.3 + 0.17 * len(runs.seconds)
-    lamp = DirectionalLight((float(np.cos(turn)), float(np.sin(turn)), 1.3), (0.6 + turn / 50, 0.6, 0.5), 4.0)
-    return replace(_perturbed_light(at)(), light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)))
+    lamp = DirectionalLight(
+        (float(np.cos(turn)), float(np.sin(turn)), 1.3), (0.6 + turn / 50, 0.6, 0.5), 4.0
+    )
+    return replace(
+        _perturbed_light(at)(),
+        light=Light(ambient_rgb=(0.4, 0.4, 0.4 + turn / 90), lights=(lamp,)),
+    )
 
 
 def _perturbed_light(at: BenchScene) -> Callable[[], FrameFacts]:
-    """The scene's facts, with surroundings as from an analysis and a light that is never quite the same, as a measured one:
-    what is kept for a light in steps is kept, what is made for the very light is made every time."""
-    sky = face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0) * np.array([0.5, 0.55, 0.6]) + 0.2
+    """The scene's facts, with surroundings as from an analysis and a light that is never
+    quite the same, as a measured one: what is kept for a light in steps is kept, what is
+    made for the very light is made every time."""
+    sky = (
+        face_directions(ENVIRONMENT_SIZE)[..., 2:].clip(0) * np.array([0.5, 0.55, 0.6])
+        + 0.2
+    )
     environment = CubeMap.of(sky, None, np.full(3, 0.3))
     light, count = at.scene.light, itertools.count()  # threads ask for the next at once
 
     def facts() -> FrameFacts:
         red, green, blue = light.ambient_rgb
-        perturbed = replace(light, ambient_rgb=(red * (1 + 1e-6 * next(count)), green, blue))
+        perturbed = replace(
+            light, ambient_rgb=(red * (1 + 1e-6 * next(count)), green, blue)
+        )
         return at.facts.with_(light=perturbed, environment=environment)
 
     return facts

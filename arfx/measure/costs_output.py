@@ -1,4 +1,6 @@
-"""What of a job is not a stage's: editing the planes, encoding with every codec that this machine has, joining chunks."""
+"""What of a job is not a stage's: editing the planes, encoding with every codec that this
+machine has, joining chunks.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ USUAL = ("h264", "ffv1")  # encoded twice, and at every size; others at the firs
 JOINED = "h264"
 
 
-def time_output(timed: dict[str, Runs], watch: Stopwatch, progress: Callable[[int, int], None]) -> None:
+def time_output(
+    timed: dict[str, Runs], watch: Stopwatch, progress: Callable[[int, int], None]
+) -> None:
     """Add runs of "edit", "encode CODEC" and "join" to `timed`."""
     total = len(CODECS) + (len(SIZES) - 1) * len(USUAL)
     with tempfile.TemporaryDirectory(prefix="arfx-calibrate-") as folder:
@@ -50,8 +54,12 @@ def time_output(timed: dict[str, Runs], watch: Stopwatch, progress: Callable[[in
         progress(total, total)
 
 
-def _edit(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], watch: Stopwatch) -> None:
-    """As in a frame of a job: linear light of a rectangle, then the difference put back into the planes."""
+def _edit(
+    timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], watch: Stopwatch
+) -> None:
+    """As in a frame of a job: linear light of a rectangle, then the difference put back
+    into the planes.
+    """
     width, height = info.width, info.height
     whole = Rect(0, 0, width, height)
     for rect in (Rect(width // 3, height // 3, 2 * width // 3, 2 * height // 3), whole):
@@ -63,18 +71,42 @@ def _edit(timed: dict[str, Runs], info: ClipInfo, frames: list[Frame], watch: St
 
         edit()
         seconds = watch.of_concurrent(edit)
-        timed["edit"].add({"frames": 1.0, "mpx": 2 * rect.area / 1e6}, seconds / len(frames[:6]))
+        timed["edit"].add(
+            {"frames": 1.0, "mpx": 2 * rect.area / 1e6}, seconds / len(frames[:6])
+        )
 
 
-def _encode(timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[Frame], codec: str, watch: Stopwatch) -> None:
-    out = folder / f"{codec}-%03d.{codec}" if CODECS[codec].sequence else folder / f"{codec}.mkv"
+def _encode(
+    timed: dict[str, Runs],
+    folder: Path,
+    info: ClipInfo,
+    frames: list[Frame],
+    codec: str,
+    watch: Stopwatch,
+) -> None:
+    out = (
+        folder / f"{codec}-%03d.{codec}"
+        if CODECS[codec].sequence
+        else folder / f"{codec}.mkv"
+    )
     plan = plan_output(info, out, OutputSettings(codec))
     paths: list[Path] = []
     number = itertools.count()
     # a picture belongs to one thread: the library keeps with it what it converts it by
     unused: queue.SimpleQueue[list[Frame]] = queue.SimpleQueue()
     for _ in range(watch.concurrency):
-        unused.put([Frame(copy_picture(f.picture, f.format.layout), f.format, f.index, f.pts, f.key) for f in frames])
+        unused.put(
+            [
+                Frame(
+                    copy_picture(f.picture, f.format.layout),
+                    f.format,
+                    f.index,
+                    f.pts,
+                    f.key,
+                )
+                for f in frames
+            ]
+        )
 
     def encode() -> None:
         path = folder / f"{codec}-{info.width}-{next(number)}{chunk_suffix(plan)}"
@@ -95,7 +127,11 @@ def _encode(timed: dict[str, Runs], folder: Path, info: ClipInfo, frames: list[F
         first = [f.pts for f in frames]
         step = first[-1] - first[0] + max(first[1] - first[0], 1)
         pts = [p + k * step for k in range(2) for p in first]
-        seconds = watch.of(lambda: join_chunks(paths[:2], pts, plan, info, paths[0].with_name("joined.mkv")))
+        seconds = watch.of(
+            lambda: join_chunks(
+                paths[:2], pts, plan, info, paths[0].with_name("joined.mkv")
+            )
+        )
         timed["join"].add({"frames": float(len(pts)), "mpx": len(pts) * mpx}, seconds)
 
 
@@ -105,13 +141,22 @@ def write_clip(path: Path, width: int, height: int, frames: int) -> Path:
     table = g.integers(70, 180, (height // 8, width // 8, 3)).astype(np.uint8)
     noise = g.normal(0, 2, (4, height, width, 3)).astype(np.float32)
     with create_container(path) as out:
-        stream: Any = out.add_stream("libx264", rate=30, options={"crf": "18", "preset": "veryfast"})
+        stream: Any = out.add_stream(
+            "libx264", rate=30, options={"crf": "18", "preset": "veryfast"}
+        )
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         for i in range(frames):
             t = i / 30
-            move = np.array(cv2.getRotationMatrix2D((width / 20, height / 20), 15 + 2 * np.sin(t), 10), float)
-            move[:, 2] += 0.4 * np.array([width, height]) + 0.02 * width * np.array([np.sin(0.9 * t), np.sin(1.1 * t)])
-            picture = cv2.warpAffine(table, move, (width, height), borderMode=cv2.BORDER_REFLECT)
+            move = np.array(
+                cv2.getRotationMatrix2D((width / 20, height / 20), 15 + 2 * np.sin(t), 10),
+                float,
+            )
+            move[:, 2] += 0.4 * np.array([width, height]) + 0.02 * width * np.array(
+                [np.sin(0.9 * t), np.sin(1.1 * t)]
+            )
+            picture = cv2.warpAffine(
+                table, move, (width, height), borderMode=cv2.BORDER_REFLECT
+            )
             picture = np.clip(picture + noise[i % 4], 0, 255).astype(np.uint8)
             out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
         out.mux(stream.encode(None))

@@ -1,8 +1,13 @@
-"""How far a picture is from its reference, in units that an eye knows, over the pixels that an effect touches.
+"""How far a picture is from its reference, in units that an eye knows, over the pixels that
+an effect touches.
 
-FLIP: how visible a difference is to someone who flips between two pictures, 0 (none) to 1; Andersson et al. 2020 (LDR form).
-Delta E: CIEDE2000, 1 is about the least that is seen. SSIM: structural similarity of luma, 1 where both agree; Wang et al. 2004.
-Cost: FLIP about 1.5 us of one core per pixel, SSIM and Delta E together as much; of the touched pixels' box alone."""
+FLIP: how visible a difference is to someone who flips between two pictures, 0 (none) to 1;
+Andersson et al. 2020 (LDR form).
+Delta E: CIEDE2000, 1 is about the least that is seen. SSIM: structural similarity of luma,
+1 where both agree; Wang et al. 2004.
+Cost: FLIP about 1.5 us of one core per pixel, SSIM and Delta E together as much; of the
+touched pixels' box alone.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +19,11 @@ import numpy as np
 from arfx.core.rect import Rect
 
 TOUCHED = 0.5  # grey levels: less than this is not a change
-PIXELS_PER_DEGREE = 67.02  # a 0.7 m wide display of 3840 pixels seen from 0.7 m, FLIP's published standard
-# Widest of FLIP's filters at that distance: contrast sensitivity of blue-yellow, 3 sqrt(b / 2 pi^2) ppd = 9.05 px, rounded up.
+PIXELS_PER_DEGREE = (
+    67.02  # a 0.7 m wide display of 3840 pixels seen from 0.7 m, FLIP's published standard
+)
+# Widest of FLIP's filters at that distance: contrast sensitivity of blue-yellow, 3 sqrt(b /
+# 2 pi^2) ppd = 9.05 px, rounded up.
 MARGIN_PX = 10
 
 
@@ -44,7 +52,10 @@ def touched(*pairs: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
 
 
 def difference(reference: np.ndarray, test: np.ndarray, where: np.ndarray) -> Difference:
-    """Of two (h, w, 3) uint8 sRGB pictures. where : (h, w) bool, those that count; without any there is no difference"""
+    """Of two (h, w, 3) uint8 sRGB pictures.
+
+    where : (h, w) bool, those that count; without any there is no difference
+    """
     if not where.any():
         return Difference()
     ys, xs = np.nonzero(where.any(1))[0], np.nonzero(where.any(0))[0]
@@ -57,17 +68,24 @@ def difference(reference: np.ndarray, test: np.ndarray, where: np.ndarray) -> Di
         return Difference(pixels=len(values))
     y, x = np.unravel_index(int(np.argmax(np.where(inside, apart, -1))), apart.shape)
     return Difference(
-        float(values.mean()), float(np.percentile(values, 99)), float(flip_map(a, b)[inside].mean()),
-        float(delta_e(a[inside], b[inside]).mean()), float(ssim_map(a, b)[inside].mean()),
-        (int(x) + seen.x0, int(y) + seen.y0), len(values),
-    )  # fmt: skip
+        float(values.mean()),
+        float(np.percentile(values, 99)),
+        float(flip_map(a, b)[inside].mean()),
+        float(delta_e(a[inside], b[inside]).mean()),
+        float(ssim_map(a, b)[inside].mean()),
+        (int(x) + seen.x0, int(y) + seen.y0),
+        len(values),
+    )
 
 
 def flip_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
     """(h, w) float32, FLIP of every pixel of two (h, w, 3) uint8 sRGB pictures."""
     from flip_evaluator import nbflip
 
-    a, b = (np.ascontiguousarray(p.astype(np.float32) / np.float32(255)) for p in (reference, test))
+    a, b = (
+        np.ascontiguousarray(p.astype(np.float32) / np.float32(255))
+        for p in (reference, test)
+    )
     error = nbflip.evaluate(a, b, False, True, False, False, {"ppd": PIXELS_PER_DEGREE})[0]
     return np.ascontiguousarray(error[..., 0], np.float32)
 
@@ -80,27 +98,46 @@ def delta_e(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
 
 
 def ssim_map(reference: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """(h, w) SSIM about every pixel of two (h, w, 3) uint8 pictures; beyond their border they go on as their last pixels."""
+    """(h, w) SSIM about every pixel of two (h, w, 3) uint8 pictures; beyond their border
+    they go on as their last pixels.
+    """
     from skimage.metrics import structural_similarity
 
     half = 5  # of its window, a Gaussian of 1.5 px
-    grey = [np.pad(cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY), half, mode="edge") for p in (reference, test)]
-    found = structural_similarity(*grey, full=True, gaussian_weights=True, sigma=1.5, use_sample_covariance=False)[1]
+    grey = [
+        np.pad(cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY), half, mode="edge")
+        for p in (reference, test)
+    ]
+    found = structural_similarity(
+        *grey, full=True, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+    )[1]
     return np.asarray(found[half:-half, half:-half])
 
 
 def mean_flicker(
-    first: np.ndarray, second: np.ndarray, plate_first: np.ndarray, plate_second: np.ndarray, where: np.ndarray
+    first: np.ndarray,
+    second: np.ndarray,
+    plate_first: np.ndarray,
+    plate_second: np.ndarray,
+    where: np.ndarray,
 ) -> float:
-    """Mean grey levels by which the second picture, taken back along the footage's motion, differs from the first.
+    """Mean grey levels by which the second picture, taken back along the footage's motion,
+    differs from the first.
 
-    The motion is that of the plates (DIS optical flow, OpenCV). All (h, w, 3) uint8 of one place. A steady effect changes no
-    more than its reference does; 0 for an empty `where`."""
+    The motion is that of the plates (DIS optical flow, OpenCV). All (h, w, 3) uint8 of one
+    place. A steady effect changes no more than its reference does; 0 for an empty
+    `where`."""
     if not where.any() or min(where.shape) < 16:
         return 0.0
     flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     a, b = (cv2.cvtColor(p, cv2.COLOR_RGB2GRAY) for p in (plate_first, plate_second))
     motion = np.asarray(flow.calc(a, b, None))  # type: ignore[call-overload]
     y, x = np.indices(a.shape, np.float32)
-    back = cv2.remap(second, x + motion[..., 0], y + motion[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    back = cv2.remap(
+        second,
+        x + motion[..., 0],
+        y + motion[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
     return float(level_difference(first, back)[where].mean())

@@ -1,8 +1,10 @@
-"""What is in a clip: stream, times, light, and the markers of every family, from a sample of its frames.
+"""What is in a clip: stream, times, light, and the markers of every family, from a sample
+of its frames.
 
-Markers are looked for with every dictionary in whole frames, so it costs about .2 s a sampled frame at 1080p; the
-number of samples is fixed, and so is the cost for a long clip. Nested dictionaries (4X4_50 is the beginning of
-4X4_1000) are named by the smallest one that holds the ids seen."""
+Markers are looked for with every dictionary in whole frames, so it costs about .2 s a
+sampled frame at 1080p; the number of samples is fixed, and so is the cost for a long clip.
+Nested dictionaries (4X4_50 is the beginning of 4X4_1000) are named by the smallest one that
+holds the ids seen."""
 
 from __future__ import annotations
 
@@ -17,7 +19,12 @@ import cv2
 import numpy as np
 
 from arfx.analyse.lens import side_blurs
-from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector, cells_per_side
+from arfx.analyse.markers.detect import (
+    SCANNED_FAMILIES,
+    Candidate,
+    MarkerDetector,
+    cells_per_side,
+)
 from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
 from arfx.analyse.pose.visibility import ShotDetector, find_cuts
 from arfx.core.camera import Camera
@@ -30,13 +37,17 @@ from arfx.media.frames import ClipReader, read_on
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
 _LIGHT = 255 * SRGB.decode(np.arange(256) / 255)
-READ_WHOLE = 900  # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
+# clips up to this many frames are read whole (cuts are found too); longer ones by seeking
+READ_WHOLE = 900
 
 
 @dataclass
 class Found:
-    """One marker over the samples. sides_px, blurs_px, tilts_deg : one each per sample (blur and tilt where measurable)
-    quads : all of its sightings, by sample;  counted : samples in which one counts;  sure : one is plain by itself"""
+    """One marker over the samples. sides_px, blurs_px, tilts_deg : one each per sample
+    (blur and tilt where measurable)
+    quads : all of its sightings, by sample;  counted : samples in which one counts;  sure :
+    one is plain by itself
+    """
 
     family: str
     id: int
@@ -56,19 +67,34 @@ class Found:
 
     def to_json(self, looked: int) -> dict[str, Any]:
         return {
-            "marker": self.key, "family": self.family, "id": self.id, "frames": len(self.frames),
-            "looked": looked, "side_px": _spread(self.sides_px), "blur_px": _spread(self.blurs_px),
-            "tilt_deg": _spread(self.tilts_deg), "twice_in_a_frame": self.twice, **({"why": self.why} if self.why else {}),
-        }  # fmt: skip
+            "marker": self.key,
+            "family": self.family,
+            "id": self.id,
+            "frames": len(self.frames),
+            "looked": looked,
+            "side_px": _spread(self.sides_px),
+            "blur_px": _spread(self.blurs_px),
+            "tilt_deg": _spread(self.tilts_deg),
+            "twice_in_a_frame": self.twice,
+            **({"why": self.why} if self.why else {}),
+        }
 
 
-def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> dict[str, Any]:
+def inspect(
+    info: ClipInfo, camera: Camera | None = None, samples: int = 24
+) -> dict[str, Any]:
     """Everything `arfx inspect` says, as one JSON-able document.
 
-    camera : of the clip's picture size; with it the markers' tilt is reported;  samples : frames that are searched, >= 1
+    camera : of the clip's picture size; with it the markers' tilt is reported;  samples :
+    frames that are searched, >= 1
     Raises InputError where no frame can be decoded."""
     pts = presentation_times(info)
-    at = sorted({round(i) for i in np.linspace(0, max(len(pts) - 1, 0), max(min(samples, len(pts)), 1))})
+    at = sorted(
+        {
+            round(i)
+            for i in np.linspace(0, max(len(pts) - 1, 0), max(min(samples, len(pts)), 1))
+        }
+    )
     whole = len(pts) <= READ_WHOLE
     detector = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX)
     found: dict[str, Found] = {}
@@ -77,7 +103,11 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
     lowest, highest = (0, 255) if info.full_range else (16, 235)
     looked, read = [], 0
     with ClipReader(info) as reader:
-        for frame in reader.frames() if whole else (f for i in at for f in islice(reader.frames(pts[i], pts[i], i), 1)):
+        for frame in (
+            reader.frames()
+            if whole
+            else (f for i in at for f in islice(reader.frames(pts[i], pts[i], i), 1))
+        ):
             read += 1
             luma = frame.luma()
             if whole:
@@ -93,28 +123,46 @@ def inspect(info: ClipInfo, camera: Camera | None = None, samples: int = 24) -> 
     markers, left_out = confirmed(found)
     seen = {i for m in markers for i in m.frames}
     return {
-        "clip": {**info.to_json(), "frames": read if whole else len(pts), **_times(pts, info), "truncated": truncated},
+        "clip": {
+            **info.to_json(),
+            "frames": read if whole else len(pts),
+            **_times(pts, info),
+            "truncated": truncated,
+        },
         "samples": looked,
         "markers": [m.to_json(len(looked)) for m in markers],
         "left_out": [m.to_json(len(looked)) for m in left_out],
         "marker_coverage": float(divide(len(seen), len(looked))),
         "light": {
             "mean_level": _spread(levels),
-            "clipped_fraction": max(clipped, default=0.0), "black_fraction": max(dark, default=0.0),
+            "clipped_fraction": max(clipped, default=0.0),
+            "black_fraction": max(dark, default=0.0),
             "level_change": max(levels, default=0.0) - min(levels, default=0.0),
         },
-        "cuts": find_cuts([a for a, _ in signal], [b for _, b in signal], [False] * len(signal)) if whole else None,
+        "cuts": (
+            find_cuts([a for a, _ in signal], [b for _, b in signal], [False] * len(signal))
+            if whole
+            else None
+        ),
         "camera": None if camera is None else camera.source,
-    }  # fmt: skip
+    }
 
 
 def presentation_times(info: ClipInfo) -> list[int]:
-    """Presentation times of the packets in stream ticks, sorted; reads the index, decodes nothing."""
+    """Presentation times of the packets in stream ticks, sorted; reads the index, decodes
+    nothing.
+    """
     with open_video(info.path) as container:
         stream = container.streams[info.stream_index]
         times = []
         for packet in read_on(container, [stream]):
-            t = None if isinstance(packet, Exception) else packet.pts if packet.pts is not None else packet.dts
+            t = (
+                None
+                if isinstance(packet, Exception)
+                else packet.pts
+                if packet.pts is not None
+                else packet.dts
+            )
             if t is not None and t >= info.start_pts:
                 times.append(int(t))
     return sorted(set(times)) or [info.start_pts]
@@ -126,11 +174,22 @@ def _times(pts: Sequence[int], info: ClipInfo) -> dict[str, Any]:
     uneven = bool(typical and (steps.max() - steps.min()) > 0.1 * typical)
     gaps = int((steps > 1.5 * typical).sum()) if typical else 0
     length = float((pts[-1] - pts[0]) * info.time_base) + (typical or 0.0)
-    return {"seconds": length, "start_s": float(pts[0] * info.time_base), "vfr": uneven, "gaps": gaps,
-            "longest_gap_s": float(steps.max()) if gaps else 0.0}  # fmt: skip
+    return {
+        "seconds": length,
+        "start_s": float(pts[0] * info.time_base),
+        "vfr": uneven,
+        "gaps": gaps,
+        "longest_gap_s": float(steps.max()) if gaps else 0.0,
+    }
 
 
-def _record(found: dict[str, Found], seen: list[Candidate], index: int, luma: np.ndarray, camera: Camera | None) -> None:
+def _record(
+    found: dict[str, Found],
+    seen: list[Candidate],
+    index: int,
+    luma: np.ndarray,
+    camera: Camera | None,
+) -> None:
     for c in seen:
         m = found.setdefault(c.key, Found(c.family, c.id))
         counts, sure = legible(luma, c)
@@ -152,12 +211,16 @@ def _record(found: dict[str, Found], seen: list[Candidate], index: int, luma: np
 
 
 def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
-    """Angle in degrees between the marker's normal and the line of sight, of the better planar pose; None without one."""
+    """Angle in degrees between the marker's normal and the line of sight, of the better
+    planar pose; None without one.
+    """
     rays = camera.normalised(quad_px)
     if not np.isfinite(rays).all():
         return None
     square = MarkerSpec("", 0, 1.0).corners_m
-    count, rotations, shifts, _ = cv2.solvePnPGeneric(square, rays[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    count, rotations, shifts, _ = cv2.solvePnPGeneric(
+        square, rays[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
     if not count:
         return None
     normal = cv2.Rodrigues(rotations[0])[0][:, 2]
@@ -165,10 +228,14 @@ def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
 
 
 def confirmed(found: dict[str, Found]) -> tuple[list[Found], list[Found]]:
-    """The markers to trust, most often seen first, under the smallest dictionary that holds them; and what is left out, with
-    `why`: what lies in or around a better one, and what is neither plain by itself nor in HOLDS_FRAMES samples."""
+    """The markers to trust, most often seen first, under the smallest dictionary that holds
+    them; and what is left out, with `why`: what lies in or around a better one, and what is
+    neither plain by itself nor in HOLDS_FRAMES samples."""
     kept, left_out = list[Found](), list[tuple[Found, Found | None]]()
-    for m in sorted(found.values(), key=lambda m: (-len(m.counted), not m.sure, -len(m.frames), m.family, m.id)):
+    for m in sorted(
+        found.values(),
+        key=lambda m: (-len(m.counted), not m.sure, -len(m.frames), m.family, m.id),
+    ):
         better = next((k for k in kept if _same_place(m, k)), None)
         if better is None and (m.sure or len(m.counted) >= HOLDS_FRAMES):
             kept.append(m)
@@ -186,8 +253,14 @@ def confirmed(found: dict[str, Found]) -> tuple[list[Found], list[Found]]:
 
 
 def _same_place(m: Found, better: Found) -> bool:
-    """Whether most sightings of `m` lie in or around one of `better`: two dictionaries read one print, or what is in it."""
-    on = [any(_inside(q, b) or _inside(b, q) for b in better.quads.get(i, ())) for i, quads in m.quads.items() for q in quads]
+    """Whether most sightings of `m` lie in or around one of `better`: two dictionaries read
+    one print, or what is in it.
+    """
+    on = [
+        any(_inside(q, b) or _inside(b, q) for b in better.quads.get(i, ()))
+        for i, quads in m.quads.items()
+        for q in quads
+    ]
     return 2 * sum(on) > len(on)
 
 
@@ -200,11 +273,17 @@ def _spread(values: Sequence[float]) -> dict[str, float] | None:
     """Smallest, median and largest; None for nothing."""
     if not values:
         return None
-    return {"min": float(min(values)), "median": float(np.median(values)), "max": float(max(values))}
+    return {
+        "min": float(min(values)),
+        "median": float(np.median(values)),
+        "max": float(max(values)),
+    }
 
 
 def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str:
-    """The `arfx process` command for the markers found; empty without one. SIZE is to be measured on the print."""
+    """The `arfx process` command for the markers found; empty without one. SIZE is to be
+    measured on the print.
+    """
     markers = [f"--marker {m['marker']}:SIZE" for m in document["markers"][:8]]
     files = f"{shlex.quote(str(clip))} --camera {shlex.quote(str(camera or 'camera.yaml'))}"
     if not markers:

@@ -1,6 +1,8 @@
-"""What works on this machine: Python and packages, renderer back ends, codecs (each tried), cores, memory, disk.
+"""What works on this machine: Python and packages, renderer back ends, codecs (each tried),
+cores, memory, disk.
 
-Every check is made, not looked up: a back end is opened, a codec encodes four frames and they are read back.
+Every check is made, not looked up: a back end is opened, a codec encodes four frames and
+they are read back.
 Cost: about 1 s."""
 
 from __future__ import annotations
@@ -27,16 +29,39 @@ from arfx.run.memory import free_mb
 from arfx.stages import STAGES
 
 PACKAGES = (
-    "numpy", "opencv-contrib-python-headless", "av", "scipy", "numba", "scikit-image", "trimesh", "embreex",
-    "pyrender-maintained", "pyopengl", "flip-evaluator", "matplotlib", "psutil", "pydantic", "click", "rich", "pillow", "pyyaml",
-    "filelock", "tifffile",
-)  # fmt: skip
-LOW_MEMORY_MB, LOW_DISK_MB = 1500, 2000  # a 1080p job peaks near 700 MB a worker; an hour of 1080p H.264 takes a few GB
+    "numpy",
+    "opencv-contrib-python-headless",
+    "av",
+    "scipy",
+    "numba",
+    "scikit-image",
+    "trimesh",
+    "embreex",
+    "pyrender-maintained",
+    "pyopengl",
+    "flip-evaluator",
+    "matplotlib",
+    "psutil",
+    "pydantic",
+    "click",
+    "rich",
+    "pillow",
+    "pyyaml",
+    "filelock",
+    "tifffile",
+)
+LOW_MEMORY_MB, LOW_DISK_MB = (
+    1500,
+    2000,
+)  # a 1080p job peaks near 700 MB a worker; an hour of 1080p H.264 takes a few GB
 
 
 @dataclass(frozen=True)
 class Check(Document):
-    """One line of the doctor. essential : arfx cannot do its main job without it;  fix : empty when ok"""
+    """One line of the doctor.
+
+    essential : arfx cannot do its main job without it;  fix : empty when ok
+    """
 
     group: str
     name: str
@@ -50,32 +75,70 @@ def examine(folder: Path) -> list[Check]:
     """All checks; `folder` is where outputs would be written (its free space is looked at)."""
     from arfx.stages.raster import backend_report
 
-    renderers = (Check("renderer", b.name, b.opens, b.detail, b.fix) for b in backend_report())
-    return [*_python(), *renderers, *_codecs(), *_resources(folder), _compiled(), *_plugins()]
+    renderers = (
+        Check("renderer", b.name, b.opens, b.detail, b.fix) for b in backend_report()
+    )
+    return [
+        *_python(),
+        *renderers,
+        *_codecs(),
+        *_resources(folder),
+        _compiled(),
+        *_plugins(),
+    ]
 
 
 def _plugins() -> Iterator[Check]:
     for name in STAGES.plugins:
         wrong = STAGES.broken.get(name)
-        yield Check("plug-in", name, wrong is None, wrong.message if wrong else "loads", wrong.hint if wrong else "")
+        yield Check(
+            "plug-in",
+            name,
+            wrong is None,
+            wrong.message if wrong else "loads",
+            wrong.hint if wrong else "",
+        )
 
 
 def essentials_work(checks: list[Check]) -> bool:
     """Whether all essential checks pass, and at least one renderer works."""
-    return all(c.ok for c in checks if c.essential) and any(c.ok for c in checks if c.group == "renderer")
+    return all(c.ok for c in checks if c.essential) and any(
+        c.ok for c in checks if c.group == "renderer"
+    )
 
 
 def _python() -> Iterator[Check]:
-    ok, version = sys.version_info >= (3, 11), f"{platform.python_version()}, {platform.platform()}"
-    yield Check("python", "python", ok, version, "" if ok else "install Python 3.11 or newer", essential=True)
+    ok, version = (
+        sys.version_info >= (3, 11),
+        f"{platform.python_version()}, {platform.platform()}",
+    )
+    yield Check(
+        "python",
+        "python",
+        ok,
+        version,
+        "" if ok else "install Python 3.11 or newer",
+        essential=True,
+    )
     yield Check("python", "arfx", True, arfx.__version__)
     for name in PACKAGES:
         found = _version(name)
         fix = "" if found else f"pip install {name}"
-        yield Check("package", name, bool(found), found or "not installed", fix, essential=True)
-    for name in filter(_version, ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender")):
+        yield Check(
+            "package", name, bool(found), found or "not installed", fix, essential=True
+        )
+    for name in filter(
+        _version,
+        ("opencv-python", "opencv-python-headless", "opencv-contrib-python", "pyrender"),
+    ):
         fix = f"pip uninstall {name}, then install its counterpart above again"
-        yield Check("package", name, False, "installs over the same folder as a package that arfx needs", fix)
+        yield Check(
+            "package",
+            name,
+            False,
+            "installs over the same folder as a package that arfx needs",
+            fix,
+        )
 
 
 def _version(name: str) -> str:
@@ -92,12 +155,27 @@ def _codecs() -> Iterator[Check]:
         if codec.sequence:
             yield _picture_format(name)
             continue
-        why = _encode_fails(codec.encoder, codec.formats[0], codec.chunk, dict(codec.options))
-        fix = "" if not why else "pip install --force-reinstall av (its wheels hold this encoder)"
-        yield Check("codec", name, not why, why or f"{codec.encoder}, wrote and read back", fix, essential=name == "h264")
+        why = _encode_fails(
+            codec.encoder, codec.formats[0], codec.chunk, dict(codec.options)
+        )
+        fix = (
+            ""
+            if not why
+            else "pip install --force-reinstall av (its wheels hold this encoder)"
+        )
+        yield Check(
+            "codec",
+            name,
+            not why,
+            why or f"{codec.encoder}, wrote and read back",
+            fix,
+            essential=name == "h264",
+        )
 
 
-def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str, str]) -> str:
+def _encode_fails(
+    encoder: str, pixel_format: str, chunk: str, options: dict[str, str]
+) -> str:
     """Why four frames cannot be encoded and read back; empty where they can."""
     import av
 
@@ -111,7 +189,9 @@ def _encode_fails(encoder: str, pixel_format: str, chunk: str, options: dict[str
             open_encoder(stream.codec_context)
             for i in range(4):
                 picture = np.full((96, 128, 3), 40 * i + 20, np.uint8)
-                frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format=pixel_format)
+                frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(
+                    format=pixel_format
+                )
                 out.mux(stream.encode(frame))
             out.mux(stream.encode(None))
         buffer.seek(0)
@@ -137,28 +217,68 @@ def _picture_format(name: str) -> Check:
                 images.write_png(path, (picture * 255).astype(np.uint8))
         except (ArfxError, OSError, ValueError) as e:
             return Check(
-                "codec", name, False, str(e).splitlines()[0], "pip install --force-reinstall opencv-contrib-python-headless"
+                "codec",
+                name,
+                False,
+                str(e).splitlines()[0],
+                "pip install --force-reinstall opencv-contrib-python-headless",
             )
         return Check("codec", name, path.stat().st_size > 0, "written")
 
 
 def _resources(folder: Path) -> Iterator[Check]:
-    yield Check("machine", "cores", True, f"{usable_cores()} usable of {os.cpu_count()}, {processor_name()}")
+    yield Check(
+        "machine",
+        "cores",
+        True,
+        f"{usable_cores()} usable of {os.cpu_count()}, {processor_name()}",
+    )
     free = free_mb()
     if free is not None:
         ok = free >= LOW_MEMORY_MB
-        yield Check("machine", "memory", ok, f"{free:.0f} MB free", "" if ok else "close programs, or --workers 1")
+        yield Check(
+            "machine",
+            "memory",
+            ok,
+            f"{free:.0f} MB free",
+            "" if ok else "close programs, or --workers 1",
+        )
     try:
         disk = shutil.disk_usage(folder).free / 1e6
     except OSError as e:
-        yield Check("machine", "disk", False, f"{folder}: {e.strerror}", "run it in a folder that exists")
+        yield Check(
+            "machine",
+            "disk",
+            False,
+            f"{folder}: {e.strerror}",
+            "run it in a folder that exists",
+        )
         return
     ok = disk >= LOW_DISK_MB
-    yield Check("machine", "disk", ok, f"{disk:.0f} MB free in {folder}", "" if ok else "free space for outputs")
+    yield Check(
+        "machine",
+        "disk",
+        ok,
+        f"{disk:.0f} MB free in {folder}",
+        "" if ok else "free space for outputs",
+    )
 
 
 def _compiled() -> Check:
-    lasting, folder = compiled.cache_persists(), compiled.code_folder(Path(arfx.__file__).parent / "media")
-    where = f"in {folder}" if lasting else "for one run: the next compiles again what did not come with the package"
+    lasting, folder = (
+        compiled.cache_persists(),
+        compiled.code_folder(Path(arfx.__file__).parent / "media"),
+    )
+    where = (
+        f"in {folder}"
+        if lasting
+        else "for one run: the next compiles again what did not come with the package"
+    )
     fix = "" if lasting else "set NUMBA_CACHE_DIR to a folder that can be written"
-    return Check("machine", "compiled code", lasting, f"for {compiled.target_cpu() or 'this very processor'}, kept {where}", fix)
+    return Check(
+        "machine",
+        "compiled code",
+        lasting,
+        f"for {compiled.target_cpu() or 'this very processor'}, kept {where}",
+        fix,
+    )

@@ -1,6 +1,8 @@
-"""The report of a job: report.json and a self-contained report.html, from a report document or from a job folder.
+"""The report of a job: report.json and a self-contained report.html, from a report document
+or from a job folder.
 
-Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 ms a preview and 1 s for the plots."""
+Source of the fields: `arfx.run.summary`. Cost: the pictures dominate, about 30 ms a preview
+and 1 s for the plots."""
 
 from __future__ import annotations
 
@@ -25,14 +27,20 @@ Pictures = Sequence[tuple[int, np.ndarray, np.ndarray]]
 
 
 def write_report(
-    folder: Path, report: Mapping[str, Any], facts: Sequence[FrameFacts], before_after: Pictures, camera: Camera | None = None,
+    folder: Path,
+    report: Mapping[str, Any],
+    facts: Sequence[FrameFacts],
+    before_after: Pictures,
+    camera: Camera | None = None,
     points_m: np.ndarray | None = None,
-) -> Path:  # fmt: skip
-    """Write report.json and report.html into `folder`, which is made; both appear whole or not at all.
+) -> Path:
+    """Write report.json and report.html into `folder`, which is made; both appear whole or
+    not at all.
 
     before_after : (frame number, input, output), RGB uint8 (h, w, 3), in order of frames
-    camera, points_m : with both, (n, 3) world points whose place in the picture is plotted before and after smoothing
-    Returns the path of report.html. Raises RenderError where the folder cannot be written."""
+    camera, points_m : with both, (n, 3) world points whose place in the picture is plotted
+    before and after smoothing Returns the path of report.html. Raises RenderError where the
+    folder cannot be written."""
     from arfx.measure.report_html import page, pose_plot, timing_plot
 
     document = finite(report)
@@ -41,7 +49,9 @@ def write_report(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
-        raise RenderError(f"report folder {folder} cannot be made: {e.strerror}", "name another place") from None
+        raise RenderError(
+            f"report folder {folder} cannot be made: {e.strerror}", "name another place"
+        ) from None
     write(folder / "report.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     write(folder / "report.html", html)
     return folder / "report.html"
@@ -56,41 +66,89 @@ def report_of_job(job: Path, folder: Path) -> Path:
     try:
         facts = list(read_facts(regular(files.facts, "report")))
         pictures = load_previews(files.previews) if files.previews.is_dir() else []
-        return write_report(folder, report, facts, pictures, *_camera_and_cubes(files, report))
-    except (InputError, OSError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as e:
+        return write_report(
+            folder, report, facts, pictures, *_camera_and_cubes(files, report)
+        )
+    except (
+        InputError,
+        OSError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as e:
         why = e.message if isinstance(e, InputError) else f"{type(e).__name__}: {e}"
-        raise InputError(f"job folder {job} is damaged: {why}", "process the clip again") from e
+        raise InputError(
+            f"job folder {job} is damaged: {why}", "process the clip again"
+        ) from e
 
 
 def read_report(job: Path) -> dict[str, Any]:
     """report.json of a finished job. Raises InputError."""
     files = JobFolder(job)
     if not job.is_dir():
-        raise InputError(f"there is no job folder {job}", "`arfx process ... --job DIR` keeps one")
+        raise InputError(
+            f"there is no job folder {job}", "`arfx process ... --job DIR` keeps one"
+        )
     if not files.job.exists():
-        raise InputError(f"{job} is not a job folder: it holds no job.toml", "`arfx process ... --job DIR` keeps one")
+        raise InputError(
+            f"{job} is not a job folder: it holds no job.toml",
+            "`arfx process ... --job DIR` keeps one",
+        )
     if not files.report.exists():
-        raise InputError(f"the job in {job} is not finished", "run the same `arfx process` command again with --resume")
-    for path in (files.report, files.job, files.inputs, files.frames, files.facts, files.timings):
+        raise InputError(
+            f"the job in {job} is not finished",
+            "run the same `arfx process` command again with --resume",
+        )
+    for path in (
+        files.report,
+        files.job,
+        files.inputs,
+        files.frames,
+        files.facts,
+        files.timings,
+    ):
         if path.exists() and not path.is_file():  # a pipe would be waited for
             raise InputError(f"{path} is not a file", "process the clip again")
     try:
         report = json.loads(read_text(files.report, "report"))
     except (RecursionError, ValueError) as e:
-        raise InputError(f"{files.report} cannot be read: {e}", "process the clip again") from None
-    if not isinstance(report, dict) or not {"input", "output", "pose", "stages", "timing"} <= report.keys():
-        raise InputError(f"{files.report} is not the report of a job", "process the clip again")
+        raise InputError(
+            f"{files.report} cannot be read: {e}", "process the clip again"
+        ) from None
+    if (
+        not isinstance(report, dict)
+        or not {"input", "output", "pose", "stages", "timing"} <= report.keys()
+    ):
+        raise InputError(
+            f"{files.report} is not the report of a job", "process the clip again"
+        )
     return report
 
 
-def _camera_and_cubes(files: JobFolder, report: Mapping[str, Any]) -> tuple[Camera, np.ndarray | None]:
-    """The job's camera, and world points to plot: the corners of a cube on each marker that has a pose."""
+def _camera_and_cubes(
+    files: JobFolder, report: Mapping[str, Any]
+) -> tuple[Camera, np.ndarray | None]:
+    """The job's camera, and world points to plot: the corners of a cube on each marker that
+    has a pose.
+    """
     camera = Camera.from_json(json.loads(read_text(files.inputs, "report"))["camera"])
     job = tomllib.loads(read_text(files.job, "job file"))
     kinds = (("marker", MarkerSpec.parse), ("pattern", PatternSpec.parse))
-    every: list[Marker] = [parse(row["spec"]) for name, parse in kinds for row in job.get(name, [])]
+    every: list[Marker] = [
+        parse(row["spec"]) for name, parse in kinds for row in job.get(name, [])
+    ]
     specs = {spec.key: spec for spec in every}
-    poses = {k: Pose.from_json(v) for k, v in report["pose"].get("world_from_marker", {}).items() if k in specs}
+    poses = {
+        k: Pose.from_json(v)
+        for k, v in report["pose"].get("world_from_marker", {}).items()
+        if k in specs
+    }
     heights = {k: np.repeat([[0, 0, 0], [0, 0, specs[k].size_m]], 4, axis=0) for k in poses}
-    cubes = [pose.apply(np.tile(specs[k].corners_m, (2, 1)) + heights[k]) for k, pose in poses.items()]
+    cubes = [
+        pose.apply(np.tile(specs[k].corners_m, (2, 1)) + heights[k])
+        for k, pose in poses.items()
+    ]
     return camera, np.concatenate(cubes) if cubes else None

@@ -1,7 +1,9 @@
-"""One frame on which any level of any stage is run by itself, upon what the steps before it make; those are made once.
+"""One frame on which any level of any stage is run by itself, upon what the steps before it
+make; those are made once.
 
-A reference costs minutes over a whole picture, so that pictures are rendered in a window only: what a stage computes on a crop
-is what it computes on the whole (tests/contract, the ROI law)."""
+A reference costs minutes over a whole picture, so that pictures are rendered in a window
+only: what a stage computes on a crop is what it computes on the whole (tests/contract, the
+ROI law)."""
 
 from __future__ import annotations
 
@@ -23,12 +25,17 @@ from arfx.run.frame import FrameLayers
 
 NEAR_PX = 16
 MOST_KEPT = 40
-Chain = tuple[tuple[str, str], ...]  # (stage, level) in running order; a stage left out is absent
+Chain = tuple[
+    tuple[str, str], ...
+]  # (stage, level) in running order; a stage left out is absent
 
 
 @dataclass
 class PreparedStages:
-    """Stages, prepared once for all frames. stages : by name, under the formula of the job or another one"""
+    """Stages, prepared once for all frames.
+
+    stages : by name, under the formula of the job or another one
+    """
 
     scene: Scene
     stages: Mapping[str, Stage]
@@ -54,11 +61,17 @@ class StageRun:
 
     def need(self, out: Rect) -> Rect:
         scene = self.at.scene
-        return self.at.stage.needs(out, self.facts, scene, self.at.level).union(out).clip(scene.camera.rect)
+        return (
+            self.at.stage.needs(out, self.facts, scene, self.at.level)
+            .union(out)
+            .clip(scene.camera.rect)
+        )
 
     def __call__(self, out: Rect, facts: FrameFacts | None = None) -> Mapping[Layer, Any]:
         """What it makes of `out`. facts : others than the frame's"""
-        return self.at.run(self.layers.view(self.at.stage.reads, self.need(out)), facts or self.facts, out)
+        return self.at.run(
+            self.layers.view(self.at.stage.reads, self.need(out)), facts or self.facts, out
+        )
 
     def rerun(self, out: Rect, facts: FrameFacts | None = None) -> None:
         """For timing: forgets first what an earlier run kept for this frame."""
@@ -70,8 +83,11 @@ class StageRun:
 class FrameRenderer:
     """A frame and all that was rendered of it.
 
-    plate : (h, w, 3) linear, whole frame;  plan : at the job's own levels;  window : what is rendered
-    slow : (stage, level) whose pictures are slow to render, and kept;  real_depth_m : (h, w) whole frame, None = not measured"""
+    plate : (h, w, 3) linear, whole frame;  plan : at the job's own levels;  window : what
+    is rendered
+    slow : (stage, level) whose pictures are slow to render, and kept;  real_depth_m : (h,
+    w) whole frame, None = not measured
+    """
 
     facts: FrameFacts
     plate: np.ndarray
@@ -91,7 +107,9 @@ class FrameRenderer:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
         if chain not in self.images:
             layers = self.after(chain)
-            self.images[chain] = _srgb8(layers.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE])
+            self.images[chain] = _srgb8(
+                layers.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE]
+            )
         return self.images[chain]
 
     def original(self) -> np.ndarray:
@@ -100,7 +118,9 @@ class FrameRenderer:
 
     def coverage(self, chain: Chain) -> np.ndarray:
         """(h, w) of the window."""
-        return np.asarray(self.after(chain).view(frozenset({Layer.COVERAGE}), self.window)[Layer.COVERAGE])
+        return np.asarray(
+            self.after(chain).view(frozenset({Layer.COVERAGE}), self.window)[Layer.COVERAGE]
+        )
 
     def after(self, chain: Chain) -> FrameLayers:
         """The frame after these steps; those before the last are looked up, or made and kept."""
@@ -124,7 +144,9 @@ class FrameRenderer:
         return layers
 
     def out(self, chain: Chain) -> Rect:
-        """Of what the plan asks of the chain's last stage, that which the later stages need for the window."""
+        """Of what the plan asks of the chain's last stage, that which the later stages need
+        for the window.
+        """
         name, _ = chain[-1]
         planned = {s.stage: s.out for s in self.plan.steps}
         want, order, scene = self.window, list(planned), self.prepared.scene
@@ -133,8 +155,11 @@ class FrameRenderer:
             part = want.clip(planned[later])
             if not part.empty:
                 need = s.needs(part, self.facts, scene, s.levels[-1])
-                # a stage that does not read the composited picture takes the real frame alone from far away
-                want = want.union(need if Layer.IMAGE in s.reads else need.clip(part.pad(NEAR_PX)))
+                # a stage that does not read the composited picture takes the real frame
+                # alone from far away
+                want = want.union(
+                    need if Layer.IMAGE in s.reads else need.clip(part.pad(NEAR_PX))
+                )
         return planned[name].clip(want)
 
 
@@ -146,8 +171,14 @@ def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -
     clipped = facts.model_box.clip(whole)
     box = whole if clipped.empty else clipped
     scale = np.sqrt(area_px / whole.area)
-    width, height = max(round(whole.width * scale), 16), max(round(whole.height * scale), 16)
-    cx, cy = (box.x0 + box.x1) // 2, (box.y0 + box.y1) // 2 + box.height // 8  # a little of the shadow rather than the top
+    width, height = (
+        max(round(whole.width * scale), 16),
+        max(round(whole.height * scale), 16),
+    )
+    cx, cy = (
+        (box.x0 + box.x1) // 2,
+        (box.y0 + box.y1) // 2 + box.height // 8,
+    )  # a little of the shadow rather than the top
     x0 = min(max(cx - width // 2, whole.x0), max(whole.x1 - width, whole.x0))
     y0 = min(max(cy - height // 2, whole.y0), max(whole.y1 - height, whole.y0))
     return Rect(x0, y0, x0 + width, y0 + height).clip(whole).clip(frame)
@@ -159,4 +190,6 @@ def chain_of(plan: FramePlan, levels: Mapping[str, str]) -> Chain:
 
 
 def _srgb8(linear: np.ndarray) -> np.ndarray:
-    return np.asarray(np.clip(np.rint(255 * SRGB.encode(np.clip(linear, 0, 1))), 0, 255), np.uint8)
+    return np.asarray(
+        np.clip(np.rint(255 * SRGB.encode(np.clip(linear, 0, 1))), 0, 255), np.uint8
+    )

@@ -1,4 +1,6 @@
-"""Frames that stand for a clip: apart from each other in how large, how far, how bright and how blurred the object is."""
+"""Frames that stand for a clip: apart from each other in how large, how far, how bright and
+how blurred the object is.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ class Sample:
     words: str
 
 
-def describe(facts: Sequence[FrameFacts], frame: Rect) -> tuple[list[FrameFacts], np.ndarray]:
+def describe(
+    facts: Sequence[FrameFacts], frame: Rect
+) -> tuple[list[FrameFacts], np.ndarray]:
     """The frames that show the object, and (n, 4) what is known of each: NAMES."""
     shown = [f for f in facts if f.visible and f.camera_from_world is not None]
     rows = []
@@ -32,18 +36,32 @@ def describe(facts: Sequence[FrameFacts], frame: Rect) -> tuple[list[FrameFacts]
             before[f.index] = np.mean([m.corners_px for m in f.markers], axis=(0, 1))
     for f in shown:
         near, far = f.depth_range_m
-        light = 1.0 if f.light is None else float(np.mean(f.light.ambient_rgb) + sum(np.mean(li.rgb) for li in f.light.lights))
+        light = (
+            1.0
+            if f.light is None
+            else float(
+                np.mean(f.light.ambient_rgb) + sum(np.mean(li.rgb) for li in f.light.lights)
+            )
+        )
         here, last = before.get(f.index), before.get(f.index - 1)
-        motion = float(np.linalg.norm(here - last)) if here is not None and last is not None else 0.0
+        motion = (
+            float(np.linalg.norm(here - last))
+            if here is not None and last is not None
+            else 0.0
+        )
         blur = motion if f.blur_px is None else float(f.blur_px)
-        rows.append((f.model_box.clip(frame).area / frame.area, (near + far) / 2, light, blur))
+        rows.append(
+            (f.model_box.clip(frame).area / frame.area, (near + far) / 2, light, blur)
+        )
     return shown, np.array(rows, float).reshape(-1, len(NAMES))
 
 
 def pick_frames(facts: Sequence[FrameFacts], frame: Rect, count: int) -> list[Sample]:
-    """The frame nearest to the middle of all, then again and again the one that is least like those taken (k-centre).
+    """The frame nearest to the middle of all, then again and again the one that is least
+    like those taken (k-centre).
 
-    Empty where no frame shows the object. Logarithms, in units of the clip's own spread: 3 % of change at least."""
+    Empty where no frame shows the object. Logarithms, in units of the clip's own spread: 3
+    % of change at least."""
     shown, rows = describe(facts, frame)
     if not shown:
         return []
@@ -62,7 +80,11 @@ def pick_frames(facts: Sequence[FrameFacts], frame: Rect, count: int) -> list[Sa
     for k, at in enumerate(taken):
         known = dict(zip(NAMES, rows[at].tolist(), strict=True))
         sides = ("small", "large"), ("near", "far"), ("dark", "bright"), ("slow", "fast")
-        unusual = [pair[int(off > 0)] for pair, off in zip(sides, logs[at], strict=True) if abs(off) > 1]
+        unusual = [
+            pair[int(off > 0)]
+            for pair, off in zip(sides, logs[at], strict=True)
+            if abs(off) > 1
+        ]
         words = "typical" if k == 0 else ", ".join(unusual) or "another view"
         out.append(Sample(shown[at].index, known, words))
     return sorted(out, key=lambda s: s.index)

@@ -1,4 +1,7 @@
-"""tradeoff.html: one file without any outside link. Tables, plots, pictures side by side with their error maps times eight."""
+"""tradeoff.html: one file without any outside link.
+
+Tables, plots, pictures side by side with their error maps times eight.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,19 @@ import numpy as np
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, full_page, html_table, jpeg, number, plot_image, png, section
+from arfx.measure.report_html import (
+    INK,
+    PREDICTED,
+    RAW,
+    SMOOTH,
+    full_page,
+    html_table,
+    jpeg,
+    number,
+    plot_image,
+    png,
+    section,
+)
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
@@ -26,13 +41,17 @@ _STYLE = """<style>.side { display: grid; grid-template-columns: repeat(auto-fil
 
 
 def write_tradeoff(folder: Path, found: Measurements, document: Mapping[str, Any]) -> Path:
-    """Write tradeoff.html into `folder`; at most MOST_BYTES: pictures are coded coarser until it fits. Returns its path."""
+    """Write tradeoff.html into `folder`; at most MOST_BYTES: pictures are coded coarser
+    until it fits. Returns its path.
+    """
     for quality in (90, 75, 55, 30):
         html = page(found, document, quality)
         if len(html.encode()) <= MOST_BYTES:
             break
     else:
-        raise RenderError("tradeoff.html would be larger than 5 MB", "--frames 2 measures fewer")
+        raise RenderError(
+            "tradeoff.html would be larger than 5 MB", "--frames 2 measures fewer"
+        )
     write(folder / "tradeoff.html", html)
     return folder / "tradeoff.html"
 
@@ -40,17 +59,34 @@ def write_tradeoff(folder: Path, found: Measurements, document: Mapping[str, Any
 def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) -> str:
     """quality : of the JPEG pictures, 0 to 100"""
     clip = Path(str(document["clip"])).name
-    head = f'<header><h1>{escape(clip)}: what accuracy costs</h1><p class="say">{escape(document["recommendation"])}</p></header>'
-    plot, effects = pipeline_plot(found.pipelines), dict.fromkeys(r.name for r in found.effects)
+    head = (
+        f"<header><h1>{escape(clip)}: what accuracy costs</h1><p"
+        f' class="say">{escape(document["recommendation"])}</p></header>'
+    )
+    plot, effects = (
+        pipeline_plot(found.pipelines),
+        dict.fromkeys(r.name for r in found.effects),
+    )
     parts = [
-        _STYLE, head,
-        section("Whole pipelines", plot_image(plot, "Pareto front") + rows_table(document["pipelines"], effects)),
-        _pictures("The pipelines' pictures", [r for r in found.pipelines if r.level != "mixed"], "reference", quality),
-    ]  # fmt: skip
+        _STYLE,
+        head,
+        section(
+            "Whole pipelines",
+            plot_image(plot, "Pareto front") + rows_table(document["pipelines"], effects),
+        ),
+        _pictures(
+            "The pipelines' pictures",
+            [r for r in found.pipelines if r.level != "mixed"],
+            "reference",
+            quality,
+        ),
+    ]
     for name in effects:
         rows = [r for r in found.effects if r.name == name]
         table = rows_table([d for d in document["effects"] if d["name"] == name])
-        parts.append(section(name, plot_image(effect_plot(rows), f"{name}: error and time") + table))
+        parts.append(
+            section(name, plot_image(effect_plot(rows), f"{name}: error and time") + table)
+        )
         best = [r.level for r in rows if r.formula == rows[0].formula][-1]
         parts.append(_pictures(f"{name}: pictures", rows, best, quality))
     frames = [[escape(number(v)) for v in f.values()] for f in document["frames"]]
@@ -61,38 +97,78 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
 
 
 METHOD = (
-    "Errors are grey levels of 255, of the largest channel, over the pixels that the effect touches; FLIP (0 to 1), ΔE2000 (1 is "
-    "just visible) and SSIM (1 is alike) are means over the same pixels. An effect is compared with its own reference while all "
-    "others stay at the job's quality; left out tells how much it changes at all. A pipeline is compared with all at reference, "
-    "and is beaten where another takes no more time and is nearer to that. Pictures are rendered in a window around the object, "
-    "so that the references take a minute together; errors are those of that window. Times are of whole frames: fast levels were "
-    "run over all that the plan asks of them, references on tiles spread over it, and their time is given for the whole, with "
-    "the interval that the tiles' spread gives. "
-    "Flicker: mean change from a frame to the next after the footage's motion is taken out, beside that of the reference. "
-    "Times are of the processor, all threads together, without what is prepared once per clip."
+    "Errors are grey levels of 255, of the largest channel, over the pixels that the effect"
+    " touches; FLIP (0 to 1), ΔE2000 (1 is just visible) and SSIM (1 is alike) are means"
+    " over the same pixels. An effect is compared with its own reference while all others"
+    " stay at the job's quality; left out tells how much it changes at all. A pipeline is"
+    " compared with all at reference, and is beaten where another takes no more time and is"
+    " nearer to that. Pictures are rendered in a window around the object, so that the"
+    " references take a minute together; errors are those of that window. Times are of"
+    " whole frames: fast levels were run over all that the plan asks of them, references on"
+    " tiles spread over it, and their time is given for the whole, with the interval that"
+    " the tiles' spread gives. Flicker: mean change from a frame to the next after the"
+    " footage's motion is taken out, beside that of the reference. Times are of the"
+    " processor, all threads together, without what is prepared once per clip."
 )
 
 
 def rows_table(rows: Sequence[Mapping[str, Any]], effects: Collection[str] = ()) -> str:
-    """Of effects, or of pipelines of these effects, which have no flicker; a quality's name says its levels."""
+    """Of effects, or of pipelines of these effects, which have no flicker; a quality's name
+    says its levels.
+    """
     flickers = any(r["unrest"] is not None for r in rows)
     body = []
     for r in rows:
         level = levels_in_words(r, effects) if r["level"] == "mixed" else r["level"]
-        level += (" (paper)" if r["formula"] == "paper" else "") + (", beaten" if r["beaten"] else "")
-        ms, low, high = (1e3 * seconds for seconds in (r["seconds_per_frame"], *r["between_s"]))
-        time = number(ms) + (f" ({number(low)} to {number(high)})" if high > 1.3 * low else "")
-        numbers = (number(r[what]) for what in ("mean", "mean_worst", "p99", "flip", "delta_e"))
-        flicker = "–" if r["unrest"] is None else f"{number(r['unrest']['level'])} ({number(r['unrest']['reference'])})"
-        cells = [escape(level), time, *numbers, f"{r['ssim']:.4f}", number(r["worst_frame"]), flicker]
+        level += (" (paper)" if r["formula"] == "paper" else "") + (
+            ", beaten" if r["beaten"] else ""
+        )
+        ms, low, high = (
+            1e3 * seconds for seconds in (r["seconds_per_frame"], *r["between_s"])
+        )
+        time = number(ms) + (
+            f" ({number(low)} to {number(high)})" if high > 1.3 * low else ""
+        )
+        numbers = (
+            number(r[what]) for what in ("mean", "mean_worst", "p99", "flip", "delta_e")
+        )
+        flicker = (
+            "–"
+            if r["unrest"] is None
+            else f"{number(r['unrest']['level'])} ({number(r['unrest']['reference'])})"
+        )
+        cells = [
+            escape(level),
+            time,
+            *numbers,
+            f"{r['ssim']:.4f}",
+            number(r["worst_frame"]),
+            flicker,
+        ]
         body.append(cells if flickers else cells[:-1])
-    head = ("level", "ms a frame", "mean", "worst mean", "99 %", "FLIP", "ΔE2000", "SSIM", "in frame")
-    return html_table([*head, *["flicker (reference)"] * flickers], body, frozenset(range(1, 10)))
+    head = (
+        "level",
+        "ms a frame",
+        "mean",
+        "worst mean",
+        "99 %",
+        "FLIP",
+        "ΔE2000",
+        "SSIM",
+        "in frame",
+    )
+    return html_table(
+        [*head, *["flicker (reference)"] * flickers], body, frozenset(range(1, 10))
+    )
 
 
 def levels_in_words(pipeline: Mapping[str, Any], effects: Collection[str]) -> str:
     """Of these effects: the others have no choice."""
-    return ", ".join(f"{stage} {level}" for stage, level in pipeline["levels"].items() if stage in effects)
+    return ", ".join(
+        f"{stage} {level}"
+        for stage, level in pipeline["levels"].items()
+        if stage in effects
+    )
 
 
 def error_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
@@ -105,7 +181,11 @@ def delta_e_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
     """(h, w, 3) uint8: how visible the difference is, from black to white at MOST_DELTA_E."""
     from matplotlib import colormaps
 
-    return np.asarray(colormaps["inferno"](delta_e(reference, picture) / MOST_DELTA_E, bytes=True)[..., :3])
+    return np.asarray(
+        colormaps["inferno"](delta_e(reference, picture) / MOST_DELTA_E, bytes=True)[
+            ..., :3
+        ]
+    )
 
 
 def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
@@ -113,64 +193,111 @@ def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
     reference = next((r for r in rows if r.level == best), None)
     if reference is None or not reference.pictures:
         return ""
-    frame = max(reference.pictures, key=lambda i: max((r.by_frame[i].p99 for r in rows if i in r.by_frame), default=0.0))
+    frame = max(
+        reference.pictures,
+        key=lambda i: max(
+            (r.by_frame[i].p99 for r in rows if i in r.by_frame), default=0.0
+        ),
+    )
     figures = []
     for r in rows:
         if frame not in r.pictures:
             continue
         d = r.by_frame[frame]
-        caption = f"{r.level}{' (paper)' if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99 % {d.p99:.0f}"
+        caption = (
+            f"{r.level}{' (paper)' if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99"
+            f" % {d.p99:.0f}"
+        )
         figures.append(_figure(r.pictures[frame], caption, quality))
         if r is not reference:
             pair = reference.pictures[frame], r.pictures[frame]
-            figures.append(_figure(error_map(*pair), f"{r.level}: error × {TIMES}", quality))
-            figures.append(_figure(delta_e_map(*pair), f"{r.level}: ΔE2000, 0 to {MOST_DELTA_E}", quality))
+            figures.append(
+                _figure(error_map(*pair), f"{r.level}: error × {TIMES}", quality)
+            )
+            figures.append(
+                _figure(
+                    delta_e_map(*pair), f"{r.level}: ΔE2000, 0 to {MOST_DELTA_E}", quality
+                )
+            )
     return section(f"{title}, frame {frame}", f'<div class="side">{"".join(figures)}</div>')
 
 
 def _figure(rgb: np.ndarray, caption: str, quality: int) -> str:
     text = escape(caption)
-    return f'<figure><img alt="{text}" src="{jpeg(rgb, quality)}"><figcaption>{text}</figcaption></figure>'
+    return (
+        f'<figure><img alt="{text}"'
+        f' src="{jpeg(rgb, quality)}"><figcaption>{text}</figcaption></figure>'
+    )
 
 
 FLOOR = 0.02  # grey levels: what is drawn for none
 
 
 def effect_plot(rows: Sequence[Row]) -> bytes:
-    """Mean and 99th percentile of each level of one effect; the other formula's point is a diamond."""
+    """Mean and 99th percentile of each level of one effect; the other formula's point is a
+    diamond.
+    """
     fig, axis = _axis(6.4, 3.4)
     rows = [r for r in rows if r.level != LEFT_OUT]
     own = [r for r in rows if r.formula == rows[0].formula]
     other = [r for r in rows if r.formula != rows[0].formula]
-    for worst, colour, label in ((True, RAW, "99th percentile, worst frame"), (False, SMOOTH, "mean")):
+    for worst, colour, label in (
+        (True, RAW, "99th percentile, worst frame"),
+        (False, SMOOTH, "mean"),
+    ):
         axis.plot(*_points(own, worst), "o-", color=colour, ms=5, lw=1, label=label)
         for r in other:
-            axis.plot(*_points([r], worst), "D", color=colour, ms=6, mfc="none", label=f"{label}, {r.formula}")
-    _named(axis, [(r, r.level if r in own else f"{r.formula} {r.level}") for r in rows], (4, -11))
+            axis.plot(
+                *_points([r], worst),
+                "D",
+                color=colour,
+                ms=6,
+                mfc="none",
+                label=f"{label}, {r.formula}",
+            )
+    _named(
+        axis,
+        [(r, r.level if r in own else f"{r.formula} {r.level}") for r in rows],
+        (4, -11),
+    )
     return _finished(fig, axis, f"{rows[0].name}: error against its own reference")
 
 
 def pipeline_plot(rows: Sequence[Row]) -> bytes:
     """Whole pipelines, the front of those that no other beats joined by a line."""
     fig, axis = _axis(7.6, 4.2)
-    axis.plot(*_points(front([r for r in rows if not r.formula])), "-", color=SMOOTH, lw=1.2, label="Pareto front")
+    axis.plot(
+        *_points(front([r for r in rows if not r.formula])),
+        "-",
+        color=SMOOTH,
+        lw=1.2,
+        label="Pareto front",
+    )
     for r in rows:
         named = r.level != "mixed"
         marker, colour = ("D", RAW) if r.formula else ("o", SMOOTH if named else PREDICTED)
         axis.plot(*_points([r]), marker, color=colour, ms=6 if named else 4)
-    _named(axis, [(r, f"{r.formula} {r.level}".strip()) for r in rows if r.level != "mixed"], (5, 5))
+    _named(
+        axis,
+        [(r, f"{r.formula} {r.level}".strip()) for r in rows if r.level != "mixed"],
+        (5, 5),
+    )
     return _finished(fig, axis, "Whole pipelines against everything at reference")
 
 
 def _points(rows: Sequence[Row], worst: bool = False) -> tuple[list[float], list[float]]:
     """Milliseconds, and grey levels: the mean, or the 99th percentile of the worst frame."""
-    return [1e3 * r.seconds for r in rows], [max(r.worst("p99") if worst else r.average("mean"), FLOOR) for r in rows]
+    return [1e3 * r.seconds for r in rows], [
+        max(r.worst("p99") if worst else r.average("mean"), FLOOR) for r in rows
+    ]
 
 
 def _named(axis: Any, rows: Sequence[tuple[Row, str]], aside: tuple[int, int]) -> None:
     for r, text in rows:
         (x,), (y,) = _points([r])
-        axis.annotate(text, (x, y), aside, textcoords="offset points", fontsize=8, color=INK)
+        axis.annotate(
+            text, (x, y), aside, textcoords="offset points", fontsize=8, color=INK
+        )
 
 
 def _axis(width: float, height: float) -> tuple[Any, Any]:
@@ -202,32 +329,58 @@ def document(found: Measurements, job: Job, seconds: float) -> dict[str, Any]:
     own = {n: getattr(s, "formula", "") for n, s in job.inputs.config.params.items()}
     for r in found.effects:
         if r.formula == own.get(r.name, "") and r.level != LEFT_OUT:
-            stages.setdefault(r.name, {})[r.level] = max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
+            stages.setdefault(r.name, {})[r.level] = (
+                max(d.mean for d in r.by_frame.values()) if r.by_frame else 0.0
+            )
     names, times = [r.name for r in found.effects], {f.index: f.time_s for f in job.facts}
-    frames = [{"frame": s.index, "time_s": times[s.index], "stands_for": s.words, **s.facts} for s in found.samples]
+    frames = [
+        {"frame": s.index, "time_s": times[s.index], "stands_for": s.words, **s.facts}
+        for s in found.samples
+    ]
     return {
-        "clip": str(job.inputs.info.path), "frames": frames,
+        "clip": str(job.inputs.info.path),
+        "frames": frames,
         "windows": {str(i): w.to_json() for i, w in found.windows.items()},
-        "effects": [_row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))],
+        "effects": [
+            _row(r, found) for r in sorted(found.effects, key=lambda r: names.index(r.name))
+        ],
         "pipelines": [_row(r, found) for r in found.pipelines],
-        "recommendation": recommendation(found), "seconds": seconds,
-        "source": f"measured on {len(found.samples)} frames of {job.inputs.info.path.name}", "errors": stages,
-    }  # fmt: skip
+        "recommendation": recommendation(found),
+        "seconds": seconds,
+        "source": f"measured on {len(found.samples)} frames of {job.inputs.info.path.name}",
+        "errors": stages,
+    }
 
 
 def _row(r: Row, found: Measurements) -> dict[str, Any]:
     pipelines = [p for p in found.pipelines if not p.formula]
     return {
-        "name": r.name, "level": r.level, "formula": r.formula,
-        "levels": {**dict.fromkeys((e.name for e in found.effects), LEFT_OUT), **r.levels} if r.name == "pipeline" else None,
+        "name": r.name,
+        "level": r.level,
+        "formula": r.formula,
+        "levels": (
+            {**dict.fromkeys((e.name for e in found.effects), LEFT_OUT), **r.levels}
+            if r.name == "pipeline"
+            else None
+        ),
         "beaten": r in pipelines and r not in front(pipelines),
-        "seconds_per_frame": r.seconds, "between_s": [r.time.low_s, r.time.high_s],
+        "seconds_per_frame": r.seconds,
+        "between_s": [r.time.low_s, r.time.high_s],
         "prepare_s": found.prepare_s.get((r.name, r.level)),
-        **{what: r.average(what) for what in PER_FRAME}, "mean_worst": r.worst("mean"), "p99": r.worst("p99"),
-        "worst_frame": r.worst_frame(), "touched_px": sum(d.pixels for d in r.by_frame.values()),
-        "unrest": None if r.flicker is None else {"level": r.flicker[0], "reference": r.flicker[1]},
-        "by_frame": {str(i): {k: getattr(d, k) for k in PER_FRAME} for i, d in r.by_frame.items()},
-    }  # fmt: skip
+        **{what: r.average(what) for what in PER_FRAME},
+        "mean_worst": r.worst("mean"),
+        "p99": r.worst("p99"),
+        "worst_frame": r.worst_frame(),
+        "touched_px": sum(d.pixels for d in r.by_frame.values()),
+        "unrest": (
+            None
+            if r.flicker is None
+            else {"level": r.flicker[0], "reference": r.flicker[1]}
+        ),
+        "by_frame": {
+            str(i): {k: getattr(d, k) for k in PER_FRAME} for i, d in r.by_frame.items()
+        },
+    }
 
 
 def visible(r: Row) -> bool:
@@ -235,12 +388,18 @@ def visible(r: Row) -> bool:
 
 
 def recommendation(found: Measurements) -> str:
-    """One sentence: the cheapest quality whose difference from the reference does not show, and what would."""
-    by_quality = {r.level: r for r in found.pipelines if r.level in QUALITIES and not r.formula}
+    """One sentence: the cheapest quality whose difference from the reference does not show,
+    and what would.
+    """
+    by_quality = {
+        r.level: r for r in found.pipelines if r.level in QUALITIES and not r.formula
+    }
     reference = by_quality.get("reference")
     if reference is None:
         return "every effect has one level only: there is nothing to choose"
-    others = sorted((r for q, r in by_quality.items() if q != "reference"), key=lambda r: r.seconds)
+    others = sorted(
+        (r for q, r in by_quality.items() if q != "reference"), key=lambda r: r.seconds
+    )
     if not others:
         return "the job has one quality only"
     good = next((r for r in others if not visible(r)), None)
@@ -248,8 +407,9 @@ def recommendation(found: Measurements) -> str:
     if good is None:
         return _none(found, chosen, reference) + _window(found)
     words = (
-        f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference on average (99 % of the pixels within "
-        f"{chosen.worst('p99'):.0f}) at {_share(chosen.time, reference.time)} of its time"
+        f"{chosen.level} is within {chosen.average('mean'):.1f} grey levels of reference on"
+        f" average (99 % of the pixels within {chosen.worst('p99'):.0f}) at"
+        f" {_share(chosen.time, reference.time)} of its time"
     )
     lower = QUALITIES[: QUALITIES.index(chosen.level)]
     left = (r for r in found.effects if r.level in lower and not _is_other(r, found))
@@ -257,30 +417,48 @@ def recommendation(found: Measurements) -> str:
     if shows:
         worst = max(shows, key=lambda r: r.worst("p99"))
         place = found.locations.get((worst.name, worst.level), "")
-        words += f"; {worst.name} {worst.level} would show {place}".rstrip() + f" (frame {worst.worst_frame()})"
+        words += (
+            f"; {worst.name} {worst.level} would show {place}".rstrip()
+            + f" (frame {worst.worst_frame()})"
+        )
     return words + _window(found)
 
 
 def _none(found: Measurements, nearest: Row, reference: Row) -> str:
-    """Where every quality below reference shows: the nearest of them, and whose difference it is."""
-    own = [r for r in found.effects if nearest.levels.get(r.name) == r.level and not _is_other(r, found)]
+    """Where every quality below reference shows: the nearest of them, and whose difference
+    it is.
+    """
+    own = [
+        r
+        for r in found.effects
+        if nearest.levels.get(r.name) == r.level and not _is_other(r, found)
+    ]
     most = max(own, key=lambda r: r.average("mean"), default=None)
     words = (
-        f"no quality below reference is without a difference that shows: the nearest, {nearest.level}, is "
-        f"{nearest.average('mean'):.1f} grey levels off on average at {_share(nearest.time, reference.time)} of its time, and "
-        f"would show in frame {nearest.worst_frame()}"
+        "no quality below reference is without a difference that shows: the nearest,"
+        f" {nearest.level}, is {nearest.average('mean'):.1f} grey levels off on average at"
+        f" {_share(nearest.time, reference.time)} of its time, and would show in frame"
+        f" {nearest.worst_frame()}"
     )
     if most is not None and most.average("mean") > SEEN_MEAN:
-        words += f"; most of it is {most.name}'s ({most.average('mean'):.1f} grey levels by itself)"
+        words += (
+            f"; most of it is {most.name}'s ({most.average('mean'):.1f} grey levels by"
+            " itself)"
+        )
     return words
 
 
 def _window(found: Measurements) -> str:
-    """Said where so little of the picture was compared that other parts of it may differ otherwise."""
+    """Said where so little of the picture was compared that other parts of it may differ
+    otherwise.
+    """
     least = min(found.windows.values(), key=lambda w: w.area, default=None)
     if least is None or least.area >= FEW_PX:
         return ""
-    return f"; compared on {least.width} × {least.height} px of a frame alone, as the references take so long"
+    return (
+        f"; compared on {least.width} × {least.height} px of a frame alone, as the"
+        " references take so long"
+    )
 
 
 def _is_other(r: Row, found: Measurements) -> bool:
@@ -296,8 +474,11 @@ def _share(part: Prediction, whole: Prediction) -> str:
     ratio = whole.seconds / part.seconds
     if ratio < 1.5:
         return f"{100 / ratio:.0f} %"
-    # parts of one machine that is slower or faster are so alike: what is left is each one's own error
-    apart = math.hypot(math.log(part.high_s / part.seconds), math.log(whole.high_s / whole.seconds))
+    # parts of one machine that is slower or faster are so alike: what is left is each one's
+    # own error
+    apart = math.hypot(
+        math.log(part.high_s / part.seconds), math.log(whole.high_s / whole.seconds)
+    )
     low, high = _two(ratio * math.exp(-apart)), _two(ratio * math.exp(apart))
     return f"1/{_two(ratio)}" + ("" if low == high else f" (1/{low} to 1/{high})")
 

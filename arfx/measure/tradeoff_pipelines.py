@@ -1,4 +1,6 @@
-"""Which whole pipelines of a clip are worth a look: the qualities by name, and those between them that no other beats."""
+"""Which whole pipelines of a clip are worth a look: the qualities by name, and those
+between them that no other beats.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,11 @@ APART = 1.3  # in time: of two that are nearer to each other one is enough
 
 @dataclass(eq=False)
 class Row:
-    """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what was found in each
+    """One level of one effect, or one whole pipeline. time : per frame;  by_frame : what
+    was found in each
 
-    formula : which the stage ran under;  flicker : of this and of the reference, grey levels from a frame to the next
+    formula : which the stage ran under;  flicker : of this and of the reference, grey
+    levels from a frame to the next
     prepared : of its stages, None = the job's"""
 
     name: str
@@ -42,11 +46,15 @@ class Row:
         return max((getattr(d, what) for d in self.by_frame.values()), default=0.0)
 
     def average(self, what: str) -> float:
-        """Over all touched pixels of all frames; frames in which the effect touches nothing do not count."""
+        """Over all touched pixels of all frames; frames in which the effect touches nothing
+        do not count.
+        """
         weights = [d.pixels for d in self.by_frame.values()]
         if not sum(weights):
             return float(getattr(Difference(), what))
-        return float(np.average([getattr(d, what) for d in self.by_frame.values()], weights=weights))
+        return float(
+            np.average([getattr(d, what) for d in self.by_frame.values()], weights=weights)
+        )
 
     def total(self) -> float:
         """Grey levels times pixels, all frames together."""
@@ -57,14 +65,23 @@ class Row:
 
 
 def level_sets(effects: Sequence[Row], usual: Mapping[str, str]) -> list[dict[str, str]]:
-    """Levels by stage, on the way from everything at its best to all that can be left out, by error lost per second saved.
+    """Levels by stage, on the way from everything at its best to all that can be left out,
+    by error lost per second saved.
 
-    effects : every level of the effects, by itself;  usual : levels of the stages that have no other"""
+    effects : every level of the effects, by itself;  usual : levels of the stages that have
+    no other
+    """
     options: dict[tuple[int, str], list[Option]] = {}
     for r in effects:
         options.setdefault((0, r.name), []).append(Option(r.level, r.time, r.total(), 1))
-    sets = [{**usual, **{name: o.level for (_, name), o in state.items()}} for state in way_down(options)]
-    return [{name: level for name, level in levels.items() if level != LEFT_OUT} for levels in sets]
+    sets = [
+        {**usual, **{name: o.level for (_, name), o in state.items()}}
+        for state in way_down(options)
+    ]
+    return [
+        {name: level for name, level in levels.items() if level != LEFT_OUT}
+        for levels in sets
+    ]
 
 
 def front(rows: Sequence[Row]) -> list[Row]:
@@ -77,11 +94,14 @@ def front(rows: Sequence[Row]) -> list[Row]:
 
 
 def worth_showing(rows: Sequence[Row]) -> list[Row]:
-    """All with a quality's name, and of the others those that nothing beats and that are APART from what is shown; cheapest
-    first."""
+    """All with a quality's name, and of the others those that nothing beats and that are
+    APART from what is shown; cheapest first."""
     shown = [r for r in rows if r.level in QUALITIES]
     for r in front(rows):
-        near = (max(r.seconds, s.seconds) < APART * min(r.seconds, s.seconds) for s in front(shown))
+        near = (
+            max(r.seconds, s.seconds) < APART * min(r.seconds, s.seconds)
+            for s in front(shown)
+        )
         if r not in shown and not any(near):
             shown.append(r)
     return sorted(shown, key=lambda r: r.seconds)

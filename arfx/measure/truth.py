@@ -1,6 +1,8 @@
-"""Estimates against the truth of a synthetic clip: pose, flips, lag, trembling, presence, cuts, marker map, light.
+"""Estimates against the truth of a synthetic clip: pose, flips, lag, trembling, presence,
+cuts, marker map, light.
 
-All figures are for the world marker's pose in the camera, frame by frame; frames in which either side has none are left out."""
+All figures are for the world marker's pose in the camera, frame by frame; frames in which
+either side has none are left out."""
 
 from __future__ import annotations
 
@@ -17,22 +19,37 @@ from arfx.core.numerics import angle_between, divide, normalise
 from arfx.core.pose import Pose, rotation_angle_rad
 from arfx.synth.truth import FrameTruth, Truth
 
-FLIP_DEG = 3.0  # nearer to the mirrored solution but off by less: at a frontal view both are the same to the eye
-SEEN, HIDDEN = 0.97, 0.5  # visible fraction from which a marker must be found / below which it cannot be
+# nearer to the mirrored solution but off by less: at a frontal view both are the same to
+# the eye
+FLIP_DEG = 3.0
+SEEN, HIDDEN = (
+    0.97,
+    0.5,
+)  # visible fraction from which a marker must be found / below which it cannot be
 _MOVING_PX = 0.5  # slower corners say nothing about lag
 
 
-def pose_errors(estimates: Sequence[Pose | None], truth: Truth, key: str, size_m: float) -> dict[str, Any]:
-    """Errors of camera_from_marker estimates, one per frame (None = no estimate), against the truth.
+def pose_errors(
+    estimates: Sequence[Pose | None], truth: Truth, key: str, size_m: float
+) -> dict[str, Any]:
+    """Errors of camera_from_marker estimates, one per frame (None = no estimate), against
+    the truth.
 
     rotation_deg, position_mm : median, p95, max
-    flips : frames whose normal lies nearer to the true one mirrored at the line of sight than to the true one, and that are
-    turned by more than FLIP_DEG. (A fixed angle alone would miss the flips of a frontal print: they measure twice its tilt.)
-    corner_px : the marker's corners projected through the true camera with the estimate and with the truth, rms
+    flips : frames whose normal lies nearer to the true one mirrored at the line of sight
+    than to the true one, and that are
+    turned by more than FLIP_DEG. (A fixed angle alone would miss the flips of a frontal
+    print: they measure twice its tilt.)
+    corner_px : the marker's corners projected through the true camera with the estimate and
+    with the truth, rms
     tremble_px : rms second difference of that corner error, frames that follow each other only
-    lag_frames : regression of the corner error on the true corner velocity, > 0 = the estimate is late; None when the
+    lag_frames : regression of the corner error on the true corner velocity, > 0 = the
+    estimate is late; None when the
     marker hardly moves in the picture"""
-    camera, corners_m = Camera.from_json(truth.header["camera"]), MarkerSpec("", 0, size_m).corners_m
+    camera, corners_m = (
+        Camera.from_json(truth.header["camera"]),
+        MarkerSpec("", 0, size_m).corners_m,
+    )
     n = len(truth.frames)
     rotation, position, mirrored = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, bool)
     error, projected = np.full((n, 4, 2), np.nan), np.full((n, 4, 2), np.nan)
@@ -45,7 +62,9 @@ def pose_errors(estimates: Sequence[Pose | None], truth: Truth, key: str, size_m
         rotation[i] = np.degrees(rotation_angle_rad(estimate, exact))
         position[i] = 1e3 * np.linalg.norm(estimate.translation_m - exact.translation_m)
         view, normal = normalise(exact.translation_m), exact.rotation[:, 2]
-        mirrored[i] = estimate.rotation[:, 2] @ (2 * (normal @ view) * view - 2 * normal) > 0
+        mirrored[i] = (
+            estimate.rotation[:, 2] @ (2 * (normal @ view) * view - 2 * normal) > 0
+        )
         error[i] = camera.project(estimate.apply(corners_m)) - projected[i]
     have = np.isfinite(rotation)
     if not have.any():
@@ -62,7 +81,11 @@ def pose_errors(estimates: Sequence[Pose | None], truth: Truth, key: str, size_m
 
 
 def _spread(values: np.ndarray) -> dict[str, float]:
-    return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95)), "max": float(values.max())}
+    return {
+        "median": float(np.median(values)),
+        "p95": float(np.percentile(values, 95)),
+        "max": float(values.max()),
+    }
 
 
 def _jitter(error: np.ndarray, shots: np.ndarray) -> float | None:
@@ -72,10 +95,16 @@ def _jitter(error: np.ndarray, shots: np.ndarray) -> float | None:
 
 
 def _lag(error: np.ndarray, projected: np.ndarray, shots: np.ndarray) -> float | None:
-    """est(t) = true(t - lag) gives error = -lag * velocity; least squares over all corners and frames."""
+    """est(t) = true(t - lag) gives error = -lag * velocity; least squares over all corners
+    and frames.
+    """
     velocity = (projected[2:] - projected[:-2]) / 2
     middle = error[1:-1]
-    ok = (shots[2:] == shots[:-2]) & np.isfinite(velocity).all((1, 2)) & np.isfinite(middle).all((1, 2))
+    ok = (
+        (shots[2:] == shots[:-2])
+        & np.isfinite(velocity).all((1, 2))
+        & np.isfinite(middle).all((1, 2))
+    )
     v, e = velocity[ok], middle[ok]
     e = e - e.mean(0) if len(e) else e  # a standing offset is no lag
     v0 = v - v.mean(0) if len(v) else v
@@ -85,12 +114,22 @@ def _lag(error: np.ndarray, projected: np.ndarray, shots: np.ndarray) -> float |
     return float(-(e * v0).sum() / power)
 
 
-def presence(facts: Sequence[FrameFacts], truth: Truth, keys: Sequence[str]) -> dict[str, int]:
+def presence(
+    facts: Sequence[FrameFacts], truth: Truth, keys: Sequence[str]
+) -> dict[str, int]:
     """Frames in which a configured marker could be seen or not, against what the analysis says.
 
-    missed : some marker is in full view, the analysis says absent;  invented : measured where none can be seen
+    missed : some marker is in full view, the analysis says absent;  invented : measured
+    where none can be seen
     bridged : interpolated frames;  unclear : markers cut or covered in part, not judged"""
-    counts = {"seen": 0, "missed": 0, "hidden": 0, "invented": 0, "bridged": 0, "unclear": 0}
+    counts = {
+        "seen": 0,
+        "missed": 0,
+        "hidden": 0,
+        "invented": 0,
+        "bridged": 0,
+        "unclear": 0,
+    }
     for fact, frame in zip(facts, truth.frames, strict=True):
         best = max((frame.markers[k].visible for k in keys), default=0.0)
         counts["bridged"] += fact.status == INTERPOLATED
@@ -107,12 +146,23 @@ def presence(facts: Sequence[FrameFacts], truth: Truth, keys: Sequence[str]) -> 
 
 def cuts(facts: Sequence[FrameFacts], truth: Truth) -> dict[str, int]:
     """Cuts found at their true frame, missed, and invented."""
-    found, exact = (set(np.flatnonzero(np.diff([f.shot for f in frames]))) for frames in (facts, truth.frames))
-    return {"found": len(found & exact), "missed": len(exact - found), "invented": len(found - exact)}
+    found, exact = (
+        set(np.flatnonzero(np.diff([f.shot for f in frames])))
+        for frames in (facts, truth.frames)
+    )
+    return {
+        "found": len(found & exact),
+        "missed": len(exact - found),
+        "invented": len(found - exact),
+    }
 
 
-def map_errors(world_from_marker: Mapping[str, Pose], truth: Truth, world: str) -> dict[str, Any] | None:
-    """Position (mm) and rotation (deg) errors of the mapped markers in the world marker's axes; None with one marker."""
+def map_errors(
+    world_from_marker: Mapping[str, Pose], truth: Truth, world: str
+) -> dict[str, Any] | None:
+    """Position (mm) and rotation (deg) errors of the mapped markers in the world marker's
+    axes; None with one marker.
+    """
     others = [k for k in world_from_marker if k != world]
     if not others or world not in world_from_marker:
         return None
@@ -122,46 +172,72 @@ def map_errors(world_from_marker: Mapping[str, Pose], truth: Truth, world: str) 
     for k in others:
         estimate, exact = mapped @ world_from_marker[k], room[world].inverse() @ room[k]
         out[k] = {
-            "position_mm": 1e3 * float(np.linalg.norm(estimate.translation_m - exact.translation_m)),
+            "position_mm": (
+                1e3 * float(np.linalg.norm(estimate.translation_m - exact.translation_m))
+            ),
             "rotation_deg": float(np.degrees(rotation_angle_rad(estimate, exact))),
         }
-    worst = max(v["position_mm"] for v in out.values()), max(v["rotation_deg"] for v in out.values())
+    worst = (
+        max(v["position_mm"] for v in out.values()),
+        max(v["rotation_deg"] for v in out.values()),
+    )
     return {"markers": out, "position_mm_max": worst[0], "rotation_deg_max": worst[1]}
 
 
 def compare(
-    facts: Sequence[FrameFacts], world_from_marker: Mapping[str, Pose], truth: Truth,
+    facts: Sequence[FrameFacts],
+    world_from_marker: Mapping[str, Pose],
+    truth: Truth,
     single_frame: Sequence[Pose | None] | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """Every comparison at once; arfx's figures under "arfx", unsmoothed "raw", plain OpenCV under "single_frame"."""
+) -> dict[str, Any]:
+    """Every comparison at once; arfx's figures under "arfx", unsmoothed "raw", plain OpenCV
+    under "single_frame".
+    """
     world = world_key(world_from_marker, truth)
     size = truth.header["markers"][world]
     world_from = world_from_marker[world]
 
     def errors(poses: Iterable[Pose | None]) -> dict[str, Any]:
-        return pose_errors([None if pose is None else pose @ world_from for pose in poses], truth, world, size)
+        return pose_errors(
+            [None if pose is None else pose @ world_from for pose in poses],
+            truth,
+            world,
+            size,
+        )
 
     out: dict[str, Any] = {
-        "frames": len(truth.frames), "world": world,
-        "arfx": errors(f.camera_from_world for f in facts), "raw": errors(f.raw_camera_from_world for f in facts),
-        "presence": presence(facts, truth, list(truth.header["markers"])), "cuts": cuts(facts, truth),
-        "single_frame": None if single_frame is None else pose_errors(single_frame, truth, world, size),
+        "frames": len(truth.frames),
+        "world": world,
+        "arfx": errors(f.camera_from_world for f in facts),
+        "raw": errors(f.raw_camera_from_world for f in facts),
+        "presence": presence(facts, truth, list(truth.header["markers"])),
+        "cuts": cuts(facts, truth),
+        "single_frame": (
+            None if single_frame is None else pose_errors(single_frame, truth, world, size)
+        ),
         "map": map_errors(world_from_marker, truth, world),
         "light": light_errors(facts, world_from_marker, truth),
-    }  # fmt: skip
+    }
     return {name: figures for name, figures in out.items() if figures is not None}
 
 
 def world_key(world_from_marker: Mapping[str, Pose], truth: Truth) -> str:
     """The marker whose axes are the world's, or else the first configured one that was mapped."""
     for key, pose in world_from_marker.items():
-        if key in truth.header["markers"] and np.linalg.norm(pose.rotvec) < 1e-9 and np.linalg.norm(pose.translation_m) < 1e-9:
+        if (
+            key in truth.header["markers"]
+            and np.linalg.norm(pose.rotvec) < 1e-9
+            and np.linalg.norm(pose.translation_m) < 1e-9
+        ):
             return key
     return next(k for k in truth.header["markers"] if k in world_from_marker)
 
 
-def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What breaks the bounds, one sentence each. bounds: {"max": {"arfx.flips": 0, …}, "min": {…}, "is": {"static": "camera"}}.
+def exceeded(
+    figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
+    """What breaks the bounds, one sentence each. bounds: {"max": {"arfx.flips": 0, …},
+    "min": {…}, "is": {"static": "camera"}}.
 
     Keys are dotted. A figure that is bounded but missing breaks its bound."""
     broken = []
@@ -175,25 +251,35 @@ def exceeded(figures: Mapping[str, Any], bounds: Mapping[str, Mapping[str, Any]]
                     broken.append(f"{dotted} is {value!r}, it should be {limit!r}")
             elif value is None:
                 broken.append(f"{dotted}: there is no such figure, its bound is {limit:g}")
-            elif (kind == "max" and not value <= limit) or (kind == "min" and not value >= limit):
-                broken.append(f"{dotted} is {value:.4g}, {'at most' if kind == 'max' else 'at least'} {limit:g} is allowed")
+            elif (kind == "max" and not value <= limit) or (
+                kind == "min" and not value >= limit
+            ):
+                broken.append(
+                    f"{dotted} is {value:.4g}, {'at most' if kind == 'max' else 'at least'}"
+                    f" {limit:g} is allowed"
+                )
     return broken
 
 
 MEASURED = "marker"  # Light.source of a light measured by markers
 OPEN = 0.9  # visible fraction of a marker from which its normal counts as seen
-FALSE_FACTOR, FALSE_DEG = 2.0, 3.0  # a direction is falsely claimed where it is off by more than twice its cone and 3 degrees
+FALSE_FACTOR, FALSE_DEG = (
+    2.0,
+    3.0,
+)  # a direction is falsely claimed where it is off by more than twice its cone and 3 degrees
 
 
 def light_errors(
     facts: Sequence[FrameFacts], world_from_marker: Mapping[str, Pose], truth: Truth
-) -> dict[str, Any] | None:  # fmt: skip
+) -> dict[str, Any] | None:
     """None where no frame carries a light.
 
     frames; measured : frames with a claimed direction
     direction_deg : angle between the strongest claimed light and the true lamp nearest to it
-    false : frames whose claim is off by more than twice its own confidence cone and FALSE_DEG, or that claim where no lamp is
-    irradiance : relative error of a white surface's radiance over the seen markers' normals, all channels
+    false : frames whose claim is off by more than twice its own confidence cone and
+    FALSE_DEG, or that claim where no lamp is
+    irradiance : relative error of a white surface's radiance over the seen markers'
+    normals, all channels
     bias_grey : error of the camera's bias in 8-bit sRGB steps above its true value, worst channel
     size_deg : claimed less true angular size, median"""
     angles, sizes, irradiance, bias, false, frames = [], [], [], [], 0, 0
@@ -201,7 +287,12 @@ def light_errors(
         if fact.light is None:
             continue
         frames += 1
-        bias.append(255 * np.abs(SRGB.encode(np.array(fact.bias_rgb)) - SRGB.encode(np.array(frame.bias))).max())
+        bias.append(
+            255
+            * np.abs(
+                SRGB.encode(np.array(fact.bias_rgb)) - SRGB.encode(np.array(frame.bias))
+            ).max()
+        )
         irradiance += _irradiance(fact, frame, world_from_marker)
         if fact.light.source != MEASURED or not fact.light.lights:
             continue
@@ -209,7 +300,12 @@ def light_errors(
         turn = world_from_marker[key].rotation
         claimed = max(fact.light.lights, key=lambda li: sum(li.rgb))
         lamps = frame.lights
-        off = [float(np.degrees(angle_between(claimed.unit, turn @ np.array(li["marker"][key])))) for li in lamps]
+        off = [
+            float(
+                np.degrees(angle_between(claimed.unit, turn @ np.array(li["marker"][key])))
+            )
+            for li in lamps
+        ]
         if not off:
             false += 1
             continue
@@ -219,10 +315,17 @@ def light_errors(
         false += off[nearest] > max(FALSE_FACTOR * claimed.confidence_deg, FALSE_DEG)
     if not frames:
         return None
-    out: dict[str, Any] = {"frames": frames, "measured": len(angles) + false * (not angles), "false": int(false)}
+    out: dict[str, Any] = {
+        "frames": frames,
+        "measured": len(angles) + false * (not angles),
+        "false": int(false),
+    }
     out["bias_grey"] = float(np.median(bias))
     if irradiance:
-        out["irradiance"] = {"median": float(np.median(irradiance)), "p95": float(np.percentile(irradiance, 95))}
+        out["irradiance"] = {
+            "median": float(np.median(irradiance)),
+            "p95": float(np.percentile(irradiance, 95)),
+        }
     if angles:
         spread = (float(np.percentile(angles, q)) for q in (50, 90, 100))
         out["direction_deg"] = dict(zip(("median", "p90", "max"), spread, strict=True))
@@ -230,7 +333,9 @@ def light_errors(
     return out
 
 
-def _irradiance(fact: FrameFacts, frame: FrameTruth, world_from_marker: Mapping[str, Pose]) -> list[float]:
+def _irradiance(
+    fact: FrameFacts, frame: FrameTruth, world_from_marker: Mapping[str, Pose]
+) -> list[float]:
     assert fact.light is not None
     out = []
     for key, marker in frame.markers.items():
@@ -238,7 +343,12 @@ def _irradiance(fact: FrameFacts, frame: FrameTruth, world_from_marker: Mapping[
             continue
         exact = np.array(frame.ambient_rgb, float)
         for lamp in frame.lights:
-            exact = exact + max(float(np.array(lamp["marker"][key])[2]), 0.0) * np.array(lamp["rgb"])
+            exact = exact + max(float(np.array(lamp["marker"][key])[2]), 0.0) * np.array(
+                lamp["rgb"]
+            )
         claimed_rgb = fact.light.radiance(world_from_marker[key].rotation[:, 2])
-        out += divide(np.abs(claimed_rgb - frame.gain * exact), max(float(frame.gain * exact.max()), 1e-6)).tolist()
+        out += divide(
+            np.abs(claimed_rgb - frame.gain * exact),
+            max(float(frame.gain * exact.max()), 1e-6),
+        ).tolist()
     return out

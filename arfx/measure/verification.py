@@ -1,4 +1,6 @@
-"""Runs a synthetic scene through the whole job and holds it against its truth and the bounds beside it."""
+"""Runs a synthetic scene through the whole job and holds it against its truth and the
+bounds beside it.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ from arfx.synth.truth import read_truth
 
 @dataclass(frozen=True)
 class Verified:
-    """figures : see arfx.measure.truth.compare, and "times";  broken : sentences;  output : the processed clip"""
+    """figures : see arfx.measure.truth.compare, and "times";  broken : sentences;  output :
+    the processed clip
+    """
 
     figures: dict[str, Any]
     broken: list[str]
@@ -43,9 +47,14 @@ class Verified:
 
 
 def verify(
-    folder: Path, work: Path, progress: Callable[[str, int, int | None], None], notice: Callable[[str], None], workers: int = 1
+    folder: Path,
+    work: Path,
+    progress: Callable[[str, int, int | None], None],
+    notice: Callable[[str], None],
+    workers: int = 1,
 ) -> Verified:
-    """Verify a folder made by `arfx synth`, or a scene folder (scene.toml), which is rendered first.
+    """Verify a folder made by `arfx synth`, or a scene folder (scene.toml), which is
+    rendered first.
 
     folder : tolerance.toml in it gives the bounds (none: nothing is bounded)
     work : an existing folder for what is made on the way, a clip that is there is used
@@ -54,34 +63,64 @@ def verify(
     if not (folder / "truth.jsonl").is_file():
         if not (folder / "scene.toml").is_file():
             raise InputError(
-                f"{folder} holds neither truth.jsonl nor scene.toml", "a folder made by `arfx synth`, or one of sample_scenes/"
+                f"{folder} holds neither truth.jsonl nor scene.toml",
+                "a folder made by `arfx synth`, or one of sample_scenes/",
             )
         made = work / "synth"
         if not (made / "truth.jsonl").is_file():
-            make_clip(load_scene(folder / "scene.toml"), made, folder, progress, overwrite=True, truth_pictures=False)
+            make_clip(
+                load_scene(folder / "scene.toml"),
+                made,
+                folder,
+                progress,
+                overwrite=True,
+                truth_pictures=False,
+            )
     truth = read_truth(made / "truth.jsonl")
     if truth.world is None:
-        raise NothingToDoError(f"{made}: the scene has no configured marker, there is no pose to verify")
+        raise NothingToDoError(
+            f"{made}: the scene has no configured marker, there is no pose to verify"
+        )
     bounds = read_tolerance(folder).get("truth", {})
-    output = work / "out.mkv"  # lossless, so that what is judged does not depend on an encoder's settings
-    config = load(made / "job.toml", {"output": {"path": str(output), "codec": "ffv1"}}, parameters())
-    report = process(config, Options(work / "job", overwrite=True, workers=workers, progress=progress, notice=notice))
+    output = (
+        work / "out.mkv"
+    )  # lossless, so that what is judged does not depend on an encoder's settings
+    config = load(
+        made / "job.toml", {"output": {"path": str(output), "codec": "ffv1"}}, parameters()
+    )
+    report = process(
+        config,
+        Options(
+            work / "job", overwrite=True, workers=workers, progress=progress, notice=notice
+        ),
+    )
     interrupt.resume()
     job = JobFolder(work / "job")
     facts = list(read_facts(job.facts))
     if len(facts) != len(truth.frames):
-        raise InputError(f"{made}: the clip has {len(facts)} frames, its truth {len(truth.frames)}", "make it again")
+        raise InputError(
+            f"{made}: the clip has {len(facts)} frames, its truth {len(truth.frames)}",
+            "make it again",
+        )
     meta = json.loads(job.frames.read_text(encoding="utf-8"))
     world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
     key = world_key(world, truth)
     family, number = key.split(":")
     assert config.input.clip is not None and config.input.camera is not None
     info = probe(config.input.clip)
-    camera = load_camera(config.input.camera).scaled_to(info.width, info.height, info.pixel_aspect)
-    plain = single_frame_poses(config.input.clip, camera, MarkerSpec(family, int(number), truth.header["markers"][key]))
+    camera = load_camera(config.input.camera).scaled_to(
+        info.width, info.height, info.pixel_aspect
+    )
+    plain = single_frame_poses(
+        config.input.clip,
+        camera,
+        MarkerSpec(family, int(number), truth.header["markers"][key]),
+    )
     figures = compare(facts, world, truth, plain)
     figures["static"] = meta["static"]
-    figures["time_error_s"] = max(abs(f.time_s - t.time_s) for f, t in zip(facts, truth.frames, strict=True))
+    figures["time_error_s"] = max(
+        abs(f.time_s - t.time_s) for f, t in zip(facts, truth.frames, strict=True)
+    )
     limits = {k: v for k, v in bounds.items() if k in ("max", "min", "is")}
     return Verified(figures, exceeded(figures, limits), output, report)
 
@@ -98,25 +137,39 @@ def read_tolerance(folder: Path) -> dict[str, Any]:
 
 
 def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[Pose | None]:
-    """What plain OpenCV finds, frame by frame: whole-frame detection with sub-pixel corners, IPPE, the better solution.
+    """What plain OpenCV finds, frame by frame: whole-frame detection with sub-pixel
+    corners, IPPE, the better solution.
 
     camera_from_marker, None where the marker is not found."""
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     detector = cv2.aruco.ArucoDetector(dictionary(marker.family), settings)
     with ClipReader(probe(clip)) as reader:
-        return [_pose(detector, np.ascontiguousarray(frame.luma()), camera, marker) for frame in reader.frames()]
+        return [
+            _pose(detector, np.ascontiguousarray(frame.luma()), camera, marker)
+            for frame in reader.frames()
+        ]
 
 
-def _pose(detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, marker: MarkerSpec) -> Pose | None:
+def _pose(
+    detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, marker: MarkerSpec
+) -> Pose | None:
     corners, ids, _ = detector.detectMarkers(luma)
-    for found, number in zip(corners, [] if ids is None else np.asarray(ids).ravel(), strict=False):
+    for found, number in zip(
+        corners, [] if ids is None else np.asarray(ids).ravel(), strict=False
+    ):
         if number != marker.id:
             continue
         points = np.asarray(found, float).reshape(4, 2)
         ok, rotations, translations, _ = cv2.solvePnPGeneric(
-            marker.corners_m, camera.normalised(points), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+            marker.corners_m,
+            camera.normalised(points),
+            np.eye(3),
+            None,
+            flags=cv2.SOLVEPNP_IPPE_SQUARE,
         )
         if ok:
-            return Pose.from_rotvec(np.asarray(rotations[0]).ravel(), np.asarray(translations[0]).ravel())
+            return Pose.from_rotvec(
+                np.asarray(rotations[0]).ravel(), np.asarray(translations[0]).ravel()
+            )
     return None

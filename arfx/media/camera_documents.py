@@ -1,4 +1,6 @@
-"""What calibration files of all formats hold, as names and values, or as the rows of a COLMAP model; recognised by content."""
+"""What calibration files of all formats hold, as names and values, or as the rows of a
+COLMAP model; recognised by content.
+"""
 
 from __future__ import annotations
 
@@ -15,29 +17,61 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
-from arfx.core.opener import LIMITS, MAX_NESTING, MIB, as_text, bounded, parse_json, read_bytes
+from arfx.core.opener import (
+    LIMITS,
+    MAX_NESTING,
+    MIB,
+    as_text,
+    bounded,
+    parse_json,
+    read_bytes,
+)
 from arfx.errors import InputError
 
 SUPPORTED = (
-    "OpenCV YAML, XML or JSON (camera_matrix, distortion_coefficients, image_width, image_height), NumPy .npz with these names, "
-    "ROS camera_info YAML, COLMAP cameras.txt or cameras.bin, Kalibr camchain YAML, WPILib or PhotonVision JSON"
+    "OpenCV YAML, XML or JSON (camera_matrix, distortion_coefficients, image_width,"
+    " image_height), NumPy .npz with these names, ROS camera_info YAML, COLMAP cameras.txt"
+    " or cameras.bin, Kalibr camchain YAML, WPILib or PhotonVision JSON"
 )
 # How other files begin -> what they are, and what to do.
 _OTHERS = {
-    b"\x93NUMPY": ("a single NumPy array", "np.savez(…, camera_matrix=, distortion_coefficients=, image_width=, image_height=)"),
-    b"\x80": ("a Python pickle, which could run code", "save the same as .npz with np.savez, or as YAML"),
-    b"MATLAB": ("a MATLAB file", "write camera_matrix, distortion_coefficients, image_width, image_height as YAML"),
+    b"\x93NUMPY": (
+        "a single NumPy array",
+        (
+            "np.savez(…, camera_matrix=, distortion_coefficients=, image_width=,"
+            " image_height=)"
+        ),
+    ),
+    b"\x80": (
+        "a Python pickle, which could run code",
+        "save the same as .npz with np.savez, or as YAML",
+    ),
+    b"MATLAB": (
+        "a MATLAB file",
+        "write camera_matrix, distortion_coefficients, image_width, image_height as YAML",
+    ),
 }
-# COLMAP's numbers of its models -> name and number of parameters. Source: COLMAP, src/colmap/sensor/models.h
+# COLMAP's numbers of its models -> name and number of parameters. Source: COLMAP,
+# src/colmap/sensor/models.h
 _COLMAP = (
-    ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
-)  # fmt: skip
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+)
 
 
 class _Loader(yaml.SafeLoader):
     """Plain YAML, with OpenCV's `!!opencv-matrix` read as the mapping that it is.
-    No aliases, of which a few lines unfold to gigabytes, and no deep nesting, on which the library recurses."""
+    No aliases, of which a few lines unfold to gigabytes, and no deep nesting, on which the
+    library recurses."""
 
     depth = 0
 
@@ -53,11 +87,17 @@ class _Loader(yaml.SafeLoader):
 
 
 for _tag in ("opencv-matrix", "opencv-nd-matrix"):
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
+    _Loader.add_constructor(
+        f"tag:yaml.org,2002:{_tag}",
+        lambda loader, node: loader.construct_mapping(node, deep=True),
+    )
 
 
 def read_document(path: Path, where: str) -> Mapping[str, Any] | list[list[str]]:
-    """Names and values, or the rows of a cameras.txt. where : the file, as messages call it. Raises InputError."""
+    """Names and values, or the rows of a cameras.txt.
+
+    where : the file, as messages call it. Raises InputError.
+    """
     data = read_bytes(path, "camera file")
     if data.startswith(b"\x1f\x8b"):
         data = _unpacked(data, where)
@@ -81,7 +121,10 @@ def _unpacked(data: bytes, where: str) -> bytes:
     except zlib.error as e:
         raise InputError(f"camera file {where} is a damaged gzip file: {e}") from None
     if len(out) > limit:
-        raise InputError(f"camera file {where} unpacks to more than {limit} bytes", f"supported: {SUPPORTED}")
+        raise InputError(
+            f"camera file {where} unpacks to more than {limit} bytes",
+            f"supported: {SUPPORTED}",
+        )
     if not packed.eof:
         raise InputError(f"camera file {where} is a damaged gzip file: its end is missing")
     return out
@@ -98,7 +141,9 @@ def _numpy(data: bytes, where: str) -> Mapping[str, Any]:
                 with contextlib.suppress(ValueError):
                     out[name] = arrays[name].tolist()
     except Exception as e:  # whatever these readers stumble over
-        raise InputError(f"camera file {where} is not a NumPy archive that can be read: {str(e)[:200]}") from None
+        raise InputError(
+            f"camera file {where} is not a NumPy archive that can be read: {str(e)[:200]}"
+        ) from None
     return out
 
 
@@ -119,8 +164,15 @@ def _colmap_binary(data: bytes) -> list[list[str]] | None:
 
 def _colmap_rows(text: str) -> list[list[str]] | None:
     """The rows of a cameras.txt, or None if the text is something else."""
-    rows = [line.split() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not rows or any(len(r) < 5 or not r[0].isdigit() or not re.fullmatch(r"[A-Z][A-Z_]+", r[1]) for r in rows):
+    rows = [
+        line.split()
+        for line in text.splitlines()
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not rows or any(
+        len(r) < 5 or not r[0].isdigit() or not re.fullmatch(r"[A-Z][A-Z_]+", r[1])
+        for r in rows
+    ):
         return None
     return rows
 
@@ -131,15 +183,27 @@ def _parse(text: str, where: str) -> Mapping[str, Any]:
             return _xml(text, where)
         if text.lstrip().startswith("{"):
             document = parse_json(text)
-        else:  # OpenCV writes "%YAML:1.0", which is not a YAML directive; messages echoed by ROS end in "---"
+        # OpenCV writes "%YAML:1.0", which is not a YAML directive; messages echoed by ROS
+        # end in "---"
+        else:
             body = re.sub(r"\A\s*%YAML[^\n]*\n", "", text)
             parts = [p for p in yaml.load_all(body, _Loader) if p is not None]
             document = bounded(parts[0] if parts else None)
-    except (ValueError, TypeError, SyntaxError, yaml.YAMLError) as e:  # TypeError: a key that is a list; SyntaxError: of XML
+    except (
+        ValueError,
+        TypeError,
+        SyntaxError,
+        yaml.YAMLError,
+    ) as e:  # TypeError: a key that is a list; SyntaxError: of XML
         first = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise InputError(f"camera file {where} is neither valid YAML, XML nor JSON: {first}", f"supported: {SUPPORTED}") from None
+        raise InputError(
+            f"camera file {where} is neither valid YAML, XML nor JSON: {first}",
+            f"supported: {SUPPORTED}",
+        ) from None
     if not isinstance(document, Mapping):
-        raise InputError(f"camera file {where} holds no camera calibration", f"supported: {SUPPORTED}")
+        raise InputError(
+            f"camera file {where} holds no camera calibration", f"supported: {SUPPORTED}"
+        )
     return document
 
 
@@ -150,7 +214,10 @@ def _xml(text: str, where: str) -> Mapping[str, Any]:
     root = ElementTree.fromstring(text)
     if root.tag != "opencv_storage":
         what = f"XML of another program (<{root.tag[:40]}>)"
-        raise InputError(f"camera file {where} is {what}", f"export it for OpenCV; supported: {SUPPORTED}")
+        raise InputError(
+            f"camera file {where} is {what}",
+            f"export it for OpenCV; supported: {SUPPORTED}",
+        )
     out: dict[str, Any] = {}
     for node in root:
         words = (node.findtext("data") or node.text or "").split()

@@ -1,4 +1,6 @@
-"""What a clip is, before its frames are read: size, times, colour, streams. `probe` decodes one frame to be sure."""
+"""What a clip is, before its frames are read: size, times, colour, streams. `probe` decodes
+one frame to be sure.
+"""
 
 from __future__ import annotations
 
@@ -20,23 +22,40 @@ from arfx.core.colour import SRGB, Transfer
 from arfx.errors import InputError
 from arfx.media.codecs import check_size, open_video
 from arfx.media.photos import is_photo
-from arfx.media.planes import FrameFormat, Orientation, PixelLayout, orientation_of, working_layout
+from arfx.media.planes import (
+    FrameFormat,
+    Orientation,
+    PixelLayout,
+    orientation_of,
+    working_layout,
+)
 
 UNSPECIFIED = 2
 PHOTO = "photo"  # container of one picture
 MAX_PIXEL_ASPECT = 10.0  # anamorphic video reaches 2
-_MATRIX = {1: "bt709", 4: "fcc", 5: "bt601", 6: "bt601", 7: "smpte240m", 9: "bt2020", 10: "bt2020"}  # ITU-T H.273 table 4
+_MATRIX = {
+    1: "bt709",
+    4: "fcc",
+    5: "bt601",
+    6: "bt601",
+    7: "smpte240m",
+    9: "bt2020",
+    10: "bt2020",
+}  # ITU-T H.273 table 4
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # H.273 table 3
-_FIELDS = 2  # from this field order on a clip is interlaced; the odd ones show the bottom field first
+# from this field order on a clip is interlaced; the odd ones show the bottom field first
+_FIELDS = 2
 _TO_SDR = (
-    "zscale=t=linear:npl=100,format=gbrpf32le,zscale=p=bt709,tonemap=hable:desat=0,zscale=t=bt709:m=bt709:r=tv,format=yuv420p"
+    "zscale=t=linear:npl=100,format=gbrpf32le,zscale=p=bt709,tonemap=hable:desat=0,"
+    "zscale=t=bt709:m=bt709:r=tv,format=yuv420p"
 )
 _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
 
 
 @dataclass(frozen=True)
 class StreamInfo(Document):
-    """One stream of the file. used : the video stream that is processed;  picture : a cover, not a video
+    """One stream of the file. used : the video stream that is processed;  picture : a
+    cover, not a video
     broken : its header does not say how it is to be played"""
 
     index: int
@@ -48,16 +67,22 @@ class StreamInfo(Document):
     broken: bool = False
 
     def __str__(self) -> str:
-        return f"#{self.index} {self.kind} {self.codec}" + (f" ({self.language})" if self.language else "")
+        return f"#{self.index} {self.kind} {self.codec}" + (
+            f" ({self.language})" if self.language else ""
+        )
 
 
 @dataclass(frozen=True)
 class ClipInfo(Document):
-    """A clip's properties. width, height : upright px;  coded_* : as stored;  rotation_deg : counter-clockwise turn to upright.
+    """A clip's properties. width, height : upright px;  coded_* : as stored;  rotation_deg
+    : counter-clockwise turn to upright.
 
-    full_range, matrix : as used; matrix_stated is False when the stream names none (bt709 from 720 lines up, else bt601)
-    *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;  start_pts : of the first frame
-    frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s is this stream's, not the file's;
+    full_range, matrix : as used; matrix_stated is False when the stream names none (bt709
+    from 720 lines up, else bt601)
+    *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;
+    start_pts : of the first frame
+    frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s
+    is this stream's, not the file's;
     notices : what a user should know;  field_order : FFmpeg's number (libavcodec/defs.h)"""
 
     path: Path
@@ -94,8 +119,12 @@ class ClipInfo(Document):
 
     @property
     def fields(self) -> str:
-        """Of an interlaced clip the field that is shown first: tff (the top one) or bff; else empty."""
-        return "" if self.field_order < _FIELDS else "bff" if self.field_order % 2 else "tff"
+        """Of an interlaced clip the field that is shown first: tff (the top one) or bff;
+        else empty.
+        """
+        return (
+            "" if self.field_order < _FIELDS else "bff" if self.field_order % 2 else "tff"
+        )
 
     @property
     def orientation(self) -> Orientation:
@@ -103,7 +132,10 @@ class ClipInfo(Document):
 
     @property
     def pixel_aspect(self) -> float:
-        """Width of an upright pixel over its height. 1 also where the file states what no lens or screen has."""
+        """Width of an upright pixel over its height.
+
+        1 also where the file states what no lens or screen has.
+        """
         if self.sample_aspect is None or not _plausible(self.sample_aspect):
             return 1.0
         stated = float(self.sample_aspect)
@@ -120,15 +152,25 @@ class ClipInfo(Document):
 
     def frame_format(self) -> FrameFormat:
         return FrameFormat(
-            self.layout, self.coded_width, self.coded_height, self.time_base, self.matrix, self.full_range,
-            self.transfer, self.chroma_location, self.orientation,
-        )  # fmt: skip
+            self.layout,
+            self.coded_width,
+            self.coded_height,
+            self.time_base,
+            self.matrix,
+            self.full_range,
+            self.transfer,
+            self.chroma_location,
+            self.orientation,
+        )
 
 
 def ffmpeg_command(path: Path, filters: str, ending: str) -> str:
     """What makes another clip of one, as it is typed into a shell."""
     out = path.with_name(f"{path.stem}-{ending}.mkv")
-    return f"ffmpeg -i {shlex.quote(str(path))} -vf {filters} -crf 14 -c:a copy {shlex.quote(str(out))}"
+    return (
+        f"ffmpeg -i {shlex.quote(str(path))} -vf {filters} -crf 14 -c:a copy"
+        f" {shlex.quote(str(out))}"
+    )
 
 
 def _plausible(aspect: Fraction) -> bool:
@@ -140,27 +182,54 @@ def _is_cover(stream: Any) -> bool:
 
 
 def _describe(stream: Any, used: bool) -> StreamInfo:
-    codec = stream.codec_context.name if stream.codec_context is not None else str(stream.metadata.get("handler_name", "?"))
+    codec = (
+        stream.codec_context.name
+        if stream.codec_context is not None
+        else str(stream.metadata.get("handler_name", "?"))
+    )
     cover = stream.type == "video" and _is_cover(stream)
-    broken = stream.type == "audio" and not (stream.codec_context is not None and stream.codec_context.sample_rate > 0)
-    return StreamInfo(stream.index, stream.type, codec, stream.metadata.get("language", ""), used, cover, broken)
+    broken = stream.type == "audio" and not (
+        stream.codec_context is not None and stream.codec_context.sample_rate > 0
+    )
+    return StreamInfo(
+        stream.index,
+        stream.type,
+        codec,
+        stream.metadata.get("language", ""),
+        used,
+        cover,
+        broken,
+    )
 
 
 def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:
     """Reads a clip's properties and decodes its first frame.
-    transfer : how coded values become light; the stream's own tag is not used for SDR (see ARCHITECTURE.md, Numbers)
-    Raises InputError: missing, not a video, no video stream, HDR transfer, nothing decodable."""
+    transfer : how coded values become light; the stream's own tag is not used for SDR (see
+    ARCHITECTURE.md, Numbers)
+    Raises InputError: missing, not a video, no video stream, HDR transfer, nothing decodable.
+    """
     path = Path(path)
     with open_video(path) as container:
         stream = next((s for s in container.streams.video if not _is_cover(s)), None)
         if stream is None:
             held = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
-            raise InputError(f"{path} has no video stream (it holds: {held})", "give a clip with pictures")
+            raise InputError(
+                f"{path} has no video stream (it holds: {held})",
+                "give a clip with pictures",
+            )
         if stream.codec_context is None:
-            raise InputError(f"{path}: no decoder for its video", "convert it to H.264 first")
+            raise InputError(
+                f"{path}: no decoder for its video", "convert it to H.264 first"
+            )
         check_size(stream.codec_context.width, stream.codec_context.height, path)
-        info = _info(container, stream, _first_picture(container, stream, path), path, transfer)
-    return replace(info, container=PHOTO, codec=PHOTO, fps=None, duration_s=None) if is_photo(path) else info
+        info = _info(
+            container, stream, _first_picture(container, stream, path), path, transfer
+        )
+    return (
+        replace(info, container=PHOTO, codec=PHOTO, fps=None, duration_s=None)
+        if is_photo(path)
+        else info
+    )
 
 
 def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
@@ -177,24 +246,41 @@ def _first_picture(container: Any, stream: Any, path: Path) -> av.VideoFrame:
             reason = getattr(e, "strerror", None) or str(e)
             if isinstance(e, av.error.EOFError):
                 break
-    raise InputError(f"{path}: its video ({stream.codec_context.name}) cannot be decoded: {reason}", "is the file complete?")
+    raise InputError(
+        f"{path}: its video ({stream.codec_context.name}) cannot be decoded: {reason}",
+        "is the file complete?",
+    )
 
 
-def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfer: Transfer) -> ClipInfo:
+def _info(
+    container: Any, stream: Any, first: av.VideoFrame, path: Path, transfer: Transfer
+) -> ClipInfo:
     ctx = stream.codec_context
     trc = first.color_trc if first.color_trc not in (0, UNSPECIFIED) else ctx.color_trc
     if int(trc) in _HDR:
         hint = f"convert it to BT.709 first: {ffmpeg_command(path, _TO_SDR, 'sdr')}"
-        raise InputError(f"{path} is HDR video with transfer {_HDR[int(trc)]}; only SDR video is processed", hint)
+        raise InputError(
+            f"{path} is HDR video with transfer {_HDR[int(trc)]}; only SDR video is"
+            " processed",
+            hint,
+        )
     layout, notice = working_layout(first.format.name)
     notices = [notice] if notice else []
-    space = int(first.colorspace) if int(first.colorspace) not in (0, UNSPECIFIED) else int(ctx.colorspace)
+    space = (
+        int(first.colorspace)
+        if int(first.colorspace) not in (0, UNSPECIFIED)
+        else int(ctx.colorspace)
+    )
     matrix = _MATRIX.get(space)
     stated = matrix is not None
     if matrix is None:
         matrix = "bt709" if first.height >= 720 else "bt601"
         if layout.kind == "yuv":
-            why = "names no colour matrix" if space in (0, UNSPECIFIED) else f"has the unsupported colour matrix {space}"
+            why = (
+                "names no colour matrix"
+                if space in (0, UNSPECIFIED)
+                else f"has the unsupported colour matrix {space}"
+            )
             notices.append(f"the stream {why}: {matrix} is used ({first.height} lines)")
     range_tag = int(first.color_range) or int(ctx.color_range)
     full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
@@ -203,48 +289,94 @@ def _info(container: Any, stream: Any, first: av.VideoFrame, path: Path, transfe
     turn = _display_matrix(first)
     orientation, exact = orientation_of(turn)
     if not exact:
-        notices.append("the display matrix is no multiple of 90 degrees; the nearest is used")
+        notices.append(
+            "the display matrix is no multiple of 90 degrees; the nearest is used"
+        )
     order = int(ctx.field_order)
     if first.interlaced_frame and order < _FIELDS:
         order = _FIELDS
     if order >= _FIELDS:
         notices.append("the clip is interlaced; its fields are processed as one picture")
-    w, h = (first.height, first.width) if orientation.transpose else (first.width, first.height)
+    w, h = (
+        (first.height, first.width)
+        if orientation.transpose
+        else (first.width, first.height)
+    )
     sample = Fraction(stream.sample_aspect_ratio or 1)
     if sample != 1:
         shown = f"{round(first.width * sample)}x{first.height}"
-        used = f"displayed as {shown}" if _plausible(sample) else "which is not plausible and not used"
+        used = (
+            f"displayed as {shown}"
+            if _plausible(sample)
+            else "which is not plausible and not used"
+        )
         stored = f"stored as {first.width}x{first.height}"
-        notices.append(f"the pixels are not square: {stored}, pixel aspect {sample.numerator}:{sample.denominator}, {used}")
-    duration = stream.duration * stream.time_base if stream.duration else _tagged_duration(stream.metadata)
+        notices.append(
+            f"the pixels are not square: {stored}, pixel aspect"
+            f" {sample.numerator}:{sample.denominator}, {used}"
+        )
+    duration = (
+        stream.duration * stream.time_base
+        if stream.duration
+        else _tagged_duration(stream.metadata)
+    )
     of_video = duration is not None or len(container.streams) == 1
     if duration is None and container.duration:
         duration = Fraction(container.duration, av.time_base)
     rate = stream.average_rate or stream.guessed_rate
     return ClipInfo(
-        path, w, h, first.width, first.height, orientation.rotation_deg, float(rate) if rate else None, ctx.name,
-        container.format.name, first.format.name, layout.depth, matrix, full, Fraction(stream.time_base), stated,
-        space, range_tag, int(trc), int(first.color_primaries or ctx.color_primaries),
-        "center" if ctx.name in _MIDDLE_SITED else "left", transfer, turn,
+        path,
+        w,
+        h,
+        first.width,
+        first.height,
+        orientation.rotation_deg,
+        float(rate) if rate else None,
+        ctx.name,
+        container.format.name,
+        first.format.name,
+        layout.depth,
+        matrix,
+        full,
+        Fraction(stream.time_base),
+        stated,
+        space,
+        range_tag,
+        int(trc),
+        int(first.color_primaries or ctx.color_primaries),
+        "center" if ctx.name in _MIDDLE_SITED else "left",
+        transfer,
+        turn,
         sample if sample != 1 else None,
-        first.pts if first.pts is not None else (first.dts or 0), stream.frames or None,
-        None if duration is None else float(duration), of_video, stream.index,
-        tuple(_describe(s, s.index == stream.index) for s in container.streams), tuple(notices), order,
-    )  # fmt: skip
+        first.pts if first.pts is not None else (first.dts or 0),
+        stream.frames or None,
+        None if duration is None else float(duration),
+        of_video,
+        stream.index,
+        tuple(_describe(s, s.index == stream.index) for s in container.streams),
+        tuple(notices),
+        order,
+    )
 
 
 def _display_matrix(picture: av.VideoFrame) -> tuple[int, ...] | None:
     """FFmpeg's nine numbers (libavutil/display.h), None where the picture has none."""
     try:
         sides = picture.side_data
-    except ValueError:  # PyAV lists none where it does not know the type of one, as of EXIF; the turn alone it knows
+    # PyAV lists none where it does not know the type of one, as of EXIF; the turn alone it
+    # knows
+    except ValueError:
         if not picture.rotation:
             return None
         angle = math.radians(picture.rotation)
         c, s = (round(f(angle) * (1 << 16)) for f in (math.cos, math.sin))
         return c, -s, 0, s, c, 0, 0, 0, 1 << 30
     named: dict[str, Any] = {s.type.name: s for s in list(sides)}  # type: ignore[attr-defined]
-    return struct.unpack("=9i", bytes(named["DISPLAYMATRIX"])[:36]) if "DISPLAYMATRIX" in named else None
+    return (
+        struct.unpack("=9i", bytes(named["DISPLAYMATRIX"])[:36])
+        if "DISPLAYMATRIX" in named
+        else None
+    )
 
 
 def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
@@ -254,8 +386,11 @@ def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:
 
 
 class Match(NamedTuple):
-    """What was recorded about a frame's time. before, after : numbers of the two around it, or twice the only one
-    share : of the way from one to the other, 0..1;  near : whether one of them was taken at the frame's time"""
+    """What was recorded about a frame's time. before, after : numbers of the two around it,
+    or twice the only one
+    share : of the way from one to the other, 0..1;  near : whether one of them was taken at
+    the frame's time
+    """
 
     before: int
     after: int
@@ -267,15 +402,23 @@ class Match(NamedTuple):
         return self.after if self.share > 0.5 else self.before
 
 
-def match_by_time(taken_s: np.ndarray, times_s: list[float], near_s: float, gap_s: float = 0.0) -> list[Match | None]:
-    """What was recorded (depth maps, poses) around each frame, None where nothing is near. taken_s : rising
-    near_s : so far from a frame it is still of the frame's time;  gap_s : longest time between two that tell what lies between"""
+def match_by_time(
+    taken_s: np.ndarray, times_s: list[float], near_s: float, gap_s: float = 0.0
+) -> list[Match | None]:
+    """What was recorded (depth maps, poses) around each frame, None where nothing is near.
+    taken_s : rising
+    near_s : so far from a frame it is still of the frame's time;  gap_s : longest time
+    between two that tell what lies between
+    """
     after = np.searchsorted(taken_s, times_s, "right")
     found: list[Match | None] = []
     for t, k in zip(times_s, after.tolist(), strict=True):
         i, j = max(k - 1, 0), min(k, len(taken_s) - 1)
         since, until = abs(t - taken_s[i]), abs(taken_s[j] - t)
-        near, between = bool(min(since, until) <= near_s), bool(i < j and taken_s[j] - taken_s[i] <= gap_s)
+        near, between = (
+            bool(min(since, until) <= near_s),
+            bool(i < j and taken_s[j] - taken_s[i] <= gap_s),
+        )
         share = float(since / (since + until)) if i < j else 0.0
         if near and not between:
             share = float(share > 0.5)
@@ -288,10 +431,16 @@ def spacing_s(times_s: Sequence[float]) -> float:
     return float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
 
 
-def match_in_order(what: str, held: int, frames: int, before: int, whole: bool, hint: str) -> list[int | None]:
-    """One thing for each frame of the clip. before : frames of the clip before these;  whole : these reach to its end
-    Raises InputError where their number is not the clip's. what : the message's start ("depth X holds 4 maps")"""
+def match_in_order(
+    what: str, held: int, frames: int, before: int, whole: bool, hint: str
+) -> list[int | None]:
+    """One thing for each frame of the clip. before : frames of the clip before these;
+    whole : these reach to its end
+    Raises InputError where their number is not the clip's. what : the message's start
+    ("depth X holds 4 maps")"""
     wanted = before + frames
     if held < wanted or (whole and held > wanted):
-        raise InputError(f"{what}, the clip has {'' if whole else 'at least '}{wanted} frames", hint)
+        raise InputError(
+            f"{what}, the clip has {'' if whole else 'at least '}{wanted} frames", hint
+        )
     return list(range(before, wanted))

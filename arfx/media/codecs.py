@@ -1,5 +1,6 @@
-"""Video files opened by FFmpeg: ours for writing, others' only as the containers listed here, and never anything they name;
-and what the supported codecs and containers can hold."""
+"""Video files opened by FFmpeg: ours for writing, others' only as the containers listed
+here, and never anything they name; and what the supported codecs and containers can
+hold."""
 
 from __future__ import annotations
 
@@ -18,32 +19,112 @@ from arfx.errors import InputError
 from arfx.media.photos import is_photo, open_photo
 from arfx.media.planes import PixelLayout, layout_named
 
-os.environ.setdefault("SVT_LOG", "1")  # errors only: the AV1 encoder prints its settings otherwise
+os.environ.setdefault(
+    "SVT_LOG", "1"
+)  # errors only: the AV1 encoder prints its settings otherwise
 
-# FFmpeg detects the format from the content. Its playlists, scripts and image patterns (concat, hls, dash, sdp, image2, …) open
-# other files and addresses, so that formats are listed which hold their streams themselves.
+# FFmpeg detects the format from the content. Its playlists, scripts and image patterns
+# (concat, hls, dash, sdp, image2, …) open other files and addresses, so that formats are
+# listed which hold their streams themselves.
 CONTAINERS = (
-    "mov", "matroska", "webm", "avi", "mpegts", "mpeg", "flv", "ogg", "asf", "nut", "ivf", "mxf", "gxf", "dv", "wtv",
-    "yuv4mpegpipe", "gif", "apng", "wav", "h264", "hevc", "vvc", "av1", "obu", "mpegvideo", "m4v", "mjpeg",
-)  # fmt: skip
+    "mov",
+    "matroska",
+    "webm",
+    "avi",
+    "mpegts",
+    "mpeg",
+    "flv",
+    "ogg",
+    "asf",
+    "nut",
+    "ivf",
+    "mxf",
+    "gxf",
+    "dv",
+    "wtv",
+    "yuv4mpegpipe",
+    "gif",
+    "apng",
+    "wav",
+    "h264",
+    "hevc",
+    "vvc",
+    "av1",
+    "obu",
+    "mpegvideo",
+    "m4v",
+    "mjpeg",
+)
 # Endings of files in a folder that are taken for clips; what such a file is, its content decides
-CLIP_SUFFIXES = frozenset((
-    ".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg", ".vob", ".wmv", ".asf", ".flv",
-    ".f4v", ".ogv", ".3gp", ".3g2", ".mxf", ".gxf", ".dv", ".wtv", ".nut", ".ivf", ".y4m", ".mjpeg", ".h264", ".hevc",
-))  # fmt: skip
+CLIP_SUFFIXES = frozenset(
+    (
+        ".mp4",
+        ".m4v",
+        ".mov",
+        ".mkv",
+        ".webm",
+        ".avi",
+        ".mts",
+        ".m2ts",
+        ".ts",
+        ".mpg",
+        ".mpeg",
+        ".vob",
+        ".wmv",
+        ".asf",
+        ".flv",
+        ".f4v",
+        ".ogv",
+        ".3gp",
+        ".3g2",
+        ".mxf",
+        ".gxf",
+        ".dv",
+        ".wtv",
+        ".nut",
+        ".ivf",
+        ".y4m",
+        ".mjpeg",
+        ".h264",
+        ".hevc",
+    )
+)
 _OPTIONS = {"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"}
 MAX_SIDE = 8192  # of a frame: a picture of this square in linear light takes 800 MB
-_PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"BM", b"v/1\x01", b"#?RADIANCE",
-             b"\0\0\0\x0cjP  ", b"P5\n", b"P6\n", b"8BPS", b"%!PS")  # fmt: skip
-SUFFIX_CONTAINER = {".mp4": "mp4", ".m4v": "mp4", ".mkv": "matroska", ".mov": "mov", ".webm": "webm"}
+_PICTURES = (
+    b"\x89PNG",
+    b"\xff\xd8\xff",
+    b"II*\0",
+    b"MM\0*",
+    b"II+\0",
+    b"MM\0+",
+    b"BM",
+    b"v/1\x01",
+    b"#?RADIANCE",
+    b"\0\0\0\x0cjP  ",
+    b"P5\n",
+    b"P6\n",
+    b"8BPS",
+    b"%!PS",
+)
+SUFFIX_CONTAINER = {
+    ".mp4": "mp4",
+    ".m4v": "mp4",
+    ".mkv": "matroska",
+    ".mov": "mov",
+    ".webm": "webm",
+}
 CONTAINER_SUFFIX = {"mp4": ".mp4", "matroska": ".mkv", "mov": ".mov", "webm": ".webm"}
 
 
 @dataclass(frozen=True)
 class Codec:
-    """One output codec. encoder : FFmpeg's name;  containers : best first;  chunk : container of its chunks
-    options : fixed ones;  crf, preset : defaults, None where there is no such setting;  threads : given to the encoder
-    full_range : whether full-range samples can be distinguished from limited ones in its files;  fields : and interlaced pictures
+    """One output codec. encoder : FFmpeg's name;  containers : best first;  chunk :
+    container of its chunks
+    options : fixed ones;  crf, preset : defaults, None where there is no such setting;
+    threads : given to the encoder
+    full_range : whether full-range samples can be distinguished from limited ones in its
+    files;  fields : and interlaced pictures
     from others"""
 
     name: str
@@ -61,45 +142,84 @@ class Codec:
 
     @cached_property
     def formats(self) -> tuple[str, ...]:
-        """Working pixel formats that its encoder takes (planar YUV, grey, RGB; without transparency)."""
+        """Working pixel formats that its encoder takes (planar YUV, grey, RGB; without
+        transparency).
+        """
         if self.encoder == "prores_ks":
             return ("yuv444p10le",)  # profile 4 is ProRes 4444
-        known = [(f.name, layout_named(f.name)) for f in av.Codec(self.encoder, "w").video_formats or []]
-        names = [n for n, lay in known if lay is not None and not lay.alpha and not n.startswith("yuvj")]
-        return (*names, "gbrp") if self.encoder == "ffv1" else tuple(names)  # its 8-bit RGB is bgr0: the same, interleaved
+        known = [
+            (f.name, layout_named(f.name))
+            for f in av.Codec(self.encoder, "w").video_formats or []
+        ]
+        names = [
+            n
+            for n, lay in known
+            if lay is not None and not lay.alpha and not n.startswith("yuvj")
+        ]
+        return (
+            (*names, "gbrp") if self.encoder == "ffv1" else tuple(names)
+        )  # its 8-bit RGB is bgr0: the same, interleaved
 
 
-# Threads are fixed: 1, 2 and 4 give three different streams, and bytes must not depend on the machine. Chunks are encoded side
-# by side, so that one each is enough; x264 spends 8 % more on the same frames with two.
+# Threads are fixed: 1, 2 and 4 give three different streams, and bytes must not depend on
+# the machine. Chunks are encoded side by side, so that one each is enough; x264 spends 8 %
+# more on the same frames with two.
 CODECS = {
-    # Without macroblock trees: with them x264 (PyAV 18.1) gave up to 13 different streams in 80 encodings of the same small
-    # frames, even with one thread; without them one stream in 80, at every size tried (96x64 to 640x360).
+    # Without macroblock trees: with them x264 (PyAV 18.1) gave up to 13 different streams
+    # in 80 encodings of the same small frames, even with one thread; without them one
+    # stream in 80, at every size tried (96x64 to 640x360).
     "h264": Codec(
-        "h264", "libx264", ("mp4", "matroska", "mov"), crf=18, preset="veryfast", options={"mbtree": "0"}, threads=1,
+        "h264",
+        "libx264",
+        ("mp4", "matroska", "mov"),
+        crf=18,
+        preset="veryfast",
+        options={"mbtree": "0"},
+        threads=1,
     ),
     "h265": Codec(
-        "h265", "libx265", ("mp4", "matroska", "mov"), crf=20, preset="veryfast",
-        options={"x265-params": "log-level=none:pools=2:frame-threads=1:info=0"}, fields=False,
+        "h265",
+        "libx265",
+        ("mp4", "matroska", "mov"),
+        crf=20,
+        preset="veryfast",
+        options={"x265-params": "log-level=none:pools=2:frame-threads=1:info=0"},
+        fields=False,
     ),
     "av1": Codec(
-        "av1", "libsvtav1", ("mp4", "matroska", "webm"), crf=28, preset="8", options={"svtav1-params": "lp=2"},
+        "av1",
+        "libsvtav1",
+        ("mp4", "matroska", "webm"),
+        crf=28,
+        preset="8",
+        options={"svtav1-params": "lp=2"},
         fields=False,
     ),
     "prores": Codec(
-        "prores", "prores_ks", ("mov", "matroska"), chunk=".mkv", full_range=False, options={"profile": "4", "vendor": "apl0"},
+        "prores",
+        "prores_ks",
+        ("mov", "matroska"),
+        chunk=".mkv",
+        full_range=False,
+        options={"profile": "4", "vendor": "apl0"},
     ),
     "ffv1": Codec(
-        "ffv1", "ffv1", ("matroska",), chunk=".mkv", lossless=True,
+        "ffv1",
+        "ffv1",
+        ("matroska",),
+        chunk=".mkv",
+        lossless=True,
         options={"level": "3", "slicecrc": "1", "g": "1"},
     ),
     "png": Codec("png", "png", (), sequence=True),
     "exr": Codec("exr", "exr", (), sequence=True),
-}  # fmt: skip
+}
 
 
 def open_encoder(context: Any) -> None:
     """Open an encoder whose settings are complete. Raises av.error.FFmpegError, ValueError.
-    As root, the AV1 encoder makes its threads and its caller real-time when it opens: the rest of the machine waits for them."""
+    As root, the AV1 encoder makes its threads and its caller real-time when it opens: the
+    rest of the machine waits for them."""
     with preserve_scheduling():
         context.open()
 
@@ -111,10 +231,15 @@ def supported_codecs(container: str) -> frozenset[str]:
         return frozenset(out.supported_codecs)
 
 
-def nearest_format(layout: PixelLayout, formats: tuple[str, ...], odd: tuple[bool, bool], refuses_odd: bool) -> str | None:
-    """The encoder's format that loses least of a source layout; None if none holds the picture's size.
-    odd : the coded width, height are odd;  refuses_odd : the codec cannot hold odd sizes with subsampled chroma
-    Least loss first: colour kept, chroma resolution kept, depth kept, then nothing added."""
+def nearest_format(
+    layout: PixelLayout, formats: tuple[str, ...], odd: tuple[bool, bool], refuses_odd: bool
+) -> str | None:
+    """The encoder's format that loses least of a source layout; None if none holds the
+    picture's size.
+    odd : the coded width, height are odd;  refuses_odd : the codec cannot hold odd sizes
+    with subsampled chroma
+    Least loss first: colour kept, chroma resolution kept, depth kept, then nothing added.
+    """
 
     def price(name: str) -> tuple[int, ...] | None:
         f = layout_named(name)
@@ -122,9 +247,24 @@ def nearest_format(layout: PixelLayout, formats: tuple[str, ...], odd: tuple[boo
             return None
         colour = layout.kind != "gray" and f.kind == "gray"
         model = (layout.kind == "rgb") != (f.kind == "rgb")
-        chroma = max(f.sub_x - layout.sub_x, 0) + max(f.sub_y - layout.sub_y, 0) if f.kind != "gray" else 0
-        finer = max(layout.sub_x - f.sub_x, 0) + max(layout.sub_y - f.sub_y, 0) + (layout.kind == "gray" and f.kind != "gray")
-        return int(colour), max(layout.depth - f.depth, 0), chroma, int(model), finer, abs(f.depth - layout.depth)
+        chroma = (
+            max(f.sub_x - layout.sub_x, 0) + max(f.sub_y - layout.sub_y, 0)
+            if f.kind != "gray"
+            else 0
+        )
+        finer = (
+            max(layout.sub_x - f.sub_x, 0)
+            + max(layout.sub_y - f.sub_y, 0)
+            + (layout.kind == "gray" and f.kind != "gray")
+        )
+        return (
+            int(colour),
+            max(layout.depth - f.depth, 0),
+            chroma,
+            int(model),
+            finer,
+            abs(f.depth - layout.depth),
+        )
 
     priced = [(p, n) for n in formats if (p := price(n)) is not None]
     return min(priced)[1] if priced else None
@@ -132,35 +272,49 @@ def nearest_format(layout: PixelLayout, formats: tuple[str, ...], odd: tuple[boo
 
 def open_video(path: Path, kind: str = "clip") -> Any:
     """A container for reading; a photo is a clip of one frame. kind : as in opener.LIMITS
-    Raises InputError: not a regular file, not a video, or a list of other files (playlist, concat script)."""
+    Raises InputError: not a regular file, not a video, or a list of other files (playlist,
+    concat script)."""
     regular(path, kind)
     if kind == "clip" and is_photo(path):
         return open_photo(path)
     try:
-        return av.open(ffmpeg_url(path), metadata_errors="replace", container_options=_OPTIONS)
+        return av.open(
+            ffmpeg_url(path), metadata_errors="replace", container_options=_OPTIONS
+        )
     except (av.error.FFmpegError, OSError, ValueError) as e:
         why, hint = _diagnose(path)
         if not why and isinstance(e, av.error.ArgumentError):  # the list of formats said no
             why, hint = "it is of a format that is not read", "convert it to .mp4 or .mkv"
         raise InputError(
-            f"{kind} {path} cannot be read as a video: {why or getattr(e, 'strerror', None) or e}",
-            hint or "a file that FFmpeg can decode; a recording that was cut off before its index was written may be repairable",
+            f"{kind} {path} cannot be read as a video:"
+            f" {why or getattr(e, 'strerror', None) or e}",
+            hint
+            or "a file that FFmpeg can decode; a recording that was cut off before its index"
+            " was written may be repairable",
         ) from e
 
 
 def check_size(width: int, height: int, path: Path, kind: str = "clip") -> None:
     """Raises InputError for pictures too large to work on."""
     if max(width, height) > MAX_SIDE:
-        raise InputError(f"{kind} {path} has pictures of {width}x{height}", f"at most {MAX_SIDE} px a side: scale it down")
+        raise InputError(
+            f"{kind} {path} has pictures of {width}x{height}",
+            f"at most {MAX_SIDE} px a side: scale it down",
+        )
 
 
 def create_container(path: Path, container: str | None = None, **options: Any) -> Any:
-    """A container for writing. container : FFmpeg's name, None = by the suffix;  options : of av.open"""
+    """A container for writing.
+
+    container : FFmpeg's name, None = by the suffix;  options : of av.open
+    """
     return av.open(ffmpeg_url(path), "w", format=container, **options)
 
 
 def _diagnose(path: Path) -> tuple[str, str]:
-    """What a file is that is no video, and what would be right; empty where its first bytes do not tell."""
+    """What a file is that is no video, and what would be right; empty where its first bytes
+    do not tell.
+    """
     with path.open("rb") as f:
         head = f.read(1024)
     if not head:
@@ -168,5 +322,8 @@ def _diagnose(path: Path) -> tuple[str, str]:
     if head.startswith(_PICTURES) or head[8:12] == b"WEBP":
         return "it is a picture of a kind that is not read", "save it as PNG or JPEG"
     if all(b >= 32 or b in b"\t\r\n\f" for b in head.removeprefix(b"\xef\xbb\xbf")):
-        return "it is text, not a video", "a playlist or script is not followed: join what it names into one file"
+        return (
+            "it is text, not a video",
+            "a playlist or script is not followed: join what it names into one file",
+        )
     return "", ""

@@ -1,9 +1,10 @@
-"""Measured depth of the real scene, read and its holes filled: a folder of maps (16-bit PNG or PGM, TIFF, EXR), a file that
-holds many (TIFF, video), or one map for a camera at rest.
+"""Measured depth of the real scene, read and its holes filled: a folder of maps (16-bit PNG
+or PGM, TIFF, EXR), a file that holds many (TIFF, video), or one map for a camera at rest.
 
-Depth runs along the optical axis, upright as the clip is shown. 0, negative, not finite and the largest value of 16 bits
-mean that nothing was measured there. Maps belong to frames by their order, or by the time in their names as TUM RGB-D
-writes them (1305031102.160407.png: seconds), or by the times of a video's frames."""
+Depth runs along the optical axis, upright as the clip is shown. 0, negative, not finite and
+the largest value of 16 bits mean that nothing was measured there. Maps belong to frames by
+their order, or by the time in their names as TUM RGB-D writes them (1305031102.160407.png:
+seconds), or by the times of a video's frames."""
 
 from __future__ import annotations
 
@@ -26,16 +27,22 @@ SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
 _KINDS = "16-bit PNG or PGM, TIFF, EXR"
 _STEPS_A_METRE = 1000.0  # of integers, where the job does not say otherwise: millimetres
 _ASPECT = 0.005
-_REACH = 0.55  # of the maps' spacing: a map is of the frames nearer than half of it, and cameras are not on time to a tenth
-LAMBDA = 10.0  # radius of the smoother: about its square root, px, where the picture is even
+# of the maps' spacing: a map is of the frames nearer than half of it, and cameras are not
+# on time to a tenth
+_REACH = 0.55
+LAMBDA = (
+    10.0  # radius of the smoother: about its square root, px, where the picture is even
+)
 SIGMA = 6.0  # grey levels that count as an edge
 _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest known value is used
 
 
 @dataclass(frozen=True)
 class DepthMaps:
-    """files : in order;  steps_per_m : stored values to a metre, None = by kind (integers: millimetres, floats: metres)
-    times_s : of each map after the first one, where they are known, else None;  start_s : of the first, after the clip's
+    """files : in order;  steps_per_m : stored values to a metre, None = by kind (integers:
+    millimetres, floats: metres)
+    times_s : of each map after the first one, where they are known, else None;  start_s :
+    of the first, after the clip's
     frames : the maps where one file holds them, else None: each file is one"""
 
     path: Path
@@ -56,30 +63,51 @@ class DepthMaps:
 
     def name(self, number: int) -> str:
         """What messages call a map."""
-        return str(self.files[number]) if self.frames is None else f"{self.path}, map {number}"
+        return (
+            str(self.files[number]) if self.frames is None else f"{self.path}, map {number}"
+        )
 
     def of_frames(self, times_s: list[float], before: int, whole: bool) -> list[int | None]:
         """Number of each frame's map, None where none was taken near its time.
-        times_s : after the clip's first frame;  before, whole : as of `in_order`, which raises InputError"""
+        times_s : after the clip's first frame;  before, whole : as of `in_order`, which
+        raises InputError
+        """
         if self.still:
             return [0] * len(times_s)
         if self.times_s is not None:
             taken_s = np.array(self.times_s) + self.start_s
             found = match_by_time(taken_s, times_s, _REACH * spacing_s(self.times_s))
             return [None if m is None else m.nearest for m in found]
-        hint = "one map for each frame, or times in their names (1305031102.160407.png), or a single map"
-        return match_in_order(f"depth {self.path} holds {self.count} maps", self.count, len(times_s), before, whole, hint)
+        hint = (
+            "one map for each frame, or times in their names (1305031102.160407.png), or a"
+            " single map"
+        )
+        return match_in_order(
+            f"depth {self.path} holds {self.count} maps",
+            self.count,
+            len(times_s),
+            before,
+            whole,
+            hint,
+        )
 
     def load(self, number: int, width: int, height: int) -> np.ndarray:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
-        width, height : of the clip. Raises InputError: unreadable, of another kind or shape."""
+        width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
+        """
         stored = (
-            _stored(self.files[number]) if self.frames is None else _depth_kind(self.frames.stored(number), self.name(number))
+            _stored(self.files[number])
+            if self.frames is None
+            else _depth_kind(self.frames.stored(number), self.name(number))
         )
         h, w = stored.shape
         if abs(w * height / (h * width) - 1) > _ASPECT:
             hint = "maps as the clip is shown, of its size or the same aspect ratio"
-            raise InputError(f"depth map {self.name(number)} is {w}x{h}, the clip {width}x{height}: another shape", hint)
+            raise InputError(
+                f"depth map {self.name(number)} is {w}x{h}, the clip {width}x{height}:"
+                " another shape",
+                hint,
+            )
         steps = self.steps_per_m or (_STEPS_A_METRE if stored.dtype.kind == "u" else 1.0)
         with np.errstate(all="ignore"):
             metres = stored.astype(np.float32) / np.float32(steps)
@@ -90,40 +118,64 @@ class DepthMaps:
 
     def digest(self, number: int) -> str:
         """Of a map's file, or of its values."""
-        read = self.frames.stored(number).tobytes() if self.frames else read_bytes(self.files[number], "depth map")
+        read = (
+            self.frames.stored(number).tobytes()
+            if self.frames
+            else read_bytes(self.files[number], "depth map")
+        )
         return hashlib.blake2b(read, digest_size=8).hexdigest()
 
 
-def open_depth(path: Path, steps_per_m: float | None = None, start_s: float = 0.0) -> DepthMaps:
-    """List a folder's maps, or take one file. Raises InputError: missing, empty, kinds mixed, times twice."""
+def open_depth(
+    path: Path, steps_per_m: float | None = None, start_s: float = 0.0
+) -> DepthMaps:
+    """List a folder's maps, or take one file.
+
+    Raises InputError: missing, empty, kinds mixed, times twice.
+    """
     if not is_folder(path, "depth"):
         if path.suffix.lower() in (*TIFF, *VIDEO):
             frames = open_frames(path)
             return DepthMaps(path, (path,), steps_per_m, frames.times_s, start_s, frames)
         if path.suffix.lower() not in SUFFIXES:
-            raise InputError(f"depth {path} is not a depth map", f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)")
+            raise InputError(
+                f"depth {path} is not a depth map",
+                f"{_KINDS}; a folder of them; or a video of 16-bit grey (FFV1)",
+            )
         return DepthMaps(path, (path,), steps_per_m, None)
-    found = [p for p in folder_entries(path, "depth folder") if p.suffix.lower() in SUFFIXES]
+    found = [
+        p for p in folder_entries(path, "depth folder") if p.suffix.lower() in SUFFIXES
+    ]
     if not found:
         raise InputError(f"depth folder {path} holds no depth map", _KINDS)
     for p in found:
         regular(p, "depth map")  # a pipe would be waited for
     kinds = sorted({p.suffix.lower() for p in found})
     if len(kinds) > 1:
-        raise InputError(f"depth folder {path} holds {' and '.join(kinds)} files", "maps of one kind only")
+        raise InputError(
+            f"depth folder {path} holds {' and '.join(kinds)} files",
+            "maps of one kind only",
+        )
     # seconds in names have a fraction: 12.png is the twelfth map, not the twelfth second
     if len(found) > 1 and all(re.fullmatch(r"\d+\.\d+", p.stem) for p in found):
         found.sort(key=lambda p: (float(p.stem), p))
         times = np.array([float(p.stem) for p in found])
         if (np.diff(times) <= 0).any():
-            raise InputError(f"depth folder {path}: two maps have the same time in their names")
-        return DepthMaps(path, tuple(found), steps_per_m, tuple((times - times[0]).tolist()), start_s)
+            raise InputError(
+                f"depth folder {path}: two maps have the same time in their names"
+            )
+        return DepthMaps(
+            path, tuple(found), steps_per_m, tuple((times - times[0]).tolist()), start_s
+        )
     return DepthMaps(path, tuple(sorted(found, key=_natural)), steps_per_m, None)
 
 
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     """2 before 10."""
-    return [(int(n), "") if n else (-1, text) for n, text in re.findall(r"(\d+)|(\D+)", path.stem)], path.name
+    return [
+        (int(n), "") if n else (-1, text)
+        for n, text in re.findall(r"(\d+)|(\D+)", path.stem)
+    ], path.name
 
 
 def _stored(path: Path) -> np.ndarray:
@@ -137,23 +189,32 @@ def _stored(path: Path) -> np.ndarray:
 def _depth_kind(raw: np.ndarray, name: str) -> np.ndarray:
     """The same, if it is one channel of 16 bits or float32. Raises InputError."""
     if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
-        kind = f"{raw.dtype} with {1 if raw.ndim == 2 else raw.shape[2]} channel{'s' if raw.ndim > 2 else ''}"
+        kind = (
+            f"{raw.dtype} with {1 if raw.ndim == 2 else raw.shape[2]}"
+            f" channel{'s' if raw.ndim > 2 else ''}"
+        )
         raise InputError(
-            f"depth map {name} holds {kind}, not depth", "one channel of 16 bits: a PNG or PGM as RGB-D cameras give"
+            f"depth map {name} holds {kind}, not depth",
+            "one channel of 16 bits: a PNG or PGM as RGB-D cameras give",
         )
     return raw
 
 
 def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
-    """(H, W) float32 metres at the guide's size, > 0 everywhere: holes are filled along the picture's edges.
+    """(H, W) float32 metres at the guide's size, > 0 everywhere: holes are filled along the
+    picture's edges.
 
     depth_m : (h, w) metres, 0 = unknown, at least one known;  guide : (H, W) uint8, the picture
 
-    What is known at a hole's rim spreads into it through what looks alike: the smoothed product of the rim's values and its
-    mask, over the smoothed mask, both by the weighted least squares that follow the picture's edges (fast global smoother).
-    Measured pixels keep their value. A short radius keeps a surface's slope: 20 px holes put into real maps are filled to .1 to
-    .9 % (median), as nearest values would. In dioptres, so that a far wall weighs no more than a near table.
-    Source: Min et al. 2014 (the smoother); the quotient as in normalised convolution (Knutsson and Westin 1993)."""
+    What is known at a hole's rim spreads into it through what looks alike: the smoothed
+    product of the rim's values and its mask, over the smoothed mask, both by the weighted
+    least squares that follow the picture's edges (fast global smoother). Measured pixels
+    keep their value. A short radius keeps a surface's slope: 20 px holes put into real maps
+    are filled to .1 to .9 % (median), as nearest values would. In dioptres, so that a far
+    wall weighs no more than a near table.
+    Source: Min et al. 2014 (the smoother); the quotient as in normalised convolution
+    (Knutsson and Westin 1993).
+    """
     h, w = guide.shape
     if depth_m.shape != guide.shape:
         depth_m = cv2.resize(depth_m, (w, h), interpolation=cv2.INTER_NEAREST)
@@ -163,12 +224,18 @@ def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
     rim = cv2.dilate((~known).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     mask = (known & rim).astype(np.float32)
     dioptre = divide(1.0, depth_m).astype(np.float32)
-    smooth = cv2.ximgproc.createFastGlobalSmootherFilter(np.ascontiguousarray(guide), LAMBDA, SIGMA)
+    smooth = cv2.ximgproc.createFastGlobalSmootherFilter(
+        np.ascontiguousarray(guide), LAMBDA, SIGMA
+    )
     total, value = smooth.filter(mask), smooth.filter(dioptre * mask)
-    _, label = cv2.distanceTransformWithLabels((~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    _, label = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
     of_label = np.zeros(int(label.max()) + 1, np.float32)
     of_label[label[known]] = dioptre[known]  # of the nearest known pixel
     least, most = dioptre[known].min(), dioptre[known].max()
     spread = np.clip(divide(value, total), least, most)
-    taken = divide(1.0, np.where(total > _FAINT, spread, of_label[label])).astype(np.float32)
+    taken = divide(1.0, np.where(total > _FAINT, spread, of_label[label])).astype(
+        np.float32
+    )
     return np.where(known, depth_m, taken)

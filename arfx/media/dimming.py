@@ -1,9 +1,11 @@
-"""Less light on what the picture shows, worked out line by line in its stored samples: no picture in linear light is made.
+"""Less light on what the picture shows, worked out line by line in its stored samples: no
+picture in linear light is made.
 
-Where the camera adds nothing of its own (no bias) no linear value is needed at all: a coded value c above the transfer
-function's toe stands for ((c + a) / (1 + a))^power, so a fraction k of that light is coded k^(1/power) (c + a) - a, and one on
-the toe's line k c; the larger of the two (the smaller, of more light than there was) is off by at most .3 grey levels of
-255, just above the toe. Compiled, as in kernels.py."""
+Where the camera adds nothing of its own (no bias) no linear value is needed at all: a coded
+value c above the transfer function's toe stands for ((c + a) / (1 + a))^power, so a
+fraction k of that light is coded k^(1/power) (c + a) - a, and one on the toe's line k c;
+the larger of the two (the smaller, of more light than there was) is off by at most .3 grey
+levels of 255, just above the toe. Compiled, as in kernels.py."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -32,20 +34,56 @@ _BLOCK = 64  # pixels
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def dim_luma(planes: Planes, rect, hole, transmittance, opacity, bias, curves, luma: Luma, chroma: Chroma):
-    """Dims the luma plane in place; sets the chroma differences as `edit_luma` does, for `edit_chroma`.
-    rect, hole : x0, y0, x1, y1, coded; inside `hole` nothing changes;  transmittance : (h, w, 3 or 1), of linear light
+def dim_luma(
+    planes: Planes,
+    rect,
+    hole,
+    transmittance,
+    opacity,
+    bias,
+    curves,
+    luma: Luma,
+    chroma: Chroma,
+):
+    """Dims the luma plane in place; sets the chroma differences as `edit_luma` does, for
+    `edit_chroma`.
+    rect, hole : x0, y0, x1, y1, coded; inside `hole` nothing changes;  transmittance : (h,
+    w, 3 or 1), of linear light
     opacity : how much of that change is shown;  bias : (3,) linear, what is no light and stays
     curves : decoding, encoding, (2,) exponent of the encoding's power and its a"""
     scratch = line_scratch(16, rect[2] - rect[0])
     step = planes.steps[0]
     tapped = taps(step, planes.cosited[0] and step > 0)
-    wide = np.zeros((2, (chroma.lines.shape[2] << step) + tapped[1] - tapped[0]), np.float32)
-    _dim_lines(planes, rect, hole, transmittance, opacity, bias, curves, luma, chroma, (tapped, wide, scratch))
+    wide = np.zeros(
+        (2, (chroma.lines.shape[2] << step) + tapped[1] - tapped[0]), np.float32
+    )
+    _dim_lines(
+        planes,
+        rect,
+        hole,
+        transmittance,
+        opacity,
+        bias,
+        curves,
+        luma,
+        chroma,
+        (tapped, wide, scratch),
+    )
 
 
 @line_kernel(fastmath=FAST)
-def _dim_lines(planes: Planes, rect, hole, transmittance, opacity, bias, curves, luma: Luma, chroma: Chroma, work):
+def _dim_lines(
+    planes: Planes,
+    rect,
+    hole,
+    transmittance,
+    opacity,
+    bias,
+    curves,
+    luma: Luma,
+    chroma: Chroma,
+    work,
+):
     (low_tap, high_tap, weights), wide, scratch = work
     lines, changed_columns = chroma
     channels, biased = transmittance.shape[2], bias[0] != 0 or bias[1] != 0 or bias[2] != 0
@@ -65,12 +103,17 @@ def _dim_lines(planes: Planes, rect, hole, transmittance, opacity, bias, curves,
             continue
         h0 = h1 = last
         if hole[1] <= row < hole[3]:
-            h0, h1 = min(max(hole[0] - x0, first), last), min(max(hole[2] - x0, first), last)
+            h0, h1 = (
+                min(max(hole[0] - x0, first), last),
+                min(max(hole[2] - x0, first), last),
+            )
         for a, b in ((first, h0), (h1, last)):
             if a >= b:
                 continue
             w = b - a
-            grey = _transmittances(row_transmittance[a * channels : b * channels], channels, opacity, k, w)
+            grey = _transmittances(
+                row_transmittance[a * channels : b * channels], channels, opacity, k, w
+            )
             c0, c1 = chroma_span(x0 + a, x0 + b, sx, planes.chroma_size[0])
             coded_line(planes, row, x0 + a, samples[: c1 - c0], cb[:w], cr[:w], coded)
             for c in range(3):
@@ -86,7 +129,9 @@ def _dim_lines(planes: Planes, rect, hole, transmittance, opacity, bias, curves,
                     _dimmed(coded[c, :w], k[one], m[one], curves[2][1])
             diff = m if biased else coded
             _to_yuv(diff[0], diff[1], diff[2], luma.to_yuv, dy[:w], d_cb[a:], d_cr[a:])
-            add_steps(planes.y[row, x0 + a : x0 + b], dy[:w], luma.factor, luma.low, luma.high)
+            add_steps(
+                planes.y[row, x0 + a : x0 + b], dy[:w], luma.factor, luma.low, luma.high
+            )
         c0 = max(((x0 + first - high_tap + 1) >> sx) - (x0 >> sx), 0)
         c1 = min(((x0 + last - 1 - low_tap) >> sx) + 1 - (x0 >> sx), n)
         changed_columns[j, 0], changed_columns[j, 1] = c0, c1
@@ -104,12 +149,16 @@ def _dim_lines(planes: Planes, rect, hole, transmittance, opacity, bias, curves,
 
 @line_kernel(fastmath=FAST)
 def _dimmed_span(bits, channels, n):
-    """First pixel of a line of n that something is taken from, and the one behind the last, by blocks of _BLOCK.
-    bits (n channels,) : of the transmittance"""
+    """First pixel of a line of n that something is taken from, and the one behind the last,
+    by blocks of _BLOCK. bits (n channels,) : of the transmittance"""
     first, last = 0, n
-    while first < last and _all_one(bits[first * channels : min(first + _BLOCK, n) * channels]):
+    while first < last and _all_one(
+        bits[first * channels : min(first + _BLOCK, n) * channels]
+    ):
         first += _BLOCK
-    while last > first and _all_one(bits[(last - 1) // _BLOCK * _BLOCK * channels : last * channels]):
+    while last > first and _all_one(
+        bits[(last - 1) // _BLOCK * _BLOCK * channels : last * channels]
+    ):
         last = (last - 1) // _BLOCK * _BLOCK
     return min(first, last), last
 
@@ -140,7 +189,9 @@ def _transmittances(flat, step, opacity, k, n):
     for c in range(1 if differs == 0 else 3):
         fraction, first = k[c], np.uintp(c)
         for i in range(n):
-            fraction[i] = max(one + opacity * (flat[np.uintp(i) * np.uintp(3) + first] - one), zero)
+            fraction[i] = max(
+                one + opacity * (flat[np.uintp(i) * np.uintp(3) + first] - one), zero
+            )
     return differs == 0
 
 

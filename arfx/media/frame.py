@@ -1,7 +1,9 @@
-"""One decoded picture: upright views of it, linear light of a rectangle, and edits written back into its planes.
+"""One decoded picture: upright views of it, linear light of a rectangle, and edits written
+back into its planes.
 
-Untouched pixels stay untouched: an edit adds the converted difference to the stored samples of its rectangle, so
-every other sample, and every sample whose colour does not change, keeps its bits."""
+Untouched pixels stay untouched: an edit adds the converted difference to the stored samples
+of its rectangle, so every other sample, and every sample whose colour does not change,
+keeps its bits."""
 
 from __future__ import annotations
 
@@ -13,17 +15,41 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.errors import RenderError
 from arfx.media.planes import FrameFormat, Orientation, copy_picture, planes_of
 
-MIN_SPARSE_RATIO = 3  # pixels of a rectangle for each that is wanted, from which these alone are converted
-SWS_MATRIX = {"bt709": "ITU709", "bt601": "ITU601", "smpte240m": "SMPTE240M", "fcc": "FCC", "bt2020": "BT2020"}
+MIN_SPARSE_RATIO = (
+    3  # pixels of a rectangle for each that is wanted, from which these alone are converted
+)
+SWS_MATRIX = {
+    "bt709": "ITU709",
+    "bt601": "ITU601",
+    "smpte240m": "SMPTE240M",
+    "fcc": "FCC",
+    "bt2020": "BT2020",
+}
 
 
 class Frame:
-    """One picture; never changes. index : number in the reader's order;  pts : in `time_base` units;  key : key frame."""
+    """One picture; never changes.
+
+    index : number in the reader's order;  pts : in `time_base` units;  key : key frame.
+    """
 
     __slots__ = ("format", "index", "key", "picture", "pts")
 
-    def __init__(self, picture: av.VideoFrame, form: FrameFormat, index: int, pts: int, key: bool = False) -> None:
-        self.picture, self.format, self.index, self.pts, self.key = picture, form, index, pts, key
+    def __init__(
+        self,
+        picture: av.VideoFrame,
+        form: FrameFormat,
+        index: int,
+        pts: int,
+        key: bool = False,
+    ) -> None:
+        self.picture, self.format, self.index, self.pts, self.key = (
+            picture,
+            form,
+            index,
+            pts,
+            key,
+        )
 
     @property
     def time_s(self) -> float:
@@ -34,10 +60,16 @@ class Frame:
     def rect(self) -> Rect:
         """The whole upright picture."""
         f = self.format
-        return Rect.of(f.height, f.width) if f.orientation.transpose else Rect.of(f.width, f.height)
+        return (
+            Rect.of(f.height, f.width)
+            if f.orientation.transpose
+            else Rect.of(f.width, f.height)
+        )
 
     def luma(self) -> np.ndarray:
-        """(h, w) uint8, upright, read-only; limited range stays as stored; a view for 8-bit YUV and grey."""
+        """(h, w) uint8, upright, read-only; limited range stays as stored; a view for 8-bit
+        YUV and grey.
+        """
         f = self.format
         if f.layout.kind == "rgb":
             y: np.ndarray = self.picture.reformat(format="gray").to_ndarray()
@@ -54,43 +86,66 @@ class Frame:
         f = self.format
         full = 2 if f.full_range else 1
         shown = self.picture.reformat(
-            format="rgb24", src_colorspace=SWS_MATRIX.get(f.matrix), src_color_range=full, dst_color_range=2,
-        )  # fmt: skip
+            format="rgb24",
+            src_colorspace=SWS_MATRIX.get(f.matrix),
+            src_color_range=full,
+            dst_color_range=2,
+        )
         return np.ascontiguousarray(f.orientation.upright(shown.to_ndarray()))
 
     def reduced(self, width: int) -> np.ndarray:
-        """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px wide; averaged in coded values."""
+        """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px
+        wide; averaged in coded values.
+        """
         f = self.format
         small = min(1.0, width / self.rect.width)
         shown = self.picture.reformat(
-            max(round(f.width * small), 1), max(round(f.height * small), 1), "rgb24", interpolation="AREA",
-            src_colorspace=SWS_MATRIX.get(f.matrix), src_color_range=2 if f.full_range else 1, dst_color_range=2,
-        )  # fmt: skip
+            max(round(f.width * small), 1),
+            max(round(f.height * small), 1),
+            "rgb24",
+            interpolation="AREA",
+            src_colorspace=SWS_MATRIX.get(f.matrix),
+            src_color_range=2 if f.full_range else 1,
+            dst_color_range=2,
+        )
         coded = f.orientation.upright(shown.to_ndarray())
         return np.take(f.transfer.decode(np.arange(256) / 255).astype(np.float32), coded)
 
     def _coded(self, rect: Rect) -> Rect:
         if rect.empty or not self.rect.contains(rect):
-            raise RenderError(f"frame {self.index}: rectangle {rect.to_json()} is not inside the picture {self.rect.to_json()}")
+            raise RenderError(
+                f"frame {self.index}: rectangle {rect.to_json()} is not inside the picture"
+                f" {self.rect.to_json()}"
+            )
         return self.format.orientation.coded_rect(rect, self.rect.width, self.rect.height)
 
     def linear(self, rect: Rect) -> np.ndarray:
-        """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly below 0 and above 1 occur.
-        Any two rectangles agree where they meet. Raises RenderError if rect is empty or leaves the picture."""
+        """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly
+        below 0 and above 1 occur. Any two rectangles agree where they meet. Raises
+        RenderError if rect is empty or leaves the picture."""
         f, r = self.format, self._coded(rect)
         planes = planes_of(self.picture, f.layout)
         if f.layout.kind != "yuv":
             off, span = f.luma_steps
-            table = f.transfer.decode((np.arange(f.layout.peak + 1) - off) / span).astype(np.float32)
-            parts = [np.take(table, np.minimum(p[r.slices], f.layout.peak)) for p in planes[:3]]
-            coded = np.stack([parts[2], parts[0], parts[1]] if f.layout.kind == "rgb" else parts * 3, -1)  # gbrp: G, B, R
+            table = f.transfer.decode((np.arange(f.layout.peak + 1) - off) / span).astype(
+                np.float32
+            )
+            parts = [
+                np.take(table, np.minimum(p[r.slices], f.layout.peak)) for p in planes[:3]
+            ]
+            coded = np.stack(
+                [parts[2], parts[0], parts[1]] if f.layout.kind == "rgb" else parts * 3, -1
+            )  # gbrp: G, B, R
             return np.ascontiguousarray(f.orientation.upright(coded))
         from arfx.media import kernels
 
         return np.ascontiguousarray(f.orientation.upright(kernels.read_yuv(planes, f, r)))
 
     def linear_at(self, pixels: np.ndarray) -> np.ndarray:
-        """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y. Raises RenderError if one leaves the picture."""
+        """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y.
+
+        Raises RenderError if one leaves the picture.
+        """
         if not len(pixels):
             return np.zeros((0, 3), np.float32)
         x, y = pixels[:, 0], pixels[:, 1]
@@ -103,16 +158,36 @@ class Frame:
 
         return kernels.read_yuv_at(planes_of(self.picture, f.layout), f, pixels)
 
-    def dimmed(self, rect: Rect, transmittance: np.ndarray, opacity: float, bias: np.ndarray, hole: Rect) -> Frame:
-        """A new frame with less light inside `rect`, but for `hole`: every linear value's part above `bias` (3,) is
-        multiplied by 1 + opacity (transmittance - 1).
-        transmittance : (h, w, 3 or 1) float32 over the upright `rect`; 1 keeps a pixel's bits. Errors, range: see `edited`."""
-        f, r, h = self.format, self._coded(rect), self._coded(hole) if not hole.empty else EMPTY
-        if transmittance.shape[:2] != (rect.height, rect.width) or transmittance.shape[2] not in (1, 3):
-            raise RenderError(f"frame {self.index}: {transmittance.shape} shares of light for {rect.to_json()}")
+    def dimmed(
+        self,
+        rect: Rect,
+        transmittance: np.ndarray,
+        opacity: float,
+        bias: np.ndarray,
+        hole: Rect,
+    ) -> Frame:
+        """A new frame with less light inside `rect`, but for `hole`: every linear value's
+        part above `bias` (3,) is multiplied by 1 + opacity (transmittance - 1).
+        transmittance : (h, w, 3 or 1) float32 over the upright `rect`; 1 keeps a pixel's
+        bits. Errors, range: see `edited`.
+        """
+        f, r, h = (
+            self.format,
+            self._coded(rect),
+            self._coded(hole) if not hole.empty else EMPTY,
+        )
+        if transmittance.shape[:2] != (rect.height, rect.width) or transmittance.shape[
+            2
+        ] not in (1, 3):
+            raise RenderError(
+                f"frame {self.index}: {transmittance.shape} shares of light for"
+                f" {rect.to_json()}"
+            )
         if f.layout.kind != "yuv":
             before = self.linear(rect)
-            after = before + np.float32(opacity) * (transmittance - 1) * (before - bias.astype(np.float32))
+            after = before + np.float32(opacity) * (transmittance - 1) * (
+                before - bias.astype(np.float32)
+            )
             if not hole.empty:
                 after[hole.slices_in(rect)] = before[hole.slices_in(rect)]
             return self.edited(rect, before, after)
@@ -129,19 +204,31 @@ class Frame:
         return self.format.layout.kind == "yuv" and self.format.orientation == Orientation()
 
     def edited(
-        self, rect: Rect, before: np.ndarray, after: np.ndarray, columns: np.ndarray | None = None, in_place: bool = False
+        self,
+        rect: Rect,
+        before: np.ndarray,
+        after: np.ndarray,
+        columns: np.ndarray | None = None,
+        in_place: bool = False,
     ) -> Frame:
-        """A new frame whose stored samples differ by convert(after) - convert(before) inside `rect`.
+        """A new frame whose stored samples differ by convert(after) - convert(before)
+        inside `rect`.
 
-        before, after : (h, w, 3) float32 linear RGB of the upright rectangle; equal pixels keep their bits.
-        columns : (h, 2) int32 of each row, outside of which neither is looked at; None = all. Only where `row_by_row`
+        before, after : (h, w, 3) float32 linear RGB of the upright rectangle; equal pixels
+        keep their bits.
+        columns : (h, 2) int32 of each row, outside of which neither is looked at; None =
+        all. Only where `row_by_row`
         in_place : this frame's own samples are changed; only for one that `dimmed` or `edited` made
-        New values are clipped to the legal range; samples that already lay beyond it may stay there.
-        Raises RenderError for a rectangle outside the picture, other shapes, or values that are not finite."""
+        New values are clipped to the legal range; samples that already lay beyond it may
+        stay there. Raises RenderError for a rectangle outside the picture, other shapes, or
+        values that are not finite."""
         f, r = self.format, self._coded(rect)
         shape = (rect.height, rect.width, 3)
         if before.shape != shape or after.shape != shape:
-            raise RenderError(f"frame {self.index}: edit of {shape} pixels given {before.shape} before, {after.shape} after")
+            raise RenderError(
+                f"frame {self.index}: edit of {shape} pixels given {before.shape} before,"
+                f" {after.shape} after"
+            )
         b = np.ascontiguousarray(f.orientation.coded(before), np.float32)
         a = np.ascontiguousarray(f.orientation.coded(after), np.float32)
         picture = self.picture if in_place else copy_picture(self.picture, f.layout)
@@ -153,18 +240,27 @@ class Frame:
         else:
             bad = _edit_rgb(planes, f, r, b, a)
         if bad:
-            raise RenderError(f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not finite numbers")
+            raise RenderError(
+                f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not"
+                " finite numbers"
+            )
         return Frame(picture, f, self.index, self.pts, self.key)
 
 
-def _edit_rgb(planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray) -> int:
+def _edit_rgb(
+    planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray
+) -> int:
     finite = np.isfinite(before).all(-1) & np.isfinite(after).all(-1)
     if not finite.all():
         return int((~finite).sum())
     b = f.transfer.encode(before)
     a = f.transfer.encode(after)
     d = np.clip(a, np.minimum(b, 0), np.maximum(b, 1)) - b
-    d = d @ yuv_from_rgb(f.matrix)[0][:, None] if f.layout.kind == "gray" else d[..., [1, 2, 0]]  # gbrp: G, B, R
+    d = (
+        d @ yuv_from_rgb(f.matrix)[0][:, None]
+        if f.layout.kind == "gray"
+        else d[..., [1, 2, 0]]
+    )  # gbrp: G, B, R
     low, high = f.legal[:2]
     for c in range(d.shape[-1]):
         old = planes[c][r.slices].astype(np.int64)

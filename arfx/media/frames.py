@@ -1,5 +1,5 @@
-"""Reading a clip's frames in order of presentation, from any time on, over what is damaged, up to the last good one; and their
-times alone."""
+"""Reading a clip's frames in order of presentation, from any time on, over what is damaged,
+up to the last good one; and their times alone."""
 
 from __future__ import annotations
 
@@ -18,19 +18,30 @@ from arfx.media.codecs import open_video
 from arfx.media.frame import Frame
 from arfx.media.planes import repacked
 
-_SHORT_S = 0.5  # a file that ends this much before its stated end was cut off; container durations are rounded, not this far
+# a file that ends this much before its stated end was cut off; container durations are
+# rounded, not this far
+_SHORT_S = 0.5
 
-JUMP_S = 0.5  # times that go back this far begin anew, as where two recordings were joined; the decoder's own order does not
+# times that go back this far begin anew, as where two recordings were joined; the decoder's
+# own order does not
+JUMP_S = 0.5
 _MOST_FAILURES = 10  # to read on, in a row
 _STRANGERS = 10  # pictures of another size in a row are no damage
 _CHUNK_HEAD = 8  # bytes before the data of an AVI file's chunk
-_TS_PACKETS = (188, 192)  # bytes of a transport stream's packet, and of one with its time of arrival
+_TS_PACKETS = (
+    188,
+    192,
+)  # bytes of a transport stream's packet, and of one with its time of arrival
 _HELD = 100  # packets of which something is lost, and that may be the last ones
-_APART = 0.6  # of the usual time between frames: a packet that is nearer to a frame is part of it, as a field is
+# of the usual time between frames: a packet that is nearer to a frame is part of it, as a
+# field is
+_APART = 0.6
 
 
 class FrameTimesError(InputError):
-    """Times of frames go back, where only decoding from the start would tell how they are repaired."""
+    """Times of frames go back, where only decoding from the start would tell how they are
+    repaired.
+    """
 
 
 class FrameDamageError(FrameTimesError):
@@ -39,10 +50,13 @@ class FrameDamageError(FrameTimesError):
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """What the packets of a clip say, without decoding: a frame that cannot be decoded is among these.
+    """What the packets of a clip say, without decoding: a frame that cannot be decoded is
+    among these.
 
     pts : of all frames, rising;  keys : of those that decoding can begin at, rising
-    irregular : only a careful reader tells what there is;  truncated : as of ClipReader, as far as packets tell"""
+    irregular : only a careful reader tells what there is;  truncated : as of ClipReader, as
+    far as packets tell
+    """
 
     pts: list[int]
     keys: list[int]
@@ -52,17 +66,29 @@ class FrameTimes:
 
 class ClipReader:
     """Context manager over one clip.
-    careful : all is decoded from the start, in one thread;  strict : no picture of which the decoder had to guess a part
+    careful : all is decoded from the start, in one thread;  strict : no picture of which
+    the decoder had to guess a part;  seeks : else all is decoded from the start
     truncated : after iterating to the end, a message when the file ends in damage, else None
     damaged : whether something could not be read, and more followed
-    repaired : whether a frame had no time, or one that was not after the last one's, and was given another"""
+    repaired : whether a frame had no time, or one that was not after the last one's, and
+    was given another
+    """
 
-    def __init__(self, info: ClipInfo, threads: int = 0, careful: bool = False, strict: bool = False) -> None:
+    def __init__(
+        self,
+        info: ClipInfo,
+        threads: int = 0,
+        careful: bool = False,
+        strict: bool = False,
+        seeks: bool = True,
+    ) -> None:
         self.info = info
         self._format = info.frame_format()
         self._threads = 1 if careful else threads
-        self._careful, self._strict = careful, strict
-        self._by_decoding = info.container == "avi"  # which counts frames in that order, and has no other times
+        self._seeks, self._strict = seeks and not careful, strict
+        self._by_decoding = (
+            info.container == "avi"
+        )  # which counts frames in that order, and has no other times
         self._container: Any = None
         self.truncated: str | None = None
         self.damaged = self.repaired = False
@@ -94,12 +120,24 @@ class ClipReader:
         self._first = self.info.start_pts
         return stream
 
-    def frames(self, first_pts: int | None = None, last_pts: int | None = None, first_index: int = 0) -> Iterator[Frame]:
+    def frames(
+        self,
+        first_pts: int | None = None,
+        last_pts: int | None = None,
+        first_index: int = 0,
+    ) -> Iterator[Frame]:
         """Frames with first_pts <= pts <= last_pts; `index` counts from first_index.
-        Seeks to the key frame at or before first_pts; where seeking is not exact, decodes from the start."""
+        Seeks to the key frame at or before first_pts; where seeking is not exact, decodes
+        from the start."""
         index = first_index
         for picture, pts in self._pictures(first_pts, last_pts):
-            yield Frame(repacked(picture, self._format.layout), self._format, index, pts, bool(picture.key_frame))
+            yield Frame(
+                repacked(picture, self._format.layout),
+                self._format,
+                index,
+                pts,
+                bool(picture.key_frame),
+            )
             index += 1
 
     def times(self) -> FrameTimes | None:
@@ -117,10 +155,17 @@ class ClipReader:
                     keys.append(packet.pts)
         if len(set(pts)) < len(pts):
             return None
-        return FrameTimes(sorted(pts), sorted(keys), self._verdict(whole=True), self.damaged or bool(self._stopped))
+        return FrameTimes(
+            sorted(pts),
+            sorted(keys),
+            self._verdict(whole=True),
+            self.damaged or bool(self._stopped),
+        )
 
     def shifts(self) -> list[int]:
-        """What frames' times are given beside those of the file, after each place where these begin anew."""
+        """What frames' times are given beside those of the file, after each place where
+        these begin anew.
+        """
         found = list[int]()
         decoded, end = None, self.info.start_pts
         for packet in self._demux(self._open()):
@@ -129,7 +174,9 @@ class ClipReader:
             if decoded is not None and self._begins_anew(decoded, packet.dts):
                 found.append(end - packet.pts)
             decoded = packet.dts
-            end = max(end, packet.pts + (packet.duration or 0) + (found[-1] if found else 0))
+            end = max(
+                end, packet.pts + (packet.duration or 0) + (found[-1] if found else 0)
+            )
         return found
 
     def _begins_anew(self, before: int, after: int) -> bool:
@@ -139,8 +186,10 @@ class ClipReader:
         """Whether decoding can begin at the key frame of that time, or one before it."""
         return next(self._from_key_frame(pts), None) is not None
 
-    def _pictures(self, first_pts: int | None, last_pts: int | None) -> Iterator[tuple[av.VideoFrame, int]]:
-        if first_pts is not None and first_pts > self.info.start_pts and not self._careful:
+    def _pictures(
+        self, first_pts: int | None, last_pts: int | None
+    ) -> Iterator[tuple[av.VideoFrame, int]]:
+        if first_pts is not None and first_pts > self.info.start_pts and self._seeks:
             started = False
             for item in self._from_key_frame(first_pts):
                 started = True
@@ -157,7 +206,9 @@ class ClipReader:
         self.truncated = self._verdict(whole=True)
 
     def _from_key_frame(self, first_pts: int) -> Iterator[tuple[av.VideoFrame, int]]:
-        """Frames from first_pts on, or nothing at all when the key frame before it cannot be found for sure."""
+        """Frames from first_pts on, or nothing at all when the key frame before it cannot
+        be found for sure.
+        """
         stream = self._open()
         self._first = first_pts  # what is before it may lack what it was predicted from
         try:
@@ -171,25 +222,33 @@ class ClipReader:
                 if key_pts is None or last is None or last < first_pts:
                     return  # times need repair, which depends on every frame before
                 raise FrameTimesError(
-                    f"{self.info.path}: frame times go backwards at {picture.pts}", "process the clip from its start"
+                    f"{self.info.path}: frame times go backwards at {picture.pts}",
+                    "process the clip from its start",
                 )
             last = picture.pts
             if key_pts is None:
                 if not picture.key_frame or picture.pts > first_pts:
                     if picture.pts >= first_pts:
                         return
-                    continue  # leading frames of an open group: their references lie before the key frame
+                    # leading frames of an open group: their references lie before the key
+                    # frame
+                    continue
                 key_pts = picture.pts
             if picture.pts >= first_pts:
                 yield picture, picture.pts
         self.truncated = self._verdict(whole=False)
 
     def _decode(self, stream: Any) -> Iterator[av.VideoFrame]:
-        """Pictures until the end; concealed ones, and those of another size, only if a good one follows."""
+        """Pictures until the end; concealed ones, and those of another size, only if a good
+        one follows.
+        """
         held: list[av.VideoFrame] = []
         strange: list[av.VideoFrame] = []
         for picture in self._raw(stream):
-            if picture.width != self.info.coded_width or picture.height != self.info.coded_height:
+            if (
+                picture.width != self.info.coded_width
+                or picture.height != self.info.coded_height
+            ):
                 strange.append(picture)
                 if len(strange) == _STRANGERS:
                     break
@@ -204,8 +263,9 @@ class ClipReader:
             yield picture
         if strange:
             raise InputError(
-                f"{self.info.path}: the picture changes from {self.info.coded_width}x{self.info.coded_height} "
-                f"to {strange[0].width}x{strange[0].height} in the middle of the clip",
+                f"{self.info.path}: the picture changes from"
+                f" {self.info.coded_width}x{self.info.coded_height} to"
+                f" {strange[0].width}x{strange[0].height} in the middle of the clip",
                 "split the clip there, or convert it to one size",
             )
         if held and not self._stopped:
@@ -218,15 +278,24 @@ class ClipReader:
             except av.error.EOFError:
                 return
             except (av.error.FFmpegError, OSError) as e:
-                self.damaged |= packet is None or packet.pts is None or packet.pts >= self._first
+                self.damaged |= (
+                    packet is None or packet.pts is None or packet.pts >= self._first
+                )
                 if packet is None:
-                    self._stopped = self._stopped or f"the last frame cannot be decoded: {getattr(e, 'strerror', None) or e}"
+                    self._stopped = (
+                        self._stopped
+                        or f"the last frame cannot be decoded: {getattr(e, 'strerror', None) or e}"
+                    )
 
     def _demux(self, stream: Any) -> Iterator[Any]:
         """Packets until the end. Damage that nothing follows is the end."""
         held: list[Any] = []
         stopped, late = "", 0
-        numbers = {e.pos + _CHUNK_HEAD: e.timestamp for e in stream.index_entries} if self._by_decoding else {}
+        numbers = (
+            {e.pos + _CHUNK_HEAD: e.timestamp for e in stream.index_entries}
+            if self._by_decoding
+            else {}
+        )
         for packet in read_on(self._container, [stream]):
             if isinstance(packet, Exception):
                 stopped = f"reading stopped: {getattr(packet, 'strerror', None) or packet}"
@@ -249,13 +318,17 @@ class ClipReader:
                 yield good
             held.clear()
         size = self.info.path.stat().st_size
-        if held or (self.info.container == "mpegts" and all(size % packet for packet in _TS_PACKETS)):
+        if held or (
+            self.info.container == "mpegts" and all(size % packet for packet in _TS_PACKETS)
+        ):
             stopped = "the file ends in the middle of a frame"
         self._stopped = stopped
 
-    def _timed(self, pictures: Iterator[av.VideoFrame]) -> Iterator[tuple[av.VideoFrame, int]]:
-        """Gives each picture a time above the one before: a missing or repeated one follows by one frame (or one tick), and
-        what begins anew goes on after it."""
+    def _timed(
+        self, pictures: Iterator[av.VideoFrame]
+    ) -> Iterator[tuple[av.VideoFrame, int]]:
+        """Gives each picture a time above the one before: a missing or repeated one follows
+        by one frame (or one tick), and what begins anew goes on after it."""
         rate = self.info.fps or 25.0
         step = max(round(1 / (rate * float(self.info.time_base))), 1)
         last: int | None = None
@@ -280,17 +353,26 @@ class ClipReader:
         if self._stopped:
             return f"{self.info.path}: {self._stopped}; processed to the last good frame"
         length_s = float((self._end - self.info.start_pts) * self.info.time_base)
-        if self.info.duration_of_video and self.info.duration_s and length_s < self.info.duration_s - _SHORT_S:
+        if (
+            self.info.duration_of_video
+            and self.info.duration_s
+            and length_s < self.info.duration_s - _SHORT_S
+        ):
             ends = f"the file ends after {length_s:.2f} s of {self.info.duration_s:.2f} s"
             return f"{self.info.path}: {ends}; processed to the last good frame"
         counted = any(n in self.info.container for n in ("mp4", "mov"))
         if whole and counted and stated and self._packets and self._packets < stated:
-            return f"{self.info.path}: {self._packets} of {stated} frames are in the file; processed to the last good frame"
+            return (
+                f"{self.info.path}: {self._packets} of {stated} frames are in the file;"
+                " processed to the last good frame"
+            )
         return None
 
 
 def read_on(container: Any, streams: list[Any]) -> Iterator[Any]:
-    """Packets, and, where one cannot be read, the error in its place, until nothing more can be read."""
+    """Packets, and, where one cannot be read, the error in its place, until nothing more
+    can be read.
+    """
     failures, packets = 0, container.demux(streams)
     while failures < _MOST_FAILURES:
         try:
@@ -306,10 +388,14 @@ def read_on(container: Any, streams: list[Any]) -> Iterator[Any]:
             yield packet
 
 
-def missing_frames(shown: Sequence[int], stated: Sequence[int], gaps: bool = True) -> list[tuple[int, int]]:
-    """(time, number) of the frames that are missing between those shown, in time base units. stated : times of packets, rising
+def missing_frames(
+    shown: Sequence[int], stated: Sequence[int], gaps: bool = True
+) -> list[tuple[int, int]]:
+    """(time, number) of the frames that are missing between those shown, in time base
+    units. stated : times of packets, rising
 
-    A packet apart from every frame shown gave none. gaps : packets may be lost too, which a gap tells, if the rate is constant"""
+    A packet apart from every frame shown gave none. gaps : packets may be lost too, which a
+    gap tells, if the rate is constant"""
     if len(shown) < 3:
         return []
     steps, usual = _steps(shown)
@@ -318,7 +404,10 @@ def missing_frames(shown: Sequence[int], stated: Sequence[int], gaps: bool = Tru
     for k in np.flatnonzero(steps > 2 * _APART * usual).tolist():
         first = bisect_right(stated, shown[k] + _APART * usual)
         lost = stated[first : bisect_left(stated, shown[k + 1] - _APART * usual)]
-        count = max(len(lost), round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0)
+        count = max(
+            len(lost),
+            round(steps[k] / usual) - 1 if steady and steps[k] >= 1.5 * usual else 0,
+        )
         if count:
             found.append((lost[0] if lost else round(shown[k] + usual), count))
     return found

@@ -61,7 +61,9 @@ def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise _damaged(path, "its JSON is not UTF-8") from None
     except json.JSONDecodeError as e:
-        raise _damaged(path, f"its JSON breaks off or is wrong at line {e.lineno}, column {e.colno}") from None
+        raise _damaged(
+            path, f"its JSON breaks off or is wrong at line {e.lineno}, column {e.colno}"
+        ) from None
     except ValueError as e:
         raise _damaged(path, f"its JSON: {e}") from None
     if not isinstance(header, dict):
@@ -97,21 +99,35 @@ def _check_version(header: dict[str, Any], path: Path) -> None:
         raise _damaged(path, "its asset is no object")
     version = json.dumps(asset.get("version", "2.0") or "of no version").strip('"')[:20]
     if not version.startswith("2."):
-        hint = "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
+        hint = (
+            "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
+        )
         raise InputError(f"model {path} is glTF {version}, glTF 2.0 is read", hint)
 
 
 def _check_extensions(header: dict[str, Any], path: Path) -> list[str]:
-    """What extensions that are used leave out. Raises InputError: one that is required is not read."""
+    """What extensions that are used leave out.
+
+    Raises InputError: one that is required is not read.
+    """
     keys = ("extensionsRequired", "extensionsUsed")
     required, used = ([name[:80] for name in header.get(key, [])] for key in keys)
     for name in required:
         if _EXTENSIONS.get(name) != "":
-            how = f": {_CONVERT} {_CONVERTERS[name]} {path.name} NEW.glb" if name in _CONVERTERS else ""
-            raise InputError(f"model {path} requires {name}, which is not read", f"export it without{how}")
+            how = (
+                f": {_CONVERT} {_CONVERTERS[name]} {path.name} NEW.glb"
+                if name in _CONVERTERS
+                else ""
+            )
+            raise InputError(
+                f"model {path} requires {name}, which is not read",
+                f"export it without{how}",
+            )
     texts = {name: _EXTENSIONS.get(name, "an extension that is not read") for name in used}
     return [f"{text} ({name})" for name, text in texts.items() if text]
 
 
 def _damaged(path: Path, what: str) -> InputError:
-    return InputError(f"cannot read model {path}: {what}", "the file is damaged or not what its name says")
+    return InputError(
+        f"cannot read model {path}: {what}", "the file is damaged or not what its name says"
+    )

@@ -78,7 +78,10 @@ class Buffers:
 
     def _values(self, place: dict[str, Any], count: int, columns: int) -> np.ndarray:
         """place : an accessor, or a part of a sparse one"""
-        view, kind = self._views[place["bufferView"]], np.dtype(_KINDS[place["componentType"]])
+        view, kind = (
+            self._views[place["bufferView"]],
+            np.dtype(_KINDS[place["componentType"]]),
+        )
         start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
         stride = view.get("byteStride", kind.itemsize * columns)
         content = self._contents[view["buffer"]]
@@ -89,7 +92,9 @@ def shares(values: np.ndarray) -> np.ndarray:
     """Whole numbers as float32 shares of the largest one, at least -1; floats as they are."""
     if values.dtype.kind == "f":
         return values
-    return np.maximum(values / np.float32(np.iinfo(values.dtype).max), -1.0).astype(np.float32)
+    return np.maximum(values / np.float32(np.iinfo(values.dtype).max), -1.0).astype(
+        np.float32
+    )
 
 
 def _binary_chunk(data: bytes) -> bytes:

@@ -59,12 +59,20 @@ class GltfMaterials:
     """The materials of a file, each made where it is first asked for."""
 
     def __init__(self, file: ModelFile, buffers: Buffers) -> None:
-        self._header, self._textures, self._notices = file.header, file.textures, file.notices
+        self._header, self._textures, self._notices = (
+            file.header,
+            file.textures,
+            file.notices,
+        )
         self._buffers = buffers
         self._images: dict[int, Any] = {}
         self._materials: dict[int, Material] = {}
-        primitives = [p for mesh in file.header.get("meshes", []) for p in mesh["primitives"]]
-        self._coloured = {p.get("material") for p in primitives if "COLOR_0" in p["attributes"]}
+        primitives = [
+            p for mesh in file.header.get("meshes", []) for p in mesh["primitives"]
+        ]
+        self._coloured = {
+            p.get("material") for p in primitives if "COLOR_0" in p["attributes"]
+        }
 
     def of(self, number: int) -> Material:
         """Raises InputError: a texture is too large or damaged, a number out of range."""
@@ -80,7 +88,9 @@ class GltfMaterials:
         for name in (_COAT, _SHEEN, _SPECULAR, _IOR, _GLOW):
             owners[name] = extensions.get(name, {})
         mode = str(given.get("alphaMode", OPAQUE)).upper()
-        red, green, blue, alpha = map(float, owners[_PBR].get("baseColorFactor", (1, 1, 1, 1)))
+        red, green, blue, alpha = map(
+            float, owners[_PBR].get("baseColorFactor", (1, 1, 1, 1))
+        )
         fields: dict[str, Any] = {"base_colour": (red, green, blue, alpha)}
         for name, (owner, key) in _TEXTURES.items():
             fields[name] = self._texture(owners[owner], key)
@@ -105,7 +115,11 @@ class GltfMaterials:
         )
         if not any(material.emissive):
             material = replace(material, emissive_texture=None)
-        return self._unlit(material, number) if "KHR_materials_unlit" in extensions else material
+        return (
+            self._unlit(material, number)
+            if "KHR_materials_unlit" in extensions
+            else material
+        )
 
     def _specular(self, given: dict[str, Any], ior: float) -> float:
         if not given.keys().isdisjoint(_TINTS):
@@ -116,7 +130,9 @@ class GltfMaterials:
     def _unlit(self, material: Material, number: int) -> Material:
         """Its colour as emission, on a surface that sends nothing back."""
         if number in self._coloured:  # colours by vertex are no part of emission
-            text = f"material {material.name} is unlit with colours by vertex: it is shown lit"
+            text = (
+                f"material {material.name} is unlit with colours by vertex: it is shown lit"
+            )
             self._notices.append(text)
             return material
         red, green, blue, alpha = material.base_colour
@@ -182,9 +198,13 @@ class GltfMaterials:
             return None
         samplers = self._header.get("samplers", [])
         sampler = samplers[texture["sampler"]] if "sampler" in texture else {}
-        along_u, along_v = (_WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT"))
+        along_u, along_v = (
+            _WRAPS.get(sampler.get(k, 0), REPEAT) for k in ("wrapS", "wrapT")
+        )
         nearest = sampler.get("magFilter") == _NEAREST
-        return Texture(picture, uv_set, _picture_from_uv(change), (along_u, along_v), nearest)
+        return Texture(
+            picture, uv_set, _picture_from_uv(change), (along_u, along_v), nearest
+        )
 
     def _picture(self, texture: dict[str, Any]) -> np.ndarray | None:
         """The texture's picture; None: there is none, or it cannot be read, which others tell."""
@@ -228,7 +248,8 @@ def _metallic(diffuse: np.ndarray, shine: np.ndarray) -> tuple[np.ndarray, np.nd
     """Base colour (..., 3) and metallic (...).
 
     diffuse : (..., 4) colour and alpha;  shine : (..., 4) specular colour and glossiness
-    Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP)."""
+    Source: Khronos' convert-between-workflows; brightness: root of the weighted squares (HSP).
+    """
     colour, specular = diffuse[..., :3], shine[..., :3]
     d, s = _brightness(colour), _brightness(specular)
     rest = (1.0 - specular.max(-1)) / (1.0 - _DIELECTRIC)

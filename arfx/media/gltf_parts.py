@@ -102,7 +102,9 @@ class GltfScene:
     def _copies(self, extensions: dict[str, Any]) -> Iterator[np.ndarray]:
         """Where a node shows its mesh, (4, 4) in the node's axes."""
         given = extensions.get(_INSTANCES, {}).get("attributes", {})
-        columns = {p: self._buffers.array(given[p.upper()]) for p in _PLACES if p.upper() in given}
+        columns = {
+            p: self._buffers.array(given[p.upper()]) for p in _PLACES if p.upper() in given
+        }
         if not columns:
             yield np.eye(4)
             return
@@ -150,7 +152,9 @@ def _colours(given: np.ndarray) -> np.ndarray:
     """(n, 4) of red, green, blue and maybe alpha; what is no number leaves the factor alone."""
     values = shares(given).astype(float)
     whole = np.ones((len(values), 4))
-    whole[:, : values.shape[1]] = np.clip(np.where(np.isfinite(values), values, 1.0), 0.0, 1.0)
+    whole[:, : values.shape[1]] = np.clip(
+        np.where(np.isfinite(values), values, 1.0), 0.0, 1.0
+    )
     return whole
 
 

@@ -1,8 +1,10 @@
-"""Single pictures: PNG with 8 or 16 bits, EXR with 32-bit floats; and pictures from outside, decoded by OpenCV.
+"""Single pictures: PNG with 8 or 16 bits, EXR with 32-bit floats; and pictures from
+outside, decoded by OpenCV.
 
-OpenCV's wheels carry no OpenEXR, so EXR goes through FFmpeg's encoder and decoder, whose samples are exact. From outside only
-formats are read that are listed here, recognised by their content, and of a bounded size. The size is read from the header before
-anything is decoded: a few kilobytes can state gigabytes."""
+OpenCV's wheels carry no OpenEXR, so EXR goes through FFmpeg's encoder and decoder, whose
+samples are exact. From outside only formats are read that are listed here, recognised by
+their content, and of a bounded size. The size is read from the header before anything is
+decoded: a few kilobytes can state gigabytes."""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ MAX_PIXELS: dict[str, tuple[int, str]] = {
     "pattern": (1 << 26, "a page scanned at 600 dpi, twice over"),
     "picture": (1 << 28, "a telephone's 200 megapixels, decoded grey"),
 }
-PRINT_PX = 1024  # longest side of a print's picture that is kept: twice what it is searched for with
+# longest side of a print's picture that is kept: twice what it is searched for with
+PRINT_PX = 1024
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
 HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -41,7 +44,10 @@ _HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
 
 def write_png(path: Path, rgb: np.ndarray) -> None:
-    """rgb : (h, w, 3) or (h, w) uint8 or uint16, R'G'B'. Raises RenderError when it cannot be written."""
+    """rgb : (h, w, 3) or (h, w) uint8 or uint16, R'G'B'.
+
+    Raises RenderError when it cannot be written.
+    """
     import cv2
 
     if rgb.dtype not in (np.uint8, np.uint16):
@@ -53,11 +59,19 @@ def write_png(path: Path, rgb: np.ndarray) -> None:
 
 
 def write_exr(path: Path, linear: np.ndarray) -> None:
-    """linear : (h, w, 3) or (h, w) float32, stored bit for bit. Raises RenderError when it cannot be written."""
+    """linear : (h, w, 3) or (h, w) float32, stored bit for bit.
+
+    Raises RenderError when it cannot be written.
+    """
     a = np.ascontiguousarray(linear, np.float32)
     fmt = "grayf32le" if a.ndim == 2 else "gbrpf32le"
     ctx = av.CodecContext.create("exr", "w")
-    ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = a.shape[1], a.shape[0], fmt, Fraction(1, 25)
+    ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = (
+        a.shape[1],
+        a.shape[0],
+        fmt,
+        Fraction(1, 25),
+    )
     ctx.options = {"compression": "zip16", "format": "float"}
     packets = ctx.encode(av.VideoFrame.from_ndarray(a, format=fmt)) + ctx.encode(None)
     _write(path, b"".join(bytes(p) for p in packets))
@@ -71,8 +85,14 @@ def load_image(path: Path) -> np.ndarray:
     path = Path(path)
     if path.suffix.lower() == ".exr":
         a = read_exr(path, "image")
-        return np.repeat(a[..., None], 3, -1) if a.ndim == 2 else np.ascontiguousarray(a[..., :3])
-    raw = decode_picture(path, "image", cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+        return (
+            np.repeat(a[..., None], 3, -1)
+            if a.ndim == 2
+            else np.ascontiguousarray(a[..., :3])
+        )
+    raw = decode_picture(
+        path, "image", cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+    )
     rgb = np.repeat(raw[..., None], 3, -1) if raw.ndim == 2 else raw[..., 2::-1]
     if rgb.dtype.kind == "f":
         return np.ascontiguousarray(rgb, np.float32)
@@ -81,15 +101,20 @@ def load_image(path: Path) -> np.ndarray:
 
 
 def load_print(path: Path) -> tuple[np.ndarray, float]:
-    """Linear float32 RGB (h, w, 3) of a print's picture, upright and at most PRINT_PX long; and its height over its width.
-    Raises InputError: missing, or not an image."""
+    """Linear float32 RGB (h, w, 3) of a print's picture, upright and at most PRINT_PX long;
+    and its height over its width. Raises InputError: missing, or not an image."""
     import cv2
 
     rgb = decode_picture(Path(path), "pattern", cv2.IMREAD_COLOR)[..., ::-1]
     h, w = rgb.shape[:2]
-    linear: np.ndarray = np.take(SRGB.decode(np.linspace(0, 1, 256)).astype(np.float32), rgb)
+    linear: np.ndarray = np.take(
+        SRGB.decode(np.linspace(0, 1, 256)).astype(np.float32), rgb
+    )
     if max(h, w) > PRINT_PX:
-        size = max(round(w * PRINT_PX / max(h, w)), 1), max(round(h * PRINT_PX / max(h, w)), 1)
+        size = (
+            max(round(w * PRINT_PX / max(h, w)), 1),
+            max(round(h * PRINT_PX / max(h, w)), 1),
+        )
         linear = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
     return linear, h / w
 
@@ -104,11 +129,17 @@ def read_exr(path: Path, kind: str) -> np.ndarray:
         with av.open(io.BytesIO(data), "r", format="exr_pipe") as c:
             return np.asarray(next(c.decode(video=0)).to_ndarray())
     except (av.error.FFmpegError, StopIteration, IndexError, struct.error, ValueError) as e:
-        raise InputError(f"{kind} {path} cannot be read as an EXR image: {str(e) or 'its header is damaged'}") from e
+        raise InputError(
+            f"{kind} {path} cannot be read as an EXR image:"
+            f" {str(e) or 'its header is damaged'}"
+        ) from e
 
 
 def _exr_header(data: bytes) -> list[tuple[bytes, int, int]]:
-    """(name, where its value begins, bytes) of every attribute. Raises ValueError, IndexError or struct.error where it is cut."""
+    """(name, where its value begins, bytes) of every attribute.
+
+    Raises ValueError, IndexError or struct.error where it is cut.
+    """
     at, found = 8, []
     while data[at]:
         name, kind = data[at : at + 512].split(b"\0", 2)[:2]
@@ -122,8 +153,12 @@ def _exr_header(data: bytes) -> list[tuple[bytes, int, int]]:
 
 
 def _one_channel(data: bytes, path: Path, kind: str) -> bytes:
-    """The EXR with the channel that holds depth called Y, and no other that FFmpeg knows: Y is the only single one it reads."""
-    start, size = next((at, size) for name, at, size in _exr_header(data) if name == b"channels")
+    """The EXR with the channel that holds depth called Y, and no other that FFmpeg knows: Y
+    is the only single one it reads.
+    """
+    start, size = next(
+        (at, size) for name, at, size in _exr_header(data) if name == b"channels"
+    )
     names, at = dict[bytes, int](), start
     while at < start + size and data[at]:
         name = data[at : start + size].split(b"\0", 1)[0]
@@ -132,7 +167,10 @@ def _one_channel(data: bytes, path: Path, kind: str) -> bytes:
     wanted = next((n for n in _DEPTH_CHANNELS if n in names), None)
     if wanted is None:
         held = ", ".join(n.decode(errors="replace") for n in names)
-        raise InputError(f"{kind} {path} holds the channels {held}, none of which is known as depth", "one called Z, V, Y or R")
+        raise InputError(
+            f"{kind} {path} holds the channels {held}, none of which is known as depth",
+            "one called Z, V, Y or R",
+        )
     renamed = bytearray(data)
     for name, at in names.items():
         renamed[at + len(name) - 1] = ord("Y" if name == wanted else "_")
@@ -142,7 +180,9 @@ def _one_channel(data: bytes, path: Path, kind: str) -> bytes:
 def write_failed(path: Path, error: BaseException) -> RenderError:
     """One clear message for a write that failed: full disk, read-only folder, file limit."""
     reason = getattr(error, "strerror", None) or str(error)
-    return RenderError(f"{path} cannot be written: {reason}", "is the disk full, or the folder read-only?")
+    return RenderError(
+        f"{path} cannot be written: {reason}", "is the disk full, or the folder read-only?"
+    )
 
 
 def _write(path: Path, data: bytes) -> None:
@@ -165,7 +205,11 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     except cv2.error:
         raw = None
     if raw is None:
-        raise InputError(f"{kind} {path} cannot be read: it is damaged, or of a variant that is not known", "save it again")
+        raise InputError(
+            f"{kind} {path} cannot be read: it is damaged, or of a variant that is not"
+            " known",
+            "save it again",
+        )
     return raw
 
 
@@ -180,7 +224,9 @@ def _decode_heif(data: bytes, path: Path, kind: str, flags: int) -> np.ndarray:
                 return np.asarray(picture.convert("L"))
             return np.asarray(picture.convert("RGB"))[..., ::-1]
     except (OSError, ValueError, EOFError, RuntimeError, SyntaxError) as e:
-        raise InputError(f"{kind} {path} cannot be read: {str(e)[:200]}", "is it damaged?") from None
+        raise InputError(
+            f"{kind} {path} cannot be read: {str(e)[:200]}", "is it damaged?"
+        ) from None
 
 
 def open_heif(data: bytes, path: Path, kind: str) -> Any:
@@ -197,12 +243,16 @@ def open_heif(data: bytes, path: Path, kind: str) -> Any:
 
 
 def exif_turn(path: Path) -> int:
-    """EXIF's orientation of a picture that was decoded upright; 1 = as stored, also where none is stated."""
+    """EXIF's orientation of a picture that was decoded upright; 1 = as stored, also where
+    none is stated.
+    """
     from PIL import Image
 
     try:
         with Image.open(path) as picture:
-            turn = picture.info.get("original_orientation") or picture.getexif().get(0x0112, 1)
+            turn = picture.info.get("original_orientation") or picture.getexif().get(
+                0x0112, 1
+            )
             return int(turn) if turn in range(1, 9) else 1
     except Exception:  # whatever its header holds: the pixels were read
         return 1
@@ -222,25 +272,40 @@ def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
     import tifffile
 
     sizes: dict[int, tuple[int, int]] = {}
-    with tifffile.TiffFile(source) as file:  # its pages alone: what its metadata names is not opened
+    with tifffile.TiffFile(
+        source
+    ) as file:  # its pages alone: what its metadata names is not opened
         for page in cast(list[Any], file.pages):
             if page.offset in sizes:
-                raise ValueError("a page comes after itself")  # tifffile would go round for ever
+                raise ValueError(
+                    "a page comes after itself"
+                )  # tifffile would go round for ever
             sizes[page.offset] = (page.imagewidth, page.imagelength)
     return list(sizes.values())
 
 
-def _check_size(sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: str) -> None:
+def _check_size(
+    sizes: Callable[[], Sequence[tuple[int, int]]], path: Path, kind: str
+) -> None:
     try:
         pages = sizes()
     except Exception as e:  # whatever the readers of headers stumble over
-        raise InputError(f"{kind} {path} cannot be read: {str(e)[:200] or type(e).__name__}", "is it damaged?") from e
+        raise InputError(
+            f"{kind} {path} cannot be read: {str(e)[:200] or type(e).__name__}",
+            "is it damaged?",
+        ) from e
     if not pages:
-        raise InputError(f"{kind} {path} is not a picture that can be read", f"{', '.join(_PILLOW)}, TIFF, HDR or EXR")
+        raise InputError(
+            f"{kind} {path} is not a picture that can be read",
+            f"{', '.join(_PILLOW)}, TIFF, HDR or EXR",
+        )
     most, _ = MAX_PIXELS[kind]
     for width, height in pages:
         if not 0 < width * height <= most:
-            raise InputError(f"{kind} {path} is {width}x{height}", f"at most {most / 1e6:.0f} megapixels: scale it down")
+            raise InputError(
+                f"{kind} {path} is {width}x{height}",
+                f"at most {most / 1e6:.0f} megapixels: scale it down",
+            )
 
 
 def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
@@ -251,12 +316,21 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
         found = _HDR.search(data[:65536])
         return [(int(found[2]), int(found[1]))] if found else []
     if data.startswith(b"v/1\x01"):
-        windows = [struct.unpack_from("<4i", data, at) for name, at, _ in _exr_header(data) if name in _WINDOWS]
-        return [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
+        windows = [
+            struct.unpack_from("<4i", data, at)
+            for name, at, _ in _exr_header(data)
+            if name in _WINDOWS
+        ]
+        return [
+            (right - left + 1, bottom - top + 1) for left, top, right, bottom in windows
+        ]
     from PIL import Image
 
     with _pillow_lock:
-        given, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # it would warn of what is allowed here
+        given, Image.MAX_IMAGE_PIXELS = (
+            Image.MAX_IMAGE_PIXELS,
+            None,
+        )  # it would warn of what is allowed here
         try:
             with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
                 return [picture.size]

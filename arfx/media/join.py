@@ -1,9 +1,11 @@
-"""Joining encoded chunks into the final file without encoding again: exact times, tags, rotation, further streams.
+"""Joining encoded chunks into the final file without encoding again: exact times, tags,
+rotation, further streams.
 
-The chunks' own times are not used, only their order: packet i of the clip, in decoding order, shows the frame whose
-rank among the chunk's presentation times it has. With all presentation times sorted into S, packet i is decoded at S[i] less
-the longest time that a frame waits: so decode times rise over chunk borders, and the lengths of samples that MP4 and MOV take
-from them are those of the frames."""
+The chunks' own times are not used, only their order: packet i of the clip, in decoding
+order, shows the frame whose rank among the chunk's presentation times it has. With all
+presentation times sorted into S, packet i is decoded at S[i] less the longest time that a
+frame waits: so decode times rise over chunk borders, and the lengths of samples that MP4
+and MOV take from them are those of the frames."""
 
 from __future__ import annotations
 
@@ -34,22 +36,40 @@ from arfx.media.photos import write_photo
 from arfx.media.writer import remove_output
 
 _MAX_TIMESCALE = (1 << 31) - 1
-_MUXER_OWN = {"encoder", "duration", "rotate", "major_brand", "minor_version", "compatible_brands", "number_of_frames"}
+_MUXER_OWN = {
+    "encoder",
+    "duration",
+    "rotate",
+    "major_brand",
+    "minor_version",
+    "compatible_brands",
+    "number_of_frames",
+}
 
 
 def join_chunks(
-    chunks: Sequence[Path], pts: Sequence[int], plan: OutputPlan, info: ClipInfo, out: Path,
-    start_s: float | None = None, end_s: float | None = None, part: Path | None = None,
+    chunks: Sequence[Path],
+    pts: Sequence[int],
+    plan: OutputPlan,
+    info: ClipInfo,
+    out: Path,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    part: Path | None = None,
     made: Callable[[], None] | None = None,
-) -> int:  # fmt: skip
-    """Writes `out` from chunks in order. Returns how many packets of further streams, being damaged, it could not hold.
+) -> int:
+    """Writes `out` from chunks in order. Returns how many packets of further streams, being
+    damaged, it could not hold.
 
-    part : where it is made, on the same disk; what is there is removed. None = a name beside it that nobody uses
+    part : where it is made, on the same disk; what is there is removed. None = a name
+    beside it that nobody uses
     made : called when it is whole, before it gets its name
-    pts : presentation times of all their frames in info.time_base, rising; start_s, end_s : the cut that was made, in
+    pts : presentation times of all their frames in info.time_base, rising; start_s, end_s :
+    the cut that was made, in
     seconds after the clip's first frame, for the streams that are copied.
-    Raises RenderError: chunks and times do not match, chunks of different settings, the file cannot be written. Then
-    nothing is left under the final name that was not there before."""
+    Raises RenderError: chunks and times do not match, chunks of different settings, the
+    file cannot be written. Then nothing is left under the final name that was not there
+    before."""
     out = Path(out)
     if not chunks or not pts:
         raise RenderError(f"{out}: nothing to join")
@@ -64,7 +84,9 @@ def join_chunks(
         if plan.container == PHOTO:
             write_photo(part, chunks[0], info.path, out.suffix.lower())
         else:
-            left_out = _remux(chunks, pts, _ranks_of(chunks, len(pts)), plan, info, part, start_s, end_s)
+            left_out = _remux(
+                chunks, pts, _ranks_of(chunks, len(pts)), plan, info, part, start_s, end_s
+            )
         if made is not None:
             made()
         with interrupt.committing():
@@ -74,12 +96,17 @@ def join_chunks(
 
 @contextlib.contextmanager
 def _temporary_output(part: Path, out: Path) -> Iterator[None]:
-    """Nothing is at `part` before the body, nor after it has failed. Raises RenderError where `out` cannot be written."""
+    """Nothing is at `part` before the body, nor after it has failed.
+
+    Raises RenderError where `out` cannot be written.
+    """
     try:
         remove_output(part)
         yield
     except BaseException as e:
-        with contextlib.suppress(OSError):  # what went wrong first is what the user must hear
+        with contextlib.suppress(
+            OSError
+        ):  # what went wrong first is what the user must hear
             remove_output(part)
         if isinstance(e, (av.error.FFmpegError, OSError, ValueError)):
             raise write_failed(out, e) from e
@@ -87,7 +114,9 @@ def _temporary_output(part: Path, out: Path) -> Iterator[None]:
 
 
 def _packets_of(chunk: Path) -> Any:
-    """The opened file for reading packets only: FFmpeg would else decode a picture of each to tell its format (14 ms)."""
+    """The opened file for reading packets only: FFmpeg would else decode a picture of each
+    to tell its format (14 ms).
+    """
     return av.open(ffmpeg_url(chunk), options={"skip_frame": "all"})
 
 
@@ -100,20 +129,33 @@ def _ranks_of(chunks: Sequence[Path], count: int) -> list[int]:
             stream = c.streams.video[0]
             own = bytes(stream.codec_context.extradata or b"")
             if extradata is not None and own != extradata:
-                raise RenderError(f"{chunk}: encoded with other settings than the chunks before", "render the job again")
+                raise RenderError(
+                    f"{chunk}: encoded with other settings than the chunks before",
+                    "render the job again",
+                )
             extradata = own
             shown = [p.pts for p in c.demux(stream) if p.size]
             order = sorted(range(len(shown)), key=shown.__getitem__)
             ranks += [len(ranks) + order.index(k) for k in range(len(shown))]
     if len(ranks) != count:
-        raise RenderError(f"the chunks hold {len(ranks)} frames, the clip has {count}", "render the job again")
+        raise RenderError(
+            f"the chunks hold {len(ranks)} frames, the clip has {count}",
+            "render the job again",
+        )
     return ranks
 
 
 def _video_packets(
-    chunks: Sequence[Path], pts: Sequence[int], ranks: Sequence[int], time_base: Fraction, stream: Any
+    chunks: Sequence[Path],
+    pts: Sequence[int],
+    ranks: Sequence[int],
+    time_base: Fraction,
+    stream: Any,
 ) -> Iterator[tuple[Fraction, Any]]:
-    """(decode time in seconds, packet). What is decoded last has the last frame's length, since MP4 and MOV end with it."""
+    """(decode time in seconds, packet).
+
+    What is decoded last has the last frame's length, since MP4 and MOV end with it.
+    """
     i, wait = 0, max(pts[i] - pts[r] for i, r in enumerate(ranks))
     last = pts[-1] - pts[-2] if len(pts) > 1 else 0
     for chunk in chunks:
@@ -133,42 +175,66 @@ def _video_packets(
 
 
 def _remux(
-    chunks: Sequence[Path], pts: Sequence[int], ranks: Sequence[int], plan: OutputPlan, info: ClipInfo, part: Path,
-    start_s: float | None, end_s: float | None,
-) -> int:  # fmt: skip
+    chunks: Sequence[Path],
+    pts: Sequence[int],
+    ranks: Sequence[int],
+    plan: OutputPlan,
+    info: ClipInfo,
+    part: Path,
+    start_s: float | None,
+    end_s: float | None,
+) -> int:
     left_out = 0
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(open_video(info.path))
         first = stack.enter_context(av.open(ffmpeg_url(chunks[0])))
         options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
         if plan.container in ("mp4", "mov"):
-            options |= {"movflags": "faststart", "movie_timescale": str(_timescale(info, source, plan))}
+            options |= {
+                "movflags": "faststart",
+                "movie_timescale": str(_timescale(info, source, plan)),
+            }
         out = create_container(part, plan.container, container_options=options)
         try:
             out.metadata.update(_plain_metadata(source.metadata))
             streams: dict[int, Any] = {}
             for s in source.streams:  # the source's order of streams
                 if s.index == info.stream_index:
-                    streams[s.index] = _add_video(out, first.streams.video[0], s, plan, info)
+                    streams[s.index] = _add_video(
+                        out, first.streams.video[0], s, plan, info
+                    )
                 elif s.index in plan.streams:
                     streams[s.index] = _add_stream(out, s, s, s.time_base)
                     if s.type == "video":
-                        streams[s.index].codec_context.framerate = s.average_rate or s.guessed_rate or Fraction(25)
+                        streams[s.index].codec_context.framerate = (
+                            s.average_rate or s.guessed_rate or Fraction(25)
+                        )
             if start_s is None and end_s is None and source.chapters():
                 out.set_chapters(source.chapters())
-            video = _video_packets(chunks, pts, ranks, info.time_base, streams[info.stream_index])
-            further = _copied_packets(source, info, plan, streams, start_s, end_s) if plan.streams else iter(())
+            video = _video_packets(
+                chunks, pts, ranks, info.time_base, streams[info.stream_index]
+            )
+            further = (
+                _copied_packets(source, info, plan, streams, start_s, end_s)
+                if plan.streams
+                else iter(())
+            )
             # by decode time, so that the muxer never holds more than a moment of either
             for _, packet in heapq.merge(video, further, key=lambda timed: timed[0]):
                 try:
                     out.mux(packet)
-                except (av.error.InvalidDataError, av.error.ArgumentError):  # damaged, and the clip did not say so
+                except (
+                    av.error.InvalidDataError,
+                    av.error.ArgumentError,
+                ):  # damaged, and the clip did not say so
                     if packet.stream.index == streams[info.stream_index].index:
                         raise
                     left_out += 1
             out.close()
         except BaseException:
-            with contextlib.suppress(av.error.FFmpegError, OSError):  # the first error is the one that counts
+            with contextlib.suppress(
+                av.error.FFmpegError, OSError
+            ):  # the first error is the one that counts
                 out.close()
             raise
     return left_out
@@ -176,11 +242,17 @@ def _remux(
 
 def _plain_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     """Tags that belong to the recording, not to the file that held it."""
-    return {k: v for k, v in metadata.items() if k.lower() not in _MUXER_OWN and not k.startswith(("_STATISTICS", "NUMBER_OF"))}
+    return {
+        k: v
+        for k, v in metadata.items()
+        if k.lower() not in _MUXER_OWN and not k.startswith(("_STATISTICS", "NUMBER_OF"))
+    }
 
 
 def _add_stream(out: Any, template: Any, source: Any, time_base: Fraction) -> Any:
-    """A stream in `out` with the parameters of `template`, and the language and disposition of a source stream."""
+    """A stream in `out` with the parameters of `template`, and the language and disposition
+    of a source stream.
+    """
     stream = out.add_stream_from_template(template, opaque=True)
     stream.time_base = time_base
     stream.metadata.update(_plain_metadata(source.metadata))
@@ -188,7 +260,9 @@ def _add_stream(out: Any, template: Any, source: Any, time_base: Fraction) -> An
     return stream
 
 
-def _add_video(out: Any, template: Any, source: Any, plan: OutputPlan, info: ClipInfo) -> Any:
+def _add_video(
+    out: Any, template: Any, source: Any, plan: OutputPlan, info: ClipInfo
+) -> Any:
     stream = _add_stream(out, template, source, info.time_base)
     ctx = stream.codec_context
     ctx.colorspace, ctx.color_range = plan.matrix_tag, plan.range_tag
@@ -200,28 +274,43 @@ def _add_video(out: Any, template: Any, source: Any, plan: OutputPlan, info: Cli
     if info.sample_aspect is not None:
         ctx.sample_aspect_ratio = info.sample_aspect
     if plan.codec == "h265" and plan.container in ("mp4", "mov"):
-        ctx.codec_tag = "hvc1"  # the tag that all players know; parameter sets are in the header
+        ctx.codec_tag = (  # the tag that all players know; parameter sets are in the header
+            "hvc1"
+        )
     if info.display_matrix is not None:
         stream.set_display_matrix(info.display_matrix)
     return stream
 
 
 def _copied_packets(
-    container: Any, info: ClipInfo, plan: OutputPlan, streams: Mapping[int, Any], start_s: float | None, end_s: float | None
+    container: Any,
+    info: ClipInfo,
+    plan: OutputPlan,
+    streams: Mapping[int, Any],
+    start_s: float | None,
+    end_s: float | None,
 ) -> Iterator[tuple[Fraction, Any]]:
-    """(decode time in seconds, packet) of the streams that the plan copies, in file order, for those of the output.
-    start_s, end_s : seconds after the clip's first frame; a packet that ends before or begins after them is left out.
-    A further video stream begins at its last key frame before start_s, so that it can be decoded.
-    What begins anew goes on as the frames do."""
+    """(decode time in seconds, packet) of the streams that the plan copies, in file order,
+    for those of the output. start_s, end_s : seconds after the clip's first frame; a packet
+    that ends before or begins after them is left out. A further video stream begins at its
+    last key frame before start_s, so that it can be decoded. What begins anew goes on as
+    the frames do."""
     zero = info.start_pts * info.time_base
     low = -math.inf if start_s is None else zero + Fraction(start_s)
     high = math.inf if end_s is None else zero + Fraction(end_s)
     waiting: dict[int, list[Any]] = {}
     last, jumps, shifts = dict[int, Fraction](), Counter[int](), list[int]()
     for packet in read_on(container, [container.streams[i] for i in plan.streams]):
-        if isinstance(packet, Exception) or packet.is_corrupt or (packet.pts is None and packet.dts is None):
+        if (
+            isinstance(packet, Exception)
+            or packet.is_corrupt
+            or (packet.pts is None and packet.dts is None)
+        ):
             continue
-        number, at = packet.stream_index, (packet.pts if packet.pts is not None else packet.dts) * packet.time_base
+        number, at = (
+            packet.stream_index,
+            (packet.pts if packet.pts is not None else packet.dts) * packet.time_base,
+        )
         if last.get(number, at) - at > JUMP_S:
             jumps[number] += 1
             if not shifts:
@@ -248,7 +337,9 @@ def _copied_packets(
 
 
 def _timescale(info: ClipInfo, source: Any, plan: OutputPlan) -> int:
-    """A movie clock in which a late start of any stream is a whole number: edit lists count in it."""
+    """A movie clock in which a late start of any stream is a whole number: edit lists count
+    in it.
+    """
     scale = info.time_base.denominator
     while scale < 10000:
         scale *= 2
@@ -260,9 +351,15 @@ def _timescale(info: ClipInfo, source: Any, plan: OutputPlan) -> int:
 
 
 def _join_folders(
-    chunks: Sequence[Path], count: int, out: Path, part: Path, made: Callable[[], None] | None
-) -> None:  # fmt: skip
-    """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its folder appears at once."""
+    chunks: Sequence[Path],
+    count: int,
+    out: Path,
+    part: Path,
+    made: Callable[[], None] | None,
+) -> None:
+    """The images of all chunk folders in one: out is a pattern (frames/%06d.png); its
+    folder appears at once.
+    """
     folder = out.absolute().parent
     with _temporary_output(part, out):
         part.mkdir(parents=True)
@@ -278,17 +375,27 @@ def _join_folders(
                     shutil.copyfile(f, part / f.name)
         images = sum(1 for _ in part.iterdir())
         if images != count:
-            raise RenderError(f"the chunks hold {images} images, the clip has {count} frames", "render the job again")
+            raise RenderError(
+                f"the chunks hold {images} images, the clip has {count} frames",
+                "render the job again",
+            )
         (part / TIMES).write_text("".join(times))
         if made is not None:
             made()
         with interrupt.committing():
-            if folder.is_dir() and not any(folder.iterdir()) and not folder.samefile(Path.cwd()):
+            if (
+                folder.is_dir()
+                and not any(folder.iterdir())
+                and not folder.samefile(Path.cwd())
+            ):
                 folder.rmdir()
-            if folder.exists():  # an existing folder keeps its other files; each image is replaced in one step
+            # an existing folder keeps its other files; each image is replaced in one step
+            if folder.exists():
                 for f in part.iterdir():
                     f.replace(folder / f.name)
-                    f.unlink(missing_ok=True)  # two names of one file: to rename one to the other leaves both
+                    f.unlink(
+                        missing_ok=True
+                    )  # two names of one file: to rename one to the other leaves both
                 part.rmdir()
             else:
                 part.replace(folder)

@@ -1,8 +1,10 @@
-"""Steps over one line of samples that reading, editing and dimming share: transfer functions, chroma between its samples and
-back, and differences added to what is stored. Compiled, without branches inside, of which the compiler makes vector code.
+"""Steps over one line of samples that reading, editing and dimming share: transfer
+functions, chroma between its samples and back, and differences added to what is stored.
+Compiled, without branches inside, of which the compiler makes vector code.
 
-Transfer functions go without tables. A power is 2^(p log2 x), each by a short series: three times as quick as looking values
-up, and no table competes with the picture for the cache. Error: below 2e-6 of the value, and of the power."""
+Transfer functions go without tables. A power is 2^(p log2 x), each by a short series: three
+times as quick as looking values up, and no table competes with the picture for the cache.
+Error: below 2e-6 of the value, and of the power."""
 
 # mypy: disable-error-code="no-untyped-def, index, assignment"
 from __future__ import annotations
@@ -16,14 +18,16 @@ import numpy as np
 from arfx.core.colour import Transfer
 from arfx.core.compiled import line_kernel
 
-# Under this linear value a pure power is replaced by the chord to zero: less than 1e-7 of white in coded values.
+# Under this linear value a pure power is replaced by the chord to zero: less than 1e-7 of
+# white in coded values.
 _DARKEST = 1e-17
 FAST = {"contract", "nsz", "arcp"}
 
 
 class Planes(NamedTuple):
     """Whole-line planes and how they are read. steps : log2 of the chroma step (x, y)
-    cosited : chroma on the left/top luma sample;  chroma_size : columns, rows;  scale : y offset, y factor, chroma offset,
+    cosited : chroma on the left/top luma sample;  chroma_size : columns, rows;  scale : y
+    offset, y factor, chroma offset,
     chroma factor;  matrix : R from Cr, G from Cb, G from Cr, B from Cb"""
 
     y: np.ndarray
@@ -37,7 +41,8 @@ class Planes(NamedTuple):
 
 
 class Luma(NamedTuple):
-    """How changes are written. to_yuv : (3, 3) from R'G'B';  factor : stored steps per unit of luma;  low, high : legal stored
+    """How changes are written. to_yuv : (3, 3) from R'G'B';  factor : stored steps per unit
+    of luma;  low, high : legal stored
     values;  width : of the picture"""
 
     to_yuv: np.ndarray
@@ -48,8 +53,10 @@ class Luma(NamedTuple):
 
 
 class Chroma(NamedTuple):
-    """What is to be added to chroma. lines : (2, h, n) float32 Cb and Cr differences, -0.5..0.5, of a rectangle's columns
-    changed_columns : (h, 2) first of those columns that changes and the one behind the last"""
+    """What is to be added to chroma. lines : (2, h, n) float32 Cb and Cr differences,
+    -0.5..0.5, of a rectangle's columns
+    changed_columns : (h, 2) first of those columns that changes and the one behind the last
+    """
 
     lines: np.ndarray
     changed_columns: np.ndarray
@@ -63,7 +70,10 @@ def line_scratch(lines, width):
 
 @numba.njit(cache=True, nogil=True)
 def chroma_span(x0, x1, step, columns):
-    """First chroma column that luma columns x0 ... x1 - 1 may ask for, and the one behind the last."""
+    """First chroma column that luma columns x0 ...
+
+    x1 - 1 may ask for, and the one behind the last.
+    """
     return max((x0 >> step) - 1, 0), min(((x1 - 1) >> step) + 2, columns)
 
 
@@ -75,7 +85,11 @@ def coded_line(planes: Planes, row, x0, samples, cb, cr, coded):
     yo, yf, co, cf = scale
     w = cb.shape[0]
     c0, c1 = chroma_span(x0, x0 + w, sx, cw)
-    c = np.float32(row / (1 << sy)) if cosited[1] else np.float32((row + 0.5) / (1 << sy) - 0.5)
+    c = (
+        np.float32(row / (1 << sy))
+        if cosited[1]
+        else np.float32((row + 0.5) / (1 << sy) - 0.5)
+    )
     c = min(max(c, np.float32(0)), np.float32(ch - 1))
     r0 = np.int32(c)
     r1 = min(r0 + 1, ch - 1)
@@ -106,7 +120,10 @@ def _interpolate_rows(above, below, part, offset, factor, out):
 
 @line_kernel(fastmath=FAST)
 def _upsample(samples, c0, columns, step, cosited, x0, out):
-    """Chroma at the luma columns x0 ... of one line, linear between samples. samples : of the chroma columns from c0 on"""
+    """Chroma at the luma columns x0 ...
+
+    of one line, linear between samples. samples : of the chroma columns from c0 on
+    """
     n = out.shape[0]
     if step == 0:
         for k in range(n):
@@ -119,7 +136,11 @@ def _upsample(samples, c0, columns, step, cosited, x0, out):
         inner, stop = max(x0 + x0 % 2, 2), min(x0 + n, 2 * last)
         stop = inner + max(stop - inner, 0) // 2 * 2  # in pairs where both neighbours exist
         if stop > inner:
-            own, earlier, pairs = samples[inner // 2 - c0 :], samples[inner // 2 - c0 - 1 :], out[inner - x0 : stop - x0]
+            own, earlier, pairs = (
+                samples[inner // 2 - c0 :],
+                samples[inner // 2 - c0 - 1 :],
+                out[inner - x0 : stop - x0],
+            )
             for i in range((stop - inner) // 2):
                 a, b, c = earlier[i], own[i], own[i + 1]
                 pairs[2 * i] = b + before * (a - b)
@@ -153,10 +174,14 @@ def to_luma_and_chroma(diff, to_yuv, dy, d_cb, d_cr):
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 def add_steps(line, diff, factor, low, high):
-    """Adds diff (n,) x factor, rounded, to stored samples; legal ones stay legal, others go no further out."""
+    """Adds diff (n,) x factor, rounded, to stored samples; legal ones stay legal, others go
+    no further out.
+    """
     for k in range(diff.shape[0]):
         old = np.int32(line[k])
-        line[k] = min(max(old + np.int32(np.rint(diff[k] * factor)), min(old, low)), max(old, high))
+        line[k] = min(
+            max(old + np.int32(np.rint(diff[k] * factor)), min(old, low)), max(old, high)
+        )
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -164,7 +189,11 @@ def reduce_line(line, step, weights, out):
     """out[i] = weighted sum of the samples of `line` from i << step on."""
     if step == 1 and weights.shape[0] == 3:
         for i in range(out.shape[0]):
-            out[i] = weights[0] * line[2 * i] + weights[1] * line[2 * i + 1] + weights[2] * line[2 * i + 2]
+            out[i] = (
+                weights[0] * line[2 * i]
+                + weights[1] * line[2 * i + 1]
+                + weights[2] * line[2 * i + 2]
+            )
         return
     out[:] = 0
     for k in range(weights.shape[0]):
@@ -174,7 +203,9 @@ def reduce_line(line, step, weights, out):
 
 @numba.njit(cache=True, nogil=True)
 def taps(step, tent):
-    """Offsets from a chroma sample's first luma sample (from, to) and the weights of the luma samples there."""
+    """Offsets from a chroma sample's first luma sample (from, to) and the weights of the
+    luma samples there.
+    """
     n = 1 << step
     low = 1 - n if tent else 0
     weights = np.empty(n - low, np.float32)
@@ -185,7 +216,9 @@ def taps(step, tent):
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 def clipped_differences(before, after):
-    """after = after - before (n,), coded, with `after` kept between black and white or where `before` already lay beyond."""
+    """after = after - before (n,), coded, with `after` kept between black and white or
+    where `before` already lay beyond.
+    """
     zero, one = np.float32(0), np.float32(1)
     for k in range(before.shape[0]):
         b = before[k]
@@ -214,10 +247,21 @@ def encode_curve(transfer: Transfer) -> np.ndarray:
 
 @line_kernel(fastmath=FAST, error_model="numpy")
 def apply_curve(values, curve, base, mantissa, out):
-    """out[k] = the curve of values[k] (n,) float32, odd in the value; base, mantissa (n,) float32 : scratch.
-    curve : toe, factor of the line up to it, then what is added, factor, power, factor and what is taken off above it"""
+    """out[k] = the curve of values[k] (n,) float32, odd in the value; base, mantissa (n,)
+    float32 : scratch.
+    curve : toe, factor of the line up to it, then what is added, factor, power, factor and
+    what is taken off above it
+    """
     n = values.shape[0]
-    toe, line, add, scale, power, gain, minus = curve[0], curve[1], curve[2], curve[3], curve[4], curve[5], curve[6]
+    toe, line, add, scale, power, gain, minus = (
+        curve[0],
+        curve[1],
+        curve[2],
+        curve[3],
+        curve[4],
+        curve[5],
+        curve[6],
+    )
     for k in range(n):
         base[k] = max((abs(values[k]) + add) * scale, np.float32(1e-30))
     _power(base[:n], power, mantissa[:n], out)
@@ -230,7 +274,9 @@ def apply_curve(values, curve, base, mantissa, out):
 
 @line_kernel(fastmath=FAST, error_model="numpy")
 def power_of(values, power, base, mantissa, out):
-    """out[k] = values[k]^power (n,) float32 of values >= 0; base, mantissa (n,) float32 : scratch."""
+    """out[k] = values[k]^power (n,) float32 of values >= 0; base, mantissa (n,) float32 :
+    scratch.
+    """
     n = values.shape[0]
     for k in range(n):
         base[k] = max(values[k], np.float32(1e-30))
@@ -240,21 +286,33 @@ def power_of(values, power, base, mantissa, out):
 @line_kernel(fastmath=FAST, error_model="numpy")
 def _power(base, power, mantissa, out):
     """out = base^power (n,) of positive normal float32; `base` and `mantissa` are used up."""
-    one, middle, shift = np.float32(1), np.int32(0x3F3504F3), np.int32(23)  # the bits of sqrt(1/2)
+    one, middle, shift = (
+        np.float32(1),
+        np.int32(0x3F3504F3),
+        np.int32(23),
+    )  # the bits of sqrt(1/2)
     bits, inner = base.view(np.int32), mantissa.view(np.int32)
     for k in range(bits.shape[0]):
-        inner[k] = bits[k] - (((bits[k] - middle) >> shift) << shift)  # sqrt(1/2) .. sqrt(2)
+        inner[k] = bits[k] - (
+            ((bits[k] - middle) >> shift) << shift
+        )  # sqrt(1/2) .. sqrt(2)
     for k in range(bits.shape[0]):
         m = mantissa[k]
         z = (m - one) / (m + one)
         q = z * z
-        series = np.float32(0.577078016) + q * (np.float32(0.412198583) + q * np.float32(0.320598898))
-        series = z * (np.float32(2.885390082) + q * (np.float32(0.961796694) + q * series))  # log2 m
+        series = np.float32(0.577078016) + q * (
+            np.float32(0.412198583) + q * np.float32(0.320598898)
+        )
+        series = z * (
+            np.float32(2.885390082) + q * (np.float32(0.961796694) + q * series)
+        )  # log2 m
         x = power * (np.float32((bits[k] - middle) >> shift) + series)
         x = min(max(x, np.float32(-126)), np.float32(127))
         whole = np.int32(x + np.float32(128.5)) - np.int32(128)
         f = x - np.float32(whole)  # -0.5 .. 0.5
-        two = np.float32(0.00961812911) + f * (np.float32(0.00133335581) + f * np.float32(0.000154035304))
+        two = np.float32(0.00961812911) + f * (
+            np.float32(0.00133335581) + f * np.float32(0.000154035304)
+        )
         two = np.float32(0.240226507) + f * (np.float32(0.0555041087) + f * two)
         out[k] = one + f * (np.float32(0.693147181) + f * two)  # 2^f
         bits[k] = (whole + np.int32(127)) << shift

@@ -1,6 +1,7 @@
 """The files that a model is made of: only from its own folder, and every picture of a known kind.
 
-trimesh is given bytes and asks here for whatever they name: buffers, MTL files, textures."""
+trimesh is given bytes and asks here for whatever they name: buffers, MTL files, textures.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +19,17 @@ from urllib.parse import unquote
 from arfx.core.opener import read_bytes
 from arfx.errors import InputError
 
-# What Pillow may open: left to itself it also takes formats for which it starts other programs (EPS: Ghostscript).
+# What Pillow may open: left to itself it also takes formats for which it starts other
+# programs (EPS: Ghostscript).
 PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
 _pillow_lock = threading.RLock()
 
 
 class ModelFolder:
-    """Answers trimesh as one of its resolvers. files : all that was read;  left_out : by name, why it was not."""
+    """Answers trimesh as one of its resolvers.
+
+    files : all that was read;  left_out : by name, why it was not.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -32,11 +37,16 @@ class ModelFolder:
         self.folder = path.absolute().parent.resolve()
         self.files: list[Path] = [path]
         self.left_out: dict[str, str] = {}
-        self.memory: dict[str, bytes] = {}  # by name, what was made from the file and is in none
+        self.memory: dict[
+            str, bytes
+        ] = {}  # by name, what was made from the file and is in none
         self._names: dict[Path, dict[str, str]] = {}
 
     def get(self, name: str) -> bytes:
-        """The file that a model calls `name`. Raises InputError: not in the folder, not a regular file, too large."""
+        """The file that a model calls `name`.
+
+        Raises InputError: not in the folder, not a regular file, too large.
+        """
         if name in self.memory:
             return self.memory[name]
         try:
@@ -52,33 +62,51 @@ class ModelFolder:
     __getitem__ = get
 
     def find(self, name: str) -> Path:
-        """Exporters write names with %20, in quotation marks, in other case, with umlauts composed or not, and paths of the
-        machine that they ran on: the file may lie beside the model. Raises InputError."""
+        """Exporters write names with %20, in quotation marks, in other case, with umlauts
+        composed or not, and paths of the machine that they ran on: the file may lie beside
+        the model. Raises InputError."""
         name = name.strip()
         plain = name.strip("\"'")
         bare = re.split(r"[/\\]", unquote(plain))[-1]
-        candidates = dict.fromkeys((name, plain, unquote(plain), plain.replace("\\", "/"), bare))
+        candidates = dict.fromkeys(
+            (name, plain, unquote(plain), plain.replace("\\", "/"), bare)
+        )
         outside = False
         for candidate in candidates:
             with contextlib.suppress(OSError, ValueError):  # too long, a NUL in it
                 place = Path(os.path.normpath(self.folder / candidate))
-                if not place.is_relative_to(self.folder):  # not even looked for: the system may ask another machine (//host/x)
+                if not place.is_relative_to(
+                    self.folder
+                ):  # not even looked for: the system may ask another machine (//host/x)
                     outside = True
-                elif (real := self._alike(place).resolve()).exists() and real != self.folder:
+                elif (
+                    real := self._alike(place).resolve()
+                ).exists() and real != self.folder:
                     if real.is_relative_to(self.folder):
                         return real
                     outside = True
         shown = name if len(name) < 200 else f"{name[:200]}…"
         if outside:
-            raise InputError(f"{shown}, which lies outside its folder {self.folder}", "put it into the model's folder")
-        raise InputError(f"{shown}, which is not in its folder {self.folder}", "put it there")
+            raise InputError(
+                f"{shown}, which lies outside its folder {self.folder}",
+                "put it into the model's folder",
+            )
+        raise InputError(
+            f"{shown}, which is not in its folder {self.folder}", "put it there"
+        )
 
     def _alike(self, place: Path) -> Path:
-        """The same path; under the names that are on the disk, where they differ in case or in how umlauts are written."""
+        """The same path; under the names that are on the disk, where they differ in case or
+        in how umlauts are written.
+        """
         at = self.folder
         for part in place.relative_to(self.folder).parts:
             if at not in self._names:
-                on_disk = sorted(os.listdir(at)) if at.resolve().is_relative_to(self.folder) and at.is_dir() else []  # noqa: PTH208
+                on_disk = (
+                    sorted(os.listdir(at))  # noqa: PTH208
+                    if at.resolve().is_relative_to(self.folder) and at.is_dir()
+                    else []
+                )
                 self._names[at] = {_folded(n): n for n in on_disk} | {n: n for n in on_disk}
             at /= self._names[at].get(part) or self._names[at].get(_folded(part), part)
         return at
@@ -90,7 +118,8 @@ def _folded(name: str) -> str:
 
 @contextlib.contextmanager
 def restrict_pillow(refused: list[str]) -> Iterator[None]:
-    """While it lasts Pillow opens PICTURES alone, for whoever calls it; trimesh has no option for it.
+    """While it lasts Pillow opens PICTURES alone, for whoever calls it; trimesh has no
+    option for it.
     refused : gets the reason of each picture that could not be opened"""
     from PIL import Image
 
@@ -98,7 +127,9 @@ def restrict_pillow(refused: list[str]) -> Iterator[None]:
         try:
             return given(source, mode, formats=PICTURES if formats is None else formats)
         except Image.UnidentifiedImageError:
-            refused.append("not a " + ", ".join(PICTURES[:-1]) + f" or {PICTURES[-1]} picture")
+            refused.append(
+                "not a " + ", ".join(PICTURES[:-1]) + f" or {PICTURES[-1]} picture"
+            )
             raise
         except Exception as e:
             refused.append(str(e))

@@ -11,7 +11,10 @@ from arfx.errors import InputError
 MAX_FACES = 5_000_000
 # Mesh instances: each is a part with a transform of its own, a hundred parts take a second.
 MAX_PARTS = 10_000
-_FACES_OF = {"ply": rb"\belement\s+face\s+(\d+)", "off": rb"OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d+)"}
+_FACES_OF = {
+    "ply": rb"\belement\s+face\s+(\d+)",
+    "off": rb"OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d+)",
+}
 
 
 def check_size(data: bytes, kind: str, path: Path) -> None:
@@ -22,13 +25,18 @@ def check_size(data: bytes, kind: str, path: Path) -> None:
 def check_faces(count: int, path: Path) -> None:
     """Raises InputError."""
     if count > MAX_FACES:
-        raise InputError(f"model {path} has {count} faces", f"at most {MAX_FACES}: simplify it first")
+        raise InputError(
+            f"model {path} has {count} faces", f"at most {MAX_FACES}: simplify it first"
+        )
 
 
 def check_parts(count: int, path: Path) -> None:
     """Raises InputError."""
     if count > MAX_PARTS:
-        raise InputError(f"model {path} has {count} parts or materials", f"at most {MAX_PARTS}: join them first")
+        raise InputError(
+            f"model {path} has {count} parts or materials",
+            f"at most {MAX_PARTS}: join them first",
+        )
 
 
 def _faces(data: bytes, kind: str) -> int:

@@ -15,7 +15,9 @@ from arfx.errors import InputError
 from arfx.media.model_files import PICTURES
 
 _BRIGHTEST = 1e6  # emission, where white paper in full light is 1
-MAX_TEXELS = 8192**2 + 2 * 4096**2  # of a model together: 20 bytes each while it is drawn, 2 GB
+MAX_TEXELS = (
+    8192**2 + 2 * 4096**2
+)  # of a model together: 20 bytes each while it is drawn, 2 GB
 # An 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse.
 MAX_TEXTURE_PX = 8192
 
@@ -68,7 +70,10 @@ class Textures:
         if id(image) not in self._arrays:
             self._check_size(*image.size)
             try:
-                self._arrays[id(image)] = image, np.asarray(_in_8_bits(image).convert("RGBA"))
+                self._arrays[id(image)] = (
+                    image,
+                    np.asarray(_in_8_bits(image).convert("RGBA")),
+                )
             except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
                 what = f"cannot decode a texture ({e})"
                 hint = "the image is damaged or cut short"
@@ -119,7 +124,9 @@ def resized(picture: np.ndarray, wide: int, high: int) -> np.ndarray:
 
 def check_material(material: Material, path: Path) -> Material:
     """The same. Raises InputError: one of its numbers is out of range."""
-    numbers = [np.ravel(x) for x in vars(material).values() if isinstance(x, (float, tuple))]
+    numbers = [
+        np.ravel(x) for x in vars(material).values() if isinstance(x, (float, tuple))
+    ]
     numbers += [t.picture_from_uv.ravel() for t in material.textures.values()]
     check_numbers(material.name, np.concatenate(numbers), path)
     return material
@@ -128,5 +135,7 @@ def check_material(material: Material, path: Path) -> Material:
 def check_numbers(name: str, numbers: Any, path: Path) -> None:
     """name : of the material. Raises InputError."""
     if not (np.abs(numbers) <= _BRIGHTEST).all():
-        what = f"material {name!r} holds numbers that are not finite, or above {_BRIGHTEST:g}"
+        what = (
+            f"material {name!r} holds numbers that are not finite, or above {_BRIGHTEST:g}"
+        )
         raise InputError(f"model {path}: {what}", "export it again")

@@ -1,7 +1,8 @@
 """Vertex normals for files that bring none: smooth across flat edges, sharp across the others.
 
 Linear in the number of faces: corners that share a vertex are joined across each flat edge, and
-every joined group gets one normal, weighted by corner angle (Thuermer and Wuethrich 1998)."""
+every joined group gets one normal, weighted by corner angle (Thuermer and Wuethrich 1998).
+"""
 
 from __future__ import annotations
 
@@ -102,7 +103,8 @@ def split_corners(
     """Vertices of which each belongs to one group of corners alone.
 
     faces : (m, 3) int;  group : (3 m,) int
-    Returns faces (m, 3) over new vertices, and of each the old vertex and the group, (k,) both."""
+    Returns faces (m, 3) over new vertices, and of each the old vertex and the group, (k,) both.
+    """
     old = faces.ravel()
     first, new = same_rows(np.stack([group, old], 1))
     return new.reshape(-1, 3), old[first], group[first]

@@ -90,7 +90,10 @@ def part_of(
         rows["tangents"] = np.column_stack([along, side * np.sign(rows["tangents"][:, 3])])
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3).astype(np.int32)
-    return with_tangents(Part(faces=faces, material=material, **_of_vertices(rows, used))), lost
+    return (
+        with_tangents(Part(faces=faces, material=material, **_of_vertices(rows, used))),
+        lost,
+    )
 
 
 def _check(mesh: FileMesh, model_from_mesh: np.ndarray, path: Path) -> None:

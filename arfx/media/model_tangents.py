@@ -48,7 +48,8 @@ def corner_tangents(
 ) -> np.ndarray:
     """(3 m, 4) of the corners of faces (m, 3), as of core.model.Part.
 
-    vertices : (n, 3);  normals : (n, 3) unit;  uv : (n, 2) on the normal texture, v = 0 on top"""
+    vertices : (n, 3);  normals : (n, 3) unit;  uv : (n, 2) on the normal texture, v = 0 on top
+    """
     p, n = vertices[faces], normals[faces]
     t = uv[faces] * (1, -1)  # v upwards, as the sign of a tangent counts it
     u1, v1 = (t[:, 1] - t[:, 0]).T

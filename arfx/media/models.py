@@ -155,6 +155,9 @@ def _check_extent(model: Model) -> None:
     low, high = model.bounds
     extent, furthest = float((high - low).max()), float(np.abs(model.bounds).max())
     if not extent > 0 or extent > MAX_EXTENT or furthest > MAX_EXTENT:
-        hint = f"an extent above 0 and coordinates below {MAX_EXTENT:g}; look for stray vertices"
+        hint = (
+            f"an extent above 0 and coordinates below {MAX_EXTENT:g}; look for stray"
+            " vertices"
+        )
         what = f"spans {extent:g} units up to coordinate {furthest:g}"
         raise InputError(f"model {model.source} {what}", hint)

@@ -17,10 +17,18 @@ from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
 from arfx.errors import InputError
 from arfx.media.model_files import ModelFolder
-from arfx.media.model_materials import Textures, check_material, check_numbers, resized, unit
+from arfx.media.model_materials import (
+    Textures,
+    check_material,
+    check_numbers,
+    resized,
+    unit,
+)
 
 # Options of maps and how many values they take at most; those that are read, or change nothing.
-_OPTIONS = dict.fromkeys(("-clamp", "-imfchan", "-cc", "-bm", "-boost", "-blendu", "-blendv"), 1)
+_OPTIONS = dict.fromkeys(
+    ("-clamp", "-imfchan", "-cc", "-bm", "-boost", "-blendu", "-blendv"), 1
+)
 _OPTIONS |= {"-texres": 1, "-type": 1, "-s": 3, "-o": 3, "-t": 3, "-mm": 2}
 _READ = ("-s", "-o", "-clamp", "-bm", "-boost", "-blendu", "-blendv", "-texres", "-type")
 _MAPS = ("map_kd", "map_ke", "map_pr", "map_pm", "norm", "map_bump", "bump")

@@ -67,7 +67,9 @@ def read_obj(file: ModelFile) -> ObjFile:
     files = dict.fromkeys(name for line in lists for name in _files(line, folder))
     lines, missing = _lines_of_materials(used, files, folder)
     if missing and not folder.left_out:
-        names = ", ".join(name[:60] for name in missing[:5]) + (", …" if len(missing) > 5 else "")
+        names = ", ".join(name[:60] for name in missing[:5]) + (
+            ", …" if len(missing) > 5 else ""
+        )
         notices.append(f"no MTL file describes {len(missing)} of its materials: {names}")
     made = MtlMaterials(folder, file.textures)
     materials = {name: made.material(name, rows) for name, rows in lines.items()}

@@ -1,4 +1,6 @@
-"""Everything about the output file that is decided before rendering: codec, container, pixel format, tags."""
+"""Everything about the output file that is decided before rendering: codec, container,
+pixel format, tags.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,30 @@ import av
 from arfx.core.codec import Document
 from arfx.errors import ConfigError, InputError
 from arfx.media.clip import PHOTO, UNSPECIFIED, ClipInfo, ffmpeg_command
-from arfx.media.codecs import CODECS, CONTAINER_SUFFIX, SUFFIX_CONTAINER, Codec, nearest_format, open_encoder, supported_codecs
+from arfx.media.codecs import (
+    CODECS,
+    CONTAINER_SUFFIX,
+    SUFFIX_CONTAINER,
+    Codec,
+    nearest_format,
+    open_encoder,
+    supported_codecs,
+)
 from arfx.media.photos import WRITTEN
 from arfx.media.planes import layout_named
 
 MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
 _DEFAULT_CODEC = {"mp4": "h264", "mov": "h264", "matroska": "h264", "webm": "av1"}
-_PATTERN = re.compile(r"((?:[^%]|%%)*)%0?\d{0,2}d((?:[^%]|%%)*)")  # one number of at most 99 digits
-_ALIASES = {"hevc": "h265", "avc": "h264", "x264": "h264", "x265": "h265", "prores4444": "prores"}
+_PATTERN = re.compile(
+    r"((?:[^%]|%%)*)%0?\d{0,2}d((?:[^%]|%%)*)"
+)  # one number of at most 99 digits
+_ALIASES = {
+    "hevc": "h265",
+    "avc": "h264",
+    "x264": "h264",
+    "x265": "h265",
+    "prores4444": "prores",
+}
 
 
 @dataclass(frozen=True)
@@ -37,7 +55,8 @@ class OutputSettings:
 
 @dataclass(frozen=True)
 class OutputPlan(Document):
-    """What will be written. container : FFmpeg's muxer, "" for an image sequence, PHOTO for one picture
+    """What will be written. container : FFmpeg's muxer, "" for an image sequence, PHOTO for
+    one picture
     options : the encoder's, in order
     matrix, full_range : of the written samples;  *_tag : as written into the file (ITU-T H.273)
     streams : indices of the source's further streams that are copied"""
@@ -63,10 +82,13 @@ class OutputPlan(Document):
         return self.container == ""
 
 
-def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = None) -> OutputPlan:
+def plan_output(
+    info: ClipInfo, path: Path, settings: OutputSettings | None = None
+) -> OutputPlan:
     """Decides how a clip is written to `path`.
-    Raises ConfigError: unknown extension, codec or pixel format; a container that cannot hold the codec, or the clip's
-    audio (the message names the ones that can); a picture size that the codec has no pixel format for.
+    Raises ConfigError: unknown extension, codec or pixel format; a container that cannot
+    hold the codec, or the clip's audio (the message names the ones that can); a picture
+    size that the codec has no pixel format for.
     InputError: an interlaced clip, for a codec without fields."""
     path, settings = Path(path), settings or OutputSettings()
     container, codec = _choose(path, settings)
@@ -74,24 +96,44 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
         return _plan_sequence(info, path, codec, settings)
     if container == PHOTO:
         if info.container != PHOTO:
-            hint = "out.mp4, or images with a number in its name, for example frames/%06d.png"
+            hint = (
+                "out.mp4, or images with a number in its name, for example frames/%06d.png"
+            )
             raise ConfigError(f"{path} is one picture, {info.path} is a clip", hint)
         fmt = _pixel_format(info, codec, settings, [])
-        return OutputPlan(path, codec.name, PHOTO, fmt, _options(codec, OutputSettings()), codec.threads, info.matrix, True)
+        return OutputPlan(
+            path,
+            codec.name,
+            PHOTO,
+            fmt,
+            _options(codec, OutputSettings()),
+            codec.threads,
+            info.matrix,
+            True,
+        )
     if container not in codec.containers:
         hint = "one of " + ", ".join(CONTAINER_SUFFIX[c] for c in codec.containers)
         raise ConfigError(f"{path}: a {path.suffix} file cannot hold {codec.name}", hint)
     if info.fields and not codec.fields:
-        hint = f"--codec h264 in another file than .webm, or first: {ffmpeg_command(info.path, 'bwdif', 'progressive')}"
-        raise InputError(f"{info.path} is interlaced, which {codec.name} files cannot say", hint)
+        hint = (
+            "--codec h264 in another file than .webm, or first:"
+            f" {ffmpeg_command(info.path, 'bwdif', 'progressive')}"
+        )
+        raise InputError(
+            f"{info.path} is interlaced, which {codec.name} files cannot say", hint
+        )
     notices: list[str] = []
     streams = _further_streams(info, container, codec, path, notices)
     fmt = _pixel_format(info, codec, settings, notices)
     target = layout_named(fmt)
     assert target is not None
-    full = target.kind == "rgb" or (info.full_range and (info.layout.kind != "rgb") and codec.full_range)
+    full = target.kind == "rgb" or (
+        info.full_range and (info.layout.kind != "rgb") and codec.full_range
+    )
     if info.full_range and info.layout.kind != "rgb" and not full:
-        notices.append(f"{codec.name} files are limited range: the full-range source is converted")
+        notices.append(
+            f"{codec.name} files are limited range: the full-range source is converted"
+        )
     matrix, matrix_tag, range_tag = info.matrix, info.matrix_tag, info.range_tag
     if info.layout.kind == "rgb" and target.kind != "rgb":
         matrix, matrix_tag, range_tag = "bt709", 1, 1
@@ -101,17 +143,35 @@ def plan_output(info: ClipInfo, path: Path, settings: OutputSettings | None = No
     elif full and target.kind == "yuv":
         range_tag = 2
     if codec.name == "prores" and matrix_tag == UNSPECIFIED:
-        matrix_tag = {"bt709": 1, "bt601": 6}[matrix]  # its bitstream always names one: then the one that was used
+        matrix_tag = {"bt709": 1, "bt601": 6}[
+            matrix
+        ]  # its bitstream always names one: then the one that was used
     if counts := {"matroska": "Matroska", "webm": "WebM"}.get(container):
-        notices.append(f"{counts} counts time in milliseconds: frame times are rounded to 1 ms")
+        notices.append(
+            f"{counts} counts time in milliseconds: frame times are rounded to 1 ms"
+        )
     return OutputPlan(
-        path, codec.name, container, fmt, _options(codec, settings), codec.threads, matrix, full, matrix_tag, range_tag,
-        info.transfer_tag, info.primaries_tag, streams, tuple(notices),
-    )  # fmt: skip
+        path,
+        codec.name,
+        container,
+        fmt,
+        _options(codec, settings),
+        codec.threads,
+        matrix,
+        full,
+        matrix_tag,
+        range_tag,
+        info.transfer_tag,
+        info.primaries_tag,
+        streams,
+        tuple(notices),
+    )
 
 
 def check_format(path: Path, settings: OutputSettings) -> None:
-    """Raises ConfigError for an extension or a codec that does not exist, or images without a number in their names."""
+    """Raises ConfigError for an extension or a codec that does not exist, or images without
+    a number in their names.
+    """
     _choose(path, settings)
 
 
@@ -120,23 +180,44 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
     name = settings.codec.lower() if settings.codec else None
     name = _ALIASES.get(name, name) if name else None
     if name is not None and name not in CODECS:
-        raise ConfigError(f"unknown codec {settings.codec!r}", "one of " + ", ".join(CODECS))
+        raise ConfigError(
+            f"unknown codec {settings.codec!r}", "one of " + ", ".join(CODECS)
+        )
     if suffix in WRITTEN and not names_sequence(path):
-        if given := next((o for o in ("codec", "crf", "preset") if getattr(settings, o) is not None), None):
-            raise ConfigError(f"{path}: one picture has no setting {given!r}", "leave it out")
+        if given := next(
+            (o for o in ("codec", "crf", "preset") if getattr(settings, o) is not None),
+            None,
+        ):
+            raise ConfigError(
+                f"{path}: one picture has no setting {given!r}", "leave it out"
+            )
         return PHOTO, CODECS["ffv1"]
     if names_sequence(path) or (name is not None and CODECS[name].sequence):
         kind = name or suffix[1:]
         if kind in CODECS and not CODECS[kind].sequence:
-            raise ConfigError(f"{path}: codec {kind} makes no images", f"--codec {suffix[1:]}, or a video: out.mkv")
+            raise ConfigError(
+                f"{path}: codec {kind} makes no images",
+                f"--codec {suffix[1:]}, or a video: out.mkv",
+            )
         if suffix != f".{kind}":
-            raise ConfigError(f"{path}: codec {kind} writes images named *.{kind}", f"for example frames/%06d.{kind}")
+            raise ConfigError(
+                f"{path}: codec {kind} writes images named *.{kind}",
+                f"for example frames/%06d.{kind}",
+            )
         if not _PATTERN.fullmatch(path.name):
-            raise ConfigError(f"{path}: an image sequence needs one number in its name", f"for example frames/%06d{suffix}")
+            raise ConfigError(
+                f"{path}: an image sequence needs one number in its name",
+                f"for example frames/%06d{suffix}",
+            )
         return "", CODECS[kind]
     if suffix not in SUFFIX_CONTAINER:
-        hint = "one of .mp4, .mkv, .mov, .webm, or images as frames/%06d.png or frames/%06d.exr"
-        raise ConfigError(f"{path}: unknown output format {suffix or '(no extension)'!r}", hint)
+        hint = (
+            "one of .mp4, .mkv, .mov, .webm, or images as frames/%06d.png or"
+            " frames/%06d.exr"
+        )
+        raise ConfigError(
+            f"{path}: unknown output format {suffix or '(no extension)'!r}", hint
+        )
     container = SUFFIX_CONTAINER[suffix]
     return container, CODECS[name or _DEFAULT_CODEC[container]]
 
@@ -148,7 +229,10 @@ def names_sequence(path: Path) -> bool:
 
 
 def image_names(pattern: str) -> Callable[[str], bool]:
-    """Whether a file name is one that the pattern makes of some frame number. a.png is A.PNG: many disks tell no cases apart."""
+    """Whether a file name is one that the pattern makes of some frame number.
+
+    a.png is A.PNG: many disks tell no cases apart.
+    """
     around = _PATTERN.fullmatch(pattern)
     assert around is not None
     head, tail = (re.escape(text.replace("%%", "%")) for text in around.groups())
@@ -156,7 +240,11 @@ def image_names(pattern: str) -> Callable[[str], bool]:
 
     def named(name: str) -> bool:
         found = number.fullmatch(name)
-        return found is not None and len(found[1]) < 100 and (pattern % int(found[1])).lower() == name.lower()
+        return (
+            found is not None
+            and len(found[1]) < 100
+            and (pattern % int(found[1])).lower() == name.lower()
+        )
 
     return named
 
@@ -171,16 +259,29 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
             value = default if asked is None else asked
             options[what] = f"{value:g}" if what == "crf" else str(value)
     if crf is not None and not 0 <= crf <= 63:
-        raise ConfigError(f"crf must be within 0 and 63, is {crf:g}", "18 is nearly transparent, 28 is small")
+        raise ConfigError(
+            f"crf must be within 0 and 63, is {crf:g}",
+            "18 is nearly transparent, 28 is small",
+        )
     if preset is not None:  # the encoder alone knows its presets
         ctx: Any = av.CodecContext.create(codec.encoder, "w")
-        ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = 64, 64, codec.formats[0], Fraction(1, 25)
+        ctx.width, ctx.height, ctx.pix_fmt, ctx.time_base = (
+            64,
+            64,
+            codec.formats[0],
+            Fraction(1, 25),
+        )
         ctx.options = dict(options)
         try:
             open_encoder(ctx)
         except (av.error.FFmpegError, ValueError):
-            usual = f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}` lists them"
-            raise ConfigError(f"{codec.encoder} does not take preset {preset!r}", usual) from None
+            usual = (
+                f"{codec.preset} is the usual one; `ffmpeg -h encoder={codec.encoder}`"
+                " lists them"
+            )
+            raise ConfigError(
+                f"{codec.encoder} does not take preset {preset!r}", usual
+            ) from None
     return tuple(sorted(options.items()))
 
 
@@ -189,21 +290,31 @@ def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> No
     longest = max((b - a for a, b in itertools.pairwise(pts)), default=0)
     if plan.container in ("mp4", "mov") and longest > MAX_TICKS:
         days = float(longest * time_base) / 86400
-        message = f"{plan.path}: a frame of the clip is shown for {days:.3g} days, longer than {plan.path.suffix} files can say"
+        message = (
+            f"{plan.path}: a frame of the clip is shown for {days:.3g} days, longer than"
+            f" {plan.path.suffix} files can say"
+        )
         raise ConfigError(message, "-o out.mkv, or only a part with --start and --end")
 
 
-def _pixel_format(info: ClipInfo, codec: Codec, settings: OutputSettings, notices: list[str]) -> str:
+def _pixel_format(
+    info: ClipInfo, codec: Codec, settings: OutputSettings, notices: list[str]
+) -> str:
     formats, source = codec.formats, info.layout
     odd = (info.coded_width % 2 == 1, info.coded_height % 2 == 1)
     refuses_odd = not codec.lossless
     if asked := settings.pixel_format:
         held = layout_named(asked)
         if held is None or held.plain_name not in formats:
-            raise ConfigError(f"codec {codec.name} cannot write pixel format {asked!r}", "one of " + ", ".join(formats))
+            raise ConfigError(
+                f"codec {codec.name} cannot write pixel format {asked!r}",
+                "one of " + ", ".join(formats),
+            )
         if refuses_odd and ((odd[0] and held.sub_x) or (odd[1] and held.sub_y)):
             raise ConfigError(
-                f"pixel format {asked} needs even sizes, the clip is {info.coded_width}x{info.coded_height}", "use yuv444p"
+                f"pixel format {asked} needs even sizes, the clip is"
+                f" {info.coded_width}x{info.coded_height}",
+                "use yuv444p",
             )
         return held.plain_name
     if source.alpha:
@@ -211,45 +322,97 @@ def _pixel_format(info: ClipInfo, codec: Codec, settings: OutputSettings, notice
     fmt = nearest_format(source, formats, odd, refuses_odd)
     size = f"{info.coded_width}x{info.coded_height}"
     if fmt is None:
-        able = [n for n, c in CODECS.items() if c.containers and nearest_format(source, c.formats, odd, not c.lossless)]
-        raise ConfigError(f"codec {codec.name} cannot write the odd picture size {size}", f"one of {', '.join(able)}")
+        able = [
+            n
+            for n, c in CODECS.items()
+            if c.containers and nearest_format(source, c.formats, odd, not c.lossless)
+        ]
+        raise ConfigError(
+            f"codec {codec.name} cannot write the odd picture size {size}",
+            f"one of {', '.join(able)}",
+        )
     target = layout_named(fmt)
     assert target is not None
-    if target.kind == "yuv" and source.kind == "yuv" and (target.sub_x, target.sub_y) != (source.sub_x, source.sub_y):
+    if (
+        target.kind == "yuv"
+        and source.kind == "yuv"
+        and (target.sub_x, target.sub_y) != (source.sub_x, source.sub_y)
+    ):
         too_odd = any(odd) and target.subsampling == "444"
-        why = "the picture size is odd" if too_odd else f"{codec.name} has no {source.subsampling}"
-        notices.append(f"chroma is written as 4:{target.subsampling[1]}:{target.subsampling[2]}: {why}")
+        why = (
+            "the picture size is odd"
+            if too_odd
+            else f"{codec.name} has no {source.subsampling}"
+        )
+        notices.append(
+            f"chroma is written as 4:{target.subsampling[1]}:{target.subsampling[2]}: {why}"
+        )
     if target.depth < source.depth:
-        notices.append(f"{source.depth}-bit samples are written with {target.depth} bits: {codec.name} has no more")
+        notices.append(
+            f"{source.depth}-bit samples are written with {target.depth} bits: {codec.name}"
+            " has no more"
+        )
     return fmt
 
 
-def _further_streams(info: ClipInfo, container: str, codec: Codec, path: Path, notices: list[str]) -> tuple[int, ...]:
+def _further_streams(
+    info: ClipInfo, container: str, codec: Codec, path: Path, notices: list[str]
+) -> tuple[int, ...]:
     kept = []
     for s in info.streams:
         if s.used:
             continue
         if s.broken:
-            notices.append(f"stream {s} is left out: it is damaged, its sample rate is not known")
-        elif s.codec in supported_codecs(container) and s.kind in ("audio", "video", "subtitle") and not s.picture:
+            notices.append(
+                f"stream {s} is left out: it is damaged, its sample rate is not known"
+            )
+        elif (
+            s.codec in supported_codecs(container)
+            and s.kind in ("audio", "video", "subtitle")
+            and not s.picture
+        ):
             kept.append(s.index)
         elif s.kind == "audio":
             sound = {a.codec for a in info.audio if not a.broken}
-            able = [CONTAINER_SUFFIX[c] for c in codec.containers if sound <= supported_codecs(c)]
-            hint = f"use {' or '.join(able)}" if able else f"no container of {codec.name} can; use another codec, or .mkv"
-            raise ConfigError(f"{path}: a {path.suffix} file cannot hold the clip's audio ({s.codec})", hint)
+            able = [
+                CONTAINER_SUFFIX[c]
+                for c in codec.containers
+                if sound <= supported_codecs(c)
+            ]
+            hint = (
+                f"use {' or '.join(able)}"
+                if able
+                else f"no container of {codec.name} can; use another codec, or .mkv"
+            )
+            raise ConfigError(
+                f"{path}: a {path.suffix} file cannot hold the clip's audio ({s.codec})",
+                hint,
+            )
         else:
-            notices.append(f"stream {s} is left out: {'a cover picture' if s.picture else path.suffix + ' files cannot hold it'}")
+            notices.append(
+                f"stream {s} is left out:"
+                f" {'a cover picture' if s.picture else path.suffix + ' files cannot hold it'}"
+            )
     return tuple(kept)
 
 
-def _plan_sequence(info: ClipInfo, path: Path, codec: Codec, settings: OutputSettings) -> OutputPlan:
-    if settings.crf is not None or settings.preset is not None or settings.pixel_format is not None:
-        raise ConfigError(f"{codec.name} images take no crf, preset or pixel format", "leave them out")
+def _plan_sequence(
+    info: ClipInfo, path: Path, codec: Codec, settings: OutputSettings
+) -> OutputPlan:
+    if (
+        settings.crf is not None
+        or settings.preset is not None
+        or settings.pixel_format is not None
+    ):
+        raise ConfigError(
+            f"{codec.name} images take no crf, preset or pixel format", "leave them out"
+        )
     deep = info.bit_depth > 8
     fmt = "gbrpf32le" if codec.name == "exr" else ("rgb48be" if deep else "rgb24")
     notices = ["frame times are written to times.txt beside the images"]
     others = [str(s) for s in info.streams if not s.used]
     if others:
         notices.append(f"images hold no further streams; left out: {', '.join(others)}")
-    return OutputPlan(path, codec.name, "", fmt, (), 1, info.matrix, True, notices=tuple(notices))
+    return OutputPlan(
+        path, codec.name, "", fmt, (), 1, info.matrix, True, notices=tuple(notices)
+    )

@@ -1,4 +1,6 @@
-"""A photo as a clip of one frame: read by its content, written with the colour profile and EXIF of the one it was made of."""
+"""A photo as a clip of one frame: read by its content, written with the colour profile and
+EXIF of the one it was made of.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +21,22 @@ from arfx.media.images import HEIF, decode_picture, open_heif
 WRITTEN = (".png", ".jpg", ".jpeg")  # endings of one picture as an output
 _SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
 _ORIENTATION = 0x0112  # EXIF's tag
-_TIFF_STORAGE = {*range(254, 267), 273, *range(277, 282), 284, *range(317, 350), 34675}  # how a TIFF holds its pixels
+_TIFF_STORAGE = {
+    *range(254, 267),
+    273,
+    *range(277, 282),
+    284,
+    *range(317, 350),
+    34675,
+}  # how a TIFF holds its pixels
 _IHDR_END = 33  # bytes of a PNG up to the end of its first chunk
 _JPEG_QUALITY = 95
 
 
 def is_photo(path: Path) -> bool:
-    """Whether a file is a JPEG, PNG, TIFF, WebP or HEIC picture; animated ones are videos, and no photos."""
+    """Whether a file is a JPEG, PNG, TIFF, WebP or HEIC picture; animated ones are videos,
+    and no photos.
+    """
     with path.open("rb") as f:
         head = f.read(4096)
     webp = head[8:12] == b"WEBP" and b"ANIM" not in head
@@ -34,18 +45,25 @@ def is_photo(path: Path) -> bool:
 
 
 def open_photo(path: Path) -> Any:
-    """A container in memory that holds the upright photo as its only frame, of 8 or 16 bits. Raises InputError."""
+    """A container in memory that holds the upright photo as its only frame, of 8 or 16 bits.
+
+    Raises InputError.
+    """
     import cv2
 
     bgr = decode_picture(path, "picture", cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if bgr.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"photo {path} holds {bgr.dtype} samples", "save it with 8 or 16 bits")
+        raise InputError(
+            f"photo {path} holds {bgr.dtype} samples", "save it with 8 or 16 bits"
+        )
     held = io.BytesIO()
     with av.open(held, "w", format="nut") as out:
         stream: Any = out.add_stream("rawvideo", rate=1)
         stream.height, stream.width = bgr.shape[:2]
         stream.pix_fmt = "gbrp" if bgr.dtype == np.uint8 else "gbrp16le"
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(bgr[..., ::-1]), format=stream.pix_fmt)
+        frame = av.VideoFrame.from_ndarray(
+            np.ascontiguousarray(bgr[..., ::-1]), format=stream.pix_fmt
+        )
         frame.pts, frame.time_base = 0, Fraction(1)
         out.mux([*stream.encode(frame), *stream.encode(None)])
     held.seek(0)
@@ -55,7 +73,8 @@ def open_photo(path: Path) -> Any:
 def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
     """The only frame of a chunk as a picture. Raises OSError, av.error.FFmpegError.
 
-    source : the photo whose colour profile and EXIF it gets;  suffix : of the kind, one of WRITTEN"""
+    source : the photo whose colour profile and EXIF it gets;  suffix : of the kind, one of WRITTEN
+    """
     from PIL import Image
 
     with av.open(ffmpeg_url(chunk)) as container:
@@ -67,16 +86,29 @@ def write_photo(part: Path, chunk: Path, source: Path, suffix: str) -> None:
         part.write_bytes(_png(rgb, profile, exif.removeprefix(b"Exif\0\0")))
         return
     picture = Image.fromarray(rgb)
-    picture.save(part, "JPEG", quality=_JPEG_QUALITY, subsampling=0, icc_profile=profile or None, exif=exif)
+    picture.save(
+        part,
+        "JPEG",
+        quality=_JPEG_QUALITY,
+        subsampling=0,
+        icc_profile=profile or None,
+        exif=exif,
+    )
 
 
 def _origin(source: Path) -> tuple[bytes, bytes]:
-    """Colour profile and EXIF of a photo that is upright now, empty where it has none, or is damaged there."""
+    """Colour profile and EXIF of a photo that is upright now, empty where it has none, or
+    is damaged there.
+    """
     from PIL import Image
 
     try:
         data = read_bytes(source, "picture")
-        with open_heif(data, source, "photo") if data[8:12] in HEIF else Image.open(io.BytesIO(data)) as picture:
+        with (
+            open_heif(data, source, "photo")
+            if data[8:12] in HEIF
+            else Image.open(io.BytesIO(data))
+        ) as picture:
             exif = picture.getexif()
             if _ORIENTATION in exif:
                 exif[_ORIENTATION] = 1
@@ -101,4 +133,9 @@ def _png(rgb: np.ndarray, profile: bytes, exif: bytes) -> bytes:
 
 
 def _png_chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    return (
+        struct.pack(">I", len(content))
+        + kind
+        + content
+        + struct.pack(">I", zlib.crc32(kind + content))
+    )

@@ -1,7 +1,9 @@
-"""Stored pixels: which formats are worked on directly, views of a picture's planes, and how they lie when shown upright.
+"""Stored pixels: which formats are worked on directly, views of a picture's planes, and how
+they lie when shown upright.
 
-A working format is planar: YUV with any subsampling, grey, or RGB as gbrp, with 8 to 16 bits. Everything else
-(nv12, yuyv, packed RGB, palettes) is repacked into one once per picture, without loss where such a format exists."""
+A working format is planar: YUV with any subsampling, grey, or RGB as gbrp, with 8 to 16
+bits. Everything else (nv12, yuyv, packed RGB, palettes) is repacked into one once per
+picture, without loss where such a format exists."""
 
 from __future__ import annotations
 
@@ -17,16 +19,27 @@ import numpy as np
 from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
 
-_YUV = re.compile(r"yuv(?P<kind>[ja]?)(?P<sub>420|422|444|440|411|410)p(?P<bits>9|10|12|14|16)?(le)?$")
+_YUV = re.compile(
+    r"yuv(?P<kind>[ja]?)(?P<sub>420|422|444|440|411|410)p(?P<bits>9|10|12|14|16)?(le)?$"
+)
 _GRAY = re.compile(r"gray(?P<bits>9|10|12|14|16)?(le)?$")
 _GBR = re.compile(r"gbra?p(?P<bits>9|10|12|14|16)?(le)?$")
-_SUBSAMPLING = {"420": (1, 1), "422": (1, 0), "444": (0, 0), "440": (0, 1), "411": (2, 0), "410": (2, 2)}
+_SUBSAMPLING = {
+    "420": (1, 1),
+    "422": (1, 0),
+    "444": (0, 0),
+    "440": (0, 1),
+    "411": (2, 0),
+    "410": (2, 2),
+}
 _NAME_OF = {v: k for k, v in _SUBSAMPLING.items()}
 
 
 @dataclass(frozen=True)
 class PixelLayout:
-    """A working format. kind : yuv | gray | rgb;  depth : bits per sample;  sub_x, sub_y : log2 of the chroma step."""
+    """A working format. kind : yuv | gray | rgb;  depth : bits per sample;  sub_x, sub_y :
+    log2 of the chroma step.
+    """
 
     name: str
     kind: str
@@ -68,8 +81,8 @@ def layout_named(name: str) -> PixelLayout | None:
 
 @cache
 def working_layout(name: str) -> tuple[PixelLayout, str]:
-    """The working format for a decoded format, and a notice ("" when the planes are used as they are).
-    The choice keeps bit depth (8, 10, 12 or 16) and subsampling."""
+    """The working format for a decoded format, and a notice ("" when the planes are used as
+    they are). The choice keeps bit depth (8, 10, 12 or 16) and subsampling."""
     if layout := layout_named(name):
         return layout, ""
     f = av.VideoFormat(name, 16, 16)
@@ -82,16 +95,23 @@ def working_layout(name: str) -> tuple[PixelLayout, str]:
     elif len(colours) == 1 or name.startswith("mono"):
         target = f"gray{tail}"
     else:
-        sub = (round(np.log2(16 / f.chroma_width(16))), round(np.log2(16 / f.chroma_height(16))))
+        sub = (
+            round(np.log2(16 / f.chroma_width(16))),
+            round(np.log2(16 / f.chroma_height(16))),
+        )
         target = f"yuv{_NAME_OF.get(sub, '444')}p{tail}"
     layout = layout_named(target)
     assert layout is not None
-    lost = " (its transparency is left out)" if any(c.is_alpha for c in f.components) else ""
+    lost = (
+        " (its transparency is left out)" if any(c.is_alpha for c in f.components) else ""
+    )
     return layout, f"pixel format {name} is repacked to {target}{lost}"
 
 
 def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[np.ndarray]:
-    """Every plane as a whole-line array (rows, line length in samples), padding at the right included; views."""
+    """Every plane as a whole-line array (rows, line length in samples), padding at the
+    right included; views.
+    """
     out = []
     for p in picture.planes:
         size = layout.dtype.itemsize
@@ -102,7 +122,9 @@ def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[np.ndarray]:
 
 
 def chroma_size(layout: PixelLayout, width: int, height: int) -> tuple[int, int]:
-    """Width and height of the chroma planes; an odd picture has one more column or row of them than half."""
+    """Width and height of the chroma planes; an odd picture has one more column or row of
+    them than half.
+    """
     return -(-width >> layout.sub_x), -(-height >> layout.sub_y)
 
 
@@ -144,7 +166,12 @@ def repacked(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
 
 
 # (transpose, flip_x, flip_y) by degrees counter-clockwise, without a mirror
-_DEGREES = {(False, False, False): 0, (True, False, True): 90, (False, True, True): 180, (True, True, False): 270}
+_DEGREES = {
+    (False, False, False): 0,
+    (True, False, True): 90,
+    (False, True, True): 180,
+    (True, True, False): 270,
+}
 
 
 @dataclass(frozen=True)
@@ -157,9 +184,13 @@ class Orientation:
 
     @property
     def rotation_deg(self) -> int:
-        """Counter-clockwise rotation from coded to upright, 0, 90, 180 or 270; of a mirrored one, that before the mirror."""
+        """Counter-clockwise rotation from coded to upright, 0, 90, 180 or 270; of a
+        mirrored one, that before the mirror.
+        """
         key = (self.transpose, self.flip_x, self.flip_y)
-        return _DEGREES.get(key, _DEGREES.get((self.transpose, not self.flip_x, self.flip_y), 0))
+        return _DEGREES.get(
+            key, _DEGREES.get((self.transpose, not self.flip_x, self.flip_y), 0)
+        )
 
     @property
     def mirrored(self) -> bool:
@@ -176,7 +207,10 @@ class Orientation:
         return v.swapaxes(0, 1) if self.transpose else v
 
     def coded_rect(self, rect: Rect, width: int, height: int) -> Rect:
-        """Where an upright rectangle lies among the coded pixels. width, height : of the upright picture, px."""
+        """Where an upright rectangle lies among the coded pixels.
+
+        width, height : of the upright picture, px.
+        """
         x0, x1 = (width - rect.x1, width - rect.x0) if self.flip_x else (rect.x0, rect.x1)
         y0, y1 = (height - rect.y1, height - rect.y0) if self.flip_y else (rect.y0, rect.y1)
         return Rect(y0, x0, y1, x1) if self.transpose else Rect(x0, y0, x1, y1)
@@ -184,8 +218,9 @@ class Orientation:
 
 def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
     """Orientation of an FFmpeg display matrix (9 integers), and whether it is one exactly.
-    x' = a x + c y, y' = b x + d y with a, b, c, d at 0, 1, 3, 4 (FFmpeg libavutil/display.h). A turn that is no
-    multiple of 90 degrees is taken to the nearest one."""
+    x' = a x + c y, y' = b x + d y with a, b, c, d at 0, 1, 3, 4 (FFmpeg
+    libavutil/display.h). A turn that is no multiple of 90 degrees is taken to the nearest
+    one."""
     if matrix is None:
         return Orientation(), True
     a, b, c, d = (float(matrix[i]) for i in (0, 1, 3, 4))
@@ -199,7 +234,10 @@ def orientation_of(matrix: Sequence[int] | None) -> tuple[Orientation, bool]:
 
 @dataclass(frozen=True)
 class FrameFormat:
-    """What all frames of a clip share. width, height : coded px; chroma_location : left | center | topleft."""
+    """What all frames of a clip share.
+
+    width, height : coded px; chroma_location : left | center | topleft.
+    """
 
     layout: PixelLayout
     width: int
@@ -213,14 +251,28 @@ class FrameFormat:
 
     @property
     def cosited(self) -> tuple[bool, bool]:
-        """Whether chroma lies on the left, and on the top, luma sample of its group (else in the middle)."""
-        return self.chroma_location in ("left", "topleft"), self.chroma_location == "topleft"
+        """Whether chroma lies on the left, and on the top, luma sample of its group (else
+        in the middle).
+        """
+        return (
+            self.chroma_location
+            in (
+                "left",
+                "topleft",
+            ),
+            self.chroma_location == "topleft",
+        )
 
     @property
     def luma_steps(self) -> tuple[float, float]:
-        """(offset, steps from black to white) of stored luma, grey or RGB samples. Source: ITU-R BT.601/709/2020."""
+        """(offset, steps from black to white) of stored luma, grey or RGB samples.
+
+        Source: ITU-R BT.601/709/2020.
+        """
         up = 1 << (self.layout.depth - 8)
-        return (0.0, float(self.layout.peak)) if self.full_range else (16.0 * up, 219.0 * up)
+        return (
+            (0.0, float(self.layout.peak)) if self.full_range else (16.0 * up, 219.0 * up)
+        )
 
     @property
     def chroma_steps(self) -> tuple[float, float]:
@@ -232,4 +284,8 @@ class FrameFormat:
     def legal(self) -> tuple[int, int, int, int]:
         """Lowest and highest legal luma, lowest and highest legal chroma."""
         up, peak = 1 << (self.layout.depth - 8), self.layout.peak
-        return (0, peak, 0, peak) if self.full_range else (16 * up, 235 * up, 16 * up, 240 * up)
+        return (
+            (0, peak, 0, peak)
+            if self.full_range
+            else (16 * up, 235 * up, 16 * up, 240 * up)
+        )

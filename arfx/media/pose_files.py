@@ -1,4 +1,5 @@
-"""Camera poses that come with the footage: text of `tx ty tz qx qy qz qw`, the camera in the world, as RGB-D sets write them.
+"""Camera poses that come with the footage: text of `tx ty tz qx qy qz qw`, the camera in
+the world, as RGB-D sets write them.
 
 One line a frame, in order; or with the time in seconds before it (TUM RGB-D), and poses are
 interpolated between lines. `#` begins a comment.
@@ -17,58 +18,92 @@ from arfx.core.pose import Pose, rotation_from_quaternion
 from arfx.errors import InputError
 from arfx.media.clip import Match, match_by_time, match_in_order, spacing_s
 
-_MAX_VALUE = 1e12  # metres or seconds: times count from 1970, nothing is farther than that in metres
+_MAX_VALUE = (
+    1e12  # metres or seconds: times count from 1970, nothing is farther than that in metres
+)
 _ROUNDING_S = 1e-3  # of times in text
 _UNIT_TOLERANCE = 1e-2  # from 1, of a quaternion's length
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """camera_from_given : in order;  times_s : after the first one, None = one for each frame of the clip"""
+    """camera_from_given : in order;  times_s : after the first one, None = one for each
+    frame of the clip
+    """
 
     path: Path
     camera_from_given: tuple[Pose, ...]
     times_s: tuple[float, ...] | None
 
-    def of_frames(self, times_s: list[float], before: int, whole: bool, gap_s: float) -> list[tuple[Pose, bool] | None]:
-        """Each frame's pose and whether one was taken at its time, else it lies between two; None where none is near.
-        times_s : after the clip's first frame;  before, whole : as of `in_order`, which raises InputError
-        gap_s : longest time between two poses that is bridged. Raises InputError where they usually are farther apart."""
+    def of_frames(
+        self, times_s: list[float], before: int, whole: bool, gap_s: float
+    ) -> list[tuple[Pose, bool] | None]:
+        """Each frame's pose and whether one was taken at its time, else it lies between
+        two; None where none is near.
+        times_s : after the clip's first frame;  before, whole : as of `in_order`, which
+        raises InputError
+        gap_s : longest time between two poses that is bridged. Raises InputError where they
+        usually are farther apart.
+        """
         given = self.camera_from_given
         if self.times_s is None:
-            held, hint = len(given), "one line for each frame, or the time in seconds before each pose"
-            found = match_in_order(f"poses {self.path} hold {held} lines", held, len(times_s), before, whole, hint)
+            held, hint = (
+                len(given),
+                "one line for each frame, or the time in seconds before each pose",
+            )
+            found = match_in_order(
+                f"poses {self.path} hold {held} lines",
+                held,
+                len(times_s),
+                before,
+                whole,
+                hint,
+            )
             return [None if k is None else (given[k], True) for k in found]
         if (usual := spacing_s(self.times_s)) > gap_s + spacing_s(times_s):
             raise InputError(
-                f"poses {self.path} are {usual:g} s apart: over more than {gap_s:g} s it is not known how the camera moved",
+                f"poses {self.path} are {usual:g} s apart: over more than {gap_s:g} s it is"
+                " not known how the camera moved",
                 "a pose for each frame, or at least several a second",
             )
         near_s = 0.5 * spacing_s(times_s) + _ROUNDING_S
-        matches = match_by_time(np.array(self.times_s), times_s, near_s, gap_s + spacing_s(times_s))
+        matches = match_by_time(
+            np.array(self.times_s), times_s, near_s, gap_s + spacing_s(times_s)
+        )
         return [None if m is None else (self._between(m), m.near) for m in matches]
 
     def _between(self, m: Match) -> Pose:
         first, second = self.camera_from_given[m.before], self.camera_from_given[m.after]
         if m.share in (0.0, 1.0):
             return second if m.share else first
-        return first.inverse().towards(second.inverse(), m.share).inverse()  # the camera moves straight, not the world
+        return (
+            first.inverse().towards(second.inverse(), m.share).inverse()
+        )  # the camera moves straight, not the world
 
 
 def load_poses(path: Path) -> CameraPath:
     """Raises InputError: missing, a line that is no pose, times that do not rise."""
     text = read_text(path, "poses")
-    given = [(n, words) for n, line in enumerate(text.splitlines(), 1) if (words := line.split("#")[0].replace(",", " ").split())]
+    given = [
+        (n, words)
+        for n, line in enumerate(text.splitlines(), 1)
+        if (words := line.split("#")[0].replace(",", " ").split())
+    ]
     if not given:
         raise InputError(f"poses {path} hold no line", "text lines of tx ty tz qx qy qz qw")
     columns = len(given[0][1])
     for number, words in given:
         if len(words) != columns or columns not in (7, 8) or not _is_pose(words):
-            where, hint = f"poses {path}, line {number}", "tx ty tz qx qy qz qw, perhaps the time before them"
+            where, hint = (
+                f"poses {path}, line {number}",
+                "tx ty tz qx qy qz qw, perhaps the time before them",
+            )
             raise InputError(f"{where}: {' '.join(words[:9])[:200]!r} is not a pose", hint)
     table = np.array([words for _, words in given], float)
     q = table[:, -4:] / np.linalg.norm(table[:, -4:], axis=1, keepdims=True)
-    turned = np.moveaxis(rotation_from_quaternion(*q.T[[3, 0, 1, 2]]), -1, 0).transpose(0, 2, 1)
+    turned = np.moveaxis(rotation_from_quaternion(*q.T[[3, 0, 1, 2]]), -1, 0).transpose(
+        0, 2, 1
+    )
     moved = -np.einsum("nij,nj->ni", turned, table[:, -7:-4])
     poses = tuple(map(Pose, turned, moved))
     if columns == 7:
@@ -84,4 +119,7 @@ def _is_pose(words: list[str]) -> bool:
         values = [float(w) for w in words]
     except ValueError:
         return False
-    return all(abs(v) <= _MAX_VALUE for v in values) and abs(math.hypot(*values[-4:]) - 1) <= _UNIT_TOLERANCE
+    return (
+        all(abs(v) <= _MAX_VALUE for v in values)
+        and abs(math.hypot(*values[-4:]) - 1) <= _UNIT_TOLERANCE
+    )

@@ -76,7 +76,10 @@ class TrimeshScene:
         colours, face_colours = _colours(mesh)
         if self._obj.vertices is not None and self._obj.colours is not None:
             number = rows["vertices"][:, 0].astype(int)
-            rows["vertices"], colours = self._obj.vertices[number], self._obj.colours[number]
+            rows["vertices"], colours = (
+                self._obj.vertices[number],
+                self._obj.colours[number],
+            )
         if colours is not None:
             rows["colours"] = colours
         return FileMesh(np.asarray(mesh.faces), rows, face_colours)
@@ -102,9 +105,15 @@ class TrimeshScene:
 
     def _of_collada(self, given: Any) -> Material:
         mode = str(given.alphaMode or OPAQUE).upper()
-        factor = np.ravel([255] * 4 if given.baseColorFactor is None else given.baseColorFactor)
+        factor = np.ravel(
+            [255] * 4 if given.baseColorFactor is None else given.baseColorFactor
+        )
         red, green, blue, alpha = (float(c) for c in factor / 255.0)
-        glow = (0.0, 0.0, 0.0) if given.emissiveFactor is None else np.ravel(given.emissiveFactor)
+        glow = (
+            (0.0, 0.0, 0.0)
+            if given.emissiveFactor is None
+            else np.ravel(given.emissiveFactor)
+        )
         metallic, roughness = given.metallicFactor, given.roughnessFactor
         return Material(
             name=str(given.name or "default"),
@@ -113,7 +122,9 @@ class TrimeshScene:
             metallic=1.0 if metallic is None else unit(metallic),
             roughness=1.0 if roughness is None else unit(roughness),
             emissive=(float(glow[0]), float(glow[1]), float(glow[2])),
-            emissive_texture=self._textures.texture(given.emissiveTexture) if any(glow) else None,
+            emissive_texture=(
+                self._textures.texture(given.emissiveTexture) if any(glow) else None
+            ),
             alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
             double_sided=bool(given.doubleSided),
         )
@@ -151,7 +162,9 @@ def _ply_colours(mesh: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
     data = elements["face"]["data"]
     names = ("vertex_index", "vertex_indices")
     index = next(name for name in elements["face"]["properties"] if name in names)
-    given = triangulate_quads(data[index]["f1"] if isinstance(data, np.ndarray) else data[index])
+    given = triangulate_quads(
+        data[index]["f1"] if isinstance(data, np.ndarray) else data[index]
+    )
     # trimesh parts vertices, and leaves the order of the faces
     source = np.zeros(len(mesh.vertices), int)
     source[mesh.faces.ravel()] = given.ravel()
@@ -163,6 +176,8 @@ def _linear(raw: np.ndarray) -> np.ndarray:
     largest = np.iinfo(raw.dtype).max if raw.dtype.kind in "ui" else 1.0
     values = raw.astype(float) / largest
     out = np.ones((len(values), 4))
-    out[:, : values.shape[1]] = np.clip(np.where(np.isfinite(values), values, 1.0), 0.0, 1.0)
+    out[:, : values.shape[1]] = np.clip(
+        np.where(np.isfinite(values), values, 1.0), 0.0, 1.0
+    )
     out[:, :3] = SRGB.decode(out[:, :3])
     return out

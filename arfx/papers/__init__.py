@@ -1,6 +1,8 @@
-"""The published methods as they are printed, for reproduction and comparison: README.md lists papers, equations, deviations.
+"""The published methods as they are printed, for reproduction and comparison: README.md
+lists papers, equations, deviations.
 
-One table: the class that a section's `formula` selects. Only `run` and layers above it import this package."""
+One table: the class that a section's `formula` selects. Only `run` and layers above it
+import this package."""
 
 from __future__ import annotations
 

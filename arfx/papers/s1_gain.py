@@ -1,15 +1,18 @@
 """Gain and bias of the camera, as printed: Tan, Chen, Sun 2009, equations (2) and (4) to (6).
 
-A patch of albedo rho in light x shows I = g rho x + b (2). With g' = 1/g and b' every patch and frame is a row of a homogeneous
-system (4) to (6), solved by the singular vector of the smallest singular value.
+A patch of albedo rho in light x shows I = g rho x + b (2). With g' = 1/g and b' every patch
+and frame is a row of a homogeneous system (4) to (6), solved by the singular vector of the
+smallest singular value.
 
-rho of a patch is its mean brightness, in linear light, in the first picture that shows the whole print, so that x is 1 in the
-light of that picture. Ink and paper whose albedos are known are given in its place (`light.albedos = "known"`), and so is the map
-of albedos of a print whose picture is known where it has colours, or stands beside other prints.
+rho of a patch is its mean brightness, in linear light, in the first picture that shows the
+whole print, so that x is 1 in the light of that picture. Ink and paper whose albedos are
+known are given in its place (`light.albedos = "known"`), and so is the map of albedos of a
+print whose picture is known where it has colours, or stands beside other prints.
 
-b is b'/g', what (2) gives. As printed it is 1/b', but (6) leaves the length of its vector free, and 1/b' changes with it: for the
-vector of length 1 it grows with the number of frames, in no unit of grey. So it is not well defined; `light.printed_bias` takes
-it all the same. Its errors: docs/methods/light.md#errata."""
+b is b'/g', what (2) gives. As printed it is 1/b', but (6) leaves the length of its vector
+free, and 1/b' changes with it: for the vector of length 1 it grows with the number of
+frames, in no unit of grey. So it is not well defined; `light.printed_bias` takes it all the
+same. Its errors: docs/methods/light.md#errata."""
 
 from __future__ import annotations
 
@@ -30,9 +33,8 @@ from arfx.core.numerics import divide
 
 DENSE = 300  # frames
 LEAST_GAP = 3.0  # of the two smallest singular values: less is nullity 2 beside noise
-NULL = (
-    1e-10  # of the largest singular value: below it one counts as zero (1e-7 by the normal matrix)
-)
+# of the largest singular value: below it one counts as zero (1e-7 by the normal matrix)
+NULL = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +42,13 @@ class SmallestVector:
     """gain, bias : of the solution, g = 1/g' (free scale: the vector has length 1, g' > 0)
 
     bias : b'/g', in units of grey (what dividing (2) by g gives);  bias_printed : 1/b' (as printed)
-    y : (t,) x_t / g', so that grey = rho y + bias;  nullity, rank : of the system;  smallest : its singular value
-    condition : largest singular value over the smallest but one, the smallest being the solution's; at most 1e12
-    gap : the smallest but one over the smallest, at most 1e12: near 1 where noise alone singles out the solution"""
+    y : (t,) x_t / g', so that grey = rho y + bias;  nullity, rank : of the system;
+    smallest : its singular value
+    condition : largest singular value over the smallest but one, the smallest being the
+    solution's; at most 1e12
+    gap : the smallest but one over the smallest, at most 1e12: near 1 where noise alone
+    singles out the solution
+    """
 
     gain: float
     bias: float
@@ -58,11 +64,13 @@ class SmallestVector:
 def eq6_smallest_vector(
     intensity: np.ndarray, albedo: np.ndarray, dense: int = DENSE
 ) -> SmallestVector:
-    """One channel. intensity : (t, p), NaN = not measured;  albedo : (p,) or (t, p). Frames without any patch get y = 0.
+    """One channel. intensity : (t, p), NaN = not measured;  albedo : (p,) or (t, p). Frames
+    without any patch get y = 0.
 
-    Up to `dense` frames by singular value decomposition; beyond, by the normal matrix, whose x part is diagonal: its smallest
-    eigenvalue is the smallest root of a secular equation in the 2 x 2 rest, O(frames x patches), and good to half as many
-    digits. The vector is biased where I is noisy, and depends on the units of I.
+    Up to `dense` frames by singular value decomposition; beyond, by the normal matrix,
+    whose x part is diagonal: its smallest eigenvalue is the smallest root of a secular
+    equation in the 2 x 2 rest, O(frames x patches), and good to half as many digits. The
+    vector is biased where I is noisy, and depends on the units of I.
 
     Raises ValueError where no patch is finite."""
     value = np.asarray(intensity, float)
@@ -80,7 +88,9 @@ def eq6_smallest_vector(
     if frames <= dense:
         rows = np.zeros((grey.size, frames + 2))
         rows[:, 0], rows[:, 1] = -grey.ravel(), m.ravel()
-        rows[np.arange(grey.size), 2 + np.repeat(np.arange(frames), grey.shape[1])] = r.ravel()
+        rows[np.arange(grey.size), 2 + np.repeat(np.arange(frames), grey.shape[1])] = (
+            r.ravel()
+        )
         _, s, vt = np.linalg.svd(rows, full_matrices=len(rows) < frames + 2)
         s = np.append(s, np.zeros(max(frames + 2 - len(s), 0)))
         v, smallest, null = vt[-1], float(s[-1]), NULL
@@ -107,8 +117,9 @@ def eq6_smallest_vector(
 
 
 def brightness(intensity: np.ndarray) -> np.ndarray:
-    """(p,) rho of (2) as printed: each patch's mean brightness in one picture by the same camera, the first that shows all of
-    the print; of the patches that it lacks NaN. intensity : (t, p, 3), NaN = not measured"""
+    """(p,) rho of (2) as printed: each patch's mean brightness in one picture by the same
+    camera, the first that shows all of the print; of the patches that it lacks NaN.
+    intensity : (t, p, 3), NaN = not measured"""
     value = np.asarray(intensity, float)
     shown = np.isfinite(value).all(-1)
     return (
@@ -127,8 +138,9 @@ def gain_and_bias(
     ink: float = INK,
     paper: float = PAPER,
 ) -> Photometry:
-    """(4) to (6) for all channels, arguments as in photometry.solve. No variances: the paper has none; those reported are of the
-    residuals. printed_bias : b = 1/b' in place of b'/g' (y stays as solved)."""
+    """(4) to (6) for all channels, arguments as in photometry.solve. No variances: the
+    paper has none; those reported are of the residuals. printed_bias : b = 1/b' in place of
+    b'/g' (y stays as solved)."""
     value = np.asarray(intensity, float)
     if albedo is None:
         albedo = np.where(np.asarray(white), paper, ink)
@@ -136,7 +148,11 @@ def gain_and_bias(
     w, _, ignored = weights(value, None, every)
     parts = []
     for c in range(3):
-        grey, weight, rho = np.where(w[..., c] > 0, value[..., c], 0.0), w[..., c], every[..., c]
+        grey, weight, rho = (
+            np.where(w[..., c] > 0, value[..., c], 0.0),
+            w[..., c],
+            every[..., c],
+        )
         if not weight.any():
             parts.append(
                 fallback(
@@ -163,8 +179,12 @@ def gain_and_bias(
         if one and not blank and solution.gap > LEAST_GAP:
             b = solution.bias_printed if printed_bias else solution.bias
             residual = (grey - rho * solution.y[:, None] - solution.bias) * weight
-            spread = float((residual**2).sum() / max((weight > 0).sum() - seen.sum() - 1, 1))
-            own = np.where(seen, divide(spread, (weight * rho * rho).sum(1)), part["var_y_own"])
+            spread = float(
+                (residual**2).sum() / max((weight > 0).sum() - seen.sum() - 1, 1)
+            )
+            own = np.where(
+                seen, divide(spread, (weight * rho * rho).sum(1)), part["var_y_own"]
+            )
             part |= {
                 "y": solution.y,
                 "var_y_own": own,
@@ -179,11 +199,15 @@ def gain_and_bias(
     return assemble(parts, share, ignored)
 
 
-def _secular(grey: np.ndarray, r: np.ndarray, m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(smallest singular vector (t + 2,), a few singular values, largest first, the two smallest last).
+def _secular(
+    grey: np.ndarray, r: np.ndarray, m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(smallest singular vector (t + 2,), a few singular values, largest first, the two
+    smallest last).
 
-    The normal matrix is [[G, F], [F^T, D]] with G 2 x 2 and D diagonal. Below the smallest of D its eigenvalues are the
-    roots of the eigenvalues of G - l - F (D - l)^-1 F^T, which fall with l."""
+    The normal matrix is [[G, F], [F^T, D]] with G 2 x 2 and D diagonal. Below the smallest
+    of D its eigenvalues are the roots of the eigenvalues of G - l - F (D - l)^-1 F^T, which
+    fall with l."""
     G = np.array([[(grey * grey).sum(), -(grey * m).sum()], [-(grey * m).sum(), m.sum()]])
     F = np.stack([-(r * grey).sum(1), (r * m).sum(1)])
     D = (r * r).sum(1)

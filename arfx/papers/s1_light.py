@@ -1,18 +1,20 @@
-"""Light from a printed pattern, as printed: Tan, Chen, Sun 2009, equations (7) to (9), and the fold of a clip. (2) and (4) to (6)
-are in s1_gain, (3) in s1_lightmap.
+"""Light from a printed pattern, as printed: Tan, Chen, Sun 2009, equations (7) to (9), and
+the fold of a clip. (2) and (4) to (6) are in s1_gain, (3) in s1_lightmap.
 
-The light x of each normal is folded into a map M (7), whose peaks are lights (9), as many as there are. Nothing fills M where no
-marker faced: it begins at 0 and stays there.
+The light x of each normal is folded into a map M (7), whose peaks are lights (9), as many
+as there are. Nothing fills M where no marker faced: it begins at 0 and stays there.
 
-Not printed, chosen here: M is kept at the middles of a hemisphere's triangles (figure 1) and at the texels of a cube. One
-triangle's middle is the mean of all normals: a corner has several triangles as near as each other, so that a single normal's
-light would be the same in all, and (9) reject each for the others. Of equal neighbours the nearest to that mean counts as the
-brighter. A light is as bright as M is at its peak, and what the print shows beyond its lights is even light. Grazing views,
-clipped samples and prints in a real shadow are left out as in the corrected method, since section 2.1 asks for a diffuse print.
+Not printed, chosen here: M is kept at the middles of a hemisphere's triangles (figure 1)
+and at the texels of a cube. One triangle's middle is the mean of all normals: a corner has
+several triangles as near as each other, so that a single normal's light would be the same
+in all, and (9) reject each for the others. Of equal neighbours the nearest to that mean
+counts as the brighter. A light is as bright as M is at its peak, and what the print shows
+beyond its lights is even light. Grazing views, clipped samples and prints in a real shadow
+are left out as in the corrected method, since section 2.1 asks for a diffuse print.
 
-Deviations. I_c, for which no value is printed, is a share of the brightest unless `light.least_light` gives one. A light that is
-given, and clips in which no marker can be read, are left to the corrected fold.
-Its errors: docs/methods/light.md#errata."""
+Deviations. I_c, for which no value is printed, is a share of the brightest unless
+`light.least_light` gives one. A light that is given, and clips in which no marker can be
+read, are left to the corrected fold. Its errors: docs/methods/light.md#errata."""
 
 from __future__ import annotations
 
@@ -59,7 +61,8 @@ UNUSED = (
 @dataclass(frozen=True)
 class PrintedLightParams(LightParams):
     """peak : a light stands where the map is at least this share of its largest value (I_c of (9))
-    least_light : I_c as a value, in place of the share: in units of the first picture's light, or with known albedos of the
+    least_light : I_c as a value, in place of the share: in units of the first picture's
+    light, or with known albedos of the
         radiance of a white surface; 0 = the share
     peak_apart_deg : and brighter than every other direction closer than this (epsilon of (9))
     printed_bias : b = 1/b' as printed, of a vector of length 1, in place of b'/g'"""
@@ -75,7 +78,9 @@ class PrintedLightParams(LightParams):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_within("light", self, peak=(0, 1), least_light=(0, 1e6), peak_apart_deg=(1, 180))
+        require_within(
+            "light", self, peak=(0, 1), least_light=(0, 1e6), peak_apart_deg=(1, 180)
+        )
 
     @property
     def without_effect(self) -> list[str]:
@@ -85,7 +90,9 @@ class PrintedLightParams(LightParams):
 
 
 def eq8_weight(cosine: np.ndarray, s: float) -> np.ndarray:
-    """f(n) for n.n' = cosine: without the square of the angle, and with the condition cos(n.n') > 0, which always holds."""
+    """f(n) for n.n' = cosine: without the square of the angle, and with the condition
+    cos(n.n') > 0, which always holds.
+    """
     return np.where(np.cos(cosine) > 0, np.exp(-arccos(cosine) * (1 / (2 * s * s))), 0.0)
 
 
@@ -96,8 +103,8 @@ def eq7_update(M: np.ndarray, f: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def hemisphere(level: int) -> np.ndarray:
-    """(k, 3) figure 1: the middles of a hemisphere's triangles (z >= 0), each a direction in which a light may stand. One of them
-    is z. Read-only."""
+    """(k, 3) figure 1: the middles of a hemisphere's triangles (z >= 0), each a direction
+    in which a light may stand. One of them is z. Read-only."""
     middles = icosphere(level).centres
     n = middles @ upright(middles[-1]).T
     n = n[n[:, 2] >= 0]
@@ -113,7 +120,10 @@ def upright(up: np.ndarray) -> np.ndarray:
 
 
 class LightMap:
-    """M (k, 3), in the hemisphere's axes. n (k, 3) : its normals, first those of `hemisphere`, then a cube's texels"""
+    """M (k, 3), in the hemisphere's axes.
+
+    n (k, 3) : its normals, first those of `hemisphere`, then a cube's texels
+    """
 
     def __init__(self, level: int, s: float) -> None:
         self.s, self.middles, self.size = s, hemisphere(level), CUBE[level]
@@ -122,7 +132,9 @@ class LightMap:
 
     def add(self, n: np.ndarray, x: np.ndarray) -> None:
         """The light x (3,) that a patch with normal n (3,) receives."""
-        f = eq8_weight(self.n[:, 0] * n[0] + self.n[:, 1] * n[1] + self.n[:, 2] * n[2], self.s)
+        f = eq8_weight(
+            self.n[:, 0] * n[0] + self.n[:, 1] * n[1] + self.n[:, 2] * n[2], self.s
+        )
         self.M = eq7_update(self.M, f, x)
 
     @property
@@ -139,11 +151,13 @@ def eq9_lights(M: np.ndarray, n: np.ndarray, I_c: float, epsilon_deg: float) -> 
     """(m,) numbers of the directions in which lights stand, brightest first.
 
     M : (k, 3) or (k,) values at the directions n (k, 3);  I_c : of the channels' mean
-    A light stands where M is at least I_c and brighter than in every other direction closer than epsilon_deg. Of equal values
-    the one nearest to z counts as the brighter."""
+    A light stands where M is at least I_c and brighter than in every other direction closer
+    than epsilon_deg. Of equal values the one nearest to z counts as the brighter."""
     I_n = np.asarray(M, float)
     I_n = I_n.mean(-1) if I_n.ndim == 2 else I_n
-    order = np.lexsort((-n[:, 2], -np.round(divide(I_n, np.abs(I_n).max(initial=0)), _EQUAL)))
+    order = np.lexsort(
+        (-n[:, 2], -np.round(divide(I_n, np.abs(I_n).max(initial=0)), _EQUAL))
+    )
     rank, free = np.empty(len(n), int), (I_n >= I_c) & (I_n > 0)
     rank[order] = np.arange(len(n))
     lights = []
@@ -173,7 +187,8 @@ def usable(seen: Observation) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 def lights_of(
     seen: Sequence[Observation], params: PrintedLightParams
 ) -> tuple[list[Light], list[np.ndarray], np.ndarray]:
-    """(one light per observation, and M as a cube (6, n, n, 3), (3, 3) rotation to the cube's axes from the normals').
+    """(one light per observation, and M as a cube (6, n, n, 3), (3, 3) rotation to the
+    cube's axes from the normals').
 
     The hemisphere's axis is the mean of all normals."""
     turn = upright(normalise(np.concatenate([o.normals for o in seen]).sum(0)))
@@ -189,7 +204,9 @@ def lights_of(
         peaks = eq9_lights(M, map_.middles, I_c, params.peak_apart_deg)
         towards, rgb = map_.middles[peaks], np.clip(M[peaks], 0, None)
         if readings:
-            beyond = np.mean([x - np.clip(towards @ n, 0, None) @ rgb for n, x in readings], 0)
+            beyond = np.mean(
+                [x - np.clip(towards @ n, 0, None) @ rgb for n, x in readings], 0
+            )
         lights = tuple(
             DirectionalLight(triple(turn.T @ d), triple(c), 0.0)
             for d, c in zip(towards, rgb, strict=True)
@@ -218,10 +235,15 @@ class PrintedStaticFrameLight(StaticFrameLight):
             for k, i in zip(self.frames, last, strict=True)
         }
         middle = solution[len(solution) // 2]
-        peaks = f"{len(middle.lights)} peak{'s' * (len(middle.lights) != 1)} of the light map, as printed: no confidence is known"
+        peaks = (
+            f"{len(middle.lights)} peak{'s' * (len(middle.lights) != 1)} of the light map,"
+            " as printed: no confidence is known"
+        )
         verdict = MEASURED if middle.lights else REFUSED
         lights = {k: solution[i] for k, i in zip(self.frames, last, strict=True)}
-        return lights, light_report(verdict, "marker", peaks, middle, **self.normal_statistics())
+        return lights, light_report(
+            verdict, "marker", peaks, middle, **self.normal_statistics()
+        )
 
 
 class PrintedLight(LightOfMarkers):
@@ -237,23 +259,41 @@ class PrintedLight(LightOfMarkers):
             return parts[-1]
 
         def solve(
-            grey: np.ndarray, _: np.ndarray, clipped: np.ndarray, rho: np.ndarray, p: LightParams
+            grey: np.ndarray,
+            _: np.ndarray,
+            clipped: np.ndarray,
+            rho: np.ndarray,
+            p: LightParams,
         ) -> tuple[Photometry, None]:
             if (
                 p.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()
             ):  # one kind of print, without colour
                 rho = brightness(grey)
-            return gain_and_bias(
-                grey, albedo=rho, clipped=clipped, printed_bias=params.printed_bias
-            ), None
+            return (
+                gain_and_bias(
+                    grey, albedo=rho, clipped=clipped, printed_bias=params.printed_bias
+                ),
+                None,
+            )
 
         clip = with_light(
-            clip, self.readings, self.samples, params, self.job.panorama, solve, printed_part
+            clip,
+            self.readings,
+            self.samples,
+            params,
+            self.job.panorama,
+            solve,
+            printed_part,
         )
         maps = {k: cube for part in parts for k, cube in part.maps.items()}
         unused = ", ".join(params.without_effect)
-        notice = f'light: {unused} without effect under formula = "paper"' if unused else None
+        notice = (
+            f'light: {unused} without effect under formula = "paper"' if unused else None
+        )
         return clip.adding(
-            (f.with_(light_map=maps[k]) if k in maps else f for k, f in enumerate(clip.facts)),
+            (
+                f.with_(light_map=maps[k]) if k in maps else f
+                for k, f in enumerate(clip.facts)
+            ),
             notice,
         )

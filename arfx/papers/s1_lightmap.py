@@ -1,14 +1,17 @@
-"""Shading by a dynamic light map, as printed: Tan, Chen, Sun 2009, equation (3) and the shadows of section 2.3.
-The map itself, (2) and (4) to (9), is made by the analysis: s1_light.py.
+"""Shading by a dynamic light map, as printed: Tan, Chen, Sun 2009, equation (3) and the
+shadows of section 2.3. The map itself, (2) and (4) to (9), is made by the analysis:
+s1_light.py.
 
-Lights are those at the peaks of the map M, without a size. A surface that all of them reach shows M. Shadows are hard.
+Lights are those at the peaks of the map M, without a size. A surface that all of them reach
+shows M. Shadows are hard.
 
-Not printed, chosen here: what a shadow takes. On the object as on the plane it is the hidden lights' share of all lights and of
-the even light beside them. Phong's model is named, not written down: its lobe is here as wide as the material's roughness makes
-it, its strength what glTF's materials mirror seen from above.
+Not printed, chosen here: what a shadow takes. On the object as on the plane it is the
+hidden lights' share of all lights and of the even light beside them. Phong's model is
+named, not written down: its lobe is here as wide as the material's roughness makes it, its
+strength what glTF's materials mirror seen from above.
 
-Deviations. M comes from s1_light, with its own. Where the analysis has no map (a light that is given) the light's own soft part
-and its lights are in its place."""
+Deviations. M comes from s1_light, with its own. Where the analysis has no map (a light that
+is given) the light's own soft part and its lights are in its place."""
 
 from __future__ import annotations
 
@@ -45,12 +48,16 @@ def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | N
     cube = light_map_.faces().astype(np.float32)
     axes = np.eye(3) if light_map_.axes is None else np.array(light_map_.axes).reshape(3, 3)
     if cube.shape[1] < 2 or not np.isfinite(cube).all() or not np.isfinite(axes).all():
-        raise RenderError("facts: the light map needs faces of finite numbers, 2 x 2 or more")
+        raise RenderError(
+            "facts: the light map needs faces of finite numbers, 2 x 2 or more"
+        )
     return cube, axes
 
 
 def phong(n: np.ndarray, v: np.ndarray, d: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-    """(p,) highlight of a light in direction d, seen from v: the cosine to its mirrored direction, to a power."""
+    """(p,) highlight of a light in direction d, seen from v: the cosine to its mirrored
+    direction, to a power.
+    """
     n_d = n @ d
     r_v = np.maximum(2 * n_d * (n * v).sum(-1) - v @ d, 1e-8)
     # a lobe about the mirrored direction is four times as wide as one about the half-vector
@@ -74,7 +81,9 @@ class PrintedLightmap(Lightmap):
         view: View,
         now: Layers | None,
     ) -> np.ndarray:
-        """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is not hidden."""
+        """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is
+        not hidden.
+        """
         covered = surface.coverage > 0
         n, rho_v, position, glow, material = (
             a[covered]
@@ -86,7 +95,11 @@ class PrintedLightmap(Lightmap):
                 surface.material,
             )
         )
-        metal, roughness, specular = material[:, 0, None], material[:, 1], material[:, 2, None]
+        metal, roughness, specular = (
+            material[:, 0, None],
+            material[:, 1],
+            material[:, 2, None],
+        )
         mirrored = 0.08 * specular * (1 - metal) + rho_v * metal
         eye = view.pose.inverse().translation_m
         rho_v, v = rho_v * (1 - metal), normalise(eye - position)

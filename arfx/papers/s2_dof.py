@@ -48,7 +48,9 @@ from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.planes import Real, between_nodes
 
 INSIDE = 2 / 3  # of the blend, within the depth of field
-_NEARER = np.float32(1.01)  # what has a larger dioptre by more than this factor stands in front
+_NEARER = np.float32(
+    1.01
+)  # what has a larger dioptre by more than this factor stands in front
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,9 @@ class PrintedDofParams(DofParams):
         super().__post_init__()
         require_within("dof", self, near_m=(0, 1e6), far_m=(0, 1e6), border=(0, 1))
         if not 0 < self.coc_mm <= 1e3:
-            raise ConfigError(f"dof.coc_mm must be above 0 and at most 1000, is {self.coc_mm:g}")
+            raise ConfigError(
+                f"dof.coc_mm must be above 0 and at most 1000, is {self.coc_mm:g}"
+            )
         if self.mean_px < 1 or self.mean_px % 2 == 0 or self.mean_px > 63:
             raise ConfigError(f"dof.mean_px must be odd, 1 to 63, is {self.mean_px}")
 
@@ -129,7 +133,8 @@ def mean_filter(colour: np.ndarray, dioptre: np.ndarray, weights: np.ndarray) ->
     weights = (weights / weights.sum()).astype(np.float32)
     out = cv2.sepFilter2D(colour, -1, weights, weights, borderType=cv2.BORDER_REPLICATE)
     any_in_front = (
-        cv2.dilate(dioptre, np.ones((len(weights), len(weights)), np.uint8)) > dioptre * _NEARER
+        cv2.dilate(dioptre, np.ones((len(weights), len(weights)), np.uint8))
+        > dioptre * _NEARER
     )
     parallel_rows(
         lambda a, b: _mean_without_front(out, a, b, colour, dioptre, weights, any_in_front),
@@ -148,7 +153,12 @@ def _mean_without_front(
         for x in range(w):
             if not any_in_front[y, x]:
                 continue
-            total, red, green, blue = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+            total, red, green, blue = (
+                np.float32(0),
+                np.float32(0),
+                np.float32(0),
+                np.float32(0),
+            )
             for dy in range(-half, half + 1):
                 j = min(max(y + dy, 0), h - 1)
                 for dx in range(-half, half + 1):
@@ -160,7 +170,11 @@ def _mean_without_front(
                     red += weight * colour[j, i, 0]
                     green += weight * colour[j, i, 1]
                     blue += weight * colour[j, i, 2]
-            out[y, x, 0], out[y, x, 1], out[y, x, 2] = red / total, green / total, blue / total
+            out[y, x, 0], out[y, x, 1], out[y, x, 2] = (
+                red / total,
+                green / total,
+                blue / total,
+            )
 
 
 def eq8_bleed(colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
@@ -180,7 +194,12 @@ def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compi
     h, w = luma.shape
     for y in range(top, bottom):
         for x in range(w):
-            total, red, green, blue = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+            total, red, green, blue = (
+                np.float32(0),
+                np.float32(0),
+                np.float32(0),
+                np.float32(0),
+            )
             for j in range(max(y - 1, 0), min(y + 2, h)):
                 for i in range(max(x - 1, 0), min(x + 2, w)):
                     more = luma[j, i] - luma[y, x]
@@ -191,7 +210,11 @@ def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compi
                     green += more * colour[j, i, 1]
                     blue += more * colour[j, i, 2]
             if total > 0:
-                out[y, x, 0], out[y, x, 1], out[y, x, 2] = red / total, green / total, blue / total
+                out[y, x, 0], out[y, x, 1], out[y, x, 2] = (
+                    red / total,
+                    green / total,
+                    blue / total,
+                )
 
 
 # 3.4 Blend
@@ -215,7 +238,9 @@ def eq9_blend(a: np.ndarray, blur: np.ndarray, original: np.ndarray) -> np.ndarr
     return original + (blur - original) * a[..., None].astype(np.float32)
 
 
-def _blended(a: np.ndarray, blur: np.ndarray, coded: np.ndarray, image: np.ndarray) -> np.ndarray:
+def _blended(
+    a: np.ndarray, blur: np.ndarray, coded: np.ndarray, image: np.ndarray
+) -> np.ndarray:
     """(9) in linear light; what is exactly in the focus stays bit for bit. image : `coded` in
     linear light"""
     return np.where(a[..., None] > 0, SRGB.decode(eq9_blend(a, blur, coded)), image)
@@ -239,7 +264,8 @@ class PrintedDof(Dof):
         if asked.rect.empty:
             return asked
         return Demand(
-            frame if self.params.scope == "all" else object_box(facts, frame, 0.0), asked.reason
+            frame if self.params.scope == "all" else object_box(facts, frame, 0.0),
+            asked.reason,
         )
 
     @property
@@ -263,7 +289,9 @@ class PrintedDof(Dof):
             return {Layer.IMAGE: image.copy()}
         dioptre, a = self.depth_and_blur(now, facts, view.scene, prepared)
         coded = _by_rows(SRGB.encode, image)
-        return {Layer.IMAGE: _by_rows(_blended, a, self.blurred(coded, dioptre), coded, image)}
+        return {
+            Layer.IMAGE: _by_rows(_blended, a, self.blurred(coded, dioptre), coded, image)
+        }
 
     def depth_and_blur(
         self, now: Layers, facts: FrameFacts, scene: Scene, grid: np.ndarray
@@ -277,7 +305,9 @@ class PrintedDof(Dof):
         a = a * within_depth_of_field(dioptre, sharp, p.border) * min(facts.opacity, 1.0)
         return dioptre, a * (now[Layer.COVERAGE] > 0) if p.scope == "virtual" else a
 
-    def _clip_planes(self, facts: FrameFacts, real: Real, grid: np.ndarray) -> tuple[float, float]:
+    def _clip_planes(
+        self, facts: FrameFacts, real: Real, grid: np.ndarray
+    ) -> tuple[float, float]:
         """Dioptres of the far and of the near clip plane."""
         low, high = real.dioptre_range(grid)
         if not facts.model_box.empty:

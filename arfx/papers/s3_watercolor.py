@@ -101,7 +101,12 @@ def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
     position = [np.round(a.ravel() * STEPS).astype(np.float32) for a in (x, y)]
     zero = np.zeros(m * n, np.float32)
     return Sites(
-        position[0], position[1], zero, np.arange(m * n), position[0] / STEPS, position[1] / STEPS
+        position[0],
+        position[1],
+        zero,
+        np.arange(m * n),
+        position[0] / STEPS,
+        position[1] / STEPS,
     )
 
 
@@ -135,8 +140,12 @@ def cones(sites: Sites, size: np.ndarray, rect: Rect, m: int, n: int) -> np.ndar
     # cone need be longer
     length = (np.hypot(rect.width / n, rect.height / m) + 1 / STEPS) / float(size.min())
     labels = np.zeros((rect.height, rect.width), np.int32)
-    x, y = (a.astype(np.float64) for a in (sites.x / STEPS - rect.x0, sites.y / STEPS - rect.y0))
-    _draw_cones(x, y, size.astype(np.float64), length, np.full(labels.shape, np.inf), labels)
+    x, y = (
+        a.astype(np.float64) for a in (sites.x / STEPS - rect.x0, sites.y / STEPS - rect.y0)
+    )
+    _draw_cones(
+        x, y, size.astype(np.float64), length, np.full(labels.shape, np.inf), labels
+    )
     return labels
 
 
@@ -152,7 +161,8 @@ def _draw_cones(x, y, size, length, depth, labels):  # pragma: no cover - compil
             max(int(np.ceil(y[k] - radius)), 0), min(int(np.floor(y[k] + radius)) + 1, h)
         ):
             for i in range(
-                max(int(np.ceil(x[k] - radius)), 0), min(int(np.floor(x[k] + radius)) + 1, w)
+                max(int(np.ceil(x[k] - radius)), 0),
+                min(int(np.floor(x[k] + radius)) + 1, w),
             ):
                 z = ((i - x[k]) ** 2 + (j - y[k]) ** 2) * slope
                 if z < depth[j, i]:
@@ -215,10 +225,14 @@ def eq3_rgb(coded: np.ndarray) -> np.ndarray:
     return gradient(np.asarray(coded, np.float32)).mean(-1)
 
 
-def eq4_edges(coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601") -> np.ndarray:
+def eq4_edges(
+    coded: np.ndarray, alpha: float, beta: float, matrix: str = "bt601"
+) -> np.ndarray:
     """(h, w) float32 beta Edge_YUV + (1 - beta) Edge_RGB, an edge where it is above the
     threshold."""
-    return (beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)).astype(np.float32)
+    return (beta * eq2_yuv(coded, alpha, matrix) + (1 - beta) * eq3_rgb(coded)).astype(
+        np.float32
+    )
 
 
 def gradient(a: np.ndarray) -> np.ndarray:
@@ -248,7 +262,9 @@ class PrintedWatercolor(Watercolor):
         m = p.m or max(round(rect.height / p.cell_px), 1)
         n = p.n or max(round(rect.width / p.cell_px), 1)
         sites = eq1_sites(rect, m, n, view.key)
-        labels = cones(sites, at_sites(depth_buffer(view, p.near_m), sites, rect), rect, m, n)
+        labels = cones(
+            sites, at_sites(depth_buffer(view, p.near_m), sites, rect), rect, m, n
+        )
         number, count = named_by_colour(coded, labels, sites, rect)
         out = mean_colours(coded, [number], count)[0][number]
         out[eq4_edges(coded, p.alpha, p.beta, p.yuv) > p.line_threshold] = 0
@@ -263,11 +279,17 @@ class PrintedWatercolor(Watercolor):
         if p.toon and view.facts.present and not box.empty:
             part = now.crop(box)
             image = image.copy()
-            lightDir, _ = toon_light(view.light, view.scene.world_from_anchor.rotation[:, 2])
+            lightDir, _ = toon_light(
+                view.light, view.scene.world_from_anchor.rotation[:, 2]
+            )
             myColor = SRGB.encode(np.clip(part[Layer.ALBEDO], 0, 1))
             shaded = SRGB.decode(
-                toon(myColor, part[Layer.NORMAL], lightDir, p.toon_thresholds, p.toon_factors)
+                toon(
+                    myColor, part[Layer.NORMAL], lightDir, p.toon_thresholds, p.toon_factors
+                )
             )
             covered = part[Layer.COVERAGE][..., None] * shaded
-            image[box.slices_in(view.rect)] += view.facts.opacity * (covered - part[Layer.VIRTUAL])
+            image[box.slices_in(view.rect)] += view.facts.opacity * (
+                covered - part[Layer.VIRTUAL]
+            )
         return SRGB.encode(np.clip(image, 0, 1)).astype(np.float32)

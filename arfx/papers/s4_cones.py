@@ -36,7 +36,9 @@ def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
     degrees from it."""
     turn = np.arange(5) * 2 * np.pi / 5
     aside = np.sqrt(1 - TILT_COSINE**2)
-    ring = np.stack([aside * np.cos(turn), aside * np.sin(turn), np.full(5, TILT_COSINE)], -1)
+    ring = np.stack(
+        [aside * np.cos(turn), aside * np.sin(turn), np.full(5, TILT_COSINE)], -1
+    )
     directions = np.concatenate([[[0.0, 0.0, 1.0]], ring]).astype(np.float32)
     weights = np.array([0.25] + [0.15] * 5, np.float32)
     return directions, weights, float(np.tan(np.radians(WIDE_DEG)))
@@ -81,7 +83,8 @@ def cone_trace(
     """(m, k, 4) radiance of V, and share of the background that is left, of cones from positions
     (m, 3), metres, anchor axes, in directions (m, k, 3), unit. V (nodes, 3) float32
     steps : of `cone_steps`
-    scaled : radiance counts as much as the step's opacity does, however a way is cut into steps"""
+    scaled : radiance counts as much as the step's opacity does, however a way is cut into steps
+    """
     start, d = volumes.in_voxels(positions_m), np.ascontiguousarray(directions, np.float32)
     parts = parallel_rows(
         lambda a, b: _cone_trace(volumes.tree, V, steps, start[a:b], d[a:b], scaled),
@@ -92,7 +95,9 @@ def cone_trace(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _cone_trace(tree: Octree, V, steps, start, directions, scaled):  # pragma: no cover - compiled
+def _cone_trace(
+    tree: Octree, V, steps, start, directions, scaled
+):  # pragma: no cover - compiled
     """`cone_trace` of some. start (m, 3) : voxels"""
     out = np.empty((start.shape[0], directions.shape[1], 4), np.float32)
     size, half, one = np.float32(1 << tree.depth), np.float32(0.5), np.float32(1)
@@ -102,9 +107,14 @@ def _cone_trace(tree: Octree, V, steps, start, directions, scaled):  # pragma: n
             d = directions[i, c, 0], directions[i, c, 1], directions[i, c, 2]
             r, g, b, transmittance = np.float32(0), np.float32(0), np.float32(0), one
             enters, leaves = np.float32(0), np.float32(1e30)
-            for axis in range(3):  # the cube, and how far around it the coarsest voxels are felt
+            for axis in range(
+                3
+            ):  # the cube, and how far around it the coarsest voxels are felt
                 slope = d[axis] if abs(d[axis]) > np.float32(1e-9) else np.float32(1e-9)
-                a, e = (-around - start[i, axis]) / slope, (size + around - start[i, axis]) / slope
+                a, e = (
+                    (-around - start[i, axis]) / slope,
+                    (size + around - start[i, axis]) / slope,
+                )
                 enters, leaves = max(enters, min(a, e)), min(leaves, max(a, e))
             for k in range(steps.shape[0]):
                 t, level, exponent = steps[k, 0], int(steps[k, 1]), steps[k, 2]
@@ -178,7 +188,11 @@ def sample(tree: Octree, V, level, at, d):  # pragma: no cover - compiled
         if node < 0 or tree.eta[node, 3] <= 0:
             continue
         alpha = tree.eta[node, 3]
-        nx, ny, nz = tree.eta[node, 0] / alpha, tree.eta[node, 1] / alpha, tree.eta[node, 2] / alpha
+        nx, ny, nz = (
+            tree.eta[node, 0] / alpha,
+            tree.eta[node, 1] / alpha,
+            tree.eta[node, 2] / alpha,
+        )
         facing = max(-_FRONT * (nx * d[0] + ny * d[1] + nz * d[2]), zero)
         w *= min(facing + max(one - np.sqrt(nx * nx + ny * ny + nz * nz), zero), one)
         r += w * V[node, 0]

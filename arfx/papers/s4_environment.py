@@ -32,7 +32,9 @@ def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
 
     def third(row: int, column: int) -> np.ndarray:
         part = picture[ys[row] : ys[row + 1], xs[column] : xs[column + 1]]
-        return cv2.resize(np.ascontiguousarray(part), (size, size), interpolation=cv2.INTER_AREA)
+        return cv2.resize(
+            np.ascontiguousarray(part), (size, size), interpolation=cv2.INTER_AREA
+        )
 
     # a side's first line is the one that touches the front
     right, left = third(1, 2), third(1, 0)[:, ::-1]
@@ -58,7 +60,9 @@ def with_border(faces: np.ndarray) -> np.ndarray:
     out = look_up(faces, bordered_directions(n)).reshape(6, n + 2, n + 2, -1)
     for j, i in ((0, 0), (0, -1), (-1, 0), (-1, -1)):  # at a corner three faces meet
         inner_j, inner_i = (1 if k == 0 else -2 for k in (j, i))
-        out[:, j, i] = (out[:, inner_j, inner_i] + out[:, j, inner_i] + out[:, inner_j, i]) / 3
+        out[:, j, i] = (
+            out[:, inner_j, inner_i] + out[:, j, inner_i] + out[:, inner_j, i]
+        ) / 3
     return out
 
 
@@ -88,7 +92,9 @@ def step4_environment(
     return np.asarray(fine + (level - below) * (coarse - fine))
 
 
-def _bilinear(faces: np.ndarray, face: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _bilinear(
+    faces: np.ndarray, face: np.ndarray, u: np.ndarray, v: np.ndarray
+) -> np.ndarray:
     """(m, 3) of faces with a border. u, v (m,) : -1..1 along columns and rows, without it"""
     n = faces.shape[1] - 2
     x, y = ((t + 1) / 2 * n + 0.5 for t in (u, v))

@@ -12,7 +12,8 @@ mirrors. With the printed labels V_delta has its sign turned round: it is subtra
 environment is said once to be for real and once for virtual surfaces: the picture of real ones
 holds it already. Only light with a direction is in the voxels, so where the frame has none nothing
 changes on the planes. The picture is changed by a ratio, so black pixels of it gain little.
-Processor instead of graphics card. Gloss, which the paper leaves open: Karis 2013 (split sum). Its errors: docs/methods/gi.md#errata."""
+Processor instead of graphics card. Gloss, which the paper leaves open: Karis 2013 (split
+sum). Its errors: docs/methods/gi.md#errata."""
 
 from __future__ import annotations
 
@@ -31,7 +32,12 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError, require_within
 from arfx.papers.s4_cones import around_normals, cone_steps, cone_trace, six_cones
-from arfx.papers.s4_environment import FACE_PX, step3_environment, step3_mipmap, step4_environment
+from arfx.papers.s4_environment import (
+    FACE_PX,
+    step3_environment,
+    step3_mipmap,
+    step4_environment,
+)
 from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
@@ -121,7 +127,9 @@ class PrintedGi(Stage):
     facts = frozenset({"pose", "light"})
     Params = PrintedGiParams
     terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
-    overrides: ClassVar = {"lightmap": {"ambient": False}}  # all light without a direction is here
+    overrides: ClassVar = {
+        "lightmap": {"ambient": False}
+    }  # all light without a direction is here
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model, mesh = facts.raster_box.clip(frame), self._mesh_rect(facts, scene, frame)
@@ -158,15 +166,21 @@ class PrintedGi(Stage):
             ),
         )
         virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
-        picture = np.clip(view[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32), 0, None)
+        picture = np.clip(
+            view[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32), 0, None
+        )
         wanted = view.out.clip(view.rect)
         if self.params.strength > 0 and radiance.V_delta.any():
-            within = wanted.clip(self._mesh_rect(view.facts, view.scene, view.scene.camera.rect))
+            within = wanted.clip(
+                self._mesh_rect(view.facts, view.scene, view.scene.camera.rect)
+            )
             for band in bands(within):
                 at, surfels = real_surfels(view, prepared, band)
                 change, light = -self.step4_real(prepared, radiance, surfels), picture[at]
                 shadow[at] += (
-                    self.params.strength * np.maximum(change, -light) / np.maximum(light, DARKEST)
+                    self.params.strength
+                    * np.maximum(change, -light)
+                    / np.maximum(light, DARKEST)
                 )
         environment = step3_mipmap(step3_environment(picture, FACE_PX))
         rows, surfels = virtual_surfels(view, wanted.clip(view.facts.raster_box))
@@ -181,7 +195,9 @@ class PrintedGi(Stage):
         )
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
 
-    def step4_real(self, prepared: PrintedPrepared, radiance: Radiance, at: Surfels) -> np.ndarray:
+    def step4_real(
+        self, prepared: PrintedPrepared, radiance: Radiance, at: Surfels
+    ) -> np.ndarray:
         """(m, 3) of V_delta on real surfaces: by the wide cones, and by the mirror cone, in which
         the object is reflected."""
         volumes, six = prepared.volumes, wide_cones(prepared.volumes, radiance.V_delta, at)
@@ -207,7 +223,9 @@ class PrintedGi(Stage):
         surfaces."""
         camera_from_anchor = (view.pose @ view.scene.world_from_anchor).rotation
         metal, roughness = material[:, :1], material[:, 1]
-        six = wide_cones(prepared.volumes, radiance.V_mu, at, environment, camera_from_anchor)
+        six = wide_cones(
+            prepared.volumes, radiance.V_mu, at, environment, camera_from_anchor
+        )
         mirrored, half_deg = mirror_cones(prepared.volumes, radiance.V_mu, at, roughness)
         for deg in np.unique(half_deg):
             k = half_deg == deg
@@ -265,10 +283,14 @@ def real_surfels(
     pixel = pixel[front]
     row, column = np.unravel_index(pixel, d.shape[:2])
     rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
-    return rows, Surfels(surface.position[front], surface.normal[front], normalise(seen[pixel]))
+    return rows, Surfels(
+        surface.position[front], surface.normal[front], normalise(seen[pixel])
+    )
 
 
-def virtual_surfels(view: View, within: Rect) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
+def virtual_surfels(
+    view: View, within: Rect
+) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
     """The same of the object's pixels."""
     slices = within.slices_in(view.rect)
     lengths = np.linalg.norm(view[Layer.NORMAL][slices], axis=-1)
@@ -320,7 +342,7 @@ def mirror_cones(
     out = np.zeros((len(tangent), 4), np.float32)
     for one in np.unique(tangent):
         rows, steps = tangent == one, cone_steps(float(one), volumes.volume.n)
-        out[rows] = cone_trace(volumes, V, steps, at.position[rows], at.mirrored[rows][:, None])[
-            :, 0
-        ]
+        out[rows] = cone_trace(
+            volumes, V, steps, at.position[rows], at.mirrored[rows][:, None]
+        )[:, 0]
     return out, np.degrees(np.arctan(tangent))

@@ -23,7 +23,9 @@ from arfx.stages.light.planes import planes_of
 def step1_mesh(scene: Scene, albedo: float) -> tuple[Part, ...]:
     """A rectangle for each of the scene's planes, metres, anchor axes. albedo : of all of them"""
     planes = planes_of(scene)
-    matt = Material("plane", base_colour=(albedo, albedo, albedo, 1.0), specular=0.0, roughness=1.0)
+    matt = Material(
+        "plane", base_colour=(albedo, albedo, albedo, 1.0), specular=0.0, roughness=1.0
+    )
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     parts = []
     for (origin, x, y, normal), bounds in zip(
@@ -51,7 +53,9 @@ def real_and_virtual(scene: Scene, mesh: tuple[Part, ...]) -> Scene:
     anchor_from_model = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
     turn, offset = anchor_from_model[:3, :3], anchor_from_model[:3, 3]
     moved = (
-        replace(p, vertices=p.vertices @ turn.T + offset, normals=normalise(p.normals @ turn.T))
+        replace(
+            p, vertices=p.vertices @ turn.T + offset, normals=normalise(p.normals @ turn.T)
+        )
         for p in scene.model.parts
     )
     return real_scene(scene, (*mesh, *moved))

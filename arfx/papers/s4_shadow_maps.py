@@ -69,7 +69,11 @@ def shadow_map(
 
 
 def shadow_maps(
-    real: RayScene, virtual: RayScene, volume: Volume, direction: np.ndarray, rgb: np.ndarray
+    real: RayScene,
+    virtual: RayScene,
+    volume: Volume,
+    direction: np.ndarray,
+    rgb: np.ndarray,
 ) -> tuple[ShadowMap, ShadowMap, np.ndarray]:
     """(R_rho, R_mu, shows (k,): texels of R_mu in which the object does)."""
     origins = texel_rays(volume, direction)
@@ -103,7 +107,10 @@ class Radiance:
 
 
 def step2_radiance(
-    volumes: Volumes, real: RayScene, virtual: RayScene, lights: list[tuple[np.ndarray, np.ndarray]]
+    volumes: Volumes,
+    real: RayScene,
+    virtual: RayScene,
+    lights: list[tuple[np.ndarray, np.ndarray]],
 ) -> Radiance:
     """lights : direction (3,), unit, anchor axes, and rgb (3,) of each"""
     V_rho, V_mu, V_delta = np.zeros((3, len(volumes.codes), 3))

@@ -92,9 +92,12 @@ def step2_mean(below: np.ndarray, starts: np.ndarray, stored: bool = False) -> n
     wall one voxel thick 1 - 2^-L of the light leaks at level L. stored : the mean of those children
     that are there: no light leaks, but every surface grows with the level
 
-    below (m, c) : of the level below, by code;  starts (p,) : of each voxel's first child in it"""
+    below (m, c) : of the level below, by code;  starts (p,) : of each voxel's first child in it
+    """
     children = np.diff(starts, append=len(below))[:, None] if stored else 8
-    return np.asarray(np.add.reduceat(below, starts, axis=0) / np.asarray(children, np.float32))
+    return np.asarray(
+        np.add.reduceat(below, starts, axis=0) / np.asarray(children, np.float32)
+    )
 
 
 def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
@@ -111,7 +114,11 @@ def cube_around(scene: Scene, n: int) -> Volume:
     points = points[np.isfinite(points).all(1)]
     centre = (points.min(0) + points.max(0)) / 2
     reach = MARGIN * max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
-    foot = [(centre[0] + i * reach, centre[1] + j * reach, 0.0) for i in (-1, 1) for j in (-1, 1)]
+    foot = [
+        (centre[0] + i * reach, centre[1] + j * reach, 0.0)
+        for i in (-1, 1)
+        for j in (-1, 1)
+    ]
     return volume_around(np.concatenate([points, foot]), n)
 
 

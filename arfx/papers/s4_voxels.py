@@ -120,7 +120,8 @@ def add_pieces(triangles: CutTriangles, n, row_of, sums):  # pragma: no cover - 
     """sums (voxels, 5) += area of each piece, and the area times its normal and its opacity. row_of
     (n^3,) : row of a voxel
 
-    Without rows in `sums` the voxels that hold pieces are marked: row_of becomes 0 there."""
+    Without rows in `sums` the voxels that hold pieces are marked: row_of becomes 0 there.
+    """
     corners, normals, cuts, piece_area, alpha = triangles
     for f in range(corners.shape[0]):
         a, b, c = corners[f]

@@ -31,7 +31,9 @@ PrepareCost = Callable[[str, str], Prediction | None]
 class LevelPolicy:
     """How levels are chosen: a quality by name, or a budget for the whole job, or an error.
 
-    budget_s : seconds;  max_error : mean grey levels, over the pixels that are changed;  at most one of the two"""
+    budget_s : seconds;  max_error : mean grey levels, over the pixels that are changed;  at
+    most one of the two
+    """
 
     quality: str = "standard"
     budget_s: float | None = None
@@ -40,14 +42,20 @@ class LevelPolicy:
 
 @dataclass(frozen=True)
 class ClipPlan:
-    """plans : of every frame;  choice : levels and what was predicted of them;  shots : first frame of each"""
+    """plans : of every frame;  choice : levels and what was predicted of them;  shots :
+    first frame of each
+    """
 
     plans: list[FramePlan]
     choice: LevelChoice
     shots: Mapping[int, int] = field(default_factory=dict)
 
-    def explained(self, errors: Errors, stages: Mapping[str, Stage]) -> list[dict[str, Any]]:
-        """Of every shot and stage: the level, and the error that the table gives it, None = not measured."""
+    def explained(
+        self, errors: Errors, stages: Mapping[str, Stage]
+    ) -> list[dict[str, Any]]:
+        """Of every shot and stage: the level, and the error that the table gives it, None =
+        not measured.
+        """
         return [
             {
                 "shot": shot,
@@ -71,8 +79,10 @@ def plan_clip(
     skip: bool = True,
     prepare_cost: PrepareCost = lambda stage, level: measured(0.0),
 ) -> ClipPlan:
-    """seconds_of : upper end of the whole job's time, from plans (for what is not the stages') and the stages' prediction
-    prepare_cost : of a stage at a level, in the same seconds as its work; None = not known"""
+    """seconds_of : upper end of the whole job's time, from plans (for what is not the
+    stages') and the stages' prediction
+    prepare_cost : of a stage at a level, in the same seconds as its work; None = not known
+    """
     new = list(new_terms(stages, facts))
     usual = {s.name: level_named(s.levels, policy.quality) for s in stages}
     shots: dict[int, int] = {}
@@ -89,13 +99,17 @@ def plan_clip(
     plans = plans_at(dict.fromkeys(shots, usual))
     options = _options(stages, plans, facts, new, scene, prices, errors, prepare_cost)
     if policy.budget_s is not None:
-        choice = best_within_budget(options, lambda work: seconds_of(plans, work), policy.budget_s)
+        choice = best_within_budget(
+            options, lambda work: seconds_of(plans, work), policy.budget_s
+        )
     elif policy.max_error is not None:
         choice = cheapest_within_error(options, policy.max_error)
     else:
         return ClipPlan(plans, by_quality(options, usual), shots)
     by_shot = {
-        shot: {name: choice.levels.get((shot, name), level) for name, level in usual.items()}
+        shot: {
+            name: choice.levels.get((shot, name), level) for name, level in usual.items()
+        }
         for shot in shots
     }
     return ClipPlan(plans_at(by_shot), choice, shots)
@@ -111,12 +125,17 @@ def _options(
     errors: Errors,
     prepare_cost: PrepareCost,
 ) -> dict[ShotStage, list[Option]]:
-    """Every level of every stage that runs, shot by shot. A level without a price cannot be chosen by a budget."""
+    """Every level of every stage that runs, shot by shot.
+
+    A level without a price cannot be chosen by a budget.
+    """
     levels = {s.name: s.levels for s in stages}
     work: dict[ShotStage, list[dict[str, float]]] = {}
     for plan, f, n in zip(plans, facts, new, strict=True):
         for step in plan.steps:
-            work.setdefault((f.shot, step.stage), []).append(terms_of(step.need, f, scene, n))
+            work.setdefault((f.shot, step.stage), []).append(
+                terms_of(step.need, f, scene, n)
+            )
     out: dict[ShotStage, list[Option]] = {}
     shots = Counter(name for _, name in work)
     for (shot, name), runs in work.items():

@@ -1,8 +1,9 @@
-"""How far each level of each stage is from its reference, in grey levels: the shipped table, or what `arfx tradeoff`
-measured on a clip.
+"""How far each level of each stage is from its reference, in grey levels: the shipped
+table, or what `arfx tradeoff` measured on a clip.
 
-The shipped table is made by tools/measure_errors.py on many clips. Nine in ten of them lie between `low` and `high` of a level;
-the upper end is what a plan counts with, so that what it promises holds on most clips."""
+The shipped table is made by tools/measure_errors.py on many clips. Nine in ten of them lie
+between `low` and `high` of a level; the upper end is what a plan counts with, so that what
+it promises holds on most clips."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ UNKNOWN = 255.0  # grey levels: no two pictures differ by more
 
 @dataclass(frozen=True)
 class Errors:
-    """by_level : stage -> level -> mean grey levels over the pixels that the stage's levels differ in or change
+    """by_level : stage -> level -> mean grey levels over the pixels that the stage's levels
+    differ in or change
     source : where it was measured, in words"""
 
     by_level: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -38,17 +40,22 @@ class Errors:
 
 def shipped_errors() -> Errors:
     """Upper ends of what was found on sample scenes and real clips."""
-    return _read(Path(__file__).with_name("default_errors.json").read_text(encoding="utf-8"))
+    return _read(
+        Path(__file__).with_name("default_errors.json").read_text(encoding="utf-8")
+    )
 
 
 def errors_of_clip(file: Path) -> Errors:
-    """From a tradeoff.json; what that did not measure, from the shipped table. Raises InputError."""
+    """From a tradeoff.json; what that did not measure, from the shipped table. Raises
+    InputError.
+    """
     text = read_text(file, "tradeoff")
     try:
         own, shipped = _read(text), shipped_errors()
     except (ValueError, KeyError, TypeError, AttributeError) as e:
         raise InputError(
-            f"{file} is not a tradeoff.json: {e}", "make one: arfx tradeoff CLIP … --report DIR"
+            f"{file} is not a tradeoff.json: {e}",
+            "make one: arfx tradeoff CLIP … --report DIR",
         ) from None
     return Errors({**shipped.by_level, **own.by_level}, own.source)
 

@@ -1,4 +1,6 @@
-"""The plan of a clip in words and numbers: what runs how often, on how much of the picture, and why not elsewhere."""
+"""The plan of a clip in words and numbers: what runs how often, on how much of the picture,
+and why not elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ def summarise(
     """One row per stage, in the fields of report.json's `stages`, without the measured time.
 
     area_fraction : mean over the frames in which the stage runs of its output area / picture area
-    reasons : why it was left out, by text, with the number of frames; equal but for numbers = one text with ranges"""
+    reasons : why it was left out, by text, with the number of frames; equal but for numbers
+    = one text with ranges
+    """
     runs: dict[str, list[Any]] = defaultdict(list)
     skips: dict[str, list[str]] = defaultdict(list)
     for plan in plans:
@@ -39,13 +43,17 @@ def summarise(
                 "levels": dict(Counter(s.level for s in steps)),
                 "frames_run": len(steps),
                 "frames_skipped": len(skips[name]),
-                "area_fraction": sum(s.out.area for s in steps) / (frame_area * len(steps))
-                if steps
-                else 0.0,
+                "area_fraction": (
+                    sum(s.out.area for s in steps) / (frame_area * len(steps))
+                    if steps
+                    else 0.0
+                ),
                 "predicted_s": None if None in seconds else float(sum(seconds)),
-                "predicted_between_s": None
-                if None in between
-                else [float(sum(b[k] for b in between)) for k in (0, 1)],
+                "predicted_between_s": (
+                    None
+                    if None in between
+                    else [float(sum(b[k] for b in between)) for k in (0, 1)]
+                ),
                 "reasons": group_reasons(skips[name]),
             }
         )
@@ -53,7 +61,9 @@ def summarise(
 
 
 def group_reasons(reasons: Iterable[str]) -> dict[str, int]:
-    """Count reasons, folding those that differ only in their numbers: 'circle 0.2…0.6 px'. Most frequent first."""
+    """Count reasons, folding those that differ only in their numbers: 'circle 0.2…0.6 px'.
+    Most frequent first.
+    """
     groups: dict[str, list[str]] = defaultdict(list)
     for reason in reasons:
         groups[_NUMBER.sub("#", reason)].append(reason)
@@ -111,6 +121,7 @@ def total_line(predicted: dict[str, Any], frames: int, unknown: Sequence[str] = 
         else f"{predicted['prices']}; `arfx bench --calibrate` narrows them"
     )
     return (
-        f"whole job: {wall['s']:.1f} s, {wall['low_s']:.1f} to {wall['high_s']:.1f} nine times in ten, "
-        f"{frames / max(wall['s'], 1e-9):.1f} frames/s with {workers} at once (prices: {prices})"
+        f"whole job: {wall['s']:.1f} s, {wall['low_s']:.1f} to {wall['high_s']:.1f} nine"
+        f" times in ten, {frames / max(wall['s'], 1e-9):.1f} frames/s with {workers} at"
+        f" once (prices: {prices})"
     )

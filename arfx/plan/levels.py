@@ -1,9 +1,11 @@
-"""Which level of which stage, between two cuts: the cheapest within an error, or the best within a budget.
+"""Which level of which stage, between two cuts: the cheapest within an error, or the best
+within a budget.
 
-Every stage of every shot has levels with a price and an error. Those worth taking lie on the lower convex hull of (seconds,
-error); going down it, each step loses more error per second saved than the one before. All steps of a clip, sorted by that
-rate, are one way from the reference down to the cheapest: a budget or an error only says where on it to stop. So less budget
-never means less error, and never more predicted time."""
+Every stage of every shot has levels with a price and an error. Those worth taking lie on
+the lower convex hull of (seconds, error); going down it, each step loses more error per
+second saved than the one before. All steps of a clip, sorted by that rate, are one way from
+the reference down to the cheapest: a budget or an error only says where on it to stop. So
+less budget never means less error, and never more predicted time."""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ class Option:
 
 @dataclass(frozen=True)
 class LevelChoice:
-    """levels : by (shot, stage);  stages : predicted, all shots and workers together;  error : of the worst shot, grey levels
+    """levels : by (shot, stage);  stages : predicted, all shots and workers together;
+    error : of the worst shot, grey levels
     met : the limit holds;  why : in words"""
 
     levels: Mapping[ShotStage, str]
@@ -42,12 +45,16 @@ class LevelChoice:
 
 
 def convex_hull(options: Iterable[Option]) -> list[Option]:
-    """The levels worth taking, most expensive first: error lost per second saved only grows from one to the next."""
+    """The levels worth taking, most expensive first: error lost per second saved only grows
+    from one to the next.
+    """
     hull: list[Option] = []
     for option in sorted(options, key=lambda o: (-o.cost.seconds, o.error)):
         # a level with no more error for less time makes those above it pointless
         while (
-            hull and option.error <= hull[-1].error and option.cost.seconds <= hull[-1].cost.seconds
+            hull
+            and option.error <= hull[-1].error
+            and option.cost.seconds <= hull[-1].cost.seconds
         ):
             hull.pop()
         while len(hull) > 1 and _rate(hull[-2], hull[-1]) >= _rate(hull[-2], option):
@@ -69,7 +76,8 @@ def best_within_budget(
 ) -> LevelChoice:
     """The best levels with which a job stays within its budget.
 
-    seconds_of : upper end of the whole job's time for a prediction of the stages' work;  budget_s >= 0
+    seconds_of : upper end of the whole job's time for a prediction of the stages' work;
+    budget_s >= 0
     met is False where even the cheapest levels take longer."""
     start, steps = _start(options)
 
@@ -88,7 +96,9 @@ def best_within_budget(
             state, True, f"{upper:.1f} s at most, nine times in ten, of {budget_s:.1f} s"
         )
     return _choice(
-        state, False, f"even the cheapest levels take up to {upper:.1f} s, not {budget_s:.1f} s"
+        state,
+        False,
+        f"even the cheapest levels take up to {upper:.1f} s, not {budget_s:.1f} s",
     )
 
 
@@ -97,7 +107,8 @@ def cheapest_within_error(
 ) -> LevelChoice:
     """The cheapest levels whose errors add up to at most `limit` grey levels in every shot.
 
-    Differences of pictures add up to no more than the sum of their sizes, so the sum over the stages is a bound."""
+    Differences of pictures add up to no more than the sum of their sizes, so the sum over
+    the stages is a bound."""
     state, steps = _start(options)
     stages: dict[int, list[ShotStage]] = {}
     for key in state:
@@ -106,7 +117,8 @@ def cheapest_within_error(
     for _, key, option in steps:
         if (
             key not in blocked
-            and sum((option if k == key else state[k]).error for k in stages[key[0]]) <= limit
+            and sum((option if k == key else state[k]).error for k in stages[key[0]])
+            <= limit
         ):
             state[key] = option
         else:
@@ -122,13 +134,18 @@ def by_quality(
 ) -> LevelChoice:
     """levels : by stage, as a quality names them"""
     state = {
-        key: next(o for o in every if o.level == levels[key[1]]) for key, every in options.items()
+        key: next(o for o in every if o.level == levels[key[1]])
+        for key, every in options.items()
     }
     return _choice(state, True, "levels named by the quality")
 
 
-def way_down(options: Mapping[ShotStage, Sequence[Option]]) -> Iterator[dict[ShotStage, Option]]:
-    """The most expensive levels worth taking, then one step down after another to the cheapest; always the same dict."""
+def way_down(
+    options: Mapping[ShotStage, Sequence[Option]],
+) -> Iterator[dict[ShotStage, Option]]:
+    """The most expensive levels worth taking, then one step down after another to the
+    cheapest; always the same dict.
+    """
     state, steps = _start(options)
     yield state
     for _, key, option in steps:
@@ -139,13 +156,19 @@ def way_down(options: Mapping[ShotStage, Sequence[Option]]) -> Iterator[dict[Sho
 def _start(
     options: Mapping[ShotStage, Sequence[Option]],
 ) -> tuple[dict[ShotStage, Option], list[tuple[float, ShotStage, Option]]]:
-    """The most expensive levels worth taking, and every step down from them: (rate, of what, to what), lowest rate first."""
+    """The most expensive levels worth taking, and every step down from them: (rate, of
+    what, to what), lowest rate first.
+    """
     hulls = {key: convex_hull(every) for key, every in options.items()}
     steps = [
-        (_rate(a, b), key, b) for key, hull in hulls.items() for a, b in itertools.pairwise(hull)
+        (_rate(a, b), key, b)
+        for key, hull in hulls.items()
+        for a, b in itertools.pairwise(hull)
     ]
     # sorted() keeps the order of equal rates: those of one stage go down one by one
-    return {key: hull[0] for key, hull in hulls.items()}, sorted(steps, key=lambda step: step[0])
+    return {key: hull[0] for key, hull in hulls.items()}, sorted(
+        steps, key=lambda step: step[0]
+    )
 
 
 def _worst(state: Mapping[ShotStage, Option]) -> float:
@@ -157,7 +180,9 @@ def _worst(state: Mapping[ShotStage, Option]) -> float:
 
 
 def total(state: Mapping[ShotStage, Option]) -> Prediction:
-    """Work of all stages: errors of one stage's shots are correlated, those of different stages independent."""
+    """Work of all stages: errors of one stage's shots are correlated, those of different
+    stages independent.
+    """
     by_stage: dict[str, list[Prediction]] = {}
     for (_, stage), option in state.items():
         by_stage.setdefault(stage, []).append(option.cost)
@@ -168,7 +193,10 @@ def sum_correlated(parts: Iterable[Prediction]) -> Prediction:
     """The sum of predictions that are all wrong by the same factor."""
     every = list(parts)
     return Prediction(
-        *(float(sum(getattr(p, end) for p in every)) for end in ("seconds", "low_s", "high_s"))
+        *(
+            float(sum(getattr(p, end) for p in every))
+            for end in ("seconds", "low_s", "high_s")
+        )
     )
 
 

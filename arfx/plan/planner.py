@@ -1,6 +1,8 @@
-"""Decide what one frame needs: which stages, at which level, on which pixels. Pure; touches no pixel.
+"""Decide what one frame needs: which stages, at which level, on which pixels. Pure; touches
+no pixel.
 
-1. demand: each stage says what it would change, or why it does not run; where the object is not visible, only those that can
+1. demand: each stage says what it would change, or why it does not run; where the object is
+   not visible, only those that can
 2. unread: walking backwards from the image, a stage that writes nothing anyone reads is dropped
 3. rectangles: the same walk carries one growing rectangle of wanted pixels"""
 
@@ -38,7 +40,8 @@ def plan_frame(
 
     stages : in the order in which they run;  levels : by stage name;  frame : the whole picture
     skip : False forces every stage onto the whole frame wherever a pose is known
-    prices, new : what work costs here, and the terms (`new_terms`) of light that was not met before"""
+    prices, new : what work costs here, and the terms (`new_terms`) of light that was not met before
+    """
     chosen: list[tuple[Stage, Demand]] = []
     skipped: list[Skip] = []
     for stage in stages:
@@ -78,22 +81,33 @@ def plan_frame(
 def _changed(chosen: Sequence[tuple[Stage, Demand]]) -> Rect:
     """What the stages change by themselves."""
     return reduce(
-        Rect.union, (demand.rect for _, demand in chosen if not demand.within_earlier), EMPTY
+        Rect.union,
+        (demand.rect for _, demand in chosen if not demand.within_earlier),
+        EMPTY,
     )
 
 
-def _demand(stage: Stage, facts: FrameFacts, scene: Scene, frame: Rect, skip: bool) -> Demand:
+def _demand(
+    stage: Stage, facts: FrameFacts, scene: Scene, frame: Rect, skip: bool
+) -> Demand:
     if not (facts.present or stage.without_object):
         return Demand(EMPTY, ABSENT)
     with blamed(stage, f"when frame {facts.index} is planned"):
         demand = stage.demand(facts, scene, frame)
-    return demand if skip or not facts.present else Demand(frame, FORCED, demand.within_earlier)
+    return (
+        demand
+        if skip or not facts.present
+        else Demand(frame, FORCED, demand.within_earlier)
+    )
 
 
 def terms_of(
     need: Rect, facts: FrameFacts, scene: Scene, new: frozenset[str] = frozenset()
 ) -> dict[str, float]:
-    """Work of a step in the terms of the price list (core/cost.py). new : of `new_terms`, those of the frame"""
+    """Work of a step in the terms of the price list (core/cost.py).
+
+    new : of `new_terms`, those of the frame
+    """
     lamps = float(sum(any(c > 0 for c in li.rgb) for li in scene.light_of(facts).lights))
     object_mpx = facts.model_box.clip(need).area / 1e6 if facts.visible else 0.0
     return {
@@ -108,8 +122,12 @@ def terms_of(
     }
 
 
-def new_terms(stages: Iterable[Stage], facts: Iterable[FrameFacts]) -> Iterator[frozenset[str]]:
-    """Of each frame, in order: the terms (`Stage.once`) whose work has not been done yet, because its light is new."""
+def new_terms(
+    stages: Iterable[Stage], facts: Iterable[FrameFacts]
+) -> Iterator[frozenset[str]]:
+    """Of each frame, in order: the terms (`Stage.once`) whose work has not been done yet,
+    because its light is new.
+    """
     every: list[Stage] = list(stages)
     done: set[tuple[str, Hashable]] = set()
     for f in facts:

@@ -21,7 +21,10 @@ def page_name(paper: str) -> str:
 
 
 def reproduce(papers: Sequence[str], folder: Path, work: Work) -> dict[str, Any]:
-    """Write the page of each paper into `folder`. Returns {"rows": […]}, the rows as `Row.to_json`."""
+    """Write the page of each paper into `folder`.
+
+    Returns {"rows": […]}, the rows as `Row.to_json`.
+    """
     rows = []
     for k, paper in enumerate(papers):
         work.progress("papers", k, len(papers))
@@ -34,23 +37,32 @@ def reproduce(papers: Sequence[str], folder: Path, work: Work) -> dict[str, Any]
 
 
 def items_of(paper: str, work: Work) -> list[Item]:
-    """All that a paper's module yields. Raises ValueError where an item has two rows, or a figure has none."""
+    """All that a paper's module yields.
+
+    Raises ValueError where an item has two rows, or a figure has none.
+    """
     found: list[Item] = list(import_module(PAPERS[paper].module).rows(work))
     if other := [i.paper for i in found if i.paper != paper]:
         raise ValueError(f"the module of {paper} yields items of {other[0]}")
     names = [i.item for i in found if isinstance(i, Row)]
     if twice := {n for n in names if names.count(n) > 1}:
         raise ValueError(f"{paper}: two rows for {min(twice)!r}")
-    if lone := [i.item for i in found if isinstance(i, (Figure, Plot)) and i.item not in names]:
+    if lone := [
+        i.item for i in found if isinstance(i, (Figure, Plot)) and i.item not in names
+    ]:
         raise ValueError(f"{paper}: there is a picture of {lone[0]!r}, but no row")
     return found
 
 
 def machine() -> str:
     """What the times were taken on."""
-    system = f"{platform.machine()}, {usable_cores()} cores, {platform.system()}, Python {platform.python_version()}"
+    system = (
+        f"{platform.machine()}, {usable_cores()} cores, {platform.system()}, Python"
+        f" {platform.python_version()}"
+    )
     return (
-        f"Made on {system}. Rates are of one worker over decoding, analysing, rendering and encoding; start-up, planning and "
-        "what is prepared once per clip are left out. Memory is the most that a process of its own held, Python and libraries "
-        "included."
+        f"Made on {system}. Rates are of one worker over decoding, analysing, rendering and"
+        " encoding; start-up, planning and what is prepared once per clip are left out."
+        " Memory is the most that a process of its own held, Python and libraries"
+        " included."
     )

@@ -11,19 +11,28 @@ import numpy as np
 
 HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)
-BEFORE, PRINTED, CORRECTED, REFERENCE = "before", "printed", "corrected", "reference"  # names of a figure's pictures
+BEFORE, PRINTED, CORRECTED, REFERENCE = (
+    "before",
+    "printed",
+    "corrected",
+    "reference",
+)  # names of a figure's pictures
 
 Value = float | str | None
 
 
 @dataclass(frozen=True)
 class Row:
-    """One thing that a paper states, beside what the program gives. The values are numbers, or words where there is no number.
+    """One thing that a paper states, beside what the program gives. The values are numbers,
+    or words where there is no number.
 
-    paper : "s1" to "s4";  item : where it is printed, unique in its paper: "equation (4)", "table 1, teapot, frame rate"
-    printed : as the paper has it;  paper_formula : by the printed method here;  corrected : by the corrected method,
+    paper : "s1" to "s4";  item : where it is printed, unique in its paper: "equation (4)",
+    "table 1, teapot, frame rate"
+    printed : as the paper has it;  paper_formula : by the printed method here;  corrected :
+    by the corrected method,
     None = the corrected method has no such thing
-    verdict : HOLDS where all three agree; DIFFERS where one does not, or where the paper leaves open what had to be chosen;
+    verdict : HOLDS where all three agree; DIFFERS where one does not, or where the paper
+    leaves open what had to be chosen;
     UNDERIVED where something is printed that nothing in the paper leads to
     reason : why, for all but HOLDS
 
@@ -40,12 +49,19 @@ class Row:
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
-            raise ValueError(f"{self.paper}, {self.item}: {self.verdict!r} is none of {', '.join(VERDICTS)}")
+            raise ValueError(
+                f"{self.paper}, {self.item}: {self.verdict!r} is none of"
+                f" {', '.join(VERDICTS)}"
+            )
         if self.verdict != HOLDS and not self.reason.strip():
-            raise ValueError(f"{self.paper}, {self.item}: the verdict {self.verdict!r} has no reason")
+            raise ValueError(
+                f"{self.paper}, {self.item}: the verdict {self.verdict!r} has no reason"
+            )
         for value in (self.printed, self.paper_formula, self.corrected):
             if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f"{self.paper}, {self.item}: {value} is not finite; say it in words")
+                raise ValueError(
+                    f"{self.paper}, {self.item}: {value} is not finite; say it in words"
+                )
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -58,37 +74,76 @@ def half_digit(printed: str) -> float:
 
 
 def compared(
-    paper: str, item: str, printed: str, paper_formula: float | str | None, corrected: float | str | None = None,
-    unit: str = "", reason: str = "", tolerance: float | None = None,
-) -> Row:  # fmt: skip
+    paper: str,
+    item: str,
+    printed: str,
+    paper_formula: float | str | None,
+    corrected: float | str | None = None,
+    unit: str = "",
+    reason: str = "",
+    tolerance: float | None = None,
+) -> Row:
     """A row whose verdict follows from its values.
 
-    printed : as it stands there, "58.7": values agree with it that round to its digits, and words that are the same
+    printed : as it stands there, "58.7": values agree with it that round to its digits, and
+    words that are the same
     tolerance : in place of half its last digit
-    reason : needed where a value does not agree, and where there is none by the printed method; else it is left out"""
+    reason : needed where a value does not agree, and where there is none by the printed
+    method; else it is left out
+    """
     number = as_number(printed)
 
     def agrees(value: float | str) -> bool:
         if number is None or isinstance(value, str):
             return value == printed
-        return abs(value - number) <= (half_digit(printed) if tolerance is None else tolerance) * (1 + 1e-9)
+        return abs(value - number) <= (
+            half_digit(printed) if tolerance is None else tolerance
+        ) * (1 + 1e-9)
 
     if paper_formula is None:
         verdict = UNDERIVED
     else:
-        verdict = HOLDS if all(agrees(v) for v in (paper_formula, corrected) if v is not None) else DIFFERS
+        verdict = (
+            HOLDS
+            if all(agrees(v) for v in (paper_formula, corrected) if v is not None)
+            else DIFFERS
+        )
     shown = printed if number is None else number
-    return Row(paper, item, shown, paper_formula, corrected, unit, verdict, "" if verdict == HOLDS else reason)
+    return Row(
+        paper,
+        item,
+        shown,
+        paper_formula,
+        corrected,
+        unit,
+        verdict,
+        "" if verdict == HOLDS else reason,
+    )
 
 
 def shown(
-    paper: str, item: str, printed: str, paper_formula: float | str, corrected: float | str | None, holds: bool,
-    reason: str = "", unit: str = "",
-) -> Row:  # fmt: skip
+    paper: str,
+    item: str,
+    printed: str,
+    paper_formula: float | str,
+    corrected: float | str | None,
+    holds: bool,
+    reason: str = "",
+    unit: str = "",
+) -> Row:
     """A row of an equation or figure, whose values are measures or words that were checked.
     holds : whether what is printed was found, by both methods;  reason : why not"""
     verdict = HOLDS if holds else DIFFERS
-    return Row(paper, item, printed, paper_formula, corrected, unit, verdict, "" if holds else reason)
+    return Row(
+        paper,
+        item,
+        printed,
+        paper_formula,
+        corrected,
+        unit,
+        verdict,
+        "" if holds else reason,
+    )
 
 
 def both(values: Iterable[float]) -> tuple[float, float]:
@@ -110,9 +165,10 @@ class Figure:
     """Pictures of a figure of a paper, side by side.
 
     item : of the row that speaks of it;  title : what is seen
-    pictures : by name, in order, (h, w, 3) uint8 sRGB. BEFORE, PRINTED, CORRECTED and REFERENCE where there are such; any other
-    name is its caption. PRINTED and CORRECTED get maps of their difference from REFERENCE, without one CORRECTED gets that
-    from PRINTED; those three are of one size"""
+    pictures : by name, in order, (h, w, 3) uint8 sRGB. BEFORE, PRINTED, CORRECTED and
+    REFERENCE where there are such; any other
+    name is its caption. PRINTED and CORRECTED get maps of their difference from REFERENCE,
+    without one CORRECTED gets that from PRINTED; those three are of one size"""
 
     paper: str
     item: str
@@ -122,14 +178,31 @@ class Figure:
     def __post_init__(self) -> None:
         for name, picture in self.pictures.items():
             if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-                raise ValueError(f"{self.paper}, {self.item}: picture {name!r} is {picture.dtype} {picture.shape}")
-        if len({p.shape for name, p in self.pictures.items() if name in (PRINTED, CORRECTED, REFERENCE)}) > 1:
-            raise ValueError(f"{self.paper}, {self.item}: pictures that are compared have one size")
+                raise ValueError(
+                    f"{self.paper}, {self.item}: picture {name!r} is {picture.dtype}"
+                    f" {picture.shape}"
+                )
+        if (
+            len(
+                {
+                    p.shape
+                    for name, p in self.pictures.items()
+                    if name in (PRINTED, CORRECTED, REFERENCE)
+                }
+            )
+            > 1
+        ):
+            raise ValueError(
+                f"{self.paper}, {self.item}: pictures that are compared have one size"
+            )
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """A plot in place of a table or curve. item : of a row that speaks of it;  figure : of matplotlib"""
+    """A plot in place of a table or curve.
+
+    item : of a row that speaks of it;  figure : of matplotlib
+    """
 
     paper: str
     item: str
@@ -138,25 +211,49 @@ class Plot:
 
 
 def bars(
-    paper: str, item: str, title: str, unit: str, labels: Sequence[str],
+    paper: str,
+    item: str,
+    title: str,
+    unit: str,
+    labels: Sequence[str],
     series: Mapping[str, Sequence[float | tuple[float, float] | None]],
-) -> Plot:  # fmt: skip
-    """A plot of a table: a group of bars for each label, a colour for each series (printed, printed method, corrected …).
+) -> Plot:
+    """A plot of a table: a group of bars for each label, a colour for each series (printed,
+    printed method, corrected …).
 
     A pair is drawn from its first to its second value, None is left out."""
     from matplotlib.figure import Figure as Drawing
 
-    drawing = Drawing(figsize=(7.6, 0.8 + 0.22 * len(labels) * (len(series) + 1)), layout="constrained")
+    drawing = Drawing(
+        figsize=(7.6, 0.8 + 0.22 * len(labels) * (len(series) + 1)), layout="constrained"
+    )
     axis = drawing.subplots()
     height = 0.8 / len(series)
     for k, (name, values) in enumerate(series.items()):
-        ends = [(0.0, v) if isinstance(v, (int, float)) else v or (0.0, 0.0) for v in values]
+        ends = [
+            (0.0, v) if isinstance(v, (int, float)) else v or (0.0, 0.0) for v in values
+        ]
         y = np.arange(len(labels)) + (k - (len(series) - 1) / 2) * height
-        axis.barh(y, [b - a for a, b in ends], 0.9 * height, [a for a, _ in ends], label=name, color=COLOURS[k % len(COLOURS)])
+        axis.barh(
+            y,
+            [b - a for a, b in ends],
+            0.9 * height,
+            [a for a, _ in ends],
+            label=name,
+            color=COLOURS[k % len(COLOURS)],
+        )
         for at, (a, b), value in zip(y, ends, values, strict=True):
             if value is not None:
                 text = f"{b:.3g}" if isinstance(value, (int, float)) else f"{a:.3g}–{b:.3g}"
-                axis.annotate(text, (b, at), (3, 0), textcoords="offset points", va="center", fontsize=7, color=INK)
+                axis.annotate(
+                    text,
+                    (b, at),
+                    (3, 0),
+                    textcoords="offset points",
+                    va="center",
+                    fontsize=7,
+                    color=INK,
+                )
     axis.set_yticks(np.arange(len(labels)), labels)
     axis.invert_yaxis()
     axis.set_xlabel(unit, fontsize=8)
@@ -166,6 +263,11 @@ def bars(
 
 
 INK = "#7d8590"  # readable on white and on nearly black
-COLOURS = ("#8b949e", "#d9822b", "#2f81f7", "#2da44e")  # printed, printed method, corrected, reference
+COLOURS = (
+    "#8b949e",
+    "#d9822b",
+    "#2f81f7",
+    "#2da44e",
+)  # printed, printed method, corrected, reference
 
 Item = Row | Figure | Plot

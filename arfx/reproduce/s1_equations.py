@@ -1,4 +1,6 @@
-"""Rows of Tan, Chen, Sun 2009 that take no picture: equations (1), (2) and (4) to (9), on readings made here."""
+"""Rows of Tan, Chen, Sun 2009 that take no picture: equations (1), (2) and (4) to (9), on
+readings made here.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,14 @@ from arfx.core.colour import SRGB
 from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import angle_between, normalise
 from arfx.papers.s1_gain import brightness, eq6_smallest_vector, gain_and_bias
-from arfx.papers.s1_light import LightMap, PrintedLightParams, eq8_weight, eq9_lights, hemisphere, lights_of
+from arfx.papers.s1_light import (
+    LightMap,
+    PrintedLightParams,
+    eq8_weight,
+    eq9_lights,
+    hemisphere,
+    lights_of,
+)
 from arfx.papers.s1_lightmap import phong
 from arfx.reproduce.rows import COLOURS, DIFFERS, Item, Plot, Row, both, compared, shown
 from arfx.reproduce.rows import INK as LINE
@@ -28,8 +37,14 @@ BIAS = 12.0  # of 255, in all clips of this module
 S_RAD, EPSILON_DEG = 0.2, 30.0  # s of (8), epsilon of (9): the paper has no values
 UP = np.array([0.0, 0.0, 1.0])
 RHO = np.where(WHITE, PAPER, INK)
-FREE = "the length of (6)'s vector is free, and 1/b' changes with it: dividing (2) by g gives b' = b/g"
-PEAKS = "M is irradiance, light blurred by a cosine of 180 degrees: its peaks are no lamps. Corrected: lamps are fitted to it"
+FREE = (
+    "the length of (6)'s vector is free, and 1/b' changes with it: dividing (2) by g gives"
+    " b' = b/g"
+)
+PEAKS = (
+    "M is irradiance, light blurred by a cosine of 180 degrees: its peaks are no lamps."
+    " Corrected: lamps are fitted to it"
+)
 NO_VALUE = "the paper names it and states no value"
 
 
@@ -49,26 +64,70 @@ def section_2_3() -> Iterator[Item]:
     v, d = normalise(np.array([[-0.6, 0, 0.8]])), np.array([0.6, 0, 0.8])
     highlight = float(phong(UP[None], v, d, np.array([0.3]))[0])
     yield shown(
-        "s1", "section 2.3, Phong's highlight in the mirrored direction", "brightest", highlight, None, abs(highlight - 1) < 1e-9
+        "s1",
+        "section 2.3, Phong's highlight in the mirrored direction",
+        "brightest",
+        highlight,
+        None,
+        abs(highlight - 1) < 1e-9,
     )
     light = np.full((1, 1, 3), SRGB.decode(np.array(200 / 255)), np.float32)
     dark = np.empty_like(light)
-    shade(light, np.full((1, 1, 1), 0.5, np.float32), np.float32(1), np.zeros(3, np.float32), dark)
+    shade(
+        light,
+        np.full((1, 1, 1), 0.5, np.float32),
+        np.float32(1),
+        np.zeros(3, np.float32),
+        dark,
+    )
     coded = float(255 * SRGB.encode(dark.astype(float))[0, 0, 0])
-    why = "the paper does not say what a shadow takes. Here, by both formulas: a share of the light, in linear light"
-    yield Row("s1", "section 2.3, half of the light on coded 200", None, coded, coded, "of 255", DIFFERS, why)
+    why = (
+        "the paper does not say what a shadow takes. Here, by both formulas: a share of the"
+        " light, in linear light"
+    )
+    yield Row(
+        "s1",
+        "section 2.3, half of the light on coded 200",
+        None,
+        coded,
+        coded,
+        "of 255",
+        DIFFERS,
+        why,
+    )
 
 
 def equation_1() -> Iterator[Item]:
     """Light of a surface."""
-    d, omega = normalise(np.array([[0.5, 0.2, 0.8], [-0.6, 0.1, 0.7]])), np.array([[0.6, 0.5, 0.4], [0.2, 0.3, 0.4]])
+    d, omega = (
+        normalise(np.array([[0.5, 0.2, 0.8], [-0.6, 0.1, 0.7]])),
+        np.array([[0.6, 0.5, 0.4], [0.2, 0.3, 0.4]]),
+    )
     n = np.concatenate([hemisphere(3), -hemisphere(3)])
     x = np.maximum(n @ d.T, 0) @ omega
-    shared = Light((0.0,) * 3, tuple(DirectionalLight(triple(a), triple(b)) for a, b in zip(d, omega, strict=True)))
-    found = LightFit(MEASURED, "", np.zeros((1, 3)), np.zeros((1, 3)),
-                     tuple(FittedLight(a, b[None], 1.0) for a, b in zip(d, omega, strict=True)))  # fmt: skip
-    off = both(float(np.abs(e - x).max()) for e in (shared.radiance(n), found.irradiance(n)))
-    yield shown("s1", "equation (1), two lights: largest difference from the sum", "x = Σ max(n·d, 0) Ω", *off, max(off) < 1e-12)
+    shared = Light(
+        (0.0,) * 3,
+        tuple(
+            DirectionalLight(triple(a), triple(b)) for a, b in zip(d, omega, strict=True)
+        ),
+    )
+    found = LightFit(
+        MEASURED,
+        "",
+        np.zeros((1, 3)),
+        np.zeros((1, 3)),
+        tuple(FittedLight(a, b[None], 1.0) for a, b in zip(d, omega, strict=True)),
+    )
+    off = both(
+        float(np.abs(e - x).max()) for e in (shared.radiance(n), found.irradiance(n))
+    )
+    yield shown(
+        "s1",
+        "equation (1), two lights: largest difference from the sum",
+        "x = Σ max(n·d, 0) Ω",
+        *off,
+        max(off) < 1e-12,
+    )
 
 
 def clip(seed: int, frames: int = 25) -> tuple[np.ndarray, np.ndarray]:
@@ -84,8 +143,8 @@ def three(grey: np.ndarray) -> np.ndarray:
 def equation_2(seeds: int) -> Iterator[Item]:
     """Albedos out of a picture."""
     why = (
-        "brightness is affine in the albedo, not linear: what is found depends on the light of the picture that it is taken "
-        "from. Corrected: known albedos of ink and paper"
+        "brightness is affine in the albedo, not linear: what is found depends on the light"
+        " of the picture that it is taken from. Corrected: known albedos of ink and paper"
     )
     found: list[list[float]] = []
     for seed in range(seeds):
@@ -93,28 +152,64 @@ def equation_2(seeds: int) -> Iterator[Item]:
         printed = gain_and_bias(three(grey), albedo=brightness(three(grey)))
         corrected = solve(three(grey), white=WHITE)
         ratio = y / y[0]
-        off = (100 * float(np.abs(p.y[:, 0] / p.y[0, 0] / ratio - 1).max()) for p in (printed, corrected))
+        off = (
+            100 * float(np.abs(p.y[:, 0] / p.y[0, 0] / ratio - 1).max())
+            for p in (printed, corrected)
+        )
         found.append([255 * printed.bias[0], 255 * corrected.bias[0], *off])
     table = np.array(found)
     by, bc, ey, ec = (float(m) for m in np.median(table, 0))
-    spread = f" (10 to 90 % of clips: {np.percentile(table[:, 0], 10):.1f} to {np.percentile(table[:, 0], 90):.1f})"
-    yield compared(
-        "s1", "equation (2), ρ as mean brightness: bias, true 12 of 255", f"{BIAS:.0f}", by, bc, "of 255", why + spread
+    spread = (
+        f" (10 to 90 % of clips: {np.percentile(table[:, 0], 10):.1f} to"
+        f" {np.percentile(table[:, 0], 90):.1f})"
     )
-    yield compared("s1", "equation (2), ρ as mean brightness: largest error of the light's ratios", "0", ey, ec, "%", why)
+    yield compared(
+        "s1",
+        "equation (2), ρ as mean brightness: bias, true 12 of 255",
+        f"{BIAS:.0f}",
+        by,
+        bc,
+        "of 255",
+        why + spread,
+    )
+    yield compared(
+        "s1",
+        "equation (2), ρ as mean brightness: largest error of the light's ratios",
+        "0",
+        ey,
+        ec,
+        "%",
+        why,
+    )
 
 
 def equation_4() -> Iterator[Item]:
     """Gain and bias as reciprocals."""
     for frames in (10, 40):
         grey, _ = clip(0, frames)
-        b = {p: 255 * float(gain_and_bias(three(grey), white=WHITE, printed_bias=p).bias[0]) for p in (True, False)}
+        b = {
+            p: 255 * float(gain_and_bias(three(grey), white=WHITE, printed_bias=p).bias[0])
+            for p in (True, False)
+        }
         corrected = 255 * float(solve(three(grey), white=WHITE).bias[0])
         yield compared(
-            "s1", f"equation (4), b = 1/b', {frames} frames, true 12 of 255", f"{BIAS:.0f}", b[True], corrected, "of 255", FREE
+            "s1",
+            f"equation (4), b = 1/b', {frames} frames, true 12 of 255",
+            f"{BIAS:.0f}",
+            b[True],
+            corrected,
+            "of 255",
+            FREE,
         )
     yield compared(
-        "s1", "equation (4), b = b'/g', 40 frames, true 12 of 255", f"{BIAS:.0f}", b[False], corrected, "of 255", "", 1e-6
+        "s1",
+        "equation (4), b = b'/g', 40 frames, true 12 of 255",
+        f"{BIAS:.0f}",
+        b[False],
+        corrected,
+        "of 255",
+        "",
+        1e-6,
     )
 
 
@@ -123,7 +218,8 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
     grey, _ = clip(0)
     flat = RHO * np.full((25, 1), 120.0) + BIAS
     lacks = (
-        "whatever the light does, a patch of one albedo cannot tell g, b and x apart. Corrected: it is said, and b = 0 assumed"
+        "whatever the light does, a patch of one albedo cannot tell g, b and x apart."
+        " Corrected: it is said, and b = 0 assumed"
     )
     cases = {
         "equation (5), one patch, 25 frames": (grey[:, :1], RHO[:1]),
@@ -135,10 +231,27 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
     for item, (seen, rho) in cases.items():
         one = solve(three(seen), albedo=rho).verdict == MEASURED
         nullity = eq6_smallest_vector(seen, rho).nullity
-        yield compared("s1", f"{item}: solutions", "1", nullity, 1 if one else "refused", "dimensions", lacks)
+        yield compared(
+            "s1",
+            f"{item}: solutions",
+            "1",
+            nullity,
+            1 if one else "refused",
+            "dimensions",
+            lacks,
+        )
     exact = 255 * eq6_smallest_vector(grey, RHO).bias
     corrected = 255 * float(solve(three(grey), white=WHITE).bias[0])
-    yield compared("s1", "equation (6), bias without noise, true 12 of 255", f"{BIAS:.0f}", exact, corrected, "of 255", "", 1e-6)
+    yield compared(
+        "s1",
+        "equation (6), bias without noise, true 12 of 255",
+        f"{BIAS:.0f}",
+        exact,
+        corrected,
+        "of 255",
+        "",
+        1e-6,
+    )
     rho = np.linspace(0.45, 0.55, 8)
     found: dict[str, list[float]] = {"255": [], "1": [], "corrected": []}
     for seed in range(seeds):
@@ -150,33 +263,57 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
         found["corrected"] += [float(solved.bias[0])] * (solved.verdict == MEASURED)
     b = {k: float(np.median(v)) for k, v in found.items()}
     why = (
-        "the noise is in the I column alone, so the vector is biased, and by the unit of I. Corrected: g = 1, robust least "
-        f"squares, refused in {seeds - len(found['corrected'])} of {seeds} clips of 6 frames"
+        "the noise is in the I column alone, so the vector is biased, and by the unit of"
+        " I. Corrected: g = 1, robust least squares, refused in"
+        f" {seeds - len(found['corrected'])} of {seeds} clips of 6 frames"
     )
     for unit in ("255", "1"):
-        item = f"equation (6), bias with noise of 2, true 12 of 255, albedos .45 to .55, I up to {unit}"
+        item = (
+            "equation (6), bias with noise of 2, true 12 of 255, albedos .45 to .55, I up"
+            f" to {unit}"
+        )
         yield compared("s1", item, f"{BIAS:.0f}", b[unit], b["corrected"], "of 255", why)
 
 
 class CorrectedMap:
-    """The map by which the corrected method finds steps of the light: value (v, 3) at an icosphere's vertices."""
+    """The map by which the corrected method finds steps of the light: value (v, 3) at an
+    icosphere's vertices.
+    """
 
     def __init__(self) -> None:
         self.vertices = icosphere(3).vertices
-        self.value, self.variance = np.zeros(self.vertices.shape), np.full(self.vertices.shape, UNKNOWN)
+        self.value, self.variance = (
+            np.zeros(self.vertices.shape),
+            np.full(self.vertices.shape, UNKNOWN),
+        )
 
     def add(self, n: np.ndarray, x: np.ndarray, deviation: float) -> None:
         wait(self.value, self.variance, 1 / 30, 0.05, False)
         variance = np.full((1, 3), deviation**2)
-        add(self.vertices, self.value, self.variance, n[None], x[None], variance, 0, 1, S_RAD)
+        add(
+            self.vertices,
+            self.value,
+            self.variance,
+            n[None],
+            x[None],
+            variance,
+            0,
+            1,
+            S_RAD,
+        )
 
 
 def equation_7() -> Iterator[Item]:
     """The update of the map."""
-    replaces = "f = 1 at the normal itself: the newest reading replaces all older ones. Corrected: an update by precision"
+    replaces = (
+        "f = 1 at the normal itself: the newest reading replaces all older ones. Corrected:"
+        " an update by precision"
+    )
 
     def seen(values: np.ndarray) -> np.ndarray:
-        """(t, 2) printed and corrected map at a normal that shows these values (t,), one after the other."""
+        """(t, 2) printed and corrected map at a normal that shows these values (t,), one
+        after the other.
+        """
         printed, corrected, out = LightMap(3, S_RAD), CorrectedMap(), []
         at = int((printed.n @ UP).argmax())
         for x in np.repeat(values[:, None], 3, 1):
@@ -187,13 +324,42 @@ def equation_7() -> Iterator[Item]:
 
     last = both((seen(np.full(1000, 0.7))[-1] / 0.7).tolist())
     noisy = seen(0.7 + 0.05 * np.random.default_rng(0).normal(size=400))
-    yield compared("s1", "equation (7), constant light after 1,000 updates", "1", *last, "of the light", "", 1e-6)
+    yield compared(
+        "s1",
+        "equation (7), constant light after 1,000 updates",
+        "1",
+        *last,
+        "of the light",
+        "",
+        1e-6,
+    )
     left = both(100 * float(s) / 0.05 for s in np.std(noisy[50:], axis=0))
-    yield shown("s1", "equation (7), noise of one normal that is left", "M ← (1 − f) M + f x", *left, False, replaces, "%")
-    newest = both(100 * float(np.mean(f(hemisphere(4) @ UP) >= 0.5)) for f in (printed_weight, corrected_weight))
-    sudden = "as section 2.2 says, light that changes at once is not renewed at once; and (8) lacks its square: see there"
-    yield Row("s1", "section 2.2, normals that one frame renews by half or more", "one", *newest, "% of the hemisphere", DIFFERS,
-              sudden)  # fmt: skip
+    yield shown(
+        "s1",
+        "equation (7), noise of one normal that is left",
+        "M ← (1 − f) M + f x",
+        *left,
+        False,
+        replaces,
+        "%",
+    )
+    newest = both(
+        100 * float(np.mean(f(hemisphere(4) @ UP) >= 0.5))
+        for f in (printed_weight, corrected_weight)
+    )
+    sudden = (
+        "as section 2.2 says, light that changes at once is not renewed at once; and (8)"
+        " lacks its square: see there"
+    )
+    yield Row(
+        "s1",
+        "section 2.2, normals that one frame renews by half or more",
+        "one",
+        *newest,
+        "% of the hemisphere",
+        DIFFERS,
+        sudden,
+    )
 
 
 def printed_weight(cosine: np.ndarray) -> np.ndarray:
@@ -201,7 +367,9 @@ def printed_weight(cosine: np.ndarray) -> np.ndarray:
 
 
 def corrected_weight(cosine: np.ndarray) -> np.ndarray:
-    """Of an observation of no light and variance 1: the variance of the vertices that it reaches is 1 over it."""
+    """Of an observation of no light and variance 1: the variance of the vertices that it
+    reaches is 1 over it.
+    """
     c = np.asarray(cosine, float)
     vertices = np.stack([np.sqrt(np.maximum(1 - c * c, 0)), 0 * c, c], -1)
     value, variance = np.zeros(vertices.shape), np.full(vertices.shape, UNKNOWN)
@@ -211,18 +379,41 @@ def corrected_weight(cosine: np.ndarray) -> np.ndarray:
 
 def equation_8() -> Iterator[Item]:
     """The weight of a normal."""
-    yield Row("s1", "equation (8), s", "a blur constant", S_RAD, S_RAD, "rad", DIFFERS, NO_VALUE)
+    yield Row(
+        "s1", "equation (8), s", "a blur constant", S_RAD, S_RAD, "rad", DIFFERS, NO_VALUE
+    )
     why = "the square of a Gaussian is missing in print: the weight has a cusp at 0"
     for angle_deg in (0, 1, 5, 10, 20, 30):
         cosine = np.cos(np.radians([angle_deg]))
         f = both(float(weight(cosine)[0]) for weight in (printed_weight, corrected_weight))
         holds = abs(f[0] - f[1]) < 1e-6
-        yield shown("s1", f"equation (8), weight at {angle_deg} degrees", "exp(−θ / (2 s²))", *f, holds, why)
+        yield shown(
+            "s1",
+            f"equation (8), weight at {angle_deg} degrees",
+            "exp(−θ / (2 s²))",
+            *f,
+            holds,
+            why,
+        )
     # nothing of the sphere is left out by cos(cos θ) > 0, half of it by cos θ > 0
     away = np.cos(np.radians([91.0, 120, 150, 180]))
-    out = both(100 * float(np.mean(f == 0)) for f in (eq8_weight(away, 2.0), corrected_weight(away)))
-    why = "the cosine of a cosine is never negative: the condition excludes nothing. Corrected: n·n' > 0"
-    yield shown("s1", "equation (8), condition cos(n·n') > 0: directions behind that it excludes", "all", *out, False, why, "%")
+    out = both(
+        100 * float(np.mean(f == 0))
+        for f in (eq8_weight(away, 2.0), corrected_weight(away))
+    )
+    why = (
+        "the cosine of a cosine is never negative: the condition excludes nothing."
+        " Corrected: n·n' > 0"
+    )
+    yield shown(
+        "s1",
+        "equation (8), condition cos(n·n') > 0: directions behind that it excludes",
+        "all",
+        *out,
+        False,
+        why,
+        "%",
+    )
     yield weights_plot("equation (8), weight at 10 degrees")
 
 
@@ -231,8 +422,13 @@ def weights_plot(item: str) -> Plot:
 
     drawing = Drawing(figsize=(7.6, 3), layout="constrained")
     axis, angle_deg = drawing.subplots(), np.linspace(0, 40, 161)
-    for label, weight, colour in (("printed", printed_weight, COLOURS[1]), ("corrected", corrected_weight, COLOURS[2])):
-        axis.plot(angle_deg, weight(np.cos(np.radians(angle_deg))), label=label, color=colour)
+    for label, weight, colour in (
+        ("printed", printed_weight, COLOURS[1]),
+        ("corrected", corrected_weight, COLOURS[2]),
+    ):
+        axis.plot(
+            angle_deg, weight(np.cos(np.radians(angle_deg))), label=label, color=colour
+        )
     axis.set_xlabel("angle between a normal and the one that was seen, degrees", fontsize=8)
     axis.set_ylabel(f"weight, s = {S_RAD} rad", fontsize=8)
     axis.legend(frameon=False, labelcolor=LINE, fontsize=8)
@@ -247,7 +443,10 @@ def lit(n: np.ndarray, lamps: np.ndarray, ambient: float) -> np.ndarray:
 def cap(span_deg: float, count: int, seed: int = 0) -> np.ndarray:
     """(count, 3) normals within span_deg of UP."""
     rng = np.random.default_rng(seed)
-    z, phi = 1 - rng.random(count) * (1 - np.cos(np.radians(span_deg))), 2 * np.pi * rng.random(count)
+    z, phi = (
+        1 - rng.random(count) * (1 - np.cos(np.radians(span_deg))),
+        2 * np.pi * rng.random(count),
+    )
     r = np.sqrt(1 - z * z)
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
 
@@ -255,54 +454,137 @@ def cap(span_deg: float, count: int, seed: int = 0) -> np.ndarray:
 def equation_9(seeds: int) -> Iterator[Item]:
     """Lights at the peaks of the map."""
     params = PrintedLightParams(albedos="known")
-    yield Row("s1", "equation (9), I_c", "a large value", f"{params.peak:g} of the largest", None, "", DIFFERS, NO_VALUE)
-    yield Row("s1", "equation (9), ε", "a small angle", params.peak_apart_deg, None, "degrees", DIFFERS, NO_VALUE)
+    yield Row(
+        "s1",
+        "equation (9), I_c",
+        "a large value",
+        f"{params.peak:g} of the largest",
+        None,
+        "",
+        DIFFERS,
+        NO_VALUE,
+    )
+    yield Row(
+        "s1",
+        "equation (9), ε",
+        "a small angle",
+        params.peak_apart_deg,
+        None,
+        "degrees",
+        DIFFERS,
+        NO_VALUE,
+    )
     candidates, n = hemisphere(4), cap(75, 220)
     for apart_deg in (30, 60, 80):
         half = np.radians(apart_deg / 2)
-        lamps = np.array([[np.sin(half), 0, np.cos(half)], [-np.sin(half), 0, np.cos(half)]])
-        peaks = candidates[eq9_lights(lit(candidates, lamps, 0.2), candidates, 0.0, EPSILON_DEG)]
+        lamps = np.array(
+            [[np.sin(half), 0, np.cos(half)], [-np.sin(half), 0, np.cos(half)]]
+        )
+        peaks = candidates[
+            eq9_lights(lit(candidates, lamps, 0.2), candidates, 0.0, EPSILON_DEG)
+        ]
         found = fit(n, lit(n, lamps, 0.2))
-        fitted = np.array([li.direction for li in found.lights if not li.dome and li.confidence_deg < 90]).reshape(-1, 3)
+        fitted = np.array(
+            [li.direction for li in found.lights if not li.dome and li.confidence_deg < 90]
+        ).reshape(-1, 3)
         what = f"equation (9), two equal lamps {apart_deg} degrees apart"
-        yield compared("s1", f"{what}: lights", "2", len(peaks), len(fitted) or "refused", "", PEAKS)
+        yield compared(
+            "s1", f"{what}: lights", "2", len(peaks), len(fitted) or "refused", "", PEAKS
+        )
         off = [off_deg(directions, lamps) for directions in (peaks, fitted)]
-        yield compared("s1", f"{what}: direction off", "0", off[0], "refused" if off[1] is None else off[1], "degrees", PEAKS)
+        yield compared(
+            "s1",
+            f"{what}: direction off",
+            "0",
+            off[0],
+            "refused" if off[1] is None else off[1],
+            "degrees",
+            PEAKS,
+        )
     clips = [one_lamp(seed, params) for seed in range(seeds)]
-    median = both(float(np.median([o for o in column if o is not None])) for column in zip(*clips, strict=True))
-    yield compared("s1", "equation (9), one lamp with ambient light, median: direction off", "0", *median, "degrees", PEAKS)
+    median = both(
+        float(np.median([o for o in column if o is not None]))
+        for column in zip(*clips, strict=True)
+    )
+    yield compared(
+        "s1",
+        "equation (9), one lamp with ambient light, median: direction off",
+        "0",
+        *median,
+        "degrees",
+        PEAKS,
+    )
     normals = normalise(np.random.default_rng(0).normal(size=(50, 3)))
     single = [lights_of([reading(normal, 0.6)], params)[0][0].lights for normal in normals]
-    claimed = [fit(np.repeat(normal[None], 20, 0), np.full((20, 3), 0.6)).verdict == MEASURED for normal in normals[:5]]
-    why = "from one normal no direction can be known: the peak is the normal itself. Corrected: refused, another cue is taken"
+    claimed = [
+        fit(np.repeat(normal[None], 20, 0), np.full((20, 3), 0.6)).verdict == MEASURED
+        for normal in normals[:5]
+    ]
+    why = (
+        "from one normal no direction can be known: the peak is the normal itself."
+        " Corrected: refused, another cue is taken"
+    )
     count = both((float(sum(map(len, single))), float(sum(claimed))))
-    yield Row("s1", "equation (9), a marker at rest, 50 normals: lights", "at a peak", *count, "", DIFFERS, why)
-    five = np.concatenate([UP[None], normalise(np.array([[1, 0, 1], [-1, 0, 1], [0, 1, 1], [0, -1, 1.0]]))])
+    yield Row(
+        "s1",
+        "equation (9), a marker at rest, 50 normals: lights",
+        "at a peak",
+        *count,
+        "",
+        DIFFERS,
+        why,
+    )
+    five = np.concatenate(
+        [UP[None], normalise(np.array([[1, 0, 1], [-1, 0, 1], [0, 1, 1], [0, -1, 1.0]]))]
+    )
     kept = len(lights_of([reading(five, 0.6)], PrintedLightParams(peak=0.3))[0][0].lights)
     yield compared(
-        "s1", "equation (9), five peaks: lights", "5", kept, LightParams().most_lights, "", "corrected: two lamps at most"
+        "s1",
+        "equation (9), five peaks: lights",
+        "5",
+        kept,
+        LightParams().most_lights,
+        "",
+        "corrected: two lamps at most",
     )
 
 
 def reading(n: np.ndarray, level: float) -> Observation:
     normals = np.atleast_2d(n)
-    return Observation(0.0, normals, np.full(normals.shape, level), np.full(normals.shape, 1e-6))
+    return Observation(
+        0.0, normals, np.full(normals.shape, level), np.full(normals.shape, 1e-6)
+    )
 
 
 def off_deg(found: np.ndarray, lamps: np.ndarray) -> float | None:
     """Largest angle from a found direction to the nearest lamp; None where none is found."""
     if not len(found):
         return None
-    return max(float(np.degrees(angle_between(np.tile(d, (len(lamps), 1)), lamps).min())) for d in found)
+    return max(
+        float(np.degrees(angle_between(np.tile(d, (len(lamps), 1)), lamps).min()))
+        for d in found
+    )
 
 
 def one_lamp(seed: int, params: PrintedLightParams) -> tuple[float | None, float | None]:
-    """Degrees off by the printed and the corrected method, None where nothing is claimed: a marker turned through 100 normals."""
+    """Degrees off by the printed and the corrected method, None where nothing is claimed: a
+    marker turned through 100 normals.
+    """
     rng = np.random.default_rng(seed)
     tilt, azimuth = np.radians(rng.uniform(10, 45)), rng.uniform(0, 2 * np.pi)
-    lamp = np.array([[np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)]])
+    lamp = np.array(
+        [[np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)]]
+    )
     n = cap(75, 100, seed)
     x = lit(n, lamp, 0.4) * (1 + 0.005 * rng.normal(size=(100, 1)))
-    lights = lights_of([Observation(0.0, a[None], b[None], np.full((1, 3), 1e-5)) for a, b in zip(n, x, strict=True)], params)
+    lights = lights_of(
+        [
+            Observation(0.0, a[None], b[None], np.full((1, 3), 1e-5))
+            for a, b in zip(n, x, strict=True)
+        ],
+        params,
+    )
     found = fit(n, x, np.full(x.shape, 1e-5))
-    return off_deg(lights[0][-1].lights[0].unit[None], lamp), off_deg(np.array([li.direction for li in found.lights[:1]]), lamp)
+    return off_deg(lights[0][-1].lights[0].unit[None], lamp), off_deg(
+        np.array([li.direction for li in found.lights[:1]]), lamp
+    )

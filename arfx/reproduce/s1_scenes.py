@@ -1,5 +1,6 @@
-"""Scenes of the figures and of table 1 of Tan, Chen, Sun 2009: a card with a marker, turned before a camera at rest, one lamp,
-and a model on it. The paper gives neither the scenes nor the size of the picture."""
+"""Scenes of the figures and of table 1 of Tan, Chen, Sun 2009: a card with a marker, turned
+before a camera at rest, one lamp, and a model on it. The paper gives neither the scenes nor
+the size of the picture."""
 
 from __future__ import annotations
 
@@ -33,13 +34,23 @@ AMBIENT = (0.2, 0.205, 0.22)
 
 
 def turned_card(lamp: Lamp, size_px: tuple[int, int], frames: int, samples: int = 2) -> str:
-    """A scene whose card shows normals on a spiral about the line of sight; first and last it lies level.
+    """A scene whose card shows normals on a spiral about the line of sight; first and last
+    it lies level.
 
     samples : of a pixel, a side"""
     return _SCENE.format(
-        width=size_px[0], height=size_px[1], frames=frames, samples=samples, keys=_keys(frames), eye=_vector(CARD_M + EYE_M),
-        card=_vector(CARD_M), ambient=list(AMBIENT), azimuth=lamp.azimuth_deg, elevation=lamp.elevation_deg, rgb=list(lamp.rgb),
-    )  # fmt: skip
+        width=size_px[0],
+        height=size_px[1],
+        frames=frames,
+        samples=samples,
+        keys=_keys(frames),
+        eye=_vector(CARD_M + EYE_M),
+        card=_vector(CARD_M),
+        ambient=list(AMBIENT),
+        azimuth=lamp.azimuth_deg,
+        elevation=lamp.elevation_deg,
+        rgb=list(lamp.rgb),
+    )
 
 
 def _keys(frames: int, fps: float = 24.0) -> str:
@@ -50,13 +61,16 @@ def _keys(frames: int, fps: float = 24.0) -> str:
     count = 8 * TURNS
     fraction = np.linspace(0, 1, count)
     tilt, phi = np.radians(MOST_DEG) * np.sqrt(fraction), 2 * np.pi * TURNS * fraction
-    n = np.cos(tilt)[:, None] * sight + np.sin(tilt)[:, None] * (np.cos(phi)[:, None] * side + np.sin(phi)[:, None] * rise)
+    n = np.cos(tilt)[:, None] * sight + np.sin(tilt)[:, None] * (
+        np.cos(phi)[:, None] * side + np.sin(phi)[:, None] * rise
+    )
     up = np.array([0.0, 0.0, 1.0])
     normals = np.concatenate([[up], n, [up], [up]])
     turning_s = (frames - REST_FRAMES) / fps
     times = np.append(np.linspace(0, turning_s, len(normals) - 1), frames / fps)
     return "\n".join(
-        f"[[marker.motion.keys]]\ntime_s = {t:.4f}\nposition_m = {_vector(CARD_M)}\nrotate_deg = {_vector(_turn(n))}"
+        f"[[marker.motion.keys]]\ntime_s = {t:.4f}\nposition_m ="
+        f" {_vector(CARD_M)}\nrotate_deg = {_vector(_turn(n))}"
         for t, n in zip(times, normals, strict=True)
     )
 

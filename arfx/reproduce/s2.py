@@ -1,4 +1,6 @@
-"""Rows of Zhao et al. 2012, depth of field from luminance and depth: equations and numbers in the order of print."""
+"""Rows of Zhao et al. 2012, depth of field from luminance and depth: equations and numbers
+in the order of print.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,29 @@ from arfx.papers.s2_dof import (
     eq9_blend,
     sharp_range,
     within_depth_of_field,
-)  # fmt: skip
-from arfx.papers.s2_lens import eq1_circle, eq2_picture, eq3_circle, eq4_front, eq5_back, eq6_total, hyperfocal, printed_limits
+)
+from arfx.papers.s2_lens import (
+    eq1_circle,
+    eq2_picture,
+    eq3_circle,
+    eq4_front,
+    eq5_back,
+    eq6_total,
+    hyperfocal,
+    printed_limits,
+)
 from arfx.reproduce import s2_figures, s2_rates
-from arfx.reproduce.rows import COLOURS, DIFFERS, INK, UNDERIVED, Item, Plot, Row, compared, shown
+from arfx.reproduce.rows import (
+    COLOURS,
+    DIFFERS,
+    INK,
+    UNDERIVED,
+    Item,
+    Plot,
+    Row,
+    compared,
+    shown,
+)
 from arfx.reproduce.work import Work
 from arfx.stages.dof.aperture import disc
 from arfx.stages.dof.optics import CircleOfConfusion
@@ -48,20 +69,46 @@ def _circle() -> Iterator[Item]:
     """(1) to (3), (7)."""
     true = float(circle_of_confusion_mm(OTHER, LENS))
     found = {
-        "equation (1)": ("V_A/U_A |U_B - U_A|/U_B D", eq1_circle(eq2_picture(F, L), L, OTHER, F / N)),
+        "equation (1)": (
+            "V_A/U_A |U_B - U_A|/U_B D",
+            eq1_circle(eq2_picture(F, L), L, OTHER, F / N),
+        ),
         "equation (3)": ("F²/(U_A - F) |U_B - U_A|/(N U_B)", eq3_circle(F, N, L, OTHER)),
         "equation (7)": ("F²/(U - F) |L - U|/(N L)", float(eq7_circle(1e3 / OTHER, AT))),
     }
-    picture, by_circle = eq2_picture(F, L), LENS.coc_at_infinity_mm * L / (F / N)  # C of infinity is D v / u
+    picture, by_circle = (
+        eq2_picture(F, L),
+        LENS.coc_at_infinity_mm * L / (F / N),
+    )  # C of infinity is D v / u
     for item, (printed, value) in found.items():
         if item == "equation (3)":
             same = math.isclose(picture, by_circle, rel_tol=1e-9)
-            yield shown("s2", "equation (2)", "1/f = 1/u + 1/v", picture, by_circle, same, "", "mm")
+            yield shown(
+                "s2", "equation (2)", "1/f = 1/u + 1/v", picture, by_circle, same, "", "mm"
+            )
         same = math.isclose(value, true, rel_tol=1e-9)
-        yield shown("s2", item, f"C = {printed}", value, true, same, f"circle of a thing at {OTHER:g} mm", "mm")
+        yield shown(
+            "s2",
+            item,
+            f"C = {printed}",
+            value,
+            true,
+            same,
+            f"circle of a thing at {OTHER:g} mm",
+            "mm",
+        )
     infinite = eq3_circle(F, N, L, 1e12)
     same = math.isclose(infinite, LENS.coc_at_infinity_mm, rel_tol=1e-6)
-    yield shown("s2", "equation (3), infinitely far", "F²/(N (U_A - F))", infinite, LENS.coc_at_infinity_mm, same, "", "mm")
+    yield shown(
+        "s2",
+        "equation (3), infinitely far",
+        "F²/(N (U_A - F))",
+        infinite,
+        LENS.coc_at_infinity_mm,
+        same,
+        "",
+        "mm",
+    )
 
 
 def _limits() -> Iterator[Item]:
@@ -75,31 +122,87 @@ def _limits() -> Iterator[Item]:
         for name, at, right in (
             ("equation (4)", far - eq4_front(N, C, far, F), far - true.front_mm),
             ("equation (5)", far + back, far + true.back_mm),
-        ):  # fmt: skip
-            at_limit, right_limit = (float(circle_of_confusion_mm(d, lens)) for d in (at, right))
-            yield compared("s2", f"{name}{of}, circle (3) at this limit", f"{C}", at_limit, right_limit, "mm", why, 1e-9)
+        ):
+            at_limit, right_limit = (
+                float(circle_of_confusion_mm(d, lens)) for d in (at, right)
+            )
+            yield compared(
+                "s2",
+                f"{name}{of}, circle (3) at this limit",
+                f"{C}",
+                at_limit,
+                right_limit,
+                "mm",
+                why,
+                1e-9,
+            )
     both = depth_of_field(LENS, C)
     assert both.front_mm is not None and both.back_mm is not None
-    total, parts = eq6_total(N, C, L, F), eq4_front(N, C, L, F) + (eq5_back(N, C, L, F) or 0.0)
-    why = "L in the denominator is not squared, the dimensions do not match; the sum of (4) and (5) is {:.4f}, and by (3) {:.4f}"
+    total, parts = (
+        eq6_total(N, C, L, F),
+        eq4_front(N, C, L, F) + (eq5_back(N, C, L, F) or 0.0),
+    )
+    why = (
+        "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
+        " and (5) is {:.4f}, and by (3) {:.4f}"
+    )
     yield Row(
-        "s2", "equation (6)", "ΔL1 + ΔL2", total, both.total_mm, "mm", DIFFERS, why.format(parts, both.front_mm + both.back_mm)
+        "s2",
+        "equation (6)",
+        "ΔL1 + ΔL2",
+        total,
+        both.total_mm,
+        "mm",
+        DIFFERS,
+        why.format(parts, both.front_mm + both.back_mm),
     )
     squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
     same = math.isclose(squared, parts, rel_tol=1e-12)
-    yield shown("s2", "equation (6), L squared", "ΔL1 + ΔL2", squared, parts, same, "", "mm")
+    yield shown(
+        "s2", "equation (6), L squared", "ΔL1 + ΔL2", squared, parts, same, "", "mm"
+    )
     here, true_mm = hyperfocal(N, C, F), depth_of_field(LENS, C).hyperfocal_mm
     why = f"{L_LESS_F}; (5) has its pole there"
-    yield Row("s2", "equation (5), hyperfocal distance", "F²/(N C)", here, true_mm, "mm", DIFFERS, why)
+    yield Row(
+        "s2",
+        "equation (5), hyperfocal distance",
+        "F²/(N C)",
+        here,
+        true_mm,
+        "mm",
+        DIFFERS,
+        why,
+    )
     beyond = Lens(F, N, 2 * true_mm)
     printed, corrected = printed_limits(beyond, C), depth_of_field(beyond, C)
-    least = sharp_range(replace(AT, focus=1e3 / beyond.focus_mm, px_per_dioptre=1e-3 * beyond.coc_mm_per_dioptre), F, C)[0]
+    least = sharp_range(
+        replace(
+            AT, focus=1e3 / beyond.focus_mm, px_per_dioptre=1e-3 * beyond.coc_mm_per_dioptre
+        ),
+        F,
+        C,
+    )[0]
     words = (
         "not defined" if printed.back_mm is None else f"{printed.back_mm:g}",
-        "infinite" if corrected.back_mm is not None and math.isinf(corrected.back_mm) else f"{corrected.back_mm}",
+        (
+            "infinite"
+            if corrected.back_mm is not None and math.isinf(corrected.back_mm)
+            else f"{corrected.back_mm}"
+        ),
     )
-    why = f"negative in print. As a dioptre its limit is {least:.4f} / m, below that of infinity: all behind is inside"
-    yield Row("s2", "equation (5), beyond the hyperfocal distance", "NCL²/(F² - NCL)", *words, "", DIFFERS, why)
+    why = (
+        f"negative in print. As a dioptre its limit is {least:.4f} / m, below that of"
+        " infinity: all behind is inside"
+    )
+    yield Row(
+        "s2",
+        "equation (5), beyond the hyperfocal distance",
+        "NCL²/(F² - NCL)",
+        *words,
+        "",
+        DIFFERS,
+        why,
+    )
 
 
 def _example() -> Iterator[Item]:
@@ -107,36 +210,96 @@ def _example() -> Iterator[Item]:
     printed, true = printed_limits(LENS, C), depth_of_field(LENS, C)
     assert printed.front_mm and printed.back_mm and true.front_mm and true.back_mm
     for name, value, used, unit in (
-        ("f-number", "11", LENS.fnumber, ""), ("focal length", "200", LENS.focal_mm, "mm"),
+        ("f-number", "11", LENS.fnumber, ""),
+        ("focal length", "200", LENS.focal_mm, "mm"),
         ("distance", "2.5", LENS.focus_mm / 1e3, "m"),
-    ):  # fmt: skip
+    ):
         yield compared("s2", f"section 3.1, {name}", value, used, used, unit)
     as_radius = eq4_front(N, 2 * C, L, F)
     yield Row(
-        "s2", "section 3.1, permitted circle", "radius .035 mm", "diameter .035 mm", "diameter .035 mm", "", DIFFERS,
-        f"the formulas take a diameter, and with .035 as such they give the printed 58.7 mm; as a radius {as_radius:.1f} mm",
-    )  # fmt: skip
-    of = "section 3.1, "
-    yield compared("s2", f"{of}front depth of field (4)", "58.7", printed.front_mm, true.front_mm, "mm", L_LESS_F)
-    yield compared("s2", f"{of}back depth of field (5)", "61.6", printed.back_mm, true.back_mm, "mm", L_LESS_F)
-    near, far = (L - printed.front_mm) / 1e3, (L + printed.back_mm) / 1e3
-    yield compared("s2", f"{of}sharp from", "2.4413", near, (L - true.front_mm) / 1e3, "m", L_LESS_F)
-    yield compared("s2", f"{of}sharp to", "2.5616", far, (L + true.back_mm) / 1e3, "m", L_LESS_F)
-    why = (
-        f"follows from none of the formulas: (4) + (5) is {printed.front_mm + printed.back_mm:.3f} mm, (6) "
-        f"{printed.total_mm:.3f} mm; it is said to come from the camera's matrix, which is not stated"
+        "s2",
+        "section 3.1, permitted circle",
+        "radius .035 mm",
+        "diameter .035 mm",
+        "diameter .035 mm",
+        "",
+        DIFFERS,
+        "the formulas take a diameter, and with .035 as such they give the printed 58.7"
+        f" mm; as a radius {as_radius:.1f} mm",
     )
-    yield compared("s2", f"{of}depth of field of the composited scene", "126.746", None, None, "mm", why)
-    yield Row("s2", f"{of}matrix of the camera", "found by OpenCV", None, None, "", UNDERIVED, "its elements are not known")
+    of = "section 3.1, "
+    yield compared(
+        "s2",
+        f"{of}front depth of field (4)",
+        "58.7",
+        printed.front_mm,
+        true.front_mm,
+        "mm",
+        L_LESS_F,
+    )
+    yield compared(
+        "s2",
+        f"{of}back depth of field (5)",
+        "61.6",
+        printed.back_mm,
+        true.back_mm,
+        "mm",
+        L_LESS_F,
+    )
+    near, far = (L - printed.front_mm) / 1e3, (L + printed.back_mm) / 1e3
+    yield compared(
+        "s2", f"{of}sharp from", "2.4413", near, (L - true.front_mm) / 1e3, "m", L_LESS_F
+    )
+    yield compared(
+        "s2", f"{of}sharp to", "2.5616", far, (L + true.back_mm) / 1e3, "m", L_LESS_F
+    )
+    why = (
+        "follows from none of the formulas: (4) + (5) is"
+        f" {printed.front_mm + printed.back_mm:.3f} mm, (6) {printed.total_mm:.3f} mm; it"
+        " is said to come from the camera's matrix, which is not stated"
+    )
+    yield compared(
+        "s2",
+        f"{of}depth of field of the composited scene",
+        "126.746",
+        None,
+        None,
+        "mm",
+        why,
+    )
+    yield Row(
+        "s2",
+        f"{of}matrix of the camera",
+        "found by OpenCV",
+        None,
+        None,
+        "",
+        UNDERIVED,
+        "its elements are not known",
+    )
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
     apart = float(np.abs(circle - circle_of_confusion_mm(distance, LENS)).max())
     words = f"circles of 0 to {circle.max():.3f} mm"
-    yield shown("s2", "figure 3", "circle of a point beside the focus", words, f"{apart:.0e} mm apart from them", apart < 1e-9)
-    yield _curves(distance, circle, (printed.front_mm, printed.back_mm), (true.front_mm, true.back_mm))
+    yield shown(
+        "s2",
+        "figure 3",
+        "circle of a point beside the focus",
+        words,
+        f"{apart:.0e} mm apart from them",
+        apart < 1e-9,
+    )
+    yield _curves(
+        distance, circle, (printed.front_mm, printed.back_mm), (true.front_mm, true.back_mm)
+    )
 
 
-def _curves(distance: np.ndarray, circle: np.ndarray, printed: tuple[float, float], true: tuple[float, float]) -> Plot:
+def _curves(
+    distance: np.ndarray,
+    circle: np.ndarray,
+    printed: tuple[float, float],
+    true: tuple[float, float],
+) -> Plot:
     """Figure 3 as numbers: the circle over the distance, and the limits of both formulas."""
     from matplotlib.figure import Figure
 
@@ -144,44 +307,115 @@ def _curves(distance: np.ndarray, circle: np.ndarray, printed: tuple[float, floa
     axis = drawing.subplots()
     axis.plot(distance, circle, color=INK, label="circle (3), mm")
     axis.axhline(C, color=COLOURS[0], ls=":", label="permitted .035 mm")
-    for (a, b), colour, name in ((printed, COLOURS[1], "(4), (5)"), (true, COLOURS[2], "corrected")):
+    for (a, b), colour, name in (
+        (printed, COLOURS[1], "(4), (5)"),
+        (true, COLOURS[2], "corrected"),
+    ):
         for k, d in enumerate((L - a, L + b)):
             axis.axvline(d, color=colour, lw=1.2, label=name if k == 0 else None)
     axis.set_xlabel("distance, mm", fontsize=8)
     axis.set_ylim(0)
     axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot("s2", "figure 3", "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm", drawing)
+    return Plot(
+        "s2",
+        "figure 3",
+        "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm",
+        drawing,
+    )
 
 
 def _blur_factor() -> Iterator[Item]:
     """Section 3.2, and what of it is wrong."""
     far = np.linspace(0.0, 1e3 / L, 50)
-    rises = [bool((np.diff(f) <= 0).all()) for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))]
+    rises = [
+        bool((np.diff(f) <= 0).all())
+        for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))
+    ]
     words = ["rises" if r else "does not rise" for r in rises]
-    yield shown("s2", "section 3, blur with distance from the focus", "rises", words[0], words[1], all(rises), "not everywhere")
+    yield shown(
+        "s2",
+        "section 3, blur with distance from the focus",
+        "rises",
+        words[0],
+        words[1],
+        all(rises),
+        "not everywhere",
+    )
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
     span = f"{a.min():g} to {a.max():g}"
-    yield shown("s2", "section 3.4, range of α", "0 to 1", span, None, span == "0 to 1", "outside of it")
     yield shown(
-        "s2", "section 3.2, depth = z / z_far", "0 to 1", "dioptres, 0 to 1 / z_near", "dioptres, 0 to 1 / z_near", False,
+        "s2",
+        "section 3.4, range of α",
+        "0 to 1",
+        span,
+        None,
+        span == "0 to 1",
+        "outside of it",
+    )
+    yield shown(
+        "s2",
+        "section 3.2, depth = z / z_far",
+        "0 to 1",
+        "dioptres, 0 to 1 / z_near",
+        "dioptres, 0 to 1 / z_near",
+        False,
         "1 / z has no largest distance: what is infinitely far has a place",
-    )  # fmt: skip
+    )
     infinite = float(blur_factor(np.array([0.0]), (0.0, 20.0), AT)[0])
     times = f"{LENS.coc_at_infinity_mm / C:.0f} × the permitted circle"
-    why = "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on planes that nobody sees"
-    yield Row(
-        "s2", "section 3.2, a of infinity, near plane at 50 mm", "c / max(c_near, c_far)", infinite, times, "", DIFFERS, why
+    why = (
+        "C_near of a plane at 50 mm is so large that all else seems sharp: a depends on"
+        " planes that nobody sees"
     )
-    one = [float(blur_factor(np.array([1e3 / OTHER]), (1 / z, 0.5), AT)[0]) for z in (6.0, 1000.0)]
+    yield Row(
+        "s2",
+        "section 3.2, a of infinity, near plane at 50 mm",
+        "c / max(c_near, c_far)",
+        infinite,
+        times,
+        "",
+        DIFFERS,
+        why,
+    )
+    one = [
+        float(blur_factor(np.array([1e3 / OTHER]), (1 / z, 0.5), AT)[0])
+        for z in (6.0, 1000.0)
+    ]
     same = f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both"
     why = "one thing's blur changes with the far plane"
     words = [f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m", same]
-    yield Row("s2", "section 3.2, a of a thing at 5 m", "one value", words[0], words[1], "", DIFFERS, why)
+    yield Row(
+        "s2",
+        "section 3.2, a of a thing at 5 m",
+        "one value",
+        words[0],
+        words[1],
+        "",
+        DIFFERS,
+        why,
+    )
     wide = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2)
-    ratio = float(blur_factor(np.array([0.2]), (0.0, 0.5), wide)[0] / blur_factor(np.array([0.2]), (0.0, 0.5), AT)[0])
-    true = float(circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle_of_confusion_mm(OTHER, LENS))
-    why = "F and N cancel in a: an open and a closed aperture blur alike, but for the limits (4) and (5)"
-    yield Row("s2", "section 3.2, blur at f/2 over that at f/11", "from focal length and f-number", ratio, true, "", DIFFERS, why)
+    ratio = float(
+        blur_factor(np.array([0.2]), (0.0, 0.5), wide)[0]
+        / blur_factor(np.array([0.2]), (0.0, 0.5), AT)[0]
+    )
+    true = float(
+        circle_of_confusion_mm(OTHER, Lens(F, 2.0, L)) / circle_of_confusion_mm(OTHER, LENS)
+    )
+    why = (
+        "F and N cancel in a: an open and a closed aperture blur alike, but for the limits"
+        " (4) and (5)"
+    )
+    yield Row(
+        "s2",
+        "section 3.2, blur at f/2 over that at f/11",
+        "from focal length and f-number",
+        ratio,
+        true,
+        "",
+        DIFFERS,
+        why,
+    )
 
 
 def _luminance() -> Iterator[Item]:
@@ -201,14 +435,28 @@ def _luminance() -> Iterator[Item]:
     item = "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140"
     yield shown("s2", item, "weights 20/140, 80/140, 40/140", result, None, same, "")
     even = np.full((3, 3, 3), 100, np.float32)
-    kept = float(eq8_bleed(even - np.where(np.arange(9).reshape(3, 3, 1) == 4, 0, 50), flat)[1, 1, 0])
+    kept = float(
+        eq8_bleed(even - np.where(np.arange(9).reshape(3, 3, 1) == 4, 0, 50), flat)[1, 1, 0]
+    )
     yield compared("s2", "equation (8), 100 among darker ones", "100", kept)
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
     made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
     disc = float(_disc_rows(3).sum())
-    why = "each neighbour takes the white pixel's whole value: light is made from nothing, and reaches one pixel. A disc keeps it"
-    yield Row("s2", "equation (8), light of one white pixel", 1.0, made, disc, "white pixels", DIFFERS, why)
+    why = (
+        "each neighbour takes the white pixel's whole value: light is made from nothing,"
+        " and reaches one pixel. A disc keeps it"
+    )
+    yield Row(
+        "s2",
+        "equation (8), light of one white pixel",
+        1.0,
+        made,
+        disc,
+        "white pixels",
+        DIFFERS,
+        why,
+    )
 
 
 def _disc_rows(radius_px: int) -> np.ndarray:
@@ -220,39 +468,129 @@ def _blocks() -> Iterator[Item]:
     """Figure 8: numbers of a CUDA block, and whether the printed filters fit into it."""
     (rows_px, columns_px), (tall, wide), size = (8, 16), (16, 24), 4
     why = "of their graphics program"
-    parts = {"colour": tall * wide * 3 * size, "circle": tall * wide * size, "luminance": tall * wide * size,
-             "result": rows_px * columns_px * 3 * size, "intermediate": rows_px * columns_px * size}  # fmt: skip
-    printed = {"colour": "4608", "circle": "1536", "luminance": "1536", "result": "1536", "intermediate": "512"}
+    parts = {
+        "colour": tall * wide * 3 * size,
+        "circle": tall * wide * size,
+        "luminance": tall * wide * size,
+        "result": rows_px * columns_px * 3 * size,
+        "intermediate": rows_px * columns_px * size,
+    }
+    printed = {
+        "colour": "4608",
+        "circle": "1536",
+        "luminance": "1536",
+        "result": "1536",
+        "intermediate": "512",
+    }
     for name, value in parts.items():
-        yield compared("s2", f"figure 8, bytes of {name}", printed[name], float(value), None, "bytes", why)
-    yield compared("s2", "figure 8, shared memory", "9728", float(sum(parts.values())), None, "bytes", why)
-    yield compared("s2", "figure 8, blocks of 800 x 800", "5000", float((800 // rows_px) * (800 // columns_px)), None, "", why)
-    yield compared("s2", "figure 8, threads of a block", "128", float(rows_px * columns_px), None, "", why)
+        yield compared(
+            "s2",
+            f"figure 8, bytes of {name}",
+            printed[name],
+            float(value),
+            None,
+            "bytes",
+            why,
+        )
+    yield compared(
+        "s2",
+        "figure 8, shared memory",
+        "9728",
+        float(sum(parts.values())),
+        None,
+        "bytes",
+        why,
+    )
+    yield compared(
+        "s2",
+        "figure 8, blocks of 800 x 800",
+        "5000",
+        float((800 // rows_px) * (800 // columns_px)),
+        None,
+        "",
+        why,
+    )
+    yield compared(
+        "s2",
+        "figure 8, threads of a block",
+        "128",
+        float(rows_px * columns_px),
+        None,
+        "",
+        why,
+    )
     halo = (tall - rows_px) // 2
-    largest = max(n for n in range(1, 64, 2) if len(PrintedDof(PrintedDofParams(mean_px=n)).weights) // 2 + 1 <= halo)
+    largest = max(
+        n
+        for n in range(1, 64, 2)
+        if len(PrintedDof(PrintedDofParams(mean_px=n)).weights) // 2 + 1 <= halo
+    )
     why = "not stated; the block holds 4 px around its own, of which (8) takes one"
     usual = f"{PrintedDofParams().mean_px} px, at most {largest} px"
-    yield Row("s2", "section 3.3, size of the mean filter", None, usual, "discs of the blur circle", "", DIFFERS, why)
+    yield Row(
+        "s2",
+        "section 3.3, size of the mean filter",
+        None,
+        usual,
+        "discs of the blur circle",
+        "",
+        DIFFERS,
+        why,
+    )
 
 
 def _blend() -> Iterator[Item]:
     """(9), the factor 2/3 and its border."""
-    value = float(eq9_blend(np.array([[0.25]]), np.full((1, 1, 3), 80.0), np.full((1, 1, 3), 40.0))[0, 0, 0])
+    value = float(
+        eq9_blend(np.array([[0.25]]), np.full((1, 1, 3), 80.0), np.full((1, 1, 3), 40.0))[
+            0, 0, 0
+        ]
+    )
     yield compared("s2", "equation (9), 80 over 40 with α = 1/4", "50", value)
     step = np.where(np.arange(8) < 4, 0.0, 1.0)
     picture = np.repeat(np.repeat(step[None, :, None], 3, 0), 3, 2)
     half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
     left = float(np.abs(np.diff(half[1, :, 0])).max())
-    why = "half of the edge stays as sharp as before; a disc of 3 px steps by no more than one of its rows holds"
+    why = (
+        "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
+        " one of its rows holds"
+    )
     disc = float(_disc_rows(3).max())
-    yield Row("s2", "equation (9), sharp edge left at α = 1/2", "weighted mean", left, disc, "of the step", DIFFERS, why)
+    yield Row(
+        "s2",
+        "equation (9), sharp edge left at α = 1/2",
+        "weighted mean",
+        left,
+        disc,
+        "of the step",
+        DIFFERS,
+        why,
+    )
     sharp = sharp_range(AT, F, C)
     inside = float(within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0])
     outside = float(within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0])
-    yield shown("s2", "section 3.4, factor inside the depth of field", "2/3", inside, None, abs(inside - 2 / 3) < 1e-9)
+    yield shown(
+        "s2",
+        "section 3.4, factor inside the depth of field",
+        "2/3",
+        inside,
+        None,
+        abs(inside - 2 / 3) < 1e-9,
+    )
     yield compared("s2", "section 3.4, factor outside", "1", outside)
     places = np.linspace(sharp[0] - 0.01, sharp[1] + 0.01, 4001)
-    steps = [float(np.abs(np.diff(within_depth_of_field(places, sharp, border))).max()) for border in (0.5, 0.0)]
+    steps = [
+        float(np.abs(np.diff(within_depth_of_field(places, sharp, border))).max())
+        for border in (0.5, 0.0)
+    ]
     why = f"a hard border would be a step of {steps[1]:.2f}"
     words = f"no step (at most {steps[0]:.4f} from one of 4000 places to the next)"
-    yield shown("s2", "section 3.4, border of the depth of field", "smooth", words, "no border", steps[0] < 0.01, why)
+    yield shown(
+        "s2",
+        "section 3.4, border of the depth of field",
+        "smooth",
+        words,
+        "no border",
+        steps[0] < 0.01,
+        why,
+    )

@@ -12,8 +12,28 @@ from arfx.core.layers import Layer
 from arfx.papers import CORRECTED as BY_CORRECTED
 from arfx.papers import PAPER
 from arfx.papers.s2_dof import PrintedDof
-from arfx.reproduce.rows import BEFORE, CORRECTED, DIFFERS, PRINTED, REFERENCE, Figure, Item, Row, shown
-from arfx.reproduce.s2_scene import BALL_M, POINTS_M, WALL_M, ball_model, desk, desk_shot, photograph, room_model, under
+from arfx.reproduce.rows import (
+    BEFORE,
+    CORRECTED,
+    DIFFERS,
+    PRINTED,
+    REFERENCE,
+    Figure,
+    Item,
+    Row,
+    shown,
+)
+from arfx.reproduce.s2_scene import (
+    BALL_M,
+    POINTS_M,
+    WALL_M,
+    ball_model,
+    desk,
+    desk_shot,
+    photograph,
+    room_model,
+    under,
+)
 from arfx.reproduce.work import Shot, Work
 from arfx.stages import STAGES
 from arfx.synth.description import DepthInput
@@ -21,7 +41,10 @@ from arfx.synth.description import DepthInput
 GAUSSIAN = "gaussian"
 BRIGHTER = 8  # grey levels above the wall, from which a pixel belongs to a bright point
 OPEN_LENS = "the tracer's own open lens"
-NO_CAMERA = "a photograph by the authors' camera; in its place stands one by an open lens, in which both balls are real"
+NO_CAMERA = (
+    "a photograph by the authors' camera; in its place stands one by an open lens, in which"
+    " both balls are real"
+)
 BALLS_M = {"real": ((-0.13, 0.08, 0.04), 0.04), "virtual": ((0.0, 0.0, BALL_M), BALL_M)}
 Pictures = Mapping[str, np.ndarray]  # by formula
 
@@ -31,83 +54,194 @@ def rows(work: Work) -> Iterator[Item]:
     clip, photo = work.clip(scene), photograph(work, scene)
     shot = desk_shot(work, clip, ball_model(work.folder))
     before = shot.renderer.image(shot.up_to("composite"))
-    after = {PAPER: shot.picture(), **{formula: under(shot, formula).picture() for formula in (GAUSSIAN, BY_CORRECTED)}}
+    after = {
+        PAPER: shot.picture(),
+        **{formula: under(shot, formula).picture() for formula in (GAUSSIAN, BY_CORRECTED)},
+    }
     yield from _diagrams()
-    yield Row("s2", "figure 4", "photographs with depth of field", OPEN_LENS, OPEN_LENS, "", DIFFERS, NO_CAMERA)
-    yield Figure("s2", "figure 4", "bright points spread over what is dark around them", {REFERENCE: photo})
+    yield Row(
+        "s2",
+        "figure 4",
+        "photographs with depth of field",
+        OPEN_LENS,
+        OPEN_LENS,
+        "",
+        DIFFERS,
+        NO_CAMERA,
+    )
+    yield Figure(
+        "s2",
+        "figure 4",
+        "bright points spread over what is dark around them",
+        {REFERENCE: photo},
+    )
     yield from _coordinates(shot, before, np.array(scene.shot[0].path.position_m))
     yield from _steps(shot, before, after, photo)
     yield from _points(shot, before, after, photo)
-    closed = {formula: under(shot, formula, aperture_px=0.4).picture() for formula in (PAPER, BY_CORRECTED)}
+    closed = {
+        formula: under(shot, formula, aperture_px=0.4).picture()
+        for formula in (PAPER, BY_CORRECTED)
+    }
     yield from _in_focus(before, closed)
     yield from _out_of_focus(shot, before, after, photo)
-    bare = work.clip(scene.model_copy(update={"depth": DepthInput(), "samples": 1}))  # no real thing stands before the model
+    bare = work.clip(
+        scene.model_copy(update={"depth": DepthInput(), "samples": 1})
+    )  # no real thing stands before the model
     room = desk_shot(work, bare, room_model(work.folder))
-    yield Figure("s2", "section 4, all-virtual scene", "nothing of the footage is left: desk, wall and both balls are a model", {
-        BEFORE: room.renderer.image(room.up_to("composite")), PRINTED: room.picture(),
-        CORRECTED: under(room, BY_CORRECTED).picture(),
-    })  # fmt: skip
+    yield Figure(
+        "s2",
+        "section 4, all-virtual scene",
+        "nothing of the footage is left: desk, wall and both balls are a model",
+        {
+            BEFORE: room.renderer.image(room.up_to("composite")),
+            PRINTED: room.picture(),
+            CORRECTED: under(room, BY_CORRECTED).picture(),
+        },
+    )
 
 
 def _diagrams() -> Iterator[Item]:
     order = ", ".join(name for name in STAGES if name in ("raster", "composite", "dof"))
-    why = "input devices, communication and display are no part of a program that processes recorded clips"
+    why = (
+        "input devices, communication and display are no part of a program that processes"
+        " recorded clips"
+    )
     parts = "capture, virtual scene, interaction, communication, display"
-    yield Row("s2", "figure 1", parts, "clip, analysis, " + order, "clip, analysis, " + order, "", DIFFERS, why)
+    yield Row(
+        "s2",
+        "figure 1",
+        parts,
+        "clip, analysis, " + order,
+        "clip, analysis, " + order,
+        "",
+        DIFFERS,
+        why,
+    )
     ends = order.endswith("composite, dof")
-    yield shown("s2", "figure 2", "virtual objects, composition, depth of field", order, order, ends, "")
+    yield shown(
+        "s2",
+        "figure 2",
+        "virtual objects, composition, depth of field",
+        order,
+        order,
+        ends,
+        "",
+    )
 
 
 def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Iterator[Item]:
     """The axes of the world, drawn into the picture. camera_m : where the camera stands"""
     facts, drawn = shot.renderer.facts, picture.copy()
-    points = shot.job.scene.camera.project(facts.pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)])))
+    points = shot.job.scene.camera.project(
+        facts.pose.apply(0.08 * np.vstack([np.zeros(3), np.eye(3)]))
+    )
     start, *ends = ((round(float(x)), round(float(y))) for x, y in points)
-    for end, colour in zip(ends, ((220, 40, 30), (40, 170, 40), (40, 60, 220)), strict=True):
+    for end, colour in zip(
+        ends, ((220, 40, 30), (40, 170, 40), (40, 60, 220)), strict=True
+    ):
         cv2.line(drawn, start, end, colour, 2, cv2.LINE_AA)
-    found = f"axes from a marker; the camera is {1e3 * np.linalg.norm(facts.pose.inverse().translation_m - camera_m):.1f} mm off"
-    why = "found from a marker, whose size makes it metric; which feature points the authors tracked is not stated"
+    found = (
+        "axes from a marker; the camera is"
+        f" {1e3 * np.linalg.norm(facts.pose.inverse().translation_m - camera_m):.1f} mm off"
+    )
+    why = (
+        "found from a marker, whose size makes it metric; which feature points the authors"
+        " tracked is not stated"
+    )
     yield Row("s2", "figure 5", "axes from feature points", found, found, "", DIFFERS, why)
-    yield Figure("s2", "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn})
+    yield Figure(
+        "s2", "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn}
+    )
 
 
-def _steps(shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray) -> Iterator[Item]:
+def _steps(
+    shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray
+) -> Iterator[Item]:
     """Figures 6 and 9 to 11: what the printed method keeps and makes on its way."""
     stage = shot.renderer.prepared.stages["dof"]
     assert isinstance(stage, PrintedDof)
     run, scene = shot.renderer.run(shot.chain), shot.job.scene
     now = run.layers.view(stage.reads, scene.camera.rect)
-    dioptre, a = stage.depth_and_blur(now, shot.renderer.facts, scene, stage.prepare(scene, "standard"))
+    dioptre, a = stage.depth_and_blur(
+        now, shot.renderer.facts, scene, stage.prepare(scene, "standard")
+    )
     coded = SRGB.encode(now[Layer.IMAGE]).astype(np.float32)
     blurred = _bytes(stage.blurred(coded, dioptre))
     luminance = coded @ yuv_from_rgb("bt601")[0]
-    span = f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor {a.min():.2f}-{a.max():.2f}, luminance"
-    yield shown("s2", "figure 6", "depth with blur factor; luminance", span, None, bool(0 <= a.min() <= a.max() <= 1), "")
-    textures = {"depth, nearer is brighter": dioptre / dioptre.max(), "blur factor a": a, "luminance": luminance}
-    yield Figure("s2", "figure 6", "textures", {name: _bytes(np.dstack([t] * 3)) for name, t in textures.items()})
-    yield shown("s2", "figure 9", "the scene before", "a scene of the project", "the same", True)
+    span = (
+        f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
+        f" {a.min():.2f}-{a.max():.2f}, luminance"
+    )
+    yield shown(
+        "s2",
+        "figure 6",
+        "depth with blur factor; luminance",
+        span,
+        None,
+        bool(0 <= a.min() <= a.max() <= 1),
+        "",
+    )
+    textures = {
+        "depth, nearer is brighter": dioptre / dioptre.max(),
+        "blur factor a": a,
+        "luminance": luminance,
+    }
+    yield Figure(
+        "s2",
+        "figure 6",
+        "textures",
+        {name: _bytes(np.dstack([t] * 3)) for name, t in textures.items()},
+    )
+    yield shown(
+        "s2", "figure 9", "the scene before", "a scene of the project", "the same", True
+    )
     yield Figure("s2", "figure 9", "before", {BEFORE: before})
     apart = _levels(blurred, before)
     yield shown(
-        "s2", "figure 10", "blurred all over", f"{apart:.1f} grey levels from figure 9", None, apart > 0.5, "nothing was blurred"
+        "s2",
+        "figure 10",
+        "blurred all over",
+        f"{apart:.1f} grey levels from figure 9",
+        None,
+        apart > 0.5,
+        "nothing was blurred",
     )
-    yield Figure("s2", "figure 10", "mean filter and bleeding (8), before the blend", {"printed, blurred all over": blurred})
-    yield from _beside_photograph("figure 11", "sharp and blurred picture blended by (9)", before, after, photo)
+    yield Figure(
+        "s2",
+        "figure 10",
+        "mean filter and bleeding (8), before the blend",
+        {"printed, blurred all over": blurred},
+    )
+    yield from _beside_photograph(
+        "figure 11", "sharp and blurred picture blended by (9)", before, after, photo
+    )
 
 
-def _beside_photograph(item: str, title: str, before: np.ndarray, after: Pictures, photo: np.ndarray) -> Iterator[Item]:
-    sharp, printed, corrected = (_levels(p, photo) for p in (before, after[PAPER], after[BY_CORRECTED]))
+def _beside_photograph(
+    item: str, title: str, before: np.ndarray, after: Pictures, photo: np.ndarray
+) -> Iterator[Item]:
+    sharp, printed, corrected = (
+        _levels(p, photo) for p in (before, after[PAPER], after[BY_CORRECTED])
+    )
     why = (
-        f"without blur it is {sharp:.1f} away. The printed filter has one size, here 7 px, and its blend keeps the sharp picture "
-        "below the blurred one; the open lens makes discs that grow with the distance"
+        f"without blur it is {sharp:.1f} away. The printed filter has one size, here 7 px,"
+        " and its blend keeps the sharp picture below the blurred one; the open lens makes"
+        " discs that grow with the distance"
     )
     values = [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)]
     yield shown("s2", item, "like a camera", values[0], values[1], False, why)
-    pictures = {BEFORE: before, PRINTED: after[PAPER], CORRECTED: after[BY_CORRECTED], REFERENCE: photo}
+    pictures = {
+        BEFORE: before,
+        PRINTED: after[PAPER],
+        CORRECTED: after[BY_CORRECTED],
+        REFERENCE: photo,
+    }
     yield Figure("s2", item, title, pictures)
 
 
-def _points(shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray) -> Iterator[Item]:
+def _points(
+    shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray
+) -> Iterator[Item]:
     """Figures 12 and 13: the Gaussian filter and the printed method, beside one another."""
     ends = np.array([(x, WALL_M, z) for x, z in POINTS_M])
     at = shot.job.scene.camera.project(shot.renderer.facts.pose.apply(ends))
@@ -116,53 +250,140 @@ def _points(shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray) 
     words = {name: f"bright points of {px:.0f} px each" for name, px in area.items()}
     levels = f"{_levels(after[GAUSSIAN], photo):.1f} grey levels from the photograph"
     spread = area[GAUSSIAN] > area["before"]
-    yield shown("s2", "figure 12", "Gaussian filter", f"{words[GAUSSIAN]}, {levels}", None, spread, "nothing was spread")
-    yield Figure("s2", "figure 12", "the Gaussian filter that the paper compares itself with", {
-        BEFORE: before, "by dof.formula = gaussian": after[GAUSSIAN], REFERENCE: photo,
-    })  # fmt: skip
+    yield shown(
+        "s2",
+        "figure 12",
+        "Gaussian filter",
+        f"{words[GAUSSIAN]}, {levels}",
+        None,
+        spread,
+        "nothing was spread",
+    )
+    yield Figure(
+        "s2",
+        "figure 12",
+        "the Gaussian filter that the paper compares itself with",
+        {
+            BEFORE: before,
+            "by dof.formula = gaussian": after[GAUSSIAN],
+            REFERENCE: photo,
+        },
+    )
     more = min(area[PAPER], area[BY_CORRECTED]) > area[GAUSSIAN]
     found = f"{words[PAPER]}, Gaussian {area[GAUSSIAN]:.0f} px"
     true = f"{words[BY_CORRECTED]}, photograph {area['photograph']:.0f} px"
-    yield shown("s2", "figure 13", "bright points spread more than in figure 12", found, true, more, "they do not spread more")
+    yield shown(
+        "s2",
+        "figure 13",
+        "bright points spread more than in figure 12",
+        found,
+        true,
+        more,
+        "they do not spread more",
+    )
     low, high = at.min(0), at.max(0)
     pad = 0.06 * before.shape[1]
     x0, y0, x1, y1 = (int(v) for v in (*np.maximum(low - pad, 0), *(high + pad)))
-    near = {name: cv2.resize(p[y0:y1, x0:x1], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST) for name, p in made.items()}
-    yield Figure("s2", "figure 13", "the bright points, twice as large", {
-        BEFORE: near["before"], "Gaussian filter of figure 12": near[GAUSSIAN], PRINTED: near[PAPER],
-        CORRECTED: near[BY_CORRECTED], REFERENCE: near["photograph"],
-    })  # fmt: skip
+    near = {
+        name: cv2.resize(p[y0:y1, x0:x1], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+        for name, p in made.items()
+    }
+    yield Figure(
+        "s2",
+        "figure 13",
+        "the bright points, twice as large",
+        {
+            BEFORE: near["before"],
+            "Gaussian filter of figure 12": near[GAUSSIAN],
+            PRINTED: near[PAPER],
+            CORRECTED: near[BY_CORRECTED],
+            REFERENCE: near["photograph"],
+        },
+    )
 
 
 def _in_focus(before: np.ndarray, closed: Pictures) -> Iterator[Item]:
-    changed = [float((picture != before).mean()) for picture in (closed[PAPER], closed[BY_CORRECTED])]
+    changed = [
+        float((picture != before).mean())
+        for picture in (closed[PAPER], closed[BY_CORRECTED])
+    ]
     words = [f"{100 * c:.0f} % of the pixels blurred" for c in changed]
-    yield shown("s2", "figure 14", "all in focus, nothing blurred", words[0], words[1], not any(changed), "some pixels changed")
+    yield shown(
+        "s2",
+        "figure 14",
+        "all in focus, nothing blurred",
+        words[0],
+        words[1],
+        not any(changed),
+        "some pixels changed",
+    )
     pictures = {PRINTED: closed[PAPER], CORRECTED: closed[BY_CORRECTED]}
-    yield Figure("s2", "figure 14", "a real and a virtual (blue) ball, all in focus", pictures)
+    yield Figure(
+        "s2", "figure 14", "a real and a virtual (blue) ball, all in focus", pictures
+    )
 
 
-def _out_of_focus(shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray) -> Iterator[Item]:
-    made, camera, pose = {**after, "photograph": photo}, shot.job.scene.camera, shot.renderer.facts.pose
+def _out_of_focus(
+    shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray
+) -> Iterator[Item]:
+    made, camera, pose = (
+        {**after, "photograph": photo},
+        shot.job.scene.camera,
+        shot.renderer.facts.pose,
+    )
     kept: dict[str, list[float]] = {name: [] for name in made}
     for centre, radius_m in BALLS_M.values():
         middle = pose.apply(np.array([centre]))
         at, radius = camera.project(middle)[0], camera.fx * radius_m / middle[0, 2]
         for name, picture in made.items():
-            kept[name].append(_steepest(picture, at, radius) / _steepest(before, at, radius))
-    words = {name: ", ".join(f"{w} {100 * k:.0f} %" for w, k in zip(BALLS_M, of, strict=True)) for name, of in kept.items()}
+            kept[name].append(
+                _steepest(picture, at, radius) / _steepest(before, at, radius)
+            )
+    words = {
+        name: ", ".join(f"{w} {100 * k:.0f} %" for w, k in zip(BALLS_M, of, strict=True))
+        for name, of in kept.items()
+    }
     why = (
-        f"of its steepness a ball's outline keeps in the photograph: {words['photograph']}. As printed outlines stay, since "
-        "what stands in front does not flow into what is behind, and the sharp picture shows through the blend"
+        f"of its steepness a ball's outline keeps in the photograph: {words['photograph']}."
+        " As printed outlines stay, since what stands in front does not flow into what is"
+        " behind, and the sharp picture shows through the blend"
     )
     said = "both balls blurred alike"
-    yield shown("s2", "figure 15", said, f"outline keeps: {words[PAPER]}", f"outline keeps: {words[BY_CORRECTED]}", False, why)
-    pictures = {BEFORE: before, PRINTED: after[PAPER], CORRECTED: after[BY_CORRECTED], REFERENCE: photo}
-    (x0, y0), (x1, y1) = (np.array(before.shape[1::-1]) * f for f in ((0.1, 0.4), (0.7, 0.85)))
-    near = {name: np.ascontiguousarray(p[int(y0) : int(y1), int(x0) : int(x1)]) for name, p in pictures.items()}
-    yield Figure("s2", "figure 15", "the same out of focus (the virtual ball has a faint sheen, which the real one lacks)", near)
-    yield Row("s2", "figure 16", "a photograph", OPEN_LENS, OPEN_LENS, "", DIFFERS, NO_CAMERA)
-    yield Figure("s2", "figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
+    yield shown(
+        "s2",
+        "figure 15",
+        said,
+        f"outline keeps: {words[PAPER]}",
+        f"outline keeps: {words[BY_CORRECTED]}",
+        False,
+        why,
+    )
+    pictures = {
+        BEFORE: before,
+        PRINTED: after[PAPER],
+        CORRECTED: after[BY_CORRECTED],
+        REFERENCE: photo,
+    }
+    (x0, y0), (x1, y1) = (
+        np.array(before.shape[1::-1]) * f for f in ((0.1, 0.4), (0.7, 0.85))
+    )
+    near = {
+        name: np.ascontiguousarray(p[int(y0) : int(y1), int(x0) : int(x1)])
+        for name, p in pictures.items()
+    }
+    yield Figure(
+        "s2",
+        "figure 15",
+        "the same out of focus (the virtual ball has a faint sheen, which the real one"
+        " lacks)",
+        near,
+    )
+    yield Row(
+        "s2", "figure 16", "a photograph", OPEN_LENS, OPEN_LENS, "", DIFFERS, NO_CAMERA
+    )
+    yield Figure(
+        "s2", "figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]}
+    )
 
 
 def _bytes(coded: np.ndarray) -> np.ndarray:
@@ -175,7 +396,9 @@ def _levels(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _spread(picture: np.ndarray, at: np.ndarray) -> float:
-    """Pixels of a bright point, on average: those around it that are brighter than the wall there."""
+    """Pixels of a bright point, on average: those around it that are brighter than the wall
+    there.
+    """
     luma, half = picture @ np.array([0.299, 0.587, 0.114]), round(0.035 * picture.shape[1])
     found = []
     for x, y in np.rint(at).astype(int):
@@ -185,7 +408,9 @@ def _spread(picture: np.ndarray, at: np.ndarray) -> float:
 
 
 def _steepest(picture: np.ndarray, centre: np.ndarray, radius: float) -> float:
-    """Greatest slope across the ball's left and right outline, grey levels a pixel, mean of rows around its middle."""
+    """Greatest slope across the ball's left and right outline, grey levels a pixel, mean of
+    rows around its middle.
+    """
     x, y = np.rint(centre).astype(int)
     found = []
     for side in (-1, 1):

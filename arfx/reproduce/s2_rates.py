@@ -12,7 +12,10 @@ from arfx.reproduce.s2_scene import ball_model, moving_desk, moving_settings, ro
 from arfx.reproduce.work import Timed, Work, frames_of, median_s
 
 PC_MB = 2048.0
-HERE = "another machine: here the method runs on the cores of a CPU and writes a file without loss"
+HERE = (
+    "another machine: here the method runs on the cores of a CPU and writes a file without"
+    " loss"
+)
 
 
 def rows(work: Work) -> Iterator[Item]:
@@ -21,49 +24,102 @@ def rows(work: Work) -> Iterator[Item]:
     timed: dict[tuple[str, str], Timed] = {}
     for mode, model in models.items():
         for formula in (PAPER, CORRECTED):
-            timed[mode, formula] = work.timed(clip, settings=moving_settings(model, formula))
+            timed[mode, formula] = work.timed(
+                clip, settings=moving_settings(model, formula)
+            )
     augmented = [timed["augmented", f].frames_per_s for f in (PAPER, CORRECTED)]
     # nothing is filmed and nothing is tracked: the stages alone
-    virtual = [1 / sum(timed["all virtual", f].stage_s.values()) for f in (PAPER, CORRECTED)]
-    yield from _machine([t.peak_mb for t in timed.values()], (clip.scene.clip.width, clip.scene.clip.height))
+    virtual = [
+        1 / sum(timed["all virtual", f].stage_s.values()) for f in (PAPER, CORRECTED)
+    ]
+    yield from _machine(
+        [t.peak_mb for t in timed.values()], (clip.scene.clip.width, clip.scene.clip.height)
+    )
     alone = f"{HERE}. The stages alone, all is a model; {_of_dof(timed, 'all virtual')}"
     yield _rate("section 4, all-virtual scene", 48.0, virtual, alone)
     whole = f"{HERE}. With decoding, tracking and encoding; {_of_dof(timed, 'augmented')}"
     yield _rate("section 4, augmented reality, GPU", 21.0, augmented, whole)
-    yield _rate("section 4, augmented reality, CPU", 14.0, augmented, f"{HERE}; as in the row before")
-    decoding = len(clip.frames()) / median_s(lambda: frames_of(clip.file), work.scaled(3, 1))
+    yield _rate(
+        "section 4, augmented reality, CPU",
+        14.0,
+        augmented,
+        f"{HERE}; as in the row before",
+    )
+    decoding = len(clip.frames()) / median_s(
+        lambda: frames_of(clip.file), work.scaled(3, 1)
+    )
     for how, printed in (("DirectShow", 16.0), ("the board's own software", 25.0)):
-        why = f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here"
-        yield Row("s2", f"section 4, capture by {how}", printed, None, None, "fps", UNDERIVED, why)
+        why = (
+            f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here"
+        )
+        yield Row(
+            "s2", f"section 4, capture by {how}", printed, None, None, "fps", UNDERIVED, why
+        )
     missed = f"not reached here, nor by the authors (21 fps): {HERE}"
     yield _rate("section 5, rate that is needed", 25.0, augmented, missed)
-    labels = ["all virtual, their GPU", "augmented reality, their GPU", "augmented reality, their CPU"]
+    labels = [
+        "all virtual, their GPU",
+        "augmented reality, their GPU",
+        "augmented reality, their CPU",
+    ]
     title = f"rates at {clip.scene.clip.width} x {clip.scene.clip.height}"
     series = {"printed": [48.0, 21.0, 14.0]}
-    series |= {name: [virtual[k], augmented[k], augmented[k]] for k, name in enumerate(("printed method", "corrected"))}
+    series |= {
+        name: [virtual[k], augmented[k], augmented[k]]
+        for k, name in enumerate(("printed method", "corrected"))
+    }
     yield bars("s2", "section 4, all-virtual scene", title, "fps", labels, series)
 
 
 def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:
-    printed, corrected = (1e3 * timed[mode, formula].stage_s["dof"] for formula in (PAPER, CORRECTED))
-    return f"depth of field takes {printed:.0f} ms of a frame as printed, {corrected:.0f} ms corrected"
+    printed, corrected = (
+        1e3 * timed[mode, formula].stage_s["dof"] for formula in (PAPER, CORRECTED)
+    )
+    return (
+        f"depth of field takes {printed:.0f} ms of a frame as printed, {corrected:.0f} ms"
+        " corrected"
+    )
 
 
 def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
     holds = min(here) >= printed
-    return Row("s2", item, printed, here[0], here[1], "fps", "holds" if holds else DIFFERS, "" if holds else why)
+    return Row(
+        "s2",
+        item,
+        printed,
+        here[0],
+        here[1],
+        "fps",
+        "holds" if holds else DIFFERS,
+        "" if holds else why,
+    )
 
 
 def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
     here = f"{platform.machine()}, {usable_cores()} cores"
     yield Row(
-        "s2", "section 4, machine", "Intel Core Duo 2.80 GHz, 2 GB, GeForce 9600 GT", here, here, "", DIFFERS,
+        "s2",
+        "section 4, machine",
+        "Intel Core Duo 2.80 GHz, 2 GB, GeForce 9600 GT",
+        here,
+        here,
+        "",
+        DIFFERS,
         "another machine, without a graphics processor",
-    )  # fmt: skip
+    )
     printed, corrected = max(peaks_mb[::2]), max(peaks_mb[1::2])
     why = "the process with all its libraries needs more than the authors' machine had"
     holds = max(printed, corrected) <= PC_MB
     words = [f"at most {mb:.0f} MB used" for mb in (printed, corrected)]
-    yield shown("s2", "section 4, memory of the machine", "2 GB", words[0], words[1], holds, why)
+    yield shown(
+        "s2", "section 4, memory of the machine", "2 GB", words[0], words[1], holds, why
+    )
     used = f"{size[0]}*{size[1]}"
-    yield compared("s2", "section 4, resolution", "1280*1024", used, used, reason="the short form is smaller")
+    yield compared(
+        "s2",
+        "section 4, resolution",
+        "1280*1024",
+        used,
+        used,
+        reason="the short form is smaller",
+    )

@@ -1,5 +1,6 @@
-"""What the figures and rates of Zhao et al. 2012 are made from: a real and a virtual ball on a desk, before a dark wall with
-bright points. The reference is a photograph of it by the tracer's own open lens, in which both balls are real."""
+"""What the figures and rates of Zhao et al. 2012 are made from: a real and a virtual ball
+on a desk, before a dark wall with bright points. The reference is a photograph of it by the
+tracer's own open lens, in which both balls are real."""
 
 from __future__ import annotations
 
@@ -20,8 +21,19 @@ from arfx.synth.description import SceneFile, Sphere, parse_scene
 FOCUS_M, APERTURE_M = 0.38, 0.014  # nearer than both balls
 MEAN_PX = 7  # the largest that Figure 8's block holds
 WALL_M = 0.7  # where the bright points are
-BLUE, BALL_M = (0.06, 0.12, 0.75), 0.035  # the virtual ball stands on the middle of the marker
-POINTS_M = ((-0.3, 0.17), (-0.22, 0.25), (-0.12, 0.2), (0.0, 0.26), (0.09, 0.19), (0.2, 0.25), (0.3, 0.2))  # x and height
+BLUE, BALL_M = (
+    (0.06, 0.12, 0.75),
+    0.035,
+)  # the virtual ball stands on the middle of the marker
+POINTS_M = (
+    (-0.3, 0.17),
+    (-0.22, 0.25),
+    (-0.12, 0.2),
+    (0.0, 0.26),
+    (0.09, 0.19),
+    (0.2, 0.25),
+    (0.3, 0.2),
+)  # x and height
 
 SCENE = """
 seed = 12
@@ -75,14 +87,23 @@ given = [-60, 50]
 def desk(work: Work) -> SceneFile:
     """One frame, with its depth."""
     read = parse_scene(SCENE)
-    points = [Sphere(radius_m=0.006, position_m=(x, WALL_M, z), colour=(0.98, 0.98, 0.95)) for x, z in POINTS_M]
+    points = [
+        Sphere(radius_m=0.006, position_m=(x, WALL_M, z), colour=(0.98, 0.98, 0.95))
+        for x, z in POINTS_M
+    ]
     size = {"width": work.scaled(400, 240), "height": work.scaled(320, 192)}
-    more = {"sphere": (*read.sphere, *points), "clip": read.clip.model_copy(update=size), "samples": work.scaled(3, 1)}
+    more = {
+        "sphere": (*read.sphere, *points),
+        "clip": read.clip.model_copy(update=size),
+        "samples": work.scaled(3, 1),
+    }
     return read.model_copy(update=more)
 
 
 def photograph(work: Work, scene: SceneFile) -> np.ndarray:
-    """(h, w, 3) uint8 of what a camera with an open lens sees where the virtual ball is a real one."""
+    """(h, w, 3) uint8 of what a camera with an open lens sees where the virtual ball is a
+    real one.
+    """
     ball = Sphere(radius_m=BALL_M, position_m=(0.0, 0.0, BALL_M), colour=BLUE)
     lens = scene.lens.model_copy(update={"aperture_m": APERTURE_M, "focus_m": FOCUS_M})
     more = {"sphere": (*scene.sphere, ball), "lens": lens, "samples": work.scaled(8, 4)}
@@ -93,34 +114,65 @@ def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
     """The frame with a model and the photograph's lens, as printed."""
     width, fov = clip.scene.clip.width, np.radians(clip.scene.lens.fov_deg)
     infinite_px = APERTURE_M * width / 2 / np.tan(fov / 2) / FOCUS_M
-    settings = {"formula": PAPER, "focus": f"{FOCUS_M}m", "aperture_px": float(infinite_px), "mean_px": MEAN_PX}
+    settings = {
+        "formula": PAPER,
+        "focus": f"{FOCUS_M}m",
+        "aperture_px": float(infinite_px),
+        "mean_px": MEAN_PX,
+    }
     return work.shot(clip, 0, settings={"model": model, "dof": settings})
 
 
 def under(shot: Shot, formula: str, **dof: Any) -> Shot:
     """The same with depth of field under another formula, and with other settings of it."""
     now, kind = shot.job.stages["dof"].params, parameters()["dof"][formula]
-    both = {f.name: getattr(now, f.name) for f in fields(kind) if f.init and hasattr(now, f.name)}
+    both = {
+        f.name: getattr(now, f.name)
+        for f in fields(kind)
+        if f.init and hasattr(now, f.name)
+    }
     stages = {**shot.job.stages, "dof": stage_of("dof", kind(**{**both, **dof}))}
-    return replace(shot, renderer=replace(shot.renderer, prepared=PreparedStages(shot.job.scene, stages)))
+    return replace(
+        shot,
+        renderer=replace(shot.renderer, prepared=PreparedStages(shot.job.scene, stages)),
+    )
 
 
 def ball_model(folder: Path) -> Mapping[str, Any]:
     """The section `model` of a blue ball."""
-    return _written(folder / "ball.glb", [_ball((0.0, 0.0, BALL_M), BALL_M, BLUE)], 2 * BALL_M)
+    return _written(
+        folder / "ball.glb", [_ball((0.0, 0.0, BALL_M), BALL_M, BLUE)], 2 * BALL_M
+    )
 
 
 def room_model(folder: Path) -> Mapping[str, Any]:
-    """The section of a model that fills the picture: desk, wall, both balls, all of them virtual."""
+    """The section of a model that fills the picture: desk, wall, both balls, all of them
+    virtual.
+    """
     import trimesh
 
-    floor, wall = trimesh.creation.box((3.0, 1.1, 0.01)), trimesh.creation.box((3.0, 0.01, 1.5))
+    floor, wall = (
+        trimesh.creation.box((3.0, 1.1, 0.01)),
+        trimesh.creation.box((3.0, 0.01, 1.5)),
+    )
     floor.apply_translation((0, 0.15, -0.005))
     wall.apply_translation((0, 0.695, 0.74))
-    flat = [coloured(m.vertices[m.faces].reshape(-1, 3), np.arange(3 * len(m.faces)).reshape(-1, 3), c)
-            for m, c in ((floor, (0.5, 0.3, 0.16)), (wall, (0.1, 0.1, 0.12)))]  # fmt: skip
-    balls = [_ball((-0.13, 0.08, 0.04), 0.04, (0.75, 0.2, 0.04)), _ball((0.0, 0.0, BALL_M), BALL_M, BLUE)]
-    return {**_written(folder / "room.glb", [*flat, *balls], 3.0), "offset": ["0m", "0.15m", "-0.01m"]}
+    flat = [
+        coloured(
+            m.vertices[m.faces].reshape(-1, 3),
+            np.arange(3 * len(m.faces)).reshape(-1, 3),
+            c,
+        )
+        for m, c in ((floor, (0.5, 0.3, 0.16)), (wall, (0.1, 0.1, 0.12)))
+    ]
+    balls = [
+        _ball((-0.13, 0.08, 0.04), 0.04, (0.75, 0.2, 0.04)),
+        _ball((0.0, 0.0, BALL_M), BALL_M, BLUE),
+    ]
+    return {
+        **_written(folder / "room.glb", [*flat, *balls], 3.0),
+        "offset": ["0m", "0.15m", "-0.01m"],
+    }
 
 
 def _ball(centre: tuple[float, float, float], radius: float, colour: Colour) -> Any:
@@ -138,12 +190,25 @@ def _written(path: Path, meshes: list[Any], extent_m: float) -> Mapping[str, Any
 
 
 def moving_desk(work: Work) -> SceneFile:
-    """The same filmed by a moving camera, at the paper's resolution, as coded video and without depth."""
+    """The same filmed by a moving camera, at the paper's resolution, as coded video and
+    without depth.
+    """
     read = parse_scene(SCENE)
-    size = {"width": work.scaled(1280, 240), "height": work.scaled(1024, 192), "file": "clip.mp4"}
-    path = read.shot[0].path.model_copy(update={"kind": "dolly", "end_m": (0.02, -0.5, 0.21)})
+    size = {
+        "width": work.scaled(1280, 240),
+        "height": work.scaled(1024, 192),
+        "file": "clip.mp4",
+    }
+    path = read.shot[0].path.model_copy(
+        update={"kind": "dolly", "end_m": (0.02, -0.5, 0.21)}
+    )
     shot = read.shot[0].model_copy(update={"frames": work.scaled(8, 4), "path": path})
-    more = {"clip": read.clip.model_copy(update=size), "shot": (shot,), "samples": 1, "depth": type(read.depth)()}
+    more = {
+        "clip": read.clip.model_copy(update=size),
+        "shot": (shot,),
+        "samples": 1,
+        "depth": type(read.depth)(),
+    }
     return read.model_copy(update=more)
 
 

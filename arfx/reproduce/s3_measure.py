@@ -32,17 +32,25 @@ NEAR_M, FAR_M = 0.35, 2.0  # of the plane on which cells are counted
 _SIZE = Rect.of(480, 400)
 
 
-def edge_of(left: Sequence[float], right: Sequence[float], beta: float) -> tuple[float, float]:
-    """What the printed and the corrected measure make of a step between two colours, coded; alpha = 0.5.
+def edge_of(
+    left: Sequence[float], right: Sequence[float], beta: float
+) -> tuple[float, float]:
+    """What the printed and the corrected measure make of a step between two colours, coded;
+    alpha = 0.5.
 
-    The corrected one is of a slope of n px from one to the other, times n: it is a measure per px of half the picture."""
+    The corrected one is of a slope of n px from one to the other, times n: it is a measure
+    per px of half the picture."""
     step = np.array([[left, right]] * 2, np.float64)
     n, width = 64, 128
     ramp = np.clip((np.arange(width) - (width - n) / 2 + 0.5) / n, 0, 1)[:, None]
     coded = np.asarray(left) + ramp * (np.asarray(right, float) - np.asarray(left))
-    slope = np.repeat((coded**2)[None], 16, axis=0).astype(np.float32)  # the measure is of square roots
+    slope = np.repeat((coded**2)[None], 16, axis=0).astype(
+        np.float32
+    )  # the measure is of square roots
     edges = measure_edges(packed(slope), 0.0, 0.5, beta)
-    return float(paper.eq4_edges(step, 0.5, beta)[0, 0]), float(edges.measure[4, width // 4] * n / 2)
+    return float(paper.eq4_edges(step, 0.5, beta)[0, 0]), float(
+        edges.measure[4, width // 4] * n / 2
+    )
 
 
 def printed_edges(coded: np.ndarray, p: PrintedWatercolorParams) -> np.ndarray:
@@ -58,8 +66,9 @@ def corrected_lines(shown: Shown) -> np.ndarray:
 
 
 def flips(frames: int) -> tuple[float, float]:
-    """Share of the pixels along a grey step, in noise of 2/255, that get or lose more than half of their ink from frame to frame:
-    as printed, corrected; each at the contrast at which most do."""
+    """Share of the pixels along a grey step, in noise of 2/255, that get or lose more than
+    half of their ink from frame to frame: as printed, corrected; each at the contrast at
+    which most do."""
     p, c, worst = PrintedWatercolorParams(), corrected().params, [0.0, 0.0]
     for contrast in np.linspace(0.03, 0.25, 45):
         g, base = np.random.default_rng(1), np.full((240, 64, 3), 0.4)
@@ -72,13 +81,20 @@ def flips(frames: int) -> tuple[float, float]:
             lines = trace_lines(edges, c.line_low, c.line_high, c.line_width_px)
             ink[1].append(lines[:, 12:20].max(1))
         for k, seen in enumerate(ink):
-            worst[k] = max(worst[k], float(np.mean([np.mean(abs(a - b) > 0.5) for a, b in itertools.pairwise(seen)])))
+            worst[k] = max(
+                worst[k],
+                float(
+                    np.mean(
+                        [np.mean(abs(a - b) > 0.5) for a, b in itertools.pairwise(seen)]
+                    )
+                ),
+            )
     return worst[0], worst[1]
 
 
 def still_frames(
     shown: Shown, frames: int, of_printed: Settings, of_corrected: Settings
-) -> tuple[list[np.ndarray], list[np.ndarray]]:  # fmt: skip
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """(h, w, 3) coded frames of a resting, noisy camera, printed and corrected."""
     moments = [shown.noisy(100 + k, NOISE) for k in range(frames)]
     out = []
@@ -93,23 +109,41 @@ def mean_squared(frames: Sequence[np.ndarray]) -> float:
     return float(np.mean([np.mean((a - b) ** 2) for a, b in itertools.pairwise(frames)]))
 
 
-def pan_errors(scene: Scene, frames: int, of_printed: Settings, of_corrected: Settings) -> tuple[float, float]:
-    """The same in a pan over things of all sizes, along the true motion: printed with cells fixed on the screen (that is, of one
-    frame's random numbers), corrected with cells that move with the things."""
+def pan_errors(
+    scene: Scene, frames: int, of_printed: Settings, of_corrected: Settings
+) -> tuple[float, float]:
+    """The same in a pan over things of all sizes, along the true motion: printed with cells
+    fixed on the screen (that is, of one frame's random numbers), corrected with cells that
+    move with the things."""
     rect, g, step_px = scene.camera.rect, np.random.default_rng(5), 3
     wide = rect.width + step_px * frames
-    noise = [cv2.GaussianBlur(g.standard_normal((rect.height, wide)), (0, 0), s) * s for s in (4, 7, 12)]
+    noise = [
+        cv2.GaussianBlur(g.standard_normal((rect.height, wide)), (0, 0), s) * s
+        for s in (4, 7, 12)
+    ]
     world = np.clip(0.5 + 0.15 * np.stack(noise, -1) / np.std(noise), 0, 1)
     nodes, errors = still_field(rect.width, rect.height, CELL_PX, 96), []
-    for stage in (PrintedWatercolor(PrintedWatercolorParams(**{"cell_px": CELL_PX, **of_printed})), corrected(**of_corrected)):
+    for stage in (
+        PrintedWatercolor(PrintedWatercolorParams(**{"cell_px": CELL_PX, **of_printed})),
+        corrected(**of_corrected),
+    ):
         ready, out = ReadyStage.of(stage, scene, "standard"), []
         for k in range(frames):
-            coded = world[:, step_px * k : step_px * k + rect.width] + g.normal(0, NOISE, (rect.height, rect.width, 3))
+            coded = world[:, step_px * k : step_px * k + rect.width] + g.normal(
+                0, NOISE, (rect.height, rect.width, 3)
+            )
             places = pack_positions(nodes.u + step_px * k, nodes.v)
             shape = nodes.u.shape[0], nodes.u.shape[1]
             field = AdvectionField(0, GRID_PX, (nodes.x0, nodes.y0), shape, places)
-            out.append(_painted(ready, np.clip(coded, 0, 1) ** 2, FrameFacts(0, 0.0, advection=field)))
-        pairs = [(a[16:-16, 16 + step_px : -16], b[16:-16, 16 : -16 - step_px]) for a, b in itertools.pairwise(out)]
+            out.append(
+                _painted(
+                    ready, np.clip(coded, 0, 1) ** 2, FrameFacts(0, 0.0, advection=field)
+                )
+            )
+        pairs = [
+            (a[16:-16, 16 + step_px : -16], b[16:-16, 16 : -16 - step_px])
+            for a, b in itertools.pairwise(out)
+        ]
         errors.append(float(np.mean([np.mean((a - b) ** 2) for a, b in pairs])))
     return errors[0], errors[1]
 
@@ -123,11 +157,13 @@ def _painted(ready: ReadyStage, linear: np.ndarray, facts: FrameFacts) -> np.nda
 
 
 def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(depth, m, of bands of a plane that goes from FAR_M above to NEAR_M below; mean area of cells there, px, as printed with
-    cones by the depth buffer, and corrected)."""
+    """(depth, m, of bands of a plane that goes from FAR_M above to NEAR_M below; mean area
+    of cells there, px, as printed with cones by the depth buffer, and corrected)."""
     height, width = _SIZE.height, _SIZE.width
     dioptre = np.linspace(1 / FAR_M, 1 / NEAR_M, height)
-    depth = np.broadcast_to((1 - PrintedWatercolorParams().near_m * dioptre)[:, None], (height, width))
+    depth = np.broadcast_to(
+        (1 - PrintedWatercolorParams().near_m * dioptre)[:, None], (height, width)
+    )
     field = still_field(width, height, CELL_PX, 3 * CELL_PX)
     y = field.y0 + GRID_PX * np.arange(field.u.shape[0])
     near = np.interp(y, np.arange(height), dioptre) / dioptre.mean()
@@ -138,12 +174,26 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
     edges = np.linspace(border, height - border, bands + 1)
     for key in range(repeats):
         sites = paper.eq1_sites(_SIZE, height // CELL_PX, width // CELL_PX, key)
-        found = paper.cones(sites, paper.at_sites(depth, sites, _SIZE), _SIZE, height // CELL_PX, width // CELL_PX)
+        found = paper.cones(
+            sites,
+            paper.at_sites(depth, sites, _SIZE),
+            _SIZE,
+            height // CELL_PX,
+            width // CELL_PX,
+        )
         other = make_sites(field, key, 10**6, CELL_PX)
-        for k, (at, labels) in enumerate(((sites, found), (other, label(other, _SIZE).first))):
+        for k, (at, labels) in enumerate(
+            ((sites, found), (other, label(other, _SIZE).first))
+        ):
             area = np.bincount(labels.ravel(), minlength=len(at))
             x, band = at.x / STEPS, np.digitize(at.y / STEPS, edges) - 1
-            counted = (area > 0) & (x > border) & (x < width - border) & (band >= 0) & (band < bands)
+            counted = (
+                (area > 0)
+                & (x > border)
+                & (x < width - border)
+                & (band >= 0)
+                & (band < bands)
+            )
             areas[k, :, 0] += np.bincount(band[counted], area[counted], bands)
             areas[k, :, 1] += np.bincount(band[counted], minlength=bands)
     middle = 1 / np.interp((edges[1:] + edges[:-1]) / 2, np.arange(height), dioptre)
@@ -151,8 +201,9 @@ def areas_on_plane(bands: int, repeats: int) -> tuple[np.ndarray, np.ndarray, np
 
 
 def small_thing(repeats: int) -> tuple[float, float, float]:
-    """A disc five cells wide at .25 m before a wall at 2 m: area of its cells over that of the wall's; share of it that the
-    wall's cells cover, with cones by depth and with equal ones."""
+    """A disc five cells wide at .25 m before a wall at 2 m: area of its cells over that of
+    the wall's; share of it that the wall's cells cover, with cones by depth and with equal
+    ones."""
     y, x = np.mgrid[: _SIZE.height, : _SIZE.width]
     disc = np.hypot(x - 200, y - 160) < 2.5 * CELL_PX
     m, n = _SIZE.height // CELL_PX, _SIZE.width // CELL_PX
@@ -172,7 +223,9 @@ def small_thing(repeats: int) -> tuple[float, float, float]:
 
 
 def convex_share(labels: np.ndarray) -> float:
-    """Of the cells, those that hold every pixel whose centre lies in the hull of their pixels' centres."""
+    """Of the cells, those that hold every pixel whose centre lies in the hull of their
+    pixels' centres.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     h, w = labels.shape
@@ -197,12 +250,17 @@ def convex_share(labels: np.ndarray) -> float:
 def printed_cells(shown: Shown) -> tuple[np.ndarray, np.ndarray]:
     """(depth buffer, labels) (h, w) of a frame."""
     stage, rect, (m, n) = printed(shown), shown.layers.rect, cells_of(shown)
-    buffer, sites = paper.depth_buffer(shown.view(stage), stage.params.near_m), paper.eq1_sites(rect, m, n, 1)
+    buffer, sites = (
+        paper.depth_buffer(shown.view(stage), stage.params.near_m),
+        paper.eq1_sites(rect, m, n, 1),
+    )
     return buffer, paper.cones(sites, paper.at_sites(buffer, sites, rect), rect, m, n)
 
 
 def corrected_cells(shown: Shown) -> np.ndarray:
-    """(h, w) labels of a frame's background by measured depth, as dense as the printed ones in the mean."""
+    """(h, w) labels of a frame's background by measured depth, as dense as the printed ones
+    in the mean.
+    """
     rect, strength = shown.layers.rect, corrected().params.nearer_finer
     real = RealDioptre.of(shown.layers[Layer.REAL_DEPTH], rect)
     field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, real)
@@ -210,7 +268,9 @@ def corrected_cells(shown: Shown) -> np.ndarray:
 
 
 def nearest_sites(sites: Sites, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(n,) the site nearest to each place (n,), 1/STEPS px, in its own weight: of all pairs of both."""
+    """(n,) the site nearest to each place (n,), 1/STEPS px, in its own weight: of all pairs
+    of both.
+    """
     columns = (np.asarray(v, float)[:, None] for v in (sites.x, sites.y, sites.weight))
     site_x, site_y, weight = columns
     parts = np.array_split(np.arange(len(x)), max(len(x) // 1024, 1))
@@ -219,17 +279,25 @@ def nearest_sites(sites: Sites, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def nearest_share(sites: Sites, labels: np.ndarray) -> float:
-    """Of the pixels of the picture's corner, those labelled with the site nearest to them, by every pair of both."""
+    """Of the pixels of the picture's corner, those labelled with the site nearest to them,
+    by every pair of both.
+    """
     y, x = np.mgrid[: labels.shape[0], : labels.shape[1]].astype(float) * STEPS
     return float(np.mean(nearest_sites(sites, x.ravel(), y.ravel()) == labels.ravel()))
 
 
 def rectangles_with_site(sites: Sites, rect: Rect, m: int, n: int) -> float:
-    """Of m x n rectangles, those in which a site lies, to the half step that sites are rounded by."""
+    """Of m x n rectangles, those in which a site lies, to the half step that sites are
+    rounded by.
+    """
     held = np.zeros((m, n), bool)
     for dx, dy in itertools.product((-0.5, 0.5), repeat=2):
-        j = np.floor(((sites.x + dx) / STEPS - rect.x0 + 0.5) * (n / rect.width)).astype(int)
-        i = np.floor(((sites.y + dy) / STEPS - rect.y0 + 0.5) * (m / rect.height)).astype(int)
+        j = np.floor(((sites.x + dx) / STEPS - rect.x0 + 0.5) * (n / rect.width)).astype(
+            int
+        )
+        i = np.floor(((sites.y + dy) / STEPS - rect.y0 + 0.5) * (m / rect.height)).astype(
+            int
+        )
         inside = (i >= 0) & (j >= 0) & (i < m) & (j < n)
         held[i[inside], j[inside]] = True
     return float(held.mean())
@@ -251,7 +319,9 @@ def farthest(sites: Sites, labels: np.ndarray) -> float:
 def exact_means(image: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """((n, 3) float64 mean of each cell, (n,) its pixels)."""
     area = np.bincount(labels.ravel())
-    total = [np.bincount(labels.ravel(), image[..., c].ravel().astype(float)) for c in range(3)]
+    total = [
+        np.bincount(labels.ravel(), image[..., c].ravel().astype(float)) for c in range(3)
+    ]
     return np.stack(total, -1) / np.maximum(area, 1)[:, None], area
 
 

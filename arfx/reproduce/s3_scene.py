@@ -1,6 +1,8 @@
-"""The scene of the rows of Jia, Tang 2013: teapot, cube and rabbit, of one model file, on a desk with real things near and far.
+"""The scene of the rows of Jia, Tang 2013: teapot, cube and rabbit, of one model file, on a
+desk with real things near and far.
 
-`Shown` is a frame of it with the object in it, before it is painted: what either formula's class is given."""
+`Shown` is a frame of it with the object in it, before it is painted: what either formula's
+class is given."""
 
 from __future__ import annotations
 
@@ -114,7 +116,9 @@ class Shown:
         """(h, w, 3) float32 coded: the frame with the objects toon-shaded by either formula."""
         if isinstance(stage, PrintedWatercolor):
             return stage.frame(self.view(stage))
-        return SRGB.encode(np.clip(stage.with_toon(self.view(stage)), 0, 1)).astype(np.float32)
+        return SRGB.encode(np.clip(stage.with_toon(self.view(stage)), 0, 1)).astype(
+            np.float32
+        )
 
     def noisy(self, index: int, sigma: float) -> Shown:
         """The same moment once more, as frame `index` of a resting camera: with other noise."""
@@ -128,12 +132,26 @@ class Shown:
         """(h, w) bool of the pixels of each object: the model's parts from left to right."""
         middle = [float(p.vertices[:, 0].mean()) for p in self.scene.model.parts]
         low, high = min(middle), max(middle)
-        names = ["", *("teapot" if (x - low) / (high - low) < 0.5 else "cube" if x < high else "rabbit" for x in middle)]
+        names = [
+            "",
+            *(
+                (
+                    "teapot"
+                    if (x - low) / (high - low) < 0.5
+                    else "cube"
+                    if x < high
+                    else "rabbit"
+                )
+                for x in middle
+            ),
+        ]
         number = np.array(names)[self.layers[Layer.OBJECT_ID]]
         return {name: number == name for name in OBJECTS}
 
     def real_outlines(self) -> np.ndarray:
-        """(h, w) bool: pixels that are nearer by a tenth than one beside them, of the real scene beside the objects."""
+        """(h, w) bool: pixels that are nearer by a tenth than one beside them, of the real
+        scene beside the objects.
+        """
         depth = self.layers[Layer.REAL_DEPTH]
         farther = cv2.dilate(depth, np.ones((3, 3), np.uint8))
         own = self.layers[Layer.COVERAGE].astype(np.float32)
@@ -141,11 +159,15 @@ class Shown:
 
 
 def shown(work: Work) -> Shown:
-    """The scene's frame up to the composite, lit by the corrected method: both formulas' classes paint the same picture."""
+    """The scene's frame up to the composite, lit by the corrected method: both formulas'
+    classes paint the same picture.
+    """
     width, height = work.scaled((640, 360), (240, 136))
     clip = work.clip(SCENE.format(width=width, height=height))
     shot = work.shot(clip, settings={"model": {"file": work.model("group"), "fit": "26cm"}})
-    layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(Watercolor.reads | {Layer.OBJECT_ID}, shot.renderer.window)
+    layers = shot.renderer.after(shot.up_to("watercolor")[:-1]).view(
+        Watercolor.reads | {Layer.OBJECT_ID}, shot.renderer.window
+    )
     return Shown(layers, shot.renderer.facts, shot.job.scene, shot.renderer.original())
 
 
@@ -165,7 +187,19 @@ def corrected(**settings: Any) -> Watercolor:
 
 
 FLAT = {  # cells alone
-    **dict.fromkeys(("wash", "lines", "lightness", "deepest", "edge_darkening", "flow", "wobble_px", "grain"), 0.0),
+    **dict.fromkeys(
+        (
+            "wash",
+            "lines",
+            "lightness",
+            "deepest",
+            "edge_darkening",
+            "flow",
+            "wobble_px",
+            "grain",
+        ),
+        0.0,
+    ),
     "saturation": 1.0,
 }
 

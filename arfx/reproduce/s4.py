@@ -1,7 +1,8 @@
 """Rows of Yao, Tao, Wu 2018: environment map from the one camera and delta voxel cone tracing.
 
-In the order of the paper's four steps: 1 and 3 here, 2 in `s4_volumes`, 4 in `s4_cones`; pictures and rates are in `s4_pictures`.
-The paper prints no table and few numbers: measured is what each of its statements claims."""
+In the order of the paper's four steps: 1 and 3 here, 2 in `s4_volumes`, 4 in `s4_cones`;
+pictures and rates are in `s4_pictures`. The paper prints no table and few numbers: measured
+is what each of its statements claims."""
 
 from __future__ import annotations
 
@@ -40,12 +41,18 @@ def rows(work: Work) -> Iterator[Item]:
 def plane() -> Iterator[Row]:
     """Step 1, on a table of 1.2 m x 0.8 m with a box on it, measured with 3 mm of noise."""
     camera = Camera(160, 120, np.array([[150.0, 0, 79.5], [0, 150, 59.5], [0, 0, 1]]))
-    pose = Pose(rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-35, 0, 0), np.array([0.0, 0.0, 1.5]))
+    pose = Pose(
+        rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-35, 0, 0),
+        np.array([0.0, 0.0, 1.5]),
+    )
     y, x = np.mgrid[0:120, 0:160]
     rays = camera.directions(np.stack([x, y], -1).astype(float))
     eye, world = pose.inverse().translation_m, rays @ pose.rotation
     depth = np.full(x.shape, np.inf)
-    for height, low, high in ((0.0, (-0.6, -0.4), (0.6, 0.4)), (0.12, (-0.45, 0.0), (-0.25, 0.2))):
+    for height, low, high in (
+        (0.0, (-0.6, -0.4), (0.6, 0.4)),
+        (0.12, (-0.45, 0.0), (-0.25, 0.2)),
+    ):
         t = (height - eye[2]) / world[..., 2]
         at = eye[:2] + t[..., None] * world[..., :2]
         depth = np.where(((at > low) & (at < high)).all(-1), t * rays[..., 2], depth)
@@ -57,75 +64,164 @@ def plane() -> Iterator[Row]:
     lower = float(np.abs(table.offset_m - up @ pose.translation_m)) * 1e3
     off = "the plane that was found is not the table"
     yield said(
-        "step 1, the likeliest plane: its normal", "normals of points, checked against k neighbours", (angle, angle), angle < 0.5,
-        off, "degrees off",
-    )  # fmt: skip
-    yield said("step 1, the likeliest plane: its height", "the likeliest plane", (lower, lower), lower < 3, off, "mm off")
+        "step 1, the likeliest plane: its normal",
+        "normals of points, checked against k neighbours",
+        (angle, angle),
+        angle < 0.5,
+        off,
+        "degrees off",
+    )
+    yield said(
+        "step 1, the likeliest plane: its height",
+        "the likeliest plane",
+        (lower, lower),
+        lower < 3,
+        off,
+        "mm off",
+    )
     away = cloud.points[table.inliers] @ table.normal - table.offset_m
-    after = (cloud.points[table.inliers] - np.outer(away, table.normal)) @ table.normal - table.offset_m
+    after = (
+        cloud.points[table.inliers] - np.outer(away, table.normal)
+    ) @ table.normal - table.offset_m
     moved, before = (float(np.abs(d).max()) * 1e3 for d in (after, away))
     yield said(
-        "step 1, points moved onto the plane and joined to a mesh", "moved towards the plane", (moved, moved),
-        moved < 1e-6 < before, "points stayed off the plane", f"mm off it at most; {before:.3g} before",
-    )  # fmt: skip
+        "step 1, points moved onto the plane and joined to a mesh",
+        "moved towards the plane",
+        (moved, moved),
+        moved < 1e-6 < before,
+        "points stayed off the plane",
+        f"mm off it at most; {before:.3g} before",
+    )
     found = scene_planes([(depth, pose)], camera)[0].real_plane()
     centre = float(np.linalg.norm(found.world_from_plane.translation_m[:2])) * 1e2
     yield said(
-        "step 1, where the object stands", "in the middle of the plane", (centre, centre), centre < 8,
-        "the middle of what is seen, moved to where it is well inside", "cm from the table's middle",
-    )  # fmt: skip
+        "step 1, where the object stands",
+        "in the middle of the plane",
+        (centre, centre),
+        centre < 8,
+        "the middle of what is seen, moved to where it is well inside",
+        "cm from the table's middle",
+    )
 
 
 def panoramas(work: Work) -> Figure:
     """The environments of one picture, all around: its middle column is straight ahead."""
     frame = work.shot(room(work), 0, settings=settings(work, "cube", "8cm", LAMP)).renderer
-    elevation, azimuth = np.meshgrid(*(np.radians(np.linspace(-a, a, n)) for a, n in ((90, 120), (180, 240))), indexing="ij")
-    around = np.stack([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)], -1)
+    elevation, azimuth = np.meshgrid(
+        *(np.radians(np.linspace(-a, a, n)) for a, n in ((90, 120), (180, 240))),
+        indexing="ij",
+    )
+    around = np.stack(
+        [
+            np.sin(azimuth) * np.cos(elevation),
+            np.sin(elevation),
+            np.cos(azimuth) * np.cos(elevation),
+        ],
+        -1,
+    )
     pictures = {BEFORE: frame.original()}
     for name, folded in ((PRINTED, step3_environment), (CORRECTED, fold)):
-        radiance = look_up(folded(frame.plate, 64), around.reshape(-1, 3)).reshape(around.shape)
-        pictures[name] = np.rint(255 * SRGB.encode(np.clip(radiance, 0, 1))).astype(np.uint8)
-    return Figure(PAPER, "step 3, seams of the environment", "all that is around, out of one picture", pictures)
+        radiance = look_up(folded(frame.plate, 64), around.reshape(-1, 3)).reshape(
+            around.shape
+        )
+        pictures[name] = np.rint(255 * SRGB.encode(np.clip(radiance, 0, 1))).astype(
+            np.uint8
+        )
+    return Figure(
+        PAPER,
+        "step 3, seams of the environment",
+        "all that is around, out of one picture",
+        pictures,
+    )
 
 
 def environment() -> Iterator[Row]:
-    """Step 3: each third of a picture of nine colours on its face, no change of a constant one, seams, levels."""
+    """Step 3: each third of a picture of nine colours on its face, no change of a constant
+    one, seams, levels.
+    """
     colours = np.random.default_rng(3).uniform(0.1, 0.9, (3, 3, 3))
     image = np.kron(colours, np.ones((40, 60, 1)))
     printed, corrected = step3_environment(image, SIDE), fold(image, SIDE)
     why = (
-        "the angle from the line of sight is the distance from the picture's middle, so that no edge of the cube shows as a seam"
+        "the angle from the line of sight is the distance from the picture's middle, so"
+        " that no edge of the cube shows as a seam"
     )
     faces = (
-        ("(31), right of the picture on +x", 0, (1, 2)), ("(31), left of the picture on -x", 1, (1, 0)),
-        ("(32), bottom of the picture on -y", 2, (2, 1)), ("(32), top of the picture on +y", 3, (0, 1)),
-        ("(33), middle of the picture on -z", 4, (1, 1)), ("(34), middle of the picture, mirrored, on +z", 5, (1, 1)),
-    )  # fmt: skip
+        ("(31), right of the picture on +x", 0, (1, 2)),
+        ("(31), left of the picture on -x", 1, (1, 0)),
+        ("(32), bottom of the picture on -y", 2, (2, 1)),
+        ("(32), top of the picture on +y", 3, (0, 1)),
+        ("(33), middle of the picture on -z", 4, (1, 1)),
+        ("(34), middle of the picture, mirrored, on +z", 5, (1, 1)),
+    )
     for words, face, part in faces:
         off = [float(np.abs(f[face] - colours[part]).max()) for f in (printed, corrected)]
-        yield said(f"step 3 {words}", "that part of the picture", off, max(off) < 1e-6, why, "at most off, of 1")
-    mipmap, kept = step3_mipmap(step3_environment(image, FACE_PX)), CubeMap.of(corrected).faces()
-    formats = [f"{a.shape[-1]} x {a.dtype.itemsize * 8} bit {a.dtype.kind}" for a in (mipmap[0], kept)]
+        yield said(
+            f"step 3 {words}",
+            "that part of the picture",
+            off,
+            max(off) < 1e-6,
+            why,
+            "at most off, of 1",
+        )
+    mipmap, kept = (
+        step3_mipmap(step3_environment(image, FACE_PX)),
+        CubeMap.of(corrected).faces(),
+    )
+    formats = [
+        f"{a.shape[-1]} x {a.dtype.itemsize * 8} bit {a.dtype.kind}"
+        for a in (mipmap[0], kept)
+    ]
     yield said(
-        "step 3, format of the cube", "RGBA16", formats, formats[0] == "4 x 16 bit u" == formats[1],
+        "step 3, format of the cube",
+        "RGBA16",
+        formats,
+        formats[0] == "4 x 16 bit u" == formats[1],
         "alpha is always 1; floating point holds what is brighter than white",
-    )  # fmt: skip
-    flat = [float(np.ptp(f(np.full((90, 120, 3), 0.4), SIDE))) for f in (step3_environment, fold)]
+    )
+    flat = [
+        float(np.ptp(f(np.full((90, 120, 3), 0.4), SIDE)))
+        for f in (step3_environment, fold)
+    ]
     item = "step 3, environment of a constant picture"
-    yield said(item, "constant, as follows", flat, max(flat) < 1e-6, "it is not", "largest difference")
+    yield said(
+        item,
+        "constant, as follows",
+        flat,
+        max(flat) < 1e-6,
+        "it is not",
+        "largest difference",
+    )
     y, x = np.mgrid[0:180, 0:240] / 40
-    smooth = np.stack([np.sin(x + y) / 3 + 0.5, np.cos(y) / 3 + 0.5, np.sin(x) / 3 + 0.5], -1)
+    smooth = np.stack(
+        [np.sin(x + y) / 3 + 0.5, np.cos(y) / 3 + 0.5, np.sin(x) / 3 + 0.5], -1
+    )
     seam = [float(seam_ratio(f(smooth, SIDE))) for f in (step3_environment, fold)]
     yield said(
-        "step 3, seams of the environment", "acceptable for the whole surroundings", seam, max(seam) < 1.5,
-        "sides that were cut out of the picture do not meet the mirrored back; the corrected fold is continuous",
+        "step 3, seams of the environment",
+        "acceptable for the whole surroundings",
+        seam,
+        max(seam) < 1.5,
+        "sides that were cut out of the picture do not meet the mirrored back; the"
+        " corrected fold is continuous",
         "steps across edges of the cube / within faces",
-    )  # fmt: skip
+    )
     item = f"step 3, levels of the mip chain of {FACE_PX}² texels a face"
-    yield said(item, "several", (float(len(mipmap)), None), len(mipmap) == 8, "some are missing")
+    yield said(
+        item, "several", (float(len(mipmap)), None), len(mipmap) == 8, "some are missing"
+    )
     for half_deg in (1, 5, 15, 30):
         level = mip_level(half_deg, FACE_PX)
-        texel, cone = 4**level * 4 * np.pi / (6 * FACE_PX**2), 2 * np.pi * (1 - np.cos(np.radians(half_deg)))
+        texel, cone = (
+            4**level * 4 * np.pi / (6 * FACE_PX**2),
+            2 * np.pi * (1 - np.cos(np.radians(half_deg))),
+        )
         item = f"step 4, mip level of a cone of half-angle {half_deg}° at {FACE_PX}² texels"
         wrong = "a texel of that level is not as large as the cone"
-        yield said(item, "by the aperture of the cone", (level, None), abs(texel / cone - 1) < 1e-9, wrong)
+        yield said(
+            item,
+            "by the aperture of the cone",
+            (level, None),
+            abs(texel / cone - 1) < 1e-9,
+            wrong,
+        )

@@ -28,23 +28,45 @@ def cones(work: Work) -> Iterator[Row]:
     directions, weights, _ = six_cones()
     narrow, wide = float(np.degrees(np.arctan(mirror_tangent(0.1)))), WIDE_DEG
     yield said(
-        "step 4, half-angle of the mirror cone at a roughness of 0.1", "a narrow cone", (narrow, narrow), narrow < wide / 4,
-        "it is not narrow", "degrees",
-    )  # fmt: skip
+        "step 4, half-angle of the mirror cone at a roughness of 0.1",
+        "a narrow cone",
+        (narrow, narrow),
+        narrow < wide / 4,
+        "it is not narrow",
+        "degrees",
+    )
     yield said(
-        "step 4, half-angle of the wide cones", "several wider cones", (wide, wide), len(weights) > 1, "one alone", "degrees"
+        "step 4, half-angle of the wide cones",
+        "several wider cones",
+        (wide, wide),
+        len(weights) > 1,
+        "one alone",
+        "degrees",
     )
     total = float(weights.sum())
-    yield said("step 4, weights of the wide cones together", "1, as follows", (total, total), abs(total - 1) < 1e-6, "not 1")
-    z, turn = (np.arange(100_000) + 0.5) / 100_000, np.arange(100_000) * np.pi * (3 - np.sqrt(5))
+    yield said(
+        "step 4, weights of the wide cones together",
+        "1, as follows",
+        (total, total),
+        abs(total - 1) < 1e-6,
+        "not 1",
+    )
+    z, turn = (
+        (np.arange(100_000) + 0.5) / 100_000,
+        np.arange(100_000) * np.pi * (3 - np.sqrt(5)),
+    )
     flat = np.sqrt(1 - z**2)
     hemisphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
     covered = float(((hemisphere @ directions.T).max(1) > np.cos(np.radians(wide))).mean())
     yield said(
-        "step 4, share of the hemisphere within the wide cones", "cover the whole hemisphere", (covered, covered), covered > 0.99,
-        "cones of 60° that cover it would overlap; these are tilted and weighted so that they leave as much of coarse and fine "
-        "light as a cosine does", "of 1",
-    )  # fmt: skip
+        "step 4, share of the hemisphere within the wide cones",
+        "cover the whole hemisphere",
+        (covered, covered),
+        covered > 0.99,
+        "cones of 60° that cover it would overlap; these are tilted and weighted so that"
+        " they leave as much of coarse and fine light as a cosine does",
+        "of 1",
+    )
     yield through()
     yield from step_length()
     yield from furnace(work)
@@ -55,49 +77,92 @@ def through() -> Row:
     ceiling = np.argwhere(np.ones((N, N, 1))) + np.array([0, 0, 12])
     made = small(ceiling, 0.5)
     V = np.zeros((len(made.tree.first), 3), np.float32)
-    at = Surfels(np.array([[8.0, 8.0, 8.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]]))
-    red, _, _, left = wide_cones(made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3))[0]
+    at = Surfels(
+        np.array([[8.0, 8.0, 8.0]]),
+        np.array([[0.0, 0.0, 1.0]]),
+        np.array([[0.0, 0.0, -1.0]]),
+    )
+    red, _, _, left = wide_cones(
+        made, V, at, step3_mipmap(np.full((6, 8, 8, 3), 0.5)), np.eye(3)
+    )[0]
     share = float(red / (0.5 * left))
     return said(
-        "step 4, environment through a half opaque ceiling, over what cones let through", "weighted by what the cone hides",
-        (share, None), abs(share - 1) < 1e-3 and left < 0.99, "not weighted so",
-    )  # fmt: skip
+        "step 4, environment through a half opaque ceiling, over what cones let through",
+        "weighted by what the cone hides",
+        (share, None),
+        abs(share - 1) < 1e-3 and left < 0.99,
+        "not weighted so",
+    )
 
 
 def step_length() -> Iterator[Row]:
     """Through a block of opacity and radiance one half."""
     block = np.argwhere(np.ones((N, N, N)))
-    parts = {k: ray(0.5, block, [[i / k, 0, 1 / k] for i in range(k)], [2.0, 8, 8]) for k in (1, 2, 4)}
+    parts = {
+        k: ray(0.5, block, [[i / k, 0, 1 / k] for i in range(k)], [2.0, 8, 8])
+        for k in (1, 2, 4)
+    }
     half = [1 - float(r[3]) for r in ray(0.5, block, [[0.0, 0, 0.5]], [2.0, 8, 8])]
     whole = [1 - float(r[3]) for r in parts[2]]
-    item, words = "step 4, opacity of half a step where α = 0.5", "two of them make one step, as follows"
-    yield said(item, words, half, max(abs((1 - h) ** 2 - 0.5) for h in half) < 1e-6, "two make another")
+    item, words = (
+        "step 4, opacity of half a step where α = 0.5",
+        "two of them make one step, as follows",
+    )
+    yield said(
+        item,
+        words,
+        half,
+        max(abs((1 - h) ** 2 - 0.5) for h in half) < 1e-6,
+        "two make another",
+    )
     item = "step 4, opacity of two half steps where α = 0.5"
-    yield said(item, "that of one step, as follows", whole, max(abs(w - 0.5) for w in whole) < 1e-6, "another")
+    yield said(
+        item,
+        "that of one step, as follows",
+        whole,
+        max(abs(w - 0.5) for w in whole) < 1e-6,
+        "another",
+    )
     brighter = [float(parts[4][k][0] / parts[1][k][0]) for k in range(2)]
     yield said(
-        "step 4, light of a voxel that is passed in four steps, over one step", "not stated", brighter, max(brighter) < 1.01,
-        "radiance counts whole at every step; corrected: in proportion to the step's opacity",
-    )  # fmt: skip
+        "step 4, light of a voxel that is passed in four steps, over one step",
+        "not stated",
+        brighter,
+        max(brighter) < 1.01,
+        "radiance counts whole at every step; corrected: in proportion to the step's"
+        " opacity",
+    )
 
 
 def furnace(work: Work) -> Iterator[Row]:
-    """A white ball on a white plane in an even light of 1 has to vanish. The short form has the smallest volume alone."""
+    """A white ball on a white plane in an even light of 1 has to vanish.
+
+    The short form has the smallest volume alone.
+    """
     given = settings(work, "ball", "8cm", FLAT_LAMP)
     scene = work.planned(flat_scene(work), settings=given).scene
     corrected = furnace_of(STAGES["gi"](), scene)
     means: list[float] = []
     for n in FURNACE:
         if not (means and work.short):
-            means = [furnace_of(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)), scene), corrected]
+            means = [
+                furnace_of(PrintedGi(PrintedGiParams(voxels=n, plane_albedo=1.0)), scene),
+                corrected,
+            ]
         yield said(
-            f"step 4, white furnace at {n}³ voxels", "1, as follows", means, max(abs(m - 1) for m in means) < 0.02,
-            "voxels of the plane that hold the ball's foot leak, and its normals are means", "mean radiance",
-        )  # fmt: skip
+            f"step 4, white furnace at {n}³ voxels",
+            "1, as follows",
+            means,
+            max(abs(m - 1) for m in means) < 0.02,
+            "voxels of the plane that hold the ball's foot leak, and its normals are means",
+            "mean radiance",
+        )
 
 
 def furnace_of(gi: Stage, scene: Scene) -> float:
     """Mean radiance of a white model by this stage of indirect light."""
-    mean = furnace_mean(JobView((), scene, {}, partial(picture, own={"gi": gi})), "standard")
+    mean = furnace_mean(
+        JobView((), scene, {}, partial(picture, own={"gi": gi})), "standard"
+    )
     assert mean is not None
     return mean

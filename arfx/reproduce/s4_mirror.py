@@ -1,4 +1,6 @@
-"""The room as a mirror ball shows it, by rays through the synthetic scene itself: what no picture of it holds is there too."""
+"""The room as a mirror ball shows it, by rays through the synthetic scene itself: what no
+picture of it holds is there too.
+"""
 
 from __future__ import annotations
 
@@ -16,25 +18,51 @@ _LIFT_M = 1e-4
 
 
 def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
-    """The picture (h, w, 3) uint8 with the object's pixels as a mirror in the room of the clip, whose axes are the marker's."""
+    """The picture (h, w, 3) uint8 with the object's pixels as a mirror in the room of the
+    clip, whose axes are the marker's.
+    """
     at, world = shot.renderer.facts.index, World(clip.scene)
     moment = world.at(float(world.frame_times_s[at]))
     low, high = shot.job.scene.model_corners_m.min(0), shot.job.scene.model_corners_m.max(0)
-    ball = [*(low + high) / 2, (high - low).max() / 2, *(0.5, 0.5, 0.5), 0]  # it throws its shadow
-    sky = np.tile(np.asarray(world.ambient, float), (2, 4, 1))  # whatever light of the room comes from no lamp
+    ball = [
+        *(low + high) / 2,
+        (high - low).max() / 2,
+        *(0.5, 0.5, 0.5),
+        0,
+    ]  # it throws its shadow
+    sky = np.tile(
+        np.asarray(world.ambient, float), (2, 4, 1)
+    )  # whatever light of the room comes from no lamp
     spheres = np.vstack([moment.spheres, np.array([ball])])
-    room = Room(moment.rects, spheres, moment.lights, world.ambient, world.textures, world.table, sky)
+    room = Room(
+        moment.rects,
+        spheres,
+        moment.lights,
+        world.ambient,
+        world.textures,
+        world.table,
+        sky,
+    )
     covered = shot.layer(Layer.COVERAGE) > 0.5
-    normal, position = (shot.layer(name)[covered].astype(float) for name in (Layer.NORMAL, Layer.POSITION))
+    normal, position = (
+        shot.layer(name)[covered].astype(float) for name in (Layer.NORMAL, Layer.POSITION)
+    )
     seen = position - shot.renderer.facts.pose.inverse().translation_m
     towards = seen - 2 * (seen * normal).sum(-1, keepdims=True) * normal
-    light = np.array([radiance(room, p + _LIFT_M * n, d) for p, n, d in zip(position, normal, towards, strict=True)])
+    light = np.array(
+        [
+            radiance(room, p + _LIFT_M * n, d)
+            for p, n, d in zip(position, normal, towards, strict=True)
+        ]
+    )
     unit = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
     for lamp in moment.lights:
         cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size
         light[unit @ lamp[:3] > cosine] += lamp[3:6] / (2 * (1 - cosine))
     out = picture.copy()
-    out[covered] = np.rint(255 * SRGB.encode(np.clip(REFLECTED * light, 0, 1))).astype(np.uint8)
+    out[covered] = np.rint(255 * SRGB.encode(np.clip(REFLECTED * light, 0, 1))).astype(
+        np.uint8
+    )
     return out
 
 
@@ -46,6 +74,9 @@ def radiance(room: Room, origin: np.ndarray, direction: np.ndarray) -> np.ndarra
     rotation = np.ascontiguousarray(np.stack([aside, np.cross(forward, aside), forward], 1))
     rays = FOOTPRINT_RAD * np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0]), -1)
     out = np.zeros((2, 2, 3))
-    lens, every = Lens(rays, rotation, np.ascontiguousarray(origin), 0.0, 1.0), Samples(np.ones((2, 2), bool), 1.0, 1.0, 0)
+    lens, every = (
+        Lens(rays, rotation, np.ascontiguousarray(origin), 0.0, 1.0),
+        Samples(np.ones((2, 2), bool), 1.0, 1.0, 0),
+    )
     render_rows(0, 1, lens, room, every, out, np.zeros((2, 2), np.uint16))
     return np.asarray(out[0, 0])

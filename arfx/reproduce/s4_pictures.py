@@ -1,7 +1,8 @@
-"""Pictures and rates of Yao, Tao, Wu 2018: what its object does to the real plane, and mirrors of both.
+"""Pictures and rates of Yao, Tao, Wu 2018: what its object does to the real plane, and
+mirrors of both.
 
-The reference traces rays through the object and the plane (`gi` at level reference; in the short form cones take its place), and
-for a mirror ball through the whole synthetic room."""
+The reference traces rays through the object and the plane (`gi` at level reference; in the
+short form cones take its place), and for a mirror ball through the whole synthetic room."""
 
 from __future__ import annotations
 
@@ -17,28 +18,86 @@ from arfx.measure.difference import difference, touched
 from arfx.measure.steps import chain_of
 from arfx.papers import CORRECTED as CORRECTED_FORMULA
 from arfx.papers import PAPER as PAPER_FORMULA
-from arfx.reproduce.rows import BEFORE, CORRECTED, DIFFERS, PRINTED, REFERENCE, Figure, Item, Row, bars
+from arfx.reproduce.rows import (
+    BEFORE,
+    CORRECTED,
+    DIFFERS,
+    PRINTED,
+    REFERENCE,
+    Figure,
+    Item,
+    Row,
+    bars,
+)
 from arfx.reproduce.s4_mirror import mirrored_room
-from arfx.reproduce.s4_scenes import FLAT_LAMP, LAMP, PAPER, Settings, flat_scene, room, said, settings, under
+from arfx.reproduce.s4_scenes import (
+    FLAT_LAMP,
+    LAMP,
+    PAPER,
+    Settings,
+    flat_scene,
+    room,
+    said,
+    settings,
+    under,
+)
 from arfx.reproduce.work import Shot, Work, shot_of
 
 
 def pictures(work: Work) -> Iterator[Item]:
-    red, mirror, matte = work.scaled("red teapot", "red cube"), work.scaled("mirror", "cube"), {"plane_gloss": 0.0}
-    sent = "only lamps are in the printed volumes, so that nothing darkens the plane around the object; voxels leak and blur"
-    folded = "one picture does not show what is above it and behind the camera: both guess it from the same picture"
-    blurred = "as above; the printed mirror cone meets the volumes' voxels, and again lamps' light alone"
+    red, mirror, matte = (
+        work.scaled("red teapot", "red cube"),
+        work.scaled("mirror", "cube"),
+        {"plane_gloss": 0.0},
+    )
+    sent = (
+        "only lamps are in the printed volumes, so that nothing darkens the plane around"
+        " the object; voxels leak and blur"
+    )
+    folded = (
+        "one picture does not show what is above it and behind the camera: both guess it"
+        " from the same picture"
+    )
+    blurred = (
+        "as above; the printed mirror cone meets the volumes' voxels, and again lamps'"
+        " light alone"
+    )
     for item, title, model, fit, gi, why in (
-        ("step 4, indirect light of an object and the plane under it", "a red teapot on a desk", red, "13cm", matte, sent),
-        ("step 4, the surroundings in a shiny object", "a mirror ball", mirror, "9cm", matte, folded),
-        ("step 4, the object in a shiny real plane", "a varnished desk", red, "13cm", {"plane_gloss": 0.25}, blurred),
+        (
+            "step 4, indirect light of an object and the plane under it",
+            "a red teapot on a desk",
+            red,
+            "13cm",
+            matte,
+            sent,
+        ),
+        (
+            "step 4, the surroundings in a shiny object",
+            "a mirror ball",
+            mirror,
+            "9cm",
+            matte,
+            folded,
+        ),
+        (
+            "step 4, the object in a shiny real plane",
+            "a varnished desk",
+            red,
+            "13cm",
+            {"plane_gloss": 0.25},
+            blurred,
+        ),
     ):
-        yield from beside_reference(work, item, title, model, settings(work, model, fit, LAMP, **gi), why)
+        yield from beside_reference(
+            work, item, title, model, settings(work, model, fit, LAMP, **gi), why
+        )
     yield from rates(work)
 
 
 def on_the_plane(work: Work) -> Iterator[Row]:
-    """What indirect light alone changes of a grey plane beside a cube: linear light, mean of the pixels around the cube."""
+    """What indirect light alone changes of a grey plane beside a cube: linear light, mean
+    of the pixels around the cube.
+    """
     changes = {}
     for model in ("black cube", "red cube"):
         given = settings(work, model, "8cm", FLAT_LAMP, plane_gloss=0.0)
@@ -46,26 +105,42 @@ def on_the_plane(work: Work) -> Iterator[Row]:
             shot = work.shot(flat_scene(work), 1, settings=under(work, formula, given))
             changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
             changes[model, formula] = changed[ring(shot.layer(Layer.COVERAGE))].mean(0)
-    printed, corrected = (float(changes["red cube", f] @ [1, -1, 0]) for f in (PAPER_FORMULA, CORRECTED_FORMULA))
+    printed, corrected = (
+        float(changes["red cube", f] @ [1, -1, 0])
+        for f in (PAPER_FORMULA, CORRECTED_FORMULA)
+    )
     yield said(
-        "step 2, delta volume: red that a red cube gives the plane", "V_Δ = V_ρ - V_μ", (-printed, corrected), printed < 0,
-        "with ρ the real scene alone the difference is that without the object less that with it: added as printed, it takes red "
-        "from the plane; the printed method here subtracts it", "red less green, linear light",
-    )  # fmt: skip
-    printed, corrected = (float(changes["black cube", f].mean()) for f in (PAPER_FORMULA, CORRECTED_FORMULA))
+        "step 2, delta volume: red that a red cube gives the plane",
+        "V_Δ = V_ρ - V_μ",
+        (-printed, corrected),
+        printed < 0,
+        "with ρ the real scene alone the difference is that without the object less that"
+        " with it: added as printed, it takes red from the plane; the printed method here"
+        " subtracts it",
+        "red less green, linear light",
+    )
+    printed, corrected = (
+        float(changes["black cube", f].mean()) for f in (PAPER_FORMULA, CORRECTED_FORMULA)
+    )
     yield said(
-        "step 2, delta volume: what a black cube takes from the plane", "the object's shadow is in V_Δ", (printed, corrected),
+        "step 2, delta volume: what a black cube takes from the plane",
+        "the object's shadow is in V_Δ",
+        (printed, corrected),
         printed < corrected / 2,
-        "points of one plane send each other no light, so V_Δ holds little that a black object could take away; corrected: what "
-        "it hides of the surroundings", "linear light",
-    )  # fmt: skip
+        "points of one plane send each other no light, so V_Δ holds little that a black"
+        " object could take away; corrected: what it hides of the surroundings",
+        "linear light",
+    )
 
 
 def without_planes(shot: Shot) -> Shot:
     """The same frame with indirect light on the object alone."""
     stage = shot.job.stages["gi"]
     weak = type(stage)(dataclasses.replace(stage.params, strength=0.0))
-    return shot_of(dataclasses.replace(shot.job, stages={**shot.job.stages, "gi": weak}), shot.renderer.facts.index)
+    return shot_of(
+        dataclasses.replace(shot.job, stages={**shot.job.stages, "gi": weak}),
+        shot.renderer.facts.index,
+    )
 
 
 def ring(coverage: np.ndarray) -> np.ndarray:
@@ -75,40 +150,78 @@ def ring(coverage: np.ndarray) -> np.ndarray:
     return np.asarray((wide > 0) & (covered == 0))
 
 
-def beside_reference(work: Work, item: str, title: str, model: str, given: Settings, reason: str) -> Iterator[Item]:
-    """One frame by both methods and by traced rays; the mean error where the effect touches the picture."""
+def beside_reference(
+    work: Work, item: str, title: str, model: str, given: Settings, reason: str
+) -> Iterator[Item]:
+    """One frame by both methods and by traced rays; the mean error where the effect touches
+    the picture.
+    """
     shots = {
         name: work.shot(room(work), 1, settings=under(work, formula, given))
         for name, formula in ((PRINTED, PAPER_FORMULA), (CORRECTED, CORRECTED_FORMULA))
-    }  # fmt: skip
+    }
     made = {name: shot.picture() for name, shot in shots.items()}
     best = shots[CORRECTED]
-    levels = {name: level_named(stage.levels, work.scaled("reference", "draft")) for name, stage in best.job.stages.items()}
+    levels = {
+        name: level_named(stage.levels, work.scaled("reference", "draft"))
+        for name, stage in best.job.stages.items()
+    }
     made[REFERENCE] = best.renderer.image(chain_of(best.renderer.plan, levels))
     if model == "mirror":
         made[REFERENCE] = mirrored_room(room(work), best, made[REFERENCE])
     before = shots[PRINTED].renderer.original()
     where = touched(*((before, picture) for picture in made.values()))
-    off = [difference(made[REFERENCE], made[name], where).mean for name in (PRINTED, CORRECTED)]
-    yield said(item, title, off, max(off) < 1, reason, "grey levels from traced rays, mean where anything changes")
+    off = [
+        difference(made[REFERENCE], made[name], where).mean for name in (PRINTED, CORRECTED)
+    ]
+    yield said(
+        item,
+        title,
+        off,
+        max(off) < 1,
+        reason,
+        "grey levels from traced rays, mean where anything changes",
+    )
     yield Figure(PAPER, item, title, {BEFORE: before, **made})
 
 
 def rates(work: Work) -> Iterator[Item]:
     """Whole jobs with a teapot."""
     given = settings(work, work.scaled("red teapot", "red cube"), "13cm", LAMP)
-    timed = {f: work.timed(room(work), settings=under(work, f, given)) for f in (PAPER_FORMULA, CORRECTED_FORMULA)}
+    timed = {
+        f: work.timed(room(work), settings=under(work, f, given))
+        for f in (PAPER_FORMULA, CORRECTED_FORMULA)
+    }
     size = f"{room(work).scene.clip.width} x {room(work).scene.clip.height}"
     printed, corrected = timed.values()
     why = (
-        "the paper names real time as its aim, and no rate, picture size or machine; it uses a graphics card, here there is none"
+        "the paper names real time as its aim, and no rate, picture size or machine; it"
+        " uses a graphics card, here there is none"
     )
     unit = f"frames/s at {size}, 64³ voxels"
-    yield Row(PAPER, "frame rate", "real time", printed.frames_per_s, corrected.frames_per_s, unit, DIFFERS, why)
+    yield Row(
+        PAPER,
+        "frame rate",
+        "real time",
+        printed.frames_per_s,
+        corrected.frames_per_s,
+        unit,
+        DIFFERS,
+        why,
+    )
     words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
-    yield Row(PAPER, "memory", words, printed.peak_mb, corrected.peak_mb, unit, DIFFERS, why)
+    yield Row(
+        PAPER, "memory", words, printed.peak_mb, corrected.peak_mb, unit, DIFFERS, why
+    )
     stages = sorted({name for t in timed.values() for name in t.stage_s})
     yield bars(
-        PAPER, "frame rate", "time of a frame by stage", "ms", stages,
-        {name: [1e3 * t.stage_s.get(s, 0.0) for s in stages] for name, t in ((PRINTED, printed), (CORRECTED, corrected))},
-    )  # fmt: skip
+        PAPER,
+        "frame rate",
+        "time of a frame by stage",
+        "ms",
+        stages,
+        {
+            name: [1e3 * t.stage_s.get(s, 0.0) for s in stages]
+            for name, t in ((PRINTED, printed), (CORRECTED, corrected))
+        },
+    )

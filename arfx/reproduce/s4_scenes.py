@@ -79,7 +79,14 @@ LAMP, FLAT_LAMP = (148, 52, 0.42, 0.40, 0.36), (60, 45, 0.5, 0.5, 0.5)  # of the
 Settings = dict[str, dict[str, object]]
 
 
-def said(item: str, printed: str, values: Sequence[Value], holds: bool, reason: str = "", unit: str = "") -> Row:
+def said(
+    item: str,
+    printed: str,
+    values: Sequence[Value],
+    holds: bool,
+    reason: str = "",
+    unit: str = "",
+) -> Row:
     """values : by the printed and by the corrected method;  otherwise as `shown`"""
     of_paper, corrected = values
     assert of_paper is not None
@@ -93,20 +100,32 @@ def flat_scene(work: Work) -> Clip:
 
 def room(work: Work) -> Clip:
     size = work.scaled(
-        {"width": 480, "height": 270, "frames": 2, "samples": 2}, {"width": 128, "height": 72, "frames": 2, "samples": 1}
+        {"width": 480, "height": 270, "frames": 2, "samples": 2},
+        {"width": 128, "height": 72, "frames": 2, "samples": 1},
     )
     return work.clip(_ROOM.format(**size))
 
 
-def settings(work: Work, model: str, fit: str, light: Sequence[float], **gi: object) -> Settings:
+def settings(
+    work: Work, model: str, fit: str, light: Sequence[float], **gi: object
+) -> Settings:
     """light : configured, as in the paper: azimuth, elevation, R, G, B of the scene's lamp"""
     return {
-        "model": {"file": work.model(model), "fit": fit}, "gi": {"samples": 32, **gi},
-        "pipeline": {"stages": ["lightmap", "gi"], "quality": work.scaled("standard", "draft")}, "light": {"given": list(light)},
-    }  # fmt: skip
+        "model": {"file": work.model(model), "fit": fit},
+        "gi": {"samples": 32, **gi},
+        "pipeline": {
+            "stages": ["lightmap", "gi"],
+            "quality": work.scaled("standard", "draft"),
+        },
+        "light": {"given": list(light)},
+    }
 
 
 def under(work: Work, formula: str, given: Settings) -> Settings:
-    """Indirect light by one formula, all else by the corrected one: only this paper's methods differ."""
-    voxels: dict[str, object] = {"voxels": work.scaled(64, 32)} if formula == PAPER_FORMULA else {}  # as many as the other has
+    """Indirect light by one formula, all else by the corrected one: only this paper's
+    methods differ.
+    """
+    voxels: dict[str, object] = (
+        {"voxels": work.scaled(64, 32)} if formula == PAPER_FORMULA else {}
+    )  # as many as the other has
     return {**given, "gi": {**given["gi"], **voxels, "formula": formula}}

@@ -1,4 +1,6 @@
-"""Step 2 of Yao, Tao, Wu 2018: voxels, reflective shadow maps, split injection, the octree and its filter."""
+"""Step 2 of Yao, Tao, Wu 2018: voxels, reflective shadow maps, split injection, the octree
+and its filter.
+"""
 
 from __future__ import annotations
 
@@ -43,86 +45,146 @@ def light(scene: Scene) -> Iterator[Row]:
     )
     lowest = made.rows_of(0)
     eta = made.tree.eta[lowest]
-    beside = made.leaf_of(np.array([[0.06, 0.05, 1e-6], [-0.06, 0.05, 1e-6], [0.06, -0.05, 1e-6]]))
-    tilt = float(np.degrees(np.arccos(np.clip(eta[beside, 2] / eta[beside, 3], -1, 1))).max())
+    beside = made.leaf_of(
+        np.array([[0.06, 0.05, 1e-6], [-0.06, 0.05, 1e-6], [0.06, -0.05, 1e-6]])
+    )
+    tilt = float(
+        np.degrees(np.arccos(np.clip(eta[beside, 2] / eta[beside, 3], -1, 1))).max()
+    )
     yield said(
-        "step 2, V_η: normal of the plane's voxels", "voxels hold normals", (tilt, None), tilt < 1, "they do not", "degrees off"
+        "step 2, V_η: normal of the plane's voxels",
+        "voxels hold normals",
+        (tilt, None),
+        tilt < 1,
+        "they do not",
+        "degrees off",
     )
     R_rho, R_mu, shows = shadow_maps(real, virtual, made.volume, TOWARDS, RGB)
     plane, expected = np.isfinite(R_rho.distance), ALBEDO * RGB * TOWARDS[2]
     off = float(np.abs(R_rho.radiance[plane] / expected - 1).max())
     yield said(
-        "step 2, R_ρ: light of the real scene's points", "light that meets the real scene", (off, None), off < 1e-4,
-        "not albedo x light x cosine", "relative error",
-    )  # fmt: skip
+        "step 2, R_ρ: light of the real scene's points",
+        "light that meets the real scene",
+        (off, None),
+        off < 1e-4,
+        "not albedo x light x cosine",
+        "relative error",
+    )
     apart = np.abs(R_mu.radiance - R_rho.radiance).max(-1) > 0
     yield said(
-        "step 2, R_μ: texels that differ from R_ρ and do not show the object", "with the virtual object added",
-        (float((apart & ~shows).mean()), None), not (apart & ~shows).any() and apart.any(), "others changed", "of 1",
-    )  # fmt: skip
+        "step 2, R_μ: texels that differ from R_ρ and do not show the object",
+        "with the virtual object added",
+        (float((apart & ~shows).mean()), None),
+        not (apart & ~shows).any() and apart.any(),
+        "others changed",
+        "of 1",
+    )
     fields = step2_radiance(made, real, virtual, [(TOWARDS, RGB)])
     V_rho, V_mu, V_delta = (v[lowest] for v in (fields.V_rho, fields.V_mu, fields.V_delta))
     shadow = float(V_delta[made.leaf_of(np.array([[-0.05, 0.0, 1e-6]]))[0], 0])
     yield said(
-        "step 2, split injection: V_Δ in the object's shadow", "light of R_ρ positive, of R_μ negative", (shadow, None),
-        shadow > 0, "not positive", "red, radiance",
-    )  # fmt: skip
+        "step 2, split injection: V_Δ in the object's shadow",
+        "light of R_ρ positive, of R_μ negative",
+        (shadow, None),
+        shadow > 0,
+        "not positive",
+        "red, radiance",
+    )
     given = float(V_delta[:, 0].min())
     yield said(
-        "step 2, split injection: V_Δ on the lit object", "light of R_ρ positive, of R_μ negative", (given, None), given < 0,
-        "not negative", "red, radiance",
-    )  # fmt: skip
+        "step 2, split injection: V_Δ on the lit object",
+        "light of R_ρ positive, of R_μ negative",
+        (given, None),
+        given < 0,
+        "not negative",
+        "red, radiance",
+    )
     wrong = float((np.abs(V_delta - (V_rho - V_mu)).max(1) > 1e-6).mean())
     yield said(
-        "equation V_Δ = V_ρ - V_μ: voxels in which it does not hold", "V_Δ = V_ρ - V_μ", (wrong, None), wrong == 0,
-        "points of light in one voxel overwrite each other, and split injection overwrites others than the two volumes do; the "
-        "corrected method adds light up by area and has no such volumes", "of 1",
-    )  # fmt: skip
+        "equation V_Δ = V_ρ - V_μ: voxels in which it does not hold",
+        "V_Δ = V_ρ - V_μ",
+        (wrong, None),
+        wrong == 0,
+        "points of light in one voxel overwrite each other, and split injection overwrites"
+        " others than the two volumes do; the corrected method adds light up by area and"
+        " has no such volumes",
+        "of 1",
+    )
 
 
 def small(cells: np.ndarray, alpha: float = 1.0, stored: bool = False) -> Volumes:
-    """An octree of voxels of one opacity, N a side, seen from everywhere. stored : of `step2_mean`"""
+    """An octree of voxels of one opacity, N a side, seen from everywhere.
+
+    stored : of `step2_mean`
+    """
     cube = Volume(N, (0.0, 0.0, 0.0), 1.0)
-    return octree_of(cube, cells, np.zeros((len(cells), 3)), np.full(len(cells), alpha), stored)
+    return octree_of(
+        cube, cells, np.zeros((len(cells), 3)), np.full(len(cells), alpha), stored
+    )
 
 
 def ray(
-    alpha: float, cells: np.ndarray, steps: Sequence[Sequence[float]], start: Sequence[float]
+    alpha: float,
+    cells: np.ndarray,
+    steps: Sequence[Sequence[float]],
+    start: Sequence[float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(4,) radiance and what is left behind a ray along x through voxels that glow as bright as they are opaque: as printed, and
-    with means of stored children and radiance in proportion to a step's opacity."""
+    """(4,) radiance and what is left behind a ray along x through voxels that glow as
+    bright as they are opaque: as printed, and with means of stored children and radiance in
+    proportion to a step's opacity."""
     taken, glow = np.array(steps, np.float32), np.full((len(cells), 3), alpha)
     made = []
     for better in (False, True):
         volumes = small(cells, alpha, better)
         V = volumes.filtered(glow, better)
-        made.append(cone_trace(volumes, V, taken, np.array([start]), np.array([[[1.0, 0, 0]]]), better)[0, 0])
+        made.append(
+            cone_trace(
+                volumes, V, taken, np.array([start]), np.array([[[1.0, 0, 0]]]), better
+            )[0, 0]
+        )
     return made[0], made[1]
 
 
 def filtering() -> Iterator[Row]:
     passes = float(len(small(np.zeros((1, 3), int)).starts))
-    yield said("step 2, filter steps of an octree of 5 levels", "n - 1", (passes, None), passes == 4.0, "not 4")
+    yield said(
+        "step 2, filter steps of an octree of 5 levels",
+        "n - 1",
+        (passes, None),
+        passes == 4.0,
+        "not 4",
+    )
     wall = np.argwhere(np.ones((1, N, N))) + np.array([7, 0, 0])
     leaks = (
-        "a mean of eight children lets light through a wall; one of those that are stored does not, but all grow with the level"
+        "a mean of eight children lets light through a wall; one of those that are stored"
+        " does not, but all grow with the level"
     )
     for level in range(4):
         made = [small(wall, stored=stored) for stored in (False, True)]
         opacity = [float(m.tree.eta[m.rows_of(level), 3].mean()) for m in made]
         yield said(
-            f"step 2, opacity of a wall of one voxel at level {level}", "mean of the children", opacity, opacity[0] == opacity[1],
+            f"step 2, opacity of a wall of one voxel at level {level}",
+            "mean of the children",
+            opacity,
+            opacity[0] == opacity[1],
             leaks,
-        )  # fmt: skip
+        )
     left = [float(r[3]) for r in ray(1.0, wall, [[6.0, 3, 1.0]], [-2.0, 8, 8])]
     yield said(
-        "step 2, light through a wall where a cone is 8 voxels wide", "hidden by the wall", left, max(left) < 0.01, leaks, "of 1"
+        "step 2, light through a wall where a cone is 8 voxels wide",
+        "hidden by the wall",
+        left,
+        max(left) < 0.01,
+        leaks,
+        "of 1",
     )
 
 
 def memory(work: Work) -> Iterator[Item]:
     """Of all volumes of a teapot and the plane under it, beside arrays."""
-    scene = work.planned(flat_scene(work), settings=settings(work, "red teapot", "12cm", FLAT_LAMP)).scene
+    scene = work.planned(
+        flat_scene(work), settings=settings(work, "red teapot", "12cm", FLAT_LAMP)
+    ).scene
     mesh, sides = step1_mesh(scene, ALBEDO), (64, 128, 256)
     both = real_and_virtual(scene, mesh)
     dense, printed = [], []
@@ -131,11 +193,22 @@ def memory(work: Work) -> Iterator[Item]:
         dense.append(dense_bytes / 2**20)
         printed.append(sparse_bytes / 2**20)
         yield said(
-            f"step 2, memory of the volumes at {n}³ voxels", "empty voxels are not stored", (printed[-1], None),
-            printed[-1] < 0.2 * dense[-1], "as much as arrays of all voxels", f"MB; arrays of all voxels {dense[-1]:.4g}",
-        )  # fmt: skip
+            f"step 2, memory of the volumes at {n}³ voxels",
+            "empty voxels are not stored",
+            (printed[-1], None),
+            printed[-1] < 0.2 * dense[-1],
+            "as much as arrays of all voxels",
+            f"MB; arrays of all voxels {dense[-1]:.4g}",
+        )
     series = {"arrays of all voxels": dense, "printed method": printed}
-    yield bars(PAPER, f"step 2, memory of the volumes at {sides[-1]}³ voxels", "a teapot", "MB", [f"{n}³" for n in sides], series)
+    yield bars(
+        PAPER,
+        f"step 2, memory of the volumes at {sides[-1]}³ voxels",
+        "a teapot",
+        "MB",
+        [f"{n}³" for n in sides],
+        series,
+    )
 
 
 def empty(work: Work) -> Row:
@@ -146,7 +219,16 @@ def empty(work: Work) -> Row:
     for formula in (PAPER_FORMULA, CORRECTED_FORMULA):
         job = work.planned(flat_scene(work), settings=under(work, formula, given))
         shot = shot_of(job, 1) if job.plan.frames[1].steps else None
-        after = None if shot is None else shot.picture().astype(int) - shot.renderer.original()
+        after = (
+            None if shot is None else shot.picture().astype(int) - shot.renderer.original()
+        )
         changed.append(0.0 if after is None else float(np.abs(after).max()))
     item = "step 2, change of the picture by an empty V_Δ"
-    return said(item, "none, as follows", changed, changed == [0.0, 0.0], "pixels changed", "grey levels at most")
+    return said(
+        item,
+        "none, as follows",
+        changed,
+        changed == [0.0, 0.0],
+        "pixels changed",
+        "grey levels at most",
+    )

@@ -1,8 +1,11 @@
-"""The Utah teapot (Martin Newell, 1975; in the public domain), from the control points of its Bezier patches.
+"""The Utah teapot (Martin Newell, 1975; in the public domain), from the control points of
+its Bezier patches.
 
-All of it but handle and spout is of revolution: a patch's net is a profile of four points, turned. z up, about 6.4 wide.
+All of it but handle and spout is of revolution: a patch's net is a profile of four points,
+turned. z up, about 6.4 wide.
 
-In Newell's table the lid's knob has 0.45 where the factor 0.56 of all other patches makes 0.448."""
+In Newell's table the lid's knob has 0.45 where the factor 0.56 of all other patches makes 0.448.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,8 @@ BODY = (
     ((2, 0.9), (2, 0.45), (1.5, 0.225), (1.5, 0.15)),
     ((1.5, 0.15), (1.5, 0.075), (1.425, 0), (0, 0)),
 )  # fmt: skip
-# Of handle and spout the half with y <= 0. A row of the net: x and z at the inner and the outer edge, and how far y goes between
+# Of handle and spout the half with y <= 0. A row of the net: x and z at the inner and the
+# outer edge, and how far y goes between
 HANDLE = (
     ((-1.6, 2.025, -1.5, 2.25, 0.3), (-2.3, 2.025, -2.5, 2.25, 0.3), (-2.7, 2.025, -3, 2.25, 0.3), (-2.7, 1.8, -3, 1.8, 0.3)),
     ((-2.7, 1.8, -3, 1.8, 0.3), (-2.7, 1.575, -3, 1.35, 0.3), (-2.5, 1.125, -2.65, 0.9375, 0.3), (-2, 0.9, -1.9, 0.6, 0.3)),
@@ -42,8 +46,13 @@ def bernstein(t: np.ndarray) -> np.ndarray:
 
 
 def along(curves: Curves, steps: tuple[int, ...]) -> np.ndarray:
-    """(1 + sum of steps, columns) points along curves that follow each other, so many steps on each."""
-    parts = [bernstein(np.arange(n) / n) @ np.array(c, float) for c, n in zip(curves, steps, strict=True)]
+    """(1 + sum of steps, columns) points along curves that follow each other, so many steps
+    on each.
+    """
+    parts = [
+        bernstein(np.arange(n) / n) @ np.array(c, float)
+        for c, n in zip(curves, steps, strict=True)
+    ]
     return np.concatenate([*parts, np.array(curves[-1][-1:], float)])
 
 
@@ -55,7 +64,9 @@ def turned(curves: Curves, steps: tuple[int, ...], sides: int) -> np.ndarray:
     circle = np.concatenate([quarter @ np.linalg.matrix_power(turn, k) for k in range(4)])
     profile = along(curves, steps)
     ring = np.broadcast_to(circle, (len(profile), sides, 2)) * profile[:, None, :1]
-    return np.concatenate([ring, np.broadcast_to(profile[:, None, 1:], (*ring.shape[:2], 1))], -1)
+    return np.concatenate(
+        [ring, np.broadcast_to(profile[:, None, 1:], (*ring.shape[:2], 1))], -1
+    )
 
 
 def tube(curves: Curves, steps: tuple[int, ...], sides: int) -> np.ndarray:
@@ -64,7 +75,10 @@ def tube(curves: Curves, steps: tuple[int, ...], sides: int) -> np.ndarray:
     inner_x, inner_z, outer_x, outer_z, y = along(curves, steps).T[..., None]
     inner, outer = weights[:, :2].sum(-1), weights[:, 2:].sum(-1)
     bulge = weights[:, 1:3].sum(-1)
-    half = np.stack([inner * inner_x + outer * outer_x, -bulge * y, inner * inner_z + outer * outer_z], -1)
+    half = np.stack(
+        [inner * inner_x + outer * outer_x, -bulge * y, inner * inner_z + outer * outer_z],
+        -1,
+    )
     edge = np.stack([outer_x, 0 * y, outer_z], -1)  # where the other half begins
     other = half[:, :0:-1] * [1, -1, 1]
     return np.concatenate([half, edge, other], 1)

@@ -1,4 +1,5 @@
-"""Scenes, jobs and times for the papers' modules: synthetic clips, whole jobs under either formula, single frames of them.
+"""Scenes, jobs and times for the papers' modules: synthetic clips, whole jobs under either
+formula, single frames of them.
 
 Everything lies in a temporary folder. What two items need is made once."""
 
@@ -38,13 +39,17 @@ from arfx.synth.description import SceneFile, parse_scene
 
 Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
 Progress = Callable[[str, int, int | None], None]
-WARM_FRAMES = 2  # of a timed job: rendered before, so that imports, compiled code and first contacts are not counted
+# of a timed job: rendered before, so that imports, compiled code and first contacts are not
+# counted
+WARM_FRAMES = 2
 SAMPLED_S = 0.01  # how often memory is looked at
 
 
 @dataclass(frozen=True)
 class Clip:
-    """A synthetic clip. folder : clip, camera, model, job.toml and truth (`arfx synth`);  scene : what it shows"""
+    """A synthetic clip. folder : clip, camera, model, job.toml and truth (`arfx synth`);
+    scene : what it shows
+    """
 
     folder: Path
     scene: SceneFile
@@ -69,8 +74,11 @@ class JobRun:
 
 
 class Timed(NamedTuple):
-    """frames_per_s : decoding, analysing, rendering and encoding by one worker; start-up, planning and what is prepared once per
-    clip left out;  stage_s : seconds a frame by stage;  peak_mb : most memory of the process;  start_mb : before the job"""
+    """frames_per_s : decoding, analysing, rendering and encoding by one worker; start-up,
+    planning and what is prepared once per
+    clip left out;  stage_s : seconds a frame by stage;  peak_mb : most memory of the
+    process;  start_mb : before the job
+    """
 
     frames_per_s: float
     stage_s: dict[str, float]
@@ -80,7 +88,10 @@ class Timed(NamedTuple):
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame of a planned job, ready to be rendered step by step. chain : all its steps, at the job's levels"""
+    """One frame of a planned job, ready to be rendered step by step.
+
+    chain : all its steps, at the job's levels
+    """
 
     job: Job
     renderer: FrameRenderer
@@ -91,14 +102,20 @@ class Shot:
         return self.renderer.image(self.chain)
 
     def layer(self, name: Layer) -> np.ndarray:
-        return np.asarray(self.renderer.after(self.chain).view(frozenset({name}), self.renderer.window)[name])
+        return np.asarray(
+            self.renderer.after(self.chain).view(frozenset({name}), self.renderer.window)[
+                name
+            ]
+        )
 
     def up_to(self, stage: str) -> Chain:
         names = [name for name, _ in self.chain]
         return self.chain[: names.index(stage) + 1]
 
     def seconds(self, stage: str, repeats: int = 5) -> float:
-        """Median wall-clock time of one stage on this frame; what it prepares and keeps is not counted."""
+        """Median wall-clock time of one stage on this frame; what it prepares and keeps is
+        not counted.
+        """
         chain = self.up_to(stage)
         run, out = self.renderer.run(chain), self.renderer.out(chain)
         return median_s(lambda: run.rerun(out), repeats)
@@ -106,7 +123,9 @@ class Shot:
 
 @dataclass
 class Work:
-    """folder : for whatever is made;  short : small pictures, few frames and repeats: times then mean nothing"""
+    """folder : for whatever is made;  short : small pictures, few frames and repeats: times
+    then mean nothing
+    """
 
     folder: Path
     short: bool = False
@@ -119,73 +138,114 @@ class Work:
         return short if self.short else full
 
     def clip(self, scene: str | SceneFile, truth_pictures: bool = False) -> Clip:
-        """The clip of a scene, as TOML text (arfx/synth/description.py) or read. The same scene is made once."""
+        """The clip of a scene, as TOML text (arfx/synth/description.py) or read.
+
+        The same scene is made once.
+        """
         read = parse_scene(scene, "scene") if isinstance(scene, str) else scene
         name = f"clip-{_digest(read.model_dump_json(), truth_pictures)}"
         if not (self.folder / name).exists():
-            make_clip(read, self.folder / name, None, self._checked, truth_pictures=truth_pictures)
+            make_clip(
+                read, self.folder / name, None, self._checked, truth_pictures=truth_pictures
+            )
         return Clip(self.folder / name, read)
 
     def model(self, name: str) -> str:
-        """Path of one of arfx.reproduce.models, for settings: {"model": {"file": work.model("cube"), "fit": "12cm"}}"""
+        """Path of one of arfx.reproduce.models, for settings: {"model": {"file":
+        work.model("cube"), "fit": "12cm"}}
+        """
         path = self.folder / f"{name}.glb"
         if not path.exists():
             write_model(name, path)
         return str(path)
 
-    def config(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> JobConfig:
-        """The clip's job with every section under `formula`. settings : further ones; {"model": {"file": …}} for another model"""
+    def config(
+        self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
+    ) -> JobConfig:
+        """The clip's job with every section under `formula`.
+
+        settings : further ones; {"model": {"file": …}} for another model
+        """
         return _config(clip.folder, formula, settings or {}, self.folder / "out.mkv")
 
-    def job(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> JobRun:
+    def job(
+        self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
+    ) -> JobRun:
         """The whole job, run; the same is run once. The output is lossless."""
         key = self._key("job", clip, formula, settings)
         if key not in self._made:
             output = self.folder / f"{key}.mkv"
-            report = process(_config(clip.folder, formula, settings or {}, output), self._options())
+            report = process(
+                _config(clip.folder, formula, settings or {}, output), self._options()
+            )
             interrupt.resume()
             self._made[key] = JobRun(report, output)
         made: JobRun = self._made[key]
         return made
 
-    def planned(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> Job:
+    def planned(
+        self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
+    ) -> Job:
         """The job analysed and planned, nothing rendered."""
         key = self._key("plan", clip, formula, settings)
         if key not in self._made:
             folder = JobFolder(self.folder / key)
             folder.open(resume=False)
-            self._made[key] = plan_job(open_inputs(self.config(clip, formula, settings)), folder, self._options())
+            self._made[key] = plan_job(
+                open_inputs(self.config(clip, formula, settings)), folder, self._options()
+            )
         job: Job = self._made[key]
         return job
 
-    def shot(self, clip: Clip, index: int = 0, formula: str = CORRECTED, settings: Settings | None = None) -> Shot:
-        """One frame of the clip under these settings. Raises RenderError where nothing would be rendered in it."""
+    def shot(
+        self,
+        clip: Clip,
+        index: int = 0,
+        formula: str = CORRECTED,
+        settings: Settings | None = None,
+    ) -> Shot:
+        """One frame of the clip under these settings.
+
+        Raises RenderError where nothing would be rendered in it.
+        """
         return shot_of(self.planned(clip, formula, settings), index)
 
-    def timed(self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None) -> Timed:
-        """The whole job in a process of its own, so that its memory is its own. In the short form one frame's stages in this."""
+    def timed(
+        self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
+    ) -> Timed:
+        """The whole job in a process of its own, so that its memory is its own.
+
+        In the short form one frame's stages in this.
+        """
         if self.short:
             shot = self.shot(clip, 0, formula, settings)
             seconds = {stage: shot.seconds(stage, 1) for stage, _ in shot.chain}
             held_mb = psutil.Process().memory_info().rss / 2**20
             return Timed(1 / sum(seconds.values()), seconds, held_mb, held_mb)
-        timed: Timed = self.apart(timed_job, clip.folder, clip.scene.clip.fps, formula, settings or {})
+        timed: Timed = self.apart(
+            timed_job, clip.folder, clip.scene.clip.fps, formula, settings or {}
+        )
         return timed
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """What a module's function returns in a new process; arguments and result can be pickled. `Memory` measures there.
-        Raises RenderError where the process dies."""
+        """What a module's function returns in a new process; arguments and result can be
+        pickled. `Memory` measures there. Raises RenderError where the process dies."""
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
         from concurrent.futures.process import BrokenProcessPool
 
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), interrupt.in_worker) as pool:
+        with ProcessPoolExecutor(
+            1, multiprocessing.get_context("spawn"), interrupt.in_worker
+        ) as pool:
             with interrupt.starting_workers():
                 running = pool.submit(function, *arguments)
             try:
                 return running.result()
             except BrokenProcessPool:
-                raise RenderError("a process that measures was killed (out of memory?)", "give it more memory") from None
+                raise RenderError(
+                    "a process that measures was killed (out of memory?)",
+                    "give it more memory",
+                ) from None
 
     def _checked(self, phase: str, done: int, total: int | None) -> None:
         interrupt.check()
@@ -207,42 +267,72 @@ def frames_of(path: Path) -> list[np.ndarray]:
 def shot_of(job: Job, index: int) -> Shot:
     facts, plan = job.facts[index], job.plan.frames[index]
     if not plan.steps:
-        raise RenderError(f"frame {index} of {job.inputs.info.path} shows no object: nothing is rendered in it")
+        raise RenderError(
+            f"frame {index} of {job.inputs.info.path} shows no object: nothing is rendered"
+            " in it"
+        )
     camera = job.inputs.camera
     with ClipReader(job.inputs.info) as reader:
         frame = next(f for f in reader.frames() if f.pts == job.analysed.pts[index])
-        depth = None if job.inputs.depth is None else real_depth_layer(job.inputs.depth, facts, frame, camera, camera.rect)
+        depth = (
+            None
+            if job.inputs.depth is None
+            else real_depth_layer(job.inputs.depth, facts, frame, camera, camera.rect)
+        )
         plate = frame.linear(camera.rect)
-    renderer = FrameRenderer(facts, plate, plan, camera.rect, PreparedStages(job.scene, job.stages), real_depth_m=depth)
+    renderer = FrameRenderer(
+        facts,
+        plate,
+        plan,
+        camera.rect,
+        PreparedStages(job.scene, job.stages),
+        real_depth_m=depth,
+    )
     return Shot(job, renderer, _chain(plan))
 
 
 def median_s(work: Callable[[], Any], repeats: int = 5) -> float:
-    """Median wall-clock time of `repeats` runs, after one that is not counted; less what numba compiles."""
+    """Median wall-clock time of `repeats` runs, after one that is not counted; less what
+    numba compiles.
+    """
     work()
     return float(np.median([WALL.of(work) for _ in range(repeats)]))
 
 
 def timed_job(folder: Path, fps: float, formula: str, settings: Settings) -> Timed:
-    """Runs the job of a clip's folder in the process that it is called in. The clip's first frames are processed once before, so
-    that nothing is imported, compiled or loaded while time is taken. fps : of the clip"""
+    """Runs the job of a clip's folder in the process that it is called in. The clip's first
+    frames are processed once before, so that nothing is imported, compiled or loaded while
+    time is taken. fps : of the clip"""
     start_mb = psutil.Process().memory_info().rss / 2**20
     report: dict[str, Any] = {}
     with Memory() as memory:
         for more in ({"input": {"end": f"{(WARM_FRAMES - 0.5) / fps}s"}}, {}):
-            config = _config(folder, formula, merge(settings, more), folder.parent / f"timed-{formula}.mkv")
-            report = process(config, Options(overwrite=True, workers=1, notice=lambda message: None))
+            config = _config(
+                folder,
+                formula,
+                merge(settings, more),
+                folder.parent / f"timed-{formula}.mkv",
+            )
+            report = process(
+                config, Options(overwrite=True, workers=1, notice=lambda message: None)
+            )
             interrupt.resume()
     spent, frames = report["timing"], report["output"]["frames"]
-    seconds = sum(spent[f"{phase}_s"] for phase in ("decode", "analyse", "render", "encode"))
-    stages = {s["name"]: s["measured_s"] / frames for s in report["stages"] if s["frames_run"]}
+    seconds = sum(
+        spent[f"{phase}_s"] for phase in ("decode", "analyse", "render", "encode")
+    )
+    stages = {
+        s["name"]: s["measured_s"] / frames for s in report["stages"] if s["frames_run"]
+    }
     return Timed(frames / seconds, stages, memory.peak_mb, start_mb)
 
 
 class Memory:
-    """Most memory that this process holds while the body runs: resident set, looked at every SAMPLED_S. A context manager.
+    """Most memory that this process holds while the body runs: resident set, looked at
+    every SAMPLED_S. A context manager.
 
-    What the system records (ru_maxrss) counts the parent's memory of a process that was just started."""
+    What the system records (ru_maxrss) counts the parent's memory of a process that was
+    just started."""
 
     def __init__(self) -> None:
         self.peak_mb = 0.0
@@ -267,9 +357,17 @@ class Memory:
 
 def _config(folder: Path, formula: str, settings: Settings, output: Path) -> JobConfig:
     kinds = parameters()
-    formulas: dict[str, Any] = {name: {"formula": formula} for name, by_formula in kinds.items() if PAPER in by_formula}
+    formulas: dict[str, Any] = {
+        name: {"formula": formula}
+        for name, by_formula in kinds.items()
+        if PAPER in by_formula
+    }
     tree = merge(formulas, settings)
-    return load(folder / "job.toml", merge(tree, {"output": {"path": str(output), "codec": "ffv1"}}), kinds)
+    return load(
+        folder / "job.toml",
+        merge(tree, {"output": {"path": str(output), "codec": "ffv1"}}),
+        kinds,
+    )
 
 
 def _chain(plan: FramePlan) -> Chain:
@@ -277,4 +375,6 @@ def _chain(plan: FramePlan) -> Chain:
 
 
 def _digest(*parts: Any) -> str:
-    return hashlib.sha256(json.dumps(parts, default=str, sort_keys=True).encode()).hexdigest()[:12]
+    return hashlib.sha256(
+        json.dumps(parts, default=str, sort_keys=True).encode()
+    ).hexdigest()[:12]

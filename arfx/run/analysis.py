@@ -1,4 +1,6 @@
-"""The analysis of a clip: its stretches, by any workers in any order, then one pass over what they found, in order."""
+"""The analysis of a clip: its stretches, by any workers in any order, then one pass over
+what they found, in order.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,27 @@ from arfx.analyse.fold import Analysis, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.core import codec
 from arfx.media.clip import ClipInfo
-from arfx.media.frames import ClipReader, FrameDamageError, FrameTimesError, late_frames, missing_frames
+from arfx.media.frames import (
+    ClipReader,
+    FrameDamageError,
+    FrameTimesError,
+    late_frames,
+    missing_frames,
+)
 from arfx.run.executors import Results, Task, run_serial
 from arfx.run.folder import JobFolder, digest, write
 from arfx.run.source import release
-from arfx.run.stretches import Context, Span, Stretch, Stretches, analyse_stretch, cut, keep, made, whole
+from arfx.run.stretches import (
+    Context,
+    Span,
+    Stretch,
+    Stretches,
+    analyse_stretch,
+    cut,
+    keep,
+    made,
+    whole,
+)
 from arfx.run.times import STRETCH, WorkLog
 from arfx.run.worker import who
 
@@ -28,8 +46,10 @@ Run = Callable[[Iterator[Task], int, int, Callable[[int], None]], Results]
 
 @dataclass(frozen=True)
 class AnalysisPass:
-    """pts : presentation times of the frames to render, in the clip's time base;  keys : which of them decoding can begin at
-    truncated : a message where the file ends in damage;  careful, missing, damaged : as of `ClipAnalysis`
+    """pts : presentation times of the frames to render, in the clip's time base;  keys :
+    which of them decoding can begin at
+    truncated : a message where the file ends in damage;  careful, missing, damaged : as of
+    `ClipAnalysis`
     seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)
     stretches : keys of their rows there"""
 
@@ -45,31 +65,44 @@ class AnalysisPass:
     damaged: bool = False
 
 
-def in_order(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
+def in_order(
+    tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
+) -> Results:
     """The stretches one after the other, in this thread."""
     return run_serial(tasks, progress, analyse_stretch)
 
 
 def analyse_clip(
-    info: ClipInfo, job: AnalysisJob, wanted: Collection[str], span_s: tuple[float | None, float | None], progress: Progress,
-    folder: JobFolder, key: str, log: WorkLog | None = None, run: Run = in_order,
-) -> AnalysisPass:  # fmt: skip
+    info: ClipInfo,
+    job: AnalysisJob,
+    wanted: Collection[str],
+    span_s: tuple[float | None, float | None],
+    progress: Progress,
+    folder: JobFolder,
+    key: str,
+    log: WorkLog | None = None,
+    run: Run = in_order,
+) -> AnalysisPass:
     """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
 
     wanted : folds, by name;  folder, key : where the stretches are kept, and what they are of
-    run(tasks, most that there are, frames, progress) : has analyse_stretch called on tasks, whoever does it
-    Stretches that are there already are taken as they are. Raises NothingToDoError if the span holds no frame, or nothing is
-    seen to stand on."""
+    run(tasks, most that there are, frames, progress) : has analyse_stretch called on tasks,
+    whoever does it Stretches that are there already are taken as they are. Raises
+    NothingToDoError if the span holds no frame, or nothing is seen to stand on."""
     span, log = Span(info, *span_s), log or WorkLog(folder.timings)
     with ClipReader(info) as reader:
         times = reader.times()
     stretches, stated = cut(span, times), [] if times is None else times.pts
     damaged = reader.damaged
     try:
-        found = _Pass(span, stretches, job, wanted, progress, folder, key, log).done(run if stretches.seeks else in_order, stated)
+        found = _Pass(span, stretches, job, wanted, progress, folder, key, log).done(
+            run if stretches.seeks else in_order, stated
+        )
     except FrameTimesError as e:  # what the packets say of the frames is not so
         damaged = isinstance(e, FrameDamageError)
-        found = _Pass(span, whole(span), job, wanted, progress, folder, key, log).done(in_order, stated)
+        found = _Pass(span, whole(span), job, wanted, progress, folder, key, log).done(
+            in_order, stated
+        )
     return replace(found, damaged=damaged)
 
 
@@ -77,18 +110,32 @@ class _Pass:
     """The stretches of a clip, joined in order as far as they are there."""
 
     def __init__(
-        self, span: Span, stretches: Stretches, job: AnalysisJob, wanted: Collection[str], progress: Progress,
-        folder: JobFolder, key: str, log: WorkLog,
-    ) -> None:  # fmt: skip
+        self,
+        span: Span,
+        stretches: Stretches,
+        job: AnalysisJob,
+        wanted: Collection[str],
+        progress: Progress,
+        folder: JobFolder,
+        key: str,
+        log: WorkLog,
+    ) -> None:
         self.stretches, self.folder, self.key, self.log = stretches, folder, key, log
         job = replace(job, length_s=stretches.length_s)
         self.context = Context(job, wanted, span, stretches)
         self.analyser = Analyser(job, wanted)
         self.pts, self.keys = list[int](), list[int]()
         self.before, self.ended, self.truncated = stretches.before, False, None
-        self.seconds, self.walls, self.names = dict[str, float](), dict[str, float](), list[str]()
+        self.seconds, self.walls, self.names = (
+            dict[str, float](),
+            dict[str, float](),
+            list[str](),
+        )
         self._progress, self._shown = progress, 0
-        self._next, self._lost = 0, None  # the stretch that is joined next, and what the one before gives it
+        self._next, self._lost = (
+            0,
+            None,
+        )  # the stretch that is joined next, and what the one before gives it
         self._ready = {part.first for part in stretches.parts if self._path(part).exists()}
         self._rows = {row["key"]: row for row in log.rows() if row["work"] == STRETCH}
 
@@ -97,20 +144,36 @@ class _Pass:
         folder, parts, frames = self.folder, self.stretches.parts, self.stretches.frames
         folder.stretches.mkdir(exist_ok=True)
         keep(folder, self.key, self.context)
-        waiting = {part.first: part.last + 1 - part.first for part in parts if part.first not in self._ready}
+        waiting = {
+            part.first: part.last + 1 - part.first
+            for part in parts
+            if part.first not in self._ready
+        }
         made_before = frames - sum(waiting.values())
 
         def tasks() -> Iterator[Task]:
             for k, part in enumerate(parts):
-                if part.first in waiting and k >= self._next:  # it may have been made otherwise meanwhile
-                    yield str(folder.path), self.key, part.first, part.last, str(self._path(part))
+                if (
+                    part.first in waiting and k >= self._next
+                ):  # it may have been made otherwise meanwhile
+                    yield (
+                        str(folder.path),
+                        self.key,
+                        part.first,
+                        part.last,
+                        str(self._path(part)),
+                    )
 
         with contextlib.ExitStack() as stack:
             stack.callback(release)
             self._join_ready()
-            results = run(tasks(), len(waiting), frames, lambda n: self._tell(made_before + n))
+            results = run(
+                tasks(), len(waiting), frames, lambda n: self._tell(made_before + n)
+            )
             for result in stack.enter_context(contextlib.closing(results)):
-                if "seconds" in result:  # not of one that was there already, though nobody had heard of it
+                if (
+                    "seconds" in result
+                ):  # not of one that was there already, though nobody had heard of it
                     self._note(result["file"], result)
                 self._ready.add(result["first"])
                 self._join_ready()
@@ -119,23 +182,40 @@ class _Pass:
             raise self.context.span.nothing()
         since_s, info = self.context.span.since_s, self.context.span.info
         times = [since_s(t) for t in self.pts]
-        missing = missing_frames(self.pts, stated, gaps="mov" not in info.container)  # whose index says what a gap is
+        missing = missing_frames(
+            self.pts, stated, gaps="mov" not in info.container
+        )  # whose index says what a gap is
         truncated = (self.truncated or self.stretches.truncated) if self.ended else None
         if self.ended and not truncated and (lost := late_frames(self.pts, stated)):
-            truncated = f"{info.path}: the last frames cannot be decoded ({lost}); processed to the last good frame"
-        analysis = self.analyser.finish(Analysis(frame_span=(times, self.before, self.ended and not truncated)))
+            truncated = (
+                f"{info.path}: the last frames cannot be decoded ({lost}); processed to the"
+                " last good frame"
+            )
+        analysis = self.analyser.finish(
+            Analysis(frame_span=(times, self.before, self.ended and not truncated))
+        )
         self._spent({"analyse": time.perf_counter() - start})
         self._progress("analyse", len(self.pts), len(self.pts))
         return AnalysisPass(
-            analysis, self.pts, self.keys, truncated, self.seconds, self.walls, self.names,
-            self.stretches.careful, [(since_s(t), count) for t, count in missing],
-        )  # fmt: skip
+            analysis,
+            self.pts,
+            self.keys,
+            truncated,
+            self.seconds,
+            self.walls,
+            self.names,
+            self.stretches.careful,
+            [(since_s(t), count) for t, count in missing],
+        )
 
     def _join_ready(self) -> None:
-        """As far as the stretches are there. One that goes on with what would be lost is made here, with the next ones of its
+        """As far as the stretches are there. One that goes on with what would be lost is
+        made here, with the next ones of its
         kind: it has to wait for the one before."""
         parts = self.stretches.parts
-        while self._next < len(parts) and (self._lost is not None or parts[self._next].first in self._ready):
+        while self._next < len(parts) and (
+            self._lost is not None or parts[self._next].first in self._ready
+        ):
             part, lost = parts[self._next], self._lost
             start = time.perf_counter()
             found, name, own_s = self._found(part, lost)
@@ -147,7 +227,11 @@ class _Pass:
             self.keys += [len(self.pts) + k for k in found["keys"]]
             self.pts += found["pts"]
             self.before += found["before"]
-            self.ended, self.truncated, self._lost = found["ended"], found["truncated"], found["lost"]
+            self.ended, self.truncated, self._lost = (
+                found["ended"],
+                found["truncated"],
+                found["lost"],
+            )
             self._next += 1
             self.names.append(name)
             if row := self._rows.get(name):
@@ -163,10 +247,18 @@ class _Pass:
         return later
 
     def _found(
-        self, part: Stretch, lost: dict[str, Any] | None, changes: Mapping[str, Any] = {},
-    ) -> tuple[dict[str, Any], str, float]:  # fmt: skip
-        """(what a stretch holds, name of its file, seconds that it took to make it now). From its file, if that is whole."""
-        path = self._path(part, *([codec.dumps([lost, dict(changes)]).hex()] if lost or changes else []))
+        self,
+        part: Stretch,
+        lost: dict[str, Any] | None,
+        changes: Mapping[str, Any] = {},
+    ) -> tuple[dict[str, Any], str, float]:
+        """(what a stretch holds, name of its file, seconds that it took to make it now).
+
+        From its file, if that is whole.
+        """
+        path = self._path(
+            part, *([codec.dumps([lost, dict(changes)]).hex()] if lost or changes else [])
+        )
         with contextlib.suppress(OSError, ValueError):
             found = codec.loads(path.read_bytes())
             if isinstance(found, dict) and isinstance(found.get("folds"), dict):
@@ -174,11 +266,19 @@ class _Pass:
         start = time.perf_counter()
         found, seconds = made(self.context, part, self._tick, True, lost, changes)
         write(path, codec.dumps(found))
-        self._note(path.name, {"first": part.first, "last": part.last, "seconds": seconds, **who()})
+        self._note(
+            path.name, {"first": part.first, "last": part.last, "seconds": seconds, **who()}
+        )
         return found, path.name, time.perf_counter() - start
 
     def _path(self, part: Stretch, *more: str) -> Path:
-        name = digest(self.key, sorted(self.context.wanted), part.to_json(), self.stretches.length_s, *more)
+        name = digest(
+            self.key,
+            sorted(self.context.wanted),
+            part.to_json(),
+            self.stretches.length_s,
+            *more,
+        )
         path: Path = self.folder.stretches / f"{part.first:06d}-{part.last:06d}.{name}"
         return path
 
@@ -197,4 +297,8 @@ class _Pass:
         """frames : that were analysed, counted as often as that happened"""
         self._shown = max(self._shown, frames)
         expected = self.stretches.frames if self.stretches.parts[-1].last else None
-        self._progress("analyse", self._shown if expected is None else min(self._shown, expected), expected)
+        self._progress(
+            "analyse",
+            self._shown if expected is None else min(self._shown, expected),
+            expected,
+        )

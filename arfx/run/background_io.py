@@ -1,4 +1,6 @@
-"""Decode ahead and encode behind, each in a thread of its own: codecs let other threads run meanwhile."""
+"""Decode ahead and encode behind, each in a thread of its own: codecs let other threads run
+meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ T = TypeVar("T")
 
 
 class Prefetch(Generic[T]):
-    """Context manager and iterator over `items`, in their order. Raises what they raise, after those before it.
+    """Context manager and iterator over `items`, in their order. Raises what they raise,
+    after those before it.
 
     depth : items that wait at most;  seconds : spent on making those that were returned
     On leaving, the thread has ended: what `items` read from may be closed."""
@@ -36,7 +39,9 @@ class Prefetch(Generic[T]):
         return self
 
     def __next__(self) -> T:
-        item, seconds = self._pending[0].result()  # an error, StopIteration too, stays first and is raised again
+        item, seconds = self._pending[
+            0
+        ].result()  # an error, StopIteration too, stays first and is raised again
         self._pending.popleft()
         self._pending.append(self._pool.submit(self._next_item))
         self.seconds += seconds
@@ -51,7 +56,8 @@ class WriteBehind(Generic[T]):
     """Context manager: calls `write` with what is put, in order, in a thread of its own.
 
     depth : items that wait at most
-    Raises what `write` raises, at a later `put` or on leaving; nothing is written after that, nor after an error inside."""
+    Raises what `write` raises, at a later `put` or on leaving; nothing is written after
+    that, nor after an error inside."""
 
     def __init__(self, write: Callable[[T], None], depth: int = 2) -> None:
         self._write, self._depth = write, depth

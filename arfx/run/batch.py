@@ -1,6 +1,8 @@
-"""Many jobs, one after another in this process: one that fails does not stop the others, and what they share is loaded once.
+"""Many jobs, one after another in this process: one that fails does not stop the others,
+and what they share is loaded once.
 
-Model, its voxels and what its shadow needs, prices and compiled code are kept by those who load them."""
+Model, its voxels and what its shadow needs, prices and compiled code are kept by those who
+load them."""
 
 from __future__ import annotations
 
@@ -32,37 +34,57 @@ PAGE = "report.html"
 
 
 def process_all(
-    jobs: Sequence[BatchJob], options: Options, finish: Callable[[Path, Path], object], started: Started
+    jobs: Sequence[BatchJob],
+    options: Options,
+    finish: Callable[[Path, Path], object],
+    started: Started,
 ) -> Iterator[Row]:
-    """Run them all. Yields {clip, output, exit_code, message, seconds, report} of each when it has ended.
+    """Run them all. Yields {clip, output, exit_code, message, seconds, report} of each when
+    it has ended.
 
     options : of every job; its folder and report are those in which each has a folder of its own
-    finish(job folder, report folder) : writes a report;  started(k, job) : called before each, k from 0
+    finish(job folder, report folder) : writes a report;  started(k, job) : called before
+    each, k from 0
     Raises JobInterruptedError, after the row of the job that was interrupted."""
     names = names_of(jobs)
-    return _each(jobs, lambda job: _process(job, names[job], options, finish), started, "the same command with --resume goes on")
+    return _each(
+        jobs,
+        lambda job: _process(job, names[job], options, finish),
+        started,
+        "the same command with --resume goes on",
+    )
 
 
 def plan_all(jobs: Sequence[BatchJob], options: Options, started: Started) -> Iterator[Row]:
-    """What `process_all` would do: rows with "plan", as of `plan_document`, or null where nothing would be done."""
+    """What `process_all` would do: rows with "plan", as of `plan_document`, or null where
+    nothing would be done.
+    """
     return _each(jobs, lambda job: _plan(job, options), started, "")
 
 
 def total_of(rows: Sequence[Row]) -> dict[str, float] | None:
-    """{s, low_s, high_s} of all plans together, without clips that failed; None where a plan has no time. A machine that is
-    slower today is so for all."""
+    """{s, low_s, high_s} of all plans together, without clips that failed; None where a
+    plan has no time. A machine that is slower today is so for all."""
     walls = [row["plan"]["predicted"]["wall"] for row in rows if row.get("plan")]
     if None in walls:
         return None
     return {key: sum(wall[key] for wall in walls) for key in ("s", "low_s", "high_s")}
 
 
-def _each(jobs: Sequence[BatchJob], work: Callable[[BatchJob], Row], started: Started, how: str) -> Iterator[Row]:
+def _each(
+    jobs: Sequence[BatchJob], work: Callable[[BatchJob], Row], started: Started, how: str
+) -> Iterator[Row]:
     """work : gives what its row holds beside the usual"""
     with interrupt.catching((signal.SIGINT,)):
         for k, job in enumerate(jobs):
             began = time.perf_counter()
-            row: Row = {"clip": str(job.clip), "output": str(job.output), "exit_code": 0, "message": "", "seconds": 0.0}
+            row: Row = {
+                "clip": str(job.clip),
+                "output": str(job.output),
+                "exit_code": 0,
+                "message": "",
+                "seconds": 0.0,
+            }
             row["report"] = None
             stopped = False
             try:
@@ -70,26 +92,47 @@ def _each(jobs: Sequence[BatchJob], work: Callable[[BatchJob], Row], started: St
                 started(k, job)
                 row |= work(job)
             except (KeyboardInterrupt, Exception) as e:
-                stopped = interrupt.pending() or isinstance(e, (KeyboardInterrupt, JobInterruptedError))
-                code, message = (interrupt.exit_code() or 130, interrupt.cause()) if stopped else explained(e)
+                stopped = interrupt.pending() or isinstance(
+                    e, (KeyboardInterrupt, JobInterruptedError)
+                )
+                code, message = (
+                    (interrupt.exit_code() or 130, interrupt.cause())
+                    if stopped
+                    else explained(e)
+                )
                 row |= {"exit_code": code, "message": on_one_line(message)}
                 if os.environ.get("ARFX_DEBUG") == "1" and not stopped:
                     traceback.print_exc()
             row["seconds"] = row["seconds"] or time.perf_counter() - began
             yield row
             if stopped:
-                error = JobInterruptedError(f"{row['message']} at clip {k + 1} of {len(jobs)}, {job.clip}", how)
+                error = JobInterruptedError(
+                    f"{row['message']} at clip {k + 1} of {len(jobs)}, {job.clip}", how
+                )
                 error.exit_code = row["exit_code"]
                 raise error
 
 
-def _process(job: BatchJob, name: Path, options: Options, finish: Callable[[Path, Path], object]) -> Row:
+def _process(
+    job: BatchJob, name: Path, options: Options, finish: Callable[[Path, Path], object]
+) -> Row:
     report = None if options.report is None else options.report / name
     made = OutputsMade(place(job.output).parent)
-    if options.resume and (before := _made_before(job, made, options.overwrite)) is not None:
-        JobFolder(default_folder(job.output)).clear()  # of a process that was killed when all was done
-        page = None if report is None or not (report / PAGE).exists() else str(report / PAGE)
-        return {"message": f"{counted(before.frames, 'frames')}, done before", "seconds": before.seconds, "report": page}
+    if (
+        options.resume
+        and (before := _made_before(job, made, options.overwrite)) is not None
+    ):
+        JobFolder(
+            default_folder(job.output)
+        ).clear()  # of a process that was killed when all was done
+        page = (
+            None if report is None or not (report / PAGE).exists() else str(report / PAGE)
+        )
+        return {
+            "message": f"{counted(before.frames, 'frames')}, done before",
+            "seconds": before.seconds,
+            "report": page,
+        }
     began = time.perf_counter()
 
     def finish_job(path: Path) -> None:
@@ -101,13 +144,19 @@ def _process(job: BatchJob, name: Path, options: Options, finish: Callable[[Path
 
     own = None if options.folder is None else options.folder / name
     with _folders_for(job.output):
-        done = process(job.config, replace(_of(job, options), folder=own, report=report, finish=finish_job))
-    return {"message": counted(done["output"]["frames"], "frames"), "report": None if report is None else str(report / PAGE)}
+        done = process(
+            job.config,
+            replace(_of(job, options), folder=own, report=report, finish=finish_job),
+        )
+    return {
+        "message": counted(done["output"]["frames"], "frames"),
+        "report": None if report is None else str(report / PAGE),
+    }
 
 
 def _made_before(job: BatchJob, made: OutputsMade, overwrite: bool) -> Made | None:
-    """What was made of the same clip under the same settings, and is there; None = nothing, or it may be made anew.
-    Raises ConfigError where something else is there."""
+    """What was made of the same clip under the same settings, and is there; None = nothing,
+    or it may be made anew. Raises ConfigError where something else is there."""
     found = made.of(job.output)
     if found is None:
         return None
@@ -116,12 +165,18 @@ def _made_before(job: BatchJob, made: OutputsMade, overwrite: bool) -> Made | No
     if overwrite:
         return None
     raise ConfigError(
-        f"{job.output} was made of another clip, under other settings or by another version", "--overwrite makes it anew"
+        f"{job.output} was made of another clip, under other settings or by another"
+        " version",
+        "--overwrite makes it anew",
     )
 
 
 def _plan(job: BatchJob, options: Options) -> Row:
-    if options.resume and _made_before(job, OutputsMade(place(job.output).parent), options.overwrite) is not None:
+    if (
+        options.resume
+        and _made_before(job, OutputsMade(place(job.output).parent), options.overwrite)
+        is not None
+    ):
         return {"message": "done before", "plan": None}
     with planned_aside(job.config, _of(job, options), placed=False) as planned:
         document = plan_document(planned)
@@ -142,7 +197,10 @@ def _folders_for(output: Path) -> Iterator[None]:
     try:
         place(output).parent.mkdir(parents=True, exist_ok=True)
     except OSError as e:
-        raise ConfigError(f"output folder {place(output).parent} cannot be made: {e.strerror}", "name another with -o") from None
+        raise ConfigError(
+            f"output folder {place(output).parent} cannot be made: {e.strerror}",
+            "name another with -o",
+        ) from None
     try:
         yield
     finally:

@@ -32,7 +32,9 @@ Loader = Callable[[Sequence[JobFile]], JobConfig]
 
 @dataclass(frozen=True, eq=False)
 class BatchJob:
-    """config : with its clip and its output;  root : the folder that all outputs of its pattern lie in"""
+    """config : with its clip and its output;  root : the folder that all outputs of its
+    pattern lie in
+    """
 
     config: JobConfig
     root: Path
@@ -48,12 +50,17 @@ class BatchJob:
         return self.config.output.path
 
 
-def batch_jobs(inputs: Sequence[str], load_job: Loader, pattern: Path | None) -> list[BatchJob]:
-    """The jobs of manifests, folders, patterns and clips, in their order; a clip that is named twice beside a manifest is one.
+def batch_jobs(
+    inputs: Sequence[str], load_job: Loader, pattern: Path | None
+) -> list[BatchJob]:
+    """The jobs of manifests, folders, patterns and clips, in their order; a clip that is
+    named twice beside a manifest is one.
 
     load_job : the job of files that are laid over those of the command line, but below its options
-    pattern : of the outputs; one that a manifest names for a job comes before it, one that is in a job file after it
-    Raises ConfigError, InputError: a manifest or a pattern that is wrong, or nothing found."""
+    pattern : of the outputs; one that a manifest names for a job comes before it, one that
+    is in a job file after it
+    Raises ConfigError, InputError: a manifest or a pattern that is wrong, or nothing found.
+    """
     jobs: list[BatchJob] = []
     problems: list[str] = []
     clips: dict[Path, Path] = {}
@@ -68,7 +75,13 @@ def batch_jobs(inputs: Sequence[str], load_job: Loader, pattern: Path | None) ->
                     problems.append(str(e))
                     continue
                 own = "path" in files[-1].document.get("output", {})
-                jobs.append(_job(config, config.input.clip, config.output.path if own else pattern or config.output.path))
+                jobs.append(
+                    _job(
+                        config,
+                        config.input.clip,
+                        config.output.path if own else pattern or config.output.path,
+                    )
+                )
             continue
         for clip in clips_at(text):
             if clip.absolute() not in clips:
@@ -78,7 +91,10 @@ def batch_jobs(inputs: Sequence[str], load_job: Loader, pattern: Path | None) ->
     if problems:
         raise ConfigError(listed(problems))
     if not jobs:
-        raise InputError(f"no clip is in {', '.join(inputs)}", f"a file counts by its ending: {' '.join(sorted(CLIP_SUFFIXES))}")
+        raise InputError(
+            f"no clip is in {', '.join(inputs)}",
+            f"a file counts by its ending: {' '.join(sorted(CLIP_SUFFIXES))}",
+        )
     return jobs
 
 
@@ -88,14 +104,19 @@ def _job(config: JobConfig, clip: Path | None, pattern: Path | None) -> BatchJob
         raise ConfigError("no output is named", "-o 'out/{stem}.mp4'")
     output = named(pattern, clip, numbered=names_sequence(pattern))
     update = {
-        "input": config.input.model_copy(update={"clip": clip}), "output": config.output.model_copy(update={"path": output})
-    }  # fmt: skip
-    return BatchJob(config.model_copy(update=update), fixed_folder(pattern.parent if names_sequence(pattern) else pattern))
+        "input": config.input.model_copy(update={"clip": clip}),
+        "output": config.output.model_copy(update={"path": output}),
+    }
+    return BatchJob(
+        config.model_copy(update=update),
+        fixed_folder(pattern.parent if names_sequence(pattern) else pattern),
+    )
 
 
 def clips_at(text: str) -> list[Path]:
-    """A clip; the clips in a folder, or that a pattern names: by their ending, without hidden ones and what batches have made.
-    Raises InputError where a pattern or a folder holds nothing."""
+    """A clip; the clips in a folder, or that a pattern names: by their ending, without
+    hidden ones and what batches have made. Raises InputError where a pattern or a folder
+    holds nothing."""
     path = Path(text)
     if path.is_dir():
         found = folder_entries(path)
@@ -103,13 +124,23 @@ def clips_at(text: str) -> list[Path]:
         found = [Path(p) for p in glob.iglob(text, recursive=True)]  # noqa: PTH207 - a pattern with a root of its own
     else:
         return [path]
-    clips = [p for p in found if p.suffix.lower() in CLIP_SUFFIXES and not p.name.startswith(".") and p.is_file()]
-    clips = [p for p in clips if not (p.parent.name == "chunks" and JobFolder(p.parent.parent).job.exists())]
+    clips = [
+        p
+        for p in found
+        if p.suffix.lower() in CLIP_SUFFIXES and not p.name.startswith(".") and p.is_file()
+    ]
+    clips = [
+        p
+        for p in clips
+        if not (p.parent.name == "chunks" and JobFolder(p.parent.parent).job.exists())
+    ]
     made = {p for folder in {p.parent for p in clips} for p in OutputsMade(folder).files()}
     clips = sorted(p for p in clips if p not in made)
     if path.is_dir():
         return clips
-    once = {os.path.realpath(p): p for p in sorted(clips, key=lambda p: -len(p.parts))}  # links may lead round in circles
+    once = {
+        os.path.realpath(p): p for p in sorted(clips, key=lambda p: -len(p.parts))
+    }  # links may lead round in circles
     return sorted(once.values())
 
 
@@ -120,12 +151,17 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
     Raises ConfigError, InputError."""
     for job in jobs:
         if "\0" in f"{job.clip}{job.output}":
-            raise ConfigError(f"a name holds a NUL character: {str(job.clip)!r}, {str(job.output)!r}", "no file has such a name")
+            raise ConfigError(
+                f"a name holds a NUL character: {str(job.clip)!r}, {str(job.output)!r}",
+                "no file has such a name",
+            )
         check_complete(job.config)
         o = job.config.output
         check_format(job.output, OutputSettings(o.codec, o.crf, o.preset, o.pixel_format))
     prices = load_prices()
-    for config in {id(job.config.params): job.config for job in jobs}.values():  # clips of one folder share them
+    for config in {
+        id(job.config.params): job.config for job in jobs
+    }.values():  # clips of one folder share them
         level_policy(config, make_stages(config), prices)
     _check_distinct(jobs)
     guard = Guard({read for job in jobs for read in files_named(job.config)})
@@ -138,7 +174,9 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
     first = jobs[0].config
     if all(job.config.model == first.model for job in jobs):
         job_model(first)
-    if first.input.camera is not None and all(job.config.input.camera == first.input.camera for job in jobs):
+    if first.input.camera is not None and all(
+        job.config.input.camera == first.input.camera for job in jobs
+    ):
         load_camera(first.input.camera)
 
 
@@ -146,12 +184,19 @@ def _check_distinct(jobs: Sequence[BatchJob]) -> None:
     """Two jobs that write to one file, or images of two into one folder."""
     first: dict[str, BatchJob] = {}
     for job in jobs:
-        other = first.setdefault(os.path.normcase(os.path.realpath(default_folder(job.output))), job)
+        other = first.setdefault(
+            os.path.normcase(os.path.realpath(default_folder(job.output))), job
+        )
         if other is not job:
-            what = f"one folder, {job.output.parent}" if names_sequence(job.output) else f"one output, {job.output}"
+            what = (
+                f"one folder, {job.output.parent}"
+                if names_sequence(job.output)
+                else f"one output, {job.output}"
+            )
             raise ConfigError(
                 f"{other.clip} and {job.clip} go to {what}",
-                "{stem} or {parent} in -o, or an output for each in the manifest, keeps them apart",
+                "{stem} or {parent} in -o, or an output for each in the manifest, keeps"
+                " them apart",
             )
 
 
@@ -159,9 +204,14 @@ def _check_absent(jobs: Sequence[BatchJob]) -> None:
     there = [job for job in jobs if files_of(job.output)]
     begun = [job for job in jobs if JobFolder(default_folder(job.output)).job.exists()]
     if there or begun:
-        what = f"exist already, the first {there[0].output}" if there else f"were begun, the first {begun[0].output}"
+        what = (
+            f"exist already, the first {there[0].output}"
+            if there
+            else f"were begun, the first {begun[0].output}"
+        )
         raise ConfigError(
-            f"{len(there or begun)} of {len(jobs)} outputs {what}", "--resume does what is missing, --overwrite does all anew"
+            f"{len(there or begun)} of {len(jobs)} outputs {what}",
+            "--resume does what is missing, --overwrite does all anew",
         )
 
 
@@ -170,16 +220,27 @@ def home_of(jobs: Sequence[BatchJob]) -> Path:
     try:
         return Path(os.path.commonpath([_absolute(job.root) for job in jobs]))
     except ValueError:  # on several drives
-        raise ConfigError("the outputs have no folder in common", "--report DIR names a place for batch.json") from None
+        raise ConfigError(
+            "the outputs have no folder in common",
+            "--report DIR names a place for batch.json",
+        ) from None
 
 
 def names_of(jobs: Sequence[BatchJob]) -> Mapping[BatchJob, Path]:
-    """A short relative path for each job, distinct: of its report and of its job folder, where folders are named for these."""
+    """A short relative path for each job, distinct: of its report and of its job folder,
+    where folders are named for these.
+    """
     home = home_of(jobs)
     places = [_absolute(place(job.output)).relative_to(home) for job in jobs]
-    short = [p if names_sequence(job.output) else p.with_suffix("") for job, p in zip(jobs, places, strict=True)]
+    short = [
+        p if names_sequence(job.output) else p.with_suffix("")
+        for job, p in zip(jobs, places, strict=True)
+    ]
     times = Counter(short)
-    return {job: s if times[s] == 1 else p for job, s, p in zip(jobs, short, places, strict=True)}
+    return {
+        job: s if times[s] == 1 else p
+        for job, s, p in zip(jobs, short, places, strict=True)
+    }
 
 
 def _absolute(path: Path) -> Path:

@@ -1,4 +1,5 @@
-"""What a job can set: every stage and every section of a job file, as data and as one Markdown text.
+"""What a job can set: every stage and every section of a job file, as data and as one
+Markdown text.
 
 `arfx stages` prints it, and docs/stages.md is the same text."""
 
@@ -23,24 +24,39 @@ from arfx.run.parameters import parameters
 from arfx.stages import STAGES
 
 _WORDS = {
-    bool: "true or false", int: "whole number", float: "number", str: "text", Path: "file or folder", MarkerSpec: "marker",
+    bool: "true or false",
+    int: "whole number",
+    float: "number",
+    str: "text",
+    Path: "file or folder",
+    MarkerSpec: "marker",
     PatternSpec: "pattern",
-}  # fmt: skip
+}
 
 _INTRO = """# Stages and settings
 
-Made by `arfx stages all`. In a job file a setting stands in the table of its section; on the command line it is
-`--set SECTION.NAME=VALUE`. A level's error is its mean difference to `reference` in grey levels of 255: upper end of
-what was found on many clips, nine in ten of which lie below."""
+Made by `arfx stages all`. In a job file a setting stands in the table of its section; on the
+command line it is `--set SECTION.NAME=VALUE`. A level's error is its mean difference to
+`reference` in grey levels of 255: upper end of what was found on many clips, nine in ten of
+which lie below."""
 
 
 def sections() -> list[str]:
     """Names of the sections of a job file that belong to no stage."""
-    return list(dict.fromkeys([*(s.section for s in settings()), *(name for name in parameters() if name not in STAGES)]))
+    return list(
+        dict.fromkeys(
+            [
+                *(s.section for s in settings()),
+                *(name for name in parameters() if name not in STAGES),
+            ]
+        )
+    )
 
 
 def describe(name: str) -> dict[str, Any]:
-    """A stage or section as data; errors in grey levels, prices in ms. Raises ConfigError for a name that is neither."""
+    """A stage or section as data; errors in grey levels, prices in ms. Raises ConfigError
+    for a name that is neither.
+    """
     if name in STAGES:
         return _stage(name)
     if name in parameters():
@@ -49,9 +65,18 @@ def describe(name: str) -> dict[str, Any]:
         return {"name": name, "about": about, "settings": _of_formulas(kinds)}
     found = [s for s in settings() if s.section == name]
     if not found:
-        raise ConfigError(f"there is no stage or section {name!r}", suggestion(name, [*STAGES, *sections()]))
+        raise ConfigError(
+            f"there is no stage or section {name!r}",
+            suggestion(name, [*STAGES, *sections()]),
+        )
     rows = [
-        {"name": s.key, "type": _words(s.kinds[0]), "default": _plain(s.default), "text": s.text, "option": " ".join(s.flags)}
+        {
+            "name": s.key,
+            "type": _words(s.kinds[0]),
+            "default": _plain(s.default),
+            "text": s.text,
+            "option": " ".join(s.flags),
+        }
         for s in found
     ]
     return {"name": name, "about": "", "settings": rows}
@@ -63,15 +88,32 @@ def _stage(name: str) -> dict[str, Any]:
     levels = []
     for level in stage.levels:
         price = prices.prices.get(f"{name}/{level}")
-        terms = None if price is None else {term: 1e3 * s for term, s in price.coefficients.items() if s}
-        levels.append({"level": level, "error": errors.known(name, level, stage.levels[-1]), "price_ms": terms})
+        terms = (
+            None
+            if price is None
+            else {term: 1e3 * s for term, s in price.coefficients.items() if s}
+        )
+        levels.append(
+            {
+                "level": level,
+                "error": errors.known(name, level, stage.levels[-1]),
+                "price_ms": terms,
+            }
+        )
     about = stage.__dict__.get("__doc__") or inspect.getmodule(stage).__doc__ or ""
     return {
-        "name": name, "about": inspect.cleandoc(about), "always": stage.always, "requires": sorted(stage.requires),
-        "reads": sorted(stage.reads), "writes": sorted(stage.writes), "facts": sorted(stage.facts),
+        "name": name,
+        "about": inspect.cleandoc(about),
+        "always": stage.always,
+        "requires": sorted(stage.requires),
+        "reads": sorted(stage.reads),
+        "writes": sorted(stage.writes),
+        "facts": sorted(stage.facts),
         "overrides": {other: dict(changes) for other, changes in stage.overrides.items()},
-        "levels": levels, "prices": prices.source, "settings": _of_formulas(parameters()[name]),
-    }  # fmt: skip
+        "levels": levels,
+        "prices": prices.source,
+        "settings": _of_formulas(parameters()[name]),
+    }
 
 
 def _about(kind: type) -> str:
@@ -79,20 +121,28 @@ def _about(kind: type) -> str:
 
 
 def _of_formulas(kinds: Mapping[str, type]) -> list[dict[str, Any]]:
-    """The settings under every formula, those of the usual one first; the others say theirs, where it or its default is new."""
+    """The settings under every formula, those of the usual one first; the others say
+    theirs, where it or its default is new.
+    """
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     usual = next(iter(kinds.values()))
     texts = {row["name"]: row["text"] for row in _of_dataclass(usual)}
     for formula, kind in kinds.items():
         for row in _of_dataclass(kind):
             default = "" if row["name"] == "formula" else repr(row["default"])
-            own = {**row, "text": row["text"] or texts.get(row["name"], ""), "formula": formula}
+            own = {
+                **row,
+                "text": row["text"] or texts.get(row["name"], ""),
+                "formula": formula,
+            }
             rows.setdefault((row["name"], default), row if kind is usual else own)
     return list(rows.values())
 
 
 def _of_dataclass(kind: type) -> list[dict[str, Any]]:
-    """The fields of a frozen dataclass with their text, which its docstring holds as `name : text` or `name, other : text`."""
+    """The fields of a frozen dataclass with their text, which its docstring holds as `name
+    : text` or `name, other : text`.
+    """
     fields, doc = {f.name: f for f in dataclasses.fields(kind)}, _about(kind)
     heads = [
         (m.span(), names)
@@ -104,7 +154,13 @@ def _of_dataclass(kind: type) -> list[dict[str, Any]]:
         texts |= dict.fromkeys(names, " ".join(doc[begin:end].split()))
     hints = get_type_hints(kind)
     return [
-        {"name": n, "type": _words(hints[n]), "default": _plain(f.default), "text": texts.get(n, "")} for n, f in fields.items()
+        {
+            "name": n,
+            "type": _words(hints[n]),
+            "default": _plain(f.default),
+            "text": texts.get(n, ""),
+        }
+        for n, f in fields.items()
     ]
 
 
@@ -136,7 +192,15 @@ def overview() -> str:
     for d in map(describe, STAGES):
         levels = ", ".join(e["level"] for e in d["levels"])
         lines.append(f"| `{d['name']}` | {_when(d)} | {levels} | {_summary(d)} |")
-    return "\n".join([*lines, "", "Other sections of a job file: " + ", ".join(f"`{s}`" for s in sections()) + "."])
+    return "\n".join(
+        [
+            *lines,
+            "",
+            "Other sections of a job file: "
+            + ", ".join(f"`{s}`" for s in sections())
+            + ".",
+        ]
+    )
 
 
 def _when(d: dict[str, Any]) -> str:
@@ -146,42 +210,65 @@ def _when(d: dict[str, Any]) -> str:
 
 def _summary(d: dict[str, Any]) -> str:
     """The first sentence of what a stage says of itself, without its name."""
-    words = re.sub(rf"^{d['name']}: ", "", " ".join(d["about"].split()), flags=re.IGNORECASE)
+    words = re.sub(
+        rf"^{d['name']}: ", "", " ".join(d["about"].split()), flags=re.IGNORECASE
+    )
     return re.split(r"(?<=[.])\s", words, maxsplit=1)[0].replace("|", "\\|")
 
 
 def text(d: dict[str, Any], prices: bool = True) -> str:
-    """One stage or section in Markdown. d : as `describe`;  prices : with those that hold on this machine"""
+    """One stage or section in Markdown.
+
+    d : as `describe`;  prices : with those that hold on this machine
+    """
     name, lines = d["name"], [f"## {d['name']}", ""]
     if d["about"]:
         lines += [d["about"], ""]
     if "levels" in d:
-        lines.append(f"- Runs: {_when(d)}" + ("" if d["always"] else f" (`--pipeline {name}`, or any of its settings)"))
-        lines += [f"- {key.capitalize()}: {', '.join(d[key]) or 'nothing'}" for key in ("reads", "writes", "facts")]
+        lines.append(
+            f"- Runs: {_when(d)}"
+            + ("" if d["always"] else f" (`--pipeline {name}`, or any of its settings)")
+        )
         lines += [
-            f"- Takes over: `{o}.{k} = {json.dumps(v)}`" for o, changes in d["overrides"].items() for k, v in changes.items()
+            f"- {key.capitalize()}: {', '.join(d[key]) or 'nothing'}"
+            for key in ("reads", "writes", "facts")
+        ]
+        lines += [
+            f"- Takes over: `{o}.{k} = {json.dumps(v)}`"
+            for o, changes in d["overrides"].items()
+            for k, v in changes.items()
         ]
         lines += [f"- Level `{e['level']}`: {_of_level(e, prices)}" for e in d["levels"]]
         if prices:
             lines.append(
-                f"- Prices: {d['prices']}, for a frame (mpx: millions of pixels); `arfx bench --calibrate` makes its own"
+                f"- Prices: {d['prices']}, for a frame (mpx: millions of pixels); `arfx"
+                " bench --calibrate` makes its own"
             )
         lines.append("")
     for s in d["settings"]:
         value = "" if s["default"] is None else f" = {json.dumps(s['default'])}"
         option = f" (`{s['option']}`)" if s.get("option") else ""
         formula = f', with `formula = "{s["formula"]}"`' if "formula" in s else ""
-        lines.append(f"- `{name}.{s['name']}{value}`, {s['type']}{option}{formula}: {s['text']}")
+        lines.append(
+            f"- `{name}.{s['name']}{value}`, {s['type']}{option}{formula}: {s['text']}"
+        )
     return "\n".join([*lines, *([] if d["settings"] else ["It has no settings."])])
 
 
 def _of_level(entry: dict[str, Any], prices: bool) -> str:
-    error = "error not measured" if entry["error"] is None else f"error {entry['error']:g} grey levels"
+    error = (
+        "error not measured"
+        if entry["error"] is None
+        else f"error {entry['error']:g} grey levels"
+    )
     if not prices:
         return error
     if entry["price_ms"] is None:
         return f"{error}; price unknown"
-    return f"{error}; {' + '.join(f'{ms:.3g} {term}' for term, ms in entry['price_ms'].items()) or '0'} ms"
+    return (
+        f"{error};"
+        f" {' + '.join(f'{ms:.3g} {term}' for term, ms in entry['price_ms'].items()) or '0'} ms"
+    )
 
 
 def page() -> str:

@@ -1,9 +1,11 @@
-"""A process that compiles kernels ahead (kernels.py): numba, made to do only what the kept code needs.
+"""A process that compiles kernels ahead (kernels.py): numba, made to do only what the kept
+code needs.
 
-numba by itself makes machine code, two more entry points and a cache file of every function that a kernel calls, although that
-function is linked into the kernel once more, and works out ten times over what the same operation on the same types gives.
-Without that kernels compile in half the time, and give the same bits. This is done here alone, where compiled code is never
-called."""
+numba by itself makes machine code, two more entry points and a cache file of every function
+that a kernel calls, although that function is linked into the kernel once more, and works
+out ten times over what the same operation on the same types gives. Without that kernels
+compile in half the time, and give the same bits. This is done here alone, where compiled
+code is never called."""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-TRIED = "0.68."  # version of numba whose inner parts are these; another one compiles in its own way
+TRIED = (  # version of numba whose inner parts are these; another one compiles in its own way
+    "0.68."
+)
 
 
 def serve() -> None:
@@ -42,11 +46,15 @@ def _inferred_once(infer: Callable[..., Any]) -> Callable[..., Any]:
     from numba.core.targetconfig import ConfigStack
 
     known: dict[Any, Any] = {}
-    named: dict[int, tuple[Any, str]] = {}  # the options in force, kept: another's must not get the number of one that is gone
+    named: dict[
+        int, tuple[Any, str]
+    ] = {}  # the options in force, kept: another's must not get the number of one that is gone
 
     def infer_once(self: Any, context: Any, arguments: Any, named_arguments: Any) -> Any:
         options = ConfigStack.top_or_none()
-        _, text = named.get(id(options)) or named.setdefault(id(options), (options, str(options)))
+        _, text = named.get(id(options)) or named.setdefault(
+            id(options), (options, str(options))
+        )
         key = self, tuple(arguments), tuple(named_arguments.items()), text
         if key not in known:
             known[key] = infer(self, context, arguments, named_arguments)
@@ -85,7 +93,9 @@ def compile_kernels_only() -> None:
 
     def compile_for_cache(self: Any, types: Any) -> Any:
         if not depth:
-            self.overloads.pop(tuple(normalize_signature(types)[0]), None)  # it may be there as a part of another kernel
+            self.overloads.pop(
+                tuple(normalize_signature(types)[0]), None
+            )  # it may be there as a part of another kernel
             return compile_function(self, types)
         cache, self._cache = self._cache, NullCache()
         try:
@@ -106,17 +116,27 @@ def compile_kernels_only() -> None:
         flags.no_cpython_wrapper = depth > 1
         return flags
 
-    def executable_of_kernels(self: Any, library: Any, function: Any, environment: Any) -> Any:
+    def executable_of_kernels(
+        self: Any, library: Any, function: Any, environment: Any
+    ) -> Any:
         if depth == 1:
             return get_executable(self, library, function, environment)
         library.__class__ = Part
-        return _dynfunc.make_function(function.lookup_module(), function.qualname, "", 1, environment, (library,))
+        return _dynfunc.make_function(
+            function.lookup_module(), function.qualname, "", 1, environment, (library,)
+        )
 
-    def postprocess(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-        # after every pass; without which variables a block is entered with, which generators and Python objects alone need
+    def postprocess(
+        self: Any, emit_dels: bool = False, extend_lifetimes: bool = False
+    ) -> None:
+        # after every pass; without which variables a block is entered with, which
+        # generators and Python objects alone need
         function = self.func_ir
         function.blocks = transforms.canonicalize_cfg(function.blocks)
-        function.variable_lifetime, function.generator_info = VariableLifetime(function.blocks), None
+        function.variable_lifetime, function.generator_info = (
+            VariableLifetime(function.blocks),
+            None,
+        )
         if emit_dels:
             self._insert_var_dels(extend_lifetimes=extend_lifetimes)
 

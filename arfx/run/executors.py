@@ -1,8 +1,9 @@
-"""Who does the work, chunks to render or stretches to analyse: this thread, several threads of this process, or several
-processes. The same bytes.
+"""Who does the work, chunks to render or stretches to analyse: this thread, several threads
+of this process, or several processes. The same bytes.
 
-Threads share the model and what the stages prepared, and need no second start of Python: right for a few cores, as
-nearly all of a frame's time is spent in code that lets other threads run. With many they would wait for each other."""
+Threads share the model and what the stages prepared, and need no second start of Python:
+right for a few cores, as nearly all of a frame's time is spent in code that lets other
+threads run. With many they would wait for each other."""
 
 from __future__ import annotations
 
@@ -28,11 +29,15 @@ from arfx.run.worker import render_chunk
 
 # one chunk's or stretch's arguments: folder, key, first, last, target
 Task = tuple[str, str, int, int, str]
-Work = Callable[..., dict[str, Any]]  # work(*task, tick, alone=False): a function of a module; tick() after every frame
+Work = Callable[
+    ..., dict[str, Any]
+]  # work(*task, tick, alone=False): a function of a module; tick() after every frame
 Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
 
 
-def run_serial(tasks: Iterable[Task], progress: Callable[[int], None], work: Work = render_chunk) -> Results:
+def run_serial(
+    tasks: Iterable[Task], progress: Callable[[int], None], work: Work = render_chunk
+) -> Results:
     """Work in this process, in order. progress : called with the number of frames done."""
     done = 0
 
@@ -52,13 +57,24 @@ class _StoppedError(Exception):
     """Raised in a working thread to leave its task."""
 
 
-def run_threads(tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
-    """Work in `workers` threads of this process, in any order. Raises what a thread raises; on the way out all stop."""
+def run_threads(
+    tasks: Sequence[Task],
+    workers: int,
+    progress: Callable[[int], None],
+    work: Work = render_chunk,
+) -> Results:
+    """Work in `workers` threads of this process, in any order.
+
+    Raises what a thread raises; on the way out all stop.
+    """
     return _in_threads(tasks, [work] * workers, progress)
 
 
 def _in_threads(
-    tasks: Sequence[Task], crew: Sequence[Work], progress: Callable[[int], None], stop: Callable[[], None] = lambda: None
+    tasks: Sequence[Task],
+    crew: Sequence[Work],
+    progress: Callable[[int], None],
+    stop: Callable[[], None] = lambda: None,
 ) -> Results:
     """A thread for each of the crew, who works. stop : called on the way out, unless all is done"""
     import concurrent.futures as futures
@@ -88,9 +104,13 @@ def _in_threads(
 
     pool = futures.ThreadPoolExecutor(len(queues), "worker")
     try:
-        running = {pool.submit(run, own, work) for own, work in zip(queues, crew, strict=False)}
+        running = {
+            pool.submit(run, own, work) for own, work in zip(queues, crew, strict=False)
+        }
         while running:
-            ready, running = futures.wait(running, timeout=0.2, return_when=futures.FIRST_COMPLETED)
+            ready, running = futures.wait(
+                running, timeout=0.2, return_when=futures.FIRST_COMPLETED
+            )
             progress(done)
             while not results.empty():
                 yield results.get()
@@ -107,8 +127,9 @@ def _in_threads(
 
 
 def _serve(pipe: Any) -> None:
-    """A worker process: leaves Ctrl-C to the parent, ends with it, looks for garbage seldom, and keeps libraries from starting a
-    thread per core each. It is sent work and tasks; it answers None after each frame, then what came of it."""
+    """A worker process: leaves Ctrl-C to the parent, ends with it, looks for garbage
+    seldom, and keeps libraries from starting a thread per core each. It is sent work and
+    tasks; it answers None after each frame, then what came of it."""
     interrupt.in_worker()
     collect_seldom()
     import cv2
@@ -136,7 +157,10 @@ class _Worker:
         its.close()
 
     def do(self, work: Work, *given: Any) -> dict[str, Any]:
-        """work(*given), of which the last is called after each frame. Raises what that raises; RenderError if the worker dies."""
+        """work(*given), of which the last is called after each frame.
+
+        Raises what that raises; RenderError if the worker dies.
+        """
         *task, tick = given
         try:
             self._pipe.send((work, task))
@@ -144,7 +168,8 @@ class _Worker:
                 tick()
         except (EOFError, OSError):
             raise RenderError(
-                "a worker process was killed (out of memory?)", "--resume goes on; fewer --workers need less memory"
+                "a worker process was killed (out of memory?)",
+                "--resume goes on; fewer --workers need less memory",
             ) from None
         if isinstance(answer, Exception):
             raise answer
@@ -153,9 +178,14 @@ class _Worker:
 
 @contextlib.contextmanager
 def _starting() -> Iterator[None]:
-    """Processes that start in the body have the environment of workers, and import from where this one does."""
+    """Processes that start in the body have the environment of workers, and import from
+    where this one does.
+    """
     theirs = {name: os.environ.get(name, one) for name, one in ONE_THREAD.items()}
-    theirs |= {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    theirs |= {
+        "PYTHONSAFEPATH": "1",
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+    }
     ours = {name: os.environ.get(name) for name in theirs}
     with interrupt.starting_workers():
         os.environ.update(theirs)
@@ -170,8 +200,9 @@ def _starting() -> Iterator[None]:
 class Processes:
     """Worker processes. In `with` they are kept: those that worked work in the next `run` too.
 
-    Where that is safe (Linux) they are forked, from a server that has imported what they need, and never had a thread or an
-    OpenGL context: neither survives a fork. Elsewhere they are spawned."""
+    Where that is safe (Linux) they are forked, from a server that has imported what they
+    need, and never had a thread or an OpenGL context: neither survives a fork. Elsewhere
+    they are spawned."""
 
     def __init__(self) -> None:
         self._workers: list[_Worker] = []
@@ -186,7 +217,10 @@ class Processes:
         self._end()
 
     def prepare(self) -> Any:
-        """Have the server begin to import, which this process need not wait for. Returns how processes are made."""
+        """Have the server begin to import, which this process need not wait for.
+
+        Returns how processes are made.
+        """
         import multiprocessing
 
         if sys.platform != "linux":
@@ -199,11 +233,17 @@ class Processes:
             forkserver.ensure_running()
         return context
 
-    def run(self, tasks: Sequence[Task], workers: int, progress: Callable[[int], None], work: Work = render_chunk) -> Results:
+    def run(
+        self,
+        tasks: Sequence[Task],
+        workers: int,
+        progress: Callable[[int], None],
+        work: Work = render_chunk,
+    ) -> Results:
         """Work in `workers` processes, in any order.
 
-        Raises RenderError if a worker dies, and what a worker raises. On the way out the workers are stopped, unless all is
-        done and they are kept."""
+        Raises RenderError if a worker dies, and what a worker raises. On the way out the
+        workers are stopped, unless all is done and they are kept."""
         context, wanted = self.prepare(), min(workers, len(tasks))
         try:
             with _starting():

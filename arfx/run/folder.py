@@ -1,7 +1,9 @@
-"""The job folder: what is written where, whole or not at all, what in it is arfx's own, and what is still good.
+"""The job folder: what is written where, whole or not at all, what in it is arfx's own, and
+what is still good.
 
-job.toml (frozen) · inputs.json · stretches.json · stretches/ · frames.json · facts.jsonl · environment.maps · plan.jsonl ·
-plan_summary.json · seal.json · placed.json · chunks/ · timings.jsonl · previews/ · report.json"""
+job.toml (frozen) · inputs.json · stretches.json · stretches/ · frames.json · facts.jsonl ·
+environment.maps · plan.jsonl · plan_summary.json · seal.json · placed.json · chunks/ ·
+timings.jsonl · previews/ · report.json"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ from arfx.media.frames import Frame
 from arfx.run.lock import HOLDER, LOCK, MARKER
 
 T = TypeVar("T")
-MARK = "# A job of arfx. Its folder is arfx's own: --overwrite clears it.\n"  # job.toml begins with it
+MARK = (  # job.toml begins with it
+    "# A job of arfx. Its folder is arfx's own: --overwrite clears it.\n"
+)
 _LOCKS = "|".join(map(re.escape, (LOCK, MARKER, HOLDER)))
 _IMAGE = rf"[^/]+\.(?:png|exr)|{re.escape(TIMES)}"
 _CHUNK = r"(?:(?:[0-9A-Za-z]+-)?\d+-\d+-)?\d{6,}-\d{6,}(?:\.[0-9a-f]{16}){1,2}(?:\.nut|\.mkv)?(?:\.part)?"
@@ -37,7 +41,13 @@ _MARKED = re.compile(
     rf"job\.toml|environment\.maps|(?:inputs|stretches|frames|plan_summary|seal|placed|report)\.json|(?:facts|plan|timings)\.jsonl"
     rf"|stretches/(?:\d{{6,}}-\d{{6,}}\.[0-9a-f]{{16}}|{PART})|chunks/{_CHUNK}(?:/(?:{_IMAGE}))?|previews/\d{{6,}}\.(?:in|out)\.bmp"
 )
-_SEALED = ("frames.json", "facts.jsonl", "environment.maps", "plan.jsonl", "plan_summary.json")
+_SEALED = (
+    "frames.json",
+    "facts.jsonl",
+    "environment.maps",
+    "plan.jsonl",
+    "plan_summary.json",
+)
 _SOURCE = (".py", ".vert", ".frag")
 
 
@@ -49,41 +59,69 @@ class JobFolder:
     inputs = property(lambda self: self.path / "inputs.json")
     frames = property(lambda self: self.path / "frames.json")
     facts = property(lambda self: self.path / "facts.jsonl")
-    environment = property(lambda self: self.path / "environment.maps")  # those that the facts name
+    environment = property(
+        lambda self: self.path / "environment.maps"
+    )  # those that the facts name
     plan = property(lambda self: self.path / "plan.jsonl")
     plan_summary = property(lambda self: self.path / "plan_summary.json")
     chunks = property(lambda self: self.path / "chunks")
     timings = property(lambda self: self.path / "timings.jsonl")
     previews = property(lambda self: self.path / "previews")
     report = property(lambda self: self.path / "report.json")
-    stretch_list = property(lambda self: self.path / "stretches.json")  # where the analysis cuts the clip
-    stretches = property(lambda self: self.path / "stretches")  # what each was found to hold
-    joined = property(lambda self: self.path / "joined.part")  # the output, until it is whole
-    placed = property(lambda self: self.path / "placed.json")  # fingerprints of its files, from just before it is put in place
+    stretch_list = property(
+        lambda self: self.path / "stretches.json"
+    )  # where the analysis cuts the clip
+    stretches = property(
+        lambda self: self.path / "stretches"
+    )  # what each was found to hold
+    joined = property(
+        lambda self: self.path / "joined.part"
+    )  # the output, until it is whole
+    placed = property(
+        lambda self: self.path / "placed.json"
+    )  # fingerprints of its files, from just before it is put in place
 
     def files(self) -> Iterator[Path]:
         """All that arfx wrote into it."""
         return (self.path / name for name, ours in self._entries() if ours)
 
     def worker_files(self, analysed: bool) -> Iterator[Path]:
-        """What workers read of it, and what says that it is whole. analysed : to render, else to analyse"""
+        """What workers read of it, and what says that it is whole.
+
+        analysed : to render, else to analyse
+        """
         yield from (self.job, self.inputs)
-        yield from (*(self.path / name for name in _SEALED), self._seal) if analysed else (self.stretch_list,)
+        yield from (
+            (*(self.path / name for name in _SEALED), self._seal)
+            if analysed
+            else (self.stretch_list,)
+        )
 
     def check_foreign_files(self) -> None:
         """Raises ConfigError where the folder holds anything that arfx did not write."""
         foreign = next((name for name, ours in self._entries() if not ours), None)
         if foreign is not None:
-            raise ConfigError(f"{self.path} holds {foreign!r}, it is not a job folder", "name an empty one with --job")
+            raise ConfigError(
+                f"{self.path} holds {foreign!r}, it is not a job folder",
+                "name an empty one with --job",
+            )
 
     def check(self, resume: bool, overwrite: bool) -> None:
-        """Raises ConfigError where it holds a job that is neither to be resumed nor to be replaced."""
+        """Raises ConfigError where it holds a job that is neither to be resumed nor to be
+        replaced.
+        """
         if self.job.exists() and not resume and not overwrite:
             state = "a finished" if self.report.exists() else "an unfinished"
-            raise ConfigError(f"{self.path} holds {state} job", "--resume goes on with it, --overwrite starts afresh")
+            raise ConfigError(
+                f"{self.path} holds {state} job",
+                "--resume goes on with it, --overwrite starts afresh",
+            )
 
     def open(self, resume: bool) -> None:
-        """Make the folder, or keep what an earlier job left in it (resume), else clear that. Raises RenderError."""
+        """Make the folder, or keep what an earlier job left in it (resume), else clear that.
+
+        Raises RenderError.
+        """
         if not resume:
             self.clear()
         try:
@@ -91,10 +129,15 @@ class JobFolder:
             self.stretches.mkdir(exist_ok=True)
             self.previews.mkdir(exist_ok=True)
         except OSError as e:
-            raise RenderError(f"job folder {self.path} cannot be made: {e.strerror}", "name another with --job") from None
+            raise RenderError(
+                f"job folder {self.path} cannot be made: {e.strerror}",
+                "name another with --job",
+            ) from None
 
     def clear(self, under: str = "") -> None:
-        """Remove what arfx wrote, but for a lock; what it did not write stays. under : only what lies in this folder"""
+        """Remove what arfx wrote, but for a lock; what it did not write stays. under : only
+        what lies in this folder
+        """
         for name, ours in [*self._entries()]:
             if ours and name.startswith(under) and name not in (LOCK, MARKER, HOLDER):
                 path = self.path / name
@@ -116,7 +159,13 @@ class JobFolder:
     def sealed(self, job_key: str) -> bool:
         """Whether they are this job's, as they were written."""
         try:
-            return bool(json.loads(self._seal.read_bytes()) == {"job_key": job_key, "files": self._digests()})
+            return bool(
+                json.loads(self._seal.read_bytes())
+                == {
+                    "job_key": job_key,
+                    "files": self._digests(),
+                }
+            )
         except (OSError, ValueError, RecursionError):
             return False
 
@@ -130,9 +179,13 @@ class JobFolder:
         write(self.placed, json.dumps([fingerprint(f) for f in files]))
 
     def outputs(self) -> frozenset[Fingerprint]:
-        """Files that were put in place, or were about to be, by a job that was killed before it had ended."""
+        """Files that were put in place, or were about to be, by a job that was killed
+        before it had ended.
+        """
         try:
-            return frozenset((int(a), int(b), int(c)) for a, b, c in json.loads(self.placed.read_bytes()))
+            return frozenset(
+                (int(a), int(b), int(c)) for a, b, c in json.loads(self.placed.read_bytes())
+            )
         except (OSError, ValueError, TypeError, OverflowError, RecursionError):
             return frozenset()
 
@@ -142,7 +195,9 @@ class JobFolder:
         return {name: content_digest(self.path / name) for name in _SEALED}
 
     def _entries(self, inside: str = "") -> Iterator[tuple[str, bool]]:
-        """(path in the folder, whether arfx wrote it) of all that is in it, from the inside out; links are not arfx's."""
+        """(path in the folder, whether arfx wrote it) of all that is in it, from the inside
+        out; links are not arfx's.
+        """
         patterns = (_UNMARKED, *[_MARKED] * self._marked())
         try:
             with os.scandir(self.path / inside) as found:
@@ -155,7 +210,9 @@ class JobFolder:
                 ours = _FOLDERS.fullmatch(name) is not None
                 yield from self._entries(f"{name}/") if ours else ()
             else:
-                ours = e.is_file(follow_symlinks=False) and any(p.fullmatch(name) for p in patterns)
+                ours = e.is_file(follow_symlinks=False) and any(
+                    p.fullmatch(name) for p in patterns
+                )
             yield name, ours
 
     def _marked(self) -> bool:
@@ -167,7 +224,9 @@ class JobFolder:
 
 
 def write(path: Path, data: str | bytes | Iterable[str]) -> None:
-    """Write aside, then rename: the file is whole or absent. data : or its pieces. Raises RenderError."""
+    """Write aside, then rename: the file is whole or absent. data : or its pieces. Raises
+    RenderError.
+    """
     try:
         with atomic_write(path) as part, part.open("wb") as f:
             for piece in [data] if isinstance(data, (str, bytes)) else data:
@@ -178,11 +237,17 @@ def write(path: Path, data: str | bytes | Iterable[str]) -> None:
 
 def disk_error(e: OSError, path: Path) -> RenderError:
     """One clear message for a full disk, a read-only place and the like."""
-    return RenderError(f"cannot write {path}: {e.strerror or e}", "free space or name another place; --resume goes on from there")
+    return RenderError(
+        f"cannot write {path}: {e.strerror or e}",
+        "free space or name another place; --resume goes on from there",
+    )
 
 
 def append_line(path: Path, row: Any) -> None:
-    """One more line of JSON, behind one that a kill or a full disk may have cut short. Raises OSError."""
+    """One more line of JSON, behind one that a kill or a full disk may have cut short.
+
+    Raises OSError.
+    """
     with path.open("ab+") as f:
         f.seek(max(f.seek(0, os.SEEK_END) - 1, 0))
         whole = f.read(1) in (b"", b"\n")
@@ -190,7 +255,9 @@ def append_line(path: Path, row: Any) -> None:
 
 
 def read_lines(path: Path) -> Iterator[dict[str, Any]]:
-    """The objects that the lines of a file hold, none where there is no file; a line that is cut short or damaged is skipped."""
+    """The objects that the lines of a file hold, none where there is no file; a line that
+    is cut short or damaged is skipped.
+    """
     if not path.is_file():
         return
     with path.open(encoding="utf-8", errors="replace") as f:
@@ -228,7 +295,8 @@ def digest(*parts: Any) -> str:
 
 
 def file_digest(path: Path, whole_up_to: int = 256 << 20, with_time: bool = True) -> str:
-    """Content digest of a file; of a larger one its size, time and three samples, so that an hour of 4K costs nothing.
+    """Content digest of a file; of a larger one its size, time and three samples, so that
+    an hour of 4K costs nothing.
 
     with_time : a copy of a large file, which has another time, is another file"""
     stat = path.stat()
@@ -257,10 +325,18 @@ def content_digest(path: Path) -> str:
 
 
 @cache
-def code_digest(root: Path = Path(arfx.__file__).parent, version: str = arfx.__version__) -> str:
-    """Digest of the source of a package (arfx's own) or module: a chunk made by other code is made again."""
+def code_digest(
+    root: Path = Path(arfx.__file__).parent, version: str = arfx.__version__
+) -> str:
+    """Digest of the source of a package (arfx's own) or module: a chunk made by other code
+    is made again.
+    """
     h = hashlib.blake2b(version.encode(), digest_size=8)
-    for path in [root] if root.is_file() else sorted(p for p in root.rglob("*") if p.suffix in _SOURCE):
+    for path in (
+        [root]
+        if root.is_file()
+        else sorted(p for p in root.rglob("*") if p.suffix in _SOURCE)
+    ):
         h.update(str(path.relative_to(root)).encode())
         h.update(path.read_bytes())
     return h.hexdigest()
@@ -272,7 +348,9 @@ COUNT, WIDEST_PX = 8, 960
 def pick_previews(facts: Sequence[FrameFacts], count: int = COUNT) -> list[int]:
     """Frames spread evenly over those that show the object; over all where none does."""
     shown = [f.index for f in facts if f.visible] or [f.index for f in facts]
-    at = np.unique(np.linspace(0, len(shown) - 1, min(count, len(shown))).round().astype(int))
+    at = np.unique(
+        np.linspace(0, len(shown) - 1, min(count, len(shown))).round().astype(int)
+    )
     return [shown[i] for i in at]
 
 
@@ -284,7 +362,8 @@ def save_preview(folder: Path, index: int, before: Frame, after: Frame) -> None:
         if rgb.shape[1] > WIDEST_PX:
             size = (WIDEST_PX, max(round(rgb.shape[0] * WIDEST_PX / rgb.shape[1]), 1))
             rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-        # as it is: a PNG would take as long as a frame's rendering, for a file that lives as long as the job folder
+        # as it is: a PNG would take as long as a frame's rendering, for a file that lives
+        # as long as the job folder
         cv2.imwrite(str(folder / f"{index:06d}.{kind}.bmp"), rgb[..., ::-1])
 
 
@@ -298,5 +377,7 @@ def load_previews(folder: Path) -> list[tuple[int, np.ndarray, np.ndarray]]:
         if after.exists():
             pair = [cv2.imread(str(p)) for p in (path, after)]
             if pair[0] is not None and pair[1] is not None:
-                out.append((int(path.name.split(".")[0]), pair[0][..., ::-1], pair[1][..., ::-1]))
+                out.append(
+                    (int(path.name.split(".")[0]), pair[0][..., ::-1], pair[1][..., ::-1])
+                )
     return out

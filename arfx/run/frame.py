@@ -1,7 +1,7 @@
 """Run one frame's plan. Pixels depend on the arguments alone: any process may run any frame.
 
-A step sees what it reads over its own rectangle: where no stage has written, the neutral value (nothing virtual, no shadow),
-and of IMAGE what was there before."""
+A step sees what it reads over its own rectangle: where no stage has written, the neutral
+value (nothing virtual, no shadow), and of IMAGE what was there before."""
 
 from __future__ import annotations
 
@@ -32,15 +32,23 @@ class FrameLayers:
 
     def __post_init__(self) -> None:
         given = self.plate
-        plate = given if isinstance(given, Pixels) else Pixels(self.rect, rest=lambda part: given[part.slices_in(self.rect)])
+        plate = (
+            given
+            if isinstance(given, Pixels)
+            else Pixels(self.rect, rest=lambda part: given[part.slices_in(self.rect)])
+        )
         self.plate, self.stored = plate, {Layer.PLATE: plate, Layer.IMAGE: plate}
 
     def view(self, names: frozenset[Layer], rect: Rect) -> Layers:
         """Read-only layers over `rect`."""
         return Layers(rect, {name: self.stored.get(name, UNWRITTEN) for name in names})
 
-    def put(self, name: Layer, output: np.ndarray | Pixels, need: Rect, out: Rect) -> Pixels:
-        """Write what a stage returned that saw `need`, over `out`; the rest stays. Returns what is new."""
+    def put(
+        self, name: Layer, output: np.ndarray | Pixels, need: Rect, out: Rect
+    ) -> Pixels:
+        """Write what a stage returned that saw `need`, over `out`; the rest stays. Returns
+        what is new.
+        """
         new = (output if isinstance(output, Pixels) else Pixels(need, output)).clip(out)
         before = self.stored.get(name)
         if name is Layer.IMAGE:
@@ -48,7 +56,9 @@ class FrameLayers:
             rest = new.rest or before
             if (rest.plate if isinstance(rest, Attenuated) else rest) is not before:
                 new, rest = Pixels(out, new(out)), before
-            self.stored[name] = Pixels(before.rect, new.array, rest, new.part, new.written.rects)
+            self.stored[name] = Pixels(
+                before.rect, new.array, rest, new.part, new.written.rects
+            )
         elif before is None or out.contains(before.part):
             self.stored[name] = new
         else:
@@ -73,41 +83,65 @@ class FrameResult:
         return self.layers.view(frozenset({Layer.IMAGE}), self.rect)[Layer.IMAGE]
 
     def onto(self, frame: Frame) -> Frame:
-        """The frame with what is new written into its planes. A shadow that no stage read is applied to the stored samples."""
-        out, plate, image = frame, self.layers.stored[Layer.PLATE], self.layers.stored[Layer.IMAGE]
+        """The frame with what is new written into its planes.
+
+        A shadow that no stage read is applied to the stored samples.
+        """
+        out, plate, image = (
+            frame,
+            self.layers.stored[Layer.PLATE],
+            self.layers.stored[Layer.IMAGE],
+        )
         region, light = image.written.clip(self.rect), image.rest
         if isinstance(light, Attenuated):
             if not (where := light.rect.clip(self.rect)).empty:
-                transmittance, hole = light.transmittance[where.slices_in(light.rect)], region.bounds.clip(where)
-                out = frame.dimmed(where, transmittance, float(light.opacity), light.bias, hole)
+                transmittance, hole = (
+                    light.transmittance[where.slices_in(light.rect)],
+                    region.bounds.clip(where),
+                )
+                out = frame.dimmed(
+                    where, transmittance, float(light.opacity), light.bias, hole
+                )
         elif frame.row_by_row:
             region.grow(image.painted.clip(self.rect))
         else:
             region = Region([self.rect])
         if not region.rects:
             return out
-        rect = region.bounds if region.bounds == region.rects[0] else image.part.union(region.bounds)
+        rect = (
+            region.bounds
+            if region.bounds == region.rects[0]
+            else image.part.union(region.bounds)
+        )
         columns = region.columns(rect) if frame.row_by_row else None
         before, after = plate.over(rect, region.rects), image.over(rect, region.rects)
         return out.edited(rect, before, after, columns, out is not frame)
 
 
-def ready_stages(plan: FramePlan, stages: Mapping[str, Stage], scene: Scene) -> dict[str, ReadyStage]:
+def ready_stages(
+    plan: FramePlan, stages: Mapping[str, Stage], scene: Scene
+) -> dict[str, ReadyStage]:
     """The stages of a plan, prepared at its levels."""
     return {s.stage: ReadyStage.of(stages[s.stage], scene, s.level) for s in plan.steps}
 
 
 def run_frame(
-    plate: np.ndarray | Pixels, facts: FrameFacts, plan: FramePlan, ready: Mapping[str, ReadyStage],
+    plate: np.ndarray | Pixels,
+    facts: FrameFacts,
+    plan: FramePlan,
+    ready: Mapping[str, ReadyStage],
     real_depth_m: np.ndarray | None = None,
-) -> FrameResult:  # fmt: skip
+) -> FrameResult:
     """Run a plan that has steps.
 
-    plate : (h, w, 3) float32 linear light over plan.rect;  ready : the stages of the plan, at its levels
-    real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not measured
+    plate : (h, w, 3) float32 linear light over plan.rect;  ready : the stages of the plan,
+    at its levels
+    real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not
+    measured
 
-    Raises RenderError naming stage, frame and pixel if a stage makes a value that is not finite; with the distribution, what a
-    plug-in raises, and a layer that it does not say it writes."""
+    Raises RenderError naming stage, frame and pixel if a stage makes a value that is not
+    finite; with the distribution, what a plug-in raises, and a layer that it does not say
+    it writes."""
     layers = FrameLayers(plate, plan.rect)
     if real_depth_m is not None:
         layers.put(Layer.REAL_DEPTH, real_depth_m, plan.rect, plan.rect)
@@ -123,7 +157,9 @@ def run_frame(
         stage, start = at.stage, own_time()
         seen = layers.view(stage.reads, step.need)
         with blamed(stage, f"in frame {facts.index}"):
-            for name, output in stage.run(at.view(seen, facts, step.out), at.prepared).items():
+            for name, output in stage.run(
+                at.view(seen, facts, step.out), at.prepared
+            ).items():
                 if name not in stage.writes:
                     writes = ", ".join(sorted(stage.writes))
                     raise ValueError(f"it returns a layer {name!r}; it writes {writes}")
@@ -139,8 +175,12 @@ def _require_finite(pixels: Pixels, layer: Layer, stage: str, index: int) -> Non
     rects, array = pixels.written.rects, pixels.array
     if array.dtype.kind != "f" or not rects:
         return
-    with np.errstate(all="ignore"):  # a sum is a quick proof; what lies beside the written pixels may be anything
-        if np.isfinite(array.sum()) or all(np.isfinite(array[r.slices_in(pixels.part)]).all() for r in rects):
+    with np.errstate(
+        all="ignore"
+    ):  # a sum is a quick proof; what lies beside the written pixels may be anything
+        if np.isfinite(array.sum()) or all(
+            np.isfinite(array[r.slices_in(pixels.part)]).all() for r in rects
+        ):
             return
     bad = np.zeros(array.shape[:2], bool)
     for r in rects:
@@ -148,7 +188,7 @@ def _require_finite(pixels: Pixels, layer: Layer, stage: str, index: int) -> Non
         bad[at] = ~np.isfinite(array[at].reshape(*bad[at].shape, -1)).all(-1)
     y, x = np.argwhere(bad)[0]
     raise RenderError(
-        f"stage {stage!r} made {bad.sum()} pixels of layer {layer} that are not finite numbers, "
-        f"frame {index}, first at x {x + pixels.part.x0}, y {y + pixels.part.y0}",
+        f"stage {stage!r} made {bad.sum()} pixels of layer {layer} that are not finite"
+        f" numbers, frame {index}, first at x {x + pixels.part.x0}, y {y + pixels.part.y0}",
         "please report this with the job folder; --set or another level may avoid it",
     )

@@ -49,8 +49,11 @@ from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
 from arfx.run.worker import keep_memory
 from arfx.stages import STAGES
 
-SHORT_JOB_PX = 150_000_000  # 160 frames of 720p: about as long as it takes to start a process and load its kernels
-MOST_THREADS = 4  # beyond this many, threads wait for each other in the interpreter: processes instead
+# 160 frames of 720p: about as long as it takes to start a process and load its kernels
+SHORT_JOB_PX = 150_000_000
+MOST_THREADS = (
+    4  # beyond this many, threads wait for each other in the interpreter: processes instead
+)
 
 
 Progress = Callable[[str, int, int | None], None]
@@ -61,10 +64,12 @@ class Options:
     """How a job is run; none of it changes a pixel.
 
     folder : of the job, None = beside the output, and removed when all is done
-    report : folder of the job's report, which `finish` writes: checked and locked as the other places are
+    report : folder of the job's report, which `finish` writes: checked and locked as the
+    other places are
     finish(job folder) : called when the output is there, before its folder is given back
     workers : processes, None = one for a short job, else one per core
-    executor : a cluster in place of processes;  map_path : where its workers see what this machine has
+    executor : a cluster in place of processes;  map_path : where its workers see what this
+    machine has
     progress(phase, frames done, frames in all or None);  notice(message) for warnings
     processes : those that work"""
 
@@ -84,7 +89,8 @@ class Options:
 def process(config: JobConfig, options: Options) -> dict[str, Any]:
     """Run a whole job. Returns the report (report.json), which the job folder holds too.
 
-    Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can be resumed."""
+    Raises ArfxError of every kind; after JobInterruptedError and RenderError the folder can
+    be resumed."""
     started = time.perf_counter()
     keep_memory()
     if (options.workers or 1) > 1 and options.executor is None:
@@ -95,22 +101,33 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
     places = Places(inputs, options.folder, options.report, options.overwrite)
     folder = places.folder
     with (
-        places.held(options.resume), _interruptible(folder) as check, warn_if_unlisted(options.notice),
+        places.held(options.resume),
+        _interruptible(folder) as check,
+        warn_if_unlisted(options.notice),
         open_cluster(options.executor, options.map_path, options.notice) as cluster,
-    ):  # fmt: skip
+    ):
 
-        def progress(phase: str, done: int, total: int | None, report: Progress = options.progress) -> None:
+        def progress(
+            phase: str, done: int, total: int | None, report: Progress = options.progress
+        ) -> None:
             check()
             report(phase, done, total)
 
-        options = replace(options, progress=progress, workers=options.workers if cluster is None else cluster.workers)
+        options = replace(
+            options,
+            progress=progress,
+            workers=options.workers if cluster is None else cluster.workers,
+        )
         with options.processes if cluster is None else contextlib.nullcontext():
             job = plan_job(inputs, folder, options, started, cluster)
             chunks = _chunks(job)
             files = _render(job, chunks, options, cluster)
         start = time.perf_counter()
         if left_out := _join(job, files, places):
-            options.notice(f"damaged packets of sound, subtitles or data that were left out: {left_out}")
+            options.notice(
+                "damaged packets of sound, subtitles or data that were left out:"
+                f" {left_out}"
+            )
         report = build_report(job, chunks, time.perf_counter() - start)
         write(folder.report, json.dumps(report, indent=1))
         folder.clear("chunks")
@@ -123,10 +140,11 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
 
 
 def worker_count(pixels: int, stated: int | None = None) -> tuple[int, bool]:
-    """How many workers, and whether they are threads of this process: as many processes as stated, else one per usable core.
+    """How many workers, and whether they are threads of this process: as many processes as
+    stated, else one per usable core.
 
-    Threads where the cores are few; else processes, but only one for a short job, in which starting others would take
-    longer than they save. pixels : of all frames"""
+    Threads where the cores are few; else processes, but only one for a short job, in which
+    starting others would take longer than they save. pixels : of all frames"""
     if stated is not None:
         return stated, False
     cores = usable_cores()
@@ -136,7 +154,11 @@ def worker_count(pixels: int, stated: int | None = None) -> tuple[int, bool]:
 
 
 def plan_job(
-    inputs: Inputs, folder: JobFolder, options: Options, started: float | None = None, cluster: Cluster | None = None
+    inputs: Inputs,
+    folder: JobFolder,
+    options: Options,
+    started: float | None = None,
+    cluster: Cluster | None = None,
 ) -> Job:
     """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
@@ -147,9 +169,16 @@ def plan_job(
     analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
-    errors = shipped_errors() if config.pipeline.tradeoff is None else errors_of_clip(config.pipeline.tradeoff)
+    errors = (
+        shipped_errors()
+        if config.pipeline.tradeoff is None
+        else errors_of_clip(config.pipeline.tradeoff)
+    )
     write(folder.job, MARK + to_toml(frozen(config)))
-    write(folder.inputs, json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}))
+    write(
+        folder.inputs,
+        json.dumps({"camera": inputs.camera.to_json(), "output": inputs.output.to_json()}),
+    )
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
@@ -162,7 +191,11 @@ def plan_job(
         size = _size(inputs, analysed, stages, log.spent(analysis_key, []), options)
         notices: list[str] = []
         plans, document = wait_for(
-            "plan", lambda: choose(config, stages, facts, scene, policy, errors, prices, size, notices.append), options.progress
+            "plan",
+            lambda: choose(
+                config, stages, facts, scene, policy, errors, prices, size, notices.append
+            ),
+            options.progress,
         )
         for notice in notices:
             options.notice(notice)
@@ -173,12 +206,29 @@ def plan_job(
     plans = Lines(folder.plan, FramePlan.from_line)[:]
     if any(_written_once(step.stage for step in p.steps) for p in plans):
         _compile((DIMMING,), options, log)
-    plan = JobPlan(plans, document["levels"], document["predicted"], time.perf_counter() - start)
-    return Job(inputs, folder, job_key, analysis_key, analysed, facts, scene, stages, prices, plan, log)
+    plan = JobPlan(
+        plans, document["levels"], document["predicted"], time.perf_counter() - start
+    )
+    return Job(
+        inputs,
+        folder,
+        job_key,
+        analysis_key,
+        analysed,
+        facts,
+        scene,
+        stages,
+        prices,
+        plan,
+        log,
+    )
 
 
 def _compile(parts: Sequence[str], options: Options, log: WorkLog) -> None:
-    """Compile what is missing. The work began as if that had taken no time: later jobs are spared it."""
+    """Compile what is missing.
+
+    The work began as if that had taken no time: later jobs are spared it.
+    """
     before = time.perf_counter()
     compile_ahead(parts, options.progress, options.notice)
     log.began += time.perf_counter() - before
@@ -190,70 +240,140 @@ def _written_once(stages: Iterable[str]) -> bool:
     return len(writers) == 1 and Layer.SHADOW in writers[0].reads
 
 
-def _size(inputs: Inputs, analysed: ClipAnalysis, stages: Mapping[str, Stage], spent: TimeSpent, options: Options) -> JobSize:
+def _size(
+    inputs: Inputs,
+    analysed: ClipAnalysis,
+    stages: Mapping[str, Stage],
+    spent: TimeSpent,
+    options: Options,
+) -> JobSize:
     frames, area_px = len(analysed.pts), inputs.camera.rect.area
     workers, threads = worker_count(frames * area_px, options.workers)
     workers = max(min(workers, len(borders(frames))), 1)
     return JobSize(
-        frames, area_px / 1e6, spent.seconds.get("decode", 0.0), spent.wall_s, inputs.output.codec, workers,
-        0 if threads or workers == 1 else workers, inputs.model.face_count / 1e6, tuple(analysed.keys),
-        frozenset(name for name, stage in stages.items() if type(stage).health is not Stage.health),
-    )  # fmt: skip
+        frames,
+        area_px / 1e6,
+        spent.seconds.get("decode", 0.0),
+        spent.wall_s,
+        inputs.output.codec,
+        workers,
+        0 if threads or workers == 1 else workers,
+        inputs.model.face_count / 1e6,
+        tuple(analysed.keys),
+        frozenset(
+            name for name, stage in stages.items() if type(stage).health is not Stage.health
+        ),
+    )
 
 
 def _analyse(
-    inputs: Inputs, folder: JobFolder, analysis_key: str, options: Options, log: WorkLog, cluster: Cluster | None = None
+    inputs: Inputs,
+    folder: JobFolder,
+    analysis_key: str,
+    options: Options,
+    log: WorkLog,
+    cluster: Cluster | None = None,
 ) -> None:
     config, anchor = inputs.config, inputs.config.model.anchor
 
     def scene_of(clip: Analysis) -> Scene:
-        return make_scene(config, inputs.camera, inputs.model, clip.world_from_marker, clip.anchor.key, clip.static)
+        return make_scene(
+            config,
+            inputs.camera,
+            inputs.model,
+            clip.world_from_marker,
+            clip.anchor.key,
+            clip.static,
+        )
 
     job = AnalysisJob(
-        config.markers, inputs.camera, config.params["analyse"], config.params["light"], inputs.marker_map, inputs.panorama,
-        anchor, inputs.depth, config.input.depth_align == anchor == MARKER, inputs.poses,
-        scene_of, options.progress, fold_classes(config), inputs.prints,
-    )  # fmt: skip
+        config.markers,
+        inputs.camera,
+        config.params["analyse"],
+        config.params["light"],
+        inputs.marker_map,
+        inputs.panorama,
+        anchor,
+        inputs.depth,
+        config.input.depth_align == anchor == MARKER,
+        inputs.poses,
+        scene_of,
+        options.progress,
+        fold_classes(config),
+        inputs.prints,
+    )
     span = (config.input.start, config.input.end)
     run = _in_parallel(inputs.camera.rect.area, options)
     if cluster is not None:
         run = cluster.analysing(inputs, folder, analysis_key, run)
-    done = analyse_clip(inputs.info, job, required_folds(config), span, options.progress, folder, analysis_key, log, run)
+    done = analyse_clip(
+        inputs.info,
+        job,
+        required_folds(config),
+        span,
+        options.progress,
+        folder,
+        analysis_key,
+        log,
+        run,
+    )
     clip = done.analysis
     check_times(inputs.output, done.pts, inputs.info.time_base)
     seen, notices = clip.summary["markers_seen"], list(clip.notices)
     if anchor == MARKER:
-        notices += [f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)]
+        notices += [
+            f"marker {m.key} was never seen" for m in config.markers if not seen.get(m.key)
+        ]
     if done.truncated:
         notices.append(done.truncated)
     if done.damaged and not done.missing:
-        notices.append(f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks is the decoder's guess")
+        notices.append(
+            f"{inputs.info.path}: packets are damaged, lost or joined: what a frame lacks"
+            " is the decoder's guess"
+        )
     if done.missing:
         count = counted(sum(count for _, count in done.missing), "frames")
-        notices.append(f"{inputs.info.path}: {count} missing, damaged or not in the file: {places_in_words(done.missing)}")
+        notices.append(
+            f"{inputs.info.path}: {count} missing, damaged or not in the file:"
+            f" {places_in_words(done.missing)}"
+        )
     notices += check_size(scene_of(clip), clip.facts)
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, clip.facts)
     write(folder.environment, codec.dumps(dict(clip.environment_maps)))
     ClipAnalysis(
-        done.pts, done.keys, clip.anchor.key, clip.world_from_marker, clip.static, clip.summary, done.truncated,
-        pick_previews(clip.facts), [*inputs.notices, *notices], clip.real_planes, done.careful, done.missing,
+        done.pts,
+        done.keys,
+        clip.anchor.key,
+        clip.world_from_marker,
+        clip.static,
+        clip.summary,
+        done.truncated,
+        pick_previews(clip.facts),
+        [*inputs.notices, *notices],
+        clip.real_planes,
+        done.careful,
+        done.missing,
         done.damaged,
-    ).write(folder)  # fmt: skip
+    ).write(folder)
     log.note(ANALYSIS, analysis_key, done.seconds, done.walls, stretches=done.stretches)
 
 
 def _in_parallel(area_px: int, options: Options) -> Run:
     """How stretches are analysed by as many workers as chunks are rendered by."""
 
-    def run(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
+    def run(
+        tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
+    ) -> Results:
         workers, threads = worker_count(frames * area_px, options.workers)
         workers = min(workers, usable_cores())  # a cluster's are not here
         if min(workers, count) <= 1:
             return in_order(tasks, count, frames, progress)
         parallel = run_threads if threads else options.processes.run
-        return _without_opencv_threads(parallel([*tasks], workers, progress, analyse_stretch))
+        return _without_opencv_threads(
+            parallel([*tasks], workers, progress, analyse_stretch)
+        )
 
     return run
 
@@ -271,40 +391,64 @@ def _without_opencv_threads(results: Results) -> Results:
 
 
 def _chunks(job: Job) -> list[Chunk]:
-    """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and plan of its frames."""
+    """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and
+    plan of its frames.
+    """
     facts, plans = Lines(job.folder.facts, str, header=1), Lines(job.folder.plan, str)
     world = {k: p.to_json() for k, p in job.analysed.world_from_marker.items()}
 
     def key(first: int, last: int) -> str:
         part = slice(max(first - 1, 0), last + 1)  # a stage may look at the frame before
-        return digest(job.key, [facts[part], plans[part], job.analysed.pts[part]], world, job.analysed.static)
+        return digest(
+            job.key,
+            [facts[part], plans[part], job.analysed.pts[part]],
+            world,
+            job.analysed.static,
+        )
 
     return [Chunk(first, last, key(first, last)) for first, last in borders(len(job.facts))]
 
 
-def _render(job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | None = None) -> list[Path]:
+def _render(
+    job: Job, chunks: list[Chunk], options: Options, cluster: Cluster | None = None
+) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
     files = {c.first: c.find(folder.chunks, suffix) for c in chunks}
     todo = [c for c in chunks if files[c.first] is None]
     keys, total = {c.first: c.key for c in todo}, len(job.facts)
-    tasks: list[Task] = [(str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name)) for c in todo]
+    tasks: list[Task] = [
+        (str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name))
+        for c in todo
+    ]
 
     def progress(done: int) -> None:
         options.progress("render", total - sum(c.frames for c in todo) + done, total)
 
     progress(0)
-    workers, threads = worker_count(total * job.scene.camera.rect.area, options.workers) if tasks else (0, False)
+    workers, threads = (
+        worker_count(total * job.scene.camera.rect.area, options.workers)
+        if tasks
+        else (0, False)
+    )
     run: Callable[..., Results]
     if cluster is not None:
         run = partial(cluster.render, job=job)
     else:
         several = min(workers, len(tasks)) > 1
-        run = partial(run_threads if threads else options.processes.run, workers=workers) if several else run_serial
-    with contextlib.closing(run(tasks, progress=progress)) as results:  # an error here too stops the workers
+        run = (
+            partial(run_threads if threads else options.processes.run, workers=workers)
+            if several
+            else run_serial
+        )
+    with contextlib.closing(
+        run(tasks, progress=progress)
+    ) as results:  # an error here too stops the workers
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]
-            if "seconds" in result:  # not of a chunk that was there already, though nobody had heard of it
+            if (
+                "seconds" in result
+            ):  # not of a chunk that was there already, though nobody had heard of it
                 job.log.note(CHUNK, keys[result["first"]], **result)
     progress(sum(c.frames for c in todo))
     return [path for path in files.values() if path is not None]
@@ -319,7 +463,15 @@ def _join(job: Job, files: Sequence[Path], places: Places) -> int:
 
     try:
         return join_chunks(
-            files, job.analysed.pts, output, job.inputs.info, output.path, section.start, section.end, places.part, before_moving
+            files,
+            job.analysed.pts,
+            output,
+            job.inputs.info,
+            output.path,
+            section.start,
+            section.end,
+            places.part,
+            before_moving,
         )
     except OSError as e:
         raise disk_error(e, output.path) from None
@@ -333,12 +485,17 @@ def _interruptible(folder: JobFolder) -> Iterator[Callable[[], None]]:
             interrupt.resume()
             yield interrupt.check
         except (KeyboardInterrupt, Exception) as e:
-            if interrupt.pending() or isinstance(e, KeyboardInterrupt):  # whatever a library has made of it
+            if interrupt.pending() or isinstance(
+                e, KeyboardInterrupt
+            ):  # whatever a library has made of it
                 error = JobInterruptedError(
-                    f"{interrupt.cause()}; what is done is kept in {folder.path}", "the same command with --resume goes on"
+                    f"{interrupt.cause()}; what is done is kept in {folder.path}",
+                    "the same command with --resume goes on",
                 )
                 error.exit_code = interrupt.exit_code() or error.exit_code
                 raise error from None
             if isinstance(e, OSError):
-                raise disk_error(e, Path(e.filename) if e.filename else folder.path) from None
+                raise disk_error(
+                    e, Path(e.filename) if e.filename else folder.path
+                ) from None
             raise

@@ -1,4 +1,6 @@
-"""One process at a time in a folder: the lock ends with the process, however it ends, and shows others who has it."""
+"""One process at a time in a folder: the lock ends with the process, however it ends, and
+shows others who has it.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +23,19 @@ if TYPE_CHECKING:
     from filelock import BaseFileLock
 
 LOCK, MARKER, HOLDER = "arfx.lock", "arfx.lock.marker", "arfx.lock.json"
-# What disks say that know no locks; there a marker file names the process, and counts as long as that lives
+# What disks say that know no locks; there a marker file names the process, and counts as
+# long as that lives
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
 
 
 @contextlib.contextmanager
 def locked(folder: Path, option: str, temporary: bool = False) -> Iterator[None]:
-    """Lock `folder`, which is made if need be. One that was made here, or is `temporary`, is removed in the end if it is empty.
+    """Lock `folder`, which is made if need be. One that was made here, or is `temporary`,
+    is removed in the end if it is empty.
 
     option : what names another folder, for the message
-    Raises ConfigError at once if another process holds it, RenderError where it cannot be made or written to."""
+    Raises ConfigError at once if another process holds it, RenderError where it cannot be
+    made or written to."""
     created = not folder.is_dir()
     lock = _acquire(folder, option)
     try:
@@ -38,9 +43,18 @@ def locked(folder: Path, option: str, temporary: bool = False) -> Iterator[None]
             contextlib.suppress(OSError),
             atomic_write(folder / HOLDER) as part,
         ):  # without it, on a full disk, others cannot see who
-            command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
+            command = (
+                shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+                .encode("utf-8", "backslashreplace")
+                .decode()
+            )
             since = time.strftime("%Y-%m-%d %H:%M:%S")
-            me = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "command": command}
+            me = {
+                "pid": os.getpid(),
+                "host": socket.gethostname(),
+                "since": since,
+                "command": command,
+            }
             part.write_text(json.dumps(me), encoding="utf-8")
         yield
     finally:
@@ -53,7 +67,9 @@ def locked(folder: Path, option: str, temporary: bool = False) -> Iterator[None]
 def _acquire(folder: Path, option: str) -> BaseFileLock:
     from filelock import FileLock, SoftFileLock, Timeout
 
-    lock: BaseFileLock = FileLock(folder / LOCK, blocking=False, thread_local=False, fallback_to_soft=False)
+    lock: BaseFileLock = FileLock(
+        folder / LOCK, blocking=False, thread_local=False, fallback_to_soft=False
+    )
     for _ in range(100):
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -61,20 +77,27 @@ def _acquire(folder: Path, option: str) -> BaseFileLock:
             return lock
         except Timeout:
             raise ConfigError(
-                f"{folder} is in use{_holder(folder)}", f"wait until that is done, or name another with {option}"
+                f"{folder} is in use{_holder(folder)}",
+                f"wait until that is done, or name another with {option}",
             ) from None
         except (FileNotFoundError, FileExistsError) as e:
-            failure = e.strerror or str(e)  # most likely its last holder is just removing it: try again
+            failure = e.strerror or str(
+                e
+            )  # most likely its last holder is just removing it: try again
         except OSError as e:
             failure = e.strerror or str(e)
             if e.errno not in _NO_LOCKS or isinstance(lock, SoftFileLock):
                 break
             lock = SoftFileLock(folder / MARKER, blocking=False, thread_local=False)
-    raise RenderError(f"cannot write into {folder.parent}: {failure}", f"name another place with {option}")
+    raise RenderError(
+        f"cannot write into {folder.parent}: {failure}", f"name another place with {option}"
+    )
 
 
 def _release(lock: BaseFileLock, folder: Path) -> None:
-    """The files go first: whoever opened the lock before sees that it has no name any more, and tries again."""
+    """The files go first: whoever opened the lock before sees that it has no name any more,
+    and tries again.
+    """
     files = (folder / HOLDER, folder / LOCK)
     for path in files:
         with contextlib.suppress(OSError):  # Windows refuses while it is open
@@ -89,7 +112,14 @@ def _release(lock: BaseFileLock, folder: Path) -> None:
 def _holder(folder: Path) -> str:
     try:
         holder = json.loads((folder / HOLDER).read_text(encoding="utf-8"))
-        command = holder["command"] if len(holder["command"]) <= 120 else f"{holder['command'][:119]}…"
-        return f" by process {holder['pid']} on {holder['host']}, since {holder['since']}: {command}"
+        command = (
+            holder["command"]
+            if len(holder["command"]) <= 120
+            else f"{holder['command'][:119]}…"
+        )
+        return (
+            f" by process {holder['pid']} on {holder['host']}, since {holder['since']}:"
+            f" {command}"
+        )
     except (OSError, ValueError, KeyError, TypeError):
         return " by another process"

@@ -14,9 +14,17 @@ _STATUS = Path("/proc/self/status")  # of Linux
 
 
 def peak_mb() -> float:
-    """Peak memory of this process; its memory now where the system keeps no record; 0 where it is unknown."""
-    with contextlib.suppress(OSError):  # resource counts that of the process that started this one, too
-        if found := re.search(r"^VmHWM:\s*(\d+) kB", _STATUS.read_text(encoding="utf-8", errors="replace"), re.MULTILINE):
+    """Peak memory of this process; its memory now where the system keeps no record; 0 where
+    it is unknown.
+    """
+    with contextlib.suppress(
+        OSError
+    ):  # resource counts that of the process that started this one, too
+        if found := re.search(
+            r"^VmHWM:\s*(\d+) kB",
+            _STATUS.read_text(encoding="utf-8", errors="replace"),
+            re.MULTILINE,
+        ):
             return int(found[1]) / 2**10
     try:
         import resource  # not on Windows
@@ -27,7 +35,9 @@ def peak_mb() -> float:
             return 0.0
         return float(getattr(memory, "peak_wset", memory.rss)) / 2**20
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)  # bytes there, KiB elsewhere
+    return peak / (
+        2**20 if sys.platform == "darwin" else 2**10
+    )  # bytes there, KiB elsewhere
 
 
 def free_mb() -> float | None:
@@ -37,7 +47,10 @@ def free_mb() -> float | None:
     except (psutil.Error, OSError, RuntimeError):
         return None
     try:
-        limit, used = (float((_CONTAINER / f"memory.{n}").read_text(encoding="ascii")) for n in ("max", "current"))
+        limit, used = (
+            float((_CONTAINER / f"memory.{n}").read_text(encoding="ascii"))
+            for n in ("max", "current")
+        )
     except (OSError, ValueError):  # no control groups here, or no limit ("max")
         return free
     return min(free, (limit - used) / 2**20)

@@ -17,16 +17,28 @@ from arfx.stages import STAGES, stages_with
 
 
 def parameters() -> Mapping[str, Mapping[str, type]]:
-    """Section name -> formula -> frozen dataclass, for every stage, the analysis and the light that it reads; the usual formula
-    first."""
-    printed = {formula: table["light"].Params for formula, table in FORMULAS.items() if "light" in table}
-    analysis: dict[str, dict[str, type]] = {"analyse": {CORRECTED: AnalyseParams}, "light": {CORRECTED: LightParams, **printed}}
-    return analysis | {name: {f: stage.Params for f, stage in _classes(name).items()} for name in STAGES}
+    """Section name -> formula -> frozen dataclass, for every stage, the analysis and the
+    light that it reads; the usual formula first."""
+    printed = {
+        formula: table["light"].Params
+        for formula, table in FORMULAS.items()
+        if "light" in table
+    }
+    analysis: dict[str, dict[str, type]] = {
+        "analyse": {CORRECTED: AnalyseParams},
+        "light": {CORRECTED: LightParams, **printed},
+    }
+    return analysis | {
+        name: {f: stage.Params for f, stage in _classes(name).items()} for name in STAGES
+    }
 
 
 def _classes(name: str) -> dict[str, type[Stage]]:
     """A stage's class by formula."""
-    return {CORRECTED: STAGES[name], **{formula: table[name] for formula, table in FORMULAS.items() if name in table}}
+    return {
+        CORRECTED: STAGES[name],
+        **{formula: table[name] for formula, table in FORMULAS.items() if name in table},
+    }
 
 
 def stage_of(name: str, params: Any) -> Stage:
@@ -35,34 +47,55 @@ def stage_of(name: str, params: Any) -> Stage:
 
 
 def under_other_formula(name: str, params: Any) -> Stage | None:
-    """The stage under the formula that these settings do not choose, with those that both have; None = it has one formula."""
+    """The stage under the formula that these settings do not choose, with those that both
+    have; None = it has one formula.
+    """
     for formula, stage in _classes(name).items():
         if formula != getattr(params, "formula", CORRECTED):
-            both = {f.name: getattr(params, f.name) for f in fields(stage.Params) if f.init and hasattr(params, f.name)}
+            both = {
+                f.name: getattr(params, f.name)
+                for f in fields(stage.Params)
+                if f.init and hasattr(params, f.name)
+            }
             return stage(stage.Params(**both))
     return None
 
 
 def pipeline(config: JobConfig) -> tuple[str, ...]:
-    """Names of the stages that a job may run, in running order. Raises ConfigError for unknown or misordered effects."""
+    """Names of the stages that a job may run, in running order.
+
+    Raises ConfigError for unknown or misordered effects.
+    """
     inputs = {"depth"} if config.input.depth is not None else set()
     if config.pipeline.stages == "auto":
         params = config.params  # defaults are of the same formula: that alone is no setting
-        asked = [n for n in STAGES if n in params and params[n] != type(params[n])() and STAGES[n].requires <= inputs]
+        asked = [
+            n
+            for n in STAGES
+            if n in params
+            and params[n] != type(params[n])()
+            and STAGES[n].requires <= inputs
+        ]
     else:
         asked = list(config.pipeline.stages)
     for name in asked:
         if name not in STAGES:
             effects = [n for n in STAGES if not STAGES[n].always]
             raise ConfigError(
-                f"there is no effect {name!r}; effects in this version: {', '.join(effects)}", suggestion(name, list(STAGES))
+                f"there is no effect {name!r}; effects in this version:"
+                f" {', '.join(effects)}",
+                suggestion(name, list(STAGES)),
             )
         if lacking := STAGES[name].requires - inputs:
-            raise ConfigError(f"{name} needs {', '.join(lacking)}", f"give --{next(iter(lacking))}, or leave {name} out")
+            raise ConfigError(
+                f"{name} needs {', '.join(lacking)}",
+                f"give --{next(iter(lacking))}, or leave {name} out",
+            )
     ordered = [name for name in STAGES if name in asked]
     if asked != ordered:
         raise ConfigError(
-            f"effects run in the order {','.join(ordered)}, not {','.join(asked)}", "write them in that order, once each"
+            f"effects run in the order {','.join(ordered)}, not {','.join(asked)}",
+            "write them in that order, once each",
         )
     return stages_with(asked, inputs)
 
@@ -82,7 +115,9 @@ def stages_of(params: Mapping[str, Any], names: Collection[str]) -> dict[str, St
 
 
 def with_machine_settings(config: JobConfig) -> JobConfig:
-    """The job with what its settings come to here (`Stage.settled`): a job resumed on another machine mixes nothing."""
+    """The job with what its settings come to here (`Stage.settled`): a job resumed on
+    another machine mixes nothing.
+    """
     settled = {name: STAGES[name].settled(config.params[name]) for name in pipeline(config)}
     return config.model_copy(update={"params": {**config.params, **settled}})
 
@@ -90,9 +125,14 @@ def with_machine_settings(config: JobConfig) -> JobConfig:
 def quality_notices(config: JobConfig) -> list[str]:
     """What a quality by name comes to where an effect of the job has no such level."""
     quality = config.pipeline.quality
-    if quality != "high" or any(quality in stage.levels for stage in make_stages(config).values()):
+    if quality != "high" or any(
+        quality in stage.levels for stage in make_stages(config).values()
+    ):
         return []
-    return ["quality high is standard: no effect of this job has a level between standard and reference"]
+    return [
+        "quality high is standard: no effect of this job has a level between standard and"
+        " reference"
+    ]
 
 
 def fold_classes(config: JobConfig) -> dict[str, Any]:
@@ -105,5 +145,11 @@ def required_folds(config: JobConfig) -> frozenset[str]:
     """What the job needs of the analysis, by name: what its stages read, and what every job has."""
     stages = make_stages(config).values()
     deep = {"depth"} if config.input.depth is not None else set()
-    deep |= {"planes"} if deep and any(Layer.REAL_DEPTH in stage.reads for stage in stages) else set()
-    return frozenset({"pose", "light", "object"}.union(deep, *(stage.facts for stage in stages)))
+    deep |= (
+        {"planes"}
+        if deep and any(Layer.REAL_DEPTH in stage.reads for stage in stages)
+        else set()
+    )
+    return frozenset(
+        {"pose", "light", "object"}.union(deep, *(stage.facts for stage in stages))
+    )

@@ -32,9 +32,11 @@ class ClipAnalysis(Document):
 
     pts, keys : presentation times of all frames, in time base units, and numbers of the key frames
     anchor : key of the marker, or of the plane, under the object;  static : what is at rest
-    truncated : why the clip ends early, or None;  previews : frames of which the report shows a picture
+    truncated : why the clip ends early, or None;  previews : frames of which the report
+    shows a picture
     summary : for the report;  careful : frames are read as `ClipReader` says
-    missing : (seconds from the clip's first frame, number) of frames that the clip does not give, where they would be
+    missing : (seconds from the clip's first frame, number) of frames that the clip does not
+    give, where they would be
     damaged : parts of the clip cannot be read; the decoder may have had to guess them"""
 
     pts: list[int]
@@ -51,8 +53,18 @@ class ClipAnalysis(Document):
     missing: Sequence[tuple[float, int]] = ()
     damaged: bool = False
 
-    def scene(self, config: JobConfig, camera: Camera, model: Model, folder: JobFolder) -> Scene:
-        scene = make_scene(config, camera, model, self.world_from_marker, self.anchor, self.static, self.real_planes)
+    def scene(
+        self, config: JobConfig, camera: Camera, model: Model, folder: JobFolder
+    ) -> Scene:
+        scene = make_scene(
+            config,
+            camera,
+            model,
+            self.world_from_marker,
+            self.anchor,
+            self.static,
+            self.real_planes,
+        )
         return replace(scene, environment_maps=codec.loads(folder.environment.read_bytes()))
 
     def write(self, folder: JobFolder) -> None:
@@ -65,7 +77,9 @@ class ClipAnalysis(Document):
 
 @dataclass(frozen=True)
 class JobPlan:
-    """frames : in order;  levels : how they were chosen;  predicted : seconds of the whole job;  seconds : planning took"""
+    """frames : in order;  levels : how they were chosen;  predicted : seconds of the whole
+    job;  seconds : planning took
+    """
 
     frames: Sequence[FramePlan]
     levels: dict[str, Any]
@@ -77,7 +91,9 @@ class JobPlan:
 class Job:
     """A job up to the point where rendering would start.
 
-    key, analysis_key : digests of all that its pixels, and its facts, depend on;  stages : by name, in running order"""
+    key, analysis_key : digests of all that its pixels, and its facts, depend on;  stages :
+    by name, in running order
+    """
 
     inputs: Inputs
     folder: JobFolder
@@ -94,5 +110,7 @@ class Job:
 
 def places_in_words(missing: Sequence[tuple[float, int]]) -> str:
     """Missing frames in words: how many, and when."""
-    places = ", ".join(f"{count} at {time_s:.2f} s" for time_s, count in missing[:_PLACES_SAID])
+    places = ", ".join(
+        f"{count} at {time_s:.2f} s" for time_s, count in missing[:_PLACES_SAID]
+    )
     return places + ", …" * (len(missing) > _PLACES_SAID)

@@ -1,7 +1,11 @@
-"""The levels of a job and its predicted time, from its plans and the price list: the analysis is done, nothing is rendered yet.
+"""The levels of a job and its predicted time, from its plans and the price list: the
+analysis is done, nothing is rendered yet.
 
-The wall clock is the time up to the plan (measured: analysis, and loading compiled code beside it) + what every worker prepares
-+ the frames' work as the workers share it (run/schedule.py) + the join + what the report prepares again."""
+The wall clock is the time up to the plan (measured: analysis, and loading compiled code
+beside it) + what every worker prepares
++ the frames' work as the workers share it (run/schedule.py) + the join + what the report
+prepares again.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,9 @@ from arfx.plan.explain import without_price
 from arfx.plan.levels import sum_correlated
 from arfx.run.schedule import Load, borders, elapsed
 
-DECODE_SPREAD = 0.25  # decoding again beside the rendering, against decoding beside the analysis
+DECODE_SPREAD = (
+    0.25  # decoding again beside the rendering, against decoding beside the analysis
+)
 UNSHARED = ("before", "prepare", "join", "report")  # phases that the workers do not share
 
 
@@ -33,9 +39,13 @@ UNSHARED = ("before", "prepare", "join", "report")  # phases that the workers do
 class JobSize:
     """What of a job the price of everything but its stages depends on.
 
-    frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all frames, as the analysis measured it
-    before_s : seconds up to now;  workers, processes : how many render, and how many of them are further processes
-    keys : frames that decoding can begin at;  checked : stages that the report may prepare once more, for their health"""
+    frame_mpx : millions of pixels of a frame;  frames : of the job;  decode_s : of all
+    frames, as the analysis measured it
+    before_s : seconds up to now;  workers, processes : how many render, and how many of
+    them are further processes
+    keys : frames that decoding can begin at;  checked : stages that the report may prepare
+    once more, for their health
+    """
 
     frames: int
     frame_mpx: float
@@ -52,7 +62,8 @@ class JobSize:
 @dataclass(frozen=True)
 class JobPrediction:
     """phases : seconds of each, summed over the workers, None = not known;  workers : at once
-    share : of the seconds that the workers share, the fraction that passes on the wall clock"""
+    share : of the seconds that the workers share, the fraction that passes on the wall clock
+    """
 
     phases: dict[str, Prediction | None]
     share: float
@@ -60,30 +71,54 @@ class JobPrediction:
 
     @property
     def wall(self) -> Prediction | None:
-        """Of the whole job; None where a phase is not known. Errors of the phases are correlated: a machine that is slower today
-        is so for all of them."""
-        known = [p if name in UNSHARED else p.times(self.share) for name, p in self.phases.items() if p is not None]
+        """Of the whole job; None where a phase is not known. Errors of the phases are
+        correlated: a machine that is slower today is so for all of them."""
+        known = [
+            p if name in UNSHARED else p.times(self.share)
+            for name, p in self.phases.items()
+            if p is not None
+        ]
         return sum_correlated(known) if len(known) == len(self.phases) else None
 
     def to_json(self, prices: Prices) -> dict[str, Any]:
-        """{wall {s, low_s, high_s} or null, phases {name: the same}, workers, share, prices, calibrated}"""
+        """{wall {s, low_s, high_s} or null, phases {name: the same}, workers, share,
+        prices, calibrated}
+        """
         return {
             "wall": None if self.wall is None else self.wall.to_json(),
-            "phases": {name: None if p is None else p.to_json() for name, p in self.phases.items()},
-            "workers": self.workers, "share": self.share, "prices": prices.source, "calibrated": prices.calibrated,
-        }  # fmt: skip
+            "phases": {
+                name: None if p is None else p.to_json() for name, p in self.phases.items()
+            },
+            "workers": self.workers,
+            "share": self.share,
+            "prices": prices.source,
+            "calibrated": prices.calibrated,
+        }
 
 
 def predict(
-    plans: Sequence[FramePlan], work: Prediction | None, size: JobSize, prices: Prices, prepared: bool = False
+    plans: Sequence[FramePlan],
+    work: Prediction | None,
+    size: JobSize,
+    prices: Prices,
+    prepared: bool = False,
 ) -> JobPrediction:
     """work : of all stages;  prepared : it includes what they prepare"""
     changed = [p for p in plans if p.steps]
-    edited = {"frames": float(len(changed)), "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6}
+    edited = {
+        "frames": float(len(changed)),
+        "mpx": sum(p.rect.area + p.changed.area for p in changed) / 1e6,
+    }
     edit = prices.predict("edit", edited) if changed else measured(0.0)
     whole = {"frames": float(size.frames), "mpx": size.frames * size.frame_mpx}
     encode = prices.predict(f"encode {size.codec}", whole)
-    share, lead_s = _shared(plans, work, size, prices, *(0.0 if p is None else p.seconds for p in (edit, encode)))
+    share, lead_s = _shared(
+        plans,
+        work,
+        size,
+        prices,
+        *(0.0 if p is None else p.seconds for p in (edit, encode)),
+    )
     phases = {
         "before": measured(size.before_s),
         "prepare": measured(0.0) if prepared else prepare(levels_of(plans), size, prices),
@@ -92,32 +127,55 @@ def predict(
         "edit": edit,
         "encode": encode,
         "join": prices.predict("join", whole),
-        "report": prepare({at for at in levels_of(plans) if at[0] in size.checked}, size, prices),
+        "report": prepare(
+            {at for at in levels_of(plans) if at[0] in size.checked}, size, prices
+        ),
     }
     return JobPrediction(phases, share, size.workers)
 
 
 def _shared(
-    plans: Sequence[FramePlan], work: Prediction | None, size: JobSize, prices: Prices, edit_s: float, encode_s: float
+    plans: Sequence[FramePlan],
+    work: Prediction | None,
+    size: JobSize,
+    prices: Prices,
+    edit_s: float,
+    encode_s: float,
 ) -> tuple[float, float]:
-    """(wall seconds per second of work that the workers share, seconds of decoding only to get to where a chunk begins)
+    """(wall seconds per second of work that the workers share, seconds of decoding only to
+    get to where a chunk begins)
 
     A worker that is alone encodes a chunk while it renders it."""
     planned = [sum(s.seconds or 0.0 for s in p.steps) for p in plans]
     scale = 1.0 if work is None or not sum(planned) else work.seconds / sum(planned)
-    decode_s, render_s, write_s = (s / max(size.frames, 1) for s in (size.decode_s, size.decode_s + edit_s, encode_s))
+    decode_s, render_s, write_s = (
+        s / max(size.frames, 1) for s in (size.decode_s, size.decode_s + edit_s, encode_s)
+    )
     both: Callable[[float, float], float] = max if size.workers == 1 else operator.add
     loads = [
-        Load(a, b, both(render_s * (b - a + 1) + scale * sum(planned[a : b + 1]), write_s * (b - a + 1)))
+        Load(
+            a,
+            b,
+            both(
+                render_s * (b - a + 1) + scale * sum(planned[a : b + 1]),
+                write_s * (b - a + 1),
+            ),
+        )
         for a, b in borders(size.frames)
     ]
-    wall_s, lead_s = elapsed(loads, size.workers, size.keys, decode_s, 1.0 if size.processes else prices.alone)
+    wall_s, lead_s = elapsed(
+        loads, size.workers, size.keys, decode_s, 1.0 if size.processes else prices.alone
+    )
     total_s = size.decode_s + edit_s + encode_s + scale * sum(planned) + lead_s
     return (wall_s / total_s if total_s > 0 else 1.0 / size.workers), lead_s
 
 
-def prepare(wanted: Collection[tuple[str, str]], size: JobSize, prices: Prices) -> Prediction | None:
-    """What is made once: threads share it, every further process makes its own, beside the others."""
+def prepare(
+    wanted: Collection[tuple[str, str]], size: JobSize, prices: Prices
+) -> Prediction | None:
+    """What is made once: threads share it, every further process makes its own, beside the
+    others.
+    """
     found = [prepare_one(stage, level, size, prices) for stage, level in wanted]
     known = [p for p in found if p is not None]
     return sum_independent(known) if len(known) == len(found) else None
@@ -127,7 +185,11 @@ def prepare_one(stage: str, level: str, size: JobSize, prices: Prices) -> Predic
     """A level that was not timed counts as the stage's most expensive one, with a wide interval."""
     work = {"frames": 1.0, "mfaces": size.mfaces}
     own = prices.predict(f"prepare {stage}/{level}", work)
-    others = [p.seconds(work) for key, p in prices.prices.items() if key.startswith(f"prepare {stage}/")]
+    others = [
+        p.seconds(work)
+        for key, p in prices.prices.items()
+        if key.startswith(f"prepare {stage}/")
+    ]
     return own or (with_spread(max(others), 1.0) if others else None)
 
 
@@ -141,13 +203,29 @@ def time_of_stages(plans: Sequence[FramePlan]) -> Prediction | None:
     return sum_independent(sum_correlated(parts) for parts in by_stage.values())
 
 
-def level_policy(config: JobConfig, stages: Mapping[str, Stage], prices: Prices) -> LevelPolicy:
-    """How levels are to be chosen. Raises ConfigError where two ways are asked for, or a budget with a stage without prices."""
+def level_policy(
+    config: JobConfig, stages: Mapping[str, Stage], prices: Prices
+) -> LevelPolicy:
+    """How levels are to be chosen.
+
+    Raises ConfigError where two ways are asked for, or a budget with a stage without
+    prices.
+    """
     p = config.pipeline
-    asked = [f"--{name.replace('_', '-')}" for name in ("budget", "fps", "max_error") if getattr(p, name) is not None]
+    asked = [
+        f"--{name.replace('_', '-')}"
+        for name in ("budget", "fps", "max_error")
+        if getattr(p, name) is not None
+    ]
     if len(asked) > 1:
-        raise ConfigError(f"{asked[0]} and {asked[1]} both choose levels", "give one of them")
-    unknown = [n for n, s in stages.items() if not any(f"{n}/{level}" in prices.prices for level in s.levels)]
+        raise ConfigError(
+            f"{asked[0]} and {asked[1]} both choose levels", "give one of them"
+        )
+    unknown = [
+        n
+        for n, s in stages.items()
+        if not any(f"{n}/{level}" in prices.prices for level in s.levels)
+    ]
     if unknown and (p.budget is not None or p.fps is not None):
         what, how = without_price(unknown)
         raise ConfigError(f"a budget needs the price of everything, and {what}", how)
@@ -155,15 +233,32 @@ def level_policy(config: JobConfig, stages: Mapping[str, Stage], prices: Prices)
 
 
 def without_level(stages: Mapping[str, Stage], quality: str) -> str:
-    """What to say of printed methods, which do not have the quality that was asked for; "" where there is nothing to say."""
-    names = [n for n, s in stages.items() if getattr(s.params, "formula", "") == PAPER and quality not in s.levels]
-    return f"--quality {quality}: {', '.join(names)} as printed, which has one level, standard" if names else ""
+    """What to say of printed methods, which do not have the quality that was asked for; ""
+    where there is nothing to say.
+    """
+    names = [
+        n
+        for n, s in stages.items()
+        if getattr(s.params, "formula", "") == PAPER and quality not in s.levels
+    ]
+    return (
+        f"--quality {quality}: {', '.join(names)} as printed, which has one level, standard"
+        if names
+        else ""
+    )
 
 
 def choose(
-    config: JobConfig, stages: Mapping[str, Stage], facts: Sequence[FrameFacts], scene: Scene, policy: LevelPolicy,
-    errors: Errors, prices: Prices, size: JobSize, notice: Callable[[str], None],
-) -> tuple[list[FramePlan], dict[str, Any]]:  # fmt: skip
+    config: JobConfig,
+    stages: Mapping[str, Stage],
+    facts: Sequence[FrameFacts],
+    scene: Scene,
+    policy: LevelPolicy,
+    errors: Errors,
+    prices: Prices,
+    size: JobSize,
+    notice: Callable[[str], None],
+) -> tuple[list[FramePlan], dict[str, Any]]:
     """The plans of all frames, and {predicted, levels}: final, whatever the job measures later."""
     if config.pipeline.fps is not None:
         policy = replace(policy, budget_s=len(facts) / config.pipeline.fps)
@@ -171,34 +266,71 @@ def choose(
     began = time.perf_counter()
 
     def by_now() -> JobSize:
-        return replace(size, before_s=size.before_s + time.perf_counter() - began)  # planning takes its time too
+        return replace(
+            size, before_s=size.before_s + time.perf_counter() - began
+        )  # planning takes its time too
 
     def upper_s(plans: Sequence[FramePlan], work: Prediction) -> float:
         wall = predict(plans, work, by_now(), prices, prepared=True).wall
         if wall is None:
             raise ConfigError(
-                f"a budget needs the price of everything, and encoding {size.codec} has none",
+                f"a budget needs the price of everything, and encoding {size.codec} has"
+                " none",
                 "--codec h264 or ffv1, or choose by --quality or --max-error",
             )
         return wall.high_s
 
     def prepare_cost(stage: str, level: str) -> Prediction | None:
         found = prepare_one(stage, level, size, prices)
-        return None if found is None else found.times(size.workers)  # no worker helps another with it
+        return (
+            None if found is None else found.times(size.workers)
+        )  # no worker helps another with it
 
-    plan = plan_clip(list(stages.values()), facts, scene, policy, errors, prices, upper_s, config.pipeline.skip, prepare_cost)
+    plan = plan_clip(
+        list(stages.values()),
+        facts,
+        scene,
+        policy,
+        errors,
+        prices,
+        upper_s,
+        config.pipeline.skip,
+        prepare_cost,
+    )
     if not plan.choice.met:
         notice(plan.choice.why)
-    if policy.budget_s is None and policy.max_error is None and (printed := without_level(stages, policy.quality)):
+    if (
+        policy.budget_s is None
+        and policy.max_error is None
+        and (printed := without_level(stages, policy.quality))
+    ):
         notice(printed)
     if policy.budget_s is not None and not prices.calibrated:
-        notice("the budget rests on shipped prices, wide intervals: `arfx bench --calibrate` measures this machine's")
-    by = "budget" if policy.budget_s is not None else "error" if policy.max_error is not None else "quality"
+        notice(
+            "the budget rests on shipped prices, wide intervals: `arfx bench --calibrate`"
+            " measures this machine's"
+        )
+    by = (
+        "budget"
+        if policy.budget_s is not None
+        else "error"
+        if policy.max_error is not None
+        else "quality"
+    )
     return plan.plans, {
-        "predicted": predict(plan.plans, time_of_stages(plan.plans), by_now(), prices).to_json(prices),
+        "predicted": (
+            predict(plan.plans, time_of_stages(plan.plans), by_now(), prices).to_json(
+                prices
+            )
+        ),
         "levels": {
-            "by": by, "budget_s": policy.budget_s, "max_error": policy.max_error, "met": plan.choice.met, "why": plan.choice.why,
+            "by": by,
+            "budget_s": policy.budget_s,
+            "max_error": policy.max_error,
+            "met": plan.choice.met,
+            "why": plan.choice.why,
             "error": None if by == "quality" else plan.choice.error,
-            "errors_from": errors.source, "chosen": plan.explained(errors, stages),
+            "errors_from": errors.source,
+            "chosen": plan.explained(errors, stages),
         },
-    }  # fmt: skip
+    }

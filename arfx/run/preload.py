@@ -1,4 +1,5 @@
-"""What worker processes are forked with (executors.py): imported once, by a process that starts no thread and opens no OpenGL.
+"""What worker processes are forked with (executors.py): imported once, by a process that
+starts no thread and opens no OpenGL.
 
 Stages of other distributions are left to the workers: nobody knows what theirs start."""
 
@@ -23,5 +24,7 @@ for table in (STAGES, *FORMULAS.values()):
 for kernel in listed_kernels((JOB,)):
     if kernel.is_cached:
         kernel.load()
-if "multiprocessing.forkserver" in " ".join(sys.orig_argv):  # it ends at once, without taking apart all of that
+if "multiprocessing.forkserver" in " ".join(
+    sys.orig_argv
+):  # it ends at once, without taking apart all of that
     atexit.register(os._exit, 0)

@@ -1,7 +1,8 @@
 """How a clip is cut into chunks, which worker renders which, and how long that takes.
 
-Chunk borders depend on the job alone, never on who renders them. Each worker has consecutive chunks (run/executors.py): one that
-does not read on from its last chunk decodes from the key frame before."""
+Chunk borders depend on the job alone, never on who renders them. Each worker has
+consecutive chunks (run/executors.py): one that does not read on from its last chunk decodes
+from the key frame before."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ class Chunk:
 
     @property
     def name(self) -> str:
-        """Its file's, up to the digest of its content (`arfx.run.folder.content_digest`) and the extension."""
+        """Its file's, up to the digest of its content (`arfx.run.folder.content_digest`)
+        and the extension.
+        """
         return f"{self.first:06d}-{self.last:06d}.{self.key}"
 
     def find(self, folder: Path, suffix: str) -> Path | None:
@@ -53,7 +56,9 @@ def find_chunk(folder: Path, name: str, suffix: str) -> Path | None:
 
 
 def borders(frames: int) -> list[tuple[int, int]]:
-    """(first, last) of each chunk: about WANTED of them, between SHORTEST and LONGEST frames each."""
+    """(first, last) of each chunk: about WANTED of them, between SHORTEST and LONGEST
+    frames each.
+    """
     length = min(max(-(-frames // WANTED), SHORTEST), LONGEST)
     return [(a, min(a + length, frames) - 1) for a in range(0, frames, length)]
 
@@ -65,7 +70,9 @@ def work_queues(chunks: Sequence[T], workers: int) -> list[deque[T]]:
 
 
 def steal(own: deque[T], queues: Sequence[deque[T]]) -> T | None:
-    """A worker's next chunk: of its own queue, then from the end of the longest one; None = there is none left."""
+    """A worker's next chunk: of its own queue, then from the end of the longest one; None =
+    there is none left.
+    """
     longest = max(queues, key=len, default=own)
     if not longest:
         return None
@@ -73,13 +80,18 @@ def steal(own: deque[T], queues: Sequence[deque[T]]) -> T | None:
 
 
 def next_chunk(waiting: Sequence[int], own: int, others: Collection[int]) -> int:
-    """The number of the chunk that a worker is to take of those that wait, which are in order and at least one.
+    """The number of the chunk that a worker is to take of those that wait, which are in
+    order and at least one.
 
-    own, others : the numbers that it, and that others would read on to. It reads on; else it begins the longest run of chunks,
-    where another will come to its beginning in its middle."""
+    own, others : the numbers that it, and that others would read on to. It reads on; else
+    it begins the longest run of chunks, where another will come to its beginning in its
+    middle."""
     if own in waiting:
         return own
-    runs = [[chunk for _, chunk in run] for _, run in itertools.groupby(enumerate(waiting), lambda pair: pair[1] - pair[0])]
+    runs = [
+        [chunk for _, chunk in run]
+        for _, run in itertools.groupby(enumerate(waiting), lambda pair: pair[1] - pair[0])
+    ]
     longest = max(runs, key=len)
     return longest[len(longest) // 2] if longest[0] in others else longest[0]
 
@@ -101,12 +113,18 @@ class _Worker:
 
 
 def elapsed(
-    loads: Sequence[Load], workers: int, keys: Sequence[int] = (), decode_s: float = 0.0, alone: float = 1.0
+    loads: Sequence[Load],
+    workers: int,
+    keys: Sequence[int] = (),
+    decode_s: float = 0.0,
+    alone: float = 1.0,
 ) -> tuple[float, float]:
-    """(seconds until the last worker is through, seconds of decoding that no frame of its own chunk needs).
+    """(seconds until the last worker is through, seconds of decoding that no frame of its
+    own chunk needs).
 
     keys : frames that decoding can begin at;  decode_s : of a frame
-    alone : time of one worker that is alone, as a fraction of its time beside others that are busy"""
+    alone : time of one worker that is alone, as a fraction of its time beside others that are busy
+    """
     workers = max(min(workers, len(loads)), 1)
     queues = work_queues(loads, workers) or [deque()]
     crew = [_Worker(queues[min(k, len(queues) - 1)]) for k in range(workers)]
@@ -117,12 +135,21 @@ def elapsed(
                 before = bisect_right(keys, load.first)
                 key = keys[before - 1] if before else 0
                 extra = 0.0 if load.first == w.next_frame else decode_s * (load.first - key)
-                w.left_s, w.next_frame, lead = load.seconds + extra, load.last + 1, lead + extra
+                w.left_s, w.next_frame, lead = (
+                    load.seconds + extra,
+                    load.last + 1,
+                    lead + extra,
+                )
         busy = [w for w in crew if w.left_s > 0]
         if not busy:
             return now, lead
-        # beside all others a worker takes its own time, alone the fraction `alone` of it; linear between these
-        slowness = 1.0 if len(busy) >= max(workers, 2) else alone + (1 - alone) * (len(busy) - 1) / max(workers - 1, 1)
+        # beside all others a worker takes its own time, alone the fraction `alone` of it;
+        # linear between these
+        slowness = (
+            1.0
+            if len(busy) >= max(workers, 2)
+            else alone + (1 - alone) * (len(busy) - 1) / max(workers - 1, 1)
+        )
         step = min(w.left_s for w in busy)
         now += step * slowness
         for w in busy:

@@ -1,7 +1,8 @@
-"""Decoded frames, for the stretches that a thread analyses, and, with their real depth, for the chunks that it renders.
+"""Decoded frames, for the stretches that a thread analyses, and, with their real depth, for
+the chunks that it renders.
 
-What follows the thread's last one is read on from where that ended: a new reader decodes from the key frame before, which may lie
-hundreds of frames back."""
+What follows the thread's last one is read on from where that ended: a new reader decodes
+from the key frame before, which may lie hundreds of frames back."""
 
 from __future__ import annotations
 
@@ -22,20 +23,34 @@ from arfx.run.background_io import Prefetch
 
 
 class Source:
-    """Frames of a clip from `index` on, in order. pts : presentation times of all of the job's frames;  threads : to decode,
-    0 = as many as it likes;  careful : as of `ClipReader`, which is turned to where a frame is not found otherwise"""
+    """Frames of a clip from `index` on, in order. pts : presentation times of all of the
+    job's frames;  threads : to decode,
+    0 = as many as it likes;  careful : as of `ClipReader`, which is turned to where a frame
+    is not found otherwise
+    """
 
-    def __init__(self, info: ClipInfo, pts: list[int], index: int, threads: int = 0, careful: bool = False) -> None:
+    def __init__(
+        self,
+        info: ClipInfo,
+        pts: list[int],
+        index: int,
+        threads: int = 0,
+        careful: bool = False,
+    ) -> None:
         self.info, self.pts, self.index = info, pts, index
         self._read(threads, careful)
 
     def _read(self, threads: int, careful: bool) -> None:
         self.careful = careful
         self._reader = ClipReader(self.info, threads, careful)
-        self._frames: Iterator[Frame] = self._reader.frames(self.pts[self.index], first_index=self.index)
+        self._frames: Iterator[Frame] = self._reader.frames(
+            self.pts[self.index], first_index=self.index
+        )
 
     def next(self) -> Frame | None:
-        """Frame number `index` of the job, which moves on; None where the file does not hold a frame of that time."""
+        """Frame number `index` of the job, which moves on; None where the file does not
+        hold a frame of that time.
+        """
         frame = self._next()
         if frame is None and not self.careful:
             self._read(1, True)
@@ -59,14 +74,29 @@ class Source:
 
 
 class StretchFrames:
-    """Iterator over a clip's frames from a time on (None = from its start, whatever the times are), in order.
+    """Iterator over a clip's frames from a time on (None = from its start, whatever the
+    times are), in order.
 
     alone : decoding gets threads of its own, and runs ahead
-    frontier : where the last stretch ended: the next frame is the first at or after that time"""
+    frontier : where the last stretch ended: the next frame is the first at or after that time
+    """
 
-    def __init__(self, info: ClipInfo, first_pts: int | None, alone: bool, careful: bool = False) -> None:
+    def __init__(
+        self,
+        info: ClipInfo,
+        first_pts: int | None,
+        alone: bool,
+        careful: bool = False,
+        seeks: bool = True,
+    ) -> None:
         self.info, self.alone, self.frontier, self._seconds = info, alone, first_pts, 0.0
-        self.reader = ClipReader(info, 0 if alone else 1, careful, strict=not careful and (first_pts is None or not alone))
+        self.reader = ClipReader(
+            info,
+            0 if alone else 1,
+            careful,
+            strict=not careful and (first_pts is None or not alone),
+            seeks=seeks,
+        )
         frames = self.reader.frames(first_pts)
         self._ahead = Prefetch(frames) if alone else None
         self._frames: Iterator[Frame] = frames if self._ahead is None else self._ahead
@@ -79,7 +109,10 @@ class StretchFrames:
         if self._back is not None:
             frame, self._back = self._back, None
             return frame
-        start, self.frontier = time.perf_counter(), None  # a stretch that is left in its middle is not gone on with
+        start, self.frontier = (
+            time.perf_counter(),
+            None,
+        )  # a stretch that is left in its middle is not gone on with
         try:
             return next(self._frames)
         finally:
@@ -103,11 +136,18 @@ class StretchFrames:
 _of_thread = threading.local()  # source, stretch : what the thread read from last
 
 
-def source_at(info: ClipInfo, pts: list[int], index: int, threads: int = 0, careful: bool = False) -> Source:
-    """The source that this thread read from last, if it is at `index` of the same job, or, a careful one, before it; else a
-    new one."""
+def source_at(
+    info: ClipInfo, pts: list[int], index: int, threads: int = 0, careful: bool = False
+) -> Source:
+    """The source that this thread read from last, if it is at `index` of the same job, or,
+    a careful one, before it; else a new one."""
     last: Source | None = getattr(_of_thread, "source", None)
-    if last is not None and last.info is info and last.pts is pts and 0 <= index - last.index <= index * careful:
+    if (
+        last is not None
+        and last.info is info
+        and last.pts is pts
+        and 0 <= index - last.index <= index * careful
+    ):
         last.index = index
         return last
     release()
@@ -115,13 +155,26 @@ def source_at(info: ClipInfo, pts: list[int], index: int, threads: int = 0, care
     return source
 
 
-def stretch_at(info: ClipInfo, first_pts: int | None, alone: bool, careful: bool = False) -> StretchFrames:
-    """The frames that this thread read last, if they go on at that time of the same clip; else new ones."""
+def stretch_at(
+    info: ClipInfo,
+    first_pts: int | None,
+    alone: bool,
+    careful: bool = False,
+    seeks: bool = True,
+) -> StretchFrames:
+    """The frames that this thread read last, if they go on at that time of the same clip;
+    else new ones.
+    """
     last: StretchFrames | None = getattr(_of_thread, "stretch", None)
-    if last is not None and first_pts is not None and (last.info, last.alone, last.frontier) == (info, alone, first_pts):
+    if (
+        seeks
+        and last is not None
+        and first_pts is not None
+        and (last.info, last.alone, last.frontier) == (info, alone, first_pts)
+    ):
         return last
     release()
-    _of_thread.stretch = source = StretchFrames(info, first_pts, alone, careful)
+    _of_thread.stretch = source = StretchFrames(info, first_pts, alone, careful, seeks)
     return source
 
 
@@ -135,8 +188,11 @@ def release() -> None:
         _of_thread.source = None
 
 
-def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: Camera, rect: Rect) -> np.ndarray | None:
-    """REAL_DEPTH over `rect`: metres, > 0 everywhere, holes filled along the picture's edges; None where there is none.
+def real_depth_layer(
+    maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: Camera, rect: Rect
+) -> np.ndarray | None:
+    """REAL_DEPTH over `rect`: metres, > 0 everywhere, holes filled along the picture's
+    edges; None where there is none.
 
     The whole map is filled whatever the rectangle, so that a pixel gets the same from any.
     Raises InputError where the map is not the one that was analysed."""
@@ -145,6 +201,9 @@ def real_depth_layer(maps: DepthMaps, facts: FrameFacts, frame: Frame, camera: C
         return None
     depth = maps.load(real.map, camera.width, camera.height)
     if not depth.any():
-        raise InputError(f"depth map {maps.name(real.map)} has changed since the analysis", "start the job again")
+        raise InputError(
+            f"depth map {maps.name(real.map)} has changed since the analysis",
+            "start the job again",
+        )
     whole = fill_holes(depth, np.ascontiguousarray(frame.luma()))
     return np.ascontiguousarray(whole[rect.slices]) * np.float32(real.scale)

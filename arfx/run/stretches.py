@@ -1,7 +1,9 @@
-"""The analysis of one stretch of a clip, the unit of work: in any order, by any worker, which leaves a file in the job folder.
+"""The analysis of one stretch of a clip, the unit of work: in any order, by any worker,
+which leaves a file in the job folder.
 
-Where a clip is cut depends on it alone: at key frames, so that a worker can begin to decode there, at least LEAST_FRAMES apart.
-Every stretch is analysed as if nothing lay before it (`arfx.analyse.fold`), and sees the first frame of the next one."""
+Where a clip is cut depends on it alone: at key frames, so that a worker can begin to decode
+there, at least LEAST_FRAMES apart. Every stretch is analysed as if nothing lay before it
+(`arfx.analyse.fold`), and sees the first frame of the next one."""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ Tick = Callable[[], None]
 
 @dataclass(frozen=True)
 class Span:
-    """The frames between two times, seconds from the clip's first frame, ends included; None = no end. info : of the clip"""
+    """The frames between two times, seconds from the clip's first frame, ends included;
+    None = no end. info : of the clip
+    """
 
     info: ClipInfo
     start_s: float | None = None
@@ -62,7 +66,8 @@ class Span:
         """What is raised where it holds no frame."""
         end = "its end" if self.end_s is None else f"{self.end_s:g} s"
         return NothingToDoError(
-            f"{self.info.path} has no frame between {max(self.start_s or 0.0, 0.0):g} s and {end}",
+            f"{self.info.path} has no frame between {max(self.start_s or 0.0, 0.0):g} s and"
+            f" {end}",
             "check --start and --end; `arfx inspect` shows the clip's length",
         )
 
@@ -70,7 +75,8 @@ class Span:
 @dataclass(frozen=True)
 class Stretch(Document):
     """first, last : its frames, counted from the span's first one, if all can be decoded
-    begins, ends : time from which on its frames are, and the next one's; None = the clip's start, its end"""
+    begins, ends : time from which on its frames are, and the next one's; None = the clip's
+    start, its end"""
 
     first: int
     last: int
@@ -80,8 +86,10 @@ class Stretch(Document):
 
 @dataclass(frozen=True)
 class Stretches(Document):
-    """How a clip is cut. before : frames of the clip before the first one;  truncated : why it ends early, or None
-    length_s : of all;  seeks : whether workers can begin anywhere, or only decode from the clip's start
+    """How a clip is cut. before : frames of the clip before the first one;  truncated : why
+    it ends early, or None
+    length_s : of all;  seeks : whether workers can begin anywhere, or only decode from the
+    clip's start
     careful : in one thread (`ClipReader`)"""
 
     parts: tuple[Stretch, ...]
@@ -97,7 +105,10 @@ class Stretches(Document):
 
 
 def cut(span: Span, times: FrameTimes | None) -> Stretches:
-    """The stretches of a span. times : `ClipReader.times`. Raises NothingToDoError where it holds no frame."""
+    """The stretches of a span.
+
+    times : `ClipReader.times`. Raises NothingToDoError where it holds no frame.
+    """
     if times is None or times.irregular:
         return whole(span)
     first = next((k for k, t in enumerate(times.pts) if not span.before(t)), len(times.pts))
@@ -111,7 +122,12 @@ def cut(span: Span, times: FrameTimes | None) -> Stretches:
             borders.append(k)
     edges = [*borders, stop]
     parts = [
-        Stretch(a - first, b - 1 - first, times.pts[a] if a else None, times.pts[b] if b < stop else None)
+        Stretch(
+            a - first,
+            b - 1 - first,
+            times.pts[a] if a else None,
+            times.pts[b] if b < stop else None,
+        )
         for a, b in pairwise(edges)
     ]
     seeks = True
@@ -123,10 +139,21 @@ def cut(span: Span, times: FrameTimes | None) -> Stretches:
 
 
 def whole(span: Span) -> Stretches:
-    """One stretch: of a clip whose frames, or their times, tell themselves only when all are decoded."""
+    """One stretch: of a clip whose frames, or their times, tell themselves only when all
+    are decoded.
+    """
     info = span.info
-    known = info.frame_count_stated or (round(info.duration_s * info.fps) if info.duration_s and info.fps else 0)
-    return Stretches((Stretch(0, max(known - 1, 0), None, None),), 0, None, info.duration_s or 0.0, False, True)
+    known = info.frame_count_stated or (
+        round(info.duration_s * info.fps) if info.duration_s and info.fps else 0
+    )
+    return Stretches(
+        (Stretch(0, max(known - 1, 0), None, None),),
+        0,
+        None,
+        info.duration_s or 0.0,
+        False,
+        True,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +168,10 @@ class Context:
 
 @dataclass(frozen=True)
 class _Listed(Document):
-    """stretches.json: what workers are to know beside the job. key : of the analysis;  prints : `AnalysisJob.prints`"""
+    """stretches.json: what workers are to know beside the job.
+
+    key : of the analysis;  prints : `AnalysisJob.prints`
+    """
 
     key: str
     stretches: Stretches
@@ -156,7 +186,10 @@ def keep(folder: JobFolder, key: str, context: Context) -> None:
     """For the workers of this process, and, in the folder, for those of others."""
     _contexts.clear()
     _contexts[str(folder.path), key] = context
-    write(folder.stretch_list, json.dumps(_Listed(key, context.stretches, context.job.prints).to_json()))
+    write(
+        folder.stretch_list,
+        json.dumps(_Listed(key, context.stretches, context.job.prints).to_json()),
+    )
 
 
 def listed(folder: JobFolder, key: str) -> bool:
@@ -176,54 +209,109 @@ def open_context(path: str, key: str, paths: Paths) -> Context:
 
 
 def _context(folder: JobFolder, paths: Paths) -> Context:
-    """Without files of which a stretch needs nothing: where the markers lie, and the camera's poses, are asked for in the end."""
+    """Without files of which a stretch needs nothing: where the markers lie, and the
+    camera's poses, are asked for in the end.
+    """
     config = frozen_job(folder, paths)
     assert config.input.clip is not None
     info = probe(config.input.clip, Transfer(config.input.transfer))
     kept = _Listed.from_line(folder.stretch_list.read_text(encoding="utf-8"))
-    camera = Camera.from_json(json.loads(folder.inputs.read_text(encoding="utf-8"))["camera"])
+    camera = Camera.from_json(
+        json.loads(folder.inputs.read_text(encoding="utf-8"))["camera"]
+    )
     job = AnalysisJob(
-        config.markers, camera, config.params["analyse"], config.params["light"], anchor=config.model.anchor,
-        poses=None if config.input.poses is None else CameraPath(config.input.poses, (), None),  # that there are some
-        kinds=fold_classes(config), prints=kept.prints, length_s=kept.stretches.length_s,
-    )  # fmt: skip
-    return Context(job, required_folds(config), Span(info, config.input.start, config.input.end), kept.stretches)
+        config.markers,
+        camera,
+        config.params["analyse"],
+        config.params["light"],
+        anchor=config.model.anchor,
+        poses=(
+            None if config.input.poses is None else CameraPath(config.input.poses, (), None)
+        ),  # that there are some
+        kinds=fold_classes(config),
+        prints=kept.prints,
+        length_s=kept.stretches.length_s,
+    )
+    return Context(
+        job,
+        required_folds(config),
+        Span(info, config.input.start, config.input.end),
+        kept.stretches,
+    )
 
 
 def analyse_stretch(
-    folder: str, key: str, first: int, last: int, target: str, tick: Tick, alone: bool = False, paths: Paths = ()
+    folder: str,
+    key: str,
+    first: int,
+    last: int,
+    target: str,
+    tick: Tick,
+    alone: bool = False,
+    paths: Paths = (),
 ) -> dict[str, Any]:
-    """Analyse frames first … last into a file that appears when it is whole: what `made` returns, as `core.codec` writes it.
+    """Analyse frames first … last into a file that appears when it is whole: what `made`
+    returns, as `core.codec` writes it.
 
-    target : its path;  alone : no other one is analysed meanwhile, so that decoding gets threads of its own
-    Returns the file's name, seconds, who analysed it, and the most memory that this process held. Raises RenderError for a full
-    disk, FrameTimesError where the clip cannot be cut."""
+    target : its path;  alone : no other one is analysed meanwhile, so that decoding gets
+    threads of its own
+    Returns the file's name, seconds, who analysed it, and the most memory that this process
+    held. Raises RenderError for a full disk, FrameTimesError where the clip cannot be
+    cut."""
     keep_memory()
     context = open_context(folder, key, paths)
     stretch = next(s for s in context.stretches.parts if (s.first, s.last) == (first, last))
-    found, seconds = made(context, stretch, tick, alone)
+    try:
+        found, seconds = made(context, stretch, tick, alone)
+    except FrameDamageError:
+        if stretch.begins is None:
+            raise
+        # a strict decoder that began in an open group may miss what it needs not
+        found, seconds = made(context, stretch, tick, alone, seeks=False)
     write(Path(target), codec.dumps(found))
     return {
-        "file": Path(target).name, "first": first, "last": last, "seconds": seconds, "pid": os.getpid(), "rss_mb": peak_mb(),
+        "file": Path(target).name,
+        "first": first,
+        "last": last,
+        "seconds": seconds,
+        "pid": os.getpid(),
+        "rss_mb": peak_mb(),
         **who(),
-    }  # fmt: skip
+    }
 
 
 def made(
-    context: Context, stretch: Stretch, tick: Tick, alone: bool, lost: dict[str, Any] | None = None,
+    context: Context,
+    stretch: Stretch,
+    tick: Tick,
+    alone: bool,
+    lost: dict[str, Any] | None = None,
     changes: Mapping[str, Any] = {},
-) -> tuple[dict[str, Any], dict[str, float]]:  # fmt: skip
+    seeks: bool = True,
+) -> tuple[dict[str, Any], dict[str, float]]:
     """What a stretch is found to hold, and seconds.
 
-    lost, changes : of the stretch before, and of the clip up to here (`Analyser.go_on`, `Analyser.settle`)
-    {"folds": `Analyser.state`, "lost": `Analyser.end`, "pts": of its frames, "keys": numbers in it of key frames,
-    "before": frames of the clip that were decoded before the span, "ended": it reaches the clip's end, "truncated": why early}"""
-    analyser = Analyser(replace(context.job, params=replace(context.job.params, **changes)), context.wanted)
+    lost, changes : of the stretch before, and of the clip up to here (`Analyser.go_on`,
+    `Analyser.settle`);  seeks : else the clip is decoded from its start
+    {"folds": `Analyser.state`, "lost": `Analyser.end`, "pts": of its
+    frames, "keys": numbers in it of key frames, "before": frames of the clip that were
+    decoded before the span, "ended": it reaches the clip's end, "truncated": why early}"""
+    analyser = Analyser(
+        replace(context.job, params=replace(context.job.params, **changes)), context.wanted
+    )
     if lost is not None:
         analyser.go_on(lost)
     pts, keys = list[int](), list[int]()
-    out: dict[str, Any] = {"lost": lost, "pts": pts, "keys": keys, "before": 0, "ended": False, "truncated": None}
-    source = stretch_at(context.span.info, stretch.begins, alone, context.stretches.careful)
+    out: dict[str, Any] = {
+        "lost": lost,
+        "pts": pts,
+        "keys": keys,
+        "before": 0,
+        "ended": False,
+        "truncated": None,
+    }
+    careful = context.stretches.careful
+    source = stretch_at(context.span.info, stretch.begins, alone, careful, seeks)
     decoded_s, analyse_s = source.seconds, 0.0
 
     def check() -> None:
@@ -247,7 +335,10 @@ def made(
         out["ended"], out["truncated"] = True, source.reader.truncated
 
     def shown(frame: Frame, following: Frame | None = None) -> AnalysisFrame:
-        luma, after = np.ascontiguousarray(frame.luma()), None if following is None else following.luma
+        luma, after = (
+            np.ascontiguousarray(frame.luma()),
+            None if following is None else following.luma,
+        )
         return AnalysisFrame(stretch.first + len(pts), frame.time_s, luma, frame, after)
 
     with contextlib.closing(frames()) as all_frames:

@@ -1,7 +1,11 @@
-"""What each piece of a job's work took, recorded in timings.jsonl when it is done: a resumed job reports the time of all of it.
+"""What each piece of a job's work took, recorded in timings.jsonl when it is done: a
+resumed job reports the time of all of it.
 
-A row is {"work": "analysis" | "stretch" | "chunk", "key", "seconds", "walls", "rss_mb", …}. key : of what was made, so that the
-time of work that is not in the output is left out;  walls : process of the job -> how long it had run by then, seconds."""
+A row is {"work": "analysis" | "stretch" | "chunk", "key", "seconds", "walls", "rss_mb", …}.
+key : of what was made, so that the
+time of work that is not in the output is left out;  walls : process of the job -> how long
+it had run by then, seconds.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +19,17 @@ from typing import Any
 from arfx.run.folder import append_line, read_lines
 from arfx.run.memory import peak_mb
 
-ANALYSIS, STRETCH, CHUNK = "analysis", "stretch", "chunk"  # the analysis: with all of its stretches
-_WHO = {"worker": str, "host": str, "first": int, "last": int}  # of a chunk's row, and of a stretch's
+ANALYSIS, STRETCH, CHUNK = (
+    "analysis",
+    "stretch",
+    "chunk",
+)  # the analysis: with all of its stretches
+_WHO = {
+    "worker": str,
+    "host": str,
+    "first": int,
+    "last": int,
+}  # of a chunk's row, and of a stretch's
 
 
 @dataclass(frozen=True)
@@ -25,8 +38,10 @@ class TimeSpent:
 
     seconds, stages : by phase and by stage, over all chunks and the analysis
     untimed : keys of chunks that a process finished, but was killed before it recorded their time
-    wall_s : of all processes, each up to the last of its work that is in the output;  processes : how many of them
-    workers : {name, host, stretches, chunks, frames, seconds} of each thread or process that had a share
+    wall_s : of all processes, each up to the last of its work that is in the output;
+    processes : how many of them
+    workers : {name, host, stretches, chunks, frames, seconds} of each thread or process
+    that had a share
         frames : rendered;  seconds : of its stretches' and chunks' work"""
 
     seconds: Mapping[str, float]
@@ -40,7 +55,10 @@ class TimeSpent:
 
 @dataclass
 class WorkLog:
-    """timings.jsonl of a job folder. began : perf_counter at the start of this process's work on the job"""
+    """timings.jsonl of a job folder.
+
+    began : perf_counter at the start of this process's work on the job
+    """
 
     path: Path
     began: float = field(default_factory=time.perf_counter)
@@ -51,18 +69,38 @@ class WorkLog:
         return filter(_valid, read_lines(self.path))
 
     def walls(self, earlier: Mapping[str, float]) -> dict[str, float]:
-        """With this process's own. earlier : of the processes without whose work this would not be"""
+        """With this process's own.
+
+        earlier : of the processes without whose work this would not be
+        """
         return {**earlier, self.process: time.perf_counter() - self.began}
 
-    def note(self, work: str, key: str, seconds: Mapping[str, float], walls: Mapping[str, float] = {}, **more: Any) -> None:
-        """walls : of earlier processes;  more["rss_mb"] : peak memory of the process that did it, where that was another.
+    def note(
+        self,
+        work: str,
+        key: str,
+        seconds: Mapping[str, float],
+        walls: Mapping[str, float] = {},
+        **more: Any,
+    ) -> None:
+        """walls : of earlier processes;  more["rss_mb"] : peak memory of the process that
+        did it, where that was another.
 
         Raises OSError."""
-        row = {"work": work, "key": key, "rss_mb": peak_mb(), **more, "seconds": seconds, "walls": self.walls(walls)}
+        row = {
+            "work": work,
+            "key": key,
+            "rss_mb": peak_mb(),
+            **more,
+            "seconds": seconds,
+            "walls": self.walls(walls),
+        }
         append_line(self.path, row)
 
     def spent(self, analysis: str, chunks: Iterable[str]) -> TimeSpent:
-        """The time of the analysis and the chunks with these keys; of work done twice that of the last time."""
+        """The time of the analysis and the chunks with these keys; of work done twice that
+        of the last time.
+        """
         last = {(row["work"], row["key"]): row for row in self.rows()}
         wanted = [(ANALYSIS, analysis), *((CHUNK, key) for key in chunks)]
         used = [last[w] for w in wanted if w in last]
@@ -77,10 +115,17 @@ class WorkLog:
             for process, s in row["walls"].items():
                 walls[process] = max(walls.get(process, 0.0), s)
         return TimeSpent(
-            seconds, stages, tuple(key for work, key in wanted if work == CHUNK and (work, key) not in last),
-            sum(walls.values()), len(walls), max(peak_mb(), *(row["rss_mb"] for row in used), 0.0),
-            _workers([last[STRETCH, name] for name in stretches if (STRETCH, name) in last] + used),
-        )  # fmt: skip
+            seconds,
+            stages,
+            tuple(key for work, key in wanted if work == CHUNK and (work, key) not in last),
+            sum(walls.values()),
+            len(walls),
+            max(peak_mb(), *(row["rss_mb"] for row in used), 0.0),
+            _workers(
+                [last[STRETCH, name] for name in stretches if (STRETCH, name) in last]
+                + used
+            ),
+        )
 
 
 def _workers(rows: Iterable[Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
@@ -88,24 +133,46 @@ def _workers(rows: Iterable[Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
     for row in rows:
         if "worker" in row:
             name, host = row["worker"], row["host"]
-            none = {"name": name, "host": host, "stretches": 0, "chunks": 0, "frames": 0, "seconds": 0.0}
+            none = {
+                "name": name,
+                "host": host,
+                "stretches": 0,
+                "chunks": 0,
+                "frames": 0,
+                "seconds": 0.0,
+            }
             worker = found.setdefault((name, host), none)
             if row["work"] == STRETCH:
                 worker["stretches"] += 1
             else:
                 worker["chunks"] += 1
                 worker["frames"] += row["last"] - row["first"] + 1
-            worker["seconds"] += sum(row["seconds"].values()) + sum(row.get("stages", {}).values())
+            worker["seconds"] += sum(row["seconds"].values()) + sum(
+                row.get("stages", {}).values()
+            )
     return tuple(found.values())
 
 
 def _valid(row: dict[str, Any]) -> bool:
     def numbers(values: Any) -> bool:
-        return isinstance(values, dict) and all(isinstance(v, (int, float)) and abs(v) < 1e15 for v in values.values())
+        return isinstance(values, dict) and all(
+            isinstance(v, (int, float)) and abs(v) < 1e15 for v in values.values()
+        )
 
     texts = all(isinstance(row.get(name), str) for name in ("work", "key"))
-    tables = all(numbers(row.get(name)) for name in ("seconds", "walls")) and numbers(row.get("stages", {}))
-    who = "worker" not in row or all(isinstance(row.get(name), kind) for name, kind in _WHO.items())
+    tables = all(numbers(row.get(name)) for name in ("seconds", "walls")) and numbers(
+        row.get("stages", {})
+    )
+    who = "worker" not in row or all(
+        isinstance(row.get(name), kind) for name, kind in _WHO.items()
+    )
     names = row.get("stretches", [])
-    texts = texts and isinstance(names, list) and all(isinstance(name, str) for name in names)
-    return texts and tables and who and numbers({name: row.get(name, 0) for name in ("rss_mb", "first", "last")})
+    texts = (
+        texts and isinstance(names, list) and all(isinstance(name, str) for name in names)
+    )
+    return (
+        texts
+        and tables
+        and who
+        and numbers({name: row.get(name, 0) for name in ("rss_mb", "first", "last")})
+    )

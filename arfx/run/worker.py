@@ -1,4 +1,7 @@
-"""Render one chunk, the unit of work. A worker is sent a range, never pixels, and reads the rest from the job folder."""
+"""Render one chunk, the unit of work.
+
+A worker is sent a range, never pixels, and reads the rest from the job folder.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,9 @@ _OPENING = threading.Lock()  # what threads share is made once
 
 @dataclass
 class Context:
-    """What a worker keeps between chunks of one job: the scene, and each stage at the levels that it has run at."""
+    """What a worker keeps between chunks of one job: the scene, and each stage at the
+    levels that it has run at.
+    """
 
     folder: JobFolder
     info: ClipInfo
@@ -63,16 +68,21 @@ class Context:
 
 @cache
 def keep_memory() -> None:
-    """Let the C library keep freed blocks: a frame's arrays are allocated for every frame, and faulting their pages in again
-    costs more than the work on them. Without glibc nothing is changed.
+    """Let the C library keep freed blocks: a frame's arrays are allocated for every frame,
+    and faulting their pages in again costs more than the work on them. Without glibc
+    nothing is changed.
 
-    Call it before there are threads: all share one heap then, while heaps of their own, of at most 64 MB, are given back
-    whenever one is empty, whatever the thresholds say."""
+    Call it before there are threads: all share one heap then, while heaps of their own, of
+    at most 64 MB, are given back whenever one is empty, whatever the thresholds say."""
     import ctypes
 
     if os.name != "posix":
         return
-    trim_threshold, mmap_threshold, arena_max = -1, -3, -8  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX of malloc.h
+    trim_threshold, mmap_threshold, arena_max = (
+        -1,
+        -3,
+        -8,
+    )  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX of malloc.h
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         mallopt(mmap_threshold, 1 << 30)
@@ -86,8 +96,12 @@ Paths = tuple[tuple[str, str, str], ...]
 
 @cache
 def process_name() -> str:
-    """Of this machine and process, in names of files that several machines write into one folder."""
-    return f"{re.sub('[^0-9A-Za-z]', '', socket.gethostname())[:32] or 'host'}-{os.getpid()}"
+    """Of this machine and process, in names of files that several machines write into one
+    folder.
+    """
+    return (
+        f"{re.sub('[^0-9A-Za-z]', '', socket.gethostname())[:32] or 'host'}-{os.getpid()}"
+    )
 
 
 def frozen_job(folder: JobFolder, paths: Paths) -> JobConfig:
@@ -107,26 +121,43 @@ def open_context(path: str, job_key: str, paths: Paths) -> Context:
     analysed = ClipAnalysis.read(folder)
     assert config.input.clip is not None
     info = probe(config.input.clip, Transfer(config.input.transfer))
-    scene = analysed.scene(config, Camera.from_json(inputs["camera"]), job_model(config), folder)
+    scene = analysed.scene(
+        config, Camera.from_json(inputs["camera"]), job_model(config), folder
+    )
     output = OutputPlan.from_json(inputs["output"])
     return Context(
-        folder, info, output, scene, make_stages(config), analysed.pts, frozenset(analysed.previews),
-        Lines(folder.facts, FrameFacts.from_line, header=1), Lines(folder.plan, FramePlan.from_line), job_depth(config),
+        folder,
+        info,
+        output,
+        scene,
+        make_stages(config),
+        analysed.pts,
+        frozenset(analysed.previews),
+        Lines(folder.facts, FrameFacts.from_line, header=1),
+        Lines(folder.plan, FramePlan.from_line),
+        job_depth(config),
         analysed.careful,
-    )  # fmt: skip
+    )
 
 
 def render_chunk(
-    folder: str, job_key: str, first: int, last: int, target: str, tick: Callable[[], None], alone: bool = False,
+    folder: str,
+    job_key: str,
+    first: int,
+    last: int,
+    target: str,
+    tick: Callable[[], None],
+    alone: bool = False,
     paths: Paths = (),
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Render frames first … last into a file that appears when it is whole.
 
     target : its path, to which the digest of its content and the extension are added
-    alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads of their own
-    Returns the file's name, seconds by stage, decode and encode seconds, who rendered it, and the most memory that this process
-    held.
-    Raises RenderError (frames missing in the source, a full disk, a stage that failed)."""
+    alone : no other chunk is rendered meanwhile, so that decoding and encoding get threads
+    of their own
+    Returns the file's name, seconds by stage, decode and encode seconds, who rendered it,
+    and the most memory that this process held. Raises RenderError (frames missing in the
+    source, a full disk, a stage that failed)."""
     keep_memory()
     with _OPENING:
         context = open_context(folder, job_key, paths)
@@ -134,11 +165,20 @@ def render_chunk(
     plans = {p.index: p for p in context.plans[first : last + 1]}
     start = time.perf_counter()
     needed = levels_of(plans.values())
-    if needed - context.ready.keys():  # a chunk without work need not wait for another's preparation
+    if (
+        needed - context.ready.keys()
+    ):  # a chunk without work need not wait for another's preparation
         with _OPENING:
             for name, level in sorted(needed - context.ready.keys()):
-                context.ready[name, level] = ReadyStage.of(context.stages[name], context.scene, level)
-    seconds: dict[str, float] = {"prepare": time.perf_counter() - start, "decode": 0.0, "edit": 0.0, "encode": 0.0}
+                context.ready[name, level] = ReadyStage.of(
+                    context.stages[name], context.scene, level
+                )
+    seconds: dict[str, float] = {
+        "prepare": time.perf_counter() - start,
+        "decode": 0.0,
+        "edit": 0.0,
+        "encode": 0.0,
+    }
     stage_seconds: dict[str, float] = {}
 
     def encode(out: Frame) -> None:
@@ -147,9 +187,13 @@ def render_chunk(
         seconds["encode"] += time.perf_counter() - start
 
     final, suffix = Path(target), chunk_suffix(context.output)
-    aside = final.with_name(f"{process_name()}-{threading.get_ident()}-{final.name}{suffix}")
+    aside = final.with_name(
+        f"{process_name()}-{threading.get_ident()}-{final.name}{suffix}"
+    )
     try:
-        source = source_at(context.info, context.pts, first, 0 if alone else 1, context.careful)
+        source = source_at(
+            context.info, context.pts, first, 0 if alone else 1, context.careful
+        )
         with ChunkWriter(context.output, context.info, aside) as writer:
             with WriteBehind(encode) if alone else nullcontext() as later:
                 for index in range(first, last + 1):
@@ -158,10 +202,14 @@ def render_chunk(
                     seconds["decode"] += time.perf_counter() - start
                     if frame is None:
                         raise RenderError(
-                            f"{context.info.path}: frame {index} could not be decoded again where the analysis saw it",
-                            "the file has changed, or seeking in it is broken: copy it to another container and try again",
+                            f"{context.info.path}: frame {index} could not be decoded again"
+                            " where the analysis saw it",
+                            "the file has changed, or seeking in it is broken: copy it to"
+                            " another container and try again",
                         )
-                    out = _frame(context, frame, facts[index], plans[index], seconds, stage_seconds)
+                    out = _frame(
+                        context, frame, facts[index], plans[index], seconds, stage_seconds
+                    )
                     if index in context.previews:
                         save_preview(context.folder.previews, index, frame, out)
                     (encode if later is None else later.put)(out)
@@ -170,7 +218,9 @@ def render_chunk(
         seconds["encode"] += time.perf_counter() - start
         content = content_digest(aside)
         final = final.with_name(f"{final.name}.{content}{suffix}")
-        if final.is_dir() and content_digest(final) == content:  # another worker's, of the same images: it may be in use
+        if (
+            final.is_dir() and content_digest(final) == content
+        ):  # another worker's, of the same images: it may be in use
             remove_output(aside)
         else:
             if final.is_dir():  # not what it was
@@ -179,29 +229,48 @@ def render_chunk(
     except OSError as e:
         raise disk_error(e, final) from None
     return {
-        "file": final.name, "first": first, "last": last, "seconds": seconds, "stages": stage_seconds, "rss_mb": peak_mb(),
+        "file": final.name,
+        "first": first,
+        "last": last,
+        "seconds": seconds,
+        "stages": stage_seconds,
+        "rss_mb": peak_mb(),
         **who(),
-    }  # fmt: skip
+    }
 
 
 def who() -> dict[str, str]:
-    """Of this worker: its host, and the process's number, with the thread's name where it is not the only one that works."""
+    """Of this worker: its host, and the process's number, with the thread's name where it
+    is not the only one that works.
+    """
     thread = threading.current_thread()
-    name = f"{os.getpid()}" if thread is threading.main_thread() else f"{os.getpid()} {thread.name}"
+    name = (
+        f"{os.getpid()}"
+        if thread is threading.main_thread()
+        else f"{os.getpid()} {thread.name}"
+    )
     return {"host": socket.gethostname(), "worker": name}
 
 
 def _frame(
-    context: Context, frame: Frame, facts: FrameFacts, plan: FramePlan, seconds: dict[str, float],
+    context: Context,
+    frame: Frame,
+    facts: FrameFacts,
+    plan: FramePlan,
+    seconds: dict[str, float],
     stage_seconds: dict[str, float],
-) -> Frame:  # fmt: skip
+) -> Frame:
     if not plan.steps or plan.changed.empty:
         return frame
     plate = Pixels(plan.rect, rest=frame.linear)
     depth = None
-    if context.depth is not None and any(Layer.REAL_DEPTH in context.stages[s.stage].reads for s in plan.steps):
+    if context.depth is not None and any(
+        Layer.REAL_DEPTH in context.stages[s.stage].reads for s in plan.steps
+    ):
         start = time.perf_counter()
-        depth = real_depth_layer(context.depth, facts, frame, context.scene.camera, plan.rect)
+        depth = real_depth_layer(
+            context.depth, facts, frame, context.scene.camera, plan.rect
+        )
         seconds["decode"] += time.perf_counter() - start
     ready = {s.stage: context.ready[s.stage, s.level] for s in plan.steps}
     result = run_frame(plate, facts, plan, ready, depth)

@@ -1,4 +1,5 @@
-"""The one table of stages. To add an effect: write its module, add its line here, add a scene folder.
+"""The one table of stages. To add an effect: write its module, add its line here, add a
+scene folder.
 
 Other distributions add theirs by entry points of the group `arfx.stages`: `name = "module:Class"`.
 Modules are imported when a stage is looked up, so that help stays quick."""
@@ -47,8 +48,9 @@ class Classes(Mapping[str, Any]):
 class Table(Classes):
     """Stages in running order.
 
-    Raises ConfigError, with the distribution, for a plug-in whose name is taken, and when one is looked up that cannot be loaded
-    or placed: jobs that do not name it are done without it."""
+    Raises ConfigError, with the distribution, for a plug-in whose name is taken, and when
+    one is looked up that cannot be loaded or placed: jobs that do not name it are done
+    without it."""
 
     def __getitem__(self, name: str) -> Any:
         if name in self._paths:
@@ -70,7 +72,9 @@ class Table(Classes):
         for point in entry_points(group=GROUP):
             if point.name in self._paths or point.name in entries:
                 first = (
-                    _distribution(entries[point.name]) if point.name in entries else "arfx itself"
+                    _distribution(entries[point.name])
+                    if point.name in entries
+                    else "arfx itself"
                 )
                 raise ConfigError(
                     f"stage {point.name!r} is in {first} and in {_distribution(point)}",
@@ -80,7 +84,9 @@ class Table(Classes):
         return entries
 
     def source(self, name: str) -> tuple[Path, str]:
-        """The module, or the folder of the outermost package, that a plug-in comes from, and its distribution's version."""
+        """The module, or the folder of the outermost package, that a plug-in comes from,
+        and its distribution's version.
+        """
         path, dist = Path(inspect.getfile(self[name])), self.plugins[name].dist
         while (path.parent / "__init__.py").is_file():
             path = path.parent
@@ -111,14 +117,17 @@ class Table(Classes):
                 name = waiting.pop(0)
                 after = loaded[name].after
                 broken[name] = ConfigError(
-                    f"stage {name!r} of {_distribution(self.plugins[name])} is to run after {after!r}, which there is not",
+                    f"stage {name!r} of {_distribution(self.plugins[name])} is to run after"
+                    f" {after!r}, which there is not",
                     f"one of {', '.join(order)}",
                 )
                 continue
             name = ready[0]
             waiting.remove(name)
             stage = loaded[name]
-            known = {n: loaded[n] if n in loaded else Classes.__getitem__(self, n) for n in order}
+            known = {
+                n: loaded[n] if n in loaded else Classes.__getitem__(self, n) for n in order
+            }
             before = (
                 [stage.after]
                 if stage.after
@@ -135,10 +144,13 @@ class Table(Classes):
                 stage = point.load()
         except (Exception, SystemExit) as e:  # whatever another's module raises
             raise ConfigError(
-                f"stage {name!r} of {_distribution(point)} cannot be loaded: {type(e).__name__}: {e}",
+                f"stage {name!r} of {_distribution(point)} cannot be loaded:"
+                f" {type(e).__name__}: {e}",
                 "uninstall it, or install a version that fits this arfx",
             ) from e
-        if not (isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name):
+        if not (
+            isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name
+        ):
             raise ConfigError(
                 f"{point.value} of {_distribution(point)} is not a Stage named {name!r}",
                 "uninstall it",
@@ -171,7 +183,10 @@ STAGES = Table(
 
 
 def stages_with(effects: Collection[str], inputs: Collection[str] = ()) -> tuple[str, ...]:
-    """Names of the stages of a job with these effects, in running order. inputs : that the job has and a stage may require"""
+    """Names of the stages of a job with these effects, in running order.
+
+    inputs : that the job has and a stage may require
+    """
     inputs = set(inputs)
     return tuple(
         name

@@ -1,10 +1,13 @@
 """Composite: virtual over real, in linear light.
 
-IMAGE = (b + (PLATE - b) x SHADOW) x (1 - COVERAGE) + VIRTUAL, faded by the facts' opacity. b is what the camera adds
-where no light falls (the facts' bias): a shadow takes light, not that.
+IMAGE = (b + (PLATE - b) x SHADOW) x (1 - COVERAGE) + VIRTUAL, faded by the facts' opacity.
+b is what the camera adds where no light falls (the facts' bias): a shadow takes light, not
+that.
 
-Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio, docs/methods/light.md#shadow. Cost: O(pixels), memory
-bound. One level: arithmetic, exact to rounding, so that its error is 0. Leaves out: depth order against real objects (`hide`)."""
+Source: Porter and Duff 1984 ("over", premultiplied); shadow as a ratio,
+docs/methods/light.md#shadow. Cost: O(pixels), memory
+bound. One level: arithmetic, exact to rounding, so that its error is 0. Leaves out: depth
+order against real objects (`hide`)."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -25,7 +28,9 @@ from arfx.core.stage import Demand, Stage, View
 
 class Composite(Stage):
     name = "composite"
-    reads = frozenset({Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW})
+    reads = frozenset(
+        {Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW}
+    )
     writes = frozenset({Layer.IMAGE})
     always = True
 
@@ -33,7 +38,9 @@ class Composite(Stage):
         return Demand(frame, "something virtual is in view", within_earlier=True)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
-        """The object's box; the shadow beside it is worked out only where a later stage asks for it."""
+        """The object's box; the shadow beside it is worked out only where a later stage
+        asks for it.
+        """
         now, facts = view.layers, view.facts
         drawn = now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE))
         box = now.crop(drawn.clip(facts.raster_box))
@@ -51,7 +58,11 @@ class Composite(Stage):
 
 
 def shade(
-    plate: np.ndarray, shadow: np.ndarray, opacity: np.float32, bias: np.ndarray, out: np.ndarray
+    plate: np.ndarray,
+    shadow: np.ndarray,
+    opacity: np.float32,
+    bias: np.ndarray,
+    out: np.ndarray,
 ) -> None:
     """The plane's pixels without an object before it: the same as `_over` with coverage 0.
 
@@ -75,11 +86,15 @@ def _shade(plate, shadow, opacity, bias):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _over(plate, virtual, coverage, shadow, opacity, bias, out):  # pragma: no cover - compiled
+def _over(
+    plate, virtual, coverage, shadow, opacity, bias, out
+):  # pragma: no cover - compiled
     for y in range(plate.shape[0]):
         for x in range(plate.shape[1]):
             transmittance = np.float32(1) - coverage[y, x]
             for c in range(3):
                 p, left = plate[y, x, c], shadow[y, x, c] * transmittance
                 kept = bias[c] * (transmittance - left)
-                out[y, x, c] = p + opacity * (virtual[y, x, c] + p * (left - np.float32(1)) + kept)
+                out[y, x, c] = p + opacity * (
+                    virtual[y, x, c] + p * (left - np.float32(1)) + kept
+                )

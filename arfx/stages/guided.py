@@ -1,6 +1,8 @@
-"""Guided filter with a colour guide: a mask's edges moved to those of a picture, for masks from measured depth.
+"""Guided filter with a colour guide: a mask's edges moved to those of a picture, for masks
+from measured depth.
 
-Depth maps end some pixels beside the things that they show; colour separates things of similar brightness.
+Depth maps end some pixels beside the things that they show; colour separates things of
+similar brightness.
 Source: He, Sun and Tang 2010, eqs. 14 to 16; each mean weighted by where the mask means anything.
 Cost: O(pixels of the box around what is mixed)."""
 
@@ -29,16 +31,20 @@ def reach_px(scene: Scene) -> int:
     return 2 * _PASSES * window_px(scene)
 
 
-def refined(mask: np.ndarray, valid: np.ndarray, plate: np.ndarray, radius_px: int) -> np.ndarray:
-    """mask (h, w) float32 0..1, its edges moved to those of plate; the same bits where it is even all around.
+def refined(
+    mask: np.ndarray, valid: np.ndarray, plate: np.ndarray, radius_px: int
+) -> np.ndarray:
+    """mask (h, w) float32 0..1, its edges moved to those of plate; the same bits where it
+    is even all around.
 
-    valid : (h, w) float32, 1 where the mask means anything, else 0;  plate : (h, w, 3) linear light"""
+    valid : (h, w) float32, 1 where the mask means anything, else 0;  plate : (h, w, 3) linear light
+    """
     reach = 2 * _PASSES * radius_px
     around = np.ones((2 * reach + 1,) * 2, np.uint8)
     least = cv2.erode(np.where(valid > 0, mask, 1).astype(np.float32), around)
-    mixed = (cv2.dilate(np.where(valid > 0, mask, 0).astype(np.float32), around) > least) & (
-        valid > 0
-    )
+    mixed = (
+        cv2.dilate(np.where(valid > 0, mask, 0).astype(np.float32), around) > least
+    ) & (valid > 0)
     rows, columns = np.flatnonzero(mixed.any(1)), np.flatnonzero(mixed.any(0))
     if not len(rows):
         return mask
@@ -50,8 +56,12 @@ def refined(mask: np.ndarray, valid: np.ndarray, plate: np.ndarray, radius_px: i
     )
     box = rect.slices
     # about as the eye grades it: square root of linear light, at most 2
-    guide = [np.sqrt(np.clip(plate[box][..., c], 0, 4)).astype(np.float32) for c in range(3)]
-    moved = _guided(mask[box], guide, radius_px, np.ascontiguousarray(valid[box], np.float32))
+    guide = [
+        np.sqrt(np.clip(plate[box][..., c], 0, 4)).astype(np.float32) for c in range(3)
+    ]
+    moved = _guided(
+        mask[box], guide, radius_px, np.ascontiguousarray(valid[box], np.float32)
+    )
     moved = np.clip((moved - _FAINT) / (1 - 2 * _FAINT), 0, 1)
     out = mask.copy()
     out[box] = np.where(mixed[box], moved, mask[box])
@@ -61,11 +71,16 @@ def refined(mask: np.ndarray, valid: np.ndarray, plate: np.ndarray, radius_px: i
 def _guided(
     mask: np.ndarray, i: list[np.ndarray], radius_px: int, weight: np.ndarray
 ) -> np.ndarray:
-    """(h, w) float32, 0..1, after _PASSES.  i : three channels (h, w);  weight : (h, w), of each pixel in the means"""
+    """(h, w) float32, 0..1, after _PASSES.
+
+    i : three channels (h, w);  weight : (h, w), of each pixel in the means
+    """
     side = 2 * radius_px + 1
 
     def sums(a: np.ndarray) -> np.ndarray:
-        return cv2.boxFilter(a, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        return cv2.boxFilter(
+            a, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT
+        )
 
     scale = divide(1.0, sums(weight)).astype(np.float32)
 

@@ -1,12 +1,15 @@
 """Hide: real things nearer than the object hide it: COVERAGE and VIRTUAL times the visible share.
 
-Only where the job measures the real scene's depth. How much nearer the real surface is, as a share of its distance, says
-what is hidden; depth maps end some pixels beside the things that they show, so a guided filter moves that mask's edge to
-the picture's own and softens it. It looks at the object's pixels alone: its outline stays as it is.
-`draft` leaves the mask as the depth has it. No level is above `standard`: more passes of the filter come to rest farther from
-the true edge (sample scene 0022, against its exact masks).
-Cost: O(pixels of the object before which something real stands). Leaves out: the shadow of what is nearer on the object
-(`holdout` keeps the object's off it). Source: guided filter (`guided`), each mean weighted by where the object is."""
+Only where the job measures the real scene's depth. How much nearer the real surface is, as
+a share of its distance, says what is hidden; depth maps end some pixels beside the things
+that they show, so a guided filter moves that mask's edge to the picture's own and softens
+it. It looks at the object's pixels alone: its outline stays as it is. `draft` leaves the
+mask as the depth has it. No level is above `standard`: more passes of the filter come to
+rest farther from the true edge (sample scene 0022, against its exact masks).
+Cost: O(pixels of the object before which something real stands). Leaves out: the shadow of
+what is nearer on the object
+(`holdout` keeps the object's off it). Source: guided filter (`guided`), each mean weighted
+by where the object is."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -30,8 +33,8 @@ from arfx.stages.guided import reach_px, refined, window_px
 
 @dataclass(frozen=True)
 class HideParams:
-    """margin : a real surface that is nearer by this fraction of its distance begins to hide the object, and by twice that hides
-    it wholly"""
+    """margin : a real surface that is nearer by this fraction of its distance begins to
+    hide the object, and by twice that hides it wholly"""
 
     margin: float = 0.03
 
@@ -45,7 +48,9 @@ class HideParams:
 
 class Hide(Stage):
     name = "hide"
-    reads = frozenset({Layer.PLATE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.REAL_DEPTH})
+    reads = frozenset(
+        {Layer.PLATE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.REAL_DEPTH}
+    )
     writes = frozenset({Layer.VIRTUAL, Layer.COVERAGE})
     levels = ("draft", "standard")
     Params = HideParams
@@ -65,9 +70,12 @@ class Hide(Stage):
             corners = (x, y, x + 1, y + 1)
             rect = rect.union(Rect(*(TILE_PX * int(v) for v in corners)).clip(box))
         if rect.empty:
-            return Demand(EMPTY, f"nothing real is nearer than the object's {farthest:.2f} m")
+            return Demand(
+                EMPTY, f"nothing real is nearer than the object's {farthest:.2f} m"
+            )
         return Demand(
-            rect.pad(reach_px(scene)).clip(box), "something real may be in front of the object"
+            rect.pad(reach_px(scene)).clip(box),
+            "something real may be in front of the object",
         )
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
@@ -76,11 +84,16 @@ class Hide(Stage):
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         coverage, virtual = view[Layer.COVERAGE], view[Layer.VIRTUAL]
         visibility = rough_mask(
-            coverage, view[Layer.DEPTH], view[Layer.REAL_DEPTH], np.float32(self.params.margin)
+            coverage,
+            view[Layer.DEPTH],
+            view[Layer.REAL_DEPTH],
+            np.float32(self.params.margin),
         )
         valid = (coverage > 0).astype(np.float32)
         if view.level != "draft" and (visibility < 1).any():
-            visibility = refined(visibility, valid, view[Layer.PLATE], window_px(view.scene))
+            visibility = refined(
+                visibility, valid, view[Layer.PLATE], window_px(view.scene)
+            )
         return {
             Layer.COVERAGE: coverage * visibility,
             Layer.VIRTUAL: virtual * visibility[..., None],
@@ -89,7 +102,8 @@ class Hide(Stage):
 
 @numba.njit(cache=True, nogil=True)
 def rough_mask(coverage, depth, real, margin):  # pragma: no cover - compiled
-    """(h, w) float32: 1 = seen, 0 = hidden, by depth alone; 1 where the object is not or a depth is none.
+    """(h, w) float32: 1 = seen, 0 = hidden, by depth alone; 1 where the object is not or a
+    depth is none.
 
     depth, real : (h, w) m"""
     out = np.ones(coverage.shape, np.float32)
@@ -98,5 +112,7 @@ def rough_mask(coverage, depth, real, margin):  # pragma: no cover - compiled
             z, r = depth[y, x], real[y, x]
             if coverage[y, x] > 0 and 0 < z < np.inf and 0 < r < np.inf:
                 nearer = (z - r) / r
-                out[y, x] = min(max(np.float32(2) - nearer / margin, np.float32(0)), np.float32(1))
+                out[y, x] = min(
+                    max(np.float32(2) - nearer / margin, np.float32(0)), np.float32(1)
+                )
     return out

@@ -1,12 +1,14 @@
 """Holdout: keeps the plane's shadow off real things that are not the plane, by measured depth.
 
-`lightmap` knows one plane and dims every pixel in which it would be seen. Where the job measures the real
-scene's depth, what is nearer (a thing that stands on the plane) or farther (the floor beyond a table's edge) keeps its light.
-How far off counts follows from the depth's own noise on the prints; holes were filled along the picture's edges before. Depth
-maps end some pixels beside the things that they show, so beside such an edge a guided filter moves it to the picture's own.
-`draft` leaves the depth's edges as they are; no level is above `standard`, as in `hide`.
-`gi` asks the depth itself, plane by plane, and adds to what is left. Cost: O(pixels of the shadow). Leaves out: the shadow
-that such a thing would really take, and cast on the object.
+`lightmap` knows one plane and dims every pixel in which it would be seen. Where the job
+measures the real scene's depth, what is nearer (a thing that stands on the plane) or
+farther (the floor beyond a table's edge) keeps its light. How far off counts follows from
+the depth's own noise on the prints; holes were filled along the picture's edges before.
+Depth maps end some pixels beside the things that they show, so beside such an edge a guided
+filter moves it to the picture's own. `draft` leaves the depth's edges as they are; no level
+is above `standard`, as in `hide`. `gi` asks the depth itself, plane by plane, and adds to
+what is left. Cost: O(pixels of the shadow). Leaves out: the shadow that such a thing would
+really take, and cast on the object.
 Source: guided filter (`guided`)."""
 
 from __future__ import annotations
@@ -34,8 +36,9 @@ _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
 
 @dataclass(frozen=True)
 class HoldoutParams:
-    """tolerance : a real surface takes the whole shadow if it is off the plane by at most this fraction of its distance, and none
-    if it is off by twice that. Noisy depth gets more: three standard deviations, measured on the markers"""
+    """tolerance : a real surface takes the whole shadow if it is off the plane by at most
+    this fraction of its distance, and none if it is off by twice that. Noisy depth gets
+    more: three standard deviations, measured on the markers"""
 
     tolerance: float = 0.01
 
@@ -58,7 +61,9 @@ class Holdout(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.real_depth is None:
             return Demand(EMPTY, "the real scene's depth is not known")
-        return Demand(frame, "measured depth shows which pixels are the plane", within_earlier=True)
+        return Demand(
+            frame, "measured depth shows which pixels are the plane", within_earlier=True
+        )
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out if level == "draft" else out.pad(reach_px(scene)).clip(scene.camera.rect)
@@ -71,9 +76,13 @@ class Holdout(Stage):
         inside = now.extent(Layer.SHADOW)
         if inside.empty:
             return {Layer.SHADOW: Pixels(inside, np.empty((0, 0, 3), np.float32))}
-        around = inside if view.level == "draft" else inside.pad(reach_px(scene)).clip(now.rect)
+        around = (
+            inside if view.level == "draft" else inside.pad(reach_px(scene)).clip(now.rect)
+        )
         part, depth = now.crop(around), view.facts.real_depth
-        tolerance = max(self.params.tolerance, 0.0 if depth is None else _SIGMAS * depth.noise)
+        tolerance = max(
+            self.params.tolerance, 0.0 if depth is None else _SIGMAS * depth.noise
+        )
         dioptres = plane_dioptres(prepared, view.pose @ scene.world_from_anchor, around)
         fraction = on_plane(part[Layer.REAL_DEPTH], dioptres, tolerance)
         if view.level != "draft" and (fraction < 1).any():
@@ -87,7 +96,8 @@ class Holdout(Stage):
 
 
 def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.ndarray:
-    """(h, w) float32, 1/m: of the plane z = 0 along each pixel's axis; <= 0 where it is not in view.
+    """(h, w) float32, 1/m: of the plane z = 0 along each pixel's axis; <= 0 where it is not
+    in view.
 
     grid : as `direction_grid`"""
     normal = camera_from_plane.rotation[:, 2]
@@ -96,9 +106,12 @@ def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.
 
 
 def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.ndarray:
-    """(h, w) float32: 1 = the real surface is the plane, 0 = it is not; 1 where nothing was measured.
+    """(h, w) float32: 1 = the real surface is the plane, 0 = it is not; 1 where nothing was
+    measured.
 
-    real_m : (h, w) metres;  dioptres : of the plane, 1/m;  tolerance : share of the plane's distance, twice that gives 0"""
+    real_m : (h, w) metres;  dioptres : of the plane, 1/m;  tolerance : share of the plane's
+    distance, twice that gives 0
+    """
     known = np.isfinite(real_m) & (real_m > 0)
     off = np.abs(np.where(known, real_m, 0) * dioptres - 1)
     fraction = np.clip(2 - off * np.float32(1 / tolerance), 0, 1)

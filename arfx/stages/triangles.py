@@ -1,4 +1,6 @@
-"""Triangles that rays meet (embree): first hits, blocked rays, and the visible fraction of a set of directions."""
+"""Triangles that rays meet (embree): first hits, blocked rays, and the visible fraction of
+a set of directions.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ _SLACK = 1e-4  # of the extent, around the box outside which nothing is met
 
 
 class Triangles:
-    """corners : (n, 3, 3), metres;  robust : no ray slips between two triangles that share an edge"""
+    """corners : (n, 3, 3), metres;  robust : no ray slips between two triangles that share
+    an edge
+    """
 
     def __init__(self, corners: np.ndarray, robust: bool = False) -> None:
         from embreex import rtcore_scene
@@ -32,7 +36,9 @@ class Triangles:
         slack = _SLACK * np.abs(high - low).max()
         self._box = np.array([low - slack, high + slack], np.float32)
 
-    def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> Mapping[str, np.ndarray]:
+    def first_hits(
+        self, origins: np.ndarray, directions: np.ndarray
+    ) -> Mapping[str, np.ndarray]:
         """primID (-1 = none), u, v, tfar of rays (n, 3)."""
         o, d = (
             np.ascontiguousarray(origins, np.float32),
@@ -55,10 +61,13 @@ class Triangles:
         normals: np.ndarray | None = None,
         first: int = 1,
     ) -> np.ndarray:
-        """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met from each point (n, 3).
+        """(n,) float64, 0..1: of `directions` (k, 3), unit, those in which nothing is met
+        from each point (n, 3).
 
-        normals : (n, 3), directions count by their cosine to them; 1 where all of them are below the surface
-        first : every so manieth direction is asked first, the others where those do not agree"""
+        normals : (n, 3), directions count by their cosine to them; 1 where all of them are
+        below the surface
+        first : every so manieth direction is asked first, the others where those do not agree
+        """
         if first > 1:
             out = self.visible_fraction(points, directions[first // 2 :: first], normals)
             mixed = (out > 0) & (out < 1)
@@ -71,7 +80,9 @@ class Triangles:
 
         def one(part: slice) -> np.ndarray:
             p = points[part].astype(np.float32)
-            starts, along, number = (np.empty((len(p) * k, *more), kind) for more, kind in _RAYS)
+            starts, along, number = (
+                np.empty((len(p) * k, *more), kind) for more, kind in _RAYS
+            )
             count = _through_box(p, towards, self._box, starts, along, number)
             seen = np.ones((len(p), k), bool)
             seen.flat[number[:count][self.blocked(starts[:count], along[:count])]] = False
@@ -89,9 +100,11 @@ _RAYS = (((3,), np.float32), ((3,), np.float32), ((), np.int64))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _through_box(points, directions, box, starts, along, number):  # pragma: no cover - compiled
-    """How many of the rays from points (n, 3) in directions (k, 3) pass through a box (2, 3): those, and their numbers, are
-    written to the other arrays."""
+def _through_box(
+    points, directions, box, starts, along, number
+):  # pragma: no cover - compiled
+    """How many of the rays from points (n, 3) in directions (k, 3) pass through a box (2,
+    3): those, and their numbers, are written to the other arrays."""
     count, k, zero, far = 0, len(directions), np.float32(0), np.float32(1e30)
     for i in range(len(points)):
         for j in range(k):
@@ -99,7 +112,10 @@ def _through_box(points, directions, box, starts, along, number):  # pragma: no 
             for c in range(3):
                 d = directions[j, c]
                 inverse = np.float32(1) / d if d != zero else far
-                a, b = (box[0, c] - points[i, c]) * inverse, (box[1, c] - points[i, c]) * inverse
+                a, b = (
+                    (box[0, c] - points[i, c]) * inverse,
+                    (box[1, c] - points[i, c]) * inverse,
+                )
                 enters, leaves = max(enters, min(a, b)), min(leaves, max(a, b))
             if enters <= leaves:
                 for c in range(3):
@@ -110,8 +126,9 @@ def _through_box(points, directions, box, starts, along, number):  # pragma: no 
 
 
 def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(corners (f, 3, 3) metres, normals of the corners (f, 3, 3), part (f,), face of the part (f,)) of the scene's model in
-    anchor axes; triangles that are not finite are left out. Normals have the length that the model's scale gives them."""
+    """(corners (f, 3, 3) metres, normals of the corners (f, 3, 3), part (f,), face of the
+    part (f,)) of the scene's model in anchor axes; triangles that are not finite are left
+    out. Normals have the length that the model's scale gives them."""
     anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
     parts = scene.model.parts
     corners = np.concatenate(

@@ -1,4 +1,6 @@
-"""Viewing directions of a camera as a table: the lens is solved at every GRID_PX-th pixel, and linear between."""
+"""Viewing directions of a camera as a table: the lens is solved at every GRID_PX-th pixel,
+and linear between.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ GRID_PX = 8  # pitch of the table: error below 1e-3 px for usual lenses
 
 
 def direction_grid(camera: Camera, pixel: int = 1) -> np.ndarray:
-    """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step beyond the picture.
+    """(gh, gw, 3) float64 viewing directions, z = 1, at every GRID_PX-th pixel, one step
+    beyond the picture.
 
     pixel : side, px, of the squares that count as pixels"""
     x, y = (
@@ -22,13 +25,16 @@ def direction_grid(camera: Camera, pixel: int = 1) -> np.ndarray:
 
 
 def seen_rect(camera: Camera, points: np.ndarray, pad_px: float) -> Rect:
-    """Pixels that hold points (n, 3), CAMERA axes, and around them; the whole frame where some are not before the camera."""
+    """Pixels that hold points (n, 3), CAMERA axes, and around them; the whole frame where
+    some are not before the camera.
+    """
     seen = camera.project(points)
     return Rect.around(seen, pad_px) if np.isfinite(seen).all() else camera.rect
 
 
 def viewing(grid: np.ndarray, rect: Rect) -> np.ndarray:
-    """(h, w, 3) float32 of the pixels of `rect`, linear between the entries of a table (gh, gw, 3) as `direction_grid` makes it.
+    """(h, w, 3) float32 of the pixels of `rect`, linear between the entries of a table (gh,
+    gw, 3) as `direction_grid` makes it.
 
     The same for a pixel whatever the rectangle."""
     x, y = np.arange(rect.x0, rect.x1), np.arange(rect.y0, rect.y1)

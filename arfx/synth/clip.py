@@ -1,4 +1,5 @@
-"""A whole synthetic clip: frames, camera.yaml, job.toml, model.glb, truth, and a depth input where the scene has one.
+"""A whole synthetic clip: frames, camera.yaml, job.toml, model.glb, truth, and a depth
+input where the scene has one.
 
 Its folder appears when it is complete."""
 
@@ -26,10 +27,21 @@ from arfx.synth.encode import ClipFile, DepthFile
 from arfx.synth.picture import Picture, expose, gain_at
 from arfx.synth.shapes import write_model
 from arfx.synth.tracer import unoccluded
-from arfx.synth.truth import DEPTH_UNIT_M, FLOW_UNIT_PX, FrameTruth, MarkerTruth, Truth, write_depth, write_flow, write_truth
+from arfx.synth.truth import (
+    DEPTH_UNIT_M,
+    FLOW_UNIT_PX,
+    FrameTruth,
+    MarkerTruth,
+    Truth,
+    write_depth,
+    write_flow,
+    write_truth,
+)
 from arfx.synth.world import World, marker_points
 
-_MADE = re.compile(r"camera\.yaml|model\.glb|job\.toml|truth\.jsonl|truth/(?:depth|mask|flow)/\d{6,}\.png")
+_MADE = re.compile(
+    r"camera\.yaml|model\.glb|job\.toml|truth\.jsonl|truth/(?:depth|mask|flow)/\d{6,}\.png"
+)
 _MADE_FOLDERS = re.compile(r"truth(?:/(?:depth|mask|flow))?")
 Progress = Callable[[str, int, int | None], None]
 
@@ -47,48 +59,73 @@ def make_clip(
     folder : made anew; it appears by rename when everything in it is complete
     scene_folder : where picture files that the scene names are
     truth_pictures : False leaves out depth, masks and flow
-    Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be written."""
+    Raises ConfigError if the folder exists (without overwrite), RenderError if it cannot be
+    written."""
     check_file_name(folder)
     check_replaceable(folder, overwrite)
     part = part_name(folder.absolute())
     try:
         part.mkdir(parents=True)
     except OSError as e:
-        raise RenderError(f"cannot write into {folder.parent}: {e.strerror}", "name another place with -o") from None
+        raise RenderError(
+            f"cannot write into {folder.parent}: {e.strerror}", "name another place with -o"
+        ) from None
     try:
-        truth = _fill(scene, part, scene_folder, progress or (lambda *_: None), truth_pictures)
+        truth = _fill(
+            scene, part, scene_folder, progress or (lambda *_: None), truth_pictures
+        )
         if os.path.lexists(folder):
             check_replaceable(folder, overwrite)  # again: all the time since the first look
             shutil.rmtree(folder)
         part.rename(folder)
     except OSError as e:
-        raise RenderError(f"cannot write {folder}: {e.strerror or e}", "name another place with -o") from None
+        raise RenderError(
+            f"cannot write {folder}: {e.strerror or e}", "name another place with -o"
+        ) from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return truth
 
 
 def check_replaceable(folder: Path, overwrite: bool = True) -> None:
-    """Raises ConfigError if `folder` is there, and `overwrite` is not set or it holds anything that `make_clip` does not write:
-    that would be lost."""
+    """Raises ConfigError if `folder` is there, and `overwrite` is not set or it holds
+    anything that `make_clip` does not write: that would be lost."""
     if not os.path.lexists(folder):
         return
     if not overwrite:
-        raise ConfigError(f"{folder} exists", "--overwrite replaces it; or name another with -o")
+        raise ConfigError(
+            f"{folder} exists", "--overwrite replaces it; or name another with -o"
+        )
     if folder.is_symlink() or not folder.is_dir():
         raise ConfigError(f"{folder} is not a folder", "name another with -o")
     try:
         job = tomllib.loads((folder / "job.toml").read_text(encoding="utf-8"))["input"]
-        own = {job["clip"], job.get("depth")} if (folder / "truth.jsonl").is_file() else set()
+        own = (
+            {job["clip"], job.get("depth")} if (folder / "truth.jsonl").is_file() else set()
+        )
     except (OSError, ValueError, KeyError, TypeError):
         own = set()
     for path in folder.rglob("*"):
         name = path.relative_to(folder).as_posix()
-        if not (own and (name in own or (_MADE if path.is_file() else _MADE_FOLDERS).fullmatch(name))):
-            raise ConfigError(f"{folder} holds {name!r}, it was not created by arfx synth", "name another with -o")
+        if not (
+            own
+            and (
+                name in own or (_MADE if path.is_file() else _MADE_FOLDERS).fullmatch(name)
+            )
+        ):
+            raise ConfigError(
+                f"{folder} holds {name!r}, it was not created by arfx synth",
+                "name another with -o",
+            )
 
 
-def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: Progress, truth_pictures: bool) -> Truth:
+def _fill(
+    scene: SceneFile,
+    folder: Path,
+    scene_folder: Path | None,
+    progress: Progress,
+    truth_pictures: bool,
+) -> Truth:
     world = World(scene, scene_folder)
     picture, frames = Picture(world), []
     kinds = scene.truth if truth_pictures else ()
@@ -96,11 +133,19 @@ def _fill(scene: SceneFile, folder: Path, scene_folder: Path | None, progress: P
         (folder / "truth" / kind).mkdir(parents=True)
     with ExitStack() as files:
         clip = files.enter_context(ClipFile(folder / scene.clip.file, scene))
-        maps = files.enter_context(DepthFile(folder / scene.depth.file, scene)) if scene.depth.file else None
+        maps = (
+            files.enter_context(DepthFile(folder / scene.depth.file, scene))
+            if scene.depth.file
+            else None
+        )
         for n in range(scene.frames):
             time_s = float(world.frame_times_s[n])
             clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
-            depth, owner = picture.surfaces(n) if maps is not None or kinds else (np.zeros(0), np.zeros(0))
+            depth, owner = (
+                picture.surfaces(n)
+                if maps is not None or kinds
+                else (np.zeros(0), np.zeros(0))
+            )
             if maps is not None:
                 maps.write(depth, n, time_s)
             frames.append(frame_truth(world, n))
@@ -130,34 +175,60 @@ def frame_truth(world: World, n: int) -> FrameTruth:
     room_from_marker: dict[str, Pose] = {}
     markers: dict[str, MarkerTruth] = {}
     for placed, pose in zip(scene.objects, moment.room_from_object, strict=True):
-        if not isinstance(placed, Marker) or placed.spec.key in markers:  # of two prints of one marker the first
+        if (
+            not isinstance(placed, Marker) or placed.spec.key in markers
+        ):  # of two prints of one marker the first
             continue
         camera_from_marker = camera_from_room @ pose
         corners = world.camera.project(camera_from_marker.apply(placed.spec.corners_m))
         points = pose.apply(marker_points(placed))
         pixels = world.camera.project(camera_from_room.apply(points))
-        inside = (pixels >= -0.5).all(-1) & (pixels < [world.camera.width - 0.5, world.camera.height - 0.5]).all(-1)
-        towards = -camera_from_marker.translation_m / max(float(np.linalg.norm(camera_from_marker.translation_m)), 1e-9)
+        inside = (pixels >= -0.5).all(-1) & (
+            pixels < [world.camera.width - 0.5, world.camera.height - 0.5]
+        ).all(-1)
+        towards = -camera_from_marker.translation_m / max(
+            float(np.linalg.norm(camera_from_marker.translation_m)), 1e-9
+        )
         facing = float(camera_from_marker.rotation[:, 2] @ towards)
         seen = np.zeros(len(points), bool)
         if facing > 0:
-            unoccluded(np.ascontiguousarray(points), room_from_camera.translation_m, moment.rects, moment.spheres, seen)
+            unoccluded(
+                np.ascontiguousarray(points),
+                room_from_camera.translation_m,
+                moment.rects,
+                moment.spheres,
+                seen,
+            )
             seen &= inside
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
         room_from_marker[placed.spec.key] = pose
-        markers[placed.spec.key] = MarkerTruth(camera_from_marker, corners, float(seen.mean()), side, facing)
+        markers[placed.spec.key] = MarkerTruth(
+            camera_from_marker, corners, float(seen.mean()), side, facing
+        )
     lights = [
         {
-            "room": row[:3].tolist(), "camera": (camera_from_room.rotation @ row[:3]).tolist(),
-            "marker": {k: (p.rotation.T @ row[:3]).tolist() for k, p in room_from_marker.items()},
-            "rgb": row[3:6].tolist(), "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
+            "room": row[:3].tolist(),
+            "camera": (camera_from_room.rotation @ row[:3]).tolist(),
+            "marker": {
+                k: (p.rotation.T @ row[:3]).tolist() for k, p in room_from_marker.items()
+            },
+            "rgb": row[3:6].tolist(),
+            "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
         }
         for row in ([] if scene.light.environment else moment.lights)
-    ]  # fmt: skip
+    ]
     return FrameTruth(
-        n, time_s + scene.clip.start_s, int(world.shots[n]), camera_from_room, room_from_marker, markers, gain_at(scene, time_s),
-        scene.exposure.bias, world.ambient.tolist(), lights,
-    )  # fmt: skip
+        n,
+        time_s + scene.clip.start_s,
+        int(world.shots[n]),
+        camera_from_room,
+        room_from_marker,
+        markers,
+        gain_at(scene, time_s),
+        scene.exposure.bias,
+        world.ambient.tolist(),
+        lights,
+    )
 
 
 def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
@@ -165,31 +236,53 @@ def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
     matrix = camera.matrix.copy()
     matrix[0, 0] *= 1 + scene.hidden.focal_error_percent / 100
     matrix[1, 1] *= 1 + scene.hidden.focal_error_percent / 100
-    return Camera(camera.width, camera.height, matrix, camera.distortion, camera.model, "synth")
+    return Camera(
+        camera.width, camera.height, matrix, camera.distortion, camera.model, "synth"
+    )
 
 
 def job_toml(scene: SceneFile) -> str:
     """The job file beside the clip, with paths relative to it."""
     lines = ["[input]", f"clip = {json.dumps(scene.clip.file)}", 'camera = "camera.yaml"']
     if scene.depth.file:
-        lines += [f"depth = {json.dumps(scene.depth.file)}", f"depth_scale = {1 / DEPTH_UNIT_M:g}"]
+        lines += [
+            f"depth = {json.dumps(scene.depth.file)}",
+            f"depth_scale = {1 / DEPTH_UNIT_M:g}",
+        ]
     lines.append("")
     for marker in scene.configured:
         lines += ["[[marker]]", f"spec = {json.dumps(str(marker.spec))}", ""]
     lines += ["[model]", 'file = "model.glb"', f"fit = {json.dumps(scene.model.fit)}", ""]
-    lines += ["[pipeline]", f"stages = {json.dumps(scene.job.stages)}", f"quality = {json.dumps(scene.job.quality)}", ""]
+    lines += [
+        "[pipeline]",
+        f"stages = {json.dumps(scene.job.stages)}",
+        f"quality = {json.dumps(scene.job.quality)}",
+        "",
+    ]
     lines += ["[output]", f"codec = {json.dumps(scene.job.codec)}"]
     for section, keys in scene.job.settings.items():
-        lines += ["", f"[{section}]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
+        lines += [
+            "",
+            f"[{section}]",
+            *(f"{key} = {json.dumps(value)}" for key, value in keys.items()),
+        ]
     return "\n".join(lines) + "\n"
 
 
 def _header(scene: SceneFile, world: World, stated: Camera) -> dict:
     configured = scene.configured
     return {
-        "arfx_truth": 1, "description": scene.description, "world": configured[0].spec.key if configured else None,
-        "markers": {m.spec.key: m.spec.size_m for m in configured}, "camera": world.camera.to_json(),
-        "stated_camera": stated.to_json(), "depth_unit_m": DEPTH_UNIT_M, "flow_unit_px": FLOW_UNIT_PX,
-        "objects": {i: p.name or getattr(getattr(p, "spec", None), "key", "") for i, p in enumerate(scene.objects, 1)},
+        "arfx_truth": 1,
+        "description": scene.description,
+        "world": configured[0].spec.key if configured else None,
+        "markers": {m.spec.key: m.spec.size_m for m in configured},
+        "camera": world.camera.to_json(),
+        "stated_camera": stated.to_json(),
+        "depth_unit_m": DEPTH_UNIT_M,
+        "flow_unit_px": FLOW_UNIT_PX,
+        "objects": {
+            i: p.name or getattr(getattr(p, "spec", None), "key", "")
+            for i, p in enumerate(scene.objects, 1)
+        },
         "hidden": scene.hidden.model_dump(),
-    }  # fmt: skip
+    }

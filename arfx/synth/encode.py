@@ -1,7 +1,8 @@
-"""Writes a synthetic clip, H.264 in MP4 or lossless FFV1 in Matroska, with exact times, tags, rotation and tone; and its depth.
+"""Writes a synthetic clip, H.264 in MP4 or lossless FFV1 in Matroska, with exact times,
+tags, rotation and tone; and its depth.
 
-Written apart from arfx.media, so that a mistake there cannot cancel out. BT.709, limited range, sRGB curve; the chroma
-of 4:2:0 is sited left (MPEG-2), as H.264 players expect."""
+Written apart from arfx.media, so that a mistake there cannot cancel out. BT.709, limited
+range, sRGB curve; the chroma of 4:2:0 is sited left (MPEG-2), as H.264 players expect."""
 
 from __future__ import annotations
 
@@ -25,15 +26,24 @@ _HOLE_PX = 4.0  # sigma of the noise whose highest parts are holes
 
 
 class _Video:
-    """A file with one video stream of exact times; a context manager, whole where its body has not failed."""
+    """A file with one video stream of exact times; a context manager, whole where its body
+    has not failed.
+    """
 
-    def __init__(self, path: Path, scene: SceneFile, codec: str, size: tuple[int, int], pix_fmt: str) -> None:
+    def __init__(
+        self, path: Path, scene: SceneFile, codec: str, size: tuple[int, int], pix_fmt: str
+    ) -> None:
         self._scene = scene
         try:
-            self._out = create_container(path, options={"movie_timescale": str(CLOCK_HZ)} if path.suffix == ".mp4" else {})
+            self._out = create_container(
+                path,
+                options={"movie_timescale": str(CLOCK_HZ)} if path.suffix == ".mp4" else {},
+            )
         except OSError as e:
             raise RenderError(f"cannot write {path}: {e.strerror or e}") from None
-        stream = self._out.add_stream(codec, rate=Fraction(scene.clip.fps).limit_denominator(1001))
+        stream = self._out.add_stream(
+            codec, rate=Fraction(scene.clip.fps).limit_denominator(1001)
+        )
         stream.width, stream.height = size
         stream.pix_fmt = pix_fmt
         stream.time_base = stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
@@ -64,21 +74,48 @@ class ClipFile(_Video):
         w, h = (clip.height, clip.width) if turned else (clip.width, clip.height)
         lossless = path.suffix == ".mkv"
         self._subsampled = not lossless and w % 2 == 0 and h % 2 == 0
-        super().__init__(path, scene, "ffv1" if lossless else "libx264", (w, h), "yuv420p" if self._subsampled else "yuv444p")
+        super().__init__(
+            path,
+            scene,
+            "ffv1" if lossless else "libx264",
+            (w, h),
+            "yuv420p" if self._subsampled else "yuv444p",
+        )
         context = self._stream.codec_context
-        context.color_range, context.colorspace, context.color_primaries, context.color_trc = 1, 1, 1, 13  # 13: sRGB
+        (
+            context.color_range,
+            context.colorspace,
+            context.color_primaries,
+            context.color_trc,
+        ) = (
+            1,
+            1,
+            1,
+            13,
+        )  # 13: sRGB
         if not lossless:
-            # Without macroblock trees: with them x264 gives several different streams of the same frames, one thread or not.
-            context.options = {"crf": f"{clip.crf:g}", "preset": "fast", "x264-params": "mbtree=0"}
+            # Without macroblock trees: with them x264 gives several different streams of
+            # the same frames, one thread or not.
+            context.options = {
+                "crf": f"{clip.crf:g}",
+                "preset": "fast",
+                "x264-params": "mbtree=0",
+            }
             context.thread_count = 1  # another number of threads gives another stream
         if clip.rotation_deg:
             self._stream.set_display_rotation(clip.rotation_deg)
-        self._tone = self._out.add_stream("aac" if not lossless else "flac", rate=48_000) if clip.tone_hz else None
+        self._tone = (
+            self._out.add_stream("aac" if not lossless else "flac", rate=48_000)
+            if clip.tone_hz
+            else None
+        )
 
     def write(self, coded: np.ndarray, time_s: float) -> None:
         """coded (h, w, 3) float R'G'B' 0..1, upright;  time_s from the clip's first frame."""
         if self._scene.clip.rotation_deg:
-            coded = np.ascontiguousarray(np.rot90(coded, -self._scene.clip.rotation_deg // 90))
+            coded = np.ascontiguousarray(
+                np.rot90(coded, -self._scene.clip.rotation_deg // 90)
+            )
         self._put(self._frame(coded), self._scene.clip.start_s + time_s)
 
     def _frame(self, coded: np.ndarray) -> av.VideoFrame:
@@ -88,16 +125,30 @@ class ClipFile(_Video):
         if self._subsampled:
             across = np.array([0.25, 0.5, 0.25], np.float32)
             wide = cv2.sepFilter2D(
-                np.asarray(chroma, np.float32), -1, across, np.ones(1, np.float32), borderType=cv2.BORDER_REPLICATE
+                np.asarray(chroma, np.float32),
+                -1,
+                across,
+                np.ones(1, np.float32),
+                borderType=cv2.BORDER_REPLICATE,
             )[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
-        planes = [np.clip(p, 0, 255).astype(np.uint8) for p in (y, np.rint(chroma[..., 0]), np.rint(chroma[..., 1]))]
-        frame = av.VideoFrame(coded.shape[1], coded.shape[0], "yuv420p" if self._subsampled else "yuv444p")
+        planes = [
+            np.clip(p, 0, 255).astype(np.uint8)
+            for p in (y, np.rint(chroma[..., 0]), np.rint(chroma[..., 1]))
+        ]
+        frame = av.VideoFrame(
+            coded.shape[1], coded.shape[0], "yuv420p" if self._subsampled else "yuv444p"
+        )
         for plane, values in zip(frame.planes, planes, strict=True):
             rows = np.zeros((plane.height, plane.line_size), np.uint8)
             rows[:, : plane.width] = values
             plane.update(rows.tobytes())
-        frame.color_range, frame.colorspace, frame.color_primaries, frame.color_trc = 1, 1, 1, 13
+        frame.color_range, frame.colorspace, frame.color_primaries, frame.color_trc = (
+            1,
+            1,
+            1,
+            13,
+        )
         return frame
 
     def _end(self) -> None:
@@ -106,7 +157,9 @@ class ClipFile(_Video):
             return
         scene = self._scene
         n = int(48_000 * scene.frames / scene.clip.fps)
-        wave = (0.2 * np.sin(2 * np.pi * (scene.clip.tone_hz or 0) * np.arange(n) / 48_000)).astype(np.float32)
+        wave = (
+            0.2 * np.sin(2 * np.pi * (scene.clip.tone_hz or 0) * np.arange(n) / 48_000)
+        ).astype(np.float32)
         formats = self._tone.codec_context.codec.audio_formats
         kind = formats[0].name if formats else "fltp"
         for i in range(0, n, 1024):
@@ -114,7 +167,11 @@ class ClipFile(_Video):
             frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(part), "fltp", "mono")
             frame.sample_rate, frame.pts = 48_000, i + round(scene.clip.start_s * 48_000)
             frame.time_base = Fraction(1, 48_000)
-            resampled = [frame] if kind == "fltp" else av.AudioResampler(kind, "mono", 48_000).resample(frame)
+            resampled = (
+                [frame]
+                if kind == "fltp"
+                else av.AudioResampler(kind, "mono", 48_000).resample(frame)
+            )
             for piece in resampled:
                 self._out.mux(self._tone.encode(piece))
         self._out.mux(self._tone.encode(None))
@@ -122,10 +179,13 @@ class ClipFile(_Video):
 
 def measured_steps(scene: SceneFile, depth_m: np.ndarray, frame: int) -> np.ndarray:
     """(h, w) uint16, in DEPTH_UNIT_M, 0 = not measured.
-    depth_m : (h, w) true metres, 0 = nothing;  frame : gives, with the scene's seed, the noise"""
+    depth_m : (h, w) true metres, 0 = nothing;  frame : gives, with the scene's seed, the noise
+    """
     asked = scene.depth
     rng = np.random.default_rng([scene.seed, 16, frame])
-    steps = np.rint(depth_m * (1 + asked.noise * rng.standard_normal(depth_m.shape)) / DEPTH_UNIT_M)
+    steps = np.rint(
+        depth_m * (1 + asked.noise * rng.standard_normal(depth_m.shape)) / DEPTH_UNIT_M
+    )
     good = (depth_m > 0) & (steps > 0) & (steps < np.iinfo(np.uint16).max)
     if asked.edge_px > 0:
         box = np.ones((2 * asked.edge_px + 1,) * 2, np.uint8)
@@ -140,8 +200,15 @@ class DepthFile(_Video):
     """What a depth camera would have measured, as FFV1 gray16 with the clip's times."""
 
     def __init__(self, path: Path, scene: SceneFile) -> None:
-        super().__init__(path, scene, "ffv1", (scene.clip.width, scene.clip.height), "gray16le")
+        super().__init__(
+            path, scene, "ffv1", (scene.clip.width, scene.clip.height), "gray16le"
+        )
 
     def write(self, depth_m: np.ndarray, frame: int, time_s: float) -> None:
         """depth_m (h, w) true metres, 0 = nothing;  time_s from the clip's first frame."""
-        self._put(av.VideoFrame.from_ndarray(measured_steps(self._scene, depth_m, frame), format="gray16le"), time_s)
+        self._put(
+            av.VideoFrame.from_ndarray(
+                measured_steps(self._scene, depth_m, frame), format="gray16le"
+            ),
+            time_s,
+        )

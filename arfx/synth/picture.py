@@ -1,4 +1,5 @@
-"""One frame's exact radiance, its per-pixel truth, and what a sensor makes of it: exposure, noise, clipping, transfer curve.
+"""One frame's exact radiance, its per-pixel truth, and what a sensor makes of it: exposure,
+noise, clipping, transfer curve.
 
 Samples over pixel, shutter and lens are averaged in linear light."""
 
@@ -15,24 +16,32 @@ from arfx.synth.description import SceneFile
 from arfx.synth.tracer import Lens, Room, Samples, probe, render_rows
 from arfx.synth.world import World
 
-_BAND_ROWS = 24  # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
+# a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
+_BAND_ROWS = 24
 _KEEP_BYTES = 400e6  # rays kept from frame to frame
 
 
 class Picture:
-    """Renders frames of a world. One instance per clip; it keeps the rays of every sample position."""
+    """Renders frames of a world.
+
+    One instance per clip; it keeps the rays of every sample position.
+    """
 
     def __init__(self, world: World, samples: int | None = None) -> None:
         scene = world.scene
         self.world = world
         self.side = samples or scene.samples
         if samples is None and (scene.lens.aperture_m > 0 or scene.lens.shutter_s > 0):
-            self.side = max(self.side, 4)  # fewer than 16 moments or lens points leave separate copies of an edge
+            self.side = max(
+                self.side, 4
+            )  # fewer than 16 moments or lens points leave separate copies of an edge
         self._rays: dict[tuple[float, float], np.ndarray] = {}
         self._pool = ThreadPoolExecutor(min(usable_cores(), 8))
 
     def rays(self, dx: float, dy: float) -> np.ndarray:
-        """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where the lens maps nothing."""
+        """(h, w, 2) camera directions at pixel centres shifted by (dx, dy) px; NaN where
+        the lens maps nothing.
+        """
         if (dx, dy) in self._rays:
             return self._rays[dx, dy]
         camera = self.world.camera
@@ -44,53 +53,123 @@ class Picture:
 
     def radiance(self, frame: int) -> np.ndarray:
         """(h, w, 3) float64 linear radiance of a frame, before exposure.
-        Where neither a surface nor a shadow ends and nothing moves or blurs, one sample of a whole pixel stands for all."""
+        Where neither a surface nor a shadow ends and nothing moves or blurs, one sample of
+        a whole pixel stands for all."""
         world, scene = self.world, self.world.scene
-        shape, n, time_s = (world.camera.height, world.camera.width), self.side, float(self.world.frame_times_s[frame])
-        out, met, chosen = np.zeros((*shape, 3)), np.zeros(shape, np.uint16), np.ones(shape, bool)
+        shape, n, time_s = (
+            (world.camera.height, world.camera.width),
+            self.side,
+            float(self.world.frame_times_s[frame]),
+        )
+        out, met, chosen = (
+            np.zeros((*shape, 3)),
+            np.zeros(shape, np.uint16),
+            np.ones(shape, bool),
+        )
         if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
-            self._sample(frame, time_s, self.rays(0.0, 0.0), Samples(chosen, 1.0, 1.0, frame * 4096), out, met)
+            self._sample(
+                frame,
+                time_s,
+                self.rays(0.0, 0.0),
+                Samples(chosen, 1.0, 1.0, frame * 4096),
+                out,
+                met,
+            )
             box = np.ones((3, 3), np.uint8)
             chosen = ((met == 0) | (cv2.erode(met, box) != cv2.dilate(met, box))) & (n > 1)
             out[chosen] = 0
-        order = np.random.default_rng([scene.seed, 11]).permutation(n * n)  # which moment of the shutter a position gets
+        order = np.random.default_rng([scene.seed, 11]).permutation(
+            n * n
+        )  # which moment of the shutter a position gets
         for k in range(n * n) if chosen.any() else ():
             dx, dy = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
             moment = time_s + scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
-            self._sample(frame, moment, self.rays(dx, dy), Samples(chosen, 1 / n, 1 / (n * n), frame * 4096 + k), out, met)
+            self._sample(
+                frame,
+                moment,
+                self.rays(dx, dy),
+                Samples(chosen, 1 / n, 1 / (n * n), frame * 4096 + k),
+                out,
+                met,
+            )
         if (sigma := scene.lens.softness_px) > 0:
-            kernel = cv2.getGaussianKernel(2 * int(np.ceil(4 * sigma)) + 1, sigma, cv2.CV_64F)
-            return np.asarray(cv2.sepFilter2D(out, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REPLICATE), np.float64)
+            kernel = cv2.getGaussianKernel(
+                2 * int(np.ceil(4 * sigma)) + 1, sigma, cv2.CV_64F
+            )
+            return np.asarray(
+                cv2.sepFilter2D(
+                    out, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REPLICATE
+                ),
+                np.float64,
+            )
         return out
 
-    def _sample(self, frame: int, time_s: float, rays: np.ndarray, samples: Samples, out: np.ndarray, met: np.ndarray) -> None:
+    def _sample(
+        self,
+        frame: int,
+        time_s: float,
+        rays: np.ndarray,
+        samples: Samples,
+        out: np.ndarray,
+        met: np.ndarray,
+    ) -> None:
         world = self.world
         rows, lens = world.camera.height, world.scene.lens
         roll = world.scene.hidden.rolling_shutter_s
         bands = [(y, min(y + _BAND_ROWS, rows)) for y in range(0, rows, _BAND_ROWS)]
-        shared = None if roll else (world.at(time_s), world.camera_at(frame, time_s).inverse())
+        shared = (
+            None if roll else (world.at(time_s), world.camera_at(frame, time_s).inverse())
+        )
 
         def one(band: tuple[int, int]) -> None:
             when = time_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
-            moment, pose = shared or (world.at(when), world.camera_at(frame, when).inverse())
-            room = Room(moment.rects, moment.spheres, moment.lights, world.ambient, world.textures, world.table, world.sky)
-            seen = Lens(rays, np.ascontiguousarray(pose.rotation), pose.translation_m, lens.aperture_m, lens.focus_m or 1.0)
+            moment, pose = shared or (
+                world.at(when),
+                world.camera_at(frame, when).inverse(),
+            )
+            room = Room(
+                moment.rects,
+                moment.spheres,
+                moment.lights,
+                world.ambient,
+                world.textures,
+                world.table,
+                world.sky,
+            )
+            seen = Lens(
+                rays,
+                np.ascontiguousarray(pose.rotation),
+                pose.translation_m,
+                lens.aperture_m,
+                lens.focus_m or 1.0,
+            )
             render_rows(*band, seen, room, samples, out, met)
 
         list(self._pool.map(one, bands))
 
     def surfaces(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        """(depth (h, w) m along the axis, object number (h, w) uint8) at pixel centres and the frame's own time; 0 = nothing."""
+        """(depth (h, w) m along the axis, object number (h, w) uint8) at pixel centres and
+        the frame's own time; 0 = nothing.
+        """
         time_s = float(self.world.frame_times_s[frame])
         moment, pose = self.world.at(time_s), self.world.camera_at(frame, time_s).inverse()
         rays = self.rays(0.0, 0.0)
         depth, owner = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], np.uint8)
-        probe(rays, np.ascontiguousarray(pose.rotation), pose.translation_m, moment.rects, moment.spheres, depth, owner)
+        probe(
+            rays,
+            np.ascontiguousarray(pose.rotation),
+            pose.translation_m,
+            moment.rects,
+            moment.spheres,
+            depth,
+            owner,
+        )
         return depth, owner
 
     def flow(self, frame: int, depth: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.
-        NaN where there is nothing, at the last frame, across a cut, and where the point leaves the lens's field."""
+        NaN where there is nothing, at the last frame, across a cut, and where the point
+        leaves the lens's field."""
         out = np.full((*depth.shape, 2), np.nan)
         world = self.world
         if frame + 1 >= world.scene.frames or world.shots[frame + 1] != world.shots[frame]:
@@ -98,41 +177,62 @@ class Picture:
         t0, t1 = (float(world.frame_times_s[i]) for i in (frame, frame + 1))
         rays = self.rays(0.0, 0.0)
         points = np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
-        room_from_camera, next_camera = world.camera_at(frame, t0).inverse(), world.camera_at(frame + 1, t1)
+        room_from_camera, next_camera = (
+            world.camera_at(frame, t0).inverse(),
+            world.camera_at(frame + 1, t1),
+        )
         before, after = world.poses(t0), world.poses(t1)
-        grid = np.stack(np.meshgrid(np.arange(depth.shape[1]), np.arange(depth.shape[0])), -1)
+        grid = np.stack(
+            np.meshgrid(np.arange(depth.shape[1]), np.arange(depth.shape[0])), -1
+        )
         for number in np.unique(owner[owner > 0]):
             here = owner == number
-            move = next_camera @ after[number - 1] @ before[number - 1].inverse() @ room_from_camera
+            move = (
+                next_camera
+                @ after[number - 1]
+                @ before[number - 1].inverse()
+                @ room_from_camera
+            )
             out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
 
 
 def gain_at(scene: SceneFile, time_s: float) -> float:
     """The exposure's gain at a time: the stated one, wandering as automatic exposure does."""
-    stops = (scene.exposure.drift_stops + scene.hidden.drift_stops) * np.sin(2 * np.pi * time_s / scene.exposure.drift_period_s)
+    stops = (scene.exposure.drift_stops + scene.hidden.drift_stops) * np.sin(
+        2 * np.pi * time_s / scene.exposure.drift_period_s
+    )
     return float(scene.exposure.gain * 2.0**stops)
 
 
 def expose(scene: SceneFile, radiance: np.ndarray, frame: int, time_s: float) -> np.ndarray:
     """Coded colours (h, w, 3) float32 in 0..1 of a frame's radiance (h, w, 3).
-    Sensor value = gain * radiance + bias + noise, clipped; noise has variance read² + shot * value, as read after the
-    gain, correlated over a Gaussian of the stated sigma without changing its variance."""
+    Sensor value = gain * radiance + bias + noise, clipped; noise has variance read² + shot
+    * value, as read after the gain, correlated over a Gaussian of the stated sigma without
+    changing its variance."""
     signal = gain_at(scene, time_s) * radiance + scene.exposure.bias
     noise = scene.noise
     if noise.read > 0 or noise.shot > 0:
         sigma = np.sqrt(noise.read**2 + noise.shot * np.clip(signal, 0, 1))
         rng = np.random.default_rng([scene.seed, 101, frame])
-        signal = signal + sigma * unit_noise(rng, signal.shape, scene.hidden.noise_correlation_px)
+        signal = signal + sigma * unit_noise(
+            rng, signal.shape, scene.hidden.noise_correlation_px
+        )
     return Transfer(scene.hidden.transfer).encode(np.clip(signal, 0, 1)).astype(np.float32)
 
 
-def unit_noise(rng: np.random.Generator, shape: tuple[int, ...], correlation_px: float) -> np.ndarray:
+def unit_noise(
+    rng: np.random.Generator, shape: tuple[int, ...], correlation_px: float
+) -> np.ndarray:
     """Normal noise of variance 1, white or with a Gaussian spatial correlation."""
     white = rng.standard_normal(shape, np.float32)
     if correlation_px <= 0:
         return white
     radius = max(int(np.ceil(4 * correlation_px)), 1)
     kernel = cv2.getGaussianKernel(2 * radius + 1, correlation_px, cv2.CV_64F)[:, 0]
-    blurred = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(blurred / np.float32((kernel**2).sum()))  # variance of a separable filter: (sum k²)², its root
+    blurred = cv2.sepFilter2D(
+        white, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_REFLECT
+    )
+    return np.asarray(
+        blurred / np.float32((kernel**2).sum())
+    )  # variance of a separable filter: (sum k²)², its root

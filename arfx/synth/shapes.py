@@ -11,22 +11,37 @@ import numpy as np
 from arfx.errors import ConfigError
 
 
-def _material(rgb: tuple[float, float, float], metallic: float = 0.0, roughness: float = 0.7, texture: Any = None) -> Any:
+def _material(
+    rgb: tuple[float, float, float],
+    metallic: float = 0.0,
+    roughness: float = 0.7,
+    texture: Any = None,
+) -> Any:
     from trimesh.visual.material import PBRMaterial
 
     return PBRMaterial(
-        baseColorFactor=[*rgb, 1.0], metallicFactor=metallic, roughnessFactor=roughness, baseColorTexture=texture, name=f"{rgb}"
+        baseColorFactor=[*rgb, 1.0],
+        metallicFactor=metallic,
+        roughnessFactor=roughness,
+        baseColorTexture=texture,
+        name=f"{rgb}",
     )
 
 
 def _coloured(mesh: Any, material: Any, uv: np.ndarray | None = None) -> Any:
     from trimesh.visual import TextureVisuals
 
-    mesh.visual = TextureVisuals(uv=np.zeros((len(mesh.vertices), 2)) if uv is None else uv, material=material)
+    mesh.visual = TextureVisuals(
+        uv=np.zeros((len(mesh.vertices), 2)) if uv is None else uv, material=material
+    )
     return mesh
 
 
-def _rounded_box(size: tuple[float, float, float], at: tuple[float, float, float], rgb: tuple[float, float, float]) -> Any:
+def _rounded_box(
+    size: tuple[float, float, float],
+    at: tuple[float, float, float],
+    rgb: tuple[float, float, float],
+) -> Any:
     """A box whose edges are cut by a sphere's curvature: shows soft shading, 1,280 faces."""
     import trimesh
 
@@ -38,19 +53,32 @@ def _rounded_box(size: tuple[float, float, float], at: tuple[float, float, float
 
 
 def _robot() -> list[Any]:
-    """A toy robot: white body, red chest light, blue arms, dark feet, a chequered flag in its left hand; about 5,000 faces."""
+    """A toy robot: white body, red chest light, blue arms, dark feet, a chequered flag in
+    its left hand; about 5,000 faces.
+    """
     import trimesh
     from PIL import Image
 
-    def cylinder(radius: float, start: tuple[float, ...], end: tuple[float, ...], material: Any) -> Any:
-        return _coloured(trimesh.creation.cylinder(radius=radius, segment=np.array([start, end]), sections=32), material)
+    def cylinder(
+        radius: float, start: tuple[float, ...], end: tuple[float, ...], material: Any
+    ) -> Any:
+        return _coloured(
+            trimesh.creation.cylinder(
+                radius=radius, segment=np.array([start, end]), sections=32
+            ),
+            material,
+        )
 
     def ball(radius: float, at: tuple[float, ...], material: Any) -> Any:
         mesh = trimesh.creation.icosphere(subdivisions=2, radius=radius)
         mesh.apply_translation(at)
         return _coloured(mesh, material)
 
-    blue, dark, steel = _material((0.05, 0.2, 0.6)), _material((0.05, 0.05, 0.06)), _material((0.6, 0.6, 0.62), 0.6, 0.35)
+    blue, dark, steel = (
+        _material((0.05, 0.2, 0.6)),
+        _material((0.05, 0.05, 0.06)),
+        _material((0.6, 0.6, 0.62), 0.6, 0.35),
+    )
     parts = [
         _rounded_box((0.5, 0.5, 0.34), (0, 0.55, 0), (0.85, 0.85, 0.82)),
         _rounded_box((0.38, 0.28, 0.3), (0, 0.98, 0), (0.9, 0.55, 0.05)),
@@ -70,20 +98,36 @@ def _robot() -> list[Any]:
         ]
     parts.append(cylinder(0.012, (0.42, 0.3, 0.06), (0.42, 1.05, 0.06), steel))
     squares = (np.indices((6, 8)).sum(0) % 2).astype(np.uint8)
-    pixels = np.kron(np.where(squares[..., None], [235, 235, 235], [20, 110, 40]), np.ones((16, 16, 1))).astype(np.uint8)
-    corners = np.array([[0.42, 1.05, 0.06], [0.72, 1.05, 0.06], [0.72, 0.83, 0.06], [0.42, 0.83, 0.06]])
+    pixels = np.kron(
+        np.where(squares[..., None], [235, 235, 235], [20, 110, 40]), np.ones((16, 16, 1))
+    ).astype(np.uint8)
+    corners = np.array(
+        [[0.42, 1.05, 0.06], [0.72, 1.05, 0.06], [0.72, 0.83, 0.06], [0.42, 0.83, 0.06]]
+    )
     both = np.concatenate([corners, corners])
     uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]] * 2, float)
-    faces = [[0, 3, 1], [1, 3, 2], [4, 5, 7], [5, 6, 7]]  # both sides, so that no back end needs double-sided materials
+    faces = [
+        [0, 3, 1],
+        [1, 3, 2],
+        [4, 5, 7],
+        [5, 6, 7],
+    ]  # both sides, so that no back end needs double-sided materials
     flag = trimesh.Trimesh(both, faces, process=False)
-    parts.append(_coloured(flag, _material((1.0, 1.0, 1.0), texture=Image.fromarray(pixels)), uv))
+    parts.append(
+        _coloured(flag, _material((1.0, 1.0, 1.0), texture=Image.fromarray(pixels)), uv)
+    )
     return parts
 
 
 def _icosphere(subdivisions: int) -> list[Any]:
     import trimesh
 
-    return [_coloured(trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.5), _material((0.7, 0.7, 0.7)))]
+    return [
+        _coloured(
+            trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.5),
+            _material((0.7, 0.7, 0.7)),
+        )
+    ]
 
 
 def _block() -> list[Any]:
@@ -98,7 +142,7 @@ def _block() -> list[Any]:
 SHAPES: dict[str, Callable[[], list[Any]]] = {
     "robot": _robot,
     "block": _block,
-    **{f"icosphere{n}": (lambda n=n: _icosphere(n)) for n in range(1, 8)},  # type: ignore[misc]
+    **{f"icosphere{n}": lambda n=n: _icosphere(n) for n in range(1, 8)},  # type: ignore[misc]
 }
 
 

@@ -1,7 +1,9 @@
-"""Surfaces and surroundings: albedo pictures that depend on a seed only, with detail enough for corners and optical flow; and
-panoramas as sets of directional lights, by median cut (Debevec 2005).
+"""Surfaces and surroundings: albedo pictures that depend on a seed only, with detail enough
+for corners and optical flow; and panoramas as sets of directional lights, by median cut
+(Debevec 2005).
 
-Panoramas are equirectangular with the room's z up: the middle column looks along x, the left half holds +y."""
+Panoramas are equirectangular with the room's z up: the middle column looks along x, the
+left half holds +y."""
 
 from __future__ import annotations
 
@@ -18,35 +20,54 @@ from arfx.media.images import decode_picture
 from arfx.synth.description import Texture
 
 
-def texture_albedo(texture: Texture, size_m: tuple[float, float], seed: int, folder: Path | None = None) -> np.ndarray:
-    """(rows, columns, 3) float32 linear albedo 0..1 that covers size_m = (width, height), metres; row 0 is y's upper end.
-    Raises InputError if a picture file cannot be read."""
+def texture_albedo(
+    texture: Texture, size_m: tuple[float, float], seed: int, folder: Path | None = None
+) -> np.ndarray:
+    """(rows, columns, 3) float32 linear albedo 0..1 that covers size_m = (width, height),
+    metres; row 0 is y's upper end. Raises InputError if a picture file cannot be read."""
     if texture.kind == "plain":
         return np.full((1, 1, 3), texture.colour, np.float32)
     if texture.kind == "image":
         if texture.file is None:
-            raise InputError("texture of kind 'image' names no file", 'file = "picture.png", beside the scene file')
-        picture = decode_picture((folder or Path()) / texture.file, "image", cv2.IMREAD_COLOR)
+            raise InputError(
+                "texture of kind 'image' names no file",
+                'file = "picture.png", beside the scene file',
+            )
+        picture = decode_picture(
+            (folder or Path()) / texture.file, "image", cv2.IMREAD_COLOR
+        )
         return SRGB.decode(picture[..., ::-1].astype(np.float32) / np.float32(255))
     rng = np.random.default_rng([seed, zlib.crc32(texture.kind.encode())])
     texel = max(max(size_m) / 1024, texture.feature_m / 6)
     w, h = max(round(size_m[0] / texel), 2), max(round(size_m[1] / texel), 2)
     a, b = np.array(texture.colour, np.float32), np.array(texture.second, np.float32)
     cell = texture.feature_m / texel
-    make = {"wood": _wood, "carpet": _carpet, "noise": _noise, "checker": _checker, "poster": _posters}[texture.kind]
+    make = {
+        "wood": _wood,
+        "carpet": _carpet,
+        "noise": _noise,
+        "checker": _checker,
+        "poster": _posters,
+    }[texture.kind]
     mix = make(rng, h, w, cell)
     if mix.ndim == 3:
         return np.clip(mix, 0.01, 0.95).astype(np.float32)
     return np.clip(a + (b - a) * mix[..., None], 0.01, 0.95).astype(np.float32)
 
 
-def _smooth(rng: np.random.Generator, h: int, w: int, cell_y: float, cell_x: float) -> np.ndarray:
+def _smooth(
+    rng: np.random.Generator, h: int, w: int, cell_y: float, cell_x: float
+) -> np.ndarray:
     """Value noise 0..1 with features of that many texels."""
-    grid = rng.random((max(int(h / cell_y) + 2, 2), max(int(w / cell_x) + 2, 2)), np.float32)
+    grid = rng.random(
+        (max(int(h / cell_y) + 2, 2), max(int(w / cell_x) + 2, 2)), np.float32
+    )
     return cv2.resize(grid, (w, h), interpolation=cv2.INTER_CUBIC)
 
 
-def _octaves(rng: np.random.Generator, h: int, w: int, cell_y: float, cell_x: float, count: int = 4) -> np.ndarray:
+def _octaves(
+    rng: np.random.Generator, h: int, w: int, cell_y: float, cell_x: float, count: int = 4
+) -> np.ndarray:
     total, weight = np.zeros((h, w), np.float32), 0.0
     for k in range(count):
         total += _smooth(rng, h, w, max(cell_y / 2**k, 1), max(cell_x / 2**k, 1)) * 0.6**k
@@ -71,7 +92,9 @@ def _checker(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarra
 
 
 def _wood(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
-    """Boards along x: grain stretched along the board, another tone and shift for each, dark joints."""
+    """Boards along x: grain stretched along the board, another tone and shift for each,
+    dark joints.
+    """
     board = max(cell * 5, 4)
     y = np.arange(h, dtype=np.float32)[:, None]
     number = np.minimum((y / board).astype(int), int(h / board))[:, 0]
@@ -82,7 +105,10 @@ def _wood(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
     shift = rng.integers(0, w, int(h / board) + 2)
     for n in range(int(number.max()) + 1):
         rows = np.flatnonzero(number == n)
-        grain[rows] = np.roll(0.55 * wave[rows] + 0.25 * fine[rows], int(shift[n]), axis=1) + 0.3 * tone[n]
+        grain[rows] = (
+            np.roll(0.55 * wave[rows] + 0.25 * fine[rows], int(shift[n]), axis=1)
+            + 0.3 * tone[n]
+        )
         if rows.size and n:
             grain[rows[0]] *= 0.35
         joint = int(shift[n]) % w
@@ -98,7 +124,9 @@ def _posters(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarra
     for _ in range(count):
         pw, ph = (int(cell * f) for f in rng.uniform(5, 11, 2))
         x, y = int(rng.integers(-pw // 2, w)), int(rng.integers(-ph // 2, h))
-        cv2.rectangle(wall, (x, y), (x + pw, y + ph), rng.uniform(0.05, 0.9, 3).tolist(), -1)
+        cv2.rectangle(
+            wall, (x, y), (x + pw, y + ph), rng.uniform(0.05, 0.9, 3).tolist(), -1
+        )
         for _ in range(7):
             colour = rng.uniform(0.03, 0.9, 3).tolist()
             cx, cy = x + int(rng.integers(0, pw + 1)), y + int(rng.integers(0, ph + 1))
@@ -111,30 +139,45 @@ def _posters(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarra
 
 
 def marker_cells(spec: MarkerSpec) -> np.ndarray:
-    """(n, n) bool, True = paper, of a marker with its one-cell black border; row 0 is the print's top."""
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, opencv_name(spec.family)))
+    """(n, n) bool, True = paper, of a marker with its one-cell black border; row 0 is the
+    print's top.
+    """
+    dictionary = cv2.aruco.getPredefinedDictionary(
+        getattr(cv2.aruco, opencv_name(spec.family))
+    )
     side = dictionary.markerSize + 2
-    return np.asarray(cv2.aruco.generateImageMarker(dictionary, spec.id, side, borderBits=1)) > 127
+    return (
+        np.asarray(cv2.aruco.generateImageMarker(dictionary, spec.id, side, borderBits=1))
+        > 127
+    )
 
 
 def sheet_albedo(
-    spec: MarkerSpec, margin_cells: float, ink: float, paper: float, inverted: bool = False, right_ink: float | None = None
+    spec: MarkerSpec,
+    margin_cells: float,
+    ink: float,
+    paper: float,
+    inverted: bool = False,
+    right_ink: float | None = None,
 ) -> tuple[np.ndarray, float]:
     """Albedo picture of the whole sheet and the sheet's side in metres.
-    The margin is made exact by cutting every cell into a whole number of texels. right_ink : ink albedo at the right
-    edge, growing linearly from `ink` at the left (worn print); None = even.
-    Returns (rows, columns, 1) float64."""
+    The margin is made exact by cutting every cell into a whole number of texels. right_ink
+    : ink albedo at the right edge, growing linearly from `ink` at the left (worn print);
+    None = even. Returns (rows, columns, 1) float64."""
     cells = marker_cells(spec) ^ inverted
     per_cell = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
     big = np.kron(cells, np.ones((per_cell, per_cell), bool))
     whole = np.pad(big, round(margin_cells * per_cell), constant_values=not inverted)
     ramp = np.linspace(ink, ink if right_ink is None else right_ink, whole.shape[1])
-    return np.where(whole, paper, ramp[None, :])[..., None], spec.size_m * whole.shape[0] / (len(cells) * per_cell)
+    return np.where(whole, paper, ramp[None, :])[..., None], spec.size_m * whole.shape[
+        0
+    ] / (len(cells) * per_cell)
 
 
 def environment_picture(source: str | Path, folder: Path | None = None) -> np.ndarray:
-    """(h, 2h, 3) float64 linear radiance. `source`: "studio", "sunset" or an .hdr file beside the scene.
-    Raises InputError if the file cannot be read or holds values that are not finite and >= 0."""
+    """(h, 2h, 3) float64 linear radiance. `source`: "studio", "sunset" or an .hdr file
+    beside the scene. Raises InputError if the file cannot be read or holds values that are
+    not finite and >= 0."""
     if str(source) in ("studio", "sunset"):
         return _made(str(source))
     path = (folder or Path()) / source
@@ -157,12 +200,21 @@ def _made(name: str) -> np.ndarray:
             ((-0.1, 0.9, 0.4), 8, (2.0, 1.4, 0.8)),
         )
     else:
-        sky = np.stack([0.25 + 0.5 * (1 - np.abs(z)) ** 3, 0.3 + 0.25 * (1 - np.abs(z)) ** 3, 0.5 - 0.1 * np.abs(z)], -1)
+        sky = np.stack(
+            [
+                0.25 + 0.5 * (1 - np.abs(z)) ** 3,
+                0.3 + 0.25 * (1 - np.abs(z)) ** 3,
+                0.5 - 0.1 * np.abs(z),
+            ],
+            -1,
+        )
         base = np.where((z > 0)[..., None], sky, [0.12, 0.11, 0.1])
         boxes = (((0.85, 0.35, 0.4), 4, (70.0, 52.0, 30.0)),)
     for centre, radius_deg, rgb in boxes:
         unit = np.asarray(centre) / np.linalg.norm(centre)
-        base = np.where((towards @ unit > np.cos(np.radians(radius_deg)))[..., None], rgb, base)
+        base = np.where(
+            (towards @ unit > np.cos(np.radians(radius_deg)))[..., None], rgb, base
+        )
     return base
 
 
@@ -176,14 +228,24 @@ def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
 
 def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     """(count, 7) tracer lights that together light a surface as the panorama does.
-    A region's radiance times its solid angle / pi is the rgb of its light (arfx.core.light folds pi in)."""
+    A region's radiance times its solid angle / pi is the rgb of its light (arfx.core.light
+    folds pi in)."""
     h, w = picture.shape[:2]
     _, towards = _directions(h, w)
-    solid = np.repeat((np.cos(np.pi * (0.5 - (np.arange(h) + 0.5) / h)) * (np.pi / h) * (2 * np.pi / w))[:, None], w, 1)
+    solid = np.repeat(
+        (np.cos(np.pi * (0.5 - (np.arange(h) + 0.5) / h)) * (np.pi / h) * (2 * np.pi / w))[
+            :, None
+        ],
+        w,
+        1,
+    )
     power = picture.mean(-1) * solid
     regions = [(0, h, 0, w)]
     while len(regions) < count:
-        sizes = [power[a:b, c:d].sum() if (b - a) * (d - c) > 1 else -1.0 for a, b, c, d in regions]
+        sizes = [
+            power[a:b, c:d].sum() if (b - a) * (d - c) > 1 else -1.0
+            for a, b, c, d in regions
+        ]
         pick = int(np.argmax(sizes))
         if sizes[pick] <= 0:
             break
@@ -193,7 +255,11 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
         down = (b - a) > (d - c) * 2 * h / w * middle if d - c > 1 else True
         sums = part.sum(1 if down else 0).cumsum()
         cut = int(np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1))
-        regions += [(a, a + cut, c, d), (a + cut, b, c, d)] if down else [(a, b, c, c + cut), (a, b, c + cut, d)]
+        regions += (
+            [(a, a + cut, c, d), (a + cut, b, c, d)]
+            if down
+            else [(a, b, c, c + cut), (a, b, c + cut, d)]
+        )
     rows = []
     for a, b, c, d in regions:
         weight = power[a:b, c:d]

@@ -1,9 +1,14 @@
-"""The truth of a synthetic clip: one JSON line per frame after a header line, and pictures per pixel.
+"""The truth of a synthetic clip: one JSON line per frame after a header line, and pictures
+per pixel.
 
-Header: {"arfx_truth": 1, "world": key of the marker that arfx takes as world or null, "markers": {key: size_m},
-  "camera": the true camera, "stated_camera": what camera.yaml says, "depth_unit_m", "flow_unit_px", "objects": {number: name}}
-Frame: see FrameTruth. Depth: 16-bit PNG times depth_unit_m, along the axis, 0 = nothing. Mask: 8-bit PNG of object
-numbers. Flow to the next frame: KITTI's 16-bit PNG, u = (R - 2^15) / 64 px, v from G, B = 1 where known."""
+Header: {"arfx_truth": 1, "world": key of the marker that arfx takes as world or null,
+"markers": {key: size_m},
+  "camera": the true camera, "stated_camera": what camera.yaml says, "depth_unit_m",
+  "flow_unit_px", "objects": {number: name}}
+Frame: see FrameTruth. Depth: 16-bit PNG times depth_unit_m, along the axis, 0 = nothing.
+Mask: 8-bit PNG of object
+numbers. Flow to the next frame: KITTI's 16-bit PNG, u = (R - 2^15) / 64 px, v from G, B = 1
+where known."""
 
 from __future__ import annotations
 
@@ -27,8 +32,11 @@ FLOW_UNIT_PX = 1 / 64
 @dataclass(frozen=True)
 class MarkerTruth(Document):
     """One marker in one frame.
-    corners_px : (4, 2) projected with the true camera, NaN behind it;  visible : fraction 0..1 of its black square that is
-    in the picture and not hidden;  side_px : mean length of its sides;  facing : cosine of the angle at which it is seen"""
+    corners_px : (4, 2) projected with the true camera, NaN behind it;  visible : fraction
+    0..1 of its black square that is
+    in the picture and not hidden;  side_px : mean length of its sides;  facing : cosine of
+    the angle at which it is seen
+    """
 
     camera_from_marker: Pose
     corners_px: Annotated[np.ndarray, Gaps]
@@ -39,8 +47,10 @@ class MarkerTruth(Document):
 
 @dataclass(frozen=True)
 class FrameTruth(Document):
-    """One frame. camera_from_room, room_from_marker and markers are exact; gain and bias act on linear light.
-    lights : [{"room", "camera", "marker": unit vectors towards it, "rgb", "angular_size_deg"}]"""
+    """One frame. camera_from_room, room_from_marker and markers are exact; gain and bias
+    act on linear light.
+    lights : [{"room", "camera", "marker": unit vectors towards it, "rgb", "angular_size_deg"}]
+    """
 
     index: int
     time_s: float
@@ -81,7 +91,9 @@ def read_truth(path: Path) -> Truth:
             raise ValueError("no header of version 1")
         return Truth(header, tuple(FrameTruth.from_json(f) for f in frames))
     except (ValueError, KeyError, TypeError) as e:
-        raise InputError(f"{path} is not a truth file: {e!r}", "made by `arfx synth`") from None
+        raise InputError(
+            f"{path} is not a truth file: {e!r}", "made by `arfx synth`"
+        ) from None
 
 
 def write_depth(path: Path, depth_m: np.ndarray) -> None:
@@ -92,7 +104,9 @@ def write_depth(path: Path, depth_m: np.ndarray) -> None:
 
 def write_flow(path: Path, flow_px: np.ndarray) -> None:
     """(h, w, 2) px, NaN = unknown; beyond ±511 px counts as unknown."""
-    steps = np.rint(np.nan_to_num(flow_px, nan=1e9) / FLOW_UNIT_PX) + 2**15  # 1e9 px is out of range below: unknown
+    steps = (
+        np.rint(np.nan_to_num(flow_px, nan=1e9) / FLOW_UNIT_PX) + 2**15
+    )  # 1e9 px is out of range below: unknown
     known = ((steps >= 0) & (steps <= 65535)).all(-1)
     rgb = np.zeros((*flow_px.shape[:2], 3), np.uint16)
     rgb[known, :2], rgb[..., 2] = steps[known], known

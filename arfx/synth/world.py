@@ -1,4 +1,6 @@
-"""The scene as rows for the tracer: what stands where at a moment, with which texture, under which light; exact poses by time."""
+"""The scene as rows for the tracer: what stands where at a moment, with which texture,
+under which light; exact poses by time.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,23 @@ from scipy.interpolate import CubicHermiteSpline
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide, normalise, smoothstep
 from arfx.core.pose import Pose, rotation_from_euler_deg
-from arfx.synth.description import Box, CameraPath, Key, Marker, Motion, Plane, SceneFile, SceneObject, Sphere
-from arfx.synth.textures import environment_lights, environment_picture, sheet_albedo, texture_albedo
+from arfx.synth.description import (
+    Box,
+    CameraPath,
+    Key,
+    Marker,
+    Motion,
+    Plane,
+    SceneFile,
+    SceneObject,
+    Sphere,
+)
+from arfx.synth.textures import (
+    environment_lights,
+    environment_picture,
+    sheet_albedo,
+    texture_albedo,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,22 +46,31 @@ class SceneState:
 
 class World:
     """Everything of a scene that does not depend on time, made once.
-    camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots : (frames,) shot of each frame
-    textures, table : tracer's summed-area tables;  ambient, sky : tracer's ambient light beside `lights_at`"""
+    camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots :
+    (frames,) shot of each frame
+    textures, table : tracer's summed-area tables;  ambient, sky : tracer's ambient light
+    beside `lights_at`
+    """
 
     def __init__(self, scene: SceneFile, folder: Path | None = None) -> None:
         self.scene = scene
         self.camera = true_camera(scene)
         self.frame_times_s = _frame_times(scene)
         self.shots = np.repeat(np.arange(len(scene.shot)), [s.frames for s in scene.shot])
-        self._names = [p.name or (p.spec.key if isinstance(p, Marker) else f"object {i}") for i, p in enumerate(scene.objects)]
+        self._names = [
+            p.name or (p.spec.key if isinstance(p, Marker) else f"object {i}")
+            for i, p in enumerate(scene.objects)
+        ]
         self._pictures: list[tuple[np.ndarray, float]] = []
         self._faces = [self._make(i, folder) for i in range(len(scene.objects))]
         self.textures, self.table = _summed_areas(self._pictures)
         self.ambient = np.asarray(scene.light.ambient_rgb, float)
         self.sky = np.zeros((0, 0, 3))
         if scene.light.environment:
-            self.sky = environment_picture(scene.light.environment, folder) * scene.light.environment_scale
+            self.sky = (
+                environment_picture(scene.light.environment, folder)
+                * scene.light.environment_scale
+            )
             self._sky_lights = environment_lights(self.sky, scene.light.environment_lights)
             self.ambient = np.zeros(3)
 
@@ -59,11 +85,20 @@ class World:
         rows = []
         for li in self.scene.light.lamps:
             phase = np.sin(2 * np.pi * time_s / li.period_s)
-            a, e = np.radians(li.azimuth_deg + li.swing_deg[0] * phase), np.radians(li.elevation_deg + li.swing_deg[1] * phase)
+            a, e = (
+                np.radians(li.azimuth_deg + li.swing_deg[0] * phase),
+                np.radians(li.elevation_deg + li.swing_deg[1] * phase),
+            )
             # of two keys at one time the later holds from then on
             factor = np.interp(time_s, *np.array(li.brightness).T) if li.brightness else 1.0
             direction = np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)
-            rows.append([*direction, *np.multiply(li.rgb, factor), np.tan(np.radians(li.angular_size_deg) / 2)])
+            rows.append(
+                [
+                    *direction,
+                    *np.multiply(li.rgb, factor),
+                    np.tan(np.radians(li.angular_size_deg) / 2),
+                ]
+            )
         return np.array(rows).reshape(-1, 7)
 
     def _add(self, picture: np.ndarray, smooth: bool) -> int:
@@ -76,19 +111,53 @@ class World:
         if isinstance(p, Sphere):
             return [np.array([0, 0, 0, p.radius_m, *p.colour, number], float)]
         if isinstance(p, Plane):
-            tex = self._add(texture_albedo(p.texture, p.size_m, seed, folder), smooth=p.texture.kind != "checker")
-            return [_rect([0, 0, 0], [1, 0, 0], [0, 1, 0], p.size_m[0] / 2, p.size_m[1] / 2, tex, number)]
+            tex = self._add(
+                texture_albedo(p.texture, p.size_m, seed, folder),
+                smooth=p.texture.kind != "checker",
+            )
+            return [
+                _rect(
+                    [0, 0, 0],
+                    [1, 0, 0],
+                    [0, 1, 0],
+                    p.size_m[0] / 2,
+                    p.size_m[1] / 2,
+                    tex,
+                    number,
+                )
+            ]
         if isinstance(p, Marker):
             hidden = self.scene.hidden
-            picture, side = sheet_albedo(p.spec, p.margin_cells, p.ink, p.paper, p.inverted, hidden.worn_ink)
-            return [_rect([0, 0, 0], [1, 0, 0], [0, 1, 0], side / 2, side / 2, self._add(picture, False), number, hidden.gloss)]
+            picture, side = sheet_albedo(
+                p.spec, p.margin_cells, p.ink, p.paper, p.inverted, hidden.worn_ink
+            )
+            return [
+                _rect(
+                    [0, 0, 0],
+                    [1, 0, 0],
+                    [0, 1, 0],
+                    side / 2,
+                    side / 2,
+                    self._add(picture, False),
+                    number,
+                    hidden.gloss,
+                )
+            ]
         assert isinstance(p, Box)
         w, d, h = p.size_m
-        tex = self._add(texture_albedo(p.texture, (max(w, d), max(h, d)), seed, folder), smooth=True)
+        tex = self._add(
+            texture_albedo(p.texture, (max(w, d), max(h, d)), seed, folder), smooth=True
+        )
         x, y, z = np.eye(3)
         rows = [_rect([0, 0, s * h], x, y, w / 2, d / 2, tex, number) for s in (0, 1)]
-        rows += [_rect([s * w / 2, 0, h / 2], s * y, z, d / 2, h / 2, tex, number) for s in (-1, 1)]
-        rows += [_rect([0, s * d / 2, h / 2], -s * x, z, w / 2, h / 2, tex, number) for s in (-1, 1)]
+        rows += [
+            _rect([s * w / 2, 0, h / 2], s * y, z, d / 2, h / 2, tex, number)
+            for s in (-1, 1)
+        ]
+        rows += [
+            _rect([0, s * d / 2, h / 2], -s * x, z, w / 2, h / 2, tex, number)
+            for s in (-1, 1)
+        ]
         for row in rows:
             row[17] = 1.0
         return rows
@@ -97,11 +166,17 @@ class World:
         """room_from_object of every object."""
         objects = self.scene.objects
         pairs = list(zip(objects, self._names, strict=True))
-        own = [room_from_object(p, time_s, self.duration_s, self.scene.seed, n) for p, n in pairs]
+        own = [
+            room_from_object(p, time_s, self.duration_s, self.scene.seed, n)
+            for p, n in pairs
+        ]
         by_name = {}
         for (p, n), pose in zip(pairs, own, strict=True):
             by_name[n] = by_name[p.spec.key if isinstance(p, Marker) else n] = pose
-        return tuple(by_name[p.attached_to] @ pose if p.attached_to else pose for p, pose in zip(objects, own, strict=True))
+        return tuple(
+            by_name[p.attached_to] @ pose if p.attached_to else pose
+            for p, pose in zip(objects, own, strict=True)
+        )
 
     def at(self, time_s: float) -> SceneState:
         poses = self.poses(time_s)
@@ -116,33 +191,59 @@ class World:
                 for k in (3, 6, 9):
                     new[k : k + 3] = pose.rotation @ row[k : k + 3]
                 rects.append(new)
-        return SceneState(np.array(rects).reshape(-1, 18), np.array(spheres).reshape(-1, 8), self.lights_at(time_s), poses)
+        return SceneState(
+            np.array(rects).reshape(-1, 18),
+            np.array(spheres).reshape(-1, 8),
+            self.lights_at(time_s),
+            poses,
+        )
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
-        """camera_from_room at a time during (or next to) a frame, on the path of the frame's shot."""
+        """camera_from_room at a time during (or next to) a frame, on the path of the
+        frame's shot.
+        """
         shot = int(self.shots[frame])
         first = int(np.searchsorted(self.shots, shot))
         last = int(np.searchsorted(self.shots, shot, side="right")) - 1
         began = self.frame_times_s[first]
         return camera_from_room(
-            self.scene.shot[shot].path, time_s - began, self.frame_times_s[last] - began, self.scene.seed, f"shot {shot}"
+            self.scene.shot[shot].path,
+            time_s - began,
+            self.frame_times_s[last] - began,
+            self.scene.seed,
+            f"shot {shot}",
         )
 
 
 def true_camera(scene: SceneFile) -> Camera:
-    """The camera that the frames are rendered with. Raises InputError for a wrong number of coefficients."""
+    """The camera that the frames are rendered with.
+
+    Raises InputError for a wrong number of coefficients.
+    """
     w, h, lens = scene.clip.width, scene.clip.height, scene.lens
     f = w / 2 / np.tan(np.radians(lens.fov_deg) / 2)
     cx, cy = (w - 1) / 2 + lens.centre_offset_px[0], (h - 1) / 2 + lens.centre_offset_px[1]
-    return Camera(w, h, np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]]), np.array(lens.distortion), lens.model, "scene")
+    return Camera(
+        w,
+        h,
+        np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]]),
+        np.array(lens.distortion),
+        lens.model,
+        "scene",
+    )
 
 
 def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarray:
     u, v = np.asarray(u, float), np.asarray(v, float)
-    return np.array([*centre, *u, *v, *np.cross(u, v), half_w, half_h, texture, number, gloss, 0.0], float)
+    return np.array(
+        [*centre, *u, *v, *np.cross(u, v), half_w, half_h, texture, number, gloss, 0.0],
+        float,
+    )
 
 
-def _summed_areas(pictures: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray, np.ndarray]:
+def _summed_areas(
+    pictures: list[tuple[np.ndarray, float]],
+) -> tuple[np.ndarray, np.ndarray]:
     rows, tables, offset = [], [], 0
     for picture, smallest in pictures:
         h, w = picture.shape[:2]
@@ -151,7 +252,9 @@ def _summed_areas(pictures: list[tuple[np.ndarray, float]]) -> tuple[np.ndarray,
         rows.append([offset, w, h, smallest])
         tables.append(sums.ravel())
         offset += sums.size
-    return np.array(rows, float).reshape(-1, 4), np.concatenate(tables) if tables else np.zeros(1)
+    return np.array(rows, float).reshape(-1, 4), (
+        np.concatenate(tables) if tables else np.zeros(1)
+    )
 
 
 def _frame_times(scene: SceneFile) -> np.ndarray:
@@ -159,7 +262,9 @@ def _frame_times(scene: SceneFile) -> np.ndarray:
     n = np.arange(scene.frames, dtype=float)
     if scene.clip.frame_times == "variable":
         rng = np.random.default_rng([scene.seed, 90_000])
-        n[1:-1] += rng.uniform(-0.35, 0.35, max(scene.frames - 2, 0)) if scene.frames > 2 else 0
+        n[1:-1] += (
+            rng.uniform(-0.35, 0.35, max(scene.frames - 2, 0)) if scene.frames > 2 else 0
+        )
     return np.round(n / scene.clip.fps * 90_000) / 90_000
 
 
@@ -170,8 +275,12 @@ def marker_points(marker: Marker, count: int = 12) -> np.ndarray:
     return np.array([(x, y, 0.0) for x, y in itertools.product(grid, grid)])
 
 
-def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float, channels: int) -> np.ndarray:
-    """(channels,) band-limited noise with unit rms over time: six sinusoids around `rate_hz`, phases from the seed."""
+def smooth_noise(
+    seed: int, name: str, time_s: float, rate_hz: float, channels: int
+) -> np.ndarray:
+    """(channels,) band-limited noise with unit rms over time: six sinusoids around
+    `rate_hz`, phases from the seed.
+    """
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     hz = rate_hz * rng.uniform(0.4, 1.6, (channels, 6))
     phase = rng.uniform(0, 2 * np.pi, (channels, 6))
@@ -179,26 +288,36 @@ def smooth_noise(seed: int, name: str, time_s: float, rate_hz: float, channels: 
 
 
 def look_at(position_m: np.ndarray, target_m: np.ndarray) -> Pose:
-    """camera_from_room of a camera that looks from one point at another, the room's z up in its picture.
-    Straight up or down, the room's y is up instead."""
+    """camera_from_room of a camera that looks from one point at another, the room's z up in
+    its picture. Straight up or down, the room's y is up instead."""
     forward = normalise(np.asarray(target_m, float) - position_m)
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    if np.linalg.norm(right) < 1e-6:  # looking along z to within a microradian: `up` gives no direction
+    if (
+        np.linalg.norm(right) < 1e-6
+    ):  # looking along z to within a microradian: `up` gives no direction
         right = np.cross(forward, [0.0, 1.0, 0.0])
     right = normalise(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     return Pose(rotation, -rotation @ np.asarray(position_m, float))
 
 
-def camera_from_room(path: CameraPath, time_s: float, duration_s: float, seed: int, name: str) -> Pose:
+def camera_from_room(
+    path: CameraPath, time_s: float, duration_s: float, seed: int, name: str
+) -> Pose:
     """Pose of the camera, `time_s` after its shot began."""
     at = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
     target = np.asarray(path.target_m, float)
     if path.kind == "orbit":
-        azimuth = np.radians(path.azimuth_deg[0] + (path.azimuth_deg[1] - path.azimuth_deg[0]) * at)
-        elevation = np.radians(path.elevation_deg[0] + (path.elevation_deg[1] - path.elevation_deg[0]) * at)
+        azimuth = np.radians(
+            path.azimuth_deg[0] + (path.azimuth_deg[1] - path.azimuth_deg[0]) * at
+        )
+        elevation = np.radians(
+            path.elevation_deg[0] + (path.elevation_deg[1] - path.elevation_deg[0]) * at
+        )
         flat = np.cos(elevation)
-        position = target + path.radius_m * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+        position = target + path.radius_m * np.array(
+            [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
+        )
     elif path.kind == "dolly":
         ease = smoothstep(at)
         position = (1 - ease) * np.asarray(path.position_m) + ease * np.asarray(path.end_m)
@@ -212,28 +331,50 @@ def camera_from_room(path: CameraPath, time_s: float, duration_s: float, seed: i
         shake = smooth_noise(seed, f"hand {name}", time_s, 4.0, 6)
         slow = smooth_noise(seed, f"drift {name}", time_s, 0.7, 6)
         both = (shake + 2 * slow) / np.sqrt(5.0)
-        pose = Pose.from_rotvec(np.radians(path.hand_deg) * both[:3], path.hand_m * both[3:]) @ pose
+        pose = (
+            Pose.from_rotvec(np.radians(path.hand_deg) * both[:3], path.hand_m * both[3:])
+            @ pose
+        )
     return pose
 
 
-def room_from_object(placed: SceneObject, time_s: float, duration_s: float, seed: int, name: str) -> Pose:
+def room_from_object(
+    placed: SceneObject, time_s: float, duration_s: float, seed: int, name: str
+) -> Pose:
     """Pose of an object in its parent's axes (the room's, if it is attached to nothing)."""
-    rest = Pose(rotation_from_euler_deg(*placed.rotate_deg), np.asarray(placed.position_m, float))
+    rest = Pose(
+        rotation_from_euler_deg(*placed.rotate_deg), np.asarray(placed.position_m, float)
+    )
     motion = placed.motion
     if motion.kind == "still":
         return rest
     if motion.kind == "keys":
         rotation = rotation_from_euler_deg(*_between(motion.keys, "rotate_deg", time_s))
-        return Pose(rotation, _between(motion.keys, "position_m", time_s)) @ _tremor(motion, time_s, seed, name)
+        return Pose(rotation, _between(motion.keys, "position_m", time_s)) @ _tremor(
+            motion, time_s, seed, name
+        )
     if motion.kind == "turn":
         at = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
-        angle = np.radians(motion.angle_deg[0] + (motion.angle_deg[1] - motion.angle_deg[0]) * at)
-        own = Pose.from_rotvec(normalise(np.asarray(motion.axis, float)) * angle, np.zeros(3))
+        angle = np.radians(
+            motion.angle_deg[0] + (motion.angle_deg[1] - motion.angle_deg[0]) * at
+        )
+        own = Pose.from_rotvec(
+            normalise(np.asarray(motion.axis, float)) * angle, np.zeros(3)
+        )
     else:
-        a, golden = 2 * np.pi * time_s / motion.period_s, 0.6180339887498949  # incommensurate: the tilts never repeat together
+        a, golden = (
+            2 * np.pi * time_s / motion.period_s,
+            0.6180339887498949,
+        )  # incommensurate: the tilts never repeat together
         about_x = rotation_from_euler_deg(motion.tilt_deg * np.sin(a), 0.0, 0.0)
-        rotation = about_x @ rotation_from_euler_deg(0.0, motion.tilt_deg * np.sin(golden * a + 1), 0.0)
-        own = Pose(rotation, motion.travel_m * np.array([np.sin(golden * a), np.sin(a + 2), 0.5 * np.sin(1.3 * a)]))
+        rotation = about_x @ rotation_from_euler_deg(
+            0.0, motion.tilt_deg * np.sin(golden * a + 1), 0.0
+        )
+        own = Pose(
+            rotation,
+            motion.travel_m
+            * np.array([np.sin(golden * a), np.sin(a + 2), 0.5 * np.sin(1.3 * a)]),
+        )
     return rest @ own @ _tremor(motion, time_s, seed, name)
 
 
@@ -245,11 +386,15 @@ def _tremor(motion: Motion, time_s: float, seed: int, name: str) -> Pose:
 
 
 def _between(keys: tuple[Key, ...], name: str, time_s: float) -> np.ndarray:
-    """Catmull-Rom through the keys' values, at rest in the first and the last, constant beyond them."""
+    """Catmull-Rom through the keys' values, at rest in the first and the last, constant
+    beyond them.
+    """
     if len(keys) < 2:
         return np.array(getattr(keys[0], name), float) if keys else np.zeros(3)
     times = np.array([k.time_s for k in keys], float)
     values = np.array([getattr(k, name) for k in keys], float)
     slopes = np.zeros_like(values)
     slopes[1:-1] = (values[2:] - values[:-2]) / (times[2:] - times[:-2])[:, None]
-    return np.asarray(CubicHermiteSpline(times, values, slopes)(np.clip(time_s, times[0], times[-1])))
+    return np.asarray(
+        CubicHermiteSpline(times, values, slopes)(np.clip(time_s, times[0], times[-1]))
+    )

@@ -1,6 +1,7 @@
 """Starts the command: signals are caught and streams made safe before anything heavy is imported.
 
-The process ends here too, with the exit code alone: what libraries do at exit cannot change it."""
+The process ends here too, with the exit code alone: what libraries do at exit cannot change it.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +15,15 @@ from arfx_cli import streams
 
 def start() -> None:
     """The `arfx` command. Does not return."""
-    os.environ["PYTHONSAFEPATH"] = "1"  # processes that are started import nothing from the folder that they run in
+    os.environ["PYTHONSAFEPATH"] = (
+        "1"  # processes that are started import nothing from the folder that they run in
+    )
     code: Any = 1
     try:
         interrupt.catch()
-        with interrupt.deferred():  # a half-done import may fail later, with another message
+        with (
+            interrupt.deferred()
+        ):  # a half-done import may fail later, with another message
             streams.make_safe()
             from arfx_cli.main import main
         main()
@@ -29,7 +34,9 @@ def start() -> None:
         code = interrupt.exit_code() or 130
     except BaseException:  # ARFX_DEBUG
         sys.excepthook(*sys.exc_info())
-    interrupt.exit_process(streams.closing_code(code if isinstance(code, int) else int(code is not None)))
+    interrupt.exit_process(
+        streams.closing_code(code if isinstance(code, int) else int(code is not None))
+    )
 
 
 if __name__ == "__main__":

@@ -6,14 +6,31 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, print_table, say, tell
+from arfx_cli.console import (
+    Progress,
+    emit_json,
+    message_options,
+    overwrite_option,
+    print_table,
+    say,
+    tell,
+)
 from arfx_cli.job_options import job_config, job_options, run_options
 
 _HELP = {
-    "output": "Where each clip goes: out/{stem}.mp4. {stem} is the clip's name without its ending, {parent} its folder's.",
-    "report_dir": "Folder for batch.json, batch.html and a report of each job; default: batch.* beside the outputs.",
+    "output": (
+        "Where each clip goes: out/{stem}.mp4. {stem} is the clip's name without its"
+        " ending, {parent} its folder's."
+    ),
+    "report_dir": (
+        "Folder for batch.json, batch.html and a report of each job; default: batch.*"
+        " beside the outputs."
+    ),
     "job_dir": "Folder for a job folder of each clip, kept afterwards; default OUT.job.",
-    "resume": "Do what is missing: go on with interrupted jobs, leave alone what was done under the same settings.",
+    "resume": (
+        "Do what is missing: go on with interrupted jobs, leave alone what was done under"
+        " the same settings."
+    ),
 }
 
 
@@ -23,22 +40,34 @@ def _options() -> list[click.Parameter]:
     for option in options:
         if isinstance(option, click.Option) and option.name in _HELP:
             option.help = _HELP[option.name]
-    return [click.Argument(["inputs"], metavar="MANIFEST|FOLDER|CLIP...", nargs=-1, required=True), *options]
+    return [
+        click.Argument(
+            ["inputs"], metavar="MANIFEST|FOLDER|CLIP...", nargs=-1, required=True
+        ),
+        *options,
+    ]
 
 
 @click.command(params=_options())
-@click.option("--dry-run", is_flag=True, help="Plan every clip, with the predicted time of all; render nothing.")
+@click.option(
+    "--dry-run",
+    is_flag=True,
+    help="Plan every clip, with the predicted time of all; render nothing.",
+)
 @overwrite_option
 @message_options
 def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any) -> None:
-    """Process many clips: those of a table, of a folder, of a pattern such as 'shots/*.mp4', or those that are named.
+    """Process many clips: those of a table, of a folder, of a pattern such as
+    'shots/*.mp4', or those that are named.
 
-    A clip that fails does not stop the others: exit code 6 in the end. All options of `arfx process` are for every clip. What the
-    clips share (model, prices, compiled code) is loaded once. batch.json and batch.html sum up.
+    A clip that fails does not stop the others: exit code 6 in the end. All options of `arfx
+    process` are for every clip. What the clips share (model, prices, compiled code) is
+    loaded once. batch.json and batch.html sum up.
 
-    MANIFEST is a table. As CSV, its columns are options without dashes (clip, output, camera, fit) or settings (dof.fnumber). As
-    TOML, it is a job file with a [[job]] table for each clip. Its paths are relative to it. The command line wins over it, but
-    for -o, which is for clips that have no output of their own.
+    MANIFEST is a table. As CSV, its columns are options without dashes (clip, output,
+    camera, fit) or settings (dof.fnumber). As TOML, it is a job file with a [[job]] table
+    for each clip. Its paths are relative to it. The command line wins over it, but for -o,
+    which is for clips that have no output of their own.
 
     \b
     Example:
@@ -52,7 +81,11 @@ def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any)
         options = run_options(given, progress)
         pattern = given["output"]
         given |= {"clip": None, "output": None}
-        jobs = wait_for("table", lambda: batch_jobs(inputs, lambda files: job_config(given, files), pattern), progress)
+        jobs = wait_for(
+            "table",
+            lambda: batch_jobs(inputs, lambda files: job_config(given, files), pattern),
+            progress,
+        )
 
         def started(k: int, job: Any) -> None:
             progress.begin(f"{k + 1} of {len(jobs)} {job.clip}")
@@ -61,7 +94,10 @@ def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any)
             if row["exit_code"]:
                 tell(f"{k + 1} of {len(jobs)} {row['clip']}: error: {row['message']}")
             else:
-                say(f"{k + 1} of {len(jobs)} {row['clip']}: {row['message']}, {row['seconds']:.1f} s, to {row['output']}")
+                say(
+                    f"{k + 1} of {len(jobs)} {row['clip']}: {row['message']},"
+                    f" {row['seconds']:.1f} s, to {row['output']}"
+                )
 
         document = (plan_batch if dry_run else run_batch)(jobs, options, started, ended)
     if as_json:
@@ -80,20 +116,38 @@ def _show(document: dict[str, Any]) -> None:
 
 
 def _show_plans(document: dict[str, Any]) -> None:
-    walls = [((r.get("plan") or {}).get("predicted") or {}).get("wall") for r in document["jobs"]]
-    rows = [(r["clip"], _result(r), *_predicted(wall)) for r, wall in zip(document["jobs"], walls, strict=True)]
+    walls = [
+        ((r.get("plan") or {}).get("predicted") or {}).get("wall") for r in document["jobs"]
+    ]
+    rows = [
+        (r["clip"], _result(r), *_predicted(wall))
+        for r, wall in zip(document["jobs"], walls, strict=True)
+    ]
     total = ("all", "", *_predicted(document["predicted"]))
-    print_table(_title(document), ("clip", "frames", "predicted", "nine times in ten"), [*rows, (), total], words=2)
+    print_table(
+        _title(document),
+        ("clip", "frames", "predicted", "nine times in ten"),
+        [*rows, (), total],
+        words=2,
+    )
 
 
 def _title(document: dict[str, Any]) -> str:
     count, failed = len(document["jobs"]), document["failed"]
-    return f"{count} clip{'s' * (count != 1)}, " + (f"{failed} failed" if failed else "none failed")
+    return f"{count} clip{'s' * (count != 1)}, " + (
+        f"{failed} failed" if failed else "none failed"
+    )
 
 
 def _result(row: dict[str, Any]) -> str:
-    return f"exit {row['exit_code']}: {row['message']}" if row["exit_code"] else row["message"]
+    return (
+        f"exit {row['exit_code']}: {row['message']}" if row["exit_code"] else row["message"]
+    )
 
 
 def _predicted(wall: dict[str, float] | None) -> tuple[str, str]:
-    return ("", "") if wall is None else (f"{wall['s']:.1f} s", f"{wall['low_s']:.1f} to {wall['high_s']:.1f} s")
+    return (
+        ("", "")
+        if wall is None
+        else (f"{wall['s']:.1f} s", f"{wall['low_s']:.1f} to {wall['high_s']:.1f} s")
+    )

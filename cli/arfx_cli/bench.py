@@ -8,7 +8,15 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, detail, emit_json, message_options, note, print_table, say
+from arfx_cli.console import (
+    Progress,
+    detail,
+    emit_json,
+    message_options,
+    note,
+    print_table,
+    say,
+)
 
 LEAST_SIDE_PX = 16
 
@@ -22,30 +30,57 @@ def parse_size(text: str) -> tuple[int, int]:
         raise ConfigError(f"size {text!r} is not WIDTHxHEIGHT", "for example 1280x720")
     width, height = int(m[1]), int(m[2])
     if min(width, height) < LEAST_SIDE_PX:
-        raise ConfigError(f"size {text!r} is too small to measure", f"at least {LEAST_SIDE_PX} px each way")
+        raise ConfigError(
+            f"size {text!r} is too small to measure",
+            f"at least {LEAST_SIDE_PX} px each way",
+        )
     return width, height
 
 
 @click.command()
 @click.option("--stage", metavar="S", help="Only this stage.")
-@click.option("--level", metavar="L", help="Only this level: draft, standard, high, reference.")
 @click.option(
-    "--size", "sizes", metavar="WxH", multiple=True, default=["1280x720"], show_default=True, help="Picture size, repeatable."
+    "--level", metavar="L", help="Only this level: draft, standard, high, reference."
 )
 @click.option(
-    "--calibrate", is_flag=True,
-    help="Measure this machine's price list, or a --stage's prices in it, which `plan` and --budget use; under a minute.",
-)  # fmt: skip
-@click.option("--tradeoff", type=click.Path(path_type=Path), metavar="FILE", help="A clip's errors, by `arfx tradeoff`.")
+    "--size",
+    "sizes",
+    metavar="WxH",
+    multiple=True,
+    default=["1280x720"],
+    show_default=True,
+    help="Picture size, repeatable.",
+)
+@click.option(
+    "--calibrate",
+    is_flag=True,
+    help=(
+        "Measure this machine's price list, or a --stage's prices in it, which `plan` and"
+        " --budget use; under a minute."
+    ),
+)
+@click.option(
+    "--tradeoff",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="A clip's errors, by `arfx tradeoff`.",
+)
 @message_options
 def command(
-    stage: str | None, level: str | None, sizes: tuple[str, ...], calibrate: bool, tradeoff: Path | None, as_json: bool
-) -> None:  # fmt: skip
-    """Time each stage at each level on a standard scene: a ball of 6,000 triangles over a tenth of the picture.
+    stage: str | None,
+    level: str | None,
+    sizes: tuple[str, ...],
+    calibrate: bool,
+    tradeoff: Path | None,
+    as_json: bool,
+) -> None:
+    """Time each stage at each level on a standard scene: a ball of 6,000 triangles over a
+    tenth of the picture.
 
-    The ratio is to one Gaussian blur (float32, 3 channels, sigma 5) of a whole picture of that size, in turns in the
-    same run: compare ratios, not times. The error beside it is the mean difference from the stage's best level, in grey
-    levels of 255: upper end of many clips, or of the --tradeoff of one.
+    The ratio is to one Gaussian blur (float32, 3 channels, sigma 5) of a whole picture of
+    that size, in turns in the same run: compare ratios, not times. The error beside it is
+    the mean difference from the stage's best level, in grey levels of 255: upper end of
+    many clips, or of the --tradeoff of one.
 
     \b
     Example:
@@ -66,21 +101,36 @@ def command(
         rows = bench(parsed, stage, level, progress, errors=errors)
     for r in rows:
         each = 1e6 * r["ms"] / r["area_px"]
-        detail(f"{r['stage']} {r['level']} {r['size']}: {r['area_px']} px, {each:.2f} ns/px, median of {r['runs']} runs")
+        detail(
+            f"{r['stage']} {r['level']} {r['size']}: {r['area_px']} px, {each:.2f} ns/px,"
+            f" median of {r['runs']} runs"
+        )
     if as_json:
         emit_json(rows)
         return
     title = (
-        "cost on this machine (medians; yardstick = one Gaussian blur of the picture), and error, grey levels from the best level"
+        "cost on this machine (medians; yardstick = one Gaussian blur of the picture), and"
+        " error, grey levels from the best level"
     )
     lines = (
         (
-            r["stage"], r["level"], r["size"], f"{r['ms']:.2f}", f"{r['yardstick_ms']:.2f}", f"{r['ratio']:.2f}",
-            "unknown" if r["error"] is None else f"{r['error']:.2f}", str(r["runs"]),
+            r["stage"],
+            r["level"],
+            r["size"],
+            f"{r['ms']:.2f}",
+            f"{r['yardstick_ms']:.2f}",
+            f"{r['ratio']:.2f}",
+            "unknown" if r["error"] is None else f"{r['error']:.2f}",
+            str(r["runs"]),
         )
         for r in rows
-    )  # fmt: skip
-    print_table(title, ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "error", "runs"), lines, words=3)
+    )
+    print_table(
+        title,
+        ("stage", "level", "size", "ms", "yardstick, ms", "ratio", "error", "runs"),
+        lines,
+        words=3,
+    )
     say(f"errors: {errors.source}")
 
 
@@ -104,13 +154,28 @@ def _calibrate(stage: str | None, level: str | None, as_json: bool) -> None:
         if stage in (None, key.removeprefix("prepare ").partition("/")[0])
     ]
     if as_json:
-        emit_json({"file": str(path), "source": prices.source, "threads": prices.threads, "prices": rows})
+        emit_json(
+            {
+                "file": str(path),
+                "source": prices.source,
+                "threads": prices.threads,
+                "prices": rows,
+            }
+        )
         return
     from arfx.core.cost import TERMS
 
-    title = f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per unit"
+    title = (
+        f"price list, {prices.source}, {prices.threads} threads at once: milliseconds per"
+        " unit"
+    )
     lines = (
-        (r["entry"], *(f"{1e3 * r[t]:.3g}" if t in r else "" for t in TERMS), f"{100 * r['spread']:.0f}", str(r["runs"]))
+        (
+            r["entry"],
+            *(f"{1e3 * r[t]:.3g}" if t in r else "" for t in TERMS),
+            f"{100 * r['spread']:.0f}",
+            str(r["runs"]),
+        )
         for r in rows
     )
     print_table(title, ("entry", *TERMS, "± %", "runs"), lines)

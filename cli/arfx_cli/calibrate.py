@@ -35,13 +35,28 @@ if TYPE_CHECKING:
     from arfx.calibrate.board import BoardSpec
     from arfx.calibrate.calibration import Picture
 
-STILLS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm", ".jp2", ".heic", ".heif"}
-VIDEO_SEARCHED = 120  # frames of a video that are searched for the board: the sharpest of equal intervals
+STILLS = {
+    ".jpg",
+    ".jpeg",
+    ".png",
+    ".bmp",
+    ".tif",
+    ".tiff",
+    ".webp",
+    ".pgm",
+    ".ppm",
+    ".jp2",
+    ".heic",
+    ".heif",
+}
+# frames of a video that are searched for the board: the sharpest of equal intervals
+VIDEO_SEARCHED = 120
 
 
 @dataclass(frozen=True)
 class _Camera:
-    """named : what its pictures come from, for messages;  paths : pictures and videos;  output : its file
+    """named : what its pictures come from, for messages;  paths : pictures and videos;
+    output : its file
     plots : folder and start of the names of its plots"""
 
     named: str
@@ -51,26 +66,57 @@ class _Camera:
 
     @property
     def plot_files(self) -> list[Path]:
-        return [self.plots[0] / f"{self.plots[1]}{name}" for name in ("residuals.png", "coverage.png")]
+        return [
+            self.plots[0] / f"{self.plots[1]}{name}"
+            for name in ("residuals.png", "coverage.png")
+        ]
 
 
 @click.command()
-@click.argument("inputs", metavar="IMAGES|VIDEO|FOLDER...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument(
+    "inputs",
+    metavar="IMAGES|VIDEO|FOLDER...",
+    nargs=-1,
+    required=True,
+    type=click.Path(path_type=Path),
+)
 @click.option(
-    "--board", required=True, metavar="SPEC",
+    "--board",
+    required=True,
+    metavar="SPEC",
     help="chessboard:9x6:25mm (inner corners) or charuco:12x8:18mm:14mm:5X5_100[:legacy].",
-)  # fmt: skip
-@click.option("-o", "--output", required=True, type=FILE, help="Camera file to write (YAML); with {stem}: one for each camera.")
-@click.option("--report", type=FOLDER, help="Folder for residuals.png and coverage.png; default: beside -o.")
+)
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=FILE,
+    help="Camera file to write (YAML); with {stem}: one for each camera.",
+)
+@click.option(
+    "--report",
+    type=FOLDER,
+    help="Folder for residuals.png and coverage.png; default: beside -o.",
+)
 @overwrite_option
 @message_options
-def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Camera intrinsics from pictures or videos of a printed board, with a verdict: good, usable or poor.
+def command(
+    inputs: tuple[Path, ...],
+    board: str,
+    output: Path,
+    report: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Camera intrinsics from pictures or videos of a printed board, with a verdict: good,
+    usable or poor.
 
-    Of a video, sharp and varied frames are taken. `arfx target` prints boards. The file is OpenCV YAML with ROS's names.
+    Of a video, sharp and varied frames are taken. `arfx target` prints boards. The file is
+    OpenCV YAML with ROS's names.
 
-    With {stem} in -o every argument is a camera of its own: a video, or a folder with its pictures; {stem} is its name. A folder
-    without pictures stands for the folders and videos in it. A camera that fails does not stop the others: exit code 6.
+    With {stem} in -o every argument is a camera of its own: a video, or a folder with its
+    pictures; {stem} is its name. A folder without pictures stands for the folders and
+    videos in it. A camera that fails does not stop the others: exit code 6.
 
     \b
     Example:
@@ -83,8 +129,14 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
         if not path.exists():
             raise InputError(f"{path} does not exist", "give images or videos of the board")
     several = has_field(output)
-    cameras = _several(inputs, output, report) if several else [_one(str(inputs[0]), _flatten(inputs), output, report)]
-    guard = Guard((("picture", path) for camera in cameras for path in camera.paths), overwrite)
+    cameras = (
+        _several(inputs, output, report)
+        if several
+        else [_one(str(inputs[0]), _flatten(inputs), output, report)]
+    )
+    guard = Guard(
+        (("picture", path) for camera in cameras for path in camera.paths), overwrite
+    )
     for camera in cameras:
         guard.file(camera.output, folder_made=several)
         for path in camera.plot_files:
@@ -96,11 +148,18 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
         return
     rows: list[dict[str, Any]] = []
     for k, camera in enumerate(cameras):
-        row: dict[str, Any] = {"input": camera.named, "output": str(camera.output), "exit_code": 0, "message": ""}
+        row: dict[str, Any] = {
+            "input": camera.named,
+            "output": str(camera.output),
+            "exit_code": 0,
+            "message": "",
+        }
         row["calibration"] = None
         try:
             camera.output.parent.mkdir(parents=True, exist_ok=True)
-            row["calibration"] = _calibrate(camera, spec, f"{k + 1} of {len(cameras)} {Path(camera.named).name}")
+            row["calibration"] = _calibrate(
+                camera, spec, f"{k + 1} of {len(cameras)} {Path(camera.named).name}"
+            )
             row["message"] = row["calibration"]["verdict"]
         except Exception as e:
             if interrupt.pending():
@@ -113,7 +172,14 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
     if as_json:
         emit_json({"cameras": rows, "failed": failed})
     else:
-        cells = [(r["input"], ("", f"exit {r['exit_code']}: ")[r["exit_code"] != 0] + r["message"], r["output"]) for r in rows]
+        cells = [
+            (
+                r["input"],
+                ("", f"exit {r['exit_code']}: ")[r["exit_code"] != 0] + r["message"],
+                r["output"],
+            )
+            for r in rows
+        ]
         title = f"{len(rows)} camera{'s' * (len(rows) != 1)}, {failed or 'none'} failed"
         print_table(title, ("camera", "verdict", "output"), cells, words=3)
     if failed:
@@ -121,18 +187,24 @@ def command(inputs: tuple[Path, ...], board: str, output: Path, report: Path | N
 
 
 def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
-    """Calibrate, write and say it; returns the document of --json. title : before lines of progress"""
+    """Calibrate, write and say it; returns the document of --json. title : before lines of
+    progress
+    """
     from arfx.calibrate.calibration import calibrate, find_board
     from arfx.calibrate.document import document, file_extras, summary
     from arfx.calibrate.plots import write_plots
     from arfx.media.cameras import save_camera
 
     paths, (folder, stem) = camera.paths, camera.plots
-    total = len(paths) if all(p.suffix.lower() in STILLS for p in paths) else None  # unknown for videos
+    total = (
+        len(paths) if all(p.suffix.lower() in STILLS for p in paths) else None
+    )  # unknown for videos
     with Progress("pictures") as progress:
         if title:
             progress.begin(title)
-        found = find_board(_pictures(paths), spec, lambda searched, _: progress("search", searched, total))
+        found = find_board(
+            _pictures(paths), spec, lambda searched, _: progress("search", searched, total)
+        )
     result = calibrate(found)
     folder.mkdir(parents=True, exist_ok=True)
     written = write_plots(result, folder, stem)
@@ -142,28 +214,55 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     for notice in found.notices * quiet():
         note(notice)
     if quiet() and result.verdict.word != "good":
-        note(f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}")
+        note(
+            f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}"
+        )
     for row in document(result)["models"]:
-        detail(f"{'*' if row['chosen'] else ' '} {row['model']}: held out {row['held_out_rms_px']:.4f} px {row['rejected']}")
+        detail(
+            f"{'*' if row['chosen'] else ' '} {row['model']}: held out"
+            f" {row['held_out_rms_px']:.4f} px {row['rejected']}"
+        )
     say(f"wrote {camera.output}, {written[0]}, {written[1]}")
-    return document(result) | {"output": str(camera.output), "plots": [str(p) for p in written]}
+    return document(result) | {
+        "output": str(camera.output),
+        "plots": [str(p) for p in written],
+    }
 
 
 def _one(named: str, paths: list[Path], output: Path, report: Path | None) -> _Camera:
-    return _Camera(named, paths, output, (report, "") if report else (output.absolute().parent, f"{output.stem}-"))
+    return _Camera(
+        named,
+        paths,
+        output,
+        (report, "") if report else (output.absolute().parent, f"{output.stem}-"),
+    )
 
 
 def _several(inputs: tuple[Path, ...], pattern: Path, report: Path | None) -> list[_Camera]:
     """One camera for each argument, or for what is in a folder that holds no pictures itself."""
-    own = {p.resolve() for p in (fixed_folder(pattern), report) if p is not None}  # plots of an earlier run are there
-    found = (s for path in inputs for s in ([path] if not path.is_dir() or _stills(path) else _cameras_in(path)))
+    own = {
+        p.resolve() for p in (fixed_folder(pattern), report) if p is not None
+    }  # plots of an earlier run are there
+    found = (
+        s
+        for path in inputs
+        for s in ([path] if not path.is_dir() or _stills(path) else _cameras_in(path))
+    )
     sources = [s for s in found if s.resolve() not in own]
     out: dict[Path, _Camera] = {}
     for source in sources:
         file = named(pattern, source)
         if file in out:
-            raise ConfigError(f"{out[file].named} and {source} go to one output, {file}", "{stem} and {parent} keep them apart")
-        out[file] = _one(str(source), _flatten((source,)), file, None if report is None else report / file.stem)
+            raise ConfigError(
+                f"{out[file].named} and {source} go to one output, {file}",
+                "{stem} and {parent} keep them apart",
+            )
+        out[file] = _one(
+            str(source),
+            _flatten((source,)),
+            file,
+            None if report is None else report / file.stem,
+        )
     return list(out.values())
 
 
@@ -175,9 +274,17 @@ def _cameras_in(folder: Path) -> list[Path]:
     from arfx.media.codecs import CLIP_SUFFIXES
 
     inside = folder_entries(folder)
-    found = [p for p in inside if (p.is_dir() and _stills(p)) or (p.is_file() and p.suffix.lower() in CLIP_SUFFIXES)]
+    found = [
+        p
+        for p in inside
+        if (p.is_dir() and _stills(p))
+        or (p.is_file() and p.suffix.lower() in CLIP_SUFFIXES)
+    ]
     if not found:
-        raise InputError(f"folder {folder} holds no pictures, no folders of pictures and no videos", "a folder for each camera")
+        raise InputError(
+            f"folder {folder} holds no pictures, no folders of pictures and no videos",
+            "a folder for each camera",
+        )
     return found
 
 
@@ -187,7 +294,9 @@ def _flatten(inputs: tuple[Path, ...]) -> list[Path]:
     for path in inputs:
         inside = _stills(path) if path.is_dir() else [path]
         if not inside:
-            raise InputError(f"folder {path} holds no pictures", "supported: " + " ".join(sorted(STILLS)))
+            raise InputError(
+                f"folder {path} holds no pictures", "supported: " + " ".join(sorted(STILLS))
+            )
         out += inside
     return out
 
@@ -206,7 +315,9 @@ def _pictures(paths: list[Path]) -> Iterator[Picture]:
             yield from (Picture(*frame) for frame in _video(path, name))
             continue
         try:
-            yield Picture(name, decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE), exif_turn(path))
+            yield Picture(
+                name, decode_picture(path, "picture", cv2.IMREAD_GRAYSCALE), exif_turn(path)
+            )
         except InputError as e:
             yield Picture(name, e)
 
@@ -221,7 +332,12 @@ def _video(path: Path, name: str) -> Iterator[tuple[str, np.ndarray]]:
     info = probe(path)
     for notice in info.notices:
         note(f"{path}: {notice}")
-    expected = info.frame_count_stated or int((info.duration_s or 0) * (info.fps or 30)) or 1000
+    expected = (
+        info.frame_count_stated or int((info.duration_s or 0) * (info.fps or 30)) or 1000
+    )
     with ClipReader(info) as reader:
-        frames = ((f"{name}@{f.time_s:.3f}s", np.ascontiguousarray(f.luma())) for f in reader.frames())
+        frames = (
+            (f"{name}@{f.time_s:.3f}s", np.ascontiguousarray(f.luma()))
+            for f in reader.frames()
+        )
         yield from sharpest_of_each(frames, max(1, -(-expected // VIDEO_SEARCHED)))

@@ -1,4 +1,6 @@
-"""What every command shares: messages on standard error, one JSON document on standard output, progress."""
+"""What every command shares: messages on standard error, one JSON document on standard
+output, progress.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from arfx.errors import counted
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 FOLDER = click.Path(path_type=Path, file_okay=False)
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
+overwrite_option = click.option(
+    "--overwrite", is_flag=True, help="Replace existing outputs."
+)
 COMPILING = "compiling kernels for this processor, once"
 _PHASES = {"compile": COMPILING, **WAITS}
 _OUTPUT = "arfx_cli.output"  # in the context of a command with --json: standard output
@@ -29,11 +33,15 @@ def _set_level(context: click.Context, parameter: click.Parameter, given: bool) 
         return
     level = -1 if parameter.name == "quiet" else 1
     if context.meta.setdefault(_LEVEL, level) != level:
-        raise click.UsageError("--verbose and --quiet contradict each other: give one of them", context)
+        raise click.UsageError(
+            "--verbose and --quiet contradict each other: give one of them", context
+        )
 
 
 def _keep_output(context: click.Context, parameter: click.Parameter, given: bool) -> bool:
-    """With --json, what plug-ins and libraries print goes to standard error while the command runs."""
+    """With --json, what plug-ins and libraries print goes to standard error while the
+    command runs.
+    """
     if given:
         context.meta[_OUTPUT] = sys.stdout
         context.with_resource(contextlib.redirect_stdout(sys.stderr))
@@ -48,12 +56,30 @@ def _level() -> int:
 def message_options(f: Callable[..., Any]) -> Callable[..., Any]:
     """What every command has: --json for its result, -v and -q for what it says beside that."""
     for option in (
-        click.option("-q", "--quiet", is_flag=True, expose_value=False, callback=_set_level,
-                     help="Only warnings and errors on standard error."),
-        click.option("-v", "--verbose", is_flag=True, expose_value=False, callback=_set_level,
-                     help="More detail on standard error."),
-        click.option("--json", "as_json", is_flag=True, callback=_keep_output, help="One JSON document on standard output."),
-    ):  # fmt: skip
+        click.option(
+            "-q",
+            "--quiet",
+            is_flag=True,
+            expose_value=False,
+            callback=_set_level,
+            help="Only warnings and errors on standard error.",
+        ),
+        click.option(
+            "-v",
+            "--verbose",
+            is_flag=True,
+            expose_value=False,
+            callback=_set_level,
+            help="More detail on standard error.",
+        ),
+        click.option(
+            "--json",
+            "as_json",
+            is_flag=True,
+            callback=_keep_output,
+            help="One JSON document on standard output.",
+        ),
+    ):
         f = option(f)
     return f
 
@@ -64,7 +90,9 @@ def tell(message: str) -> None:
 
 
 def say(message: str) -> None:
-    """A line for people, on standard error (standard output is kept for results); not with --quiet."""
+    """A line for people, on standard error (standard output is kept for results); not with
+    --quiet.
+    """
     if not quiet():
         tell(message)
 
@@ -99,24 +127,38 @@ def emit_json(document: Any) -> None:
     output.write("\n")
 
 
-def print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> None:
-    """On standard output; cells wrap between words alone. words : how many of the first columns are left-justified; a row () is
-    a line"""
+def print_table(
+    title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1
+) -> None:
+    """On standard output; cells wrap between words alone. words : how many of the first
+    columns are left-justified; a row () is a line"""
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table, lines = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False), [*rows]
+    table, lines = (
+        Table(
+            title=title,
+            title_justify="left",
+            box=box.SIMPLE_HEAD,
+            padding=(0, 1, 0, 0),
+            pad_edge=False,
+        ),
+        [*rows],
+    )
     for k, column in enumerate(zip(heads, *filter(None, lines), strict=True)):
         longest = max(len(word) for cell in column for word in [*cell.split(), ""])
-        table.add_column(column[0], justify="left" if k < words else "right", min_width=longest)
+        table.add_column(
+            column[0], justify="left" if k < words else "right", min_width=longest
+        )
     for row in lines:
         table.add_row(*map(printable, row)) if row else table.add_section()
     Console(highlight=False).print(table)
 
 
 class Progress:
-    """A rich bar with ETA on a terminal, a plain line now and then otherwise, nothing with --quiet. A context manager.
+    """A rich bar with ETA on a terminal, a plain line now and then otherwise, nothing with
+    --quiet. A context manager.
 
     unit : what is counted"""
 
@@ -131,11 +173,24 @@ class Progress:
     def __enter__(self) -> Progress:
         if not self._quiet and sys.stderr.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+            from rich.progress import (
+                BarColumn,
+                MofNCompleteColumn,
+                TextColumn,
+                TimeElapsedColumn,
+                TimeRemainingColumn,
+            )
             from rich.progress import Progress as RichProgress
 
-            columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-            self._rich = RichProgress(TextColumn("{task.description}"), *columns, console=Console(stderr=True))
+            columns = (
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                TimeRemainingColumn(),
+            )
+            self._rich = RichProgress(
+                TextColumn("{task.description}"), *columns, console=Console(stderr=True)
+            )
             self._rich.start()
         return self
 
@@ -157,7 +212,9 @@ class Progress:
             return
         if self._rich:
             if phase not in self._tasks:
-                self._tasks[phase] = self._rich.add_task(self._title + _PHASES.get(phase, phase), total=total)
+                self._tasks[phase] = self._rich.add_task(
+                    self._title + _PHASES.get(phase, phase), total=total
+                )
             self._rich.update(self._tasks[phase], completed=done, total=total)
             return
         tenth = done * 10 // total if total else done // (10 if phase in WAITS else 100)
@@ -172,37 +229,60 @@ class Progress:
 
 
 def say_job(report: dict[str, Any]) -> None:
-    """The job in a line; with --verbose also its stages, phases and the health of every estimate."""
+    """The job in a line; with --verbose also its stages, phases and the health of every
+    estimate.
+    """
     pose, timing = report["pose"], report["timing"]
     from arfx.run.model_size import size_in_words
 
     size = size_in_words(report["model"])
     reprojection = (pose.get("reprojection_px") or {}).get("median")
     say(
-        f"{counted(report['output']['frames'], 'frames')} to {report['output']['path']}: object in "
-        f"{pose['frames_measured']} measured and {pose['frames_interpolated']} bridged frames, absent in {pose['frames_absent']}"
+        f"{counted(report['output']['frames'], 'frames')} to {report['output']['path']}:"
+        f" object in {pose['frames_measured']} measured and {pose['frames_interpolated']}"
+        f" bridged frames, absent in {pose['frames_absent']}"
         + (f"; reprojection {reprojection:.2f} px" if reprojection is not None else "")
         + f"; {size}; {timing['wall_s']:.1f} s ({timing['frames_per_s']:.1f} frames/s)"
-        + (f", resumed: the time of {timing['processes']} processes" if timing["resumed"] else "")
+        + (
+            f", resumed: the time of {timing['processes']} processes"
+            if timing["resumed"]
+            else ""
+        )
     )
     detail_job(report)
 
 
 def detail_job(report: dict[str, Any]) -> None:
     given, output, timing = report["input"], report["output"], report["timing"]
-    detail(f"camera: {given['camera']}{' (a guess)' if given['camera_guessed'] else ''}; {given['width']}x{given['height']}")
-    detail(f"output: {output['codec']}, {output['pixel_format']}, {output['bytes'] / 1e6:.2f} MB")
+    detail(
+        f"camera: {given['camera']}{' (a guess)' if given['camera_guessed'] else ''};"
+        f" {given['width']}x{given['height']}"
+    )
+    detail(
+        f"output: {output['codec']}, {output['pixel_format']},"
+        f" {output['bytes'] / 1e6:.2f} MB"
+    )
     for s in report["stages"]:
         why = "".join(f"; left out in {n}: {text}" for text, n in s["reasons"].items())
         levels = ", ".join(s["levels"]) or "no level"
         area = f"{s['area_fraction']:.1%} of the picture"
-        detail(f"stage {s['name']}: {s['frames_run']} frames, {levels}, {area}, {s['measured_s']:.2f} s{why}")
+        detail(
+            f"stage {s['name']}: {s['frames_run']} frames, {levels}, {area},"
+            f" {s['measured_s']:.2f} s{why}"
+        )
     light = report["light"]
     detail(f"light: {light['verdict']}, from {light['source']}: {light['reason']}")
     phases = ("decode", "analyse", "plan", "prepare", "render", "encode")
-    detail("seconds: " + ", ".join(f"{p} {timing[f'{p}_s']:.2f}" for p in phases) + f"; peak {timing['peak_rss_mb']:.0f} MB")
+    detail(
+        "seconds: "
+        + ", ".join(f"{p} {timing[f'{p}_s']:.2f}" for p in phases)
+        + f"; peak {timing['peak_rss_mb']:.0f} MB"
+    )
     for w in report.get("workers", ()):
-        detail(f"worker {w['name']} on {w['host']}: {w['frames']} frames in {w['chunks']} chunks, {w['seconds']:.2f} s")
+        detail(
+            f"worker {w['name']} on {w['host']}: {w['frames']} frames in {w['chunks']}"
+            f" chunks, {w['seconds']:.2f} s"
+        )
     for h in report["health"]:
         value = f"{h['value']:.3g}" if isinstance(h["value"], float) else h["value"]
         against = "" if h["verdict"] == "ok" else f" (limit {h['limit']}): {h['action']}"

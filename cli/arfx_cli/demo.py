@@ -7,16 +7,29 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import FOLDER, Progress, emit_json, message_options, note, overwrite_option, say_job
+from arfx_cli.console import (
+    FOLDER,
+    Progress,
+    emit_json,
+    message_options,
+    note,
+    overwrite_option,
+    say_job,
+)
 
 EFFECTS = ("dof",)  # of the demo's job
 
 
 @click.command()
 @click.option(
-    "-o", "--output", "folder", type=FOLDER, default=Path("demo"), show_default=True,
+    "-o",
+    "--output",
+    "folder",
+    type=FOLDER,
+    default=Path("demo"),
+    show_default=True,
     help="Folder for all that is made.",
-)  # fmt: skip
+)
 @overwrite_option
 @message_options
 def command(folder: Path, overwrite: bool, as_json: bool) -> None:
@@ -43,8 +56,14 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from arfx.synth.description import DEMO_SCENE, load_scene
 
     out, picture, report_dir = folder / "out.mp4", folder / "picture.png", folder / "report"
-    if any(os.path.lexists(path) for path in (folder / "clip", out, picture, report_dir)) and not overwrite:
-        raise ConfigError(f"{folder} holds an earlier demo", "--overwrite replaces it; or name another with -o")
+    if (
+        any(os.path.lexists(path) for path in (folder / "clip", out, picture, report_dir))
+        and not overwrite
+    ):
+        raise ConfigError(
+            f"{folder} holds an earlier demo",
+            "--overwrite replaces it; or name another with -o",
+        )
     guard = Guard((), overwrite)
     for path in (out, picture):
         guard.file(path, folder_made=True)
@@ -57,15 +76,41 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
             write_png(part, np.hstack(previews[len(previews) // 2][1:]))
 
     with locked(folder, "-o"), Progress() as progress:
-        with compiling(listed_kernels((SYNTH,)), listed_kernels((JOB, *stages_with(EFFECTS))), progress, note):
-            make_clip(load_scene(DEMO_SCENE), folder / "clip", progress=progress, overwrite=overwrite)
-        config = load(folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters())
-        options = Options(overwrite=overwrite, report=report_dir, finish=finish, progress=progress, notice=note)
+        with compiling(
+            listed_kernels((SYNTH,)),
+            listed_kernels((JOB, *stages_with(EFFECTS))),
+            progress,
+            note,
+        ):
+            make_clip(
+                load_scene(DEMO_SCENE),
+                folder / "clip",
+                progress=progress,
+                overwrite=overwrite,
+            )
+        config = load(
+            folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters()
+        )
+        options = Options(
+            overwrite=overwrite,
+            report=report_dir,
+            finish=finish,
+            progress=progress,
+            notice=note,
+        )
         report = process(config, options)
-    written = {"picture": "picture.png", "clip before": "clip/clip.mp4", "clip after": "out.mp4", "report": "report/report.html"}
+    written = {
+        "picture": "picture.png",
+        "clip before": "clip/clip.mp4",
+        "clip after": "out.mp4",
+        "report": "report/report.html",
+    }
     say_job(report)
     if as_json:
-        emit_json({what.replace(" ", "_"): str(folder / name) for what, name in written.items()} | {"job": report})
+        emit_json(
+            {what.replace(" ", "_"): str(folder / name) for what, name in written.items()}
+            | {"job": report}
+        )
         return
     for what, name in written.items():
         click.echo(f"{what + ':':12} {folder / name}")

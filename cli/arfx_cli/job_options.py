@@ -1,6 +1,7 @@
 """The options that `process`, `plan` and `tradeoff` share, and how they become a job.
 
-Those of a job file's sections are made from its fields; this module has those of stages, and of how a job is run."""
+Those of a job file's sections are made from its fields; this module has those of stages,
+and of how a job is run."""
 
 from __future__ import annotations
 
@@ -22,25 +23,72 @@ if TYPE_CHECKING:
 
 
 _OTHERS = [
-    click.Option(["--config"], type=FILE, multiple=True,
-                 help="Job file (TOML) or preset name. Repeatable: later ones win, and the command line over all."),
-    click.Option(["--light"], metavar="AZ,EL[,R,G,B]", help="A known light: azimuth from the marker's x, elevation, degrees."),
-    click.Option(["--environment"], type=FILE, help="A known light: HDR panorama, its top the marker's z, its middle x."),
-    click.Option(["--formula"], type=click.Choice(["paper", "corrected"]), help="Methods as printed, or corrected (default)."),
-    click.Option(["--set"], multiple=True, metavar="STAGE.KEY=VALUE", help="Any setting, repeatable."),
-    click.Option(["--report", "report_dir"], type=FOLDER, help="Folder for report.json and report.html."),
-    click.Option(["--job", "job_dir"], type=FOLDER, help="Job folder, kept afterwards; default OUT.job."),
-    click.Option(["--resume"], is_flag=True, help="Go on with an interrupted or killed job."),
-    click.Option(["--workers"], type=click.IntRange(1), help="Worker processes; default: threads on up to 4 cores."),
-    click.Option(["--executor"], metavar="CLUSTER", help="Work on a Dask cluster: local[:N], tcp://HOST:PORT, slurm:FILE."),
-    click.Option(["--map-path"], metavar="HERE=THERE", multiple=True,
-                 help="Where the cluster's workers see a path: a path, or a URL (file, s3, http). Repeatable."),
-]  # fmt: skip
+    click.Option(
+        ["--config"],
+        type=FILE,
+        multiple=True,
+        help=(
+            "Job file (TOML) or preset name. Repeatable: later ones win, and the command"
+            " line over all."
+        ),
+    ),
+    click.Option(
+        ["--light"],
+        metavar="AZ,EL[,R,G,B]",
+        help="A known light: azimuth from the marker's x, elevation, degrees.",
+    ),
+    click.Option(
+        ["--environment"],
+        type=FILE,
+        help="A known light: HDR panorama, its top the marker's z, its middle x.",
+    ),
+    click.Option(
+        ["--formula"],
+        type=click.Choice(["paper", "corrected"]),
+        help="Methods as printed, or corrected (default).",
+    ),
+    click.Option(
+        ["--set"], multiple=True, metavar="STAGE.KEY=VALUE", help="Any setting, repeatable."
+    ),
+    click.Option(
+        ["--report", "report_dir"],
+        type=FOLDER,
+        help="Folder for report.json and report.html.",
+    ),
+    click.Option(
+        ["--job", "job_dir"],
+        type=FOLDER,
+        help="Job folder, kept afterwards; default OUT.job.",
+    ),
+    click.Option(
+        ["--resume"], is_flag=True, help="Go on with an interrupted or killed job."
+    ),
+    click.Option(
+        ["--workers"],
+        type=click.IntRange(1),
+        help="Worker processes; default: threads on up to 4 cores.",
+    ),
+    click.Option(
+        ["--executor"],
+        metavar="CLUSTER",
+        help="Work on a Dask cluster: local[:N], tcp://HOST:PORT, slurm:FILE.",
+    ),
+    click.Option(
+        ["--map-path"],
+        metavar="HERE=THERE",
+        multiple=True,
+        help=(
+            "Where the cluster's workers see a path: a path, or a URL (file, s3, http)."
+            " Repeatable."
+        ),
+    ),
+]
 # As help shows them; what is not named here comes last.
 _ORDER = (
-    "clip config camera marker pattern marker-map model scale fit offset rotate up pipeline no-skip quality budget fps max-error "
-    "tradeoff light environment formula depth depth-scale anchor poses set start end "
-    "output codec crf pixel-format report job resume workers executor map-path"
+    "clip config camera marker pattern marker-map model scale fit offset rotate up pipeline"
+    " no-skip quality budget fps max-error tradeoff light environment formula depth"
+    " depth-scale anchor poses set start end output codec crf pixel-format report job"
+    " resume workers executor map-path"
 )
 
 
@@ -56,41 +104,71 @@ def _parameter(s: Setting) -> click.Parameter:
     if Path in s.kinds:
         kind = click.Path(path_type=Path, dir_okay=s.metavar == "PATH")
     elif float in s.kinds:  # click checks a limit of 0, the job all other limits
-        low = next((m for m in s.limits if 0 in (getattr(m, "gt", None), getattr(m, "ge", None))), None)
-        kind = click.FLOAT if low is None else click.FloatRange(0, min_open=hasattr(low, "gt"))
+        low = next(
+            (m for m in s.limits if 0 in (getattr(m, "gt", None), getattr(m, "ge", None))),
+            None,
+        )
+        kind = (
+            click.FLOAT if low is None else click.FloatRange(0, min_open=hasattr(low, "gt"))
+        )
     elif list[str] not in s.kinds:
-        kind = next((click.Choice(get_args(k)) for k in s.kinds if get_origin(k) is Literal), None)
+        kind = next(
+            (click.Choice(get_args(k)) for k in s.kinds if get_origin(k) is Literal), None
+        )
     if not s.flags[0].startswith("-"):
         return click.Argument([s.name], type=kind, required=False)
-    flag = True if bool in s.kinds else None  # with False, click takes the -1 of --crf -1 for an option
-    return click.Option(s.flags, type=kind, metavar=s.metavar, multiple=s.repeated, is_flag=flag, help=s.help)
+    flag = (
+        True if bool in s.kinds else None
+    )  # with False, click takes the -1 of --crf -1 for an option
+    return click.Option(
+        s.flags,
+        type=kind,
+        metavar=s.metavar,
+        multiple=s.repeated,
+        is_flag=flag,
+        help=s.help,
+    )
 
 
 def job_config(given: dict[str, Any], more: Sequence[JobFile] = ()) -> JobConfig:
-    """The typed job from the parsed options. more : files over those of --config. Raises ConfigError."""
+    """The typed job from the parsed options.
+
+    more : files over those of --config. Raises ConfigError.
+    """
     from arfx.config.given import overrides, section_overrides
     from arfx.config.load import find_job_file, load
     from arfx.run.parameters import parameters, pipeline
 
     kinds = parameters()
     formulas = [name for name, by_formula in kinds.items() if len(by_formula) > 1]
-    tree = overrides(itertools.chain(section_overrides(given), _of_stages(given, formulas)), given["set"])
+    tree = overrides(
+        itertools.chain(section_overrides(given), _of_stages(given, formulas)), given["set"]
+    )
     config = load([*(find_job_file(file) for file in given["config"]), *more], tree, kinds)
     pipeline(config)
     return config
 
 
 def workers(given: dict[str, Any]) -> dict[str, Any]:
-    """Who renders, as arguments of `arfx.run.job.Options`; taken out of `given`. Raises ConfigError."""
+    """Who renders, as arguments of `arfx.run.job.Options`; taken out of `given`. Raises
+    ConfigError.
+    """
     from arfx.errors import ConfigError
     from arfx.run.cluster.paths import PathMap
     from arfx.run.cluster.spec import ClusterSpec
 
-    count, executor, maps = (given.pop(name) for name in ("workers", "executor", "map_path"))
+    count, executor, maps = (
+        given.pop(name) for name in ("workers", "executor", "map_path")
+    )
     if executor is not None and count is not None:
-        raise ConfigError(f"--workers {count} and --executor {executor} both say who renders", "give one of them")
+        raise ConfigError(
+            f"--workers {count} and --executor {executor} both say who renders",
+            "give one of them",
+        )
     if maps and executor is None:
-        raise ConfigError("--map-path is for the workers of a cluster", "--executor says which")
+        raise ConfigError(
+            "--map-path is for the workers of a cluster", "--executor says which"
+        )
     spec = None if executor is None else ClusterSpec.parse(executor)
     return {"workers": count, "executor": spec, "map_path": tuple(map(PathMap.parse, maps))}
 
@@ -101,7 +179,11 @@ def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given
 
         yield ("light", "given"), parse_light(given["light"]), f"--light {given['light']}"
     if given["environment"]:
-        yield ("light", "environment"), given["environment"], f"--environment {given['environment']}"
+        yield (
+            ("light", "environment"),
+            given["environment"],
+            f"--environment {given['environment']}",
+        )
     if given["formula"]:
         for name in formulas:
             yield (name, "formula"), given["formula"], f"--formula {given['formula']}"
@@ -113,4 +195,6 @@ def run_options(given: dict[str, Any], progress: Progress) -> Options:
 
     folder, report = given.pop("job_dir"), given.pop("report_dir")
     resume, overwrite, who = given.pop("resume"), given.pop("overwrite"), workers(given)
-    return Options(folder, resume, overwrite, report=report, progress=progress, notice=note, **who)
+    return Options(
+        folder, resume, overwrite, report=report, progress=progress, notice=note, **who
+    )

@@ -1,4 +1,6 @@
-"""The `arfx` command: lists the commands without importing them, and turns errors into one message and an exit code."""
+"""The `arfx` command: lists the commands without importing them, and turns errors into one
+message and an exit code.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +11,7 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -21,28 +24,74 @@ from arfx_cli.console import tell
 
 # command -> (module, one-line help). The module is imported only when its command runs.
 COMMANDS = {
-    "demo": ("arfx_cli.demo", "Make a sample clip, process it, write out.mp4 and a report. No argument needed."),
-    "process": ("arfx_cli.process", "Put a virtual model onto the marker of a clip: the main job."),
-    "batch": ("arfx_cli.batch", "Many clips, one job each: a table, folders or patterns; goes on past one that fails."),
-    "plan": ("arfx_cli.plan", "Explain what `process` would do and leave out, with predicted time; renders nothing."),
-    "tradeoff": ("arfx_cli.tradeoff", "What accuracy costs on a clip: error and time of every level of every effect."),
-    "inspect": ("arfx_cli.inspect", "Stream properties, markers found, coverage, blur; suggests the `process` command."),
-    "calibrate": ("arfx_cli.calibrate", "Camera intrinsics from pictures or video of a board, with a verdict."),
-    "target": ("arfx_cli.target", "A printable marker, marker sheet or board, true to scale."),
+    "demo": (
+        "arfx_cli.demo",
+        "Make a sample clip, process it, write out.mp4 and a report. No argument needed.",
+    ),
+    "process": (
+        "arfx_cli.process",
+        "Put a virtual model onto the marker of a clip: the main job.",
+    ),
+    "batch": (
+        "arfx_cli.batch",
+        (
+            "Many clips, one job each: a table, folders or patterns; goes on past one that"
+            " fails."
+        ),
+    ),
+    "plan": (
+        "arfx_cli.plan",
+        (
+            "Explain what `process` would do and leave out, with predicted time; renders"
+            " nothing."
+        ),
+    ),
+    "tradeoff": (
+        "arfx_cli.tradeoff",
+        "What accuracy costs on a clip: error and time of every level of every effect.",
+    ),
+    "inspect": (
+        "arfx_cli.inspect",
+        "Stream properties, markers found, coverage, blur; suggests the `process` command.",
+    ),
+    "calibrate": (
+        "arfx_cli.calibrate",
+        "Camera intrinsics from pictures or video of a board, with a verdict.",
+    ),
+    "target": (
+        "arfx_cli.target",
+        "A printable marker, marker sheet or board, true to scale.",
+    ),
     "synth": ("arfx_cli.synth", "A synthetic clip with exact truth."),
-    "verify": ("arfx_cli.verify", "Run a synthetic scene and report errors against its truth."),
-    "reproduce": ("arfx_cli.reproduce", "Every equation, number and figure of the four papers, beside what arfx gives."),
-    "stages": ("arfx_cli.stages", "Every stage and every setting: what it does, its default, its levels."),
+    "verify": (
+        "arfx_cli.verify",
+        "Run a synthetic scene and report errors against its truth.",
+    ),
+    "reproduce": (
+        "arfx_cli.reproduce",
+        "Every equation, number and figure of the four papers, beside what arfx gives.",
+    ),
+    "stages": (
+        "arfx_cli.stages",
+        "Every stage and every setting: what it does, its default, its levels.",
+    ),
     "report": ("arfx_cli.report", "The report of a finished job."),
-    "lens": ("arfx_cli.lens", "Depth-of-field limits of a thin lens, as printed and corrected."),
+    "lens": (
+        "arfx_cli.lens",
+        "Depth-of-field limits of a thin lens, as printed and corrected.",
+    ),
     "bench": ("arfx_cli.bench", "Cost of each stage and level on this machine."),
-    "doctor": ("arfx_cli.doctor", "What works here: renderer back ends, codecs, cores; the fix for what does not."),
+    "doctor": (
+        "arfx_cli.doctor",
+        "What works here: renderer back ends, codecs, cores; the fix for what does not.",
+    ),
 }
 EXIT_CODES = (
-    "Exit codes: 0 done; 2 usage or configuration; 3 input cannot be read; 4 nothing to work on; "
-    "5 rendering failed; 6 one of several clips or cameras failed; 130 interrupted (Ctrl-C), 143 stopped by SIGTERM, "
-    "129 by SIGHUP: all three can be resumed. A signal that comes when the output is complete changes nothing: exit 0. A second "
-    "one ends arfx at once."
+    "Exit codes: 0 done; 2 usage or configuration; 3 input cannot be read; 4 nothing to"
+    " work on; 5 rendering failed; 6 one of several clips or cameras failed; 130"
+    " interrupted (Ctrl-C), 143 stopped by SIGTERM, 129 by SIGHUP: all three can be"
+    " resumed. A signal that comes when the output is complete changes nothing: exit 0. A"
+    " second one ends arfx at once."
 )
 
 
@@ -56,37 +105,49 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         with interrupt.deferred():
-            command: click.Command = getattr(importlib.import_module(COMMANDS[cmd_name][0]), "command")  # noqa: B009
+            module: Any = importlib.import_module(COMMANDS[cmd_name][0])
+            command: click.Command = module.command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as e:
             import difflib
 
             near = difflib.get_close_matches(args[0], COMMANDS, 1) if args else []
-            raise click.UsageError(f"{e.message} Did you mean {near[0]!r}?" if near else e.message, ctx) from None
+            raise click.UsageError(
+                f"{e.message} Did you mean {near[0]!r}?" if near else e.message, ctx
+            ) from None
 
 
-@click.group(cls=LazyGroup, epilog=EXIT_CODES, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup,
+    epilog=EXIT_CODES,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(__version__, prog_name="arfx")
 def cli() -> None:
-    """Batch augmented reality: a recorded clip and a camera calibration in, the clip with a virtual model
-    standing on its marker out.
+    """Batch augmented reality: a recorded clip and a camera calibration in, the clip with a
+    virtual model standing on its marker out.
 
     \b
     Example:
-      arfx process clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm -o out.mp4"""
+      arfx process clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb
+      --fit 15cm -o out.mp4
+    """
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run a command. Exits with the codes of EXIT_CODES; ARFX_DEBUG=1 shows tracebacks."""
-    # numpy's own threads wait by spinning: beside rendering threads they took a third of the processor, for small matrices
+    # numpy's own threads wait by spinning: beside rendering threads they took a third of
+    # the processor, for small matrices
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     collect_seldom()
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -98,7 +159,9 @@ def main(argv: Sequence[str] | None = None) -> None:
                 with contextlib.suppress(OSError):  # a folder that is no more
                     check_name(Path.cwd())
             code = cli.main(args=arguments, prog_name="arfx", standalone_mode=False)
-            with interrupt.committing():  # a signal that came before counts, also one that a library swallowed
+            with (
+                interrupt.committing()
+            ):  # a signal that came before counts, also one that a library swallowed
                 pass
         except (Exception, KeyboardInterrupt, SystemExit) as e:
             code = _report_error(e)
@@ -108,10 +171,17 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def _report_error(e: BaseException) -> int:
-    """Say what went wrong in one message. Returns the exit code; raises `e` again where tracebacks are wanted."""
-    if interrupt.pending() and not isinstance(e, JobInterruptedError):  # whatever a library has made of it
+    """Say what went wrong in one message.
+
+    Returns the exit code; raises `e` again where tracebacks are wanted.
+    """
+    if interrupt.pending() and not isinstance(
+        e, JobInterruptedError
+    ):  # whatever a library has made of it
         e = KeyboardInterrupt()
-    elif isinstance(e, click.Abort) and isinstance(e.__cause__, EOFError):  # which click takes for Ctrl-D
+    elif isinstance(e, click.Abort) and isinstance(
+        e.__cause__, EOFError
+    ):  # which click takes for Ctrl-D
         e = e.__cause__
     if isinstance(e, (KeyboardInterrupt, click.Abort)):
         code = interrupt.exit_code() or 130

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from arfx.errors import counted
-from arfx_cli.console import Progress, detail, emit_json, message_options, overwrite_option, print_table, say, verbose
+from arfx_cli.console import (
+    Progress,
+    detail,
+    emit_json,
+    message_options,
+    overwrite_option,
+    print_table,
+    say,
+    verbose,
+)
 from arfx_cli.job_options import job_config, job_options, run_options
 
 if TYPE_CHECKING:
@@ -20,11 +29,13 @@ if TYPE_CHECKING:
 @overwrite_option
 @message_options
 def command(as_json: bool, **given: Any) -> None:
-    """Explain what `arfx process` with the same arguments would do to CLIP, with predicted time. Nothing is written.
+    """Explain what `arfx process` with the same arguments would do to CLIP, with predicted
+    time. Nothing is written.
 
     \b
     Example:
-      arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm"""
+      arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm
+    """
     from arfx.plan.explain import level_lines, total_line
     from arfx.run.aside import plan_document, planned_aside
     from arfx.run.model_size import size_in_words
@@ -40,30 +51,61 @@ def command(as_json: bool, **given: Any) -> None:
         emit_json(document)
         return
     heads = ("stage", "level", "runs", "area", "predicted", "left out, and why")
-    print_table(f"plan of {counted(len(job.plan.frames), 'frames')}", heads, map(_cells, rows), words=2)
+    print_table(
+        f"plan of {counted(len(job.plan.frames), 'frames')}",
+        heads,
+        map(_cells, rows),
+        words=2,
+    )
     for line in frame_by_frame(job.plan.frames):
         detail(line)
     say(size_in_words(document["model"]))
     for line in level_lines(job.plan.levels):
         say(line)
-    say(total_line(job.plan.predicted, len(job.plan.frames), [r["name"] for r in rows if r["predicted_s"] is None]))
+    say(
+        total_line(
+            job.plan.predicted,
+            len(job.plan.frames),
+            [r["name"] for r in rows if r["predicted_s"] is None],
+        )
+    )
 
 
 def _cells(row: dict[str, Any]) -> Sequence[str]:
-    predicted, between = "unknown" if row["predicted_s"] is None else f"{row['predicted_s']:.2f} s", row["predicted_between_s"]
+    predicted, between = (
+        "unknown" if row["predicted_s"] is None else f"{row['predicted_s']:.2f} s",
+        row["predicted_between_s"],
+    )
     if between is not None and row["frames_run"]:
         predicted += f" ({between[0]:.2g}–{between[1]:.2g})"
     why = "\n".join(f"{n} × {text}" for text, n in row["reasons"].items())
-    return row["name"], ", ".join(row["levels"]), str(row["frames_run"]), f"{row['area_fraction']:.1%}", predicted, why
+    return (
+        row["name"],
+        ", ".join(row["levels"]),
+        str(row["frames_run"]),
+        f"{row['area_fraction']:.1%}",
+        predicted,
+        why,
+    )
 
 
 def frame_by_frame(plans: Sequence[FramePlan]) -> Iterator[str]:
-    """What runs and what does not, and why: one line for each stretch of frames that have the same steps and reasons."""
+    """What runs and what does not, and why: one line for each stretch of frames that have
+    the same steps and reasons.
+    """
 
     def words(plan: FramePlan) -> str:
         skipped = [f"no {s.stage} ({s.reason})" for s in plan.skipped]
-        return "; ".join([", ".join(f"{s.stage} {s.level}" for s in plan.steps) or "nothing runs", *skipped])
+        return "; ".join(
+            [
+                ", ".join(f"{s.stage} {s.level}" for s in plan.steps) or "nothing runs",
+                *skipped,
+            ]
+        )
 
     for text, group in itertools.groupby(plans, words):
         stretch = [p.index for p in group]
-        yield f"frame{f's {stretch[0]}–{stretch[-1]}' if len(stretch) > 1 else f' {stretch[0]}'}: {text}"
+        yield (
+            f"frame{f's {stretch[0]}–{stretch[-1]}' if len(stretch) > 1 else f' {stretch[0]}'}:"
+            f" {text}"
+        )

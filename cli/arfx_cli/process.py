@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import Progress, emit_json, message_options, overwrite_option, say, say_job
+from arfx_cli.console import (
+    Progress,
+    emit_json,
+    message_options,
+    overwrite_option,
+    say,
+    say_job,
+)
 from arfx_cli.job_options import job_config, job_options, run_options
 
 
@@ -17,7 +24,8 @@ from arfx_cli.job_options import job_config, job_options, run_options
 def command(as_json: bool, **given: Any) -> None:
     """Put a virtual model onto the marker of CLIP.
 
-    Frame times, audio, rotation and colour tags are kept; pixels that nothing virtual touches stay as they are.
+    Frame times, audio, rotation and colour tags are kept; pixels that nothing virtual
+    touches stay as they are.
 
     \b
     Example:

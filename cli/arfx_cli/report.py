@@ -6,12 +6,21 @@ from pathlib import Path
 
 import click
 
-from arfx_cli.console import FOLDER, detail_job, emit_json, message_options, overwrite_option, say
+from arfx_cli.console import (
+    FOLDER,
+    detail_job,
+    emit_json,
+    message_options,
+    overwrite_option,
+    say,
+)
 
 
 @click.command()
 @click.argument("job_dir", metavar="JOBDIR", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=FOLDER, help="Folder of the report; default: beside JOBDIR.")
+@click.option(
+    "-o", "--output", type=FOLDER, help="Folder of the report; default: beside JOBDIR."
+)
 @overwrite_option
 @message_options
 def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) -> None:
@@ -28,7 +37,9 @@ def command(job_dir: Path, output: Path | None, overwrite: bool, as_json: bool) 
     from arfx.run.place import REPORT_FILES, files_locked
 
     report = read_report(job_dir)
-    folder = output or job_dir.absolute().with_name(job_dir.absolute().name.removesuffix(".job") + ".report")
+    folder = output or job_dir.absolute().with_name(
+        job_dir.absolute().name.removesuffix(".job") + ".report"
+    )
     guard = Guard((("job", path) for path in JobFolder(job_dir).files()), overwrite)
     with files_locked(guard, folder, REPORT_FILES):
         page = report_of_job(job_dir, folder)

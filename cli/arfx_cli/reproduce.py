@@ -1,4 +1,6 @@
-"""`arfx reproduce`: every equation, number and figure of the four papers beside what the program gives."""
+"""`arfx reproduce`: every equation, number and figure of the four papers beside what the
+program gives.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +10,45 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import FOLDER, Progress, detail, emit_json, message_options, note, overwrite_option, print_table, say
+from arfx_cli.console import (
+    FOLDER,
+    Progress,
+    detail,
+    emit_json,
+    message_options,
+    note,
+    overwrite_option,
+    print_table,
+    say,
+)
 
 
 @click.command()
 @click.argument("paper", type=click.Choice(["s1", "s2", "s3", "s4", "all"]), default="all")
-@click.option("-o", "--output", "folder", required=True, type=FOLDER, help="Folder of the pages; made if need be.")
-@click.option("--short", is_flag=True, help="Small pictures, few frames and repeats: for tests. Its times mean nothing.")
+@click.option(
+    "-o",
+    "--output",
+    "folder",
+    required=True,
+    type=FOLDER,
+    help="Folder of the pages; made if need be.",
+)
+@click.option(
+    "--short",
+    is_flag=True,
+    help="Small pictures, few frames and repeats: for tests. Its times mean nothing.",
+)
 @overwrite_option
 @message_options
 def command(paper: str, folder: Path, short: bool, overwrite: bool, as_json: bool) -> None:
-    """Compute every equation, printed number and figure of the published methods, from scenes that are made for it.
+    """Compute every equation, printed number and figure of the published methods, from
+    scenes that are made for it.
 
-    s1 is the light map (Tan, Chen, Sun 2009), s2 depth of field (Zhao et al. 2012), s3 watercolour (Jia, Tang 2013), s4
-    environment map and cone tracing (Yao, Tao, Wu 2018). Each gets a page, s1.html …, with a row for everything that it
-    states: as printed, by the printed method here, by the corrected one, and why they differ; and with pictures and plots
+    s1 is the light map (Tan, Chen, Sun 2009), s2 depth of field (Zhao et al. 2012), s3
+    watercolour (Jia, Tang 2013), s4 environment map and cone tracing (Yao, Tao, Wu 2018).
+    Each gets a page, s1.html …, with a row for everything that it
+    states: as printed, by the printed method here, by the corrected one, and why they
+    differ; and with pictures and plots
     where the paper has figures and tables.
 
     \b
@@ -39,10 +65,15 @@ def command(paper: str, folder: Path, short: bool, overwrite: bool, as_json: boo
     papers = list(PAPERS) if paper == "all" else [paper]
     pages = {page_name(name): PAGE_START.encode() for name in papers}
     try:
-        with files_locked(Guard((), overwrite), folder, pages), Progress("steps") as progress:
+        with (
+            files_locked(Guard((), overwrite), folder, pages),
+            Progress("steps") as progress,
+        ):
             compile_ahead((SYNTH,), progress, note)
             with tempfile.TemporaryDirectory(prefix="arfx-reproduce-") as scratch:
-                document = reproduce(papers, folder, Work(Path(scratch), short, progress, detail))
+                document = reproduce(
+                    papers, folder, Work(Path(scratch), short, progress, detail)
+                )
     except JobInterruptedError:  # its message says that the job can be resumed
         raise KeyboardInterrupt from None
     if as_json:
@@ -60,7 +91,12 @@ def _show(rows: list[dict[str, Any]]) -> None:
             lines.append(())
         values = (_text(r[key]) for key in ("printed", "paper_formula", "corrected"))
         lines.append((r["paper"], r["item"], *values, r["unit"], r["verdict"]))
-    print_table("papers", ("paper", "item", "printed", "printed method", "corrected", "unit", "verdict"), lines, words=7)
+    print_table(
+        "papers",
+        ("paper", "item", "printed", "printed method", "corrected", "unit", "verdict"),
+        lines,
+        words=7,
+    )
 
 
 def _text(value: float | str | None) -> str:

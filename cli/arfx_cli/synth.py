@@ -7,21 +7,38 @@ from typing import Any
 
 import click
 
-from arfx_cli.console import FOLDER, Progress, detail, emit_json, message_options, note, overwrite_option, say
+from arfx_cli.console import (
+    FOLDER,
+    Progress,
+    detail,
+    emit_json,
+    message_options,
+    note,
+    overwrite_option,
+    say,
+)
 
 
 @click.command()
 @click.argument("scene", type=click.Path(path_type=Path))
-@click.option("-o", "--output", "folder", required=True, type=FOLDER, help="Folder to make.")
-@click.option("--truth", "kinds", help="Pictures of truth to write: depth,mask,flow or none; default as the scene says.")
+@click.option(
+    "-o", "--output", "folder", required=True, type=FOLDER, help="Folder to make."
+)
+@click.option(
+    "--truth",
+    "kinds",
+    help="Pictures of truth to write: depth,mask,flow or none; default as the scene says.",
+)
 @overwrite_option
 @message_options
-def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_json: bool) -> None:
+def command(
+    scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_json: bool
+) -> None:
     """Render SCENE (a scene.toml, or the folder that holds one) into a folder.
 
-    The folder holds the clip, camera.yaml, model.glb, job.toml (`arfx process --config`), depth maps if the scene has a
-    [depth] part, truth.jsonl (poses, corners, visibility, lights, exposure of every frame) and truth/ with depth, masks and
-    flow.
+    The folder holds the clip, camera.yaml, model.glb, job.toml (`arfx process --config`),
+    depth maps if the scene has a [depth] part, truth.jsonl (poses, corners, visibility,
+    lights, exposure of every frame) and truth/ with depth, masks and flow.
 
     \b
     Example:
@@ -34,10 +51,14 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_js
     path = scene / "scene.toml" if scene.is_dir() else scene
     description = load_scene(path)
     if kinds is not None:
-        chosen: Any = tuple(k.strip() for k in kinds.split(",") if k.strip() and k.strip() != "none")
+        chosen: Any = tuple(
+            k.strip() for k in kinds.split(",") if k.strip() and k.strip() != "none"
+        )
         wrong = [k for k in chosen if k not in ("depth", "mask", "flow")]
         if wrong:
-            raise ConfigError(f"--truth: there is no {wrong[0]!r}", "depth, mask, flow, or none")
+            raise ConfigError(
+                f"--truth: there is no {wrong[0]!r}", "depth, mask, flow, or none"
+            )
         description = description.model_copy(update={"truth": chosen})
     with Progress() as progress:
         compile_ahead((SYNTH,), progress, note)
@@ -47,10 +68,31 @@ def command(scene: Path, folder: Path, kinds: str | None, overwrite: bool, as_js
     for path in sorted(p for p in folder.rglob("*") if p.is_file() and p.parent == folder):
         detail(f"{path.name}: {path.stat().st_size:,} bytes")
     for key in sorted({key for f in truth.frames for key in f.markers}):
-        seen = [f.markers[key] for f in truth.frames if key in f.markers and f.markers[key].visible > 0]
-        sides = f", sides of {min(m.side_px for m in seen):.0f} to {max(m.side_px for m in seen):.0f} px" if seen else ""
-        detail(f"marker {key}: in sight in {len(seen)} of {len(truth.frames)} frames{sides}")
+        seen = [
+            f.markers[key]
+            for f in truth.frames
+            if key in f.markers and f.markers[key].visible > 0
+        ]
+        sides = (
+            f", sides of {min(m.side_px for m in seen):.0f} to"
+            f" {max(m.side_px for m in seen):.0f} px"
+            if seen
+            else ""
+        )
+        detail(
+            f"marker {key}: in sight in {len(seen)} of {len(truth.frames)} frames{sides}"
+        )
     if truth.world is not None:
-        say(f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}   or   arfx verify {folder}")
+        say(
+            f"next: arfx process --config {folder / 'job.toml'} -o {folder / 'out.mp4'}  "
+            f" or   arfx verify {folder}"
+        )
     if as_json:
-        emit_json({"folder": str(folder), "frames": len(truth.frames), "world": truth.world, "files": files})
+        emit_json(
+            {
+                "folder": str(folder),
+                "frames": len(truth.frames),
+                "world": truth.world,
+                "files": files,
+            }
+        )

@@ -12,16 +12,31 @@ from arfx_cli.console import FILE, detail, emit_json, message_options, overwrite
 
 @click.command()
 @click.argument("specs", metavar="SPEC...", nargs=-1, required=True)
-@click.option("-o", "--output", required=True, type=FILE, help="File to write: .pdf, .svg or .png.")
-@click.option("--page", default="a4", show_default=True, help="a0 to a5, letter, legal, tabloid, or a size such as 300mmx400mm.")
+@click.option(
+    "-o", "--output", required=True, type=FILE, help="File to write: .pdf, .svg or .png."
+)
+@click.option(
+    "--page",
+    default="a4",
+    show_default=True,
+    help="a0 to a5, letter, legal, tabloid, or a size such as 300mmx400mm.",
+)
 @click.option("--dpi", default=300.0, show_default=True, help="Resolution of a PNG.")
 @overwrite_option
 @message_options
-def command(specs: tuple[str, ...], output: Path, page: str, dpi: float, overwrite: bool, as_json: bool) -> None:
-    """A printable marker, sheet of markers or calibration board, true to scale, with its size and a ruler printed on it.
+def command(
+    specs: tuple[str, ...],
+    output: Path,
+    page: str,
+    dpi: float,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """A printable marker, sheet of markers or calibration board, true to scale, with its
+    size and a ruler printed on it.
 
-    SPEC is a marker 36h11:3:165mm, a range of them 4X4_50:0-5:40mm, or one board: chessboard:9x6:25mm (inner corners),
-    charuco:12x8:18mm:14mm:5X5_100 (squares).
+    SPEC is a marker 36h11:3:165mm, a range of them 4X4_50:0-5:40mm, or one board:
+    chessboard:9x6:25mm (inner corners), charuco:12x8:18mm:14mm:5X5_100 (squares).
 
     \b
     Example:
@@ -32,10 +47,27 @@ def command(specs: tuple[str, ...], output: Path, page: str, dpi: float, overwri
     sheet = lay_out(targets, page)
     Guard((), overwrite).file(output)
     write_sheet(sheet, output, dpi)
-    say(f"wrote {output}: {sheet.width_mm:g} x {sheet.height_mm:g} mm; print at 100 % and measure the ruler")
-    for target, cells in zip(targets, sheet.cells, strict=False):  # a ChArUco board's markers come after the board
+    say(
+        f"wrote {output}: {sheet.width_mm:g} x {sheet.height_mm:g} mm; print at 100 % and"
+        " measure the ruler"
+    )
+    for target, cells in zip(
+        targets, sheet.cells, strict=False
+    ):  # a ChArUco board's markers come after the board
         rows, columns = cells.black.shape
-        size = f"{columns * cells.cell_mm:g} x {rows * cells.cell_mm:g} mm ({columns} x {rows} squares of {cells.cell_mm:.4g} mm)"
-        detail(f"{target}: {size}, {cells.x_mm:.1f} mm from the left and {cells.y_mm:.1f} mm from the top of the page")
+        size = (
+            f"{columns * cells.cell_mm:g} x {rows * cells.cell_mm:g} mm ({columns} x {rows}"
+            f" squares of {cells.cell_mm:.4g} mm)"
+        )
+        detail(
+            f"{target}: {size}, {cells.x_mm:.1f} mm from the left and {cells.y_mm:.1f} mm"
+            " from the top of the page"
+        )
     if as_json:
-        emit_json({"output": str(output), "page_mm": [sheet.width_mm, sheet.height_mm], "targets": [str(t) for t in targets]})
+        emit_json(
+            {
+                "output": str(output),
+                "page_mm": [sheet.width_mm, sheet.height_mm],
+                "targets": [str(t) for t in targets],
+            }
+        )

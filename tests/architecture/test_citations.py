@@ -19,8 +19,16 @@ _MADE = {"table.md", "hard/table.md", "calibrated/table.md"}  # by a command
 
 
 def texts() -> dict[str, str]:
-    paths = [ROOT / name for name in project_files() if name != str(Path(__file__).relative_to(ROOT))]
-    return {str(p.relative_to(ROOT)): p.read_text(encoding="utf-8") for p in paths if p.suffix in TEXTS and p.is_file()}
+    paths = [
+        ROOT / name
+        for name in project_files()
+        if name != str(Path(__file__).relative_to(ROOT))
+    ]
+    return {
+        str(p.relative_to(ROOT)): p.read_text(encoding="utf-8")
+        for p in paths
+        if p.suffix in TEXTS and p.is_file()
+    }
 
 
 @cache
@@ -31,29 +39,50 @@ def anchors(document: Path) -> set[str]:
 
 
 def missing(text: str, documents: Iterable[str]) -> list[str]:
-    """What a text cites and the tree has not. documents : paths of all; a citation may leave folders out"""
+    """What a text cites and the tree has not.
+
+    documents : paths of all; a citation may leave folders out
+    """
     out = []
     for cited, anchor in _DOCUMENT.findall(text):
         found = [d for d in documents if f"/{d}".endswith(f"/{cited.removeprefix('../')}")]
-        if cited not in _MADE and not any(not anchor or anchor in anchors(ROOT / d) for d in found):
+        if cited not in _MADE and not any(
+            not anchor or anchor in anchors(ROOT / d) for d in found
+        ):
             out.append(f"{cited}{'#' + anchor if anchor else ''}")
-    return out + [f"{file}::{test}" for file, test in _TEST.findall(text) if not _has(ROOT / file, test)]
+    return out + [
+        f"{file}::{test}"
+        for file, test in _TEST.findall(text)
+        if not _has(ROOT / file, test)
+    ]
 
 
 def _has(file: Path, test: str) -> bool:
-    return file.is_file() and re.search(rf"^def {test}\(", file.read_text(encoding="utf-8"), re.MULTILINE) is not None
+    return (
+        file.is_file()
+        and re.search(rf"^def {test}\(", file.read_text(encoding="utf-8"), re.MULTILINE)
+        is not None
+    )
 
 
 def test_every_document_heading_and_test_that_is_cited_exists() -> None:
     found = texts()
     assert "README.md" in found and "arfx/errors.py" in found
     documents = [name for name in found if name.endswith(".md")]
-    assert not (wrong := [f"{name}: {m}" for name, text in found.items() for m in missing(text, documents)]), "\n".join(wrong)
+    assert not (
+        wrong := [
+            f"{name}: {m}" for name, text in found.items() for m in missing(text, documents)
+        ]
+    ), "\n".join(wrong)
 
 
 def test_papers_are_cited_by_their_authors() -> None:
     short = re.compile(r"\bS[1-4]\b")
-    found = {name: text for name, text in texts().items() if name.startswith(("arfx/", "cli/", "docs/", "tests/", "README"))}
+    found = {
+        name: text
+        for name, text in texts().items()
+        if name.startswith(("arfx/", "cli/", "docs/", "tests/", "README"))
+    }
     assert not [name for name, text in found.items() if short.search(text)]
 
 

@@ -32,9 +32,13 @@ def test_every_command_has_help_with_a_real_example(name: str) -> None:
 @pytest.mark.parametrize("section", sorted(parameters()))
 def test_every_setting_is_documented(section: str) -> None:
     for kind in parameters()[section].values():
-        text = " ".join(c.__doc__ or "" for c in kind.__mro__ if dataclasses.is_dataclass(c))
+        text = " ".join(
+            c.__doc__ or "" for c in kind.__mro__ if dataclasses.is_dataclass(c)
+        )
         for field in dataclasses.fields(kind):
-            assert re.search(rf"\b{field.name}\b", text), f"{section}.{field.name} is not explained in its docstring"
+            assert re.search(rf"\b{field.name}\b", text), (
+                f"{section}.{field.name} is not explained in its docstring"
+            )
         assert kind.__dataclass_params__.frozen  # type: ignore[attr-defined]
 
 
@@ -45,19 +49,27 @@ def test_every_stage_keeps_the_contract_by_type(name: str) -> None:
 
 
 def test_the_page_of_stages_is_what_the_stages_say() -> None:
-    assert (ROOT / "docs" / "stages.md").read_text(encoding="utf-8") == page(), "arfx stages all > docs/stages.md"
+    assert (ROOT / "docs" / "stages.md").read_text(encoding="utf-8") == page(), (
+        "arfx stages all > docs/stages.md"
+    )
 
 
 def test_exit_codes_agree_with_the_errors() -> None:
     from arfx import errors
 
-    codes = {e.exit_code for e in vars(errors).values() if isinstance(e, type) and issubclass(e, errors.ArfxError)}
+    codes = {
+        e.exit_code
+        for e in vars(errors).values()
+        if isinstance(e, type) and issubclass(e, errors.ArfxError)
+    }
     assert codes <= {int(c) for c in re.findall(r"\b(\d+)\b", EXIT_CODES)}
 
 
 def test_readme_names_only_commands_that_exist() -> None:
     text = (ROOT / "README.md").read_text()
-    assert text.index("make demo") < 900 and text.index("make test") < 900, "the two commands are on the first screen"
+    assert text.index("make demo") < 900 and text.index("make test") < 900, (
+        "the two commands are on the first screen"
+    )
     for name in re.findall(r"^arfx (\w+)", text, re.MULTILINE):
         assert name in COMMANDS
     for target in re.findall(r"^make (\w+)", text, re.MULTILINE):
@@ -66,13 +78,17 @@ def test_readme_names_only_commands_that_exist() -> None:
         assert (ROOT / link).exists(), f"README links to {link}"
 
 
-_STILTED = re.compile(r"\b(tells?|told|called for|calls? for|dear|stands? in)\b(?! the middle)", re.IGNORECASE)
+_STILTED = re.compile(
+    r"\b(tells?|told|called for|calls? for|dear|stands? in)\b(?! the middle)", re.IGNORECASE
+)
 _LONGEST = 25  # words of a sentence on the first screen
 
 
 def test_readme_begins_with_short_sentences() -> None:
     first = "\n".join((ROOT / "README.md").read_text(encoding="utf-8").splitlines()[:40])
-    prose = re.sub(r"^```.*?^```|^\|.*?$|^#.*?$", ".", first, flags=re.DOTALL | re.MULTILINE)
+    prose = re.sub(
+        r"^```.*?^```|^\|.*?$|^#.*?$", ".", first, flags=re.DOTALL | re.MULTILINE
+    )
     sentences = [s.split() for s in re.split(r"[.:;!?]\s|\n\n", prose)]
     assert len(sentences) > 10 and not [" ".join(s) for s in sentences if len(s) > _LONGEST]
 
@@ -83,7 +99,11 @@ def test_readme_and_help_are_in_plain_words() -> None:
         command = cli.get_command(click.Context(cli), name)
         assert command is not None
         texts[name] = command.get_help(click.Context(command, info_name=name))
-    assert not [f"{name}: {found[0]}" for name, text in texts.items() if (found := _STILTED.search(text))]
+    assert not [
+        f"{name}: {found[0]}"
+        for name, text in texts.items()
+        if (found := _STILTED.search(text))
+    ]
 
 
 def test_no_machine_paths_in_tracked_files() -> None:
@@ -92,7 +112,11 @@ def test_no_machine_paths_in_tracked_files() -> None:
     assert "README.md" in listed and "arfx/errors.py" in listed
     for name in listed:
         path = ROOT / name
-        if path.suffix in (".py", ".md", ".toml", ".txt", "") and path.is_file() and path.name != Path(__file__).name:
+        if (
+            path.suffix in (".py", ".md", ".toml", ".txt", "")
+            and path.is_file()
+            and path.name != Path(__file__).name
+        ):
             assert not wrong.search(path.read_text(encoding="utf-8", errors="ignore")), name
 
 

@@ -23,12 +23,23 @@ ALLOWED: dict[str, set[str]] = {
     "plan": FIRST,
 }
 ALLOWED["papers"] = FIRST | {"stages", "analyse"}
-ALLOWED["run"] = FIRST | {"config", "media", "calibrate", "synth", "stages", "analyse", "papers", "plan"}
+ALLOWED["run"] = FIRST | {
+    "config",
+    "media",
+    "calibrate",
+    "synth",
+    "stages",
+    "analyse",
+    "papers",
+    "plan",
+}
 ALLOWED["measure"] = ALLOWED["run"] | {"run"}
 ALLOWED["reproduce"] = ALLOWED["measure"] | {"measure"}
 ALLOWED["arfx_cli"] = ALLOWED["reproduce"] | {"reproduce"}
 EMPTY_NAMES = {"utils", "util", "helpers", "helper", "manager", "base", "misc", "common"}
-MODULES = sorted([*(ROOT / "arfx").rglob("*.py"), *(ROOT / "cli" / "arfx_cli").rglob("*.py")])
+MODULES = sorted(
+    [*(ROOT / "arfx").rglob("*.py"), *(ROOT / "cli" / "arfx_cli").rglob("*.py")]
+)
 
 
 def room(path: Path) -> str:
@@ -57,7 +68,11 @@ def wrong_imports(source: str, here: str) -> list[str]:
     for name in imported(ast.parse(source)):
         top, *rest = name.split(".")
         if top not in ("arfx", "arfx_cli"):
-            if here == "core" and top not in ("numpy", "__future__") and top not in __import__("sys").stdlib_module_names:
+            if (
+                here == "core"
+                and top not in ("numpy", "__future__")
+                and top not in __import__("sys").stdlib_module_names
+            ):
                 bad.append(name)
             continue
         there = "arfx_cli" if top == "arfx_cli" else (rest[0] if rest else "")
@@ -69,7 +84,9 @@ def wrong_imports(source: str, here: str) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "path", [p for p in MODULES if p != ROOT / "arfx" / "__init__.py"], ids=lambda p: str(p.relative_to(ROOT))
+    "path",
+    [p for p in MODULES if p != ROOT / "arfx" / "__init__.py"],
+    ids=lambda p: str(p.relative_to(ROOT)),
 )
 def test_imports_go_one_way(path: Path) -> None:
     assert not wrong_imports(path.read_text(), room(path))
@@ -82,7 +99,11 @@ def test_the_import_rule_rejects_a_wrong_import() -> None:
 
 
 def module_name(path: Path) -> str:
-    parts = path.relative_to(ROOT / "cli" if room(path) == "arfx_cli" else ROOT).with_suffix("").parts
+    parts = (
+        path.relative_to(ROOT / "cli" if room(path) == "arfx_cli" else ROOT)
+        .with_suffix("")
+        .parts
+    )
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
@@ -100,27 +121,52 @@ def test_no_modules_import_each_other() -> None:
     sources = {module_name(path): ast.parse(path.read_text()) for path in MODULES}
     uses: dict[str, set[str]] = {}
     for name, tree in sources.items():
-        found = {f"{n.module}.{a.name}" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module for a in n.names}
+        found = {
+            f"{n.module}.{a.name}"
+            for n in ast.walk(tree)
+            if isinstance(n, ast.ImportFrom) and n.module
+            for a in n.names
+        }
         names = {full if full in sources else full.rpartition(".")[0] for full in found}
         uses[name] = (names & sources.keys()) - {name}
     assert not circle(uses)
 
 
 def test_a_circle_is_found() -> None:
-    assert set(circle({"a": {"b"}, "b": {"c"}, "c": {"a"}})) == {"a", "b", "c"} and not circle({"a": {"b"}, "b": set()})
+    assert set(circle({"a": {"b"}, "b": {"c"}, "c": {"a"}})) == {
+        "a",
+        "b",
+        "c",
+    } and not circle({"a": {"b"}, "b": set()})
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_modules_stay_small_and_named(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= 400, "split it along a seam that a newcomer would expect"
+    assert len(path.read_text().splitlines()) <= 400, (
+        "split it along a seam that a newcomer would expect"
+    )
     assert path.stem not in EMPTY_NAMES
     if path.stem != "__init__":
-        assert ast.get_docstring(ast.parse(path.read_text())), "a module's header says what it does"
+        assert ast.get_docstring(ast.parse(path.read_text())), (
+            "a module's header says what it does"
+        )
 
 
 def test_scipy_is_imported_where_it_is_called() -> None:
-    """It takes a quarter of a second, in every process of a job. References are loaded by who asks for them."""
+    """It takes a quarter of a second, in every process of a job.
+
+    References are loaded by who asks for them.
+    """
     rooms = ("analyse", "media", "run", "stages")
-    files = [p for room in rooms for p in (ROOT / "arfx" / room).rglob("*.py") if p.name != "reference.py"]
-    early = [p.name for p in files if re.search(r"^(from|import) scipy", p.read_text(encoding="utf-8"), re.MULTILINE)]
+    files = [
+        p
+        for room in rooms
+        for p in (ROOT / "arfx" / room).rglob("*.py")
+        if p.name != "reference.py"
+    ]
+    early = [
+        p.name
+        for p in files
+        if re.search(r"^(from|import) scipy", p.read_text(encoding="utf-8"), re.MULTILINE)
+    ]
     assert len(files) > 100 and not early

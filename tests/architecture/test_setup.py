@@ -1,4 +1,6 @@
-"""Set-up without network: what make_venv decides, what it reads from a package index, and what an old Python is told."""
+"""Set-up without network: what make_venv decides, what it reads from a package index, and
+what an old Python is told.
+"""
 
 from __future__ import annotations
 
@@ -32,23 +34,46 @@ def test_it_imports_only_the_standard_library() -> None:
     import ast
 
     tree = ast.parse(SCRIPT.read_text())
-    names = {a.name.split(".")[0] for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
-    names |= {(n.module or "").split(".")[0] for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    names = {
+        a.name.split(".")[0]
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Import)
+        for a in n.names
+    }
+    names |= {
+        (n.module or "").split(".")[0]
+        for n in ast.walk(tree)
+        if isinstance(n, ast.ImportFrom)
+    }
     assert names <= sys.stdlib_module_names
 
 
 def test_an_old_python_gets_a_message() -> None:
-    code = f"import sys; sys.version_info = (3, 10, 9); exec(compile(open({str(SCRIPT)!r}).read(), 'make_venv', 'exec'))"
-    got = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    code = (
+        "import sys; sys.version_info = (3, 10, 9);"
+        f" exec(compile(open({str(SCRIPT)!r}).read(), 'make_venv', 'exec'))"
+    )
+    got = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     assert (
-        got.returncode == 2 and "Python 3.11 or newer" in got.stderr and "help:" in got.stderr and "Traceback" not in got.stderr
+        got.returncode == 2
+        and "Python 3.11 or newer" in got.stderr
+        and "help:" in got.stderr
+        and "Traceback" not in got.stderr
     )
 
 
-def test_a_second_call_installs_nothing(make_venv: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_second_call_installs_nothing(
+    make_venv: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     calls: list[str] = []
     monkeypatch.setattr(make_venv, "install", lambda: calls.append("install"))
-    monkeypatch.setattr(make_venv, "create", lambda: (calls.append("create"), (tmp_path / ".venv" / "bin").mkdir(parents=True)))
+    monkeypatch.setattr(
+        make_venv,
+        "create",
+        lambda: (calls.append("create"), (tmp_path / ".venv" / "bin").mkdir(parents=True)),
+    )
     monkeypatch.setattr(make_venv, "runs", lambda *_: True)
     (tmp_path / "pyproject.toml").write_text("a")
     make_venv.main()
@@ -67,28 +92,42 @@ def test_a_second_call_installs_nothing(make_venv: ModuleType, monkeypatch: pyte
     assert calls[-2:] == ["create", "install"], "a moved tree is made anew"
 
 
-def test_a_failed_installation_leaves_no_stamp(make_venv: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_failed_installation_leaves_no_stamp(
+    make_venv: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / ".venv").mkdir()
     monkeypatch.setattr(make_venv, "create", lambda: None)
-    monkeypatch.setattr(make_venv, "pip_install", lambda *_: (1, "ERROR: Temporary failure in name resolution"))
+    monkeypatch.setattr(
+        make_venv,
+        "pip_install",
+        lambda *_: (1, "ERROR: Temporary failure in name resolution"),
+    )
     with pytest.raises(SystemExit):
         make_venv.main()
     assert not make_venv.STAMP.exists()
 
 
-def test_constraints_that_do_not_fit_are_left_out(make_venv: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_constraints_that_do_not_fit_are_left_out(
+    make_venv: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
     calls: list[tuple[str, ...]] = []
 
     def pip(*words: str) -> tuple[int, str]:
         calls.append(words)
-        return (1, "ERROR: No matching distribution found for numba==0.68.1") if "-c" in words else (0, "")
+        return (
+            (1, "ERROR: No matching distribution found for numba==0.68.1")
+            if "-c" in words
+            else (0, "")
+        )
 
     monkeypatch.setattr(make_venv, "pip_install", pip)
     make_venv.install()
     assert ["-c" in c for c in calls] == [True, False]
 
 
-def test_a_folder_that_is_no_environment_is_left_alone(make_venv: ModuleType, tmp_path: Path) -> None:
+def test_a_folder_that_is_no_environment_is_left_alone(
+    make_venv: ModuleType, tmp_path: Path
+) -> None:
     (tmp_path / ".venv").mkdir()
     (tmp_path / ".venv" / "precious").write_text("x")
     with pytest.raises(SystemExit):
@@ -106,20 +145,53 @@ def test_pip_wheels_are_read_from_both_kinds_of_index_page(make_venv: ModuleType
         ("pip-26.0.1.tar.gz", ">=3.9"),
     ]
     page = json.dumps(
-        {"files": [{"filename": n, "url": f"../w/{n}", "hashes": {"sha256": "ab"}, "requires-python": r} for n, r in files]}
+        {
+            "files": [
+                {
+                    "filename": n,
+                    "url": f"../w/{n}",
+                    "hashes": {"sha256": "ab"},
+                    "requires-python": r,
+                }
+                for n, r in files
+            ]
+        }
     )
-    rows = "".join(f'<a href="../w/{n}#sha256=ab" data-requires-python="{r.replace(">", "&gt;")}">{n}</a>\n' for n, r in files)
+    rows = "".join(
+        f'<a href="../w/{n}#sha256=ab"'
+        f' data-requires-python="{r.replace(">", "&gt;")}">{n}</a>\n'
+        for n, r in files
+    )
     for text in (page, f"<html><body>{rows}</body></html>"):
         wheels = make_venv.wheels_on(text.encode(), "https://index/simple/pip/")
-        assert [w[2] for w in wheels] == ["pip-23.1-py3-none-any.whl", "pip-26.0.1-py3-none-any.whl"]
-        assert wheels[-1][1] == "https://index/simple/w/pip-26.0.1-py3-none-any.whl#sha256=ab"
+        assert [w[2] for w in wheels] == [
+            "pip-23.1-py3-none-any.whl",
+            "pip-26.0.1-py3-none-any.whl",
+        ]
+        assert (
+            wheels[-1][1] == "https://index/simple/w/pip-26.0.1-py3-none-any.whl#sha256=ab"
+        )
 
 
-def test_a_wheel_with_another_hash_is_refused(make_venv: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wheel_with_another_hash_is_refused(
+    make_venv: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
     page = json.dumps(
-        {"files": [{"filename": "pip-26.0-py3-none-any.whl", "url": "https://i/p", "hashes": {"sha256": "0" * 64}}]}
+        {
+            "files": [
+                {
+                    "filename": "pip-26.0-py3-none-any.whl",
+                    "url": "https://i/p",
+                    "hashes": {"sha256": "0" * 64},
+                }
+            ]
+        }
     )
-    monkeypatch.setattr(make_venv, "open_url", lambda url, *_: page.encode() if "simple" in url else b"not the wheel")
+    monkeypatch.setattr(
+        make_venv,
+        "open_url",
+        lambda url, *_: page.encode() if "simple" in url else b"not the wheel",
+    )
     with pytest.raises(SystemExit):
         make_venv.bootstrap_pip()
 
@@ -130,9 +202,18 @@ def test_every_dependency_is_pinned_and_explained() -> None:
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     names = [re.split(r"[<>=!~\[ ]", d)[0].lower() for d in project["dependencies"]]
-    development = [re.split(r"[<>=!~\[ ]", d)[0].lower() for d in project["optional-dependencies"]["dev"]]
-    lines = [line for line in (ROOT / "constraints.txt").read_text().lower().splitlines() if "==" in line]
+    development = [
+        re.split(r"[<>=!~\[ ]", d)[0].lower()
+        for d in project["optional-dependencies"]["dev"]
+    ]
+    lines = [
+        line
+        for line in (ROOT / "constraints.txt").read_text().lower().splitlines()
+        if "==" in line
+    ]
     pinned = {line.split("==")[0] for line in lines}
     assert set(names + development) <= pinned
     reasons = (ROOT / "docs" / "adr" / "0001-libraries.md").read_text().lower()
-    assert [n for n in names if f"| {n} " not in reasons and f"| {n} (" not in reasons] == []
+    assert [
+        n for n in names if f"| {n} " not in reasons and f"| {n} (" not in reasons
+    ] == []

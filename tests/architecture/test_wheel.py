@@ -1,4 +1,6 @@
-"""The wheel holds every subpackage and the presets, installs no package called `cli`, and help stays light."""
+"""The wheel holds every subpackage and the presets, installs no package called `cli`, and
+help stays light.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ ROOT = Path(__file__).parents[2]
 
 
 def project_files() -> list[str]:
-    """Paths, relative to the root, that git tracks or would track; without git, everything that is not made or hidden."""
+    """Paths, relative to the root, that git tracks or would track; without git, everything
+    that is not made or hidden.
+    """
     try:
         listed = subprocess.run(
             ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
@@ -46,7 +50,18 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if not name.startswith(("sample_scenes/", "tests/")) and (ROOT / name).is_file():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             (source / name).write_bytes((ROOT / name).read_bytes())
-    command = [sys.executable, "-m", "pip", "wheel", "-q", "--no-build-isolation", "--no-deps", "-w", str(out), str(source)]
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "-q",
+        "--no-build-isolation",
+        "--no-deps",
+        "-w",
+        str(out),
+        str(source),
+    ]
     built = subprocess.run(command, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
     return next(out.glob("*.whl"))
@@ -55,17 +70,28 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_holds_every_module_and_the_presets(wheel: Path) -> None:
     held = set(zipfile.ZipFile(wheel).namelist())
     kinds = (".json", ".toml", ".html", ".vert", ".frag")
-    data = [p for p in (ROOT / "arfx").rglob("*") if p.suffix in kinds and p.name != "ruff.toml"]
-    for path in [*(ROOT / "arfx").rglob("*.py"), *(ROOT / "cli" / "arfx_cli").rglob("*.py"), *data]:
+    data = [
+        p for p in (ROOT / "arfx").rglob("*") if p.suffix in kinds and p.name != "ruff.toml"
+    ]
+    for path in [
+        *(ROOT / "arfx").rglob("*.py"),
+        *(ROOT / "cli" / "arfx_cli").rglob("*.py"),
+        *data,
+    ]:
         inside = path.relative_to(ROOT / "cli" if "arfx_cli" in path.parts else ROOT)
         assert str(inside) in held
     presets = sorted((ROOT / "configs").glob("*.toml"))
     assert presets and all(f"arfx/config/presets/{p.name}" in held for p in presets)
     assert "arfx/py.typed" in held
-    assert {n.split("/")[0] for n in held if not n.startswith("arfx-")} == {"arfx", "arfx_cli"}
+    assert {n.split("/")[0] for n in held if not n.startswith("arfx-")} == {
+        "arfx",
+        "arfx_cli",
+    }
 
 
-def test_installed_it_has_no_package_cli_and_finds_its_presets(wheel: Path, tmp_path: Path) -> None:
+def test_installed_it_has_no_package_cli_and_finds_its_presets(
+    wheel: Path, tmp_path: Path
+) -> None:
     with zipfile.ZipFile(wheel) as z:
         z.extractall(tmp_path)
 
@@ -73,18 +99,36 @@ def test_installed_it_has_no_package_cli_and_finds_its_presets(wheel: Path, tmp_
 
     def python(code: str) -> subprocess.CompletedProcess[str]:
         # -S: the libraries are found, but not the editable install, which only a .pth file names
-        code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); sys.path.append({site!r})\n{code}"
-        return subprocess.run([sys.executable, "-I", "-S", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+        code = (
+            f"import sys; sys.path.insert(0, {str(tmp_path)!r});"
+            f" sys.path.append({site!r})\n{code}"
+        )
+        return subprocess.run(
+            [sys.executable, "-I", "-S", "-c", code],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
 
     got = python("import cli")
     assert got.returncode != 0 and "No module named 'cli'" in got.stderr, got.stderr
-    got = python("import arfx; from arfx.config.load import presets; print(arfx.__file__); print(sorted(presets()))")
-    assert got.returncode == 0 and str(tmp_path) in got.stdout and "preview" in got.stdout, got.stderr
+    got = python(
+        "import arfx; from arfx.config.load import presets; print(arfx.__file__);"
+        " print(sorted(presets()))"
+    )
+    assert (
+        got.returncode == 0 and str(tmp_path) in got.stdout and "preview" in got.stdout
+    ), got.stderr
 
 
 @pytest.mark.process
-@pytest.mark.skipif(not compiled.target_cpu(), reason=f"a processor without {compiled.TARGET}")
-def test_a_wheel_with_compiled_code_compiles_nothing_when_installed(wheel: Path, tmp_path: Path) -> None:
+@pytest.mark.skipif(
+    not compiled.target_cpu(), reason=f"a processor without {compiled.TARGET}"
+)
+def test_a_wheel_with_compiled_code_compiles_nothing_when_installed(
+    wheel: Path, tmp_path: Path
+) -> None:
     """Of one module alone: `make wheel` takes a minute or two."""
     made = with_compiled_code(wheel, tmp_path / "dist", "arfx.stages.hide")
     assert f"-cp{sys.version_info[0]}{sys.version_info[1]}-none-" in made.name
@@ -92,7 +136,9 @@ def test_a_wheel_with_compiled_code_compiles_nothing_when_installed(wheel: Path,
     aside.mkdir()
     with zipfile.ZipFile(made) as z:
         z.extractall(installed)
-        assert b"Requires-Dist: numba==" in z.read(next(n for n in z.namelist() if n.endswith("METADATA")))
+        assert b"Requires-Dist: numba==" in z.read(
+            next(n for n in z.namelist() if n.endswith("METADATA"))
+        )
     held = sorted(installed.rglob("*.nbc"))
     assert held and not list(installed.rglob("*.pyc"))
     code = """
@@ -112,23 +158,39 @@ for kernel in kernels:
     kernel.load()
     assert not kernel.function.stats.cache_misses and kernel.function.stats.cache_hits, kernel
 """
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "PYTHON"))}
+    environment = {
+        k: v for k, v in os.environ.items() if not k.startswith(("NUMBA_", "PYTHON"))
+    }
     environment |= dict.fromkeys(("HOME", "XDG_CACHE_HOME", "LOCALAPPDATA"), str(aside))
     for how in ("writable", "read-only"):
-        command = [sys.executable, "-S", "-c", code, str(installed), sysconfig.get_paths()["purelib"], how]
-        got = subprocess.run(command, cwd=aside, env=environment, capture_output=True, text=True, check=False)
+        command = [
+            sys.executable,
+            "-S",
+            "-c",
+            code,
+            str(installed),
+            sysconfig.get_paths()["purelib"],
+            how,
+        ]
+        got = subprocess.run(
+            command, cwd=aside, env=environment, capture_output=True, text=True, check=False
+        )
         assert got.returncode == 0, got.stderr
         assert sorted(installed.rglob("*.nbc")) == held
-    assert len(list(aside.rglob("*.nbc"))) == len(held), "read-only, it is read from the user's folder"
+    assert len(list(aside.rglob("*.nbc"))) == len(held), (
+        "read-only, it is read from the user's folder"
+    )
 
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys\nfrom arfx_cli.main import main\n"
-        "try:\n main(['--help'])\nexcept SystemExit:\n pass\n"
-        "heavy = {'numpy', 'numba', 'OpenGL', 'scipy', 'cv2', 'pyrender', 'av', 'matplotlib', 'trimesh'} & set(sys.modules)\n"
-        "assert not heavy, heavy"
+        "import sys\nfrom arfx_cli.main import main\ntry:\n main(['--help'])\nexcept"
+        " SystemExit:\n pass\nheavy = {'numpy', 'numba', 'OpenGL', 'scipy', 'cv2',"
+        " 'pyrender', 'av', 'matplotlib', 'trimesh'} & set(sys.modules)\nassert not heavy,"
+        " heavy"
     )
-    got = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    got = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     assert got.returncode == 0, got.stderr
     assert "process" in got.stdout

@@ -21,8 +21,14 @@ FIRST_WHOLE = 1000  # seeds of whole clips
 def asked(part: str) -> list[tuple[str, int, int]]:
     """(part, number of the case, seed) of every clip."""
     if part == READINGS:
-        return [(part, i, seed) for i, case in enumerate(CASES) for seed in range(case.clips)]
-    return [(part, i, FIRST_WHOLE + k) for i, case in enumerate(CASES) for k in range(case.whole)]
+        return [
+            (part, i, seed) for i, case in enumerate(CASES) for seed in range(case.clips)
+        ]
+    return [
+        (part, i, FIRST_WHOLE + k)
+        for i, case in enumerate(CASES)
+        for k in range(case.whole)
+    ]
 
 
 def row(clip: tuple[str, int, int]) -> Row:
@@ -36,8 +42,13 @@ def row(clip: tuple[str, int, int]) -> Row:
         return measured(part, truth, pixels.Filmed(truth, Path(folder) / "clip").lit, start)
 
 
-def measured(part: str, truth: Clip, lit: Callable[[LightParams], Analysis], start: float = 0.0) -> Row:
-    """What is claimed of a clip.  lit : its analysis;  start : processor time at which work on it began"""
+def measured(
+    part: str, truth: Clip, lit: Callable[[LightParams], Analysis], start: float = 0.0
+) -> Row:
+    """What is claimed of a clip.
+
+    lit : its analysis;  start : processor time at which work on it began
+    """
     found, case = lit(LightParams()), truth.case
     report, alone = found.summary["light"], None
     if report["verdict"] == REFUSED and case.lamps == 1:

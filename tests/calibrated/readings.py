@@ -1,4 +1,6 @@
-"""A clip fed to the light's analysis as readings: what a camera makes of a print's dark and bright cells, by code of its own."""
+"""A clip fed to the light's analysis as readings: what a camera makes of a print's dark and
+bright cells, by code of its own.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def decode(e: np.ndarray) -> np.ndarray:
 
 
 def analysis(clip: Clip) -> tuple[Analysis, list[Reading]]:
-    """What the poses' analysis would hand over, with an error of the poses, and the readings of every print that is seen."""
+    """What the poses' analysis would hand over, with an error of the poses, and the
+    readings of every print that is seen.
+    """
     rng = np.random.default_rng([clip.seed, 1, *clip.case.name.encode()])
     ink, paper = rng.uniform(0.03, 0.07), rng.uniform(0.82, 0.92)
     rho = np.where(BRIGHT, paper, ink)
@@ -39,34 +43,61 @@ def analysis(clip: Clip) -> tuple[Analysis, list[Reading]]:
         off = slow + 0.3 * wrong * rng.normal(size=3)
         turn = about(off / np.linalg.norm(off), float(np.linalg.norm(off))) @ clip.turns[k]
         pose = Pose(turn, clip.places_m[k])
-        facts.append(FrameFacts(k, float(time_s), 0, MEASURED, pose, pose, np.eye(6) * wrong**2, opacity=1.0))
+        facts.append(
+            FrameFacts(
+                k, float(time_s), 0, MEASURED, pose, pose, np.eye(6) * wrong**2, opacity=1.0
+            )
+        )
         for key, (rotation, at) in clip.prints.items():
             n, place = clip.turns[k] @ rotation[:, 2], clip.turns[k] @ at + clip.places_m[k]
             if n @ place > -0.2 * np.linalg.norm(place):
                 continue
             static = n if clip.camera_rests else rotation[:, 2]
-            light = clip.irradiance(static, k, place - [0, 0, 0.5] if clip.camera_rests else at)
+            light = clip.irradiance(
+                static, k, place - [0, 0, 0.5] if clip.camera_rests else at
+            )
             seen = rho[:, None] * light + _gloss(clip, n, place, k)
-            readings.append((k, key, _photographed(clip.gain[k] * seen + clip.bias, clip, codec, rng)))
+            readings.append(
+                (k, key, _photographed(clip.gain[k] * seen + clip.bias, clip, codec, rng))
+            )
     placed = {key: Pose(rotation, at) for key, (rotation, at) in clip.prints.items()}
     static = "camera" if clip.camera_rests else "marker"
-    return Analysis(tuple(facts), placed, static, anchor=MarkerSpec("36h11", int(KEY.split(":")[1]), ANCHOR_M)), readings
+    return (
+        Analysis(
+            tuple(facts),
+            placed,
+            static,
+            anchor=MarkerSpec("36h11", int(KEY.split(":")[1]), ANCHOR_M),
+        ),
+        readings,
+    )
 
 
 def _gloss(clip: Clip, normal: np.ndarray, place: np.ndarray, frame: int) -> np.ndarray:
     """(3,) mirrored light of the lamps, camera axes."""
     out = np.zeros(3)
     for lamp in clip.lamps if clip.gloss else ():
-        towards = lamp.direction if clip.camera_rests else clip.turns[frame] @ lamp.direction
+        towards = (
+            lamp.direction if clip.camera_rests else clip.turns[frame] @ lamp.direction
+        )
         half = towards - place / np.linalg.norm(place)
-        out += clip.gloss * lamp.on[frame] * lamp.rgb * max(float(normal @ half / np.linalg.norm(half)), 0.0) ** 40
+        out += (
+            clip.gloss
+            * lamp.on[frame]
+            * lamp.rgb
+            * max(float(normal @ half / np.linalg.norm(half)), 0.0) ** 40
+        )
     return out
 
 
-def _photographed(light: np.ndarray, clip: Clip, codec: np.ndarray, rng: np.random.Generator) -> Patches:
+def _photographed(
+    light: np.ndarray, clip: Clip, codec: np.ndarray, rng: np.random.Generator
+) -> Patches:
     """light : (8, 3) linear, on the sensor"""
     exact = encode(np.repeat(light[:, None], SAMPLES, 1) ** clip.gamma)
-    grey = np.round((exact + codec + rng.normal(0, clip.noise_grey / 255, exact.shape)) * 255)
+    grey = np.round(
+        (exact + codec + rng.normal(0, clip.noise_grey / 255, exact.shape)) * 255
+    )
     fine = ((grey > 0) & (grey < 255)).all(-1)
     value, count = decode(grey / 255), fine.sum(-1)
     w, many = fine[..., None], np.maximum(count, 1)[:, None]
@@ -74,7 +105,9 @@ def _photographed(light: np.ndarray, clip: Clip, codec: np.ndarray, rng: np.rand
     spread2 = ((value - mean[:, None]) ** 2 * w).sum(1) / np.maximum(many - 1, 1)
     lost = 1 - count / SAMPLES
     slope = 2.4 / 1.055 * np.maximum(mean, 0.003) ** (1 - 1 / 2.4)
-    variance = spread2 / many + (0.3 / 255 * slope) ** 2 + (2 * lost[:, None]) ** 2 * spread2
+    variance = (
+        spread2 / many + (0.3 / 255 * slope) ** 2 + (2 * lost[:, None]) ** 2 * spread2
+    )
     few = count < 4
     return Patches(np.where(few[:, None], 0, mean), variance, np.where(few, 0, count), lost)
 

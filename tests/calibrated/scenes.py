@@ -1,8 +1,9 @@
-"""Clips with truth: which lamps there are, how the prints and the camera move, what the camera does wrong. Drawn from a case and
-a seed. The irradiance is summed here, over directions of the sky, by code that the analysis does not know.
+"""Clips with truth: which lamps there are, how the prints and the camera move, what the
+camera does wrong. Drawn from a case and a seed. The irradiance is summed here, over
+directions of the sky, by code that the analysis does not know.
 
-Static axes are those in which the lamps rest: the camera's (x right, y down, z forward) where a hand turns the print, else the
-anchor print's (z out of it)."""
+Static axes are those in which the lamps rest: the camera's (x right, y down, z forward)
+where a hand turns the print, else the anchor print's (z out of it)."""
 
 from __future__ import annotations
 
@@ -15,7 +16,12 @@ ANCHOR_M, OTHER_M, CUBE_M = 0.12, 0.06, 0.08
 FRAMES, FPS = 72, 12.0
 DISTANCE_M = 0.5
 Range = tuple[float, float]
-TURNED, ROCKED, AT_REST, HELD = "turned", "rocked", "at rest", "held"  # HELD: the prints rest, a hand holds the camera
+TURNED, ROCKED, AT_REST, HELD = (
+    "turned",
+    "rocked",
+    "at rest",
+    "held",
+)  # HELD: the prints rest, a hand holds the camera
 
 
 @dataclass(frozen=True)
@@ -24,12 +30,15 @@ class Case:
 
     clips, whole : how many are fed as readings, and how many go through pixels
     tilt_deg : least and most, of the print;  rate_hz : at which it goes to and fro between them
-    apart_deg : between two lamps;  ambient : over the lamps' light;  gradient : share of ambient light that comes from one side
+    apart_deg : between two lamps;  ambient : over the lamps' light;  gradient : share of
+    ambient light that comes from one side
     gamma : exponent of the camera's curve over sRGB's;  drift_stops : amplitude
-    change : of the lamp half-way, "off" or "moved";  near_m : its distance, 0 = far away;  size_deg : half-angle of its disc
+    change : of the lamp half-way, "off" or "moved";  near_m : its distance, 0 = far away;
+    size_deg : half-angle of its disc
     pose_off_deg : rms error of the poses that readings come with
     prints : one, board, tilted or cube;  over : share of bright cells that are clipped
-    owed : one even lamp and a print turned far: a direction is owed;  never : none may be claimed"""
+    owed : one even lamp and a print turned far: a direction is owed;  never : none may be claimed
+    """
 
     name: str
     clips: int = 10
@@ -57,7 +66,12 @@ class Case:
     never: bool = False
 
 
-FAR, MIDDLE, LITTLE, NONE = ((8, 20), (50, 65)), ((8, 20), (30, 50)), ((0, 3), (8, 20)), ((0, 0), (0, 0))
+FAR, MIDDLE, LITTLE, NONE = (
+    ((8, 20), (50, 65)),
+    ((8, 20), (30, 50)),
+    ((0, 3), (8, 20)),
+    ((0, 0), (0, 0)),
+)
 OFF = (1, 3)
 CASES: tuple[Case, ...] = (
     Case("one lamp, 50 to 65°", 20, 3, FAR, owed=True),
@@ -98,8 +112,10 @@ CASES: tuple[Case, ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """direction : (3,) unit, static axes;  rgb : (3,) radiance of a white surface that faces it;  on : (frames,) 0..1
-    near_m : its distance from where the print is on average, 0 = far away;  half_deg : of its disc"""
+    """direction : (3,) unit, static axes;  rgb : (3,) radiance of a white surface that
+    faces it;  on : (frames,) 0..1
+    near_m : its distance from where the print is on average, 0 = far away;  half_deg : of its disc
+    """
 
     direction: np.ndarray
     rgb: np.ndarray
@@ -111,7 +127,8 @@ class Lamp:
 @dataclass(eq=False)
 class Clip:
     """A drawn clip. turns : (frames, 3, 3), places_m : (frames, 3), camera_from_world
-    prints : key to (3, 3), (3,) m: world_from_print;  sky : (m, 3) unit directions, (m, 3) radiance over m pi, static axes
+    prints : key to (3, 3), (3,) m: world_from_print;  sky : (m, 3) unit directions, (m, 3)
+    radiance over m pi, static axes
     gain : (frames,);  drift : its amplitude in stops, and period in seconds
     bright_side : (3,) unit, middle of what is brighter of the sky, None = it is even"""
 
@@ -136,17 +153,31 @@ class Clip:
     def camera_rests(self) -> bool:
         return self.case.motion != HELD
 
-    def irradiance(self, normals: np.ndarray, frame: int, place_m: np.ndarray | None = None) -> np.ndarray:
-        """(..., 3) radiance of white surfaces. normals : (..., 3) static axes;  place_m : from where the print is on average"""
+    def irradiance(
+        self, normals: np.ndarray, frame: int, place_m: np.ndarray | None = None
+    ) -> np.ndarray:
+        """(..., 3) radiance of white surfaces.
+
+        normals : (..., 3) static axes;  place_m : from where the print is on average
+        """
         directions, radiance = self.sky
         out = np.clip(normals @ directions.T, 0, None) @ radiance
         for lamp in self.lamps:
             towards, falls = lamp.direction, 1.0
             if lamp.near_m > 0 and place_m is not None:
                 away = lamp.near_m * lamp.direction - place_m
-                towards, falls = away / np.linalg.norm(away), lamp.near_m**2 / float(away @ away)
+                towards, falls = (
+                    away / np.linalg.norm(away),
+                    lamp.near_m**2 / float(away @ away),
+                )
             disc = disc_directions(towards, lamp.half_deg)
-            out = out + lamp.on[frame] * falls * np.clip(normals @ disc.T, 0, None).mean(-1)[..., None] * lamp.rgb
+            out = (
+                out
+                + lamp.on[frame]
+                * falls
+                * np.clip(normals @ disc.T, 0, None).mean(-1)[..., None]
+                * lamp.rgb
+            )
         return out
 
 
@@ -163,7 +194,10 @@ def disc_directions(middle: np.ndarray, half_deg: float, count: int = 40) -> np.
     if half_deg <= 0:
         return middle[None]
     k = np.arange(count) + 0.5
-    z, phi = 1 - (1 - np.cos(np.radians(half_deg))) * k / count, k * np.pi * (3 - np.sqrt(5))
+    z, phi = (
+        1 - (1 - np.cos(np.radians(half_deg))) * k / count,
+        k * np.pi * (3 - np.sqrt(5)),
+    )
     r = np.sqrt(1 - z * z)
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1) @ axes_about(middle).T
 
@@ -182,9 +216,14 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
-def near(rng: np.random.Generator, pole: np.ndarray, least_deg: float, most_deg: float) -> np.ndarray:
+def near(
+    rng: np.random.Generator, pole: np.ndarray, least_deg: float, most_deg: float
+) -> np.ndarray:
     """(3,) unit at an angle from the pole between two, even over that band."""
-    z, phi = rng.uniform(*np.cos(np.radians([most_deg, least_deg]))), rng.uniform(0, 2 * np.pi)
+    z, phi = (
+        rng.uniform(*np.cos(np.radians([most_deg, least_deg]))),
+        rng.uniform(0, 2 * np.pi),
+    )
     r = np.sqrt(1 - z * z)
     return axes_about(pole) @ np.array([r * np.cos(phi), r * np.sin(phi), z])
 
@@ -194,7 +233,9 @@ def drawn(case: Case, seed: int, frames: int = FRAMES) -> Clip:
     rng = np.random.default_rng([seed, *case.name.encode()])
     times = np.arange(frames) / FPS
     pole = np.array([0.0, 0, 1]) if case.motion == HELD else np.array([0.0, 0, -1])
-    turns, places = _held(rng, frames) if case.motion == HELD else _by_hand(rng, case, times)
+    turns, places = (
+        _held(rng, frames) if case.motion == HELD else _by_hand(rng, case, times)
+    )
     strength = rng.uniform(0.4, 0.6)
     lamps = _lamps(rng, case, pole, strength, frames)
     ambient = strength * rng.uniform(*case.ambient) * rng.uniform(0.85, 1, 3)
@@ -208,7 +249,12 @@ def drawn(case: Case, seed: int, frames: int = FRAMES) -> Clip:
         (stops, period), middle if case.gradient[1] else None,
     )  # fmt: skip
     brightest = np.quantile(
-        [clip.gain[k] * clip.irradiance(n, k).max() for k in range(0, frames, 3) for n in clip_normals(clip, k)], 1 - case.over
+        [
+            clip.gain[k] * clip.irradiance(n, k).max()
+            for k in range(0, frames, 3)
+            for n in clip_normals(clip, k)
+        ],
+        1 - case.over,
     )
     wanted = (1.0 if case.over else rng.uniform(0.6, 0.92)) - bias
     clip.gain = clip.gain * wanted / (0.88 * brightest)
@@ -225,12 +271,20 @@ def clip_normals(clip: Clip, frame: int) -> list[np.ndarray]:
     return out
 
 
-def _by_hand(rng: np.random.Generator, case: Case, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A print before a camera at rest: its tilt goes to and fro between two, towards where the hand turns it."""
+def _by_hand(
+    rng: np.random.Generator, case: Case, times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """A print before a camera at rest: its tilt goes to and fro between two, towards where
+    the hand turns it.
+    """
     least, most = (np.radians(rng.uniform(*r)) for r in case.tilt_deg)
     if case.motion == AT_REST:
         least = most = np.radians(rng.uniform(0, 50))
-    rate, phase, spin = rng.uniform(*case.rate_hz), rng.uniform(0, 2 * np.pi, 3), rng.uniform(-0.4, 0.4)
+    rate, phase, spin = (
+        rng.uniform(*case.rate_hz),
+        rng.uniform(0, 2 * np.pi, 3),
+        rng.uniform(-0.4, 0.4),
+    )
     goes = 0.5 - 0.5 * np.cos(2 * np.pi * rate * times + phase[0])
     towards = phase[1] + rng.choice([-1, 1]) * rng.uniform(0.8, 1.5) * times
     if case.motion == ROCKED:
@@ -243,7 +297,14 @@ def _by_hand(rng: np.random.Generator, case: Case, times: np.ndarray) -> tuple[n
         about(np.array([np.cos(a), np.sin(a), 0]), t) @ level @ about(np.array([0.0, 0, 1]), phase[2] + spin * s)
         for a, t, s in zip(towards, tilt, times, strict=True)
     ])  # fmt: skip
-    sway = 0.03 * np.stack([np.sin(0.9 * times + phase[0]), np.sin(1.3 * times + phase[1]), np.sin(0.7 * times)], -1)
+    sway = 0.03 * np.stack(
+        [
+            np.sin(0.9 * times + phase[0]),
+            np.sin(1.3 * times + phase[1]),
+            np.sin(0.7 * times),
+        ],
+        -1,
+    )
     sway = 0 * sway if case.motion == AT_REST else sway
     return turns, np.array([0, 0, DISTANCE_M]) + sway
 
@@ -254,38 +315,64 @@ def _held(rng: np.random.Generator, frames: int) -> tuple[np.ndarray, np.ndarray
     azimuth = np.radians(start + sweep * np.linspace(0, 1, frames))
     elevation = np.radians(np.linspace(*rng.uniform(32, 55, 2), frames))
     turns, places = [], []
-    for a, e, shake in zip(azimuth, elevation, 0.003 * rng.normal(size=(frames, 3)), strict=True):
+    for a, e, shake in zip(
+        azimuth, elevation, 0.003 * rng.normal(size=(frames, 3)), strict=True
+    ):
         back = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         z = -back
         x = np.cross(z, [0.0, 0, 1])
         x = x / np.linalg.norm(x)
         turn = np.stack([x, np.cross(z, x), z])
-        turns.append(about(shake / np.linalg.norm(shake), float(np.linalg.norm(shake))) @ turn)
+        turns.append(
+            about(shake / np.linalg.norm(shake), float(np.linalg.norm(shake))) @ turn
+        )
         places.append(np.array([0, 0, DISTANCE_M]))
     return np.array(turns), np.array(places)
 
 
-def _prints(rng: np.random.Generator, kind: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _prints(
+    rng: np.random.Generator, kind: str
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     out = {KEY: (np.eye(3), np.zeros(3))}
     if kind == "board":
         for key, side in zip(ON_CUBE[:2], (-1, 1), strict=True):
             tilt = about(np.array([0.0, 1, 0]), side * np.radians(rng.uniform(25, 45)))
             out[key] = (tilt, np.array([side * 0.11, 0, 0.02]))
     if kind == "tilted":
-        for key, a in zip(ON_CUBE[:3], np.radians([-90, -20, 200]) + rng.uniform(-0.3, 0.3, 3), strict=True):
-            tilt = about(np.array([-np.sin(a), np.cos(a), 0]), np.radians(rng.uniform(25, 50)))
+        for key, a in zip(
+            ON_CUBE[:3],
+            np.radians([-90, -20, 200]) + rng.uniform(-0.3, 0.3, 3),
+            strict=True,
+        ):
+            tilt = about(
+                np.array([-np.sin(a), np.cos(a), 0]), np.radians(rng.uniform(25, 50))
+            )
             out[key] = (tilt, np.array([0.12 * np.cos(a), 0.12 * np.sin(a), 0.03]))
     if kind == "cube":
-        turn, at = about(np.array([0.0, 0, 1]), rng.uniform(-0.6, 0.6)), np.array([-0.13, 0.06, CUBE_M / 2])
-        faces = (([1.0, 0, 0], [0.0, 0, 1]), ([0.0, 1, 0], [0.0, 0, 1]), ([0.0, -1, 0], [0.0, 0, 1]), ([1.0, 0, 0], [0.0, 1, 0]))
+        turn, at = (
+            about(np.array([0.0, 0, 1]), rng.uniform(-0.6, 0.6)),
+            np.array([-0.13, 0.06, CUBE_M / 2]),
+        )
+        faces = (
+            ([1.0, 0, 0], [0.0, 0, 1]),
+            ([0.0, 1, 0], [0.0, 0, 1]),
+            ([0.0, -1, 0], [0.0, 0, 1]),
+            ([1.0, 0, 0], [0.0, 1, 0]),
+        )
         for key, (x, y) in zip(ON_CUBE, faces, strict=True):
             own = turn @ np.stack([x, y, np.cross(x, y)], -1)
             out[key] = (own, at + own[:, 2] * (CUBE_M / 2 + 2e-4))
     return out
 
 
-def _lamps(rng: np.random.Generator, case: Case, pole: np.ndarray, strength: float, frames: int) -> list[Lamp]:
-    on, half, distance = np.ones(frames), rng.uniform(*case.size_deg), rng.uniform(*case.near_m)
+def _lamps(
+    rng: np.random.Generator, case: Case, pole: np.ndarray, strength: float, frames: int
+) -> list[Lamp]:
+    on, half, distance = (
+        np.ones(frames),
+        rng.uniform(*case.size_deg),
+        rng.uniform(*case.near_m),
+    )
     first = near(rng, pole, 15, 70)
     tint, lamps = rng.uniform(0.8, 1, 3), []
     if case.lamps:
@@ -309,17 +396,25 @@ def _lamps(rng: np.random.Generator, case: Case, pole: np.ndarray, strength: flo
             second = near(rng, pole, 15, 70)
         lamps = [Lamp(first, strength * tint, early.astype(float), distance, half)]
         if case.change == "moved":
-            lamps.append(Lamp(second, strength * tint, (~early).astype(float), distance, half))
+            lamps.append(
+                Lamp(second, strength * tint, (~early).astype(float), distance, half)
+            )
     return lamps
 
 
 def _sky(
     rng: np.random.Generator, pole: np.ndarray, ambient: np.ndarray, share: float
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Ambient light, of which a share comes from one side, a slope, or a window 40 to 80 degrees wide; and that side's middle."""
+    """Ambient light, of which a share comes from one side, a slope, or a window 40 to 80
+    degrees wide; and that side's middle.
+    """
     directions = sphere(1200)
     middle = near(rng, pole, 20, 100)
     c = directions @ middle
-    side = np.clip(c, 0, None) if rng.uniform() < 0.5 else (c > np.cos(np.radians(rng.uniform(20, 40)))).astype(float)
+    side = (
+        np.clip(c, 0, None)
+        if rng.uniform() < 0.5
+        else (c > np.cos(np.radians(rng.uniform(20, 40)))).astype(float)
+    )
     weight = (1 - share) + share * side / side.mean()
     return (directions, weight[:, None] * ambient * (4 / len(directions))), middle

@@ -20,10 +20,20 @@ NAMED = {case.name: case for case in CASES}
 
 
 def test_a_few_clips_of_every_kind_make_no_false_claim() -> None:
-    rows = [clips.row((clips.READINGS, i, case.clips - 1)) for i, case in enumerate(CASES) if case.clips and i % 2 == 0]
-    missed = [g for g in goals(rows) if not g.holds and ("false" in g.name or "refused" in g.name or "beyond" in g.name)]
+    rows = [
+        clips.row((clips.READINGS, i, case.clips - 1))
+        for i, case in enumerate(CASES)
+        if case.clips and i % 2 == 0
+    ]
+    missed = [
+        g
+        for g in goals(rows)
+        if not g.holds and ("false" in g.name or "refused" in g.name or "beyond" in g.name)
+    ]
     assert not missed, missed
-    assert sum(bool(r.claims) for r in rows if r.owed) >= 1, "one that refuses all makes none either"
+    assert sum(bool(r.claims) for r in rows if r.owed) >= 1, (
+        "one that refuses all makes none either"
+    )
 
 
 def test_a_direction_that_is_off_is_noticed() -> None:
@@ -35,7 +45,13 @@ def test_a_direction_that_is_off_is_noticed() -> None:
 
     def mirrored(params: LightParams) -> Analysis:
         found = lit(params)
-        facts = [f.with_(light=f.light and replace(f.light, lights=tuple(map(behind, f.light.lights)))) for f in found.facts]
+        facts = [
+            f.with_(
+                light=f.light
+                and replace(f.light, lights=tuple(map(behind, f.light.lights)))
+            )
+            for f in found.facts
+        ]
         return replace(found, facts=tuple(facts))
 
     def behind(light: DirectionalLight) -> DirectionalLight:
@@ -45,7 +61,9 @@ def test_a_direction_that_is_off_is_noticed() -> None:
     assert good.claims and not any(c.false for c in good.claims)
     assert any(c.false for c in bad.claims)
     missed = {g.name for g in goals([bad]) if not g.holds}
-    assert all(any(word in name for name in missed) for word in ("false", "median", "three cones"))
+    assert all(
+        any(word in name for name in missed) for word in ("false", "median", "three cones")
+    )
 
 
 def claim(verdict: str, error_deg: float, mean_deg: float, cone_deg: float) -> Claim:
@@ -61,18 +79,28 @@ def row_of(verdict: str, *claims: Claim, owed: bool = False, never: bool = False
     [
         ([row_of(MEASURED, claim(MEASURED, 0.3, 0.3, 0.6), owed=True)], ()),
         ([row_of(MEASURED, claim(MEASURED, 5.0, 0.3, 1.0))], ("false",)),
-        ([row_of(LIKELY, claim(LIKELY, 5.0, 0.3, 1.0))], ()),  # of two lamps their mean, which looks the same
+        (
+            [row_of(LIKELY, claim(LIKELY, 5.0, 0.3, 1.0))],
+            (),
+        ),  # of two lamps their mean, which looks the same
         ([row_of(LIKELY, claim(LIKELY, 50.0, 50.0, 12.0))], ("false",)),
         ([row_of(REFUSED, owed=True)], ("claimed",)),
         ([row_of(MEASURED, claim(MEASURED, 2.0, 2.0, 2.5), owed=True)], ("median",)),
-        ([row_of(MEASURED, claim(MEASURED, 2.0, 2.0, 0.5), owed=True)], ("median", "three cones")),
+        (
+            [row_of(MEASURED, claim(MEASURED, 2.0, 2.0, 0.5), owed=True)],
+            ("median", "three cones"),
+        ),
         ([row_of(LIKELY, claim(LIKELY, 0.1, 0.1, 20.0), never=True)], ("refused",)),
         ([row_of(REFUSED, never=True)], ()),
     ],
 )
-def test_goals_are_missed_where_they_should_be(rows: list[Row], missed: tuple[str, ...]) -> None:
+def test_goals_are_missed_where_they_should_be(
+    rows: list[Row], missed: tuple[str, ...]
+) -> None:
     found = [g.name for g in goals(rows) if not g.holds and "hold " not in g.name]
-    assert len(found) == len(missed) and all(any(word in name for name in found) for word in missed), found
+    assert len(found) == len(missed) and all(
+        any(word in name for name in found) for word in missed
+    ), found
 
 
 def test_a_simulated_surface_is_lit_as_the_lamp_and_an_even_sky_light_it() -> None:
@@ -83,7 +111,10 @@ def test_a_simulated_surface_is_lit_as_the_lamp_and_an_even_sky_light_it() -> No
         assert clip.irradiance(n, 20) == pytest.approx(exact, rel=5e-3)
 
 
-@pytest.mark.parametrize("name", ["one print turned by hand, filmed", "moved half-way", "hand-held, cube of markers"])
+@pytest.mark.parametrize(
+    "name",
+    ["one print turned by hand, filmed", "moved half-way", "hand-held, cube of markers"],
+)
 def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
     """Print, lamps and camera of the filmed scene, against the drawn clip."""
     clip = drawn(NAMED[name], 1000, pixels.FRAMES)
@@ -93,8 +124,12 @@ def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
         pose = truth.markers["36h11:3"].camera_from_marker
         on = [light for light in truth.lights if np.mean(light["rgb"]) > 0]
         axes = "camera" if clip.camera_rests else "marker"
-        directions = [light[axes] if axes == "camera" else light[axes]["36h11:3"] for light in on]
-        np.testing.assert_allclose(directions, [lamp.direction for lamp in clip.lamps if lamp.on[n] > 0], atol=1e-6)
+        directions = [
+            light[axes] if axes == "camera" else light[axes]["36h11:3"] for light in on
+        ]
+        np.testing.assert_allclose(
+            directions, [lamp.direction for lamp in clip.lamps if lamp.on[n] > 0], atol=1e-6
+        )
         if clip.camera_rests:
             np.testing.assert_allclose(pose.rotation, clip.turns[n], atol=1e-6)
             np.testing.assert_allclose(pose.translation_m, clip.places_m[n], atol=1e-9)
@@ -103,5 +138,7 @@ def test_what_is_filmed_is_what_was_drawn(name: str) -> None:
 
 
 def test_equal_seeds_give_equal_clips_and_others_do_not() -> None:
-    a, b, c = (readings.analysis(drawn(NAMED["gloss"], seed))[1][5][2].mean for seed in (1, 1, 2))
+    a, b, c = (
+        readings.analysis(drawn(NAMED["gloss"], seed))[1][5][2].mean for seed in (1, 1, 2)
+    )
     assert np.array_equal(a, b) and not np.array_equal(a, c)

@@ -1,7 +1,10 @@
-"""arfx, which sends a signal at one moment of its work, the same on a busy machine as on an idle one:
+"""arfx, which sends a signal at one moment of its work, the same on a busy machine as on an
+idle one:
 
-python at_a_moment.py PHASE N SIGNAL self|group ARGUMENTS…      at the N-th call of the progress of PHASE, N from 1
-python at_a_moment.py PHASE +N SIGNAL self|group ARGUMENTS…     at the first that says N frames or more
+python at_a_moment.py PHASE N SIGNAL self|group ARGUMENTS…      at the N-th call of the
+progress of PHASE, N from 1
+python at_a_moment.py PHASE +N SIGNAL self|group ARGUMENTS…     at the first that says N
+frames or more
 """
 
 from __future__ import annotations

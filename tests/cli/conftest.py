@@ -46,7 +46,10 @@ def short_chunks() -> Iterator[None]:
 def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
     d = tmp_path_factory.mktemp("material")
     return Material(
-        d, write_clip(d / "clip.mp4", FRAMES, audio=True), write_camera(d / "camera.yaml"), write_model(d / "model.glb")
+        d,
+        write_clip(d / "clip.mp4", FRAMES, audio=True),
+        write_camera(d / "camera.yaml"),
+        write_model(d / "model.glb"),
     )
 
 
@@ -65,11 +68,23 @@ Run = Callable[..., Result]
 
 
 def at_a_moment(
-    folder: Path, phase: str, call: int | str, number: int, arguments: list[str], group: bool = False
+    folder: Path,
+    phase: str,
+    call: int | str,
+    number: int,
+    arguments: list[str],
+    group: bool = False,
 ) -> subprocess.CompletedProcess[str]:
-    """Runs the command in `folder` and a session of its own; at the call of the progress of `phase` with this number, from 1,
-    it sends the signal to itself, or to all of its processes. Returns when none of them is left that holds standard error."""
-    command = [sys.executable, str(Path(__file__).with_name("at_a_moment.py")), phase, str(call), str(int(number))]
+    """Runs the command in `folder` and a session of its own; at the call of the progress of
+    `phase` with this number, from 1, it sends the signal to itself, or to all of its
+    processes. Returns when none of them is left that holds standard error."""
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name("at_a_moment.py")),
+        phase,
+        str(call),
+        str(int(number)),
+    ]
     return subprocess.run(
         [*command, "group" if group else "self", *arguments], cwd=folder, capture_output=True, text=True, check=False,
         timeout=300, start_new_session=True,
@@ -78,12 +93,18 @@ def at_a_moment(
 
 @pytest.fixture
 def arfx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Run:
-    """Runs the command in this process, or, with `apart` or an environment of its own, in one that it has to itself.
+    """Runs the command in this process, or, with `apart` or an environment of its own, in
+    one that it has to itself.
 
-    A process of its own takes seconds to import everything: for what is about processes, and once for each kind of job.
-    """
+    A process of its own takes seconds to import everything: for what is about processes,
+    and once for each kind of job."""
 
-    def run(*args: str, cwd: Path | None = None, env: dict[str, str] | None = None, apart: bool = False) -> Result:
+    def run(
+        *args: str,
+        cwd: Path | None = None,
+        env: dict[str, str] | None = None,
+        apart: bool = False,
+    ) -> Result:
         if not (apart or env):
             return here(list(args), cwd or tmp_path)
         p = subprocess.run(
@@ -101,6 +122,8 @@ def arfx(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Run:
         finally:
             gc.set_threshold(*collections)
         code = done.value.code
-        return Result(code if isinstance(code, int) else int(code is not None), *capfd.readouterr())
+        return Result(
+            code if isinstance(code, int) else int(code is not None), *capfd.readouterr()
+        )
 
     return run

@@ -1,4 +1,5 @@
-"""A Dask cluster of its own for tests, as somebody else's that runs already: `python farm.py WORKERS` prints its address.
+"""A Dask cluster of its own for tests, as somebody else's that runs already: `python
+farm.py WORKERS` prints its address.
 
 It ends when its standard input does."""
 
@@ -22,7 +23,11 @@ class Farm:
 def farm(workers: int) -> Iterator[Farm]:
     command = [sys.executable, str(Path(__file__)), str(workers)]
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
     ) as process:
         assert process.stdout
         try:
@@ -36,9 +41,12 @@ def main() -> None:
     from distributed import LocalCluster
     from distributed.utils import get_mp_context
 
-    # Tests kill workers: a new one is forked from a server that has imported what it needs, which takes others seconds.
+    # Tests kill workers: a new one is forked from a server that has imported what it needs,
+    # which takes others seconds.
     dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
-    get_mp_context().set_forkserver_preload(["arfx.run.preload", "arfx.run.cluster.remote", "distributed.nanny"])
+    get_mp_context().set_forkserver_preload(
+        ["arfx.run.preload", "arfx.run.cluster.remote", "distributed.nanny"]
+    )
     with LocalCluster(
         n_workers=int(sys.argv[1]), threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", memory_limit=0,
         silence_logs=50,

@@ -68,7 +68,9 @@ def serial(planned: Job) -> dict[int, str]:
     return rendered(planned, None)
 
 
-def rendered(job: Job, cluster: Cluster | None, at: Callable[[int], object] = lambda done: None) -> dict[int, str]:
+def rendered(
+    job: Job, cluster: Cluster | None, at: Callable[[int], object] = lambda done: None
+) -> dict[int, str]:
     """Render all chunks anew. at : called with the frames done"""
     job.folder.clear("chunks/")
     start = 0
@@ -76,7 +78,9 @@ def rendered(job: Job, cluster: Cluster | None, at: Callable[[int], object] = la
     def progress(phase: str, done: int, total: int | None) -> None:
         at(done - start)
 
-    files = jobs._render(job, jobs._chunks(job), Options(workers=1, progress=progress), cluster)
+    files = jobs._render(
+        job, jobs._chunks(job), Options(workers=1, progress=progress), cluster
+    )
     return {int(f.name.split("-")[0]): content_digest(f) for f in files}
 
 
@@ -103,41 +107,68 @@ def once(action: Callable[[], object], after: int = 1) -> Callable[[int], None]:
     return at
 
 
-def test_a_running_cluster_gives_the_same_bytes(running: Farm, planned: Job, serial: dict[int, str]) -> None:
+def test_a_running_cluster_gives_the_same_bytes(
+    running: Farm, planned: Job, serial: dict[int, str]
+) -> None:
     with connected(running) as (_, cluster):
         assert rendered(planned, cluster) == serial
     rows = [r for r in planned.log.rows() if r["work"] == "chunk"][-3:]
     assert all("worker" in r and "host" in r for r in rows)
 
 
-def test_a_stragglers_chunk_is_rendered_twice(running: Farm, planned: Job, serial: dict[int, str]) -> None:
+def test_a_stragglers_chunk_is_rendered_twice(
+    running: Farm, planned: Job, serial: dict[int, str]
+) -> None:
     """A worker that is stopped, not dead: Dask waits for it."""
     with connected(running) as (client, cluster):
         client.wait_for_workers(2)
         pid = next(iter(client.run(os.getpid).values()))
         try:
-            assert rendered(planned, cluster, once(partial(os.kill, pid, signal.SIGSTOP))) == serial
+            assert (
+                rendered(planned, cluster, once(partial(os.kill, pid, signal.SIGSTOP)))
+                == serial
+            )
         finally:
             os.kill(pid, signal.SIGCONT)
 
 
-def test_a_killed_worker_costs_its_chunk_only(running: Farm, planned: Job, serial: dict[int, str]) -> None:
+def test_a_killed_worker_costs_its_chunk_only(
+    running: Farm, planned: Job, serial: dict[int, str]
+) -> None:
     with connected(running) as (client, cluster):
         pids = list(client.run(os.getpid).values())
-        assert rendered(planned, cluster, once(partial(os.kill, pids[0], signal.SIGKILL))) == serial
+        assert (
+            rendered(planned, cluster, once(partial(os.kill, pids[0], signal.SIGKILL)))
+            == serial
+        )
 
 
-def test_a_chunk_that_is_lost_with_too_many_workers_is_named(running: Farm, planned: Job) -> None:
+def test_a_chunk_that_is_lost_with_too_many_workers_is_named(
+    running: Farm, planned: Job
+) -> None:
     with connected(running, lost=1) as (client, cluster):
         client.wait_for_workers(2)
         pids = list(client.run(os.getpid).values())
-        with pytest.raises(RenderError, match=r"frames \d+–\d+( or \d+–\d+)?: workers were lost with this chunk 1 times"):
-            rendered(planned, cluster, once(lambda: [os.kill(pid, signal.SIGKILL) for pid in pids]))
+        with pytest.raises(
+            RenderError,
+            match=(
+                r"frames \d+–\d+( or \d+–\d+)?: workers were lost with this chunk 1 times"
+            ),
+        ):
+            rendered(
+                planned,
+                cluster,
+                once(lambda: [os.kill(pid, signal.SIGKILL) for pid in pids]),
+            )
 
 
-def test_a_worker_that_differs_gets_no_work(running: Farm, planned: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_differs_gets_no_work(
+    running: Farm, planned: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
     here = start.environment()
-    monkeypatch.setattr(start, "environment", lambda: {**here, "numpy": "0.1", "arfx's code": "another"})
+    monkeypatch.setattr(
+        start, "environment", lambda: {**here, "numpy": "0.1", "arfx's code": "another"}
+    )
     with pytest.raises(RenderError) as refused, connected(running):
         pass
     for name, other in (("numpy", "0.1"), ("arfx's code", "another")):
@@ -149,20 +180,27 @@ def mapped_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on another machine: what is mapped is not seen at its path here."""
 
     def elsewhere(path: Path, maps: Sequence[PathMap]) -> tuple[str, ...]:
-        return tuple(there for m in maps if (there := m.of(path)) is not None) or (str(path),)
+        return tuple(there for m in maps if (there := m.of(path)) is not None) or (
+            str(path),
+        )
 
     for module in (start, files):
         monkeypatch.setattr(module, "places", elsewhere)
 
 
 @pytest.mark.usefixtures("mapped_only")
-def test_a_worker_that_sees_another_clip_gets_no_work(running: Farm, planned: Job, material: Material, tmp_path: Path) -> None:
+def test_a_worker_that_sees_another_clip_gets_no_work(
+    running: Farm, planned: Job, material: Material, tmp_path: Path
+) -> None:
     """Of the same size: the content counts."""
     clip = tmp_path / material.clip.name
     clip.write_bytes(bytes(material.clip.stat().st_size))
     told: list[str] = []
     maps = f"{material.clip}={clip}"
-    with connected(running, maps, notice=told.append) as (_, cluster), pytest.raises(RenderError, match="has other content"):
+    with (
+        connected(running, maps, notice=told.append) as (_, cluster),
+        pytest.raises(RenderError, match="has other content"),
+    ):
         rendered(planned, cluster)
     assert any("gets no work: " in message for message in told)
 
@@ -173,17 +211,25 @@ def test_other_mount_points_are_mapped(
 ) -> None:
     for name, path in (("job", planned.folder.path), ("clips", material.folder)):
         (tmp_path / name).symlink_to(path)
-    maps = f"{planned.folder.path}={tmp_path / 'job'}", f"{material.folder}={tmp_path / 'clips'}"
+    maps = (
+        f"{planned.folder.path}={tmp_path / 'job'}",
+        f"{material.folder}={tmp_path / 'clips'}",
+    )
     with connected(running, *maps) as (_, cluster):
         assert rendered(planned, cluster) == serial
 
 
 @pytest.mark.usefixtures("mapped_only")
-def test_a_copy_of_the_job_folder_is_not_the_job_folder(running: Farm, planned: Job, tmp_path: Path) -> None:
+def test_a_copy_of_the_job_folder_is_not_the_job_folder(
+    running: Farm, planned: Job, tmp_path: Path
+) -> None:
     copy = Path(shutil.copytree(planned.folder.path, tmp_path / "job"))
     (copy / HOLDER).write_text("{}")
     maps = f"{planned.folder.path}={copy}"
-    with connected(running, maps) as (_, cluster), pytest.raises(RenderError, match="is not the job folder, but a copy"):
+    with (
+        connected(running, maps) as (_, cluster),
+        pytest.raises(RenderError, match="is not the job folder, but a copy"),
+    ):
         rendered(planned, cluster)
 
 
@@ -194,7 +240,14 @@ def test_workers_that_do_not_see_the_job_folder_use_a_store(
     store, seen = tmp_path / "store", set[str]()
     planned.folder.clear("previews/")
     with connected(running, f"{planned.folder.path}=file://{store}") as (_, cluster):
-        assert rendered(planned, cluster, once(lambda: seen.update(p.name for p in store.rglob("*")))) == serial
+        assert (
+            rendered(
+                planned,
+                cluster,
+                once(lambda: seen.update(p.name for p in store.rglob("*"))),
+            )
+            == serial
+        )
     assert "facts.jsonl" in seen and not [*store.rglob("*")], "what was put there is gone"
     assert len([*planned.folder.previews.iterdir()]) == 2 * len(planned.analysed.previews)
 
@@ -203,13 +256,20 @@ FACTS = "facts.jsonl", "frames.json", "environment.maps"
 
 
 @pytest.fixture(scope="module")
-def cut_clip(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Iterator[JobConfig]:
-    """A job whose clip has six stretches. Its marker is a print to it as well, which only the analysis reads."""
+def cut_clip(
+    material: Material, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[JobConfig]:
+    """A job whose clip has six stretches.
+
+    Its marker is a print to it as well, which only the analysis reads.
+    """
     d = tmp_path_factory.mktemp("cut")
     clip = write_clip(d / "clip.mov", 48, codec="mjpeg", pixel_format="yuvj420p")
     cv2.imwrite(str(d / "print.png"), print_of(160, 24))
     config = config_of(
-        Material(d, clip, material.camera, material.model), d / "out.mkv", pattern=[{"spec": f"{d}/print.png:13cm"}]
+        Material(d, clip, material.camera, material.model),
+        d / "out.mkv",
+        pattern=[{"spec": f"{d}/print.png:13cm"}],
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stretches, "LEAST_FRAMES", 8)
@@ -217,19 +277,27 @@ def cut_clip(material: Material, tmp_path_factory: pytest.TempPathFactory) -> It
 
 
 @contextlib.contextmanager
-def analysed(config: JobConfig, folder: Path, cluster: Any = None) -> Iterator[tuple[Job, list[bytes], list[dict[str, Any]]]]:
-    """(the job, what was found, rows of its stretches in timings.jsonl), in a folder that is locked."""
+def analysed(
+    config: JobConfig, folder: Path, cluster: Any = None
+) -> Iterator[tuple[Job, list[bytes], list[dict[str, Any]]]]:
+    """(the job, what was found, rows of its stretches in timings.jsonl), in a folder that
+    is locked.
+    """
     job = JobFolder(folder)
     with locked(job.path, "--job"):
         job.open(resume=False)
-        done = plan_job(open_inputs(config), job, Options(notice=lambda _: None), cluster=cluster)
+        done = plan_job(
+            open_inputs(config), job, Options(notice=lambda _: None), cluster=cluster
+        )
         rows = [r for r in done.log.rows() if r["work"] == "stretch"]
         assert len([*job.stretches.glob("*-*.*")]) == len(rows) == 6
         yield done, [(job.path / name).read_bytes() for name in FACTS], rows
 
 
 @pytest.fixture(scope="module")
-def found(cut_clip: JobConfig, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Job, list[bytes]]]:
+def found(
+    cut_clip: JobConfig, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Job, list[bytes]]]:
     """As this process analyses it."""
     with analysed(cut_clip, tmp_path_factory.mktemp("found") / "job") as (job, facts, _):
         assert b'"print.png"' in facts[1]
@@ -239,16 +307,25 @@ def found(cut_clip: JobConfig, tmp_path_factory: pytest.TempPathFactory) -> Iter
 def test_the_analysis_is_done_by_the_workers_too(
     running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path
 ) -> None:
-    with connected(running) as (client, cluster), analysed(cut_clip, tmp_path / "job", cluster) as (job, facts, rows):
+    with (
+        connected(running) as (client, cluster),
+        analysed(cut_clip, tmp_path / "job", cluster) as (job, facts, rows),
+    ):
         assert facts == found[1] and rendered(job, cluster) == rendered(found[0], None)
         pids = client.run(os.getpid).values()
         assert all(row["pid"] in pids and row["worker"] for row in rows)
         workers = job.log.spent(job.analysis_key, ()).workers
-        assert sum(w["stretches"] for w in workers) == 6 and {w["name"] for w in workers} == {row["worker"] for row in rows}
+        assert sum(w["stretches"] for w in workers) == 6 and {
+            w["name"] for w in workers
+        } == {row["worker"] for row in rows}
 
 
 def test_a_worker_that_is_killed_with_a_stretch_costs_that_only(
-    running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    running: Farm,
+    cut_clip: JobConfig,
+    found: tuple[Job, list[bytes]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     real, given = dispatch.submit, list[str]()
     with connected(running) as (client, cluster):
@@ -263,37 +340,60 @@ def test_a_worker_that_is_killed_with_a_stretch_costs_that_only(
 
         monkeypatch.setattr(dispatch, "submit", submit)
         with analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows):
-            assert facts == found[1] and len(given) >= 7 and os.getpid() not in {row["pid"] for row in rows}
+            assert (
+                facts == found[1]
+                and len(given) >= 7
+                and os.getpid() not in {row["pid"] for row in rows}
+            )
 
 
 @pytest.mark.usefixtures("mapped_only")
 def test_stretches_go_through_a_store_with_all_that_they_need(
     running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path
 ) -> None:
-    """Workers see neither the job folder, nor the clip's folder with the print in it, but a folder that holds the clip alone."""
+    """Workers see neither the job folder, nor the clip's folder with the print in it, but a
+    folder that holds the clip alone.
+    """
     clip, job, store = Path(str(cut_clip.input.clip)), tmp_path / "job", tmp_path / "store"
     (tmp_path / "clips").mkdir()
     shutil.copy(clip, tmp_path / "clips")
     seen, hidden = set[str](), clip.with_name("hidden.png")
-    with connected(running, f"{job}=file://{store}", f"{clip.parent}={tmp_path / 'clips'}") as (_, cluster):
+    with connected(
+        running, f"{job}=file://{store}", f"{clip.parent}={tmp_path / 'clips'}"
+    ) as (_, cluster):
 
         def analysing(*about: Any) -> Any:
             (clip.parent / "print.png").rename(hidden)
             run = cluster.analysing(*about)
-            return lambda *task: (seen.update(p.name for p in store.rglob("*")) or result for result in run(*task))
+            return lambda *task: (
+                seen.update(p.name for p in store.rglob("*")) or result
+                for result in run(*task)
+            )
 
         try:
-            with analysed(cut_clip, job, SimpleNamespace(analysing=analysing)) as (_, facts, rows):
+            with analysed(cut_clip, job, SimpleNamespace(analysing=analysing)) as (
+                _,
+                facts,
+                rows,
+            ):
                 assert facts == found[1] and os.getpid() not in {row["pid"] for row in rows}
         finally:
             hidden.rename(clip.parent / "print.png")
-    assert "stretches.json" in seen and not [*store.rglob("*")], "what was put there is gone"
+    assert "stretches.json" in seen and not [*store.rglob("*")], (
+        "what was put there is gone"
+    )
 
 
 def test_workers_with_another_processor_analyse_nothing(
-    running: Farm, cut_clip: JobConfig, found: tuple[Job, list[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    running: Farm,
+    cut_clip: JobConfig,
+    found: tuple[Job, list[bytes]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Libraries choose their code by it: facts might differ in their last digits. This machine does it then."""
+    """Libraries choose their code by it: facts might differ in their last digits. This
+    machine does it then.
+    """
     monkeypatch.setattr("arfx.run.cluster.agreement.processor_name", lambda: "another")
     told = list[str]()
     with (
@@ -301,16 +401,24 @@ def test_workers_with_another_processor_analyse_nothing(
         analysed(cut_clip, tmp_path / "job", cluster) as (_, facts, rows),
     ):
         assert facts == found[1] and {row["pid"] for row in rows} == {os.getpid()}
-    assert len(told) == 1 and "this machine analyses the clip alone" in told[0] and "here another" in told[0]
+    assert (
+        len(told) == 1
+        and "this machine analyses the clip alone" in told[0]
+        and "here another" in told[0]
+    )
 
 
-def test_a_lost_scheduler_ends_in_one_message(planned: Job, serial: dict[int, str], capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_lost_scheduler_ends_in_one_message(
+    planned: Job, serial: dict[int, str], capfd: pytest.CaptureFixture[str]
+) -> None:
     """And what is done stays: the next run renders the rest."""
     capfd.readouterr()
     with farm(1) as own, connected(own) as (client, cluster):
         assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)
         pids = list(client.run(os.getpid).values())
-        with pytest.raises(RenderError, match=r"connection to the scheduler at tcp://.* is lost"):
+        with pytest.raises(
+            RenderError, match=r"connection to the scheduler at tcp://.* is lost"
+        ):
             rendered(planned, cluster, once(own.process.kill, after=16))
     assert not capfd.readouterr().err, "Dask has nothing to add"
     assert any(chunk.find(planned.folder.chunks, ".mkv") for chunk in jobs._chunks(planned))
@@ -335,19 +443,31 @@ def whole(material: Material, tmp_path_factory: pytest.TempPathFactory) -> bytes
 
 
 @pytest.mark.usefixtures("ctrl_c")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)]
+)
 def test_a_job_that_is_stopped_with_its_cluster_is_resumed(
     arfx: Run, material: Material, whole: bytes, tmp_path: Path, number: int, code: int
 ) -> None:
     """As Ctrl-C at a terminal, which all processes see; and when there is no time for anything."""
     arguments = material.arguments("-o", "out.mkv", "--codec", "ffv1", "--job", "job")
     # two chunks of 15 frames are at work: with 22 frames in all, one may be done
-    stopped = at_a_moment(tmp_path, "render", "+22", number, [*arguments, "--executor", "local:2"], number == signal.SIGINT)
+    stopped = at_a_moment(
+        tmp_path,
+        "render",
+        "+22",
+        number,
+        [*arguments, "--executor", "local:2"],
+        number == signal.SIGINT,
+    )
     assert stopped.returncode == code, stopped.stderr
     assert (tmp_path / "job").is_dir() and not (tmp_path / "out.mkv").exists()
     if number == signal.SIGINT:
         *_, error, hint = stopped.stderr.splitlines()
-        assert error.startswith("error: interrupted; what is done is kept in") and "--resume" in hint
+        assert (
+            error.startswith("error: interrupted; what is done is kept in")
+            and "--resume" in hint
+        )
         assert "Traceback" not in stopped.stderr
     resumed = arfx(*arguments, "--resume", "--json")
     assert resumed.code == 0, resumed.err
@@ -365,7 +485,11 @@ echo "Submitted batch job 42"
 
 
 def test_workers_are_started_by_slurm(
-    arfx: Run, material: Material, whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arfx: Run,
+    material: Material,
+    whole: bytes,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And end when the job does, even where Slurm itself does not end them."""
     bin = tmp_path / "bin"
@@ -377,18 +501,32 @@ def test_workers_are_started_by_slurm(
         (bin / name).write_text(text)
         (bin / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{bin}:{os.environ['PATH']}")
-    (tmp_path / "slurm.toml").write_text('cores = 1\nmemory = "4GB"\ninterface = "lo"\nwalltime = "00:10:00"\n')
-    result = arfx(*material.arguments("-o", "out.mkv", "--codec", "ffv1", "--executor", "slurm:slurm.toml", "--json"))
+    (tmp_path / "slurm.toml").write_text(
+        'cores = 1\nmemory = "4GB"\ninterface = "lo"\nwalltime = "00:10:00"\n'
+    )
+    result = arfx(
+        *material.arguments(
+            "-o", "out.mkv", "--codec", "ffv1", "--executor", "slurm:slurm.toml", "--json"
+        )
+    )
     assert result.code == 0, result.err + (tmp_path / "log").read_text()
     us, worker = result.json["workers"]
-    assert us["stretches"] == 1 and not us["chunks"], "a clip of one stretch is analysed here"
-    assert worker["frames"] == FRAMES and worker["chunks"] == 3 and worker["name"].startswith("SLURMCluster-0")
+    assert us["stretches"] == 1 and not us["chunks"], (
+        "a clip of one stretch is analysed here"
+    )
+    assert (
+        worker["frames"] == FRAMES
+        and worker["chunks"] == 3
+        and worker["name"].startswith("SLURMCluster-0")
+    )
     assert "cancel 42" in (tmp_path / "calls").read_text()
     ended([int(pid) for pid in (tmp_path / "pids").read_text().split()])
     assert (tmp_path / "out.mkv").read_bytes() == whole
 
 
-def test_workers_that_exit_at_start_are_told(arfx: Run, material: Material, tmp_path: Path) -> None:
+def test_workers_that_exit_at_start_are_told(
+    arfx: Run, material: Material, tmp_path: Path
+) -> None:
     """Red without a look at the processes: the job waits for two minutes."""
     (tmp_path / "end.py").write_text("import os\nos._exit(3)\n")
     env = {"DASK_DISTRIBUTED__WORKER__PRELOAD": repr([str(tmp_path / "end.py")])}

@@ -24,7 +24,9 @@ def test_the_version_is_the_packages(arfx: Run) -> None:
     assert arfx("--version", apart=True).out.split()[-1] == __version__
 
 
-@pytest.mark.parametrize(("word", "near"), [("proces", "process"), ("inpsect", "inspect"), ("docter", "doctor")])
+@pytest.mark.parametrize(
+    ("word", "near"), [("proces", "process"), ("inpsect", "inspect"), ("docter", "doctor")]
+)
 def test_a_misspelt_command_gets_the_nearest(arfx: Run, word: str, near: str) -> None:
     r = arfx(word)
     assert r.code == 2 and f"Did you mean '{near}'" in r.err and not r.out
@@ -43,8 +45,15 @@ def test_a_number_below_zero_is_the_value_of_its_option(arfx: Run) -> None:
 def test_every_config_that_is_given_counts(arfx: Run, tmp_path: Path) -> None:
     (tmp_path / "first.toml").write_text('[model]\nfit = "15"\n')
     (tmp_path / "second.toml").write_text("[dof]\nfnumbr = 2\n")
-    r = arfx("plan", "--config", "first.toml", "--config", "second.toml", "--config", "final")
-    assert r.code == 2 and "first.toml:2" in r.err and "second.toml:2" in r.err and "Traceback" not in r.err, r.err
+    r = arfx(
+        "plan", "--config", "first.toml", "--config", "second.toml", "--config", "final"
+    )
+    assert (
+        r.code == 2
+        and "first.toml:2" in r.err
+        and "second.toml:2" in r.err
+        and "Traceback" not in r.err
+    ), r.err
 
 
 def test_help_says_what_the_pipeline_auto_is(arfx: Run) -> None:
@@ -52,8 +61,14 @@ def test_help_says_what_the_pipeline_auto_is(arfx: Run) -> None:
     from arfx.run.parameters import parameters, pipeline
 
     text = " ".join(arfx("process", "--help").out.split())
-    assert "Default auto: those that the job has a setting for. Light and shadow always run." in text
-    usual, lens, printed = (
-        pipeline(load(None, tree, parameters())) for tree in ({}, {"dof": {"fnumber": 4}}, {"dof": {"formula": "paper"}})
+    assert (
+        "Default auto: those that the job has a setting for. Light and shadow always run."
+        in text
     )
-    assert "lightmap" in usual and {*lens} - {*usual} == {"dof"} and printed == usual, "a formula alone asks for no effect"
+    usual, lens, printed = (
+        pipeline(load(None, tree, parameters()))
+        for tree in ({}, {"dof": {"fnumber": 4}}, {"dof": {"formula": "paper"}})
+    )
+    assert "lightmap" in usual and {*lens} - {*usual} == {"dof"} and printed == usual, (
+        "a formula alone asks for no effect"
+    )

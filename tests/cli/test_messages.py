@@ -1,4 +1,6 @@
-"""What every command says: a result on standard output, the rest on standard error, more with -v, only warnings with -q."""
+"""What every command says: a result on standard output, the rest on standard error, more
+with -v, only warnings with -q.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,9 @@ def place(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def says(arfx: Run, place: Path, detail: str, *arguments: str) -> Result:
-    """-v adds `detail` on standard error, -q leaves only warnings there, --json is all of standard output: that is returned."""
+    """-v adds `detail` on standard error, -q leaves only warnings there, --json is all of
+    standard output: that is returned.
+    """
     loud = arfx(*arguments, "-v", cwd=place)
     assert loud.code == 0 and detail in loud.err and detail not in loud.out, loud.err
     again = (*arguments, *(["--overwrite"] if "-o" in arguments else []))
@@ -66,11 +70,27 @@ def says(arfx: Run, place: Path, detail: str, *arguments: str) -> Result:
 
 
 def test_target(arfx: Run, place: Path) -> None:
-    says(arfx, place, "36h11:3:100mm: 100 x 100 mm (8 x 8 squares", "target", "36h11:3:100mm", "-o", "m.svg")
+    says(
+        arfx,
+        place,
+        "36h11:3:100mm: 100 x 100 mm (8 x 8 squares",
+        "target",
+        "36h11:3:100mm",
+        "-o",
+        "m.svg",
+    )
 
 
 def test_inspect(arfx: Run, place: Path, material: Material) -> None:
-    says(arfx, place, "frames searched: 0, 35", "inspect", str(material.clip), "--samples", "2")
+    says(
+        arfx,
+        place,
+        "frames searched: 0, 35",
+        "inspect",
+        str(material.clip),
+        "--samples",
+        "2",
+    )
 
 
 def test_doctor(arfx: Run, place: Path) -> None:
@@ -78,17 +98,48 @@ def test_doctor(arfx: Run, place: Path) -> None:
 
 
 def test_bench(arfx: Run, place: Path) -> None:
-    says(arfx, place, "ns/px, median of", "bench", "--stage", "composite", "--level", "standard", "--size", "160x120")
+    says(
+        arfx,
+        place,
+        "ns/px, median of",
+        "bench",
+        "--stage",
+        "composite",
+        "--level",
+        "standard",
+        "--size",
+        "160x120",
+    )
 
 
-def test_calibrate_and_a_calibration_that_is_not_good_is_a_warning_with_quiet(arfx: Run, place: Path) -> None:
-    r = says(arfx, place, "held out", "calibrate", "board", "--board", "chessboard:9x6:25mm", "-o", "c.yaml")
+def test_calibrate_and_a_calibration_that_is_not_good_is_a_warning_with_quiet(
+    arfx: Run, place: Path
+) -> None:
+    r = says(
+        arfx,
+        place,
+        "held out",
+        "calibrate",
+        "board",
+        "--board",
+        "chessboard:9x6:25mm",
+        "-o",
+        "c.yaml",
+    )
     assert r.json["verdict"] in ("usable", "poor")
     assert f"note: the calibration is {r.json['verdict']}" in r.err
 
 
 def test_synth_and_verify(arfx: Run, place: Path) -> None:
-    says(arfx, place, "marker 36h11:3: in sight in 4 of 4 frames", "synth", "scene.toml", "-o", "out")
+    says(
+        arfx,
+        place,
+        "marker 36h11:3: in sight in 4 of 4 frames",
+        "synth",
+        "scene.toml",
+        "-o",
+        "out",
+    )
     (place / "out" / "tolerance.toml").write_text('[truth.max]\n"arfx.flips" = 4\n')
     says(arfx, place, "bound: arfx.flips at most 4", "verify", "out")
 
@@ -99,11 +150,18 @@ def test_plan(arfx: Run, place: Path, material: Material) -> None:
 
 
 def test_process_and_report(arfx: Run, place: Path, material: Material) -> None:
-    says(arfx, place, "stage raster: 7 frames", *material.arguments("--end", "0.2", "-o", "out.mp4", "--job", "job"))
+    says(
+        arfx,
+        place,
+        "stage raster: 7 frames",
+        *material.arguments("--end", "0.2", "-o", "out.mp4", "--job", "job"),
+    )
     says(arfx, place, "seconds: decode", "report", "job", "-o", "report")
 
 
-def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """With a shorter and smaller clip than its own, which takes minutes to make."""
     from arfx.synth import description
 
@@ -121,14 +179,31 @@ def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     with pytest.raises(SystemExit):
         main(["demo", "--overwrite", "-q"])
     out, err = capsys.readouterr()
-    assert "demo/picture.png" in out and all(line.startswith("note: ") for line in err.splitlines()), err
+    assert "demo/picture.png" in out and all(
+        line.startswith("note: ") for line in err.splitlines()
+    ), err
 
 
-def test_the_options_of_the_codec_reach_the_output(arfx: Run, place: Path, material: Material) -> None:
-    more = ("--codec", "ffv1", "--pixel-format", "yuv444p", "--end", "0.1", "-o", "lossless.mkv", "--json")
+def test_the_options_of_the_codec_reach_the_output(
+    arfx: Run, place: Path, material: Material
+) -> None:
+    more = (
+        "--codec",
+        "ffv1",
+        "--pixel-format",
+        "yuv444p",
+        "--end",
+        "0.1",
+        "-o",
+        "lossless.mkv",
+        "--json",
+    )
     r = arfx(*material.arguments(*more), cwd=place)
     assert r.code == 0, r.err
-    assert (r.json["output"]["codec"], r.json["output"]["pixel_format"]) == ("ffv1", "yuv444p")
+    assert (r.json["output"]["codec"], r.json["output"]["pixel_format"]) == (
+        "ffv1",
+        "yuv444p",
+    )
 
 
 def test_verbose_and_quiet_contradict_each_other(arfx: Run) -> None:
@@ -136,7 +211,9 @@ def test_verbose_and_quiet_contradict_each_other(arfx: Run) -> None:
     assert r.code == 2 and "--verbose and --quiet" in r.err and not r.out
 
 
-def test_a_fault_of_arfx_is_one_message_too(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fault_of_arfx_is_one_message_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     from arfx.measure import machine
 
     def fail(_: Path) -> None:
@@ -147,7 +224,11 @@ def test_a_fault_of_arfx_is_one_message_too(monkeypatch: pytest.MonkeyPatch, cap
     with pytest.raises(SystemExit) as e:
         main(["doctor"])
     err = capsys.readouterr().err
-    assert e.value.code == 5 and err.startswith("error: arfx failed: KeyError: 'a fault'") and "ARFX_DEBUG=1" in err
+    assert (
+        e.value.code == 5
+        and err.startswith("error: arfx failed: KeyError: 'a fault'")
+        and "ARFX_DEBUG=1" in err
+    )
     monkeypatch.setenv("ARFX_DEBUG", "1")
     with pytest.raises(KeyError):
         main(["doctor"])
@@ -160,13 +241,19 @@ def test_terminated_leaves_no_temporary_folder(tmp_path: Path) -> None:
         "  os.kill(os.getpid(), signal.SIGTERM); time.sleep(30)\n"
         "m.cli.main = work\nm.main([])"
     )
-    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(tmp_path)}, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        check=False,
+    )
     assert done.returncode == 143 and not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("raised", [EOFError("Ran out of input"), SystemExit(0)])
 def test_what_a_library_raises_is_neither_an_interruption_nor_success(
-    raised: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    raised: BaseException,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def fail(**_: object) -> None:
         raise raised
@@ -174,10 +261,18 @@ def test_what_a_library_raises_is_neither_an_interruption_nor_success(
     monkeypatch.setattr("arfx_cli.doctor.command.callback", fail)
     with pytest.raises(SystemExit) as ended:
         main(["doctor"])
-    assert ended.value.code == 5 and f"arfx failed: {type(raised).__name__}" in capsys.readouterr().err
+    assert (
+        ended.value.code == 5
+        and f"arfx failed: {type(raised).__name__}" in capsys.readouterr().err
+    )
 
 
-def test_what_is_printed_on_the_way_does_not_spoil_json(arfx: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("arfx.papers.s2_lens.printed_limits", lambda *_: print("hello") or lens.depth_of_field(*_))
+def test_what_is_printed_on_the_way_does_not_spoil_json(
+    arfx: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "arfx.papers.s2_lens.printed_limits",
+        lambda *_: print("hello") or lens.depth_of_field(*_),
+    )
     r = arfx("lens", "--focal", "50mm", "--fnumber", "2.8", "--distance", "2m", "--json")
     assert r.json["fnumber"] == 2.8 and "hello" in r.err

@@ -1,4 +1,6 @@
-"""A tin before the object, then behind it: whole jobs with depth in one file, against the scene's exact masks."""
+"""A tin before the object, then behind it: whole jobs with depth in one file, against the
+scene's exact masks.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from arfx.synth.description import load_scene
 from tests.cli.conftest import Run
 from tests.cli.test_process import frames
 
-SCENE = Path(__file__).parents[2] / "sample_scenes" / "0022-before-and-behind" / "scene.toml"
+SCENE = (
+    Path(__file__).parents[2] / "sample_scenes" / "0022-before-and-behind" / "scene.toml"
+)
 BEFORE, BEHIND = (1, 3, 4), (10, 11)
 SHARP = ("--pipeline", "lightmap", "--codec", "ffv1", "--json")
 
@@ -23,7 +27,9 @@ SHARP = ("--pipeline", "lightmap", "--codec", "ffv1", "--json")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Clip, maps (video of 16-bit grey) and masks of the scene."""
     folder = tmp_path_factory.mktemp("occlusion") / "clip"
-    make_clip(load_scene(SCENE).model_copy(update={"samples": 1, "truth": ("mask",)}), folder)
+    make_clip(
+        load_scene(SCENE).model_copy(update={"samples": 1, "truth": ("mask",)}), folder
+    )
     return folder
 
 
@@ -34,7 +40,10 @@ def pictures(path: Path) -> list[np.ndarray]:
 def tin(made: Path, frame: int, grown_px: int) -> np.ndarray:
     """(h, w) bool, of the exact mask, larger or smaller by that."""
     number = [p.name for p in load_scene(SCENE).objects].index("tin") + 1
-    mask = (cv2.imread(str(made / "truth" / "mask" / f"{frame:06d}.png"), cv2.IMREAD_UNCHANGED) == number).astype(np.uint8)
+    mask = (
+        cv2.imread(str(made / "truth" / "mask" / f"{frame:06d}.png"), cv2.IMREAD_UNCHANGED)
+        == number
+    ).astype(np.uint8)
     box = np.ones((2 * abs(grown_px) + 1,) * 2, np.uint8)
     return (cv2.dilate(mask, box) if grown_px > 0 else cv2.erode(mask, box)) > 0
 
@@ -44,7 +53,9 @@ def rough(picture: np.ndarray, where: np.ndarray) -> float:
     return float(np.abs(np.diff(picture.mean(-1), axis=1))[where[:, 1:]].mean())
 
 
-def test_depth_in_one_file_decides_what_hides_what(made: Path, arfx: Run, tmp_path: Path) -> None:
+def test_depth_in_one_file_decides_what_hides_what(
+    made: Path, arfx: Run, tmp_path: Path
+) -> None:
     job = ("process", "--config", str(made / "job.toml"))
     deep = arfx(*job, "-o", str(tmp_path / "deep.mkv"), *SHARP)
     assert deep.code == 0, deep.err
@@ -54,19 +65,34 @@ def test_depth_in_one_file_decides_what_hides_what(made: Path, arfx: Run, tmp_pa
     assert {"holdout", "hide"} <= {s["name"] for s in deep.json["stages"]}
     bare = made / "bare.toml"
     lines = (made / "job.toml").read_text(encoding="utf-8").splitlines()
-    bare.write_text("\n".join(x for x in lines if not x.startswith("depth")), encoding="utf-8")
+    bare.write_text(
+        "\n".join(x for x in lines if not x.startswith("depth")), encoding="utf-8"
+    )
     flat = arfx("process", "--config", str(bare), "-o", str(tmp_path / "flat.mkv"), *SHARP)
     assert flat.code == 0, flat.err
     assert not {"holdout", "hide"} & {s["name"] for s in flat.json["stages"]}
-    source, with_depth, without = (pictures(p) for p in (made / "clip.mp4", tmp_path / "deep.mkv", tmp_path / "flat.mkv"))
+    source, with_depth, without = (
+        pictures(p)
+        for p in (made / "clip.mp4", tmp_path / "deep.mkv", tmp_path / "flat.mkv")
+    )
 
-    for n in BEFORE:  # nearer: neither the object nor its shadow on the plane is seen on the tin
+    for n in (
+        BEFORE
+    ):  # nearer: neither the object nor its shadow on the plane is seen on the tin
         drawn = np.abs(without[n] - source[n]).max(-1)
         inside, away = tin(made, n, -2), ~tin(made, n, 4)
         left = np.abs(with_depth[n] - source[n]).max(-1)[inside & (drawn > 6)]
-        assert len(left) > 100 and (left > 6).mean() < 0.02, (n, len(left), (left > 6).mean())
+        assert len(left) > 100 and (left > 6).mean() < 0.02, (
+            n,
+            len(left),
+            (left > 6).mean(),
+        )
         lost = np.abs(with_depth[n] - without[n]).max(-1)[away & (drawn > 6)]
-        assert len(lost) > 1000 and (lost > 6).mean() < 0.005, (n, len(lost), (lost > 6).mean())
+        assert len(lost) > 1000 and (lost > 6).mean() < 0.005, (
+            n,
+            len(lost),
+            (lost > 6).mean(),
+        )
     for n in BEHIND:  # farther: the object hides it, as if there were no depth
         covered = tin(made, n, -1) & (np.abs(without[n] - source[n]).max(-1) > 40)
         assert covered.sum() > 150, (n, covered.sum())
@@ -77,7 +103,14 @@ def test_depth_in_one_file_decides_what_hides_what(made: Path, arfx: Run, tmp_pa
     assert maps.frames is not None
     pages = [maps.frames.stored(k) for k in range(maps.count)]
     assert cv2.imwritemulti(str(tmp_path / "depth.tiff"), pages)
-    again = arfx(*job, "-o", str(tmp_path / "pages.mkv"), "--depth", str(tmp_path / "depth.tiff"), *SHARP)
+    again = arfx(
+        *job,
+        "-o",
+        str(tmp_path / "pages.mkv"),
+        "--depth",
+        str(tmp_path / "depth.tiff"),
+        *SHARP,
+    )
     assert again.code == 0, again.err
     assert again.json["depth"]["paired_by"] == "order"
     for a, b in zip(pictures(tmp_path / "pages.mkv"), with_depth, strict=True):

@@ -34,11 +34,19 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in SCENES:
         whole = load_scene(ROOT / "sample_scenes" / name / "scene.toml")
         shot = whole.shot[0].model_copy(update={"frames": FRAMES})
-        clip = whole.clip.model_copy(update={"width": whole.clip.width // 2, "height": whole.clip.height // 4 * 2})
+        clip = whole.clip.model_copy(
+            update={"width": whole.clip.width // 2, "height": whole.clip.height // 4 * 2}
+        )
         short = whole.model_copy(update={"shot": (shot,), "clip": clip})
         make_clip(short, folder / name, ROOT / "sample_scenes" / name, truth_pictures=False)
-        document = {"output": {"path": str(folder / f"{name}.rays.mkv"), "codec": "ffv1"}, "raster": {"backend": "rays"}}
-        process(load(folder / name / "job.toml", document, parameters()), Options(progress=quiet, notice=quiet))
+        document = {
+            "output": {"path": str(folder / f"{name}.rays.mkv"), "codec": "ffv1"},
+            "raster": {"backend": "rays"},
+        }
+        process(
+            load(folder / name / "job.toml", document, parameters()),
+            Options(progress=quiet, notice=quiet),
+        )
     return folder
 
 
@@ -55,7 +63,9 @@ def frames_of(path: Path) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.parametrize("platform", ["egl", "osmesa"])
-def test_every_way_to_run_a_job(platform: str, scenes: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_every_way_to_run_a_job(
+    platform: str, scenes: Path, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     for name in SCENES:
         (tmp_path / name).symlink_to(scenes / name)
     p = subprocess.run(
@@ -68,11 +78,18 @@ def test_every_way_to_run_a_job(platform: str, scenes: Path, tmp_path: Path, req
         pytest.skip(results["opened"])
     request.node.user_properties.append(("OpenGL", results["opened"]))
     codes = {name: code for name, (code, _) in results["jobs"].items()}
-    assert codes == dict.fromkeys(("default", "1", "2", "resumed", *OTHERS, "tradeoff", "demo"), 0), p.stderr
-    assert all(drawn for name, (_, drawn) in results["jobs"].items() if name != "2"), results["jobs"]
+    assert codes == dict.fromkeys(
+        ("default", "1", "2", "resumed", *OTHERS, "tradeoff", "demo"), 0
+    ), p.stderr
+    assert all(drawn for name, (_, drawn) in results["jobs"].items() if name != "2"), (
+        results["jobs"]
+    )
     assert "Exception ignored" not in p.stderr and "Traceback" not in p.stderr, p.stderr
 
-    ways = {name: (tmp_path / f"{name}.mkv").read_bytes() for name in ("default", "1", "2", "resumed")}
+    ways = {
+        name: (tmp_path / f"{name}.mkv").read_bytes()
+        for name in ("default", "1", "2", "resumed")
+    }
     assert len(set(ways.values())) == 1, "not every way gives the same bytes"
     for name in SCENES:
         made, rays, clip = (

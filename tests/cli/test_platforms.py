@@ -1,4 +1,6 @@
-"""A whole job where the system lacks what only some have: no `resource`, no `fcntl`, no affinity, no /proc, no POSIX signals."""
+"""A whole job where the system lacks what only some have: no `resource`, no `fcntl`, no
+affinity, no /proc, no POSIX signals.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ import pytest
 from tests.cli.conftest import Material, Run
 
 pytestmark = pytest.mark.process
-# Read by Python as it starts, in workers too. Other libraries are those of this system: they may import what they like.
+# Read by Python as it starts, in workers too. Other libraries are those of this system:
+# they may import what they like.
 LACKING = """
 import builtins, io, os, signal
 ordinary = builtins.__import__
@@ -42,18 +45,27 @@ for name in ("open", "stat", "listdir", "scandir"):
 def lacking(tmp_path: Path) -> dict[str, str]:
     (tmp_path / "site").mkdir()
     (tmp_path / "site" / "sitecustomize.py").write_text(LACKING)
-    return {"PYTHONPATH": os.pathsep.join([str(tmp_path / "site"), *filter(None, [os.environ.get("PYTHONPATH")])])}
+    return {
+        "PYTHONPATH": os.pathsep.join(
+            [str(tmp_path / "site"), *filter(None, [os.environ.get("PYTHONPATH")])]
+        )
+    }
 
 
 def test_a_job_on_a_system_that_lacks_what_others_have(
     material: Material, arfx: Run, tmp_path: Path, lacking: dict[str, str]
 ) -> None:
-    r = arfx(*material.arguments("-o", "out.mp4", "--end", "1.1", "--workers", "2", "--json"), env=lacking)
+    r = arfx(
+        *material.arguments("-o", "out.mp4", "--end", "1.1", "--workers", "2", "--json"),
+        env=lacking,
+    )
     assert r.code == 0 and "Traceback" not in r.err, r.err
     assert (tmp_path / "out.mp4").exists() and r.json["timing"]["peak_rss_mb"] >= 0
 
 
 def test_doctor_there(arfx: Run, lacking: dict[str, str]) -> None:
     r = arfx("doctor", "--json", env=lacking)
-    assert "Traceback" not in r.err and "arfx failed" not in r.err and r.code == 0, r.err + r.out
+    assert "Traceback" not in r.err and "arfx failed" not in r.err and r.code == 0, (
+        r.err + r.out
+    )
     assert {"cores", "disk"} <= {c["name"] for c in r.json["checks"]}

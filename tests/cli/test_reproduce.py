@@ -15,7 +15,11 @@ from tests.cli.conftest import Run
 @pytest.fixture(autouse=True)
 def one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     """The papers' rows have tests of their own."""
-    monkeypatch.setattr(s1, "rows", lambda work: iter([compared("s1", "equation (1)", "2.0", 2.0 + 0.01 * work.short)]))
+    monkeypatch.setattr(
+        s1,
+        "rows",
+        lambda work: iter([compared("s1", "equation (1)", "2.0", 2.0 + 0.01 * work.short)]),
+    )
 
 
 def test_a_paper_is_reproduced(arfx: Run, tmp_path: Path) -> None:
@@ -32,18 +36,31 @@ def test_a_paper_is_reproduced(arfx: Run, tmp_path: Path) -> None:
     again = arfx("reproduce", "s1", "-o", "out")
     assert again.code == 2 and "s1.html exists" in again.err and "--overwrite" in again.err
     over = arfx("reproduce", "s1", "-o", "out", "--overwrite", "--short")
-    assert over.code == 0 and "equation (1)" in over.out and "2.01" in over.out and "page: out/s1.html" in over.err
+    assert (
+        over.code == 0
+        and "equation (1)" in over.out
+        and "2.01" in over.out
+        and "page: out/s1.html" in over.err
+    )
 
 
 def test_what_is_not_arfxs_is_not_replaced(arfx: Run, tmp_path: Path) -> None:
     (tmp_path / "s1.html").write_text("mine")
     done = arfx("reproduce", "s1", "-o", ".", "--overwrite")
-    assert done.code == 2 and "was not written by arfx" in done.err and (tmp_path / "s1.html").read_text() == "mine"
+    assert (
+        done.code == 2
+        and "was not written by arfx" in done.err
+        and (tmp_path / "s1.html").read_text() == "mine"
+    )
 
 
-def test_what_is_interrupted_is_not_said_to_be_resumable(arfx: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_interrupted_is_not_said_to_be_resumable(
+    arfx: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupted(work: Work) -> Iterator[Row]:
-        raise JobInterruptedError("kept in a folder", "the same command with --resume goes on")
+        raise JobInterruptedError(
+            "kept in a folder", "the same command with --resume goes on"
+        )
 
     monkeypatch.setattr(s1, "rows", interrupted)
     done = arfx("reproduce", "s1", "-o", "out")
@@ -52,4 +69,8 @@ def test_what_is_interrupted_is_not_said_to_be_resumable(arfx: Run, tmp_path: Pa
 
 def test_a_paper_that_is_not_there_is_refused(arfx: Run) -> None:
     done = arfx("reproduce", "s5", "-o", "out")
-    assert done.code == 2 and "'s1', 's2', 's3', 's4', 'all'" in done.err and list(PAPERS) == ["s1", "s2", "s3", "s4"]
+    assert (
+        done.code == 2
+        and "'s1', 's2', 's3', 's4', 'all'" in done.err
+        and list(PAPERS) == ["s1", "s2", "s3", "s4"]
+    )

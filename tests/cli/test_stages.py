@@ -21,21 +21,41 @@ def test_every_stage_has_its_line_in_running_order(arfx: Run) -> None:
 
 def test_every_setting_is_in_the_data_with_its_text(arfx: Run) -> None:
     document = arfx("stages", "--json").json
-    found = {(d["name"], s["name"]): s for d in document["stages"] + document["sections"] for s in d["settings"]}
-    kinds = ((name, kind) for name, formulas in parameters().items() for kind in formulas.values())
+    found = {
+        (d["name"], s["name"]): s
+        for d in document["stages"] + document["sections"]
+        for s in d["settings"]
+    }
+    kinds = (
+        (name, kind)
+        for name, formulas in parameters().items()
+        for kind in formulas.values()
+    )
     of_stages = {(name, f.name) for name, kind in kinds for f in dataclasses.fields(kind)}
     assert set(found) == of_stages | {(s.section, s.key) for s in settings()}
     assert [key for key, s in found.items() if not (s["text"] and s["type"])] == []
-    assert found["dof", "coc_mm"]["formula"] == "paper" and "formula" not in found["dof", "blades"]
-    assert found["dof", "fnumber"]["default"] == 2.8 and found["model", "fit"]["type"] == "length"
+    assert (
+        found["dof", "coc_mm"]["formula"] == "paper"
+        and "formula" not in found["dof", "blades"]
+    )
+    assert (
+        found["dof", "fnumber"]["default"] == 2.8
+        and found["model", "fit"]["type"] == "length"
+    )
 
 
 def test_a_stage_says_what_it_reads_and_what_its_levels_cost(arfx: Run) -> None:
     d = arfx("stages", "gi", "--json").json
-    assert d["writes"] == ["shadow", "virtual"] and "environment" in d["facts"] and not d["always"]
+    assert (
+        d["writes"] == ["shadow", "virtual"]
+        and "environment" in d["facts"]
+        and not d["always"]
+    )
     assert d["overrides"] == {"lightmap": {"ambient": False}}
     assert [e["level"] for e in d["levels"]] == list(STAGES["gi"].levels)
-    assert all(e["price_ms"] and all(ms > 0 for ms in e["price_ms"].values()) for e in d["levels"])
+    assert all(
+        e["price_ms"] and all(ms > 0 for ms in e["price_ms"].values()) for e in d["levels"]
+    )
     said = arfx("stages", "gi").out
     assert d["about"] in said and "gi.strength = 1.0" in said and "Prices: " in said
 

@@ -14,10 +14,16 @@ def test_marker_as_png(arfx: Run, tmp_path: Path) -> None:
     out = tmp_path / "m.png"
     result = arfx("target", "36h11:3:100mm", "-o", str(out), "--dpi", "127", "--json")
     assert result.code == 0, result.err
-    assert result.json == {"output": str(out), "page_mm": [210.0, 297.0], "targets": ["36h11:3:100mm"]}
+    assert result.json == {
+        "output": str(out),
+        "page_mm": [210.0, 297.0],
+        "targets": ["36h11:3:100mm"],
+    }
     picture = cv2.imread(str(out), cv2.IMREAD_GRAYSCALE)
     assert picture is not None
-    _, ids, _ = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)).detectMarkers(picture)
+    _, ids, _ = cv2.aruco.ArucoDetector(
+        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    ).detectMarkers(picture)
     assert ids is not None
     assert ids.ravel().tolist() == [3]
     with Image.open(out) as image:

@@ -1,4 +1,7 @@
-"""The laws that every stage keeps, as functions that raise AssertionError. Used on real and on broken stages."""
+"""The laws that every stage keeps, as functions that raise AssertionError.
+
+Used on real and on broken stages.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ from tests.scenes import layers_of
 
 
 def random_layers(rect: Rect, seed: int, names: frozenset[Layer]) -> Layers:
-    """Content that hides nothing: random everywhere, no flat background for a wrong border to disappear in."""
+    """Content that hides nothing: random everywhere, no flat background for a wrong border
+    to disappear in.
+    """
     g = np.random.default_rng(seed)
     h, w = rect.height, rect.width
     out: dict[Layer, np.ndarray] = {}
@@ -35,13 +40,17 @@ def random_layers(rect: Rect, seed: int, names: frozenset[Layer]) -> Layers:
 
 
 def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
-    """Legal but nasty: black, very bright, zero normals, infinite and tiny depth, zero positions."""
+    """Legal but nasty: black, very bright, zero normals, infinite and tiny depth, zero
+    positions.
+    """
     g = np.random.default_rng(0)
     out = {}
     random = random_layers(rect, 1, names)
     for name in names:
         b = random[name].copy()
-        values = {Layer.DEPTH: [np.inf, 1e-4, 1e6], Layer.OBJECT_ID: [0]}.get(name, [0.0, 1.0])
+        values = {Layer.DEPTH: [np.inf, 1e-4, 1e6], Layer.OBJECT_ID: [0]}.get(
+            name, [0.0, 1.0]
+        )
         if name in (Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.EMISSIVE):
             values = [0.0, 1e4]
         pick = g.integers(0, len(values) + 1, b.shape[:2])
@@ -53,7 +62,10 @@ def hard_layers(rect: Rect, names: frozenset[Layer]) -> Layers:
 
 def run(at: ReadyStage, layers: Layers, f: FrameFacts) -> Mapping[Layer, np.ndarray]:
     made = at.stage.run(at.view(layers, f), at.prepared)
-    return {name: Layers(layers.rect, {name: a})[name] if isinstance(a, Pixels) else a for name, a in made.items()}
+    return {
+        name: Layers(layers.rect, {name: a})[name] if isinstance(a, Pixels) else a
+        for name, a in made.items()
+    }
 
 
 def check_roi_law(at: ReadyStage, f: FrameFacts, seed: int, atol: float = 1e-6) -> None:
@@ -69,22 +81,36 @@ def check_roi_law(at: ReadyStage, f: FrameFacts, seed: int, atol: float = 1e-6) 
     b = run(at, whole.crop(need), f)
     assert a.keys() == b.keys()
     for name in a:
-        np.testing.assert_allclose(b[name][out.slices_in(need)], a[name][out.slices_in(frame)], rtol=0, atol=atol, err_msg=name)
+        np.testing.assert_allclose(
+            b[name][out.slices_in(need)],
+            a[name][out.slices_in(frame)],
+            rtol=0,
+            atol=atol,
+            err_msg=name,
+        )
 
 
 def check_pure(at: ReadyStage, f: FrameFacts) -> None:
-    """Inputs stay unchanged, only declared layers are read and written, the same seed gives the same bits."""
+    """Inputs stay unchanged, only declared layers are read and written, the same seed gives
+    the same bits.
+    """
     stage, rect = at.stage, Rect(20, 15, 95, 80)
     layers = random_layers(rect, 5, stage.reads)
     before = {k: layers[k].copy() for k in stage.reads}
     first = run(at, layers, f)
     second = run(at, layers, f)
-    assert set(first) <= stage.writes, f"{stage.name} writes {set(first) - stage.writes} without saying so"
+    assert set(first) <= stage.writes, (
+        f"{stage.name} writes {set(first) - stage.writes} without saying so"
+    )
     for name in stage.reads:
-        assert np.array_equal(layers[name], before[name]), f"{stage.name} changed its input {name}"
+        assert np.array_equal(layers[name], before[name]), (
+            f"{stage.name} changed its input {name}"
+        )
     for name, array in first.items():
         assert array.shape[:2] == (rect.height, rect.width)
-        assert np.array_equal(array, second[name], equal_nan=True), f"{stage.name} gives other bits for the same seed: {name}"
+        assert np.array_equal(array, second[name], equal_nan=True), (
+            f"{stage.name} gives other bits for the same seed: {name}"
+        )
 
 
 def check_finite(at: ReadyStage, f: FrameFacts) -> None:

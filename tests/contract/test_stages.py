@@ -20,9 +20,16 @@ from tests.scenes import camera, facts, scene
 
 SCENE = scene(camera(160, 120, (0.05, -0.02, 0.001, 0.0005)))
 FACTS = facts(SCENE)
-PRINTED = {f"{formula} {name}": table[name] for formula, table in FORMULAS.items() for name in STAGES if name in table}
+PRINTED = {
+    f"{formula} {name}": table[name]
+    for formula, table in FORMULAS.items()
+    for name in STAGES
+    if name in table
+}
 CLASSES = {**STAGES, **PRINTED}
-CASES = [(name, level) for name, stage in CLASSES.items() for level in range(len(stage.levels))]
+CASES = [
+    (name, level) for name, stage in CLASSES.items() for level in range(len(stage.levels))
+]
 IDS = [f"{name}-{CLASSES[name].levels[level]}" for name, level in CASES]
 
 
@@ -49,7 +56,9 @@ def test_declares_what_the_contract_asks(name: str, level: int) -> None:
 def test_runs_only_where_it_says_so_if_the_object_is_absent(name: str) -> None:
     stage = CLASSES[name]()
     absent = FACTS.with_(camera_from_world=None, opacity=0.0, model_box=Rect(0, 0, 0, 0))
-    plan = plan_frame([stage], {stage.name: stage.levels[0]}, absent, SCENE, SCENE.camera.rect)
+    plan = plan_frame(
+        [stage], {stage.name: stage.levels[0]}, absent, SCENE, SCENE.camera.rect
+    )
     assert stage.without_object or [s.reason for s in plan.skipped] == [ABSENT]
 
 
@@ -57,7 +66,9 @@ def test_a_class_without_the_four_members_is_no_stage() -> None:
     with pytest.raises(TypeError, match="lacks name, reads, writes, run"):
         type("Nothing", (Stage,), {})
     with pytest.raises(TypeError, match="lacks run"):
-        type("Idle", (Stage,), {"name": "idle", "reads": frozenset(), "writes": frozenset()})
+        type(
+            "Idle", (Stage,), {"name": "idle", "reads": frozenset(), "writes": frozenset()}
+        )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -102,7 +113,11 @@ class Blur(Stage):
         if self.fault == "not finite":
             with np.errstate(divide="ignore"):
                 out = out + 0 / np.where(image > 0, 1, image)
-        return {Layer.DEPTH: out[..., 0], Layer.IMAGE: out} if self.fault == "undeclared" else {Layer.IMAGE: out}
+        return (
+            {Layer.DEPTH: out[..., 0], Layer.IMAGE: out}
+            if self.fault == "undeclared"
+            else {Layer.IMAGE: out}
+        )
 
 
 def blur(fault: str = "") -> ReadyStage:

@@ -1,9 +1,10 @@
-"""`make fuzz`: hostile videos, models, cameras, job files, settings, names and faults, by the thousand.
+"""`make fuzz`: hostile videos, models, cameras, job files, settings, names and faults, by
+the thousand.
 
-Named cases, each an attack that once broke something, run first, then as many random ones as are asked for. Case N of seed S is
-the same on every machine and in every order: `--case S:N`, or `--case "videos/one frame"`, runs it again and shows all it said.
-Exit code 1 where anything is found.
-"""
+Named cases, each an attack that once broke something, run first, then as many random ones
+as are asked for. Case N of seed S is the same on every machine and in every order: `--case
+S:N`, or `--case "videos/one frame"`, runs it again and shows all it said. Exit code 1 where
+anything is found."""
 
 from __future__ import annotations
 
@@ -49,7 +50,12 @@ class Hands:
         ]
         pipe = subprocess.PIPE
         # threads that numpy, or a pool of ours, started before a fork are not there after it
-        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "ARFX_DEBUG": ""}
+        environment = {
+            **os.environ,
+            "OPENBLAS_NUM_THREADS": "1",
+            "NUMBA_NUM_THREADS": "1",
+            "ARFX_DEBUG": "",
+        }
         with log.with_suffix(".log").open("w") as told:
             self.process = subprocess.Popen(
                 command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=told, text=True, env=environment, start_new_session=True
@@ -83,18 +89,29 @@ def main() -> int:
     given = arguments()
     cases: queue.SimpleQueue[str] = queue.SimpleQueue()
     kinds = given.only.split(",") if given.only else list(KINDS)
-    named = given.case or [f"{kind}/{seed}" for kind in kinds if not given.no_named for seed in KINDS[kind][0].SEEDS]
+    named = given.case or [
+        f"{kind}/{seed}"
+        for kind in kinds
+        if not given.no_named
+        for seed in KINDS[kind][0].SEEDS
+    ]
     for name in named:
         cases.put(name)
     count = len(named) if given.case else max(given.cases, len(named))
     for number in range(count - len(named)):
-        cases.put(f"{given.seed}:{number}" + (f":{kinds[number % len(kinds)]}" if given.only else ""))
+        cases.put(
+            f"{given.seed}:{number}"
+            + (f":{kinds[number % len(kinds)]}" if given.only else "")
+        )
     work = Path(given.work or tempfile.mkdtemp(prefix="arfx-fuzz-"))
     work.mkdir(exist_ok=True)
     work.chmod(0o755)  # some cases run as a user who may do little
     answers: list[dict[str, Any]] = []
     until = None
-    print(f"{len(named)} named cases, then random ones of seed {given.seed}; in {work}", flush=True)
+    print(
+        f"{len(named)} named cases, then random ones of seed {given.seed}; in {work}",
+        flush=True,
+    )
 
     def work_off(name: str) -> None:
         nonlocal until
@@ -104,14 +121,30 @@ def main() -> int:
                 case = cases.get_nowait()
             except queue.Empty:
                 break
-            traced = kind_of(case) != "kills"  # strace may hold a process that was killed, and its workers, for minutes
+            traced = (
+                kind_of(case) != "kills"
+            )  # strace may hold a process that was killed, and its workers, for minutes
             try:
                 if traced not in hands:
-                    hands[traced] = Hands(work, f"{name}{'' if traced else 'k'}", given.keep or bool(given.case), traced)
+                    hands[traced] = Hands(
+                        work,
+                        f"{name}{'' if traced else 'k'}",
+                        given.keep or bool(given.case),
+                        traced,
+                    )
                     told = hands[traced].told["trace"]
-                    print(f"opened files are told by: {told}" if traced else "kills are not traced", flush=True)
+                    print(
+                        (
+                            f"opened files are told by: {told}"
+                            if traced
+                            else "kills are not traced"
+                        ),
+                        flush=True,
+                    )
                 if until is None:
-                    until = time.monotonic() + given.seconds if given.seconds else float("inf")
+                    until = (
+                        time.monotonic() + given.seconds if given.seconds else float("inf")
+                    )
                 answer = hands[traced].ask(case)
             except (RuntimeError, OSError) as e:
                 answer = _fault(case, str(e))
@@ -126,7 +159,10 @@ def main() -> int:
         for one in hands.values():
             one.end()
 
-    threads = [threading.Thread(target=work_off, args=(f"w{i}",)) for i in range(min(given.jobs, count))]
+    threads = [
+        threading.Thread(target=work_off, args=(f"w{i}",))
+        for i in range(min(given.jobs, count))
+    ]
     for thread in threads:
         thread.start()
         time.sleep(0.5)
@@ -140,16 +176,33 @@ def main() -> int:
 
 def arguments() -> argparse.Namespace:
     kept = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__, formatter_class=kept)
-    parser.add_argument("--cases", type=int, default=0, help="so many, the named ones among them; default those alone")
-    parser.add_argument("--seconds", type=float, help="stop after so long, from when everything is compiled")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.fuzz", description=__doc__, formatter_class=kept
+    )
+    parser.add_argument(
+        "--cases",
+        type=int,
+        default=0,
+        help="so many, the named ones among them; default those alone",
+    )
+    parser.add_argument(
+        "--seconds", type=float, help="stop after so long, from when everything is compiled"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", help=f"kinds: {','.join(KINDS)}")
     parser.add_argument("--no-named", action="store_true", help="random cases alone")
-    parser.add_argument("--case", action="append", help="this one, with all it said; its folder is kept")
-    parser.add_argument("--jobs", type=int, default=min(os.cpu_count() or 1, 4), help="processes at once")
+    parser.add_argument(
+        "--case", action="append", help="this one, with all it said; its folder is kept"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=min(os.cpu_count() or 1, 4), help="processes at once"
+    )
     parser.add_argument("--work", help="folder for what is made; default a temporary one")
-    parser.add_argument("--keep", action="store_true", help="leave the folder of the last case of each process")
+    parser.add_argument(
+        "--keep",
+        action="store_true",
+        help="leave the folder of the last case of each process",
+    )
     parser.add_argument("--log", type=Path, help="append a line of JSON for each case")
     given = parser.parse_args()
     if given.seconds and not given.cases:
@@ -158,25 +211,49 @@ def arguments() -> argparse.Namespace:
 
 
 def _fault(case: str, words: str) -> dict[str, Any]:
-    return {"name": case, "kind": "harness", "codes": [], "seconds": 0.0, "bytes": 0, "found": [["harness", words]], "note": ""}
+    return {
+        "name": case,
+        "kind": "harness",
+        "codes": [],
+        "seconds": 0.0,
+        "bytes": 0,
+        "found": [["harness", words]],
+        "note": "",
+    }
 
 
 def show(answer: dict[str, Any], number: int, everything: bool) -> None:
     for kind, words in answer["found"]:
-        print(f"{answer['name']}: {kind}: {words[:300]}  [{answer['note'][:120]}]", flush=True)
+        print(
+            f"{answer['name']}: {kind}: {words[:300]}  [{answer['note'][:120]}]", flush=True
+        )
     if everything:
-        print(json.dumps({**answer, "said": None}, indent=1), answer.get("said", ""), sep="\n", flush=True)
+        print(
+            json.dumps({**answer, "said": None}, indent=1),
+            answer.get("said", ""),
+            sep="\n",
+            flush=True,
+        )
     elif number % 200 == 0:
         print(f"{number} cases", flush=True)
 
 
 def report(answers: list[dict[str, Any]]) -> int:
-    """A line for each kind of case, then one for each distinct finding. Returns how many cases found something."""
-    print("\nkind         cases  found   exit 0      2      3      4  other   slowest s  most MB")
+    """A line for each kind of case, then one for each distinct finding.
+
+    Returns how many cases found something.
+    """
+    print(
+        "\nkind         cases  found   exit 0      2      3      4  other   slowest s "
+        " most MB"
+    )
     for kind in sorted({a["kind"] for a in answers}):
         mine = [a for a in answers if a["kind"] == kind]
         last = collections.Counter(a["codes"][-1] if a["codes"] else None for a in mine)
-        shown = "".join(f"{last[c]:7}" for c in (0, 2, 3, 4)) + f"{sum(n for c, n in last.items() if c not in (0, 2, 3, 4)):7}"
+        shown = (
+            "".join(f"{last[c]:7}" for c in (0, 2, 3, 4))
+            + f"{sum(n for c, n in last.items() if c not in (0, 2, 3, 4)):7}"
+        )
         found = sum(bool(a["found"]) for a in mine)
         slowest, most = max(a["seconds"] for a in mine), max(a["bytes"] for a in mine) >> 20
         print(f"{kind:12}{len(mine):6}{found:7}  {shown}{slowest:12.1f}{most:9}")
@@ -185,7 +262,10 @@ def report(answers: list[dict[str, Any]]) -> int:
         for found in a["found"]:
             distinct.setdefault(f"{a['kind']}: {signature(found)}", []).append(a["name"])
     for words, names in sorted(distinct.items(), key=lambda item: -len(item[1])):
-        print(f"{len(names):5} x {words}\n        again: python -m tests.fuzz --case {names[0]!r}")
+        print(
+            f"{len(names):5} x {words}\n        again: python -m tests.fuzz --case"
+            f" {names[0]!r}"
+        )
     bad = sum(bool(a["found"]) for a in answers)
     print(f"{len(answers)} cases, {bad} found something, {len(distinct)} distinct")
     return bad

@@ -1,4 +1,6 @@
-"""What an attack is: files laid in a folder of its own, a command line run there, and what may come of it."""
+"""What an attack is: files laid in a folder of its own, a command line run there, and what
+may come of it.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-REFUSED = frozenset({0, 2, 3, 4})  # how a command may end; 5 is kept for true faults of the disk
+REFUSED = frozenset(
+    {0, 2, 3, 4}
+)  # how a command may end; 5 is kept for true faults of the disk
 
 # What a number, a word or a list in any input may be replaced by, as TOML, YAML and JSON write it.
 NUMBERS = (
@@ -30,12 +34,18 @@ WORDS = (
 class Case:
     """folder : current folder of the command, all that it may read and write;  args : of `arfx`
 
-    output : what it writes if it ends with 0, None = nothing that is looked at;  codes : how it may end
-    start : run in the child before the command;  cold : a process of its own, imports and all, instead of a warm fork
-    stop : (signal, "time" or "event", seconds or number): when the command is stopped;  between : what is done then
-    after : the command that is run then, first stopped by `stop_again`;  beside : a command that runs at the same time
-    expect : digest of the output, where it is known;  keeps : the job folder may stay;  leaves : what else may stay
-    lost : the output cannot be seen from outside;  silent : nobody can hear messages;  note : what was done, for people
+    output : what it writes if it ends with 0, None = nothing that is looked at;  codes :
+    how it may end
+    start : run in the child before the command;  cold : a process of its own, imports and
+    all, instead of a warm fork
+    stop : (signal, "time" or "event", seconds or number): when the command is stopped;
+    between : what is done then
+    after : the command that is run then, first stopped by `stop_again`;  beside : a command
+    that runs at the same time
+    expect : digest of the output, where it is known;  keeps : the job folder may stay;
+    leaves : what else may stay
+    lost : the output cannot be seen from outside;  silent : nobody can hear messages;  note
+    : what was done, for people
     """
 
     folder: Path
@@ -59,11 +69,14 @@ class Case:
     count: Path | None = None  # where the number of events is written
 
 
-Build = Callable[[random.Random, Path, Path], Case]  # (random numbers, the case's folder, the material) -> Case
+Build = Callable[
+    [random.Random, Path, Path], Case
+]  # (random numbers, the case's folder, the material) -> Case
 
 
 def process(folder: Path, material: Path, **changed: str | None) -> list[str]:
-    """The usual job of the small clip, whose inputs are copied into `folder` where `changed` does not name others.
+    """The usual job of the small clip, whose inputs are copied into `folder` where
+    `changed` does not name others.
 
     changed : option -> value, None = left out;  clip, camera, model, o and so on, with _ for -
     """
@@ -77,15 +90,22 @@ def process(folder: Path, material: Path, **changed: str | None) -> list[str]:
         if options[name] == usual and not (folder / usual).exists():
             shutil.copy(material / usual, folder / usual)
     clip = options.pop("clip")
-    named = [(("-" if len(k) == 1 else "--") + k.replace("_", "-"), v) for k, v in options.items() if v is not None]
-    # an argument that begins with - is an option to every program: `--` is the way to say that it is not
+    named = [
+        (("-" if len(k) == 1 else "--") + k.replace("_", "-"), v)
+        for k, v in options.items()
+        if v is not None
+    ]
+    # an argument that begins with - is an option to every program: `--` is the way to say
+    # that it is not
     late = ["--", clip] if clip is not None and clip.startswith("-") else []
     early = [] if clip is None or late else [clip]
     return ["process", *early, *(word for pair in named for word in pair), "--json", *late]
 
 
 def mutated_bytes(rng: random.Random, data: bytes) -> bytes:
-    """A few of: bits turned, a number put in, a stretch cleared, repeated, moved or cut out, the end cut off."""
+    """A few of: bits turned, a number put in, a stretch cleared, repeated, moved or cut
+    out, the end cut off.
+    """
     out = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 4, 16))):
         if len(out) < 8:
@@ -98,7 +118,9 @@ def mutated_bytes(rng: random.Random, data: bytes) -> bytes:
             out[at] ^= 1 << rng.randrange(8)
         elif what == 1:
             width = rng.choice((1, 2, 4, 8))
-            value = rng.choice((0, 1, (1 << 8 * width) - 1, (1 << 8 * width - 1) - 1, 1 << 8 * width - 1))
+            value = rng.choice(
+                (0, 1, (1 << 8 * width) - 1, (1 << 8 * width - 1) - 1, 1 << 8 * width - 1)
+            )
             out[at : at + width] = value.to_bytes(width, rng.choice(("big", "little")))
         elif what == 2:
             out[at : at + size] = bytes(size)
@@ -114,7 +136,9 @@ def mutated_bytes(rng: random.Random, data: bytes) -> bytes:
 
 
 def mutated_text(rng: random.Random, text: str) -> str:
-    """A few of: a number or a word replaced, a line repeated, dropped or moved, a stretch nested deeply."""
+    """A few of: a number or a word replaced, a line repeated, dropped or moved, a stretch
+    nested deeply.
+    """
     for _ in range(rng.choice((1, 1, 2, 5))):
         what = rng.randrange(8)
         tokens = list(re.finditer(r"-?\d[\d.]*(?:[eE][+-]?\d+)?|[A-Za-z_]{2,}", text))
@@ -133,15 +157,25 @@ def mutated_text(rng: random.Random, text: str) -> str:
             text = "".join(lines)
         else:
             at, deep = rng.randrange(len(text) + 1), rng.choice((3, 200, 20000))
-            text = text[:at] + rng.choice(("[", "{", "(", "a: ", "- ", "a.", '"')) * deep + text[at:]
+            text = (
+                text[:at]
+                + rng.choice(("[", "{", "(", "a: ", "- ", "a.", '"')) * deep
+                + text[at:]
+            )
     return text
 
 
 def mutated_tree(rng: random.Random, tree: Any) -> Any:
-    """A JSON document in which a few values are others, gone, doubled, or hold themselves many times over."""
+    """A JSON document in which a few values are others, gone, doubled, or hold themselves
+    many times over.
+    """
     tree = json.loads(json.dumps(tree))
     for _ in range(rng.choice((1, 1, 2, 4))):
-        places = [(t, k) for t in _containers(tree) for k in (t if isinstance(t, dict) else range(len(t)))]
+        places = [
+            (t, k)
+            for t in _containers(tree)
+            for k in (t if isinstance(t, dict) else range(len(t)))
+        ]
         if not places:
             break
         holder, key = rng.choice(places)
@@ -179,7 +213,23 @@ def hostile_value(rng: random.Random) -> Any:
         float("nan"),
         float("inf"),
     ]
-    return rng.choice([*numbers, *WORDS, None, True, False, [], {}, [[]], [None], [1e308] * 3, ["a"], {"a": 1}, deep])
+    return rng.choice(
+        [
+            *numbers,
+            *WORDS,
+            None,
+            True,
+            False,
+            [],
+            {},
+            [[]],
+            [None],
+            [1e308] * 3,
+            ["a"],
+            {"a": 1},
+            deep,
+        ]
+    )
 
 
 def _containers(tree: Any) -> list[Any]:

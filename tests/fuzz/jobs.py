@@ -1,4 +1,6 @@
-"""Job files and other arguments: wrong types, deep nesting, numbers of 5,000 digits, keys twice, files that are no text."""
+"""Job files and other arguments: wrong types, deep nesting, numbers of 5,000 digits, keys
+twice, files that are no text.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,15 @@ import re
 import shutil
 from pathlib import Path
 
-from tests.fuzz.case import NUMBERS, WORDS, Build, Case, mutated_bytes, mutated_text, process
+from tests.fuzz.case import (
+    NUMBERS,
+    WORDS,
+    Build,
+    Case,
+    mutated_bytes,
+    mutated_text,
+    process,
+)
 
 OPTIONS = (
     "marker", "fit", "scale", "offset", "rotate", "up", "pipeline", "quality", "budget", "fps", "max-error", "light", "formula",
@@ -33,7 +43,9 @@ def job(content: str, *more: str) -> Build:
 
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         usual = (material / "job.toml").read_text()
-        (folder / "job.toml").write_text(content.replace("{usual}", usual), errors="surrogateescape")
+        (folder / "job.toml").write_text(
+            content.replace("{usual}", usual), errors="surrogateescape"
+        )
         return Case(folder, _with_file(folder, material) + list(more))
 
     return build
@@ -59,21 +71,32 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
         (folder / "job.toml").write_bytes(mutated_bytes(rng, text.encode()))
     else:
         # an output elsewhere would be written there, as the file says
-        damaged = re.sub(r'^(path\s*=\s*)"[^"\n]*[/\\][^"\n]*"', r'\1"out.mp4"', mutated_text(rng, text), flags=re.MULTILINE)
+        damaged = re.sub(
+            r'^(path\s*=\s*)"[^"\n]*[/\\][^"\n]*"',
+            r'\1"out.mp4"',
+            mutated_text(rng, text),
+            flags=re.MULTILINE,
+        )
         (folder / "job.toml").write_text(damaged, errors="replace")
     return Case(folder, args, _output(folder), note="damaged job.toml")
 
 
 def _output(folder: Path) -> str:
     """Where a damaged job file says that the output goes, as far as one can tell."""
-    found = re.search(r'^path\s*=\s*"([^"\n]*)"', (folder / "job.toml").read_text(errors="replace"), re.MULTILINE)
+    found = re.search(
+        r'^path\s*=\s*"([^"\n]*)"',
+        (folder / "job.toml").read_text(errors="replace"),
+        re.MULTILINE,
+    )
     return found[1] if found else "out.mp4"
 
 
 def hostile(rng: random.Random, folder: Path, material: Path) -> Case:
     """An option of the command line with a value that nobody expects."""
     name = rng.choice(OPTIONS)
-    value = rng.choice(SHAPES).replace("{0}", "{}").replace("{}", rng.choice(NUMBERS + WORDS))
+    value = (
+        rng.choice(SHAPES).replace("{0}", "{}").replace("{}", rng.choice(NUMBERS + WORDS))
+    )
     value = value.replace("\0", "")[:100_000]
     args = process(folder, material)
     args += [f"--{name}={value}"]
@@ -104,7 +127,9 @@ SEEDS: dict[str, Build] = {
     "a million keys": job("".join(f"k{i} = 1\n" for i in range(200_000))),
     "a marker of 1e-300 m": option("marker", "36h11:3:1e-300m"),
     "a marker of 1e300 m": option("marker", "36h11:3:1e300m"),
-    "smoothing inf": job("{usual}\n".replace("{usual}", "[analyse]\nsmoothing = inf\n"), "--quiet"),
+    "smoothing inf": job(
+        "{usual}\n".replace("{usual}", "[analyse]\nsmoothing = inf\n"), "--quiet"
+    ),
     "smoothing inf on the command line": option("set", "analyse.smoothing=inf"),
     "smoothing nan": option("set", "analyse.smoothing=nan"),
     "seed beyond 64 bits": option("set", "pipeline.seed=" + "9" * 30),

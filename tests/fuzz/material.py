@@ -1,7 +1,8 @@
-"""What the attacks are made from: a small clip in many containers, a model in many formats, calibrations, a killed job.
+"""What the attacks are made from: a small clip in many containers, a model in many formats,
+calibrations, a killed job.
 
-In `outside` lie files that a hostile input may name, and that nobody may open; a copy lies beside every case.
-"""
+In `outside` lie files that a hostile input may name, and that nobody may open; a copy lies
+beside every case."""
 
 from __future__ import annotations
 
@@ -25,7 +26,16 @@ CLIPS = {  # file -> codec, pixel format
     "clip.nut": ("ffv1", "yuv420p"), "clip.flv": ("flv", "yuv420p"), "clip.mpg": ("mpeg2video", "yuv420p"),
     "clip.y4m": ("wrapped_avframe", "yuv420p"),
 }  # fmt: skip
-MODELS = ("model.glb", "model.gltf", "model.obj", "model.ply", "text.ply", "model.stl", "text.stl", "model.off")
+MODELS = (
+    "model.glb",
+    "model.gltf",
+    "model.obj",
+    "model.ply",
+    "text.ply",
+    "model.stl",
+    "text.stl",
+    "model.off",
+)
 LONG = 64  # frames of the clip of killed jobs: three chunks
 CAMERAS = {
     "ros.yaml": "image_width: 160\nimage_height: 120\ncamera_name: c\ncamera_matrix:\n  rows: 3\n  cols: 3\n"
@@ -91,7 +101,14 @@ def _clips(folder: Path) -> None:
     write_camera(folder / "camera.yaml", camera)
     write_clip(folder / "long.mp4", LONG, camera)
     for name, (codec, pixel_format) in CLIPS.items():
-        write_clip(folder / name, 4, camera, codec=codec, pixel_format=pixel_format, audio=name in ("clip.mp4", "clip.ts"))
+        write_clip(
+            folder / name,
+            4,
+            camera,
+            codec=codec,
+            pixel_format=pixel_format,
+            audio=name in ("clip.mp4", "clip.ts"),
+        )
     with av.open(str(folder / "clip.mkv")) as c:
         pages = [f.to_image() for f in c.decode(video=0)]
     pages[0].save(folder / "clip.tif", save_all=True, append_images=pages[1:])
@@ -99,7 +116,9 @@ def _clips(folder: Path) -> None:
     pages[0].save(folder / "picture.png")
     (folder / "depth").mkdir()
     for i in range(4):
-        cv2.imwrite(str(folder / "depth" / f"{i:04d}.png"), np.full((120, 160), 400 + i, np.uint16))
+        cv2.imwrite(
+            str(folder / "depth" / f"{i:04d}.png"), np.full((120, 160), 400 + i, np.uint16)
+        )
     Image.fromarray(np.full((16, 32, 3), 128, np.uint8)).save(folder / "environment.png")
     cv2.imwrite(str(folder / "environment.hdr"), np.full((16, 32, 3), 0.5, np.float32))
 
@@ -109,8 +128,12 @@ def _models(folder: Path) -> None:
 
     mesh = trimesh.creation.box((1, 1, 1))
     uv = np.random.default_rng(0).random((len(mesh.vertices), 2))
-    image = Image.fromarray(np.random.default_rng(1).integers(0, 255, (8, 8, 3)).astype(np.uint8))
-    material = trimesh.visual.material.PBRMaterial(baseColorTexture=image, metallicFactor=0.1, roughnessFactor=0.8)
+    image = Image.fromarray(
+        np.random.default_rng(1).integers(0, 255, (8, 8, 3)).astype(np.uint8)
+    )
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=image, metallicFactor=0.1, roughnessFactor=0.8
+    )
     textured = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     textured.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
     textured.export(folder / "model.glb")
@@ -120,10 +143,19 @@ def _models(folder: Path) -> None:
     image.save(folder / "texture.png")
     gltf["images"] = [{"uri": "texture.png"}]
     (folder / "model.gltf").write_text(json.dumps(gltf))
-    faces = "".join(f"f {a + 1}/{a + 1} {b + 1}/{b + 1} {c + 1}/{c + 1}\n" for a, b, c in mesh.faces)
-    points = "".join(f"v {x} {y} {z}\n" for x, y, z in mesh.vertices) + "".join(f"vt {u:.4f} {v:.4f}\n" for u, v in uv)
-    (folder / "model.obj").write_text(f"mtllib model.mtl\no box\n{points}usemtl paint\n{faces}")
-    (folder / "model.mtl").write_text("newmtl paint\nKd 0.8 0.4 0.2\nKs 0.1 0.1 0.1\nNs 20\nd 1.0\nillum 2\nmap_Kd texture.png\n")
+    faces = "".join(
+        f"f {a + 1}/{a + 1} {b + 1}/{b + 1} {c + 1}/{c + 1}\n" for a, b, c in mesh.faces
+    )
+    points = "".join(f"v {x} {y} {z}\n" for x, y, z in mesh.vertices) + "".join(
+        f"vt {u:.4f} {v:.4f}\n" for u, v in uv
+    )
+    (folder / "model.obj").write_text(
+        f"mtllib model.mtl\no box\n{points}usemtl paint\n{faces}"
+    )
+    (folder / "model.mtl").write_text(
+        "newmtl paint\nKd 0.8 0.4 0.2\nKs 0.1 0.1 0.1\nNs 20\nd 1.0\nillum 2\nmap_Kd"
+        " texture.png\n"
+    )
     mesh.visual.vertex_colors = [200, 80, 40, 255]
     mesh.export(folder / "model.ply")
     mesh.export(folder / "text.ply", encoding="ascii")

@@ -1,4 +1,6 @@
-"""Models: damaged files of every format, addresses outside the folder, impossible numbers, textures that are something else."""
+"""Models: damaged files of every format, addresses outside the folder, impossible numbers,
+textures that are something else.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz.case import WORDS, Build, Case, mutated_bytes, mutated_text, mutated_tree, process
+from tests.fuzz.case import (
+    WORDS,
+    Build,
+    Case,
+    mutated_bytes,
+    mutated_text,
+    mutated_tree,
+    process,
+)
 from tests.fuzz.material import MODELS
 
 Document = dict[str, Any]
@@ -26,8 +36,27 @@ BESIDE = (
     "texture.png",
     "model.mtl",
 )
-SUFFIXES = ("glb", "gltf", "obj", "ply", "stl", "off", "dae", "3mf", "zip", "xyz", "svg", "dxf", "xaml", "json", "ctm", "tar.gz")
-EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"
+SUFFIXES = (
+    "glb",
+    "gltf",
+    "obj",
+    "ply",
+    "stl",
+    "off",
+    "dae",
+    "3mf",
+    "zip",
+    "xyz",
+    "svg",
+    "dxf",
+    "xaml",
+    "json",
+    "ctm",
+    "tar.gz",
+)
+EPS = (
+    b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n0 0 8 8 rectfill\nshowpage\n%%EOF\n"
+)
 ADDRESSES = (
     "../outside/secret.png", "../outside/secret.bin", "http://127.0.0.1:9/a.png", "file:///etc/hostname", "/etc/hostname",
     "/dev/zero", "..", "", "a/../../outside/secret.png", "..%2foutside%2fsecret.png", "\\\\127.0.0.1\\a", "link.png",
@@ -39,13 +68,23 @@ def png(width: int, height: int, rows: int = 1) -> bytes:
     """A picture of one colour whose header says width x height; it holds `rows` rows."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data))
+            + kind
+            + data
+            + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     packer = zlib.compressobj(9)
     line = bytes(1 + 3 * width)
     pixels = b"".join(packer.compress(line) for _ in range(rows)) + packer.flush()
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", head)
+        + chunk(b"IDAT", pixels)
+        + chunk(b"IEND", b"")
+    )
 
 
 def copied(folder: Path, material: Path, name: str) -> Path:
@@ -59,7 +98,12 @@ def glb(document: Document, binary: bytes) -> bytes:
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     binary += bytes(-len(binary) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    body = (
+        struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(binary), b"BIN\0")
+        + binary
+    )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
 
@@ -102,7 +146,10 @@ def edited(name: str, old: str, new: str) -> Build:
 
 
 def texture(data: bytes | Callable[[Path], None], cold: bool = False) -> Build:
-    """The glTF file whose texture.png holds something else. cold : in a process that holds nothing but its own work"""
+    """The glTF file whose texture.png holds something else.
+
+    cold : in a process that holds nothing but its own work
+    """
 
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         copied(folder, material, "model.gltf")
@@ -152,20 +199,37 @@ def damaged(rng: random.Random, folder: Path, material: Path) -> Case:
     path, target = copied(folder, material, name), folder / victim
     if victim == name and name == "model.glb" and rng.random() < 0.6:
         document, binary = unpacked(path.read_bytes())
-        path.write_bytes(glb(mutated_tree(rng, document), binary if rng.random() < 0.7 else mutated_bytes(rng, binary)))
+        path.write_bytes(
+            glb(
+                mutated_tree(rng, document),
+                binary if rng.random() < 0.7 else mutated_bytes(rng, binary),
+            )
+        )
     elif victim == name and name == "model.gltf" and rng.random() < 0.8:
-        path.write_text(json.dumps(mutated_tree(rng, json.loads(path.read_text()))), errors="replace")
-    elif target.suffix in (".obj", ".off") or target.name.startswith("text.") or rng.random() < 0.1:
-        target.write_text(mutated_text(rng, target.read_text(errors="replace")), errors="replace")
+        path.write_text(
+            json.dumps(mutated_tree(rng, json.loads(path.read_text()))), errors="replace"
+        )
+    elif (
+        target.suffix in (".obj", ".off")
+        or target.name.startswith("text.")
+        or rng.random() < 0.1
+    ):
+        target.write_text(
+            mutated_text(rng, target.read_text(errors="replace")), errors="replace"
+        )
         if name == "model.obj" and rng.random() < 0.4:
-            (folder / "model.mtl").write_text(mutated_text(rng, (material / "model.mtl").read_text()), errors="replace")
+            (folder / "model.mtl").write_text(
+                mutated_text(rng, (material / "model.mtl").read_text()), errors="replace"
+            )
     else:
         target.write_bytes(mutated_bytes(rng, target.read_bytes()))
     given = name
     if rng.random() < 0.08:
         given = f"other.{rng.choice(SUFFIXES)}"
         path.rename(folder / given)
-    return Case(folder, process(folder, material, model=given), note=f"damaged {victim} of {name}")
+    return Case(
+        folder, process(folder, material, model=given), note=f"damaged {victim} of {name}"
+    )
 
 
 def addressed(rng: random.Random, folder: Path, material: Path) -> Case:
@@ -178,12 +242,24 @@ def addressed(rng: random.Random, folder: Path, material: Path) -> Case:
         document = json.loads(path.read_text())
         rng.choice([*document["buffers"], *document["images"]])["uri"] = address
         path.write_text(json.dumps(document), errors="replace")
-        return Case(folder, process(folder, material, model="model.gltf"), note=f"address {address[:80]!r}")
+        return Case(
+            folder,
+            process(folder, material, model="model.gltf"),
+            note=f"address {address[:80]!r}",
+        )
     copied(folder, material, "model.obj")
-    victim, old = rng.choice((("model.obj", "mtllib model.mtl"), ("model.mtl", "map_Kd texture.png")))
+    victim, old = rng.choice(
+        (("model.obj", "mtllib model.mtl"), ("model.mtl", "map_Kd texture.png"))
+    )
     path = folder / victim
-    path.write_text(path.read_text().replace(old, f"{old.split()[0]} {address}"), errors="replace")
-    return Case(folder, process(folder, material, model="model.obj"), note=f"address {address[:80]!r}")
+    path.write_text(
+        path.read_text().replace(old, f"{old.split()[0]} {address}"), errors="replace"
+    )
+    return Case(
+        folder,
+        process(folder, material, model="model.obj"),
+        note=f"address {address[:80]!r}",
+    )
 
 
 def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
@@ -197,13 +273,23 @@ def inline(data: bytes) -> str:
 SEEDS: dict[str, Build] = {
     "buffer outside": changed(set_at("buffers", 0, "uri", value="../outside/secret.bin")),
     "buffer of the system": changed(set_at("buffers", 0, "uri", value="/etc/hostname")),
-    "buffer at an address": changed(set_at("buffers", 0, "uri", value="http://127.0.0.1:9/a.bin")),
+    "buffer at an address": changed(
+        set_at("buffers", 0, "uri", value="http://127.0.0.1:9/a.bin")
+    ),
     "picture outside": changed(set_at("images", 0, "uri", value="../outside/secret.png")),
-    "picture outside, named in a glb": changed(set_at("images", 0, value={"uri": "../outside/secret.png"}), binary=True),
+    "picture outside, named in a glb": changed(
+        set_at("images", 0, value={"uri": "../outside/secret.png"}), binary=True
+    ),
     "picture that is not there": changed(set_at("images", 0, "uri", value="none.png")),
-    "picture by a link outside": texture(lambda p: p.symlink_to(p.parent.parent / "outside" / "secret.png")),
-    "material library outside": edited("model.obj", "mtllib model.mtl", "mtllib ../outside/secret.mtl"),
-    "obj picture outside": edited("model.mtl", "map_Kd texture.png", "map_Kd ../outside/secret.png"),
+    "picture by a link outside": texture(
+        lambda p: p.symlink_to(p.parent.parent / "outside" / "secret.png")
+    ),
+    "material library outside": edited(
+        "model.obj", "mtllib model.mtl", "mtllib ../outside/secret.mtl"
+    ),
+    "obj picture outside": edited(
+        "model.mtl", "map_Kd texture.png", "map_Kd ../outside/secret.png"
+    ),
     "eps named png": texture(EPS),
     "picture that never ends": texture(lambda p: p.symlink_to("/dev/zero")),
     "picture that is a pipe": texture(lambda p: os.mkfifo(p)),
@@ -218,14 +304,28 @@ SEEDS: dict[str, Build] = {
     "accessor component type": changed(set_at("accessors", 0, "componentType", value=1)),
     "accessor of 4 billion": changed(set_at("accessors", 0, "count", value=2**32)),
     "accessor offset": changed(set_at("accessors", 0, "byteOffset", value=-4)),
-    "material NaN": changed(set_at("materials", 0, "pbrMetallicRoughness", "roughnessFactor", value=float("nan"))),
-    "material infinity": changed(set_at("materials", 0, "pbrMetallicRoughness", "baseColorFactor", value=[1e400, 1, 1, 1])),
+    "material NaN": changed(
+        set_at(
+            "materials", 0, "pbrMetallicRoughness", "roughnessFactor", value=float("nan")
+        )
+    ),
+    "material infinity": changed(
+        set_at(
+            "materials",
+            0,
+            "pbrMetallicRoughness",
+            "baseColorFactor",
+            value=[1e400, 1, 1, 1],
+        )
+    ),
     "emission 1e308": changed(set_at("materials", 0, "emissiveFactor", value=[1e308] * 3)),
     "node of nothing": changed(set_at("nodes", value=[{"mesh": 7}])),
     "transform of NaN": changed(set_at("nodes", 0, "matrix", value=[float("nan")] * 16)),
     "vt 0": edited("model.obj", "vt ", "vt 0\n#"),
     "f 0": edited("model.obj", "f 1/1", "f 0/0"),
     "Kd nan": edited("model.mtl", "Kd 0.8", "Kd nan"),
-    "ply of 10^12 vertices": edited("text.ply", "element vertex 8", "element vertex 1000000000000"),
+    "ply of 10^12 vertices": edited(
+        "text.ply", "element vertex 8", "element vertex 1000000000000"
+    ),
     "empty stl": edited("text.stl", "facet", "fac"),
 }

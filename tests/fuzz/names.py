@@ -1,4 +1,6 @@
-"""Names: colons, newlines, leading dashes, bytes that are no text, 255 bytes, numbering patterns, links; outputs onto inputs."""
+"""Names: colons, newlines, leading dashes, bytes that are no text, 255 bytes, numbering
+patterns, links; outputs onto inputs.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,21 @@ STEMS = (
 def clip(name: str) -> Build:
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         shutil.copy(material / "clip.mp4", folder / name)
-        return Case(folder, process(folder, material, clip=name), codes=frozenset({0, 2, 3}))
+        return Case(
+            folder, process(folder, material, clip=name), codes=frozenset({0, 2, 3})
+        )
 
     return build
 
 
 def output(name: str, *more: str, codes: tuple[int, ...] = (0, 2)) -> Build:
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
-        return Case(folder, [*process(folder, material, o=name), *more], name, codes=frozenset(codes))
+        return Case(
+            folder,
+            [*process(folder, material, o=name), *more],
+            name,
+            codes=frozenset(codes),
+        )
 
     return build
 
@@ -45,7 +54,9 @@ def onto(target: str, *more: str, what: str = "") -> Build:
             for name in ("model.obj", "model.mtl"):
                 shutil.copy(material / name, folder / name)
             shutil.copy(material / "texture.png", folder / "000001.png")
-            (folder / "model.mtl").write_text((material / "model.mtl").read_text().replace("texture.png", "000001.png"))
+            (folder / "model.mtl").write_text(
+                (material / "model.mtl").read_text().replace("texture.png", "000001.png")
+            )
             args[args.index("--model") + 1] = "model.obj"
         if what == "hard link":
             (folder / target).hardlink_to(folder / "clip.mp4")
@@ -57,7 +68,9 @@ def onto(target: str, *more: str, what: str = "") -> Build:
         if what == "foreign part":
             (folder / f"{target}.part").write_text("precious")
             return Case(folder, [*args, *more], target, frozenset({0, 2}))
-        codes = {0, 2} if what == "hard link" else {2}  # replaced by another file, it leaves the clip as it is
+        codes = (
+            {0, 2} if what == "hard link" else {2}
+        )  # replaced by another file, it leaves the clip as it is
         return Case(folder, [*args, "--overwrite", *more], target, frozenset(codes))
 
     return build
@@ -79,7 +92,9 @@ def foreign_report(rng: random.Random, folder: Path, material: Path) -> Case:
 
 
 def at_once(*more: str) -> Build:
-    """Two jobs with one output: one is refused, or both wait their turn; what there is in the end is whole."""
+    """Two jobs with one output: one is refused, or both wait their turn; what there is in
+    the end is whole.
+    """
 
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         args = [*process(folder, material), *more]
@@ -96,22 +111,44 @@ def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
     what = rng.randrange(5)
     if what == 0:
         name = f"{stem}{rng.choice(('.mp4', '.mkv', ''))}"
-        return _made(folder, material, lambda: shutil.copy(material / "clip.mp4", folder / name), clip=name)
+        return _made(
+            folder,
+            material,
+            lambda: shutil.copy(material / "clip.mp4", folder / name),
+            clip=name,
+        )
     if what == 1:
         name = f"{stem}.yaml"
-        return _made(folder, material, lambda: shutil.copy(material / "camera.yaml", folder / name), camera=name)
+        return _made(
+            folder,
+            material,
+            lambda: shutil.copy(material / "camera.yaml", folder / name),
+            camera=name,
+        )
     if what == 2:
         name = f"{stem}.glb"
-        return _made(folder, material, lambda: shutil.copy(material / "model.glb", folder / name), model=name)
+        return _made(
+            folder,
+            material,
+            lambda: shutil.copy(material / "model.glb", folder / name),
+            model=name,
+        )
     if what == 3:
         name = f"{stem}{rng.choice(('.mp4', '.mkv', '.webm', '.png', '%04d.png', '%d.exr', '%9999999999d.png', ''))}"
         return Case(folder, process(folder, material, o=name), name, note=repr(name))
-    return Case(folder, process(folder, material, job=stem), note=f"job {stem!r}", leaves=(os.path.normpath(stem),))
+    return Case(
+        folder,
+        process(folder, material, job=stem),
+        note=f"job {stem!r}",
+        leaves=(os.path.normpath(stem),),
+    )
 
 
 def _made(folder: Path, material: Path, make: object, **named: str) -> Case:
     assert callable(make)
-    with contextlib.suppress(OSError):  # a name that the file system does not take: then it is missing
+    with contextlib.suppress(
+        OSError
+    ):  # a name that the file system does not take: then it is missing
         make()
     return Case(folder, process(folder, material, **named), note=repr(named))
 

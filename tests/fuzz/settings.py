@@ -30,17 +30,28 @@ LISTS = (
 
 def every() -> list[tuple[str, str]]:
     """(section, key) of every setting."""
-    kinds = ((name, kind) for name, formulas in parameters().items() for kind in formulas.values())
+    kinds = (
+        (name, kind)
+        for name, formulas in parameters().items()
+        for kind in formulas.values()
+    )
     out = list({(name, f.name) for name, kind in kinds for f in dataclasses.fields(kind)})
     for section, f in JobConfig.model_fields.items():
         out += [(section, key) for key in getattr(f.annotation, "model_fields", {})]
     return sorted(out)
 
 
-def setting(*given: str, pipeline: str | None = None, codes: frozenset[int] = REFUSED) -> Build:
+def setting(
+    *given: str, pipeline: str | None = None, codes: frozenset[int] = REFUSED
+) -> Build:
     def build(rng: random.Random, folder: Path, material: Path) -> Case:
         args = process(folder, material, pipeline=pipeline)
-        return Case(folder, args + [word for g in given for word in ("--set", g)], codes=codes, note=" ".join(given)[:200])
+        return Case(
+            folder,
+            args + [word for g in given for word in ("--set", g)],
+            codes=codes,
+            note=" ".join(given)[:200],
+        )
 
     return build
 
@@ -52,9 +63,14 @@ def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
         chosen = [rng.choice(settings)]
     if rng.random() < 0.3:
         chosen.append(rng.choice([s for s in settings if s[0] == chosen[0][0]]))
-    given = [f"{section}.{key}={rng.choice(SHORT if rng.random() < 0.8 else LISTS)}" for section, key in chosen]
+    given = [
+        f"{section}.{key}={rng.choice(SHORT if rng.random() < 0.8 else LISTS)}"
+        for section, key in chosen
+    ]
     effect = chosen[0][0]
-    pipeline = f"lightmap,{effect}" if effect in STAGES and not STAGES[effect].always else None
+    pipeline = (
+        f"lightmap,{effect}" if effect in STAGES and not STAGES[effect].always else None
+    )
     case = setting(*given, pipeline=pipeline)(rng, folder, material)
     if chosen[0][0] in ("holdout", "hide"):
         import shutil
@@ -69,11 +85,18 @@ SEEDS: dict[str, Build] = {
     "max_gap_s 1e308": setting("analyse.max_gap_s=1e308"),
     "fade_frames huge": setting("analyse.fade_frames=9999999999"),
     "samples huge": setting("raster.samples=1000000"),
-    "mean_px huge": setting("dof.mean_px=1000000", "dof.aperture_px=10", "dof.formula=paper", pipeline="lightmap,dof"),
+    "mean_px huge": setting(
+        "dof.mean_px=1000000",
+        "dof.aperture_px=10",
+        "dof.formula=paper",
+        pipeline="lightmap,dof",
+    ),
     "aperture 1e6": setting("dof.aperture_px=1e6", pipeline="lightmap,dof"),
     "map_level 60": setting("light.map_level=60"),
     "cell 1e-6 px": setting("watercolor.cell_px=1e-6", pipeline="lightmap,watercolor"),
-    "line width 1e9 px": setting("watercolor.line_width_px=1e9", pipeline="lightmap,watercolor"),
+    "line width 1e9 px": setting(
+        "watercolor.line_width_px=1e9", pipeline="lightmap,watercolor"
+    ),
     "gi samples huge": setting("gi.samples=1000000000", pipeline="lightmap,gi"),
     "crf 1e308": setting("output.crf=1e308"),
     "crf nan": setting("output.crf=nan"),

@@ -1,4 +1,6 @@
-"""That the harness sees what it is there to see, and that a case is the same wherever it runs; `make fuzz` runs the cases."""
+"""That the harness sees what it is there to see, and that a case is the same wherever it
+runs; `make fuzz` runs the cases.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,30 @@ from tests.fuzz.material import make
 from tests.fuzz.trace import Trace, _calls
 from tests.fuzz.worker import KINDS, case_of
 
-GOOD = Ended(3, 0.1, 1 << 20, "", "note: something\nerror: clip.mp4 is no video\nhelp: give a video\n")
+GOOD = Ended(
+    3,
+    0.1,
+    1 << 20,
+    "",
+    "note: something\nerror: clip.mp4 is no video\nhelp: give a video\n",
+)
 
 
-def kinds(case: Case, *ended: Ended, reached: tuple[tuple[str, str], ...] = (), before: dict[str, str] | None = None) -> set[str]:
-    return {kind for kind, _ in judge(case, list(ended), snapshot(case.folder) if before is None else before, list(reached))}
+def kinds(
+    case: Case,
+    *ended: Ended,
+    reached: tuple[tuple[str, str], ...] = (),
+    before: dict[str, str] | None = None,
+) -> set[str]:
+    return {
+        kind
+        for kind, _ in judge(
+            case,
+            list(ended),
+            snapshot(case.folder) if before is None else before,
+            list(reached),
+        )
+    }
 
 
 @pytest.mark.parametrize(
@@ -35,7 +56,10 @@ def kinds(case: Case, *ended: Ended, reached: tuple[tuple[str, str], ...] = (), 
         ({}, None),
         ({"code": 5}, "exit code"),
         ({"code": -11, "err": ""}, "exit code"),
-        ({"err": "Traceback (most recent call last):\n  File\nValueError: a\n"}, "traceback"),
+        (
+            {"err": "Traceback (most recent call last):\n  File\nValueError: a\n"},
+            "traceback",
+        ),
         ({"code": 5, "err": "error: arfx failed: KeyError: 'a'\n"}, "internal error"),
         ({"err": "error: a\nerror: b\n"}, "messages"),
         ({"err": ""}, "messages"),
@@ -46,9 +70,15 @@ def kinds(case: Case, *ended: Ended, reached: tuple[tuple[str, str], ...] = (), 
         ({"code": 0, "err": "", "out": '{"a": NaN}'}, "json"),
     ],
 )
-def test_a_bad_end_is_found(tmp_path: Path, changed: dict[str, object], kind: str | None) -> None:
+def test_a_bad_end_is_found(
+    tmp_path: Path, changed: dict[str, object], kind: str | None
+) -> None:
     ended = dataclasses.replace(GOOD, **changed)
-    assert (kind in kinds(Case(tmp_path, ["process", "--json"]), ended)) if kind else not kinds(Case(tmp_path, []), ended)
+    assert (
+        (kind in kinds(Case(tmp_path, ["process", "--json"]), ended))
+        if kind
+        else not kinds(Case(tmp_path, []), ended)
+    )
 
 
 def test_files_that_come_go_or_change_are_found(tmp_path: Path) -> None:
@@ -70,7 +100,10 @@ def test_a_signal_in_the_first_moments_belongs_to_the_interpreter(tmp_path: Path
     case = Case(tmp_path, ["process"], stop=(signal.SIGINT, "time", 0.1))
     words = 'Traceback (most recent call last):\n  File "{}", line 7\nKeyboardInterrupt\n'
     assert not kinds(case, Ended(1, 0.1, 0, "", words.format("/usr/lib/python3/site.py")))
-    assert kinds(case, Ended(1, 0.1, 0, "", words.format("/x/arfx_cli/main.py"))) == {"traceback", "exit code"}
+    assert kinds(case, Ended(1, 0.1, 0, "", words.format("/x/arfx_cli/main.py"))) == {
+        "traceback",
+        "exit code",
+    }
 
 
 def test_an_output_is_counted(tmp_path: Path) -> None:
@@ -79,8 +112,12 @@ def test_an_output_is_counted(tmp_path: Path) -> None:
     case, told = Case(tmp_path, ["process", "--json"]), '{"output": {"frames": %d}}'
     good = Ended(0, 0.1, 0, told % 3, "")
     assert not kinds(case, good, before=before)
-    assert kinds(case, dataclasses.replace(good, out=told % 4), before=before) == {"output broken"}
-    assert kinds(dataclasses.replace(case, expect="0"), good, before=before) == {"bytes differ"}
+    assert kinds(case, dataclasses.replace(good, out=told % 4), before=before) == {
+        "output broken"
+    }
+    assert kinds(dataclasses.replace(case, expect="0"), good, before=before) == {
+        "bytes differ"
+    }
 
 
 def test_what_is_opened_started_and_connected_to_is_found(tmp_path: Path) -> None:
@@ -89,16 +126,27 @@ def test_what_is_opened_started_and_connected_to_is_found(tmp_path: Path) -> Non
     (tmp_path / "case" / "outside").mkdir()
     lines = [
         f'7 openat(AT_FDCWD<{here}>, "clip.mp4", O_RDONLY) = 3<{here}/clip.mp4>',
-        f'7 openat(AT_FDCWD<{here}>, "../outside/a\\303\\244.png", O_RDONLY) = -1 ENOENT (No such file or directory)',
+        (
+            f'7 openat(AT_FDCWD<{here}>, "../outside/a\\303\\244.png", O_RDONLY) = -1'
+            " ENOENT (No such file or directory)"
+        ),
         '8 openat(AT_FDCWD</>, "/etc/hostname", O_RDONLY|O_CLOEXEC <unfinished ...>',
         '8 openat(AT_FDCWD</>, "/usr/lib/libc.so.6", O_RDONLY|O_CLOEXEC) = 3',
-        '9 execve("/usr/bin/gs", ["gs"], 0x7ffd /* 12 vars */) = -1 ENOENT (No such file or directory)',
-        '9 connect(3<socket:[1]>, {sa_family=AF_INET, sin_port=htons(9), sin_addr=inet_addr("127.0.0.1")}, 16) = -1 ECONNREFUSED',
+        (
+            '9 execve("/usr/bin/gs", ["gs"], 0x7ffd /* 12 vars */) = -1 ENOENT (No such'
+            " file or directory)"
+        ),
+        (
+            "9 connect(3<socket:[1]>, {sa_family=AF_INET, sin_port=htons(9),"
+            ' sin_addr=inet_addr("127.0.0.1")}, 16) = -1 ECONNREFUSED'
+        ),
         f'{os.getpid()} openat(AT_FDCWD</>, "/etc/shadow", O_RDONLY) = 3',
     ]
     log = tmp_path.with_name(f"{tmp_path.name}.strace")
     log.write_text("".join(f"{line}\n" for line in lines))
-    assert len(list(_calls([line.encode() for line in lines]))) == 6, "the worker's own lines are left out"
+    assert len(list(_calls([line.encode() for line in lines]))) == 6, (
+        "the worker's own lines are left out"
+    )
     found = Trace(tmp_path).read(Case(here, ["process", "clip.mp4"]))
     outside = str(tmp_path / "case" / "outside" / "aä.png")
     assert found == [
@@ -107,13 +155,16 @@ def test_what_is_opened_started_and_connected_to_is_found(tmp_path: Path) -> Non
         ("open", "/etc/hostname"),
         ("open", outside),
     ]
-    assert ("open", "/etc/hostname") not in Trace(tmp_path).read(Case(here, ["process", "--camera=/etc/hostname"])), "asked for"
+    assert ("open", "/etc/hostname") not in Trace(tmp_path).read(
+        Case(here, ["process", "--camera=/etc/hostname"])
+    ), "asked for"
 
 
 def test_a_case_is_the_same_wherever_it_runs(tmp_path: Path) -> None:
     material = make(tmp_path)
     (material / "long.json").write_text(
-        '{"digest": "", "short": "", "placed": 50, "events": 65, "seconds": 1.0, "cold_seconds": 1.0}'
+        '{"digest": "", "short": "", "placed": 50, "events": 65, "seconds": 1.0,'
+        ' "cold_seconds": 1.0}'
     )
     names = [f"5:{i}:{kind}" for kind in KINDS for i in range(4)] + [
         f"{kind}/{next(iter(KINDS[kind][0].SEEDS))}" for kind in KINDS

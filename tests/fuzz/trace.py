@@ -1,7 +1,8 @@
-"""What a case opens, starts and connects to: told by strace, under which the worker runs; where there is none, by Python.
+"""What a case opens, starts and connects to: told by strace, under which the worker runs;
+where there is none, by Python.
 
-Compiled libraries (FFmpeg, OpenCV) hide from Python's audit events, so without strace what they open is not seen.
-"""
+Compiled libraries (FFmpeg, OpenCV) hide from Python's audit events, so without strace what
+they open is not seen."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ from typing import Any
 from tests.fuzz.case import Case
 
 ROOT = Path(__file__).parents[2]
-# Places of the system and of the libraries: what else lies outside a case's folder and its command line is none of its business.
+# Places of the system and of the libraries: what else lies outside a case's folder and its
+# command line is none of its business.
 SYSTEM = (
     *(str(p) for p in (ROOT, sys.prefix, sys.base_prefix)),
     *map(os.path.realpath, (sys.prefix, sys.base_prefix, *sysconfig.get_paths().values())),
@@ -32,9 +34,19 @@ SYSTEM = (
     *(f"/etc/{name}" for name in ("machine-id", "OpenCL", "vulkan")),
     *map(os.path.expanduser, ("~/.cache", "~/.config", "~/.local", "~/.drirc")),
 )  # fmt: skip
-FINDERS = ("ldconfig", "ldconfig.real", "gcc", "cc", "ld", "objdump", "uname", "collect2")  # how ctypes finds a shared library
+FINDERS = (
+    "ldconfig",
+    "ldconfig.real",
+    "gcc",
+    "cc",
+    "ld",
+    "objdump",
+    "uname",
+    "collect2",
+)  # how ctypes finds a shared library
 CALL = re.compile(
-    rb'^\d+ +(?:(?P<open>openat2?|open)\((?:(?:AT_FDCWD|\d+)(?:<(?P<at>[^>]*)>)?, )?"(?P<path>(?:[^"\\]|\\.)*)"'
+    rb"^\d+ +(?:(?P<open>openat2?|open)\((?:(?:AT_FDCWD|\d+)(?:<(?P<at>[^>]*)>)?,"
+    rb' )?"(?P<path>(?:[^"\\]|\\.)*)"'
     rb'|(?P<exec>execve|execveat)\((?:[^"]*)"(?P<program>(?:[^"\\]|\\.)*)"'
     rb"|(?P<connect>connect|sendto)\(.*?sa_family=(?P<family>AF_INET6?).*?(?P<port>sin6?_port=htons\(\d+\)))"
 )
@@ -56,7 +68,14 @@ def strace(log: Path | str = os.devnull) -> tuple[str, ...]:
         "-e",
         "signal=none",
     )
-    works = subprocess.run([*words, "-o", os.devnull, sys.executable, "-c", ""], capture_output=True, check=False).returncode == 0
+    works = (
+        subprocess.run(
+            [*words, "-o", os.devnull, sys.executable, "-c", ""],
+            capture_output=True,
+            check=False,
+        ).returncode
+        == 0
+    )
     return (*words, "-A", "-o", str(log)) if works else ()
 
 
@@ -64,7 +83,14 @@ class Trace:
     def __init__(self, place: Path) -> None:
         self._log = place.with_name(f"{place.name}.strace")
         under = self._log.exists()
-        self.how = "strace" if under else "Python alone: what FFmpeg and OpenCV open is not seen (strace is not to be had)"
+        self.how = (
+            "strace"
+            if under
+            else (
+                "Python alone: what FFmpeg and OpenCV open is not seen (strace is not to be"
+                " had)"
+            )
+        )
         if not under:
             self._log.touch()
             self._log.chmod(0o666)
@@ -82,7 +108,9 @@ class Trace:
         def hook(event: str, args: tuple[Any, ...]) -> None:
             if event == "open" and isinstance(args[0], (str, bytes)):
                 told = ["open", os.path.realpath(os.fsdecode(args[0]))]
-            elif event == "socket.connect" and isinstance(args[-1], (str, bytes)):  # between processes of one machine
+            elif event == "socket.connect" and isinstance(
+                args[-1], (str, bytes)
+            ):  # between processes of one machine
                 return
             elif event in ("socket.connect", "socket.getaddrinfo"):
                 told = ["connect", str(args[-1] if event == "socket.connect" else args[0])]
@@ -98,19 +126,39 @@ class Trace:
         """(what, which) of all that a case has no business with, each once."""
         lines = self._log.read_bytes().splitlines()
         calls = map(json.loads, lines) if self._listens else _calls(lines)
-        return sorted({(what, which) for what, which in calls if not self._may(what, which, case)})
+        return sorted(
+            {(what, which) for what, which in calls if not self._may(what, which, case)}
+        )
 
     def _may(self, what: str, which: str, case: Case) -> bool:
         if what == "connect":
             return False
         if what == "exec":
             python = os.path.realpath(which) == os.path.realpath(sys.executable)
-            return Path(which).name in FINDERS or (python and (case.cold or "workers" in " ".join(case.args)))
-        given = [os.path.realpath(case.folder / word.rpartition("=")[2][:4000]) for word in case.args if "\0" not in word]
-        own = (str(case.folder), f"{case.folder}.job", f"{case.folder}.part", str(self._place / "tmp"), *SYSTEM)
-        if which.startswith("/tmp/__opencv_temp."):  # how OpenCV decodes a Radiance picture from memory
+            return Path(which).name in FINDERS or (
+                python and (case.cold or "workers" in " ".join(case.args))
+            )
+        given = [
+            os.path.realpath(case.folder / word.rpartition("=")[2][:4000])
+            for word in case.args
+            if "\0" not in word
+        ]
+        own = (
+            str(case.folder),
+            f"{case.folder}.job",
+            f"{case.folder}.part",
+            str(self._place / "tmp"),
+            *SYSTEM,
+        )
+        if which.startswith(
+            "/tmp/__opencv_temp."
+        ):  # how OpenCV decodes a Radiance picture from memory
             return True
-        return which == "/dev" or which in given or any(which == p or which.startswith(p + "/") for p in own)
+        return (
+            which == "/dev"
+            or which in given
+            or any(which == p or which.startswith(p + "/") for p in own)
+        )
 
 
 def _calls(lines: list[bytes]) -> Iterator[tuple[str, str]]:

@@ -1,4 +1,7 @@
-"""The first frame of a clip under every preset, held against the expected picture. `make golden` renders them anew."""
+"""The first frame of a clip under every preset, held against the expected picture.
+
+`make golden` renders them anew.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,15 @@ from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
 from arfx.synth.clip import make_clip
 from arfx.synth.description import load_scene
-from tests.golden.pictures import PRESETS, SCENES, broken_bounds, differences, frames_side_by_side, read_rgb, write_failure
+from tests.golden.pictures import (
+    PRESETS,
+    SCENES,
+    broken_bounds,
+    differences,
+    frames_side_by_side,
+    read_rgb,
+    write_failure,
+)
 
 SCENE = SCENES / "0041-indirect-light"
 
@@ -26,7 +37,9 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def source_clip(folder: Path) -> Path:
     whole = load_scene(SCENE / "scene.toml")
-    short = whole.model_copy(update={"shot": (whole.shot[0].model_copy(update={"frames": 4}),)})
+    short = whole.model_copy(
+        update={"shot": (whole.shot[0].model_copy(update={"frames": 4}),)}
+    )
     make_clip(short, folder, SCENE, lambda *_: None, overwrite=True, truth_pictures=False)
     return folder
 
@@ -34,7 +47,10 @@ def source_clip(folder: Path) -> Path:
 def first_frame(preset: Path, clip: Path, work: Path) -> np.ndarray:
     changed = tomllib.loads(preset.read_text())
     changed["output"] = {"path": str(work / "out.mkv"), "codec": "ffv1"}
-    process(load(clip / "job.toml", changed, parameters()), Options(overwrite=True, notice=lambda _: None))
+    process(
+        load(clip / "job.toml", changed, parameters()),
+        Options(overwrite=True, notice=lambda _: None),
+    )
     return frames_side_by_side(work / "out.mkv", [0])
 
 
@@ -44,7 +60,11 @@ def expected_file(preset: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS, ids=lambda path: path.stem)
-def test_preset_gives_the_expected_picture(preset: Path, clip: Path, tmp_path: Path) -> None:
+def test_preset_gives_the_expected_picture(
+    preset: Path, clip: Path, tmp_path: Path
+) -> None:
     actual, expected = first_frame(preset, clip, tmp_path), read_rgb(expected_file(preset))
     broken = broken_bounds(differences(actual, expected), read_tolerance(SCENE)["golden"])
-    assert not broken, f"{broken}: see {write_failure(f'preset-{preset.stem}', actual, expected)}"
+    assert not broken, (
+        f"{broken}: see {write_failure(f'preset-{preset.stem}', actual, expected)}"
+    )

@@ -1,7 +1,8 @@
-"""Every sample scene through the whole job: its truth figures within bounds, its chosen frames as expected.
+"""Every sample scene through the whole job: its truth figures within bounds, its chosen
+frames as expected.
 
-`make golden` renders the expected pictures anew. A failure leaves actual, expected and difference in failed/NAME.
-"""
+`make golden` renders the expected pictures anew. A failure leaves actual, expected and
+difference in failed/NAME."""
 
 from __future__ import annotations
 
@@ -32,7 +33,10 @@ def test_scene_matches_its_truth_and_its_golden_frames(name: str, tmp_path: Path
     scene = SCENES / name
     done = verified(scene, tmp_path)
     golden = read_tolerance(scene)["golden"]
-    actual, expected = frames_side_by_side(done.output, golden["frames"]), read_rgb(scene / "expected.png")
+    actual, expected = (
+        frames_side_by_side(done.output, golden["frames"]),
+        read_rgb(scene / "expected.png"),
+    )
     broken = [*done.broken, *broken_bounds(differences(actual, expected), golden)]
     if broken:
         broken.append(f"see {write_failure(name, actual, expected)}")
@@ -44,14 +48,19 @@ def test_scene_matches_its_truth_and_its_golden_frames(name: str, tmp_path: Path
 @pytest.mark.parametrize("name", NAMES)
 def test_every_scene_states_bounds_and_reasons(name: str) -> None:
     tolerance = read_tolerance(SCENES / name)
-    assert len(tolerance["golden"]["reason"]) > 20 and len(tolerance["truth"]["reason"]) > 20
+    assert (
+        len(tolerance["golden"]["reason"]) > 20 and len(tolerance["truth"]["reason"]) > 20
+    )
     assert tolerance["golden"]["frames"]
     assert tolerance["truth"]["max"]["arfx.flips"] == 0
     for key in ("arfx.rotation_deg.median", "arfx.position_mm.median", "arfx.corner_px"):
         assert tolerance["truth"]["max"][key] > 0
 
 
-@pytest.mark.parametrize("fault", ["model gone", "shadow gone", "faint shadow gone", "moved two pixels", "other colour"])
+@pytest.mark.parametrize(
+    "fault",
+    ["model gone", "shadow gone", "faint shadow gone", "moved two pixels", "other colour"],
+)
 def test_the_comparison_rejects_what_an_eye_rejects(fault: str) -> None:
     scene = SCENES / "0001-orbit"
     expected, golden = read_rgb(scene / "expected.png"), read_tolerance(scene)["golden"]
@@ -77,5 +86,9 @@ def test_the_comparison_accepts_the_same_picture_and_one_grey_level() -> None:
     scene = SCENES / "0001-orbit"
     expected, golden = read_rgb(scene / "expected.png"), read_tolerance(scene)["golden"]
     assert not broken_bounds(differences(expected, expected), golden)
-    nearly = np.clip(expected.astype(int) + np.random.default_rng(0).integers(-1, 2, expected.shape), 0, 255).astype(np.uint8)
+    nearly = np.clip(
+        expected.astype(int) + np.random.default_rng(0).integers(-1, 2, expected.shape),
+        0,
+        255,
+    ).astype(np.uint8)
     assert not broken_bounds(differences(nearly, expected), golden)

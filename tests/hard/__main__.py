@@ -1,8 +1,9 @@
-"""`make hard`: every hard scene, every stated hard case, every sweep and every clip towards a singularity; one table, two plots.
+"""`make hard`: every hard scene, every stated hard case, every sweep and every clip towards
+a singularity; one table, two plots.
 
-Writes hard/table.md, hard/sweeps.png and hard/clips.png. Exit code 1 where something does not hold. The table grows row by row,
-and a part that is run alone (--only) keeps the rows of the others.
-"""
+Writes hard/table.md, hard/sweeps.png and hard/clips.png. Exit code 1 where something does
+not hold. The table grows row by row, and a part that is run alone (--only) keeps the rows
+of the others."""
 
 from __future__ import annotations
 
@@ -37,17 +38,35 @@ def case_rows(jobs: int) -> list[Row]:
     nodes = [node for case in CASES for node in case.tests]
     with tempfile.TemporaryDirectory() as folder:
         told = Path(folder) / "junit.xml"
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junitxml={told}"]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            f"--junitxml={told}",
+        ]
         shared = ["-n", str(jobs), "--dist", "worksteal"] if jobs > 1 else []
-        subprocess.run([*command, *shared, *nodes], cwd=ROOT, check=False, stdout=subprocess.DEVNULL)
+        subprocess.run(
+            [*command, *shared, *nodes], cwd=ROOT, check=False, stdout=subprocess.DEVNULL
+        )
         cases = list(ElementTree.parse(told).iter("testcase"))
     rows = []
     for case in CASES:
         names = {node.split("::")[1] for node in case.tests}
         mine = [c for c in cases if c.attrib["name"].split("[")[0] in names]
-        failed = [c for c in mine if c.find("failure") is not None or c.find("error") is not None]
+        failed = [
+            c for c in mine if c.find("failure") is not None or c.find("error") is not None
+        ]
         skipped = [c for c in mine if c.find("skipped") is not None]
-        verdict = "holds" if mine and not failed else f"{len(failed)} of {len(mine)} fail" if mine else "no test ran"
+        verdict = (
+            "holds"
+            if mine and not failed
+            else f"{len(failed)} of {len(mine)} fail"
+            if mine
+            else "no test ran"
+        )
         if skipped:
             verdict += f", {len(skipped)} skipped"
         seconds = sum(float(c.attrib["time"]) for c in mine)
@@ -60,39 +79,65 @@ def sweep_rows(results: list[Result], seconds: float) -> list[Row]:
     for r in results:
         (answers, answered), (refusals, refused) = r.count(ANSWER), r.count(REFUSAL)
         verdict = "holds" if not r.wrong else f"{len(r.wrong)} WRONG: {'; '.join(r.wrong)}"
-        verdict += ", as printed: told, not limited" if r.formula in r.sweep.unbounded else ""
+        verdict += (
+            ", as printed: told, not limited" if r.formula in r.sweep.unbounded else ""
+        )
         either = len(r.points) - answers - refusals
         worst = "none" if r.worst is None else f"{r.worst:.1e} {r.sweep.unit}"
         told = (
-            f"answers owed {answers}, given {answered}; refusals owed {refusals}, given {refused}; either {either}; "
-            f"wrong {len(r.wrong)}; largest error {worst}"
+            f"answers owed {answers}, given {answered}; refusals owed {refusals}, given"
+            f" {refused}; either {either}; wrong {len(r.wrong)}; largest error {worst}"
         )
         name = f"{r.sweep.name}, {r.formula}, {r.kind}"
-        rows.append((name, f"towards {r.sweep.towards}", verdict, told, seconds / len(results)))
+        rows.append(
+            (name, f"towards {r.sweep.towards}", verdict, told, seconds / len(results))
+        )
     return rows
 
 
 def clip_row(found: clips.Found, seconds: float) -> Row:
     shown = found.opacity > 0
     told = (
-        f"{found.held:.0%} of {int(shown.sum())} poses within their 95 %; at most {np.nanmax(found.error_deg[shown]):.2g} deg, "
-        f"{np.nanmax(found.error_px[shown]):.2g} px; readable in {int(found.owed.sum())} frames"
+        f"{found.held:.0%} of {int(shown.sum())} poses within their 95 %; at most"
+        f" {np.nanmax(found.error_deg[shown]):.2g} deg,"
+        f" {np.nanmax(found.error_px[shown]):.2g} px; readable in {int(found.owed.sum())}"
+        " frames"
     )
-    return found.clip.name, "pose within what it says, no flips, fades", "; ".join(found.wrong) or "holds", told, seconds
+    return (
+        found.clip.name,
+        "pose within what it says, no flips, fades",
+        "; ".join(found.wrong) or "holds",
+        told,
+        seconds,
+    )
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "hard", help="folder for the table and the plots")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=ROOT / "hard",
+        help="folder for the table and the plots",
+    )
     parser.add_argument("--only", choices=PARTS, help="one part of it")
-    parser.add_argument("--jobs", type=int, default=min(os.cpu_count() or 1, 4), help="processes at once")
+    parser.add_argument(
+        "--jobs", type=int, default=min(os.cpu_count() or 1, 4), help="processes at once"
+    )
     parser.add_argument("--scenes", help="of the scenes only these: 0901,0904")
     given = parser.parse_args()
     given.output.mkdir(parents=True, exist_ok=True)
     table = Table(given.output)
     if given.only in (None, "scenes"):
         wanted = tuple(given.scenes.split(",")) if given.scenes else ("",)
-        scenes = [s for s in sorted((ROOT / "sample_scenes").glob("09*")) if s.name.startswith(wanted)]
+        scenes = [
+            s
+            for s in sorted((ROOT / "sample_scenes").glob("09*"))
+            if s.name.startswith(wanted)
+        ]
         with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as pool:
             for row in pool.map(scene_row, scenes):
                 table.add("scenes", [row])
@@ -120,7 +165,10 @@ def main() -> int:
 
 
 class Table:
-    """Rows by part, kept in `folder` as rows.json, and as table.md for people. A row takes the place of one of the same case."""
+    """Rows by part, kept in `folder` as rows.json, and as table.md for people.
+
+    A row takes the place of one of the same case.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -138,7 +186,9 @@ class Table:
         self._kept.write_text(json.dumps(self._parts), encoding="utf-8")
         head = ("case", "asked", "verdict", "largest deviation", "seconds")
         lines = [f"| {' | '.join(head)} |", "|---|---|---|---|---|"]
-        lines += [f"| {r[0]} | {r[1]} | {r[2]} | {r[3]} | {r[4]:.1f} |" for r in self.rows()]
+        lines += [
+            f"| {r[0]} | {r[1]} | {r[2]} | {r[3]} | {r[4]:.1f} |" for r in self.rows()
+        ]
         (self._folder / "table.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

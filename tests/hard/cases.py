@@ -1,4 +1,7 @@
-"""The stated hard cases, each with the tests that hold it. The tests say what is right; this says where to look."""
+"""The stated hard cases, each with the tests that hold it.
+
+The tests say what is right; this says where to look.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,15 @@ class Case:
 
 
 _PROCESS, _MEDIA = "tests/cli/test_process.py", "tests/contract/test_media.py"
-_FIT, _PHOTO = "tests/unit/analyse/light/test_fit.py", "tests/unit/analyse/light/test_photometry.py"
-_GI, _DOF, _PAINT = "tests/unit/stages/test_gi.py", "tests/unit/stages/test_dof.py", "tests/unit/stages/test_watercolor_stage.py"
+_FIT, _PHOTO = (
+    "tests/unit/analyse/light/test_fit.py",
+    "tests/unit/analyse/light/test_photometry.py",
+)
+_GI, _DOF, _PAINT = (
+    "tests/unit/stages/test_gi.py",
+    "tests/unit/stages/test_dof.py",
+    "tests/unit/stages/test_watercolor_stage.py",
+)
 _POSE = "tests/property/test_pose_hypotheses.py"
 
 CASES: tuple[Case, ...] = (

@@ -1,6 +1,7 @@
 """Sweeps of a marker's pose through pixels: drawn, blurred, made noisy, found, refined, solved.
 
-Where an answer is owed is said in cells: what is printed in them has to be there in the picture to be read."""
+Where an answer is owed is said in cells: what is printed in them has to be there in the
+picture to be read."""
 
 from __future__ import annotations
 
@@ -32,7 +33,9 @@ _DELTAS = tuple(10.0 ** (-k / 6) for k in range(19))
 
 @dataclass(frozen=True)
 class View:
-    """turn : camera_from_marker;  side_px : of the print, facing;  blur_px : standard deviation;  contrast : of 1"""
+    """turn : camera_from_marker;  side_px : of the print, facing;  blur_px : standard
+    deviation;  contrast : of 1
+    """
 
     turn: np.ndarray
     side_px: float = 120.0
@@ -57,7 +60,9 @@ def _print() -> np.ndarray:
     """Linear light of the print with a margin of two cells, float32."""
     bits = cv2.aruco.generateImageMarker(dictionary(_FAMILY), 0, _CELLS)
     bits = np.pad(bits, 2, constant_values=255)
-    return np.kron(np.where(bits > 0, _PAPER, _INK), np.ones((_TEXEL, _TEXEL))).astype(np.float32)
+    return np.kron(np.where(bits > 0, _PAPER, _INK), np.ones((_TEXEL, _TEXEL))).astype(
+        np.float32
+    )
 
 
 def picture(view: View, draw: int) -> np.ndarray:
@@ -65,7 +70,9 @@ def picture(view: View, draw: int) -> np.ndarray:
     texels = _print()
     margin_m = _SIDE_M / _CELLS * 2
     span = _SIDE_M / 2 + margin_m
-    sheet_m = np.array([[-span, span, 0], [span, span, 0], [span, -span, 0], [-span, -span, 0]])
+    sheet_m = np.array(
+        [[-span, span, 0], [span, span, 0], [span, -span, 0], [-span, -span, 0]]
+    )
     seen = sheet_m @ view.turn.T + view.middle_m
     px = _FOCAL_PX * seen[:, :2] / seen[:, 2:] + (_SIZE_PX - 1) / 2
     size = float(len(texels))
@@ -88,21 +95,33 @@ def _pose(view_at: Callable[[float], View]) -> Callable[[float, str, Data], Answ
     def answer(delta: float, formula: str, data: Data) -> Answer | None:
         view = view_at(delta)
         luma = picture(view, data.draw)
-        found = [c for c in MarkerDetector([_FAMILY], inverted=False).search(luma) if c.id == 0]
+        found = [
+            c for c in MarkerDetector([_FAMILY], inverted=False).search(luma) if c.id == 0
+        ]
         if not found:
             return None
         cells = np.array([cells_per_side(_FAMILY)])
         refined = refine_corners(luma, found[0].quad_px[None], cells, linear_table())
         ideal = (refined.corners_px - (_SIZE_PX - 1) / 2) / _FOCAL_PX
-        sigma = np.hypot(refined.sigma_px, shared_px(refined.corners_px, refined.blur_px, cells))
+        sigma = np.hypot(
+            refined.sigma_px, shared_px(refined.corners_px, refined.blur_px, cells)
+        )
         scale = np.broadcast_to(_FOCAL_PX * np.eye(2), (1, 4, 2, 2))
         (both,) = hypotheses([_CORNERS_M], ideal, scale, sigma)
         if not both:
             return None
-        off = [rotation_angle_rad(h.camera_from_marker, Pose(view.turn, np.zeros(3))) for h in both]
+        off = [
+            rotation_angle_rad(h.camera_from_marker, Pose(view.turn, np.zeros(3)))
+            for h in both
+        ]
         best = both[int(np.argmin(off))].camera_from_marker
-        observed = Observed(_CORNERS_M[None], ideal, scale, np.repeat(sigma[:, None] ** -2.0, 4, 1))
-        covariance = np.linalg.pinv(information(best.rotation[None], best.translation_m[None], observed)[0], hermitian=True)
+        observed = Observed(
+            _CORNERS_M[None], ideal, scale, np.repeat(sigma[:, None] ** -2.0, 4, 1)
+        )
+        covariance = np.linalg.pinv(
+            information(best.rotation[None], best.translation_m[None], observed)[0],
+            hermitian=True,
+        )
         stated = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         return Answer(float(np.degrees(min(off))), min(float(np.degrees(stated)), 180.0))
 
@@ -110,17 +129,23 @@ def _pose(view_at: Callable[[float], View]) -> Callable[[float, str, Data], Answ
 
 
 def _expected(view_at: Callable[[float], View]) -> Callable[[float, Data], Expected]:
-    """Bits are read where a cell is two pixels and three of its blur's deviations wide, and 20 codes apart (OpenCV looks for what
-    is 7 darker than its neighbourhood's mean); not where it is half a pixel, or blurred by twice its width, or below a code."""
+    """Bits are read where a cell is two pixels and three of its blur's deviations wide, and
+    20 codes apart (OpenCV looks for what is 7 darker than its neighbourhood's mean); not
+    where it is half a pixel, or blurred by twice its width, or below a code."""
 
     def expected(delta: float, data: Data) -> Expected:
         view = view_at(delta)
         cell = view.narrowest_cell_px
-        paper, ink = (SRGB.encode(0.5 + (albedo - 0.5) * view.contrast) for albedo in (_PAPER, _INK))
+        paper, ink = (
+            SRGB.encode(0.5 + (albedo - 0.5) * view.contrast) for albedo in (_PAPER, _INK)
+        )
         codes = 255 * float(paper - ink)
         if cell >= max(2.0, 3 * view.blur_px) and codes >= 20:
             return Expected(ANSWER, _LEAST_DEG)
-        return Expected(REFUSAL if cell < max(0.5, 0.5 * view.blur_px) or codes < 1 else EITHER, _LEAST_DEG)
+        return Expected(
+            REFUSAL if cell < max(0.5, 0.5 * view.blur_px) or codes < 1 else EITHER,
+            _LEAST_DEG,
+        )
 
     return expected
 
@@ -137,7 +162,9 @@ def _edge_on(delta: float) -> View:
     """Its plane passes the camera at an angle of delta, as seen from its middle."""
     view = View(_FACING)
     off = np.arctan2(view.middle_m[1], view.middle_m[2])
-    return View(rotation_from_rotvec(np.array([np.pi / 2 - off - delta, 0.0, 0.0])) @ _FACING, 160.0)
+    return View(
+        rotation_from_rotvec(np.array([np.pi / 2 - off - delta, 0.0, 0.0])) @ _FACING, 160.0
+    )
 
 
 def _blurred(delta: float) -> View:
@@ -148,7 +175,15 @@ def _in_fog(delta: float) -> View:
     return View(_TILTED, 120.0, contrast=delta)
 
 
-_WAYS = (("no width", _smaller), ("edge on", _edge_on), ("endless blur", _blurred), ("no contrast", _in_fog))
+_WAYS = (
+    ("no width", _smaller),
+    ("edge on", _edge_on),
+    ("endless blur", _blurred),
+    ("no contrast", _in_fog),
+)
 PIXELS: tuple[Sweep, ...] = tuple(
-    Sweep("marker pose, pixels", towards, "deg", _pose(at), _expected(at), (CAMERA,), _DELTAS) for towards, at in _WAYS
+    Sweep(
+        "marker pose, pixels", towards, "deg", _pose(at), _expected(at), (CAMERA,), _DELTAS
+    )
+    for towards, at in _WAYS
 )

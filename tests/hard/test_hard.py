@@ -1,4 +1,5 @@
-"""The small version of `make hard`: every sweep, that a broken one is caught, and that every stated case has its test.
+"""The small version of `make hard`: every sweep, that a broken one is caught, and that
+every stated case has its test.
 
 The hard scenes themselves are run by tests/golden, the stated cases where they are written.
 """
@@ -16,7 +17,20 @@ from tests.hard.cases import CASES
 from tests.hard.closed_forms import CLOSED_FORMS
 from tests.hard.estimates import ESTIMATES
 from tests.hard.pixels import PIXELS
-from tests.hard.sweeps import ANSWER, CAMERA, DELTAS, EITHER, EXACT, REFUSAL, Answer, Expected, Sweep, always, least_sigma, run
+from tests.hard.sweeps import (
+    ANSWER,
+    CAMERA,
+    DELTAS,
+    EITHER,
+    EXACT,
+    REFUSAL,
+    Answer,
+    Expected,
+    Sweep,
+    always,
+    least_sigma,
+    run,
+)
 
 ROOT = Path(__file__).parents[2]
 SWEEPS = (*CLOSED_FORMS, *ESTIMATES)
@@ -32,10 +46,17 @@ def test_answers_and_refusals_are_what_is_owed(sweep: Sweep) -> None:
 @pytest.mark.parametrize("sweep", PIXELS, ids=[s.towards for s in PIXELS])
 def test_answers_and_refusals_through_pixels(sweep: Sweep) -> None:
     (found,) = run(replace(sweep, kinds=(CAMERA[:2],)), sweep.deltas[::3])
-    assert not found.wrong and found.count(ANSWER)[0] >= 2 and found.count(REFUSAL)[0] >= 1, found
+    assert (
+        not found.wrong and found.count(ANSWER)[0] >= 2 and found.count(REFUSAL)[0] >= 1
+    ), found
 
 
-_SINGULAR = ["turns edge-on", "is covered by 0 to 95 %", "a card slides along a side", "is blurred by 1 to 60 px"]
+_SINGULAR = [
+    "turns edge-on",
+    "is covered by 0 to 95 %",
+    "a card slides along a side",
+    "is blurred by 1 to 60 px",
+]
 
 
 @pytest.mark.parametrize("name", _SINGULAR)
@@ -51,22 +72,32 @@ def test_the_sweeps_show_what_is_wrong_in_print() -> None:
         name: next(r for r in run(named[name], FEW) if r.formula == "paper")
         for name in ("voxel wall", "weight of a normal, eq. 8")
     }
-    assert paper["voxel wall"].worst == pytest.approx(0.875, abs=0.1), "a wall leaks 87.5 % at level 3"
+    assert paper["voxel wall"].worst == pytest.approx(0.875, abs=0.1), (
+        "a wall leaks 87.5 % at level 3"
+    )
     assert paper["weight of a normal, eq. 8"].worst > 0.05, "a cusp"
 
 
 def _sweep(answer: Answer | None, expected: Expected) -> list[str]:
-    made = Sweep("", "", "", lambda *_: answer, lambda *_: expected, kinds=((EXACT,),), deltas=(1.0,))
+    made = Sweep(
+        "", "", "", lambda *_: answer, lambda *_: expected, kinds=((EXACT,),), deltas=(1.0,)
+    )
     return run(made)[0].wrong
 
 
 def test_what_is_judged_wrong() -> None:
     assert _sweep(None, Expected(ANSWER, 1.0)), "refused where an answer is owed"
     assert _sweep(Answer(0.0), Expected(REFUSAL, 1.0)), "answered where a refusal is"
-    assert not _sweep(None, Expected(REFUSAL, 1.0)) and not _sweep(None, Expected(EITHER, 1.0))
-    assert not _sweep(Answer(3.0), Expected(ANSWER, 1.0)) and not _sweep(Answer(3.0), Expected(EITHER, 1.0))
+    assert not _sweep(None, Expected(REFUSAL, 1.0)) and not _sweep(
+        None, Expected(EITHER, 1.0)
+    )
+    assert not _sweep(Answer(3.0), Expected(ANSWER, 1.0)) and not _sweep(
+        Answer(3.0), Expected(EITHER, 1.0)
+    )
     for bad in (5.0, np.nan, np.inf):
-        assert _sweep(Answer(bad), Expected(ANSWER, 1.0)) and _sweep(Answer(bad), Expected(EITHER, 1.0))
+        assert _sweep(Answer(bad), Expected(ANSWER, 1.0)) and _sweep(
+            Answer(bad), Expected(EITHER, 1.0)
+        )
     assert not _sweep(Answer(5.0, stated=2.0), Expected(ANSWER, 1.0)), "it said so"
     assert _sweep(Answer(5.0, stated=0.1), Expected(ANSWER, 1.0))
     assert always(1.0, 2.0)(0.1, EXACT).bound == 0.25

@@ -1,7 +1,9 @@
-"""Scenes that an outside renderer has rendered too: balls of five materials, and models that stand on a plane, in three lights.
+"""Scenes that an outside renderer has rendered too: balls of five materials, and models
+that stand on a plane, in three lights.
 
-Models are glTF binaries and surroundings Radiance pictures, so that both renderers read the same files. All are made anew by
-these functions: only what the outside renderer made of them is committed, beside this file. WORLD axes: z up, metres.
+Models are glTF binaries and surroundings Radiance pictures, so that both renderers read the
+same files. All are made anew by these functions: only what the outside renderer made of
+them is committed, beside this file. WORLD axes: z up, metres.
 
     python -m tests.outside.scenes FOLDER    # writes what tools/outside_render.py reads
 """
@@ -21,7 +23,10 @@ import numpy as np
 
 BALL_RADIUS_M = 0.05
 SIZE_M = 0.08  # of a model that stands on the plane
-WALL_M, OPEN_RAD = 0.002, np.pi / 4  # of the thin wall, bent to a tube: thickness, half of its slit
+WALL_M, OPEN_RAD = (
+    0.002,
+    np.pi / 4,
+)  # of the thin wall, bent to a tube: thickness, half of its slit
 NEAR = 0.05  # of a model's size: how far from its contact the plane is looked at
 PLANE_ALBEDO = 0.5
 
@@ -41,7 +46,9 @@ class Camera:
 
 @dataclass(frozen=True)
 class OutsideScene:
-    """shows : "object" = the object alone, before nothing; "plane" = the plane's light with the object over that without it"""
+    """shows : "object" = the object alone, before nothing; "plane" = the plane's light with
+    the object over that without it
+    """
 
     name: str
     model: str
@@ -50,7 +57,9 @@ class OutsideScene:
     shows: str
 
 
-def _material(colour: tuple[float, float, float], metallic: float, roughness: float) -> dict[str, Any]:
+def _material(
+    colour: tuple[float, float, float], metallic: float, roughness: float
+) -> dict[str, Any]:
     factors = {"baseColorFactor": [*colour, 1.0], "metallicFactor": metallic}
     return {"pbrMetallicRoughness": {**factors, "roughnessFactor": roughness}}
 
@@ -83,13 +92,23 @@ def ball(radius_m: float, middle_m: float, columns: int = 64, rows: int = 32) ->
     """Its middle at that height; u goes round it twice."""
     u, v = np.meshgrid(np.linspace(0, 1, columns + 1), np.linspace(0, 1, rows + 1))
     turn, down = 2 * np.pi * u, np.pi * v
-    normals = np.stack([np.sin(down) * np.cos(turn), np.sin(down) * np.sin(turn), np.cos(down)], -1)
+    normals = np.stack(
+        [np.sin(down) * np.cos(turn), np.sin(down) * np.sin(turn), np.cos(down)], -1
+    )
     number = np.arange(u.size).reshape(u.shape)
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    lower, upper = np.stack([a, b, c], -1)[:-1], np.stack([a, c, d], -1)[1:]  # none of no area at the poles
+    lower, upper = (
+        np.stack([a, b, c], -1)[:-1],
+        np.stack([a, c, d], -1)[1:],
+    )  # none of no area at the poles
     faces = np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
     normals = normals.reshape(-1, 3)
-    return radius_m * normals + [0, 0, middle_m], normals, np.stack([2 * u, v], -1).reshape(-1, 2), faces
+    return (
+        radius_m * normals + [0, 0, middle_m],
+        normals,
+        np.stack([2 * u, v], -1).reshape(-1, 2),
+        faces,
+    )
 
 
 def _flat(quads: np.ndarray) -> Mesh:
@@ -97,19 +116,28 @@ def _flat(quads: np.ndarray) -> Mesh:
     normal = np.cross(quads[:, 1] - quads[:, 0], quads[:, 2] - quads[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     first = 4 * np.arange(len(quads))[:, None]
-    faces = np.concatenate([first + np.array(corners) for corners in ([0, 1, 2], [0, 2, 3])])
+    faces = np.concatenate(
+        [first + np.array(corners) for corners in ([0, 1, 2], [0, 2, 3])]
+    )
     vertices = quads.reshape(-1, 3)
     return vertices, np.repeat(normal, 4, 0), np.zeros((len(vertices), 2)), faces
 
 
 def _extruded(outline: np.ndarray, pieces: np.ndarray, height_m: float) -> Mesh:
-    """outline : (n, 2) counter-clockwise;  pieces : (k, 4, 2) convex quads that fill it, counter-clockwise"""
+    """outline : (n, 2) counter-clockwise;  pieces : (k, 4, 2) convex quads that fill it,
+    counter-clockwise
+    """
 
     def raised(xy: np.ndarray, z: float) -> np.ndarray:
         return np.concatenate([xy, np.full((*xy.shape[:-1], 1), z)], -1)
 
     after = np.roll(outline, -1, 0)
-    corners = [raised(outline, 0), raised(after, 0), raised(after, height_m), raised(outline, height_m)]
+    corners = [
+        raised(outline, 0),
+        raised(after, 0),
+        raised(after, height_m),
+        raised(outline, height_m),
+    ]
     top, base = raised(pieces, height_m), raised(pieces[:, ::-1], 0)
     return _flat(np.concatenate([np.stack(corners, 1), top, base]))
 
@@ -130,7 +158,9 @@ def thin_wall(pieces: int = 48) -> Mesh:
 
 
 def contact_distance_m(model: str, places: np.ndarray) -> np.ndarray:
-    """(n,) metres of places (n, 2) on the plane from where the model touches it; 0 where it does."""
+    """(n,) metres of places (n, 2) on the plane from where the model touches it; 0 where it
+    does.
+    """
     x, y = places.T
     if model == "box":
         return np.hypot(*(np.maximum(np.abs(v) - SIZE_M / 2, 0) for v in (x, y)))
@@ -161,17 +191,33 @@ def bumps(size: int = 128) -> np.ndarray:
 
 
 def glb(mesh: Mesh, material: dict[str, Any]) -> bytes:
-    """A glTF 2.0 binary, y up, with one mesh; `bumps` is its one texture where the material has any."""
+    """A glTF 2.0 binary, y up, with one mesh; `bumps` is its one texture where the material
+    has any.
+    """
     vertices, normals, uv, faces = mesh
-    y_up = [np.stack([a[:, 0], a[:, 2], -a[:, 1]], -1).astype("<f4") for a in (vertices, normals)]
+    y_up = [
+        np.stack([a[:, 0], a[:, 2], -a[:, 1]], -1).astype("<f4")
+        for a in (vertices, normals)
+    ]
     arrays = [*y_up, uv.astype("<f4"), faces.astype("<u2").reshape(-1)]
     data = [a.tobytes() for a in arrays]
     accessors = [
-        {"bufferView": k, "componentType": 5123 if k == 3 else 5126, "count": len(a), "type": kind}
-        for k, (a, kind) in enumerate(zip(arrays, ("VEC3", "VEC3", "VEC2", "SCALAR"), strict=True))
+        {
+            "bufferView": k,
+            "componentType": 5123 if k == 3 else 5126,
+            "count": len(a),
+            "type": kind,
+        }
+        for k, (a, kind) in enumerate(
+            zip(arrays, ("VEC3", "VEC3", "VEC2", "SCALAR"), strict=True)
+        )
     ]
     accessors[0] |= {"min": y_up[0].min(0).tolist(), "max": y_up[0].max(0).tolist()}
-    primitive = {"attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}, "indices": 3, "material": 0}
+    primitive = {
+        "attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2},
+        "indices": 3,
+        "material": 0,
+    }
     document: dict[str, Any] = {
         "asset": {"version": "2.0"},
         "scene": 0,
@@ -195,7 +241,10 @@ def glb(mesh: Mesh, material: dict[str, Any]) -> bytes:
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     header = struct.pack("<III", 0x46546C67, 2, 28 + len(text) + len(binary))
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text, struct.pack("<II", len(binary), 0x4E4942) + binary
+    chunks = (
+        struct.pack("<II", len(text), 0x4E4F534A) + text,
+        struct.pack("<II", len(binary), 0x4E4942) + binary,
+    )
     return header + b"".join(chunks)
 
 
@@ -205,19 +254,31 @@ def _direction(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
 
 
 def _room(d: np.ndarray) -> np.ndarray:
-    """(..., 3) radiance of a room with a window, a dark door and a bright wall, in directions (..., 3)."""
+    """(..., 3) radiance of a room with a window, a dark door and a bright wall, in
+    directions (..., 3).
+    """
     height, azimuth = d[..., 2:], np.degrees(np.arctan2(d[..., 1], d[..., 0]))
     ceiling = 0.35 + 0.35 * np.clip(height, 0, 1)
-    light = np.where(height > 0, ceiling * [1.0, 0.97, 0.9], (0.22 + 0.1 * height) * np.array([1.0, 0.85, 0.7]))
+    light = np.where(
+        height > 0,
+        ceiling * [1.0, 0.97, 0.9],
+        (0.22 + 0.1 * height) * np.array([1.0, 0.85, 0.7]),
+    )
     elevation = np.degrees(np.arcsin(np.clip(d[..., 2], -1, 1)))
     window = (np.abs(azimuth + 100) < 25) & (elevation > 10) & (elevation < 50)
     door = (np.abs(azimuth + 35) < 14) & (np.abs(elevation) < 28)
     wall = (np.abs(azimuth - 150) < 20) & (np.abs(elevation - 15) < 12)
-    light[window], light[door], light[wall] = [1.7, 1.9, 2.1], [0.06, 0.05, 0.05], [1.1, 0.7, 0.45]
+    light[window], light[door], light[wall] = (
+        [1.7, 1.9, 2.1],
+        [0.06, 0.05, 0.05],
+        [1.1, 0.7, 0.45],
+    )
     return light
 
 
-def _disc(d: np.ndarray, towards: np.ndarray, radius_deg: float, white: float) -> np.ndarray:
+def _disc(
+    d: np.ndarray, towards: np.ndarray, radius_deg: float, white: float
+) -> np.ndarray:
     """Radiance (..., 1) of a disc that a white surface which faces it shows as `white`."""
     radiance = white / np.sin(np.radians(radius_deg)) ** 2
     return radiance * (d @ towards > np.cos(np.radians(radius_deg)))[..., None]
@@ -230,17 +291,27 @@ def _even(d: np.ndarray) -> np.ndarray:
 ENVIRONMENTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "soft": _even,
     "lamp": lambda d: 0.6 * _room(d) + _disc(d, _direction(-60, 50), 4.0, 0.5),
-    "sun": lambda d: 0.5 * _even(d) + _disc(d, _direction(200, 40), 0.8, 0.7) * [1.0, 0.95, 0.85],
+    "sun": lambda d: (
+        0.5 * _even(d) + _disc(d, _direction(200, 40), 0.8, 0.7) * [1.0, 0.95, 0.85]
+    ),
 }
 
 
 def panorama(name: str, height: int = 128, finer: int = 6) -> np.ndarray:
-    """(height, 2 height, 3) float32 radiance, equirectangular: z is on top, x in the middle column."""
+    """(height, 2 height, 3) float32 radiance, equirectangular: z is on top, x in the middle
+    column.
+    """
     rows = (0.5 - (np.arange(height * finer) + 0.5) / (height * finer)) * np.pi
-    columns = (0.5 - (np.arange(2 * height * finer) + 0.5) / (2 * height * finer)) * 2 * np.pi
+    columns = (
+        (0.5 - (np.arange(2 * height * finer) + 0.5) / (2 * height * finer)) * 2 * np.pi
+    )
     e, a = np.meshgrid(rows, columns, indexing="ij")
-    light = ENVIRONMENTS[name](np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1))
-    return light.reshape(height, finer, 2 * height, finer, 3).mean((1, 3)).astype(np.float32)
+    light = ENVIRONMENTS[name](
+        np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
+    )
+    return (
+        light.reshape(height, finer, 2 * height, finer, 3).mean((1, 3)).astype(np.float32)
+    )
 
 
 BALL_HEIGHT_M = 1.0  # so high over arfx's plane that the ball hardly meets it
@@ -250,7 +321,10 @@ MODELS: dict[str, Callable[[], tuple[Mesh, dict[str, Any]]]] = {
     "box": lambda: (box(), BLACK),
     "ball": lambda: (ball(SIZE_M / 2, SIZE_M / 2), BLACK),
     "thin_wall": lambda: (thin_wall(), BLACK),
-    **{name: lambda m=m: (ball(BALL_RADIUS_M, BALL_HEIGHT_M), m) for name, m in MATERIALS.items()},
+    **{
+        name: lambda m=m: (ball(BALL_RADIUS_M, BALL_HEIGHT_M), m)
+        for name, m in MATERIALS.items()
+    },
 }
 SCENES = [
     *(OutsideScene(name, name, "lamp", BALL_CAMERA, "object") for name in MATERIALS),

@@ -1,4 +1,6 @@
-"""The product's pictures beside those of an outside renderer, which read the same files (scenes.py, tools/outside_render.py)."""
+"""The product's pictures beside those of an outside renderer, which read the same files
+(scenes.py, tools/outside_render.py).
+"""
 
 from __future__ import annotations
 
@@ -30,13 +32,19 @@ from tests import scenes as small
 from tests.outside import scenes
 from tests.outside.scenes import OutsideScene
 
-Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # from a glTF file's axes
+Z_UP = np.array(
+    [[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]
+)  # from a glTF file's axes
 
 
 def placed(scene: OutsideScene, folder: Path) -> tuple[Scene, FrameFacts]:
     """As a job of `--environment` has them."""
     model_file, environment_file = scenes.write(scene, folder)
-    view, model, panorama = scene.camera, load_model(model_file), load_image(environment_file)
+    view, model, panorama = (
+        scene.camera,
+        load_model(model_file),
+        load_image(environment_file),
+    )
     matrix = np.diag([view.focal_px, view.focal_px, 1.0])
     matrix[:2, 2] = (view.width - 1) / 2, (view.height - 1) / 2
     camera = Camera(view.width, view.height, matrix, np.zeros(0))
@@ -53,7 +61,9 @@ def placed(scene: OutsideScene, folder: Path) -> tuple[Scene, FrameFacts]:
 
 
 def rendered(scene: OutsideScene, folder: Path) -> tuple[Scene, FrameFacts, Layers]:
-    """Layers of the whole frame over an even grey plate, at standard levels, planned as in a job."""
+    """Layers of the whole frame over an even grey plate, at standard levels, planned as in
+    a job.
+    """
     s, facts = placed(scene, folder)
     stages = {name: STAGES[name]() for name in ("raster", "lightmap", "composite")}
     chosen = {name: level_named(stage.levels, "standard") for name, stage in stages.items()}
@@ -94,7 +104,9 @@ MISSING = {
 
 def cases(names: Iterable[str]) -> list[Any]:
     """Parameters; strictly expected to fail where MISSING says why."""
-    marks = {name: [pytest.mark.xfail(reason=why, strict=True)] for name, why in MISSING.items()}
+    marks = {
+        name: [pytest.mark.xfail(reason=why, strict=True)] for name, why in MISSING.items()
+    }
     return [pytest.param(name, marks=marks.get(name, [])) for name in names]
 
 
@@ -108,12 +120,17 @@ def test_materials_look_as_another_renderer_makes_them(name: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("name", cases(s.name for s in scenes.SCENES if s.shows == "plane"))
-def test_the_plane_around_a_contact_is_as_dark_as_another_renderer_makes_it(name: str, tmp_path: Path) -> None:
-    """Also where the object hides it. Means of 3 x 3 pixels, as the other picture has noise of some 2 levels."""
+def test_the_plane_around_a_contact_is_as_dark_as_another_renderer_makes_it(
+    name: str, tmp_path: Path
+) -> None:
+    """Also where the object hides it.
+
+    Means of 3 x 3 pixels, as the other picture has noise of some 2 levels.
+    """
     scene, facts, layers = rendered(BY_NAME[name], tmp_path)
-    distance = scenes.contact_distance_m(BY_NAME[name].model, places_on_plane(scene, facts).reshape(-1, 2)).reshape(
-        scene.camera.height, scene.camera.width
-    )
+    distance = scenes.contact_distance_m(
+        BY_NAME[name].model, places_on_plane(scene, facts).reshape(-1, 2)
+    ).reshape(scene.camera.height, scene.camera.width)
     near = (distance > 0) & (distance <= scenes.NEAR * scenes.SIZE_M)
     ratio = np.ones((scene.camera.height, scene.camera.width, 3))
     ratio[layers.rect.slices_in(scene.camera.rect)] = layers[Layer.SHADOW]

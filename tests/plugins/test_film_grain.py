@@ -1,4 +1,6 @@
-"""An effect in a distribution of its own is a stage like any other, once it is installed; nothing of arfx's names it."""
+"""An effect in a distribution of its own is a stage like any other, once it is installed;
+nothing of arfx's names it.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,17 @@ from tests.clips import MARKER, write_camera, write_clip, write_model
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 FRAMES = 31  # two chunks, so that two processes render
-JOB = ("clip.mp4", "--camera", "camera.yaml", "--marker", str(MARKER), "--model", "model.glb", "--fit", "8cm")
+JOB = (
+    "clip.mp4",
+    "--camera",
+    "camera.yaml",
+    "--marker",
+    str(MARKER),
+    "--model",
+    "model.glb",
+    "--fit",
+    "8cm",
+)
 SEVERAL = """
 import contextlib, io, json, sys
 from arfx.measure import costs
@@ -45,11 +57,25 @@ pytestmark = pytest.mark.process
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that it is installed into. From a copy: building leaves files beside the source."""
+    """The folder that it is installed into.
+
+    From a copy: building leaves files beside the source.
+    """
     d = tmp_path_factory.mktemp("plugin")
     shutil.copytree(HERE / "film_grain", d / "source")
-    install = [sys.executable, "-m", "pip", "install", "-q", "--no-index", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*install, "--target", str(d / "site"), str(d / "source")], check=True, timeout=300)
+    install = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--no-index",
+        "--no-deps",
+        "--no-build-isolation",
+    ]
+    subprocess.run(
+        [*install, "--target", str(d / "site"), str(d / "source")], check=True, timeout=300
+    )
     return d / "site"
 
 
@@ -88,7 +114,18 @@ AGAIN = (*GRAINY, "--workers", "1", "-o", "grain.mkv", "--job", "grain.job", "--
 @pytest.fixture(scope="module")
 def rendered(arfx: Run, folder: Path) -> Path:
     """The job's folder; grain.mkv lies beside it."""
-    r = arfx("process", *GRAINY, "--workers", "2", "-o", "grain.mkv", "--job", "grain.job", "--report", "report")
+    r = arfx(
+        "process",
+        *GRAINY,
+        "--workers",
+        "2",
+        "-o",
+        "grain.mkv",
+        "--job",
+        "grain.job",
+        "--report",
+        "report",
+    )
     assert r.code == 0, r.err
     return folder / "grain.job"
 
@@ -104,7 +141,9 @@ def first_key(rendered: Path) -> str:
 
 @pytest.fixture(scope="module")
 def told(site: Path, folder: Path, first_key: str) -> dict[str, Result]:
-    """What commands say that run, in this order and after `rendered`, in one process: each of its own takes seconds to start."""
+    """What commands say that run, in this order and after `rendered`, in one process: each
+    of its own takes seconds to start.
+    """
     plan = ["plan", *JOB, "--pipeline", "film_grain"]
     costs = ["--pipeline", "film_grain", "--formula", "paper", "--frames", "1", "--json"]
     commands = {
@@ -114,7 +153,17 @@ def told(site: Path, folder: Path, first_key: str) -> dict[str, Result]:
         "measure": ["bench", "--calibrate", "--stage", "film_grain", "--json"],
         "in budget again": [*plan, "--budget", "60s", "--json"],
         "tradeoff": ["tradeoff", *JOB, *costs],
-        "without": ["process", *JOB, "--set", "film_grain.strength=0", *GRAINY[2:], "--workers", "1", "-o", "bare.mkv"],
+        "without": [
+            "process",
+            *JOB,
+            "--set",
+            "film_grain.strength=0",
+            *GRAINY[2:],
+            "--workers",
+            "1",
+            "-o",
+            "bare.mkv",
+        ],
         "again": ["process", *JOB, *AGAIN],
     }
     p = subprocess.run(
@@ -122,7 +171,13 @@ def told(site: Path, folder: Path, first_key: str) -> dict[str, Result]:
         capture_output=True, text=True, check=False, timeout=300,
     )  # fmt: skip
     assert p.returncode == 0, p.stderr
-    return dict(zip(commands, (Result(*json.loads(line)) for line in p.stdout.splitlines()), strict=True))
+    return dict(
+        zip(
+            commands,
+            (Result(*json.loads(line)) for line in p.stdout.splitlines()),
+            strict=True,
+        )
+    )
 
 
 def pictures(path: Path) -> np.ndarray:
@@ -139,36 +194,71 @@ def test_it_lies_on_every_frame_as_strong_as_asked_for_and_new_in_each(
     noise, middle = (grain - bare)[..., 1], abs(bare[..., 1] - 0.5) < 0.1
     assert len(noise) == FRAMES and noise[middle].std() == pytest.approx(0.05, rel=0.15)
     assert abs(noise[middle].mean()) < 0.003, "it neither lightens nor darkens"
-    assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.02, "new in every frame"
-    assert np.corrcoef(noise[0][:, 1:].ravel(), noise[0][:, :-1].ravel())[0, 1] > 0.3, "a grain is wider than a pixel"
+    assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.02, (
+        "new in every frame"
+    )
+    assert np.corrcoef(noise[0][:, 1:].ravel(), noise[0][:, :-1].ravel())[0, 1] > 0.3, (
+        "a grain is wider than a pixel"
+    )
 
 
 def test_the_report_tells_what_it_did(rendered: Path, folder: Path) -> None:
-    row = next(s for s in json.loads((rendered / "report.json").read_text())["stages"] if s["name"] == "film_grain")
-    assert row["frames_run"] == FRAMES and row["measured_s"] > 0 and row["predicted_s"] is None, "no price is made up"
+    row = next(
+        s
+        for s in json.loads((rendered / "report.json").read_text())["stages"]
+        if s["name"] == "film_grain"
+    )
+    assert (
+        row["frames_run"] == FRAMES and row["measured_s"] > 0 and row["predicted_s"] is None
+    ), "no price is made up"
     assert "film_grain" in (folder / "report" / "report.html").read_text()
 
 
 def test_what_another_version_of_it_rendered_is_not_used_again(
-    arfx: Run, told: dict[str, Result], rendered: Path, first_key: str, site: Path, tmp_path: Path
+    arfx: Run,
+    told: dict[str, Result],
+    rendered: Path,
+    first_key: str,
+    site: Path,
+    tmp_path: Path,
 ) -> None:
     assert told["again"].code == 0 and key(rendered) == first_key
     shutil.copytree(site, tmp_path / "other")
     with (tmp_path / "other" / "arfx_film_grain.py").open("a") as f:
         f.write("# another\n")
-    assert arfx("process", *AGAIN, at=tmp_path / "other").code == 0 and key(rendered) != first_key
+    assert (
+        arfx("process", *AGAIN, at=tmp_path / "other").code == 0
+        and key(rendered) != first_key
+    )
 
 
-def test_without_a_price_a_plan_says_so_and_a_budget_is_refused_until_it_is_measured(told: dict[str, Result]) -> None:
-    planned, refused, listed, r, again = (told[k] for k in ("plan", "in budget", "stages", "measure", "in budget again"))
-    assert planned.code == 0 and f"unknown: film_grain has no price here; `{MEASURE}` measures it" in planned.err + planned.out
+def test_without_a_price_a_plan_says_so_and_a_budget_is_refused_until_it_is_measured(
+    told: dict[str, Result],
+) -> None:
+    planned, refused, listed, r, again = (
+        told[k] for k in ("plan", "in budget", "stages", "measure", "in budget again")
+    )
+    assert (
+        planned.code == 0
+        and f"unknown: film_grain has no price here; `{MEASURE}` measures it"
+        in planned.err + planned.out
+    )
     assert "film_grain.strength = 0.02" in listed.out and "price unknown" in listed.out
-    assert refused.code == 2 and "film_grain has no price here" in refused.err and MEASURE in refused.err
+    assert (
+        refused.code == 2
+        and "film_grain has no price here" in refused.err
+        and MEASURE in refused.err
+    )
     assert r.code == 0, r.err
-    assert {row["entry"] for row in r.json["prices"]} == {"film_grain/standard", "prepare film_grain/standard"}
+    assert {row["entry"] for row in r.json["prices"]} == {
+        "film_grain/standard",
+        "prepare film_grain/standard",
+    }
     assert again.code == 0, again.err
     assert again.json["predicted"]["wall"]["s"] > 0
-    assert again.json["predicted"]["calibrated"] is False, "the others' prices are still another machine's"
+    assert again.json["predicted"]["calibrated"] is False, (
+        "the others' prices are still another machine's"
+    )
 
 
 def test_what_accuracy_costs_is_measured_with_it(told: dict[str, Result]) -> None:

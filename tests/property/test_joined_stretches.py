@@ -1,7 +1,8 @@
-"""Every fold of the analysis, fed a clip in stretches: what they learned is joined, and nothing of it is lost.
+"""Every fold of the analysis, fed a clip in stretches: what they learned is joined, and
+nothing of it is lost.
 
-The folds are found, not listed: a new one fails here until the clip below gives all of its state something to do.
-"""
+The folds are found, not listed: a new one fails here until the clip below gives all of its
+state something to do."""
 
 from __future__ import annotations
 
@@ -35,7 +36,11 @@ from tests.exact import identical
 from tests.unit.analyse.synthetic import background, camera, hung, picture, poster, tilted
 
 CAM = camera(480, 270, 450.0)
-M, TWIN, OTHER = MarkerSpec("36h11", 3, 0.1), MarkerSpec("36h11", 3, 0.07), MarkerSpec("36h11", 7, 0.075)
+M, TWIN, OTHER = (
+    MarkerSpec("36h11", 3, 0.1),
+    MarkerSpec("36h11", 3, 0.07),
+    MarkerSpec("36h11", 7, 0.075),
+)
 Z = 450 * 0.1 / 64
 FRAMES, STEP_S, CUT = 44, 0.12, 36
 PRINT, PRINTED = PatternSpec(Path("poster.png"), 0.15, 0.1), poster(150, 100)
@@ -51,18 +56,27 @@ class Shown:
 
     @cached_property
     def image(self) -> np.ndarray:
-        """Nothing of M for a while, then M under a light that turns, before a view that pans; a gap; a cut; a twin of M.
-        Sharpened edges, so that what was assumed of them is corrected."""
+        """Nothing of M for a while, then M under a light that turns, before a view that
+        pans; a gap; a cut; a twin of M. Sharpened edges, so that what was assumed of them
+        is corrected."""
         k = self.k
         markers = [(OTHER, tilted([0.1, 0.2, 0], [0.25, -0.13, Z]))]
         if 12 <= k < 28 or k >= 31:
-            markers.append((M, tilted([0.25 + 0.01 * k, 0.1, 0.02 * k], [-0.14 + 0.004 * k, 0.03, Z])))
+            markers.append(
+                (M, tilted([0.25 + 0.01 * k, 0.1, 0.02 * k], [-0.14 + 0.004 * k, 0.03, Z]))
+            )
         if 34 <= k < CUT:
             markers.append((TWIN, tilted([0.1, 0.1, 0], [0.14, 0.1, Z])))
         wide = background(640, 270, 1 if k < CUT else 5)
         view = np.ascontiguousarray(wide[:, 2 * k : 2 * k + 480])
         if 7 <= k < 30:
-            view = hung(CAM, PRINTED.mean(-1), PRINT.corners_m, tilted([0.1, 0.01 * k, 0], [0.02 * (k / 15 - 1), -0.11, Z]), view)
+            view = hung(
+                CAM,
+                PRINTED.mean(-1),
+                PRINT.corners_m,
+                tilted([0.1, 0.01 * k, 0], [0.02 * (k / 15 - 1), -0.11, Z]),
+                view,
+            )
         luma = picture(CAM, markers, view, noise=1.0, blur_px=1.4, seed=k, linear=False)
         lit = 0.75 + 0.25 * np.cos(0.3 * k + np.linspace(0, 2, 480))
         return np.clip(luma * lit, 0, 255).astype(np.uint8)
@@ -74,7 +88,9 @@ class Shown:
         return self._linear[pixels[:, 1], pixels[:, 0]]
 
     def reduced(self, width: int) -> np.ndarray:
-        return cv2.resize(self._linear, (width, width * 9 // 16), interpolation=cv2.INTER_AREA)
+        return cv2.resize(
+            self._linear, (width, width * 9 // 16), interpolation=cv2.INTER_AREA
+        )
 
     @cached_property
     def _linear(self) -> np.ndarray:
@@ -84,18 +100,38 @@ class Shown:
 
 KINDS = {"light": FORMULAS["paper"]["light"]}
 CLIP = [Shown(k) for k in range(FRAMES)]
-CUTS = (0, 3, 14, 15, 26, CUT, FRAMES)  # before anything is seen; a single frame; a cut at a border
+CUTS = (
+    0,
+    3,
+    14,
+    15,
+    26,
+    CUT,
+    FRAMES,
+)  # before anything is seen; a single frame; a cut at a border
 Made = dict[str, Analyser]
 
 
 def made(transfer: str = "auto") -> Made:
     """What a job folds over its frames, with everything that can be asked for."""
-    params = AnalyseParams(reduced_px=50_000, search_interval_s=0.6, loss_search_frames=2, transfer=transfer)
+    params = AnalyseParams(
+        reduced_px=50_000, search_interval_s=0.6, loss_search_frames=2, transfer=transfer
+    )
     double, length_s = CAM.scaled_to(960, 540), FRAMES * STEP_S
     return {
-        "markers": Analyser(AnalysisJob((M, PRINT), double, params, prints={PRINT.key: PRINTED}, length_s=length_s), FOLDS),
-        "printed": Analyser(AnalysisJob((M,), double, params, kinds=KINDS, length_s=length_s), {"light", "environment"}),
-        "plane": Analyser(AnalysisJob((), CAM, params, anchor=PLANE, length_s=length_s), ON_PLANE),
+        "markers": Analyser(
+            AnalysisJob(
+                (M, PRINT), double, params, prints={PRINT.key: PRINTED}, length_s=length_s
+            ),
+            FOLDS,
+        ),
+        "printed": Analyser(
+            AnalysisJob((M,), double, params, kinds=KINDS, length_s=length_s),
+            {"light", "environment"},
+        ),
+        "plane": Analyser(
+            AnalysisJob((), CAM, params, anchor=PLANE, length_s=length_s), ON_PLANE
+        ),
     }
 
 
@@ -108,7 +144,11 @@ def stretch(
     first: int, end: int, lost: dict[str, Any], transfer: str = "auto", number: int = 0,
     look: Callable[[Made], None] = lambda _: None,
 ) -> tuple[Made, dict[str, Any]]:  # fmt: skip
-    """What frames first ... end - 1 hold, numbered from `number`, and what the next stretch would lose. look : after each"""
+    """What frames first ...
+
+    end - 1 hold, numbered from `number`, and what the next stretch would lose. look : after
+    each
+    """
     folds = made(transfer)
     for name, analyser in folds.items():
         if lost.get(name) is not None:
@@ -117,7 +157,11 @@ def stretch(
         for analyser in folds.values():
             analyser.step(shown(k, number + k - first))
         look(folds)
-    behind = {name: a.end(shown(end, number + end - first)) for name, a in folds.items()} if end < FRAMES else {}
+    behind = (
+        {name: a.end(shown(end, number + end - first)) for name, a in folds.items()}
+        if end < FRAMES
+        else {}
+    )
     return folds, behind
 
 
@@ -136,7 +180,10 @@ def joined(numbered: bool = True, cuts: tuple[int, ...] = CUTS) -> Made:
         later = restored(part)
         for name, analyser in whole.items():
             if changes := analyser.settle(later[name]):
-                again, behind[name] = stretch(a, b, lost, **changes, number=a if numbered else 0), behind.get(name)
+                again, behind[name] = (
+                    stretch(a, b, lost, **changes, number=a if numbered else 0),
+                    behind.get(name),
+                )
                 later[name] = restored(again[0])[name]
             analyser.join(later[name], 0 if numbered else a)
         lost = behind
@@ -178,20 +225,32 @@ def within(top: Any) -> Iterator[Stateful]:
 def test_whatever_is_fed_frame_by_frame_is_a_fold() -> None:
     for module in modules():
         for _, kind in inspect.getmembers(module, inspect.isclass):
-            fed = "step" in vars(kind) and kind.__module__ == module.__name__ and not getattr(kind, "_is_protocol", False)
-            assert not fed or kind is Analyser or issubclass(kind, Stateful), f"{kind.__module__}.{kind.__name__} has a step"
+            fed = (
+                "step" in vars(kind)
+                and kind.__module__ == module.__name__
+                and not getattr(kind, "_is_protocol", False)
+            )
+            assert not fed or kind is Analyser or issubclass(kind, Stateful), (
+                f"{kind.__module__}.{kind.__name__} has a step"
+            )
 
 
 def own(f: Stateful) -> dict[str, Any]:
-    return {n: v for n, v in vars(f).items() if n not in f.given and not isinstance(v, Stateful)}
+    return {
+        n: v for n, v in vars(f).items() if n not in f.given and not isinstance(v, Stateful)
+    }
 
 
 @pytest.fixture(scope="module", autouse=True)
 def flow_once() -> Iterator[None]:
-    """The flow between two pictures, which depends on nothing else, is found once: stretch after stretch has the same ones."""
+    """The flow between two pictures, which depends on nothing else, is found once: stretch
+    after stretch has the same ones.
+    """
     kept: dict[tuple[Any, ...], Any] = {}
 
-    def back(small: np.ndarray, reference: np.ndarray, *size: int, find: Any = flow._back) -> Any:
+    def back(
+        small: np.ndarray, reference: np.ndarray, *size: int, find: Any = flow._back
+    ) -> Any:
         key = small.tobytes(), reference.tobytes(), small.shape, size
         if key not in kept:
             kept[key] = find(small, reference, *size)
@@ -206,11 +265,20 @@ def flow_once() -> Iterator[None]:
 def uncut_and_constant() -> tuple[Made, set[tuple[str, str]]]:
     """The clip in one stretch, and which attributes no frame changed."""
     folds = [f for top in made().values() for f in within(top)]
-    first, constant = [own(f) for f in folds], {(type(f).__name__, n) for f in folds for n in own(f)}
+    first, constant = (
+        [own(f) for f in folds],
+        {(type(f).__name__, n) for f in folds for n in own(f)},
+    )
 
     def look(folds: Made) -> None:
-        for before, f in zip(first, (f for top in folds.values() for f in within(top)), strict=True):
-            constant.difference_update((type(f).__name__, n) for n, v in own(f).items() if not identical(v, before[n]))
+        for before, f in zip(
+            first, (f for top in folds.values() for f in within(top)), strict=True
+        ):
+            constant.difference_update(
+                (type(f).__name__, n)
+                for n, v in own(f).items()
+                if not identical(v, before[n])
+            )
 
     return stretch(0, FRAMES, {}, look=look)[0], constant
 
@@ -225,13 +293,21 @@ def in_stretches() -> Made:
     return joined()
 
 
-def test_every_attribute_is_given_or_carried_or_learned(uncut_and_constant: tuple[Made, set[tuple[str, str]]]) -> None:
+def test_every_attribute_is_given_or_carried_or_learned(
+    uncut_and_constant: tuple[Made, set[tuple[str, str]]],
+) -> None:
     uncut, constant = uncut_and_constant
     folds = [f for top in uncut.values() for f in within(top)]
-    assert {type(f) for f in folds} == every_kind(), "the test does not make every fold, or not with all that it can do"
+    assert {type(f) for f in folds} == every_kind(), (
+        "the test does not make every fold, or not with all that it can do"
+    )
     assert all(f.given | f.carried <= vars(f).keys() for f in folds)
-    constant = constant - {("RestCheck", "_factor")}  # these frames are small enough as they are
-    assert not constant, "state that nothing in the clip changes: is it given, or does the clip lack it?"
+    constant = constant - {
+        ("RestCheck", "_factor")
+    }  # these frames are small enough as they are
+    assert not constant, (
+        "state that nothing in the clip changes: is it given, or does the clip lack it?"
+    )
 
 
 def test_one_stretch_joined_to_nothing_is_that_stretch(uncut: Made) -> None:
@@ -242,37 +318,64 @@ def test_one_stretch_joined_to_nothing_is_that_stretch(uncut: Made) -> None:
     assert identical(state(whole), state(uncut))
 
 
-def test_what_stretches_learned_is_what_the_clip_shows(uncut: Made, in_stretches: Made) -> None:
-    """But for what begins anew: where the whole frame was searched, when pictures are taken, where a pattern is aligned from."""
+def test_what_stretches_learned_is_what_the_clip_shows(
+    uncut: Made, in_stretches: Made
+) -> None:
+    """But for what begins anew: where the whole frame was searched, when pictures are
+    taken, where a pattern is aligned from.
+    """
     exact = {M.key, OTHER.key}
     for name in ("markers", "printed"):
         one, cut = (folds[name].folds["markers"] for folds in (uncut, in_stretches))
         assert [r.index for r in cut.records] == [*range(FRAMES)]
         for a, b in zip(one.records, cut.records, strict=True):
-            assert (a.time_s, a.dissimilarity) == (b.time_s, b.dissimilarity) and identical(a.duplicates, b.duplicates)
+            assert (a.time_s, a.dissimilarity) == (b.time_s, b.dissimilarity) and identical(
+                a.duplicates, b.duplicates
+            )
             assert identical(*([d for d in r.detections if d.key in exact] for r in (a, b)))
             seen = [{d.key: d for d in r.detections} for r in (a, b)]
             assert seen[0].keys() <= seen[1].keys()
-            assert all(np.abs(seen[1][k].corners_px - d.corners_px).max() < 0.05 for k, d in seen[0].items())
+            assert all(
+                np.abs(seen[1][k].corners_px - d.corners_px).max() < 0.05
+                for k, d in seen[0].items()
+            )
         assert one._refiner.transfer == cut._refiner.transfer == "gamma:1"
     one, cut = (folds["printed"].folds for folds in (uncut, in_stretches))
-    # until a stretch has decided in what edges are symmetric its samples lie by the corners as they were assumed
-    assert [r[:2] for r in cut["light"].readings] == [r[:2] for r in one["light"].readings] and len(cut["light"].readings) > 15
+    # until a stretch has decided in what edges are symmetric its samples lie by the corners
+    # as they were assumed
+    assert [r[:2] for r in cut["light"].readings] == [
+        r[:2] for r in one["light"].readings
+    ] and len(cut["light"].readings) > 15
     cut = in_stretches["markers"].folds
     steps = cut["flow"]._motion.steps
-    assert {3, 14, 15, 26} <= {s.index for s in steps if s.key and s.back is not None}, "a border in a shot leads on"
-    assert [s.index for s in steps if s.back is None] == [0, CUT] and len({s.index for s in steps}) == len(steps)
-    assert in_stretches["plane"].folds["pose"].times_s == uncut["plane"].folds["pose"].times_s
+    assert {3, 14, 15, 26} <= {s.index for s in steps if s.key and s.back is not None}, (
+        "a border in a shot leads on"
+    )
+    assert [s.index for s in steps if s.back is None] == [0, CUT] and len(
+        {s.index for s in steps}
+    ) == len(steps)
+    assert (
+        in_stretches["plane"].folds["pose"].times_s == uncut["plane"].folds["pose"].times_s
+    )
     assert not in_stretches["plane"].folds["pose"].rest.rests
-    before, after = (folds["printed"].folds["pose"].finish(Analysis()) for folds in (uncut, in_stretches))
-    assert [(f.status, f.shot) for f in before.facts] == [(f.status, f.shot) for f in after.facts]
+    before, after = (
+        folds["printed"].folds["pose"].finish(Analysis()) for folds in (uncut, in_stretches)
+    )
+    assert [(f.status, f.shot) for f in before.facts] == [
+        (f.status, f.shot) for f in after.facts
+    ]
     for a, b in zip(before.facts, after.facts, strict=True):
-        assert (a.camera_from_world is None) or np.array_equal(a.camera_from_world.matrix, b.camera_from_world.matrix)
+        assert (a.camera_from_world is None) or np.array_equal(
+            a.camera_from_world.matrix, b.camera_from_world.matrix
+        )
 
 
 def test_frames_are_numbered_where_they_come_to_lie() -> None:
     numbered, again = state(joined(cuts=(0, 11, 15))), state(joined(False, (0, 11, 15)))
-    assert numbered["markers"]["light"]["readings"] and numbered["printed"]["light"]["readings"]
+    assert (
+        numbered["markers"]["light"]["readings"]
+        and numbered["printed"]["light"]["readings"]
+    )
     for name in ("markers", "printed", "plane"):
         a, b = again[name], numbered[name]
         for fold in a.keys() & {"markers"}:  # other dictionaries are looked for by number

@@ -24,7 +24,12 @@ from arfx.core.pose import Pose, rotation_angle_rad
 from tests.unit.analyse.synthetic import camera, tilted
 
 M = MarkerSpec("36h11", 0, 0.1)
-LENS = Camera(640, 480, np.array([[700.0, 0, 320], [0, 710, 240], [0, 0, 1]]), np.array([-0.2, 0.05, 1e-3, -5e-4, 0.01]))
+LENS = Camera(
+    640,
+    480,
+    np.array([[700.0, 0, 320], [0, 710, 240], [0, 0, 1]]),
+    np.array([-0.2, 0.05, 1e-3, -5e-4, 0.01]),
+)
 angle = st.floats(-1.1, 1.1)
 turn = st.floats(-3.1, 3.1)
 place = st.floats(-0.25, 0.25)
@@ -40,8 +45,14 @@ def seen(pose: Pose, cam: Camera) -> tuple[np.ndarray, np.ndarray]:
 @example(0.0, 0.0, 0.0, 0.25, 0.25, 2.0)  # parallel to the picture, off the axis
 @example(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 @example(0.0, 0.9375, 0.0, 0.0, 0.0, 4.0)  # turned about an axis of its own
-def test_truth_is_among_the_hypotheses(a: float, b: float, c: float, x: float, y: float, z: float) -> None:
-    pose = tilted([a, b, 0], [x * z, y * z, z]) @ tilted([0, 0, 0], [0, 0, 0]).inverse() @ tilted([0, 0, c], [0, 0, 0])
+def test_truth_is_among_the_hypotheses(
+    a: float, b: float, c: float, x: float, y: float, z: float
+) -> None:
+    pose = (
+        tilted([a, b, 0], [x * z, y * z, z])
+        @ tilted([0, 0, 0], [0, 0, 0]).inverse()
+        @ tilted([0, 0, c], [0, 0, 0])
+    )
     facing = pose.rotation[:, 2] @ pose.translation_m / np.linalg.norm(pose.translation_m)
     if facing > -0.15:  # seen from behind or along its plane
         return
@@ -49,8 +60,13 @@ def test_truth_is_among_the_hypotheses(a: float, b: float, c: float, x: float, y
     found = hypotheses([M.corners_m], ideal[None], scale[None], np.array([0.1]))[0]
     assert 1 <= len(found) <= 2 and found[0].reprojection_px <= found[-1].reprojection_px
     best = min(found, key=lambda h: rotation_angle_rad(h.camera_from_marker, pose))
-    assert rotation_angle_rad(best.camera_from_marker, pose) < 2e-3 and best.reprojection_px < 1e-3
-    np.testing.assert_allclose(best.camera_from_marker.translation_m, pose.translation_m, atol=1e-4 * z)
+    assert (
+        rotation_angle_rad(best.camera_from_marker, pose) < 2e-3
+        and best.reprojection_px < 1e-3
+    )
+    np.testing.assert_allclose(
+        best.camera_from_marker.translation_m, pose.translation_m, atol=1e-4 * z
+    )
 
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-10, 1e-7, 1e-4, 1e-2, -1e-2, -1e-4])
@@ -70,21 +86,29 @@ def test_corners_that_no_direction_leads_to_give_no_pose() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(angle, angle, place, st.floats(0.5, 3.0), st.integers(0, 5))
-def test_jacobian_is_the_derivative(a: float, b: float, x: float, z: float, axis: int) -> None:
+def test_jacobian_is_the_derivative(
+    a: float, b: float, x: float, z: float, axis: int
+) -> None:
     pose = tilted([a, b, 0.3], [x * z, 0, z])
     ideal, scale = seen(pose, LENS)
     one = Observed(M.corners_m[None], ideal[None], scale[None], np.ones((1, 4)))
     r, t = pose.rotation[None], pose.translation_m[None]
     h = 1e-6
     step = np.eye(6)[axis : axis + 1] * h
-    numeric = (residuals(*apply_step(r, t, step), one) - residuals(*apply_step(r, t, -step), one)) / (2 * h)
-    np.testing.assert_allclose(jacobian(r, t, one)[0, :, :, axis], numeric[0], rtol=1e-5, atol=1e-3)
+    numeric = (
+        residuals(*apply_step(r, t, step), one) - residuals(*apply_step(r, t, -step), one)
+    ) / (2 * h)
+    np.testing.assert_allclose(
+        jacobian(r, t, one)[0, :, :, axis], numeric[0], rtol=1e-5, atol=1e-3
+    )
 
 
 @settings(max_examples=20, deadline=None)
 @given(angle, st.integers(0, 1000))
 def test_information_predicts_the_scatter(a: float, seed: int) -> None:
-    """Refined poses of noisy corners scatter as the inverse information says (Mahalanobis distance, 6 degrees)."""
+    """Refined poses of noisy corners scatter as the inverse information says (Mahalanobis
+    distance, 6 degrees).
+    """
     pose = tilted([0.6 + 0.3 * a, 0.5, 0], [0.05, 0, 0.8])
     cam = camera()
     ideal, scale = seen(pose, cam)
@@ -94,8 +118,14 @@ def test_information_predicts_the_scatter(a: float, seed: int) -> None:
     tile = (np.repeat(v[None], n, 0) for v in (M.corners_m, scale))
     points, scales = tile
     many = Observed(points, noisy, scales, np.full((n, 4), sigma**-2))
-    r, t, _ = refine_poses(np.repeat(pose.rotation[None], n, 0), np.repeat(pose.translation_m[None], n, 0), many)
-    info = information(pose.rotation[None], pose.translation_m[None], many.take(np.array([0])))[0]
+    r, t, _ = refine_poses(
+        np.repeat(pose.rotation[None], n, 0),
+        np.repeat(pose.translation_m[None], n, 0),
+        many,
+    )
+    info = information(
+        pose.rotation[None], pose.translation_m[None], many.take(np.array([0]))
+    )[0]
     error = []
     for k in range(n):
         e = Pose(r[k], t[k]) @ pose.inverse()

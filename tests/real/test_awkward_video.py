@@ -1,4 +1,6 @@
-"""The awkward real clips: each is probed, read from anywhere, and written with its times, streams, turn and tags."""
+"""The awkward real clips: each is probed, read from anywhere, and written with its times,
+streams, turn and tags.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,17 @@ from arfx.media.join import join_chunks
 from arfx.media.output import OutputSettings, plan_output
 from arfx.media.writer import ChunkWriter, chunk_suffix
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data" / "awkward_video" / "meta-pytorch-torchcodec"
-pytestmark = [pytest.mark.real, pytest.mark.skipif(not DATA.is_dir(), reason=f"the real clips are not at {DATA}")]
+DATA = (
+    Path(__file__).parents[2].parent
+    / "shared"
+    / "data"
+    / "awkward_video"
+    / "meta-pytorch-torchcodec"
+)
+pytestmark = [
+    pytest.mark.real,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"the real clips are not at {DATA}"),
+]
 
 # name: frames, upright size, rotation, matrix, full range, bits, first time (s), further streams
 CLIPS = {
@@ -30,7 +41,16 @@ CLIPS = {
     "test_non_zero_start.mp4": (12, (200, 112), 0, "bt601", False, 8, 8.3330, 0),
     "testsrc2_av1_10bit.mp4": (25, (320, 240), 0, "bt601", False, 10, 0, 0),
     "testsrc2_mpeg4.mp4": (1, (64, 64), 0, "bt601", False, 8, 0, 0),
-    "testsrc2_odd_height_and_width_444_10bit.mp4": (25, (321, 241), 0, "bt601", False, 10, 0, 0),
+    "testsrc2_odd_height_and_width_444_10bit.mp4": (
+        25,
+        (321, 241),
+        0,
+        "bt601",
+        False,
+        10,
+        0,
+        0,
+    ),
     "testsrc2_odd_height_and_width_mpeg2.mp4": (10, (121, 81), 0, "bt601", False, 8, 0, 0),
     "testsrc2_odd_height_and_width_vp9.mp4": (25, (321, 241), 0, "bt601", False, 8, 0, 0),
     "testsrc2_vp8.webm": (30, (1280, 720), 0, "bt601", False, 8, 0, 0),
@@ -44,10 +64,24 @@ def test_what_is_in_the_clip(name: str) -> None:
     with ClipReader(info) as r:
         frames = list(r.frames())
         assert r.truncated is None
-    assert (len(frames), (info.width, info.height), info.rotation_deg) == (count, size, rotation)
-    assert (info.matrix, info.full_range, info.bit_depth, len(info.streams) - 1) == (matrix, full, bits, further)
-    assert frames[0].time_s == pytest.approx(start_s, abs=1e-3) and frames[0].pts == info.start_pts
-    assert frames[0].luma().shape == frames[0].linear(frames[0].rect).shape[:2] == size[::-1]
+    assert (len(frames), (info.width, info.height), info.rotation_deg) == (
+        count,
+        size,
+        rotation,
+    )
+    assert (info.matrix, info.full_range, info.bit_depth, len(info.streams) - 1) == (
+        matrix,
+        full,
+        bits,
+        further,
+    )
+    assert (
+        frames[0].time_s == pytest.approx(start_s, abs=1e-3)
+        and frames[0].pts == info.start_pts
+    )
+    assert (
+        frames[0].luma().shape == frames[0].linear(frames[0].rect).shape[:2] == size[::-1]
+    )
 
 
 @pytest.mark.parametrize("name", ["bt2020_10bit.mp4", "nasa_13013_hdr.mp4"])
@@ -63,12 +97,20 @@ def test_reading_from_a_time_is_reading_from_the_start(name: str) -> None:
         everything = list(r.frames())
     for k in {len(everything) // 3, len(everything) // 2, len(everything) - 1}:
         with ClipReader(info) as r:
-            part = list(r.frames(first_pts=everything[k].pts, last_pts=everything[min(k + 4, len(everything) - 1)].pts))
+            part = list(
+                r.frames(
+                    first_pts=everything[k].pts,
+                    last_pts=everything[min(k + 4, len(everything) - 1)].pts,
+                )
+            )
         with ClipReader(info) as r:
             assert len(list(r.frames(first_pts=everything[k].pts))) == len(everything) - k
             assert r.truncated is None
         assert [f.pts for f in part] == [f.pts for f in everything[k : k + 5]]
-        assert all(np.array_equal(a.luma(), b.luma()) for a, b in zip(part, everything[k:], strict=False))
+        assert all(
+            np.array_equal(a.luma(), b.luma())
+            for a, b in zip(part, everything[k:], strict=False)
+        )
 
 
 @pytest.mark.parametrize("name", CLIPS)
@@ -78,7 +120,11 @@ def test_written_and_joined(name: str, tmp_path: Path) -> None:
     info = probe(DATA / name)
     plan = plan_output(info, tmp_path / "out.mp4", OutputSettings())
     with ClipReader(info) as r:
-        frames = list(itertools.islice(r.frames(), 60)) if info.width > 1000 else list(r.frames())
+        frames = (
+            list(itertools.islice(r.frames(), 60))
+            if info.width > 1000
+            else list(r.frames())
+        )
     cuts = sorted({0, 1, len(frames) // 2, len(frames)} & set(range(len(frames) + 1)))
     chunks = []
     for a, b in itertools.pairwise(cuts):
@@ -90,7 +136,9 @@ def test_written_and_joined(name: str, tmp_path: Path) -> None:
     out = probe(plan.path)
     with ClipReader(out) as r:
         got = list(r.frames())
-    assert [f.pts * f.format.time_base for f in got] == [f.pts * f.format.time_base for f in frames]
+    assert [f.pts * f.format.time_base for f in got] == [
+        f.pts * f.format.time_base for f in frames
+    ]
     assert (out.rotation_deg, out.bit_depth, out.full_range, out.matrix) == (
         info.rotation_deg,
         info.bit_depth,
@@ -102,7 +150,11 @@ def test_written_and_joined(name: str, tmp_path: Path) -> None:
 
     def further(path: Path, used: int) -> list[tuple[int, bytes]]:
         with av.open(str(path)) as c:
-            return sorted((p.stream_index, bytes(p)) for p in c.demux() if p.size and p.stream_index != used)
+            return sorted(
+                (p.stream_index, bytes(p))
+                for p in c.demux()
+                if p.size and p.stream_index != used
+            )
 
     source = [b for _, b in further(info.path, info.stream_index)]
     assert sorted(b for _, b in further(plan.path, out.stream_index)) == sorted(source)

@@ -17,7 +17,10 @@ from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
-pytestmark = [pytest.mark.real, pytest.mark.skipif(not DATA.is_dir(), reason=f"real data not found at {DATA}")]
+pytestmark = [
+    pytest.mark.real,
+    pytest.mark.skipif(not DATA.is_dir(), reason=f"real data not found at {DATA}"),
+]
 OPENCV_FX, OPENCV_RMS = 535.916, 0.393
 
 
@@ -34,10 +37,14 @@ def pictures(folder: Path, pattern: str) -> list[tuple[str, np.ndarray, int]]:
 @pytest.fixture(scope="module")
 def opencv_set() -> Calibration:
     folder = DATA / "calibration" / "opencv-left-via-mvtb-data"
-    return calibrate(find_board(pictures(folder, "left*.jpg"), BoardSpec.parse("chessboard:9x6:25mm")))
+    return calibrate(
+        find_board(pictures(folder, "left*.jpg"), BoardSpec.parse("chessboard:9x6:25mm"))
+    )
 
 
-def test_opencv_set_is_good_and_agrees_with_the_published_camera(opencv_set: Calibration) -> None:
+def test_opencv_set_is_good_and_agrees_with_the_published_camera(
+    opencv_set: Calibration,
+) -> None:
     fx, sd = opencv_set.fitted.camera.fx, opencv_set.standard_deviations[0]
     assert opencv_set.verdict.word == "good", opencv_set.verdict.reasons
     assert abs(fx - OPENCV_FX) < 5.0
@@ -46,25 +53,48 @@ def test_opencv_set_is_good_and_agrees_with_the_published_camera(opencv_set: Cal
     assert len(opencv_set.fitted.views) == 14
 
 
-def test_our_corners_predict_unseen_views_better_than_the_published_window(opencv_set: Calibration) -> None:
-    """Why fx is 533 and not 536: the sample program's fixed 11 px window reaches the neighbours' edges in left02."""
+def test_our_corners_predict_unseen_views_better_than_the_published_window(
+    opencv_set: Calibration,
+) -> None:
+    """Why fx is 533 and not 536: the sample program's fixed 11 px window reaches the
+    neighbours' edges in left02.
+    """
     assert opencv_set.chosen.held_out_rms_px < 0.55 * OPENCV_RMS
     folder = DATA / "calibration" / "opencv-left-via-mvtb-data"
     views = []
-    for view, (_, gray, _) in zip(opencv_set.fitted.views, pictures(folder, "left*.jpg"), strict=True):
-        wide = cv2.cornerSubPix(gray, view.pixels.astype(np.float32).reshape(-1, 1, 2), (11, 11), (-1, -1), STOP)
-        views.append(type(view)(view.name, view.size, view.ids, view.board_m, wide.reshape(-1, 2).astype(float), "11 px"))
+    for view, (_, gray, _) in zip(
+        opencv_set.fitted.views, pictures(folder, "left*.jpg"), strict=True
+    ):
+        wide = cv2.cornerSubPix(
+            gray, view.pixels.astype(np.float32).reshape(-1, 1, 2), (11, 11), (-1, -1), STOP
+        )
+        views.append(
+            type(view)(
+                view.name,
+                view.size,
+                view.ids,
+                view.board_m,
+                wide.reshape(-1, 2).astype(float),
+                "11 px",
+            )
+        )
     sampled = fit(views, MODELS[4])
-    assert sampled.camera.fx == pytest.approx(OPENCV_FX, abs=1.0), "this is how the published figure came about"
+    assert sampled.camera.fx == pytest.approx(OPENCV_FX, abs=1.0), (
+        "this is how the published figure came about"
+    )
     assert sampled.view_rms_px.argmax() == 1, "left02"
     assert sampled.view_rms_px.max() > 5 * np.median(sampled.view_rms_px)
     without = fit([v for i, v in enumerate(views) if i != 1], MODELS[4])
-    assert abs(without.camera.fx - opencv_set.fitted.camera.fx) < abs(sampled.camera.fx - opencv_set.fitted.camera.fx)
+    assert abs(without.camera.fx - opencv_set.fitted.camera.fx) < abs(
+        sampled.camera.fx - opencv_set.fitted.camera.fx
+    )
 
 
 def test_the_29_picture_set() -> None:
     folder = DATA / "calibration" / "nbhr-pycalib" / "chessboard"
-    result = calibrate(find_board(pictures(folder, "*.jpg")[::2], BoardSpec.parse("chessboard:10x7:25mm")))
+    result = calibrate(
+        find_board(pictures(folder, "*.jpg")[::2], BoardSpec.parse("chessboard:10x7:25mm"))
+    )
     fx, sd = result.fitted.camera.fx, result.standard_deviations[0]
     assert result.verdict.word == "usable", result.verdict.reasons
     assert abs(fx - 1341) < max(3 * sd, 5)
@@ -80,13 +110,16 @@ def test_the_frontal_clip_is_poor_and_says_why() -> None:
                 if f.index % 10 == 0:
                     yield f"{f.time_s:.2f}", np.ascontiguousarray(f.luma()), 1
 
-    result = calibrate(find_board(frames(), BoardSpec.parse("charuco:12x8:15.585mm:12.123mm:5X5_100")))
+    result = calibrate(
+        find_board(frames(), BoardSpec.parse("charuco:12x8:15.585mm:12.123mm:5X5_100"))
+    )
     assert result.verdict.word == "poor"
     text = "; ".join(result.verdict.reasons)
     assert "focal length" in text
     assert "frontally" in text
     assert result.copies, "most frames show the same view"
     published = 1764.6
-    # the stated uncertainty must cover the truth; that of OpenCV 5 for these views (±0.1 px) does not
+    # the stated uncertainty must cover the truth; that of OpenCV 5 for these views (±0.1
+    # px) does not
     assert abs(result.fitted.camera.fx - published) < 3 * result.standard_deviations[0]
     assert uncertainty(result.fitted).condition > 1e5

@@ -12,8 +12,15 @@ from arfx.analyse.depth.planes import cloud_of, facing_up, find_planes, scene_pl
 from arfx.core.camera import Camera
 from arfx.core.pose import Pose
 
-DATA = Path(__file__).parents[2].parent / "shared" / "data" / "rgbd" / "gaoxiang12-slambook2"
-pytestmark = [pytest.mark.real, pytest.mark.skipif(not DATA.is_dir(), reason="no ../shared/data/rgbd: real depth is not here")]
+DATA = (
+    Path(__file__).parents[2].parent / "shared" / "data" / "rgbd" / "gaoxiang12-slambook2"
+)
+pytestmark = [
+    pytest.mark.real,
+    pytest.mark.skipif(
+        not DATA.is_dir(), reason="no ../shared/data/rgbd: real depth is not here"
+    ),
+]
 KINECT = Camera(640, 480, np.array([[518.0, 0, 325.5], [0, 519, 253.5], [0, 0, 1]]))
 ICL = Camera(640, 480, np.array([[481.2, 0, 319.5], [0, 480, 239.5], [0, 0, 1]]))
 
@@ -30,7 +37,9 @@ def test_the_floor_before_a_kinect(number: int) -> None:
     assert 0.25 < (map_ == 0).mean() < 0.33
     planes = scene_planes([(map_, Pose.identity())], KINECT)
     floor = facing_up(planes, [Pose.identity()])[0].real_plane()
-    height = -float(floor.world_from_plane.rotation[:, 2] @ floor.world_from_plane.translation_m)
+    height = -float(
+        floor.world_from_plane.rotation[:, 2] @ floor.world_from_plane.translation_m
+    )
     assert 1.25 < height < 1.5 and floor.residual_mm < 10 and floor.area_m2 > 1
     seen = KINECT.project(floor.world_from_plane.translation_m)
     assert 0 < seen[0] < 640 and 240 < seen[1] < 480
@@ -44,4 +53,6 @@ def test_a_rendered_room() -> None:
     assert len(found) >= 5 and max(np.sqrt((off**2).mean()) for off in off_mm) < 1
     assert sum(len(p.inliers) for p in found) > 0.7 * len(cloud.points)
     walls = [p.normal for p in found[:3]]
-    assert np.abs(np.array(walls) @ np.array(walls).T - np.eye(3)).max() < 0.03, "two walls and the ceiling"
+    assert np.abs(np.array(walls) @ np.array(walls).T - np.eye(3)).max() < 0.03, (
+        "two walls and the ceiling"
+    )

@@ -18,7 +18,9 @@ DUCK = DATA / "models" / "mikedh-trimesh" / "Duck.glb"
 
 pytestmark = [
     pytest.mark.real,
-    pytest.mark.skipif(not CLIPS.is_dir(), reason="the real clips are not beside the project (shared/data)"),
+    pytest.mark.skipif(
+        not CLIPS.is_dir(), reason="the real clips are not beside the project (shared/data)"
+    ),
 ]
 
 
@@ -31,15 +33,18 @@ def times(path: Path) -> list[float]:
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """(its report, the output). Levels and what the encoder spends change neither times nor poses; its effort is the least at
-    which frames are still stored out of their order."""
+    """(its report, the output). Levels and what the encoder spends change neither times nor
+    poses; its effort is the least at which frames are still stored out of their order."""
     output = tmp_path_factory.mktemp("real") / "out.mp4"
     document = {
         "input": {"clip": str(CLIPS / "fieldvideo_long.mp4"), "camera": str(CLIPS / "camera.json")},
         "marker": [{"spec": "36h11:3:165.1mm"}, {"spec": "36h11:4:165.1mm"}], "model": {"file": str(DUCK), "fit": "15cm"},
         "pipeline": {"quality": "draft"}, "output": {"path": str(output), "preset": "superfast", "crf": 45},
     }  # fmt: skip
-    return process(load(None, document, parameters()), Options(notice=lambda _: None)), output
+    return (
+        process(load(None, document, parameters()), Options(notice=lambda _: None)),
+        output,
+    )
 
 
 def test_every_frame_comes_out_at_its_time(job: tuple[dict, Path]) -> None:
@@ -53,8 +58,13 @@ def test_the_pose_is_steady_and_still_fits(job: tuple[dict, Path]) -> None:
     pose = job[0]["pose"]
     assert pose["frames_measured"] == 159
     assert pose["reprojection_px"]["median"] < 0.5
-    assert pose["jitter_before_smoothing_px"] >= 3.0 * pose["jitter_px"], "the object trembles far less against its marker"
-    assert pose["reprojection_px"]["median"] <= 1.1 * pose["reprojection_px"]["before_smoothing"]["median"]
+    assert pose["jitter_before_smoothing_px"] >= 3.0 * pose["jitter_px"], (
+        "the object trembles far less against its marker"
+    )
+    assert (
+        pose["reprojection_px"]["median"]
+        <= 1.1 * pose["reprojection_px"]["before_smoothing"]["median"]
+    )
 
 
 def test_the_two_tags_are_mapped_at_their_distance(job: tuple[dict, Path]) -> None:

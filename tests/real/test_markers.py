@@ -1,4 +1,6 @@
-"""The analysis on the real clips: the same sightings as whole-frame searches, the known distance, less trembling."""
+"""The analysis on the real clips: the same sightings as whole-frame searches, the known
+distance, less trembling.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from arfx.media.frames import ClipReader
 CLIPS = Path(__file__).parents[2].parent / "shared" / "data" / "marker_clips"
 pytestmark = [
     pytest.mark.real,
-    pytest.mark.skipif(not CLIPS.is_dir(), reason="the real clips are not beside the project (shared/data)"),
+    pytest.mark.skipif(
+        not CLIPS.is_dir(), reason="the real clips are not beside the project (shared/data)"
+    ),
 ]
 WALL = tuple(MarkerSpec("36h11", i, 0.1651) for i in (3, 4))
 SHEET = tuple(MarkerSpec("4X4_50", i, 0.02) for i in range(12))
@@ -31,24 +35,47 @@ def frames(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
     """(number, time, luma of full range)"""
     with ClipReader(probe(path)) as reader:
         for f in reader.frames():
-            yield f.index, f.time_s, f.luma() if f.format.full_range else f.picture.to_ndarray(format="gray")
+            yield (
+                f.index,
+                f.time_s,
+                f.luma() if f.format.full_range else f.picture.to_ndarray(format="gray"),
+            )
 
 
-def compared(path: Path, markers: tuple[MarkerSpec, ...], cam: Camera, every: int) -> tuple[Analyser, set, set, float]:
-    """(analyser after the clip, sightings missed, sightings more, largest corner difference px), against a search of the
-    whole of every n-th frame."""
-    analyser, detector = Analyser(AnalysisJob(markers, cam)), MarkerDetector([markers[0].family])
+def compared(
+    path: Path, markers: tuple[MarkerSpec, ...], cam: Camera, every: int
+) -> tuple[Analyser, set, set, float]:
+    """(analyser after the clip, sightings missed, sightings more, largest corner difference
+    px), against a search of the whole of every n-th frame."""
+    analyser, detector = (
+        Analyser(AnalysisJob(markers, cam)),
+        MarkerDetector([markers[0].family]),
+    )
     found = analyser.folds["markers"]._tracker  # type: ignore[attr-defined]
     missed, more, worst = set(), set(), 0.0
     for k, t, luma in frames(path):
         analyser.step(AnalysisFrame(k, t, luma))
         if k % every:
             continue
-        whole = {c.key: c.quad_px for c in detector.search(luma) if c.key in {m.key for m in markers}}
-        got = {key: track.quad_px for key, track in found.tracks.items() if track.time_s == t}
+        whole = {
+            c.key: c.quad_px
+            for c in detector.search(luma)
+            if c.key in {m.key for m in markers}
+        }
+        got = {
+            key: track.quad_px for key, track in found.tracks.items() if track.time_s == t
+        }
         missed |= {(k, key) for key in whole.keys() - got.keys()}
         more |= {(k, key) for key in got.keys() - whole.keys()}
-        worst = max([worst, *(float(np.abs(whole[key] - got[key]).max()) for key in whole.keys() & got.keys())])
+        worst = max(
+            [
+                worst,
+                *(
+                    float(np.abs(whole[key] - got[key]).max())
+                    for key in whole.keys() & got.keys()
+                ),
+            ]
+        )
     return analyser, missed, more, worst
 
 
@@ -64,7 +91,10 @@ def wall() -> tuple[Analyser, Analysis, set, set, float]:
 def test_tracked_search_equals_whole_frame_search(wall: tuple) -> None:
     _, analysis, missed, more, worst = wall
     assert not missed and not more and worst < 1e-3
-    assert analysis.summary["frames_measured"] == 159 and analysis.summary["whole_frame_searches"] <= 3
+    assert (
+        analysis.summary["frames_measured"] == 159
+        and analysis.summary["whole_frame_searches"] <= 3
+    )
     assert all(len(f.markers) == 2 for f in analysis.facts)
 
 
@@ -73,13 +103,23 @@ def test_tag_to_tag_distance(wall: tuple) -> None:
     assert np.linalg.norm(place) == pytest.approx(0.531, abs=0.004)
 
 
-def test_object_trembles_less_against_the_picture_and_stays_on_the_marker(wall: tuple) -> None:
-    """The footage's own shaking is in every second difference, and the object has to follow it: what smoothing can and
-    must take away is the trembling relative to the picture."""
+def test_object_trembles_less_against_the_picture_and_stays_on_the_marker(
+    wall: tuple,
+) -> None:
+    """The footage's own shaking is in every second difference, and the object has to follow
+    it: what smoothing can and must take away is the trembling relative to the picture."""
     analyser, analysis = wall[0], wall[1]
-    box = np.array([[x, y, z] for x in (-0.075, 0.075) for y in (-0.05, 0.05) for z in (0.0, 0.15)])
-    raw, smooth = (jitter_px(analysis.facts, box, analyser.folds["markers"].camera, r)[1] for r in (True, False))
-    assert np.nanmedian(smooth) < np.nanmedian(raw) / 3 and np.nanmean(smooth**2) < np.nanmean(raw**2) / 9
+    box = np.array(
+        [[x, y, z] for x in (-0.075, 0.075) for y in (-0.05, 0.05) for z in (0.0, 0.15)]
+    )
+    raw, smooth = (
+        jitter_px(analysis.facts, box, analyser.folds["markers"].camera, r)[1]
+        for r in (True, False)
+    )
+    assert (
+        np.nanmedian(smooth) < np.nanmedian(raw) / 3
+        and np.nanmean(smooth**2) < np.nanmean(raw**2) / 9
+    )
     r = analysis.summary["reprojection_px"]
     assert r["smoothed"]["median"] < 1.1 * r["raw"]["median"] < 0.35
     assert analysis.static == "marker" and analysis.summary["flips_resolved"] == 0
@@ -90,11 +130,15 @@ def test_small_dark_markers() -> None:
     analyser, missed, more, worst = compared(path, SHEET, Camera.guess(320, 180), 3)
     assert not missed and not more and worst < 1e-3
     analysis = analyser.finish()
-    assert analysis.summary["frames_measured"] >= 371 and len(analysis.world_from_marker) == 12
+    assert (
+        analysis.summary["frames_measured"] >= 371 and len(analysis.world_from_marker) == 12
+    )
 
 
 def test_hand_held_tag() -> None:
     path = CLIPS / "SciKit-Surgery-snappysonic" / "aruco_tag.avi"
-    analyser, missed, more, worst = compared(path, (MarkerSpec("4X4_50", 0, 0.05),), Camera.guess(640, 480), 1)
+    analyser, missed, more, worst = compared(
+        path, (MarkerSpec("4X4_50", 0, 0.05),), Camera.guess(640, 480), 1
+    )
     assert not missed and not more and worst < 1e-3
     assert analyser.finish().summary["frames_measured"] == 10

@@ -1,5 +1,6 @@
-"""A picture without an object, painted in numpy by the formulas of docs/methods/watercolor.md: labels by
-every pair of pixel and site, at several places in every pixel, of which it shows the mean."""
+"""A picture without an object, painted in numpy by the formulas of
+docs/methods/watercolor.md: labels by every pair of pixel and site, at several places in
+every pixel, of which it shows the mean."""
 
 from __future__ import annotations
 
@@ -25,13 +26,17 @@ def painted(
     image (h, w, 3) linear;  size_px, flow (n,) : of the cells at the sites
     lines (h, w) : their strength;  places : along a pixel's side"""
     along = (np.arange(places) + 0.5) / places - 0.5
-    labellings = [labelled(sites, image.shape[:2], params, seed, (x, y)) for y in along for x in along]
+    labellings = [
+        labelled(sites, image.shape[:2], params, seed, (x, y)) for y in along for x in along
+    ]
     count = len(sites)
     area = sum(np.bincount(first.ravel(), minlength=count) for first, _, _ in labellings)
     total = np.zeros((count, 3))
     for c in range(3):
         weights = image[..., c].ravel().astype(float)
-        total[:, c] = sum(np.bincount(first.ravel(), weights, count) for first, _, _ in labellings)
+        total[:, c] = sum(
+            np.bincount(first.ravel(), weights, count) for first, _, _ in labellings
+        )
     mean = total / np.maximum(area, 1)[:, None]
     root = toned(washed(mean, sites, size_px, area / len(labellings), params), params)
     paper = paper_grain(seed)[: image.shape[0], : image.shape[1], None] * params.grain
@@ -43,17 +48,38 @@ def painted(
     return np.maximum(out / len(labellings), 0)
 
 
-def labelled(sites: Sites, shape: tuple[int, int], params: WatercolorParams, seed: int, place: tuple[float, float]) -> Labelling:
+def labelled(
+    sites: Sites,
+    shape: tuple[int, int],
+    params: WatercolorParams,
+    seed: int,
+    place: tuple[float, float],
+) -> Labelling:
     """At one place in each pixel."""
     amplitude, (height, width) = params.wobble_px, shape
     moved = np.array(place)[:, None, None] * STEPS
     if amplitude > 0:
         tile = wobble_tile(seed, amplitude, 4 * amplitude + 6, place)
-        moved = moved + tile[:, np.arange(height)[:, None] % tile.shape[1], np.arange(width) % tile.shape[2]]
-    return nearest_two(sites, Rect.of(width, height), np.broadcast_to(moved, (2, height, width)))
+        moved = (
+            moved
+            + tile[
+                :,
+                np.arange(height)[:, None] % tile.shape[1],
+                np.arange(width) % tile.shape[2],
+            ]
+        )
+    return nearest_two(
+        sites, Rect.of(width, height), np.broadcast_to(moved, (2, height, width))
+    )
 
 
-def washed(mean: np.ndarray, sites: Sites, size_px: np.ndarray, area: np.ndarray, params: WatercolorParams) -> np.ndarray:
+def washed(
+    mean: np.ndarray,
+    sites: Sites,
+    size_px: np.ndarray,
+    area: np.ndarray,
+    params: WatercolorParams,
+) -> np.ndarray:
     """(n, 3) square roots, alike neighbours drawn together over all pairs of sites."""
     root = np.sqrt(np.clip(mean, 0, 1))
     place = np.stack([sites.x, sites.y], -1) / STEPS
@@ -83,16 +109,24 @@ def pigment(
     image: np.ndarray, labelling: Labelling, mean: np.ndarray, root: np.ndarray, flow: np.ndarray, paper: np.ndarray,
     params: WatercolorParams,
 ) -> np.ndarray:  # fmt: skip
-    """One painting: alike cells run into each other, unlike ones keep a border, darker towards it."""
+    """One painting: alike cells run into each other, unlike ones keep a border, darker
+    towards it.
+    """
     first, second, farther = labelling
-    near = np.clip(1 - farther / 3.0, 0, 1)[..., None] ** 2  # borders are 1.5 px wide to each side
+    near = (
+        np.clip(1 - farther / 3.0, 0, 1)[..., None] ** 2
+    )  # borders are 1.5 px wide to each side
     own, other = root[first], root[second]
     apart = np.minimum(np.abs(other - own).sum(-1, keepdims=True) / 0.25, 1) ** 2
     step = mean[second] - mean[first]
-    along = ((image - mean[first]) * step).sum(-1, keepdims=True) / ((step**2).sum(-1, keepdims=True) + 1e-9)
+    along = ((image - mean[first]) * step).sum(-1, keepdims=True) / (
+        (step**2).sum(-1, keepdims=True) + 1e-9
+    )
     like = np.clip(2 * (along - 0.5) + near / 2, 0, 1)
     mix = near / 2 * (1 - apart) + apart * np.minimum(3 * near, 1) * like
     colour = (own + mix * (other - own)) ** 2
     thickness = flow[first][..., None] + near / 2 * (flow[second] - flow[first])[..., None]
-    thickness = thickness + params.edge_darkening * apart * near * (1 - 0.3 * near**2) + paper
+    thickness = (
+        thickness + params.edge_darkening * apart * near * (1 - 0.3 * near**2) + paper
+    )
     return colour * (1 - (1 - colour) * thickness)

@@ -1,4 +1,6 @@
-"""The planes of a clip with poses and depth, and the one that the object stands on where no marker says it."""
+"""The planes of a clip with poses and depth, and the one that the object stands on where no
+marker says it.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,14 @@ from typing import Any, Self
 import numpy as np
 
 from arfx.analyse.depth.planes import facing_up, scene_planes
-from arfx.analyse.fold import PLANE, PLANE_MARKER, Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.fold import (
+    PLANE,
+    PLANE_MARKER,
+    Analysis,
+    AnalysisFrame,
+    AnalysisJob,
+    Fold,
+)
 from arfx.analyse.pose.at_rest import RestCheck
 from arfx.analyse.pose.fold import figures
 from arfx.core.facts import INTERPOLATED, MEASURED, FrameFacts
@@ -20,7 +29,8 @@ MAPS = 4  # that planes are looked for in, over the clip
 
 
 class PlanePose(Fold):
-    """Every frame's pose over the dominant plane, whose middle is the world's origin: of a camera at rest, or of given poses.
+    """Every frame's pose over the dominant plane, whose middle is the world's origin: of a
+    camera at rest, or of given poses.
 
     times_s : of the frames;  rest : whether the camera stands still"""
 
@@ -46,39 +56,73 @@ class PlanePose(Fold):
         assert maps is not None
         if given is None and not self.rest.rests:
             raise NothingToDoError(
-                f"--anchor plane: the camera moves ({self.rest.moved_px:.1f} px), and no poses are given",
-                "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a marker",
+                f"--anchor plane: the camera moves ({self.rest.moved_px:.1f} px), and no"
+                " poses are given",
+                "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a"
+                " marker",
             )
-        poses: list[tuple[Pose, bool] | None] = [(Pose.identity(), True)] * len(self.times_s)
+        poses: list[tuple[Pose, bool] | None] = [(Pose.identity(), True)] * len(
+            self.times_s
+        )
         if given is not None:
             poses = given.of_frames(*clip.frame_span, self.job.params.max_gap_s)
         if not any(poses):
             raise NothingToDoError(
-                "--anchor plane: no pose is of the clip's time", "--poses FILE with times that begin with the clip"
+                "--anchor plane: no pose is of the clip's time",
+                "--poses FILE with times that begin with the clip",
             )
         numbers = maps.of_frames(*clip.frame_span)
-        known = [(k, *p) for k, p in zip(numbers, poses, strict=True) if k is not None and p is not None]
-        both = [(k, pose) for k, pose, taken in known if taken] or [(k, pose) for k, pose, _ in known]
+        known = [
+            (k, *p)
+            for k, p in zip(numbers, poses, strict=True)
+            if k is not None and p is not None
+        ]
+        both = [(k, pose) for k, pose, taken in known if taken] or [
+            (k, pose) for k, pose, _ in known
+        ]
         if maps.still and given is None:
             both = both[:1]
-        planes = scene_planes([(maps.load(k, camera.width, camera.height), p) for k, p in spread(both)], camera)
+        planes = scene_planes(
+            [(maps.load(k, camera.width, camera.height), p) for k, p in spread(both)],
+            camera,
+        )
         level = facing_up(planes, [p[0] for p in poses if p is not None])
         if not level:
-            found = f"{len(planes)} planes, none of which faces up" if planes else "no plane"
+            found = (
+                f"{len(planes)} planes, none of which faces up" if planes else "no plane"
+            )
             raise NothingToDoError(
                 f"--anchor plane: the depth shows {found}",
-                "a table or floor has to be seen from above, by a camera held upright; or use a marker",
+                "a table or floor has to be seen from above, by a camera held upright; or"
+                " use a marker",
             )
         plane = level[0].real_plane()
         facts = [FrameFacts(k, t) for k, t in enumerate(self.times_s)]
         for k, pose in enumerate(poses):
             if pose is not None:
-                stands, status = pose[0] @ plane.world_from_plane, MEASURED if pose[1] else INTERPOLATED
-                facts[k] = facts[k].with_(status=status, camera_from_world=stands, raw_camera_from_world=stands, opacity=1.0)
+                stands, status = (
+                    pose[0] @ plane.world_from_plane,
+                    MEASURED if pose[1] else INTERPOLATED,
+                )
+                facts[k] = facts[k].with_(
+                    status=status,
+                    camera_from_world=stands,
+                    raw_camera_from_world=stands,
+                    opacity=1.0,
+                )
         evidence = {"moved_px": self.rest.moved_px} if given is None else {}
-        about = {"kind": PLANE, "poses": "a camera at rest" if given is None else "given", **plane.to_json()}
+        about = {
+            "kind": PLANE,
+            "poses": "a camera at rest" if given is None else "given",
+            **plane.to_json(),
+        }
         bridged = sum(f.status == INTERPOLATED for f in facts)
-        notice = f"{bridged} frames without a pose at their time bridged: interpolated between poses" if bridged else None
+        notice = (
+            f"{bridged} frames without a pose at their time bridged: interpolated between"
+            " poses"
+            if bridged
+            else None
+        )
         return replace(clip, anchor=PLANE_MARKER).adding(
             facts, notice, **figures(facts, (), static_evidence=evidence, anchor=about)
         )
@@ -96,14 +140,30 @@ class RealPlanes(Fold):
             return clip
         camera, sparse = self.job.camera, list[tuple[np.ndarray, Pose]]()
         used: set[int] = set()
-        for f in spread([f for f in clip.facts if f.camera_from_world is not None and f.real_depth is not None]):
+        for f in spread(
+            [
+                f
+                for f in clip.facts
+                if f.camera_from_world is not None and f.real_depth is not None
+            ]
+        ):
             depth, pose = f.real_depth, f.camera_from_world
             if not (maps.still and depth.map in used and pose == sparse[0][1]):
                 used.add(depth.map)
-                sparse.append((maps.load(depth.map, camera.width, camera.height) * np.float32(depth.scale), pose))
-        return replace(clip, real_planes=tuple(p.real_plane() for p in scene_planes(sparse, camera)))
+                sparse.append(
+                    (
+                        maps.load(depth.map, camera.width, camera.height)
+                        * np.float32(depth.scale),
+                        pose,
+                    )
+                )
+        return replace(
+            clip, real_planes=tuple(p.real_plane() for p in scene_planes(sparse, camera))
+        )
 
 
 def spread(items: Sequence[Any]) -> list[Any]:
     """MAPS of them, evenly."""
-    return [items[k] for k in np.linspace(0, len(items) - 1, min(MAPS, len(items))).astype(int)]
+    return [
+        items[k] for k in np.linspace(0, len(items) - 1, min(MAPS, len(items))).astype(int)
+    ]

@@ -1,7 +1,9 @@
-"""Planes of the real scene in a measured depth map: several, robust, each with what its points miss of it (sequential RANSAC).
+"""Planes of the real scene in a measured depth map: several, robust, each with what its
+points miss of it (sequential RANSAC).
 
-Thresholds are multiples of the cloud's own noise. Deterministic. Planes of several maps are brought together in one frame; what
-was seen of one is a mask: its points moved onto it, in cells, the rim smoothed, small holes closed.
+Thresholds are multiples of the cloud's own noise. Deterministic. Planes of several maps are
+brought together in one frame; what was seen of one is a mask: its points moved onto it, in
+cells, the rim smoothed, small holes closed.
 Source: docs/methods/calibration.md#planes.
 Cost: O(points x log points), and O(hypotheses x points) per plane."""
 
@@ -20,7 +22,9 @@ from arfx.core.real_depth import RealPlane
 
 NEIGHBOURS = 24
 MOST_POINTS = 14000  # about so many are taken, evenly over the picture
-LEAST_NOISE_M = 1e-3  # no sensor is better, and rounding to millimetres alone is a third of it
+LEAST_NOISE_M = (
+    1e-3  # no sensor is better, and rounding to millimetres alone is a third of it
+)
 JUMP = 0.05  # of the distance: neighbours farther apart in depth lie on another surface
 MOST_PLANES = 6
 HYPOTHESES = 120
@@ -30,7 +34,9 @@ NEAR = 3.0  # noises: on the plane
 TAKEN = 5.0  # noises: no seed of another plane
 FACING = np.cos(np.radians(30))  # a point's normal agrees with the plane's
 FLAT = 0.6  # share of agreeing neighbours with which a point may be a seed
-PART = 0.1  # of the largest connected part: a smaller one is something else at the same height
+PART = (
+    0.1  # of the largest connected part: a smaller one is something else at the same height
+)
 MOST_CELLS = 160  # along the longer side
 CLOSED = 2.5  # cells: holes and gaps narrower than twice this are closed
 _RIM = 1.5  # cells: standard deviation of the smoothing
@@ -38,16 +44,21 @@ SAME_DEG = 6.0  # planes of two maps are one if they lean less against each othe
 SAME_NOISES, SAME_M = 3.0, 0.015  # and lie so near each other at their middles
 UPRIGHT = np.cos(np.radians(60))
 BORDER = 0.05  # of the picture's size: what lies so near its border may go on beyond
-RIM = 0.06  # of a plane's extent: points so near one of its sides tell whether it ends there
+RIM = (
+    0.06  # of a plane's extent: points so near one of its sides tell whether it ends there
+)
 CUT = 0.15  # share of those on the picture's border from which on it was the picture that ended
 LEAST_AREA_M2 = 0.02  # what nothing can stand on is no plane to stand on
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """points, normals (n, 3) CAMERA axes, metres;  rays (n, 3) : unit, towards the points;  neighbours (n, k) int
+    """points, normals (n, 3) CAMERA axes, metres;  rays (n, 3) : unit, towards the points;
+    neighbours (n, k) int
     noise_m (n,) : standard deviation along the ray
-    flat (n,) : share of the neighbours whose normal agrees;  spacing_m (n,) : of neighbouring points;  pixels (n, 2) x, y"""
+    flat (n,) : share of the neighbours whose normal agrees;  spacing_m (n,) : of
+    neighbouring points;  pixels (n, 2) x, y
+    """
 
     points: np.ndarray
     normals: np.ndarray
@@ -60,8 +71,13 @@ class Cloud:
 
 
 def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
-    """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured. None where too little is."""
-    from scipy.spatial import cKDTree  # 0.2 s with its kin, which a job without measured depth need not take
+    """depth_m : (h, w) along the optical axis, not finite or <= 0 = not measured.
+
+    None where too little is.
+    """
+    from scipy.spatial import (
+        cKDTree,
+    )  # 0.2 s with its kin, which a job without measured depth need not take
 
     with np.errstate(all="ignore"):
         known = np.isfinite(depth_m) & (depth_m > 0)
@@ -83,19 +99,40 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     centred = near - (near * weight[..., None]).sum(1, keepdims=True)
     spread = np.einsum("nki,nkj,nk->nij", centred, centred, weight)
     value, axes = np.linalg.eigh(spread)
-    normals = axes[..., 0] * np.where((axes[..., 0] * points).sum(1, keepdims=True) > 0, -1, 1)
+    normals = axes[..., 0] * np.where(
+        (axes[..., 0] * points).sum(1, keepdims=True) > 0, -1, 1
+    )
     misfit = np.sqrt(np.maximum(value[:, 0], 0))
     trusted = same.mean(1) > 0.9
     # what edges and clutter miss is no noise: the lower half of all
-    rate = float(np.median(np.sort((misfit / z**2)[trusted])[: max(int(trusted.sum() * 0.6), 1)])) if trusted.any() else 0.0
+    rate = (
+        float(
+            np.median(np.sort((misfit / z**2)[trusted])[: max(int(trusted.sum() * 0.6), 1)])
+        )
+        if trusted.any()
+        else 0.0
+    )
     noise = np.maximum(1.5 * rate * z**2, LEAST_NOISE_M)
-    agree = np.abs(np.einsum("ni,nki->nk", normals, normals[index])) > np.cos(np.radians(15))
-    return Cloud(points, normals, normalise(points), index, noise, (agree & same).mean(1), distance[:, 1:5].mean(1), pixels)
+    agree = np.abs(np.einsum("ni,nki->nk", normals, normals[index])) > np.cos(
+        np.radians(15)
+    )
+    return Cloud(
+        points,
+        normals,
+        normalise(points),
+        index,
+        noise,
+        (agree & same).mean(1),
+        distance[:, 1:5].mean(1),
+        pixels,
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPlane:
-    """normal (3,) unit, towards the camera; normal . x = offset_m, CAMERA axes;  inliers : indices into the cloud"""
+    """normal (3,) unit, towards the camera; normal . x = offset_m, CAMERA axes;  inliers :
+    indices into the cloud
+    """
 
     normal: np.ndarray
     offset_m: float
@@ -112,7 +149,9 @@ def find_planes(cloud: Cloud) -> list[FoundPlane]:
         seeds = np.flatnonzero(free & (cloud.flat >= FLAT))
         if len(seeds) < LEAST_FRACTION * count:
             break
-        best = _best_hypothesis(cloud, free, rng.choice(seeds, min(HYPOTHESES, len(seeds)), replace=False))
+        best = _best_hypothesis(
+            cloud, free, rng.choice(seeds, min(HYPOTHESES, len(seeds)), replace=False)
+        )
         found = None if best is None else _refined(cloud, free, *best)
         if found is None:
             break
@@ -139,12 +178,18 @@ def _on(cloud: Cloud, rows: np.ndarray, normal: np.ndarray, offset: float) -> np
     points = cloud.points[rows]
     # noise is along the ray: what of it is across the plane
     slope = np.abs(cloud.rays[rows] @ normal)
-    near = np.abs(points @ normal - offset) < NEAR * np.maximum(cloud.noise_m[rows] * slope, 5e-4)
+    near = np.abs(points @ normal - offset) < NEAR * np.maximum(
+        cloud.noise_m[rows] * slope, 5e-4
+    )
     return np.asarray(rows[near & (np.abs(cloud.normals[rows] @ normal) > FACING)])
 
 
-def _best_hypothesis(cloud: Cloud, free: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """The hypothesis with the most points; the best few are refitted to what lies on them before they are compared."""
+def _best_hypothesis(
+    cloud: Cloud, free: np.ndarray, seeds: np.ndarray
+) -> tuple[np.ndarray, float] | None:
+    """The hypothesis with the most points; the best few are refitted to what lies on them
+    before they are compared.
+    """
     scored = []
     sparse = np.flatnonzero(free)
     sparse = sparse[:: max(1, len(sparse) // SCORED)]
@@ -166,7 +211,9 @@ def _best_hypothesis(cloud: Cloud, free: np.ndarray, seeds: np.ndarray) -> tuple
     return None if best is None or best[0] < 8 else best[1:]
 
 
-def _refined(cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarray, float, np.ndarray] | None:
+def _refined(
+    cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float
+) -> tuple[np.ndarray, float, np.ndarray] | None:
     rows = np.zeros(0, int)
     for _ in range(6):
         rows = _connected(cloud, _on(cloud, np.flatnonzero(free), normal, offset))
@@ -198,7 +245,10 @@ def _connected(cloud: Cloud, rows: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class PlaneMask:
-    """Cells of a plane, its own axes. mask (rows, columns) bool : what was seen;  low_m (2,) : x, y of the first cell's corner"""
+    """Cells of a plane, its own axes.
+
+    mask (rows, columns) bool : what was seen;  low_m (2,) : x, y of the first cell's corner
+    """
 
     mask: np.ndarray
     low_m: np.ndarray
@@ -211,13 +261,25 @@ class PlaneMask:
     @property
     def extent_m(self) -> tuple[float, float, float, float]:
         rows, columns = np.flatnonzero(self.mask.any(1)), np.flatnonzero(self.mask.any(0))
-        x, y = self.low_m[0] + columns[[0, -1]] * self.cell_m, self.low_m[1] + rows[[0, -1]] * self.cell_m
-        return float(x[0]), float(y[0]), float(x[1] + self.cell_m), float(y[1] + self.cell_m)
+        x, y = (
+            self.low_m[0] + columns[[0, -1]] * self.cell_m,
+            self.low_m[1] + rows[[0, -1]] * self.cell_m,
+        )
+        return (
+            float(x[0]),
+            float(y[0]),
+            float(x[1] + self.cell_m),
+            float(y[1] + self.cell_m),
+        )
 
     @property
     def middle_m(self) -> np.ndarray:
-        """(2,) the place nearest the cells' mean that is well inside: as far from the rim as 60 % of what any place is."""
-        room = cv2.distanceTransform(np.pad(self.mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+        """(2,) the place nearest the cells' mean that is well inside: as far from the rim
+        as 60 % of what any place is.
+        """
+        room = cv2.distanceTransform(np.pad(self.mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[
+            1:-1, 1:-1
+        ]
         inside = np.argwhere(room >= 0.6 * room.max())
         seen = np.argwhere(self.mask)
         at = inside[((inside - seen.mean(0)) ** 2).sum(1).argmin()]
@@ -225,9 +287,13 @@ class PlaneMask:
 
 
 def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
-    """positions_m (n, 2) : points moved onto the plane, its axes;  spacing_m (n,) : distance of neighbouring points there"""
+    """positions_m (n, 2) : points moved onto the plane, its axes;  spacing_m (n,) :
+    distance of neighbouring points there
+    """
     low, high = positions_m.min(0), positions_m.max(0)
-    cell = max(float(np.quantile(spacing_m, 0.75)), float((high - low).max()) / MOST_CELLS, 1e-4)
+    cell = max(
+        float(np.quantile(spacing_m, 0.75)), float((high - low).max()) / MOST_CELLS, 1e-4
+    )
     pad = int(np.ceil(CLOSED)) + 1
     size = np.ceil((high - low) / cell).astype(int) + 1 + 2 * pad
     at = np.clip(((positions_m - low) / cell).astype(int) + pad, 0, size - 1)
@@ -241,8 +307,10 @@ def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
 
 @dataclass(frozen=True, eq=False)
 class ScenePlane:
-    """A plane as found in one or several maps. points (n, 3), spacing_m (n,) : what lies on it, world;  up : world;
-    cut (n,) bool : points next to the border of their picture;  right : of the picture, world, for its
+    """A plane as found in one or several maps. points (n, 3), spacing_m (n,) : what lies on
+    it, world;  up : world;
+    cut (n,) bool : points next to the border of their picture;  right : of the picture,
+    world, for its
     x axis;  noise_m : of the points"""
 
     normal: np.ndarray
@@ -268,10 +336,20 @@ class ScenePlane:
         pose = Pose(axes, axes @ np.array([middle[0], middle[1], height]))
         residual_mm = 1e3 * float(np.sqrt(((positions[:, 2] - height) ** 2).mean()))
         ends = self._ends(positions[:, :2])
-        return RealPlane(pose, centred.extent_m, centred.area_m2, residual_mm, len(positions), self.frames, ends)
+        return RealPlane(
+            pose,
+            centred.extent_m,
+            centred.area_m2,
+            residual_mm,
+            len(positions),
+            self.frames,
+            ends,
+        )
 
     def _ends(self, positions: np.ndarray) -> tuple[bool, bool, bool, bool]:
-        """Of the sides x0, y0, x1, y1 of what was seen: whether the plane ends there. places (n, 2), plane axes"""
+        """Of the sides x0, y0, x1, y1 of what was seen: whether the plane ends there.
+        places (n, 2), plane axes
+        """
         low, high = np.quantile(positions, 0.005, 0), np.quantile(positions, 0.995, 0)
         rim = RIM * (high - low)
         near = np.hstack([positions < low + rim, positions > high - rim]).T
@@ -279,8 +357,12 @@ class ScenePlane:
         return a, b, c, d
 
 
-def scene_planes(maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera) -> list[ScenePlane]:
-    """maps : (depth (h, w) metres, 0 = unknown; camera_from_world) of some frames. Those seen most first."""
+def scene_planes(
+    maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera
+) -> list[ScenePlane]:
+    """maps : (depth (h, w) metres, 0 = unknown; camera_from_world) of some frames. Those
+    seen most first.
+    """
     out: list[ScenePlane] = []
     for depth, pose in maps:
         if (cloud := cloud_of(depth, camera)) is not None:
@@ -290,10 +372,14 @@ def scene_planes(maps: Sequence[tuple[np.ndarray, Pose]], camera: Camera) -> lis
                 at, points = cloud.pixels[rows], cloud.points[rows]
                 cosine = np.abs(cloud.rays[rows] @ found.normal)
                 plane = ScenePlane(
-                    world_from_camera.rotation @ found.normal, world_from_camera.apply(points),
-                    divide(cloud.spacing_m[rows], np.clip(cosine, 0.2, 1)), ((at < margin) | (at > size - 1 - margin)).any(1),
-                    world_from_camera.rotation[:, 0], float(np.median(cloud.noise_m[rows])), 1,
-                )  # fmt: skip
+                    world_from_camera.rotation @ found.normal,
+                    world_from_camera.apply(points),
+                    divide(cloud.spacing_m[rows], np.clip(cosine, 0.2, 1)),
+                    ((at < margin) | (at > size - 1 - margin)).any(1),
+                    world_from_camera.rotation[:, 0],
+                    float(np.median(cloud.noise_m[rows])),
+                    1,
+                )
                 _join(out, plane)
     return sorted(out, key=lambda p: -len(p.points))
 
@@ -303,21 +389,27 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
     for k, old in enumerate(planes):
         near = SAME_M + SAME_NOISES * max(old.noise_m, new.noise_m)
         gap = max(
-            abs(float(new.points.mean(0) @ old.normal) - old.offset_m), abs(float(old.points.mean(0) @ new.normal) - new.offset_m)
+            abs(float(new.points.mean(0) @ old.normal) - old.offset_m),
+            abs(float(old.points.mean(0) @ new.normal) - new.offset_m),
         )
         if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
             fraction = len(old.points) / (len(old.points) + len(new.points))
             planes[k] = ScenePlane(
-                normalise(fraction * old.normal + (1 - fraction) * new.normal), np.concatenate([old.points, new.points]),
-                np.concatenate([old.spacing_m, new.spacing_m]), np.concatenate([old.cut, new.cut]), old.right,
+                normalise(fraction * old.normal + (1 - fraction) * new.normal),
+                np.concatenate([old.points, new.points]),
+                np.concatenate([old.spacing_m, new.spacing_m]),
+                np.concatenate([old.cut, new.cut]),
+                old.right,
                 fraction * old.noise_m + (1 - fraction) * new.noise_m,
                 old.frames + new.frames,
-            )  # fmt: skip
+            )
             return
     planes.append(new)
 
 
-def facing_up(planes: Sequence[ScenePlane], camera_from_world: Sequence[Pose]) -> list[ScenePlane]:
+def facing_up(
+    planes: Sequence[ScenePlane], camera_from_world: Sequence[Pose]
+) -> list[ScenePlane]:
     """Those on which something can stand, the one seen most first."""
     up = normalise(-np.mean([p.rotation[1] for p in camera_from_world], 0))
     level = [p for p in planes if p.normal @ up > UPRIGHT]

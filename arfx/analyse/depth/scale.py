@@ -1,4 +1,5 @@
-"""Real depth to the facts, with one factor for the whole clip, from the markers: their distance is known in metres.
+"""Real depth to the facts, with one factor for the whole clip, from the markers: their
+distance is known in metres.
 
 Source: docs/methods/calibration.md#depth."""
 
@@ -32,9 +33,11 @@ _SIGMA = 1.4826  # of a normal distribution, by its median absolute deviation
 
 @dataclass(frozen=True, slots=True)
 class DepthScale(Document):
-    """known : whether the markers tell;  scale : metres of a map to true ones, 1 where not known;  reason : in words
+    """known : whether the markers tell;  scale : metres of a map to true ones, 1 where not
+    known;  reason : in words
 
-    spread : robust standard deviation of a frame's factor, relative;  residual : median over the prints' pixels of how
+    spread : robust standard deviation of a frame's factor, relative;  residual : median
+    over the prints' pixels of how
     much a scaled map misses the marker's plane, relative;  frames : that tell"""
 
     known: bool
@@ -61,8 +64,20 @@ class Depth(Fold):
         if job.depth is None:
             return clip
         of_frames = job.depth.of_frames(*clip.frame_span)
-        facts, about = with_depth(clip.facts, job.depth, of_frames, clip.world_from_marker, job.camera, job.align, job.progress)
-        return clip.adding(facts, None if about["known"] else f"the real depth is not used: {about['reason']}", depth=about)
+        facts, about = with_depth(
+            clip.facts,
+            job.depth,
+            of_frames,
+            clip.world_from_marker,
+            job.camera,
+            job.align,
+            job.progress,
+        )
+        return clip.adding(
+            facts,
+            None if about["known"] else f"the real depth is not used: {about['reason']}",
+            depth=about,
+        )
 
     @staticmethod
     def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
@@ -71,15 +86,32 @@ class Depth(Fold):
         if depth is None:
             return
         missed = "as stated" if depth["residual"] is None else depth["residual"]
-        yield Check("real depth: miss of the markers' planes", missed if depth["known"] else depth["reason"], 0.1, depth["known"],
-                    "not used: the real scene is the markers' planes")  # fmt: skip
+        yield Check(
+            "real depth: miss of the markers' planes",
+            missed if depth["known"] else depth["reason"],
+            0.1,
+            depth["known"],
+            "not used: the real scene is the markers' planes",
+        )
         if depth["known"]:
             without = depth["frames_without"]
-            yield Check("frames without real depth", without, 0, without == 0, "markers' planes there")
+            yield Check(
+                "frames without real depth",
+                without,
+                0,
+                without == 0,
+                "markers' planes there",
+            )
 
 
-def print_ratios(depth_m: np.ndarray, facts: FrameFacts, world_from_marker: Mapping[str, Pose], camera: Camera) -> np.ndarray:
-    """(n,) known over measured distance of the pixels on the prints that the frame shows; n = 0 where none is usable.
+def print_ratios(
+    depth_m: np.ndarray,
+    facts: FrameFacts,
+    world_from_marker: Mapping[str, Pose],
+    camera: Camera,
+) -> np.ndarray:
+    """(n,) known over measured distance of the pixels on the prints that the frame shows; n
+    = 0 where none is usable.
 
     depth_m : (h, w) metres, 0 = unknown, any size of the frame's shape"""
     pose = facts.camera_from_world
@@ -92,16 +124,24 @@ def print_ratios(depth_m: np.ndarray, facts: FrameFacts, world_from_marker: Mapp
             continue
         corners = np.asarray(seen.corners_px, float)
         middle = corners.mean(0)
-        inner = (middle + _INNER * (corners - middle) + 0.5) * [w / camera.width, h / camera.height] - 0.5
+        inner = (middle + _INNER * (corners - middle) + 0.5) * [
+            w / camera.width,
+            h / camera.height,
+        ] - 0.5
         mask = np.zeros((h, w), np.uint8)
         cv2.fillConvexPoly(mask, np.rint(inner).astype(np.int32), (1,))
         y, x = np.nonzero((mask > 0) & (depth_m > 0))
         if len(y) < FEWEST_PX:
             continue
         here = pose @ world_from_marker[seen.key]
-        normal, height = here.rotation[:, 2], float(here.rotation[:, 2] @ here.translation_m)
+        normal, height = (
+            here.rotation[:, 2],
+            float(here.rotation[:, 2] @ here.translation_m),
+        )
         pixels = (np.stack([x, y], -1) + 0.5) * [camera.width / w, camera.height / h] - 0.5
-        known = divide(height, camera.directions(pixels) @ normal)  # the plane's z along each pixel's ray
+        known = divide(
+            height, camera.directions(pixels) @ normal
+        )  # the plane's z along each pixel's ray
         ratio = divide(known, depth_m[y, x])
         out.append(ratio[np.isfinite(ratio) & (ratio > 0)])
     return np.concatenate(out) if out else np.zeros(0)
@@ -113,7 +153,10 @@ def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
     wanted = min(FEWEST_FRAMES, max(len(ratios), 1))
     if len(telling) < wanted:
         return DepthScale(
-            False, f"{len(telling)} frames have depth on a marker's print, at least {wanted} are needed", frames=len(telling)
+            False,
+            f"{len(telling)} frames have depth on a marker's print, at least {wanted} are"
+            " needed",
+            frames=len(telling),
         )
     middles = np.log([np.median(r) for r in telling])
     scale = float(np.exp(np.median(middles)))
@@ -121,24 +164,42 @@ def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
     residual = float(np.median([np.median(np.abs(r / scale - 1)) for r in telling]))
     if spread > MOST_SPREAD or residual > MOST_SPREAD:
         return DepthScale(
-            False, f"depth on the markers is {100 * max(spread, residual):.0f} % off any one scale: not proportional to distance",
-            1.0, spread, residual, len(telling),
-        )  # fmt: skip
-    words = f"scale {scale:.4g}, {100 * spread:.1f} % from frame to frame, from {len(telling)} frames"
+            False,
+            f"depth on the markers is {100 * max(spread, residual):.0f} % off any one"
+            " scale: not proportional to distance",
+            1.0,
+            spread,
+            residual,
+            len(telling),
+        )
+    words = (
+        f"scale {scale:.4g}, {100 * spread:.1f} % from frame to frame, from {len(telling)}"
+        " frames"
+    )
     return DepthScale(True, words, scale, spread, residual, len(telling))
 
 
 def with_depth(
-    facts: Sequence[FrameFacts], maps: Maps, of_frames: Sequence[int | None], world_from_marker: Mapping[str, Pose],
-    camera: Camera, align: bool, progress: Callable[[str, int, int | None], None],
-) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:  # fmt: skip
+    facts: Sequence[FrameFacts],
+    maps: Maps,
+    of_frames: Sequence[int | None],
+    world_from_marker: Mapping[str, Pose],
+    camera: Camera,
+    align: bool,
+    progress: Callable[[str, int, int | None], None],
+) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
     """The facts with `real_depth`, and a summary for the report.
 
-    of_frames : number of each frame's map;  align : scale the maps to the markers' planes, else take them at their word
-    Raises InputError for a map that cannot be read, and where no map holds a valid pixel."""
+    of_frames : number of each frame's map;  align : scale the maps to the markers' planes,
+    else take them at their word
+    Raises InputError for a map that cannot be read, and where no map holds a valid pixel.
+    """
     used = sorted({k for k in of_frames if k is not None})
     if not used:
-        raise InputError(f"depth {maps.path}: no map was taken near the time of any frame", "--set input.depth_start shifts them")
+        raise InputError(
+            f"depth {maps.path}: no map was taken near the time of any frame",
+            "--set input.depth_start shifts them",
+        )
     size = camera.width, camera.height
     frames_of: dict[int, list[int]] = {}
     for n, k in enumerate(of_frames):
@@ -146,32 +207,58 @@ def with_depth(
             frames_of.setdefault(k, []).append(n)
 
     def read(number: int) -> tuple[str, np.ndarray | None, float, list[np.ndarray]]:
-        """Of one map its digest, `tile_ranges` before scaling (None = nothing was measured), share of holes, `print_ratios`."""
+        """Of one map its digest, `tile_ranges` before scaling (None = nothing was
+        measured), share of holes, `print_ratios`.
+        """
         depth = maps.load(number, *size)
         known = float((depth > 0).mean())
         tiles = tile_ranges(depth, size) if known > 0 else None
-        ratios = [print_ratios(depth, facts[n], world_from_marker, camera) for n in frames_of[number]]
+        ratios = [
+            print_ratios(depth, facts[n], world_from_marker, camera)
+            for n in frames_of[number]
+        ]
         return maps.digest(number), tiles, 1 - known, ratios
 
     readings = {}
     with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
-        for done, (number, reading) in enumerate(zip(used, pool.map(read, used), strict=True), 1):
+        for done, (number, reading) in enumerate(
+            zip(used, pool.map(read, used), strict=True), 1
+        ):
             readings[number] = reading
             progress("depth", done, len(used))
     if all(tiles is None for _, tiles, _, _ in readings.values()):
-        raise InputError(f"depth {maps.path} holds no valid pixel: all are 0, not finite or the largest value", "is it depth?")
-    scale = depth_scale([r for *_, ratios in readings.values() for r in ratios]) if align else DepthScale(True, "taken as stated")
+        raise InputError(
+            f"depth {maps.path} holds no valid pixel: all are 0, not finite or the largest"
+            " value",
+            "is it depth?",
+        )
+    scale = (
+        depth_scale([r for *_, ratios in readings.values() for r in ratios])
+        if align
+        else DepthScale(True, "taken as stated")
+    )
     out, got = list(facts), 0
     if scale.known:
         for n, k in enumerate(of_frames):
             if k is not None and (tiles := readings[k][1]) is not None:
                 tiles = (tiles / scale.scale).astype(np.float32)
-                out[n] = out[n].with_(real_depth=RealDepth.of(k, scale.scale, readings[k][0], tiles, scale.noise))
+                out[n] = out[n].with_(
+                    real_depth=RealDepth.of(
+                        k, scale.scale, readings[k][0], tiles, scale.noise
+                    )
+                )
                 got += 1
-    paired = "one map for all" if maps.still else "order" if maps.times_s is None else "time"
+    paired = (
+        "one map for all" if maps.still else "order" if maps.times_s is None else "time"
+    )
     holes = float(np.mean([reading[2] for reading in readings.values()]))
     summary = {
-        "path": str(maps.path), "maps": maps.count, "paired_by": paired, "frames_with": got,
-        "frames_without": len(facts) - got, "holes": holes, **scale.to_json(),
-    }  # fmt: skip
+        "path": str(maps.path),
+        "maps": maps.count,
+        "paired_by": paired,
+        "frames_with": got,
+        "frames_without": len(facts) - got,
+        "holes": holes,
+        **scale.to_json(),
+    }
     return tuple(out), summary

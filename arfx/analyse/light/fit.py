@@ -1,7 +1,9 @@
-"""Which lights make the irradiance that was seen: E(n) = a + sum_l Omega_l max(n.d_l, 0), with 0, 1 or 2 lights.
+"""Which lights make the irradiance that was seen: E(n) = a + sum_l Omega_l max(n.d_l, 0),
+with 0, 1 or 2 lights.
 
-All hypotheses are compared by a criterion (hypotheses.py). The simplest is `measured` where nothing else explains the data,
-`likely` where others do, with a cone that holds the light vectors of all of them, and `refused`, in words, where that cone says
+All hypotheses are compared by a criterion (hypotheses.py). The simplest is `measured` where
+nothing else explains the data, `likely` where others do, with a cone that holds the light
+vectors of all of them, and `refused`, in words, where that cone says
 nothing: then the ambient light is the mean of what was seen.
 Source: Tan, Chen, Sun 2009, eq. (1); docs/methods/light.md#lamps. Cost: 20 to 150 ms."""
 
@@ -14,29 +16,52 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.light.hypotheses import LEAST_SHADOW, LIKELY, MEASURED, REFUSED, Assessment, LightHypotheses, Params
+from arfx.analyse.light.hypotheses import (
+    LEAST_SHADOW,
+    LIKELY,
+    MEASURED,
+    REFUSED,
+    Assessment,
+    LightHypotheses,
+    Params,
+)
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 
-MODEL_ERROR, MOST_ERROR = 0.002, 0.03  # of irradiance, over its bright level: at least, and beyond which the model is wrong
+MODEL_ERROR, MOST_ERROR = (
+    0.002,
+    0.03,
+)  # of irradiance, over its bright level: at least, and beyond which the model is wrong
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
 MOST_SIZE_DEG = 30.0  # disc of a likely light: beyond, no shadow is seen
-MOST_BESIDE_DEG = 60.0  # spread of a light beside which another one's direction says anything
+MOST_BESIDE_DEG = (
+    60.0  # spread of a light beside which another one's direction says anything
+)
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
-NARROW_DEG, MOST_CONDITION = 30.0, 700.0  # of normals within so few degrees: beyond, errors of their poses pass for light
-# Shares of degree 0, 1, 2 of max(c, 0) and of ((c + 1) / 2)^2: their Legendre coefficients times 4 pi / (2 l + 1)
-_COSINE, _DOME = np.pi * np.array([1, 2 / 3, 1 / 4]), np.pi * np.array([4 / 3, 2 / 3, 2 / 15])
+NARROW_DEG, MOST_CONDITION = (
+    30.0,
+    700.0,
+)  # of normals within so few degrees: beyond, errors of their poses pass for light
+# Shares of degree 0, 1, 2 of max(c, 0) and of ((c + 1) / 2)^2: their Legendre coefficients
+# times 4 pi / (2 l + 1)
+_COSINE, _DOME = (
+    np.pi * np.array([1, 2 / 3, 1 / 4]),
+    np.pi * np.array([4 / 3, 2 / 3, 2 / 15]),
+)
 _AT_ONCE = 4096  # normals that are held against all others at a time: bounds memory
 _SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
 
 
 @dataclass(frozen=True, eq=False)
 class FittedLight:
-    """direction : (3,) unit, towards it, frame of the normals;  rgb : (g, 3) irradiance on a surface that faces it, per group
+    """direction : (3,) unit, towards it, frame of the normals;  rgb : (g, 3) irradiance on
+    a surface that faces it, per group
 
-    confidence_deg : half-angle of the 95 % cone of all that explains the data as well: of lamps, if merely likely of light
+    confidence_deg : half-angle of the 95 % cone of all that explains the data as well: of
+    lamps, if merely likely of light
         vectors (180 = the direction is not known)
-    angular_size_deg : full angle of its disc, a default or what the data allow where they do not show it; if merely likely as
+    angular_size_deg : full angle of its disc, a default or what the data allow where they
+    do not show it; if merely likely as
         wide as lamps in its place may be spread, up to 30
     doubt : what else explains the data, in words;  verdict : of its direction"""
 
@@ -49,7 +74,9 @@ class FittedLight:
 
     @property
     def dome(self) -> bool:
-        """Ambient light that is brighter from one side, ((n.d + 1) / 2)^2, not a light that casts a shadow."""
+        """Ambient light that is brighter from one side, ((n.d + 1) / 2)^2, not a light that
+        casts a shadow.
+        """
         return self.angular_size_deg >= 180
 
 
@@ -57,12 +84,16 @@ class FittedLight:
 class LightFit:
     """verdict : of the first light; "refused" = no light
 
-    reason : in words;  ambient_rgb : (g, 3) per group, seen_rgb where refused;  seen_rgb : (g, 3) mean of what was seen
-    lights : the one that gives most of what was seen first; of two only that must be known well: one
+    reason : in words;  ambient_rgb : (g, 3) per group, seen_rgb where refused;  seen_rgb :
+    (g, 3) mean of what was seen
+    lights : the one that gives most of what was seen first; of two only that must be known
+    well: one
         whose direction is not has confidence_deg 180, and is soft light in `light()`
     misfit : chi squared over its degrees of freedom, under a systematic error of model_error
     gamma : exponent found in the values
-    condition : of [1, n], columns of length 1, at most 1e12;  span_deg : of the normals;  ignored : observations"""
+    condition : of [1, n], columns of length 1, at most 1e12;  span_deg : of the normals;
+    ignored : observations
+    """
 
     verdict: str
     reason: str
@@ -82,7 +113,9 @@ class LightFit:
         out = np.broadcast_to(self.ambient_rgb[group], n.shape).copy()
         for li in self.lights:
             c = n @ li.direction
-            out += ((c + 1) ** 2 / 4 if li.dome else np.clip(c, 0, None))[..., None] * li.rgb[group]
+            out += ((c + 1) ** 2 / 4 if li.dome else np.clip(c, 0, None))[
+                ..., None
+            ] * li.rgb[group]
         return out
 
     @property
@@ -98,11 +131,15 @@ class LightFit:
         return on[0].verdict, self.reason
 
     def _is_on(self, light: FittedLight, group: int) -> bool:
-        shown = self.ambient_rgb[group].sum() + sum(li.rgb[group].sum() for li in self.lights)
+        shown = self.ambient_rgb[group].sum() + sum(
+            li.rgb[group].sum() for li in self.lights
+        )
         return bool(light.rgb[group].sum() > LEAST_LIGHT * shown)
 
     def light(self, group: int = 0) -> Light:
-        """As the light that every effect shares: known directions are lights, all else is soft (degree 2 harmonics)."""
+        """As the light that every effect shares: known directions are lights, all else is
+        soft (degree 2 harmonics).
+        """
         on = [li for li in self.lights if self._is_on(li, group)]
         hard = [li for li in on if li.confidence_deg < NO_CONE_DEG]
         rest = [li for li in on if li.confidence_deg >= NO_CONE_DEG]
@@ -113,41 +150,92 @@ class LightFit:
             soft += (fraction * harmonics(li.direction))[:, None] * li.rgb[group]
             ambient = ambient + li.rgb[group] * (1 / 3 if li.dome else 1 / 4)
         lamps = (
-            DirectionalLight(triple(li.direction), triple(li.rgb[group]), li.angular_size_deg, li.confidence_deg) for li in hard
+            DirectionalLight(
+                triple(li.direction),
+                triple(li.rgb[group]),
+                li.angular_size_deg,
+                li.confidence_deg,
+            )
+            for li in hard
         )
-        return Light(triple(ambient), tuple(lamps), "marker", tuple(triple(row) for row in soft) if rest else ())
+        return Light(
+            triple(ambient),
+            tuple(lamps),
+            "marker",
+            tuple(triple(row) for row in soft) if rest else (),
+        )
 
 
 def best_verdict(fits: Iterable[LightFit]) -> str:
     """Of several fits, that of which most is known."""
-    return min((f.verdict for f in fits), key=(MEASURED, LIKELY, REFUSED).index, default=REFUSED)
+    return min(
+        (f.verdict for f in fits), key=(MEASURED, LIKELY, REFUSED).index, default=REFUSED
+    )
 
 
 def fit(
-    normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None = None, group: np.ndarray | None = None,
-    params: Params = Params(), lit: np.ndarray | None = None,  # noqa: B008 - frozen
-) -> LightFit:  # fmt: skip
-    """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);  variance : (k, 3), of noise alone
-    (an error that all share, as the bias has, is ambient light here);  group : (k,) int: directions are shared by all
-    groups, amplitudes are each group's own. What is not finite is left out and counted. Nothing non-finite leaves.
-    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes are shared by all groups too"""
+    normals: np.ndarray,
+    irradiance: np.ndarray,
+    variance: np.ndarray | None = None,
+    group: np.ndarray | None = None,
+    params: Params = Params(),  # noqa: B008 - frozen
+    lit: np.ndarray | None = None,
+) -> LightFit:
+    """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);
+    variance : (k, 3), of noise alone
+    (an error that all share, as the bias has, is ambient light here);  group : (k,) int:
+    directions are shared by all
+    groups, amplitudes are each group's own. What is not finite is left out and counted.
+    Nothing non-finite leaves.
+    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
+    are shared by all groups too
+    """
     s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
     if s is None:
         count = int(np.size(normals) // 3)
-        return LightFit(REFUSED, "no usable observation", np.zeros((1, 3)), np.zeros((1, 3)), ignored=count)
+        return LightFit(
+            REFUSED,
+            "no usable observation",
+            np.zeros((1, 3)),
+            np.zeros((1, 3)),
+            ignored=count,
+        )
     unit = s.normals / np.linalg.norm(s.normals, axis=1, keepdims=True)
-    apart = min(float((unit[k : k + _AT_ONCE] @ unit.T).min()) for k in range(0, len(unit), _AT_ONCE))
+    apart = min(
+        float((unit[k : k + _AT_ONCE] @ unit.T).min())
+        for k in range(0, len(unit), _AT_ONCE)
+    )
     span_deg = float(np.degrees(np.arccos(np.clip(apart, -1, 1))))
-    about: dict[str, Any] = {"condition": min(s.condition(), 1e12), "span_deg": span_deg, "ignored": s.ignored}
+    about: dict[str, Any] = {
+        "condition": min(s.condition(), 1e12),
+        "span_deg": span_deg,
+        "ignored": s.ignored,
+    }
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
-    seen = np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups]) * s.scale  # (g, 3)
-    if span_deg < LEAST_SPAN_DEG or (span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION):
-        why = f"one normal only, as far as poses are known: all lie within {span_deg:.2g} degrees"
+    seen = (
+        np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups])
+        * s.scale
+    )  # (g, 3)
+    if span_deg < LEAST_SPAN_DEG or (
+        span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION
+    ):
+        why = (
+            f"one normal only, as far as poses are known: all lie within {span_deg:.2g}"
+            " degrees"
+        )
         return LightFit(REFUSED, why, seen, seen, **about)
     if len(s.normals) < 4:
-        return LightFit(REFUSED, f"{len(s.normals)} normals only: a direction beside ambient light takes 4", seen, seen, **about)
+        return LightFit(
+            REFUSED,
+            f"{len(s.normals)} normals only: a direction beside ambient light takes 4",
+            seen,
+            seen,
+            **about,
+        )
     error, found = MODEL_ERROR, LightHypotheses(s, params)
-    for _ in range(4):  # what no lights explain is an error of the model, and not one that averages out
+    for _ in range(
+        4
+    ):  # what no lights explain is an error of the model, and not one that averages out
         misfit = min(found.misfit(k) for k in range(len(found.best)))
         if misfit <= 1.5:
             break
@@ -158,15 +246,22 @@ def fit(
         found = LightHypotheses(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
-        why = f"no lights explain what was seen to better than {error:.1%}: exposure or light changed, or the surface is glossy"
+        why = (
+            f"no lights explain what was seen to better than {error:.1%}: exposure or light"
+            " changed, or the surface is glossy"
+        )
         return LightFit(REFUSED, why, seen, seen, misfit=misfit, **about)
     model, count = found.best[found.count], found.count
     s = model.at
     about |= {"misfit": found.misfit(count), "gamma": s.gamma}
     if count == 0:
-        why = "the light is even: no direction stands out, or it comes from behind all normals"
+        why = (
+            "the light is even: no direction stands out, or it comes from behind all"
+            " normals"
+        )
         return LightFit(REFUSED, why, seen, seen, **about)
-    # directions are the exponent's, amplitudes those of the values as they came: what is shown beside them has to match
+    # directions are the exponent's, amplitudes those of the values as they came: what is
+    # shown beside them has to match
     amp = replace(model, at=found.plain).amplitudes()[0] * s.scale[:, None]  # (g, 3, q + 1)
     domes = model.soft >= DOME
     order = np.lexsort([-model.fractions, domes])
@@ -174,17 +269,31 @@ def fit(
     first = known[0]
     if first.verdict == REFUSED:
         return LightFit(REFUSED, first.doubt, seen, seen, **about)
-    if count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED:  # it is so only beside the first
+    if (
+        count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED
+    ):  # it is so only beside the first
         _, cone, spread, doubt = known[1]
-        sound = first.spread_deg <= MOST_BESIDE_DEG and model.fractions[order[1]] >= LEAST_SHADOW
+        sound = (
+            first.spread_deg <= MOST_BESIDE_DEG
+            and model.fractions[order[1]] >= LEAST_SHADOW
+        )
         verdict = LIKELY if sound else REFUSED
         doubt = doubt or "there may be another pair of lights"
-        known[1] = Assessment(verdict, max(cone, params.limit_deg), max(spread, params.limit_deg), doubt)
+        known[1] = Assessment(
+            verdict, max(cone, params.limit_deg), max(spread, params.limit_deg), doubt
+        )
     size_deg = _size_deg(found, domes)
     lights = []
     for i, (verdict, cone, spread, doubt) in zip(order, known, strict=True):
         size = 180.0 if domes[i] else size_deg
-        one = FittedLight(model.dirs[i], amp[:, :, 1 + i], NO_CONE_DEG if verdict == REFUSED else cone, size, verdict, doubt)
+        one = FittedLight(
+            model.dirs[i],
+            amp[:, :, 1 + i],
+            NO_CONE_DEG if verdict == REFUSED else cone,
+            size,
+            verdict,
+            doubt,
+        )
         lights.append(doubted(one, cone, spread, doubt) if verdict == LIKELY else one)
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
@@ -193,16 +302,28 @@ def fit(
     return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
 
 
-def doubted(light: FittedLight, cone_deg: float, spread_deg: float, doubt: str) -> FittedLight:
+def doubted(
+    light: FittedLight, cone_deg: float, spread_deg: float, doubt: str
+) -> FittedLight:
     """The light as a likely one, its disc as wide as lamps in its place may be spread."""
     size_deg = max(light.angular_size_deg, min(spread_deg, MOST_SIZE_DEG))
-    return replace(light, confidence_deg=cone_deg, angular_size_deg=size_deg, verdict=LIKELY, doubt=doubt)
+    return replace(
+        light,
+        confidence_deg=cone_deg,
+        angular_size_deg=size_deg,
+        verdict=LIKELY,
+        doubt=doubt,
+    )
 
 
 def _words(known: Assessment) -> str:
     if known.verdict == MEASURED:
         return f"within {known.cone_deg:.2g} degrees"
-    return f"likely, but {known.doubt}" if known.verdict == LIKELY else f"in a direction that is not known: {known.doubt}"
+    return (
+        f"likely, but {known.doubt}"
+        if known.verdict == LIKELY
+        else f"in a direction that is not known: {known.doubt}"
+    )
 
 
 def _size_deg(found: LightHypotheses, domes: np.ndarray) -> float:
@@ -210,7 +331,12 @@ def _size_deg(found: LightHypotheses, domes: np.ndarray) -> float:
     model = found.best[found.count]
     tried = [np.where(domes, model.soft, np.sin(np.radians(a))) for a in _SIZES_DEG]
     chi2 = np.array([refine(model.at, model.dirs, soft, passes=6).chi2 for soft in tried])
-    bound = found.bound() - found.best_cost[found.count] + model.chi2  # chi squared that is no worse than the best
-    inside, best = np.flatnonzero(chi2 <= max(bound, chi2.min())), 2 * float(_SIZES_DEG[chi2.argmin()])
+    bound = (
+        found.bound() - found.best_cost[found.count] + model.chi2
+    )  # chi squared that is no worse than the best
+    inside, best = (
+        np.flatnonzero(chi2 <= max(bound, chi2.min())),
+        2 * float(_SIZES_DEG[chi2.argmin()]),
+    )
     most = 2 * float(_SIZES_DEG[min(inside[-1] + 1, len(chi2) - 1)])
     return min(DEFAULT_SIZE_DEG, most) if inside[0] == 0 else best

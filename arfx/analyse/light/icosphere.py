@@ -1,7 +1,9 @@
-"""Directions in even steps: the icosahedron, its faces cut into four again and again, all vertices on the unit sphere.
+"""Directions in even steps: the icosahedron, its faces cut into four again and again, all
+vertices on the unit sphere.
 
-All triangles are acute, so the vertex nearest to a direction is a corner of the triangle that holds it: a k-d tree and
-at most six candidate faces locate a direction. Vertex spacing: 16, 8, 4 and 2 degrees at levels 2 to 5."""
+All triangles are acute, so the vertex nearest to a direction is a corner of the triangle
+that holds it: a k-d tree and at most six candidate faces locate a direction. Vertex
+spacing: 16, 8, 4 and 2 degrees at levels 2 to 5."""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ LEVELS = range(6)
 
 @dataclass(frozen=True, eq=False)
 class Icosphere:
-    """vertices : (v, 3) float64 unit, v = 10 * 4^level + 2;  faces : (20 * 4^level, 3) vertex numbers, counter-clockwise
+    """vertices : (v, 3) float64 unit, v = 10 * 4^level + 2;  faces : (20 * 4^level, 3)
+    vertex numbers, counter-clockwise
     seen from outside. Arrays are read-only."""
 
     level: int
@@ -45,16 +48,21 @@ class Icosphere:
         order = np.argsort(self.faces, axis=None, kind="stable")
         counts = np.bincount(self.faces.ravel(), minlength=len(self.vertices))
         starts = np.cumsum(counts) - counts
-        take = starts[:, None] + np.minimum(np.arange(6), np.where(counts == 5, 4, 5)[:, None])
+        take = starts[:, None] + np.minimum(
+            np.arange(6), np.where(counts == 5, 4, 5)[:, None]
+        )
         return (order // 3)[take]
 
     @cached_property
     def _inverse(self) -> np.ndarray:
-        """(f, 3, 3): direction to the weights of its face's corners, before they are scaled to the sum 1."""
+        """(f, 3, 3): direction to the weights of its face's corners, before they are scaled
+        to the sum 1.
+        """
         return np.linalg.inv(np.swapaxes(self.vertices[self.faces], 1, 2))
 
     def nearest(self, directions: np.ndarray) -> np.ndarray:
-        """(...) number of the nearest vertex for directions (..., 3), which need not be of unit length.
+        """(...) number of the nearest vertex for directions (..., 3), which need not be of
+        unit length.
 
         -1 where a direction is zero or not finite."""
         d = normalise(np.asarray(directions, float))
@@ -65,8 +73,8 @@ class Icosphere:
     def locate(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(face (...), weights (..., 3) >= 0 of its corners, sum 1) for directions (..., 3).
 
-        The weights are those of the point where the direction meets the flat face. Face -1 and weights 0 where a direction
-        is zero or not finite."""
+        The weights are those of the point where the direction meets the flat face. Face -1
+        and weights 0 where a direction is zero or not finite."""
         d = normalise(np.asarray(directions, float))
         shape = d.shape[:-1]
         d = d.reshape(-1, 3)
@@ -78,12 +86,17 @@ class Icosphere:
         w = np.clip(weights[rows, best], 0, None)
         total = w.sum(-1, keepdims=True)
         w = np.where((near >= 0)[:, None], w / np.where(total > 0, total, 1), 0)
-        return np.where(near >= 0, faces[rows, best], -1).reshape(shape), w.reshape(*shape, 3)
+        return np.where(near >= 0, faces[rows, best], -1).reshape(shape), w.reshape(
+            *shape, 3
+        )
 
 
 @lru_cache(maxsize=8)
 def icosphere(level: int) -> Icosphere:
-    """The icosahedron cut `level` times (0 to 5). Raises ValueError beyond. Made once per process."""
+    """The icosahedron cut `level` times (0 to 5).
+
+    Raises ValueError beyond. Made once per process.
+    """
     if level not in LEVELS:
         raise ValueError(f"icosphere level {level} is not one of 0 to {LEVELS[-1]}")
     g = (1 + 5**0.5) / 2
@@ -101,12 +114,18 @@ def icosphere(level: int) -> Icosphere:
     )  # fmt: skip
     vertices = normalise(vertices.astype(float))
     for _ in range(level):
-        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+        edges = np.sort(
+            np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1
+        )
         unique, number = np.unique(edges, axis=0, return_inverse=True)
-        a, b, c = (number.reshape(3, -1) + len(vertices)).astype(faces.dtype)  # middles of 01, 12, 20
+        a, b, c = (number.reshape(3, -1) + len(vertices)).astype(
+            faces.dtype
+        )  # middles of 01, 12, 20
         vertices = np.concatenate([vertices, normalise(vertices[unique].sum(1))])
         i, j, k = faces.T
-        faces = np.concatenate([np.stack(f, 1) for f in ((i, a, c), (j, b, a), (k, c, b), (a, b, c))])
+        faces = np.concatenate(
+            [np.stack(f, 1) for f in ((i, a, c), (j, b, a), (k, c, b), (a, b, c))]
+        )
     vertices.setflags(write=False)
     faces.setflags(write=False)
     return Icosphere(level, vertices, faces)

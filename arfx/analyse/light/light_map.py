@@ -1,11 +1,16 @@
-"""Steps of the light, found with a map of irradiance by normal on the vertices of an icosphere, and brightness over time.
+"""Steps of the light, found with a map of irradiance by normal on the vertices of an
+icosphere, and brightness over time.
 
-An observation weighs exp(-theta^2 / 2 s^2) where n.n' > 0, and updates by precision: a vertex's variance grows with time, so that
-light may change, and never falls below what an observation of another normal can tell (x sin theta / sqrt 3).
+An observation weighs exp(-theta^2 / 2 s^2) where n.n' > 0, and updates by precision: a
+vertex's variance grows with time, so that light may change, and never falls below what an
+observation of another normal can tell (x sin theta / sqrt 3).
 
-To the compiled functions observations of all frames lie one after the other: normals, irradiance, variance (k, 3), starts
-(t + 1,) by frame. The map: vertices, value, variance (v, 3).
-Source: Tan, Chen, Sun 2009, eq. (7), (8); docs/methods/light.md#update. Cost: some 5 us per observation at level 3."""
+To the compiled functions observations of all frames lie one after the other: normals,
+irradiance, variance (k, 3), starts (t + 1,) by frame. The map: vertices, value, variance
+(v, 3).
+Source: Tan, Chen, Sun 2009, eq. (7), (8); docs/methods/light.md#update. Cost: some 5 us per
+observation at level 3.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +25,19 @@ from arfx.analyse.pose.kernels import sort
 
 UNKNOWN = 1e12  # variance of what no observation has reached
 REACH = 1e-6  # weight below which an observation does not count
-STEP_SIGMA, STEP_LEAST = 5.0, 0.03  # deviations, and relative difference, from which an observation contradicts the map
+STEP_SIGMA, STEP_LEAST = (
+    5.0,
+    0.03,
+)  # deviations, and relative difference, from which an observation contradicts the map
 STEADY, STEP, OUTLIER = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """The readings of one frame. normals : (k, 3) unit;  irradiance, variance : (k, 3); what is not finite is left out."""
+    """The readings of one frame.
+
+    normals : (k, 3) unit;  irradiance, variance : (k, 3); what is not finite is left out.
+    """
 
     time_s: float
     normals: np.ndarray
@@ -34,23 +45,34 @@ class Observation:
     variance: np.ndarray
 
 
-def changes(seen: Sequence[Observation], level: int = 3, blur_rad: float = 0.2, drift_per_s: float = 0.05) -> np.ndarray:
-    """(t,) per frame STEADY, STEP (the light changed just before it) or OUTLIER (it disagrees alone, and is to be left out).
+def changes(
+    seen: Sequence[Observation],
+    level: int = 3,
+    blur_rad: float = 0.2,
+    drift_per_s: float = 0.05,
+) -> np.ndarray:
+    """(t,) per frame STEADY, STEP (the light changed just before it) or OUTLIER (it
+    disagrees alone, and is to be left out).
 
-    A frame that contradicts the map of those before it begins a step if the next one with observations contradicts that
-    map too, to the same side; the last frame is believed. level, blur_rad, drift_per_s : as in LightParams"""
+    A frame that contradicts the map of those before it begins a step if the next one with
+    observations contradicts that map too, to the same side; the last frame is believed.
+    level, blur_rad, drift_per_s : as in LightParams"""
     if not len(seen):
         return np.zeros(0, int)
     sphere = icosphere(level)
     n, x, v = (
         np.concatenate([np.asarray(a, float).reshape(-1, 3) for a in column])
-        for column in zip(*((o.normals, o.irradiance, o.variance) for o in seen), strict=True)
+        for column in zip(
+            *((o.normals, o.irradiance, o.variance) for o in seen), strict=True
+        )
     )
     starts = np.cumsum([0, *(np.size(o.normals) // 3 for o in seen)])
     face, weights = sphere.locate(np.where(np.isfinite(n), n, 0))
     corners = sphere.faces[np.maximum(face, 0)]
     times = np.array([o.time_s for o in seen], float)
-    return _changes(sphere.vertices, corners, weights, times, starts, n, x, v, blur_rad, drift_per_s)
+    return _changes(
+        sphere.vertices, corners, weights, times, starts, n, x, v, blur_rad, drift_per_s
+    )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -75,12 +97,20 @@ def usable(n, x, v):  # pragma: no cover - compiled
     length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     fine = np.isfinite(length)
     for c in range(3):
-        fine = fine and np.isfinite(x[c]) and np.isfinite(v[c]) and v[c] >= 0 and v[c] < UNKNOWN
+        fine = (
+            fine
+            and np.isfinite(x[c])
+            and np.isfinite(v[c])
+            and v[c] >= 0
+            and v[c] < UNKNOWN
+        )
     return length if fine else 0.0
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def add(vertices, value, variance, normals, x, v, first, last, blur_rad):  # pragma: no cover - compiled
+def add(
+    vertices, value, variance, normals, x, v, first, last, blur_rad
+):  # pragma: no cover - compiled
     """Observations first..last-1, one after the other."""
     sharp = 1 / (2 * blur_rad * blur_rad)
     # beyond this cosine the Gaussian is below REACH
@@ -100,7 +130,9 @@ def add(vertices, value, variance, normals, x, v, first, last, blur_rad):  # pra
             if f <= REACH:
                 continue
             for c in range(3):
-                blind = (1 - cosine * cosine) * x[k, c] ** 2 / 3  # what another normal may receive beside x
+                blind = (
+                    (1 - cosine * cosine) * x[k, c] ** 2 / 3
+                )  # what another normal may receive beside x
                 noise = v[k, c] / f + blind
                 old = variance[i, c]
                 if old >= UNKNOWN:
@@ -113,8 +145,11 @@ def add(vertices, value, variance, normals, x, v, first, last, blur_rad):  # pra
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _contradiction(value, variance, corners, weights, normals, x, v, first, last):  # pragma: no cover - compiled
-    """-1 or 1: darker or brighter than the map beyond its and the frame's uncertainty; 0: neither, or nothing known.
+def _contradiction(
+    value, variance, corners, weights, normals, x, v, first, last
+):  # pragma: no cover - compiled
+    """-1 or 1: darker or brighter than the map beyond its and the frame's uncertainty; 0:
+    neither, or nothing known.
 
     corners, weights (k, 3) : of the map's triangle that holds each observation's normal"""
     most = np.empty(last - first)
@@ -122,7 +157,12 @@ def _contradiction(value, variance, corners, weights, normals, x, v, first, last
     for k in range(first, last):
         fine = True
         for c in range(3):
-            fine = fine and np.isfinite(normals[k, c]) and np.isfinite(x[k, c]) and np.isfinite(v[k, c])
+            fine = (
+                fine
+                and np.isfinite(normals[k, c])
+                and np.isfinite(x[k, c])
+                and np.isfinite(v[k, c])
+            )
         if not fine:
             continue
         far, sure = 0.0, True
@@ -134,7 +174,9 @@ def _contradiction(value, variance, corners, weights, normals, x, v, first, last
             sure = sure and spread < UNKNOWN / 1e3
             off = x[k, c] - expected
             z = off / np.sqrt(spread + max(v[k, c], 0.0) + 1e-24)
-            if abs(off) > STEP_LEAST * max(abs(expected), abs(x[k, c])) and abs(z) > abs(far):
+            if abs(off) > STEP_LEAST * max(abs(expected), abs(x[k, c])) and abs(z) > abs(
+                far
+            ):
                 far = z
         if sure:
             most[n] = far
@@ -147,7 +189,9 @@ def _contradiction(value, variance, corners, weights, normals, x, v, first, last
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _changes(vertices, corners, weights, times_s, starts, normals, x, v, blur_rad, drift_per_s):  # pragma: no cover - compiled
+def _changes(
+    vertices, corners, weights, times_s, starts, normals, x, v, blur_rad, drift_per_s
+):  # pragma: no cover - compiled
     """(t,) STEADY, STEP or OUTLIER: see `changes`."""
     frames, count = len(times_s), len(vertices)
     value, variance = np.zeros((count, 3)), np.empty((count, 3))
@@ -156,14 +200,30 @@ def _changes(vertices, corners, weights, times_s, starts, normals, x, v, blur_ra
             variance[i, c] = UNKNOWN
     kinds = np.zeros(frames, np.int64)
     for i in range(frames):
-        wait(value, variance, times_s[i] - times_s[i - 1] if i else 0.0, drift_per_s, np.bool_(False))
+        wait(
+            value,
+            variance,
+            times_s[i] - times_s[i - 1] if i else 0.0,
+            drift_per_s,
+            np.bool_(False),
+        )
         a, b = starts[i], starts[i + 1]
         side = _contradiction(value, variance, corners, weights, normals, x, v, a, b)
         if side != 0:
             later = side
             for j in range(i + 1, min(i + 3, frames)):
                 if starts[j + 1] > starts[j]:
-                    later = _contradiction(value, variance, corners, weights, normals, x, v, starts[j], starts[j + 1])
+                    later = _contradiction(
+                        value,
+                        variance,
+                        corners,
+                        weights,
+                        normals,
+                        x,
+                        v,
+                        starts[j],
+                        starts[j + 1],
+                    )
                     break
             kinds[i] = STEP if later == side else OUTLIER
             if kinds[i] == OUTLIER:
@@ -174,8 +234,11 @@ def _changes(vertices, corners, weights, times_s, starts, normals, x, v, blur_ra
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def kalman_pass(times_s, value, variance, begins, order, drift_per_s, mean, spread):  # pragma: no cover - compiled
-    """A Kalman filter of a random walk through `order`: mean and spread (n, 3) before each value is taken in.
+def kalman_pass(
+    times_s, value, variance, begins, order, drift_per_s, mean, spread
+):  # pragma: no cover - compiled
+    """A Kalman filter of a random walk through `order`: mean and spread (n, 3) before each
+    value is taken in.
 
     value, variance (n, 3), UNKNOWN = not seen;  begins (n,) : the walk begins anew there"""
     m, s = np.zeros(3), np.array([UNKNOWN, UNKNOWN, UNKNOWN])
@@ -185,7 +248,14 @@ def kalman_pass(times_s, value, variance, begins, order, drift_per_s, mean, spre
             if begins[k]:
                 s[c] = UNKNOWN
             elif i:
-                s[c] = min(s[c] + drift_per_s**2 * abs(times_s[k] - times_s[order[i - 1]]) * m[c] * m[c], UNKNOWN)
+                s[c] = min(
+                    s[c]
+                    + drift_per_s**2
+                    * abs(times_s[k] - times_s[order[i - 1]])
+                    * m[c]
+                    * m[c],
+                    UNKNOWN,
+                )
             mean[k, c], spread[k, c] = m[c], s[c]
             if variance[k, c] < UNKNOWN:
                 total = s[c] + variance[k, c]

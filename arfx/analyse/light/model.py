@@ -1,12 +1,16 @@
-"""The compiled part of fit.py: E(n) = a + sum_l Omega_l max(n.d_l, 0), amplitudes at least 0, for given directions.
+"""The compiled part of fit.py: E(n) = a + sum_l Omega_l max(n.d_l, 0), amplitudes at least
+0, for given directions.
 
-Amplitudes are solved exactly for every set of directions (variable projection). Several directions may form one light (`column`)
-with fixed relative `strength`, and turn together as one `body`.
+Amplitudes are solved exactly for every set of directions (variable projection). Several
+directions may form one light (`column`) with fixed relative `strength`, and turn together
+as one `body`.
 
-Arrays, k samples long in their last axis, so that the loops over them run in vector registers: normals (3, k), means of
-unit vectors; value (3, k) by channel; weight (k,); starts (g + 1,) of the groups; lit (k,) share of the lamps that is on;
-dirs (q, 3) unit; column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a dome; body (q,)
-int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times sqrt(weight)."""
+Arrays, k samples long in their last axis, so that the loops over them run in vector
+registers: normals (3, k), means of unit vectors; value (3, k) by channel; weight (k,);
+starts (g + 1,) of the groups; lit (k,) share of the lamps that is on; dirs (q, 3) unit;
+column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a
+dome; body (q,) int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times
+sqrt(weight)."""
 
 from __future__ import annotations
 
@@ -78,7 +82,9 @@ def _solve_subset(G, h, mask, x):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _non_negative(G, h, best):  # pragma: no cover - compiled
-    """Minimise x.G.x - 2 x.h over x >= 0 (m <= 4) into `best`: all free if that is feasible, else the best of all subsets."""
+    """Minimise x.G.x - 2 x.h over x >= 0 (m <= 4) into `best`: all free if that is
+    feasible, else the best of all subsets.
+    """
     m = len(h)
     x = np.zeros(4)
     lowest = 0.0
@@ -100,8 +106,12 @@ def _non_negative(G, h, best):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _fill_columns(seen: Observations, dirs, columns: Columns, A):  # pragma: no cover - compiled
-    """A (m + 1, k) : what each column's lights give each normal, of strength 1; the first is ambient light."""
+def _fill_columns(
+    seen: Observations, dirs, columns: Columns, A
+):  # pragma: no cover - compiled
+    """A (m + 1, k) : what each column's lights give each normal, of strength 1; the first
+    is ambient light.
+    """
     normals, lit, (column, strength, soft, _) = seen.normals, seen.lit, columns
     k = normals.shape[1]
     for p in range(len(A)):
@@ -112,7 +122,9 @@ def _fill_columns(seen: Observations, dirs, columns: Columns, A):  # pragma: no 
         row = A[column[q] + 1]
         if s >= 1:  # a dome: not switched with the lamps
             for i in range(k):
-                low = max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z + 1, 0.0)
+                low = max(
+                    normals[0, i] * x + normals[1, i] * y + normals[2, i] * z + 1, 0.0
+                )
                 row[i] += size * low * low / 4
         elif s > 0:
             scale = 1 / (4 * s)
@@ -122,7 +134,11 @@ def _fill_columns(seen: Observations, dirs, columns: Columns, A):  # pragma: no 
                 row[i] += size * lit[i] * (c if c >= s else low * low * scale)
         else:
             for i in range(k):
-                row[i] += size * lit[i] * max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z, 0.0)
+                row[i] += (
+                    size
+                    * lit[i]
+                    * max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z, 0.0)
+                )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
@@ -134,8 +150,12 @@ def _dot(a, b):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)
-def _solve_amplitudes(seen: Observations, A, B, amp, residual):  # pragma: no cover - compiled
-    """Chi squared of the columns A with the best amplitudes; B (m + 1, k) is scratch, amp and residual are filled."""
+def _solve_amplitudes(
+    seen: Observations, A, B, amp, residual
+):  # pragma: no cover - compiled
+    """Chi squared of the columns A with the best amplitudes; B (m + 1, k) is scratch, amp
+    and residual are filled.
+    """
     value, weight, starts = seen.value, seen.weight, seen.starts
     m, k = A.shape
     G, h = np.empty((m, m)), np.empty(m)
@@ -171,7 +191,9 @@ def _solve_amplitudes(seen: Observations, A, B, amp, residual):  # pragma: no co
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def evaluate(seen: Observations, dirs, columns: Columns, amp, residual, contribution):  # pragma: no cover - compiled
+def evaluate(
+    seen: Observations, dirs, columns: Columns, amp, residual, contribution
+):  # pragma: no cover - compiled
     """Chi squared of one set of directions with the best amplitudes; amp and residual are filled.
 
     contribution (g, m + 1) : filled with the sum of what each column gives, times weight"""
@@ -222,11 +244,15 @@ def _turn(v, w, out):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def refine(seen: Observations, dirs, columns: Columns, body, passes, gain):  # pragma: no cover - compiled
-    """Levenberg-Marquardt over the rotations of the bodies, dirs moved in place; returns chi squared.
+def refine(
+    seen: Observations, dirs, columns: Columns, body, passes, gain
+):  # pragma: no cover - compiled
+    """Levenberg-Marquardt over the rotations of the bodies, dirs moved in place; returns
+    chi squared.
 
     Ends after `passes`, or where one gains less than the share `gain`. The
-    Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one meaningless."""
+    Jacobian is taken by differences of .03 degrees: the kink of max() makes a finer one
+    meaningless."""
     k, q, m = seen.normals.shape[1], len(dirs), columns.lights
     bodies = 0
     for i in range(q):

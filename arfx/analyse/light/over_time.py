@@ -2,11 +2,14 @@
 
 1. constant: one fit for all;
 2. switched: the lamps are all on or all off between one step of the light and the next;
-3. segments: the directions of the clip, colours and brightness of their own between one step and the next;
-4. shared: the same, with a factor for every frame where frames show several normals, else in windows of a few seconds;
+3. segments: the directions of the clip, colours and brightness of their own between one
+   step and the next;
+4. shared: the same, with a factor for every frame where frames show several normals, else
+   in windows of a few seconds;
 5. windows: a fit for each segment that holds alone, or for each window.
-The next one is tried where the one before does not explain the observations, or only with a second light. A light that is refused
-for another reason stays refused: cut into pieces, its evidence only gets less. Source: docs/methods/light.md#time."""
+The next one is tried where the one before does not explain the observations, or only with a
+second light. A light that is refused for another reason stays refused: cut into pieces, its
+evidence only gets less. Source: docs/methods/light.md#time."""
 
 from __future__ import annotations
 
@@ -24,16 +27,29 @@ from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
 
 _APART_DEG = 10.0
-_AGREE_DEG = 3.0  # between the halves of a clip whose brightness wanders while one normal is seen at a time
-CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = "constant", "switched", "segments", "shared", "windows"
+# between the halves of a clip whose brightness wanders while one normal is seen at a time
+_AGREE_DEG = 3.0
+CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = (
+    "constant",
+    "switched",
+    "segments",
+    "shared",
+    "windows",
+)
 _GOOD_ERROR = 0.006  # model error up to which an account holds
-_MOST_DRIFT = 0.02  # of the level, `drift`: an account under which normals change more does not hold
+_MOST_DRIFT = (
+    0.02  # of the level, `drift`: an account under which normals change more does not hold
+)
 _CELL_LEVEL = 4  # 4 degrees: within, normals count as one
 _WINDOW_S = 0.25
 _LEAST_PIECE = 8  # observations of a segment whose light can be asked for
-_JUMP_SIGMA, _LEAST_JUMP = 8.0, 0.03  # of a step between two frames: usual deviations, share of the level
+_JUMP_SIGMA, _LEAST_JUMP = (
+    8.0,
+    0.03,
+)  # of a step between two frames: usual deviations, share of the level
 _LEAST_FRAMES = 0.8  # share of the frames that show normals apart
-_APART = 0.97  # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
+# length of a frame's mean normal, below which its normals are apart: 28 degrees between two
+_APART = 0.97
 _PASSES = 60
 
 
@@ -48,46 +64,88 @@ class Span:
 
 
 def fit_over_time(
-    times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray | None = None,
-    breaks_s: Sequence[float] = (), window_s: float = 2.0, params: Params = Params(),  # noqa: B008 - frozen
-) -> tuple[str, list[Span]]:  # fmt: skip
-    """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from the first to the last observation).
+    times_s: np.ndarray,
+    normals: np.ndarray,
+    irradiance: np.ndarray,
+    variance: np.ndarray | None = None,
+    breaks_s: Sequence[float] = (),
+    window_s: float = 2.0,
+    params: Params = Params(),  # noqa: B008 - frozen
+) -> tuple[str, list[Span]]:
+    """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from
+    the first to the last observation).
 
-    times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3) as in fit.fit
+    times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3)
+    as in fit.fit
     breaks_s : times at which the light steps (light_map.changes); no span crosses one
-    window_s : length of a window, at most. Observations without a finite time are left out."""
+    window_s : length of a window, at most. Observations without a finite time are left out.
+    """
     times = np.asarray(times_s, float).ravel()
-    n, E = np.asarray(normals, float).reshape(-1, 3), np.asarray(irradiance, float).reshape(-1, 3)
-    v = np.zeros(E.shape) if variance is None else np.broadcast_to(np.asarray(variance, float), E.shape)
-    fine = np.isfinite(times) & np.isfinite(n).all(1) & np.isfinite(E).all(1) & np.isfinite(v).all(1)
+    n, E = (
+        np.asarray(normals, float).reshape(-1, 3),
+        np.asarray(irradiance, float).reshape(-1, 3),
+    )
+    v = (
+        np.zeros(E.shape)
+        if variance is None
+        else np.broadcast_to(np.asarray(variance, float), E.shape)
+    )
+    fine = (
+        np.isfinite(times)
+        & np.isfinite(n).all(1)
+        & np.isfinite(E).all(1)
+        & np.isfinite(v).all(1)
+    )
     n, E, v = n[fine], E[fine], v[fine]
     if not fine.any():
-        return CONSTANT, [Span(0.0, 0.0, replace(fit(n, E, v, None, params), ignored=len(fine)), 0)]
+        return CONSTANT, [
+            Span(0.0, 0.0, replace(fit(n, E, v, None, params), ignored=len(fine)), 0)
+        ]
     order = np.argsort(times[fine], kind="stable")  # what lies between two times is a slice
     times, n, E, v = times[fine][order], n[order], E[order], v[order]
 
-    def run(rows: np.ndarray | slice, group: np.ndarray | None, lit: np.ndarray | None = None, lights: int = 2) -> LightFit:
+    def run(
+        rows: np.ndarray | slice,
+        group: np.ndarray | None,
+        lit: np.ndarray | None = None,
+        lights: int = 2,
+    ) -> LightFit:
         p = replace(params, most_lights=min(params.most_lights, lights))
-        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit)
+        return fit(
+            n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit
+        )
 
-    # where most frames show normals that are apart, changing light is distinguished from a changing direction
+    # where most frames show normals that are apart, changing light is distinguished from a
+    # changing direction
     several = np.mean(_mean_lengths(times, n) < np.cos(np.radians(_APART_DEG / 2))) > 0.5
     agree_deg = params.limit_deg if several else min(params.limit_deg, _AGREE_DEG)
 
-    def confirmed(found: LightFit, halves: Sequence[np.ndarray | slice], group: np.ndarray | None) -> LightFit:
+    def confirmed(
+        found: LightFit, halves: Sequence[np.ndarray | slice], group: np.ndarray | None
+    ) -> LightFit:
         """By halves that say where the lights are, if there are as many."""
         if not found.claimed:
             return found
-        return _confirmed(found, [run(rows, group, None, len(found.lights)) for rows in halves], agree_deg, params)
+        return _confirmed(
+            found,
+            [run(rows, group, None, len(found.lights)) for rows in halves],
+            agree_deg,
+            params,
+        )
 
-    def holds(found: LightFit, group: np.ndarray | None, rows: np.ndarray | slice = slice(None)) -> bool:
+    def holds(
+        found: LightFit, group: np.ndarray | None, rows: np.ndarray | slice = slice(None)
+    ) -> bool:
         if not found.claimed or found.model_error > _GOOD_ERROR:
             return False
         return drift(times[rows], n[rows], E[rows], group) <= _MOST_DRIFT
 
     def between(a: float, b: float) -> slice:
         """From a up to b; the last observation is in the last one."""
-        return slice(int(np.searchsorted(times, a)), len(times) if b == stop else int(np.searchsorted(times, b)))
+        return slice(
+            int(np.searchsorted(times, a)),
+            len(times) if b == stop else int(np.searchsorted(times, b)),
+        )
 
     every = np.ones(len(times), bool)
     start, stop = float(times.min()), float(times.max())
@@ -95,9 +153,16 @@ def fit_over_time(
     constant = run(every, None)
     if constant.model_error <= _GOOD_ERROR and drift(times, n, E) <= _MOST_DRIFT:
         return CONSTANT, [Span(start, stop, constant, 0)]
-    breaks_s = [*breaks_s, *(j for j in jumps(times, E) if all(abs(j - b) > _WINDOW_S for b in breaks_s))]
-    segments, windows = window_edges(start, stop, breaks_s, np.inf), window_edges(start, stop, breaks_s, window_s)
-    best_refusal = constant  # the account whose refusal says most: the first that explains what was seen
+    breaks_s = [
+        *breaks_s,
+        *(j for j in jumps(times, E) if all(abs(j - b) > _WINDOW_S for b in breaks_s)),
+    ]
+    segments, windows = (
+        window_edges(start, stop, breaks_s, np.inf),
+        window_edges(start, stop, breaks_s, window_s),
+    )
+    # the account whose refusal says most: the first that explains what was seen
+    best_refusal = constant
     held: list[tuple[str, LightFit, list[Span]]] = []  # accounts that explain it
     if (lit := switches(times, E, segments)) is not None:
         group = _group(times, segments)
@@ -105,9 +170,20 @@ def fit_over_time(
         if holds(found, lit[group].astype(int)):
             dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
             fits = [found if on else dark for on in lit]
-            held.append((SWITCHED, found, [Span(a, b, f, 0) for f, (a, b) in zip(fits, pairwise(segments), strict=True)]))
+            held.append(
+                (
+                    SWITCHED,
+                    found,
+                    [
+                        Span(a, b, f, 0)
+                        for f, (a, b) in zip(fits, pairwise(segments), strict=True)
+                    ],
+                )
+            )
     for name, edges in ((SEGMENTS, segments), (SHARED, windows)):
-        if held and (name == SHARED or held[0][1].verdict == MEASURED or len(held[0][1].lights) == 1):
+        if held and (
+            name == SHARED or held[0][1].verdict == MEASURED or len(held[0][1].lights) == 1
+        ):
             continue
         group = _group(times, edges)
         if name == SEGMENTS and len(edges) < 3:
@@ -117,15 +193,26 @@ def fit_over_time(
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
                 return SHARED, [Span(start, stop, pumped, 0)]
         shared = run(every, group)
-        best_refusal = shared if shared.model_error <= _GOOD_ERROR < best_refusal.model_error else best_refusal
+        best_refusal = (
+            shared
+            if shared.model_error <= _GOOD_ERROR < best_refusal.model_error
+            else best_refusal
+        )
         if holds(shared, group):
             if name == SHARED:
                 shared = confirmed(shared, [~late, late], group)
             if shared.claimed:
                 present = np.unique(group)  # the groups that fit numbers
-                spans = [Span(a, b, shared, int(np.abs(present - g).argmin())) for g, (a, b) in enumerate(pairwise(edges))]
+                spans = [
+                    Span(a, b, shared, int(np.abs(present - g).argmin()))
+                    for g, (a, b) in enumerate(pairwise(edges))
+                ]
                 held.append((name, shared, spans))
-    name, best, spans = min(held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)), default=(WINDOWS, None, []))
+    name, best, spans = min(
+        held,
+        key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)),
+        default=(WINDOWS, None, []),
+    )
     if best is not None and len(best.lights) == 1:
         return name, spans
     pieces = [between(a, b) for a, b in pairwise(segments)]
@@ -145,7 +232,10 @@ def fit_over_time(
             continue
         for c, d in pairwise(window_edges(a, b, (), window_s)):
             inside = between(c, d)
-            middle = min(max(int(np.searchsorted(times, (c + d) / 2, side="right")), inside.start), inside.stop)
+            middle = min(
+                max(int(np.searchsorted(times, (c + d) / 2, side="right")), inside.start),
+                inside.stop,
+            )
             halves = [slice(inside.start, middle), slice(middle, inside.stop)]
             spans.append(Span(c, d, confirmed(run(inside, None), halves, None), 0))
     if any(s.fit.claimed for s in spans):
@@ -156,8 +246,11 @@ def fit_over_time(
     return CONSTANT, [Span(start, stop, last, 0)]
 
 
-def switches(times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]) -> np.ndarray | None:
-    """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where steps do not go down and up in turn.
+def switches(
+    times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]
+) -> np.ndarray | None:
+    """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where
+    steps do not go down and up in turn.
 
     What a step does is seen from the observations right before and after it."""
     light, order = np.asarray(irradiance, float).mean(1), np.argsort(times_s, kind="stable")
@@ -167,34 +260,49 @@ def switches(times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]
         at = int(np.searchsorted(t, edge))
         if not 0 < at < len(t):
             return None
-        signs.append(np.sign(light[at:][t[at:] == t[at]].mean() - light[:at][t[:at] == t[at - 1]].mean()))
+        signs.append(
+            np.sign(
+                light[at:][t[at:] == t[at]].mean() - light[:at][t[:at] == t[at - 1]].mean()
+            )
+        )
     if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
         return None
     return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
 
 
 def jumps(times_s: np.ndarray, irradiance: np.ndarray) -> list[float]:
-    """Times at which the light of one normal after the other jumps: from one frame to the next it changes by far more, and
-    otherwise, than before and after. Empty where frames show several normals: what is seen of them may change."""
+    """Times at which the light of one normal after the other jumps: from one frame to the
+    next it changes by far more, and otherwise, than before and after. Empty where frames
+    show several normals: what is seen of them may change."""
     t, first, count = np.unique(times_s, return_index=True, return_counts=True)
     if len(t) < 8 or (count > 1).any():
         return []
     light = np.asarray(irradiance, float).mean(1)[first]
     step = np.diff(light)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(step, 3, mode="edge"), 7)[:, [0, 1, 2, 4, 5, 6]]
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(step, 3, mode="edge"), 7)[
+        :, [0, 1, 2, 4, 5, 6]
+    ]
     off = np.abs(step - np.median(around, 1))
     usual = 1.4826 * float(np.median(off))
     near = np.diff(t) < 2 * np.median(np.diff(t))
     near[:3] = near[-3:] = False
-    found = near & (off > _JUMP_SIGMA * usual) & (off > _LEAST_JUMP * np.percentile(light, 90))
+    found = (
+        near & (off > _JUMP_SIGMA * usual) & (off > _LEAST_JUMP * np.percentile(light, 90))
+    )
     at = np.flatnonzero(found)
-    alone = np.diff(at, prepend=-9) > 3  # two in a row are a frame that disagrees, or a highlight that passes
+    alone = (
+        np.diff(at, prepend=-9) > 3
+    )  # two in a row are a frame that disagrees, or a highlight that passes
     alone &= np.append(alone[1:], True)
     return [float((t[i] + t[i + 1]) / 2) for i in at[alone]]
 
 
-def window_edges(start_s: float, stop_s: float, breaks_s: Sequence[float], window_s: float) -> list[float]:
-    """Ascending times from start to stop: every break inside, and even cuts between that are at most window_s apart."""
+def window_edges(
+    start_s: float, stop_s: float, breaks_s: Sequence[float], window_s: float
+) -> list[float]:
+    """Ascending times from start to stop: every break inside, and even cuts between that
+    are at most window_s apart.
+    """
     inside = sorted({float(b) for b in breaks_s if np.isfinite(b) and start_s < b < stop_s})
     out = [start_s]
     for a, b in pairwise([start_s, *inside, stop_s]):
@@ -206,7 +314,10 @@ def window_edges(start_s: float, stop_s: float, breaks_s: Sequence[float], windo
 def _mean_lengths(times: np.ndarray, n: np.ndarray) -> np.ndarray:
     """(frames,) length of each frame's mean normal: below 1 where its normals are apart."""
     frame = np.unique(times, return_inverse=True)[1]
-    mean = np.stack([np.bincount(frame, n[:, i]) for i in range(3)], 1) / np.bincount(frame)[:, None]
+    mean = (
+        np.stack([np.bincount(frame, n[:, i]) for i in range(3)], 1)
+        / np.bincount(frame)[:, None]
+    )
     return np.asarray(np.linalg.norm(mean, axis=1))
 
 
@@ -214,8 +325,11 @@ def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
     return np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
 
 
-def _exposure_drift_fit(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params) -> LightFit | None:
-    """The light under one factor per frame (`gains`); None where that is not to be had, does not hold, or is refused.
+def _exposure_drift_fit(
+    times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params
+) -> LightFit | None:
+    """The light under one factor per frame (`gains`); None where that is not to be had,
+    does not hold, or is refused.
 
     A second light is left soft: what the factors are off by looks like one."""
     g = gains(times, n, E) if len(times) else None
@@ -223,7 +337,10 @@ def _exposure_drift_fit(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.n
         return None
     frame, found = np.unique(times, return_inverse=True)[1], None
     rough = replace(params, gamma_sigma=0.0)
-    for p in (rough, params):  # harmonics bend where a lamp sets: the factors once more, from the lights themselves
+    for p in (
+        rough,
+        params,
+    ):  # harmonics bend where a lamp sets: the factors once more, from the lights themselves
         found = fit(n, E / g[:, None], v / g[:, None] ** 2, None, p)
         if not found.claimed:
             return None
@@ -232,52 +349,91 @@ def _exposure_drift_fit(times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.n
             return None
     if found is None or drift(times, n, E / g[:, None]) > _MOST_DRIFT:
         return None
-    soft = (replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED) for li in found.lights[1:])
+    soft = (
+        replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED) for li in found.lights[1:]
+    )
     return replace(found, lights=(found.lights[0], *soft))
 
 
-def _confirmed(found: LightFit, halves: Sequence[LightFit], agree_deg: float, params: Params) -> LightFit:
-    """`found` with its first light's cone widened to what the halves say: beyond agree_deg likely, beyond the limit refused."""
+def _confirmed(
+    found: LightFit, halves: Sequence[LightFit], agree_deg: float, params: Params
+) -> LightFit:
+    """`found` with its first light's cone widened to what the halves say: beyond agree_deg
+    likely, beyond the limit refused.
+    """
     first, off = found.lights[0], 0.0
     for half in halves:
         apart = [angle_between(li.direction, first.direction) for li in half.lights]
         off = max(off, float(np.degrees(min(apart, default=np.inf))))
-    if off > (params.limit_deg if params.likely and found.model_error <= _GOOD_ERROR else agree_deg):
-        why = "the light or the exposure changes, and no two parts of the clip agree on a direction"
-        return replace(found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb)
+    if off > (
+        params.limit_deg
+        if params.likely and found.model_error <= _GOOD_ERROR
+        else agree_deg
+    ):
+        why = (
+            "the light or the exposure changes, and no two parts of the clip agree on a"
+            " direction"
+        )
+        return replace(
+            found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb
+        )
     if off <= agree_deg:
         first = replace(first, confidence_deg=max(first.confidence_deg, off))
         return replace(found, lights=(first, *found.lights[1:]))
     doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
     first = doubted(first, max(first.confidence_deg, 2 * off), 2 * off, doubt)
-    return replace(found, verdict=LIKELY, reason=f"{found.reason}; {doubt}", lights=(first, *found.lights[1:]))
+    return replace(
+        found,
+        verdict=LIKELY,
+        reason=f"{found.reason}; {doubt}",
+        lights=(first, *found.lights[1:]),
+    )
 
 
-def drift(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray, group: np.ndarray | None = None) -> float:
-    """Root mean square over time, relative to the level, of how normals differ from themselves at other times of a group.
+def drift(
+    times_s: np.ndarray,
+    normals: np.ndarray,
+    irradiance: np.ndarray,
+    group: np.ndarray | None = None,
+) -> float:
+    """Root mean square over time, relative to the level, of how normals differ from
+    themselves at other times of a group.
 
-    times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of a second, so that noise is little."""
+    times_s : (k,);  normals, irradiance : (k, 3);  group : (k,) int. Means of a quarter of
+    a second, so that noise is little.
+    """
     light = np.asarray(irradiance, float).mean(1)
     level = float(np.percentile(light, 90)) if len(light) else 0.0
     if level <= 0:
         return 0.0
     H = harmonics(normals)
-    off = (light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]) / level  # slope within a cell taken out
+    off = (
+        light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]
+    ) / level  # slope within a cell taken out
     g = np.zeros(len(light), int) if group is None else np.asarray(group)
-    cell = np.unique(g * len(icosphere(_CELL_LEVEL).vertices) + icosphere(_CELL_LEVEL).nearest(normals), return_inverse=True)[1]
+    cell = np.unique(
+        g * len(icosphere(_CELL_LEVEL).vertices) + icosphere(_CELL_LEVEL).nearest(normals),
+        return_inverse=True,
+    )[1]
     count = np.bincount(cell)
     off = off - (np.bincount(cell, off) / count)[cell]
     repeated = count[cell] > 1
-    window = np.unique(np.floor((times_s - times_s.min()) / _WINDOW_S), return_inverse=True)[1]
+    window = np.unique(
+        np.floor((times_s - times_s.min()) / _WINDOW_S), return_inverse=True
+    )[1]
     many = np.bincount(window, repeated)
     mean = divide(np.bincount(window, off), many)
     return float(np.sqrt(divide((many * mean**2).sum(), many.sum())))
 
 
-def gains(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray) -> np.ndarray | None:
-    """(k,) factor of each observation's frame, median 1; None where frames do not show several normals apart.
+def gains(
+    times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray
+) -> np.ndarray | None:
+    """(k,) factor of each observation's frame, median 1; None where frames do not show
+    several normals apart.
 
-    Alternating least squares of the factors and of the irradiance in harmonics up to degree 2."""
+    Alternating least squares of the factors and of the irradiance in harmonics up to degree 2.
+    """
     if np.mean(_mean_lengths(times_s, normals) < _APART) < _LEAST_FRAMES:
         return None
     frame = np.unique(times_s, return_inverse=True)[1]
@@ -293,6 +449,9 @@ def gains(times_s: np.ndarray, normals: np.ndarray, irradiance: np.ndarray) -> n
 
 
 def matched(frame: np.ndarray, model: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """(frames,) factors that bring the model (k,) to the light (k,) seen, median 1. frame : (k,) int from 0 on, no gaps"""
+    """(frames,) factors that bring the model (k,) to the light (k,) seen, median 1.
+
+    frame : (k,) int from 0 on, no gaps
+    """
     g = divide(np.bincount(frame, model * light), np.bincount(frame, model * model))
     return divide(g, float(np.median(g)), where_zero=1.0)

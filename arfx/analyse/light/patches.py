@@ -1,10 +1,13 @@
-"""A print as a light meter: robust means of a marker's black and white cells, or of a pattern's dark and bright ones, in one
-frame, in linear light.
+"""A print as a light meter: robust means of a marker's black and white cells, or of a
+pattern's dark and bright ones, in one frame, in linear light.
 
-Samples lie on a grid inside every cell, away from its edges, read bilinearly (pixel centres at integers). What biases a mean
-beyond its noise goes into its variance. `comparable` gives a fit readings of one kind where prints are partly overexposed;
-`real_shadow` is what lies on the anchor's print already, against the brightest quarter, which is taken for lit.
-Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about .2 ms for a marker of 270 px."""
+Samples lie on a grid inside every cell, away from its edges, read bilinearly (pixel centres
+at integers). What biases a mean beyond its noise goes into its variance. `comparable` gives
+a fit readings of one kind where prints are partly overexposed; `real_shadow` is what lies
+on the anchor's print already, against the brightest quarter, which is taken for lit.
+Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about .2 ms for
+a marker of 270 px.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +30,22 @@ from arfx.core.numerics import HALF_GREY, divide
 # black top left, top right, bottom left, bottom right, then white in the same order
 PATCHES = kernels.PATCHES
 CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB
-OVEREXPOSED = 0.02  # share of a reading's paper samples that are clipped, from which the paper says nothing exact
+# share of a reading's paper samples that are clipped, from which the paper says nothing
+# exact
+OVEREXPOSED = 0.02
 FEW = 0.15  # of the readings: so many spoilt ones can be left out
 _OUT = 2.5  # deviations from the median of a reading's ink patches, beyond which one counts less
-LEAST_LEFT = 0.7  # of the brightest quarter's light; above it vignetting, a near lamp or gloss may be the reason
+# of the brightest quarter's light; above it vignetting, a near lamp or gloss may be the
+# reason
+LEAST_LEFT = 0.7
 
 
 @serialisable
 @dataclass(frozen=True, eq=False)
 class Patches:
     """One print in one frame. mean : (8, 3) linear RGB, 0 where count is 0
-    variance : (8, 3) of that mean, noise and known biases;  count : (8,) samples used;  clipped : (8,) share of all samples
+    variance : (8, 3) of that mean, noise and known biases;  count : (8,) samples used;
+    clipped : (8,) share of all samples
     albedo : (8, 3) linear, None = a marker's ink and paper, by `WHITE`"""
 
     mean: np.ndarray
@@ -48,17 +56,28 @@ class Patches:
 
 
 WHITE = np.arange(PATCHES) >= PATCHES // 2
-GRID, CHOSEN = 10, 8  # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
+GRID, CHOSEN = (
+    10,
+    8,
+)  # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
 ROUGH = 4.0  # deviations within a cell by which it counts as less bright, or less dark
 FINE = 8  # points of the albedo map along a cell's side
-SOFT = (0.0, 0.35, 0.7, 1.4)  # deviations, in these points, by which the map is blurred: one meter for each
+SOFT = (
+    0.0,
+    0.35,
+    0.7,
+    1.4,
+)  # deviations, in these points, by which the map is blurred: one meter for each
 DIM = 0.2  # albedo: a quarter of a pattern whose bright cells are darker tells no shadow
 
 
 class Meter(NamedTuple):
-    """Which cells of a print are read. cells : (n, n) int8, 1 bright, 0 dark, -1 not used; row 0 at the top, column 0 at the left
+    """Which cells of a print are read. cells : (n, n) int8, 1 bright, 0 dark, -1 not used;
+    row 0 at the top, column 0 at the left
     of the print's corners_m;  albedo : as of `Patches`
-    scale : (m, m, 3) float32 over the print, its patch's albedo over that of the place;  None = all of a patch is alike"""
+    scale : (m, m, 3) float32 over the print, its patch's albedo over that of the place;
+    None = all of a patch is alike
+    """
 
     cells: np.ndarray
     albedo: np.ndarray | None = None
@@ -70,48 +89,83 @@ def marker_meter(spec: MarkerSpec) -> Meter:
 
 
 def meter_for(meters: Sequence[Meter], side_px: float, blur_px: float) -> Meter:
-    """The one of a print whose map is blurred as the print is in the frame, where its side is so long."""
+    """The one of a print whose map is blurred as the print is in the frame, where its side
+    is so long.
+    """
     soft = np.array(SOFT[: len(meters)])
     return meters[int(np.abs(soft - blur_px * GRID * FINE / max(side_px, 1.0)).argmin())]
 
 
-def pattern_meter(picture: np.ndarray, ink: float, paper: float, soft: float = 0.0) -> Meter:
-    """Of a print by its picture (h, w, 3), linear: in every quarter the brightest and the darkest cells, even ones first.
+def pattern_meter(
+    picture: np.ndarray, ink: float, paper: float, soft: float = 0.0
+) -> Meter:
+    """Of a print by its picture (h, w, 3), linear: in every quarter the brightest and the
+    darkest cells, even ones first.
 
-    Its white is the paper's albedo and its black the ink's. Between these printers differ: so the ends are read. A patch has the
-    harmonic mean of its albedos, so that scaling what is seen to it leaves the camera's bias as it is."""
+    Its white is the paper's albedo and its black the ink's. Between these printers differ:
+    so the ends are read. A patch has the harmonic mean of its albedos, so that scaling what
+    is seen to it leaves the camera's bias as it is."""
     size, half = GRID * FINE, GRID // 2
     seen = cv2.resize(picture, (size, size), interpolation=cv2.INTER_AREA)
-    seen = cv2.GaussianBlur(seen, (0, 0), soft, borderType=cv2.BORDER_REPLICATE) if soft else seen
+    seen = (
+        cv2.GaussianBlur(seen, (0, 0), soft, borderType=cv2.BORDER_REPLICATE)
+        if soft
+        else seen
+    )
     map_ = ink + (paper - ink) * seen.astype(float)
-    split = map_.reshape(GRID, FINE, GRID, FINE, 3).transpose(0, 2, 1, 3, 4)  # (row, column, y, x, channel)
+    split = map_.reshape(GRID, FINE, GRID, FINE, 3).transpose(
+        0, 2, 1, 3, 4
+    )  # (row, column, y, x, channel)
     grey = split.mean(-1)
     level, rough = grey.mean((2, 3)), ROUGH * grey.std((2, 3))
     inverse = (1 / split).mean((2, 3))
-    chosen, albedo, scale = np.full((GRID, GRID), -1, np.int8), np.zeros((PATCHES, 3)), np.ones((GRID, GRID, FINE, FINE, 3))
+    chosen, albedo, scale = (
+        np.full((GRID, GRID), -1, np.int8),
+        np.zeros((PATCHES, 3)),
+        np.ones((GRID, GRID, FINE, FINE, 3)),
+    )
     for q in range(PATCHES // 2):
-        rows, columns = slice(q // 2 * half, (q // 2 + 1) * half), slice(q % 2 * half, (q % 2 + 1) * half)
+        rows, columns = (
+            slice(q // 2 * half, (q // 2 + 1) * half),
+            slice(q % 2 * half, (q % 2 + 1) * half),
+        )
         order = np.argsort(level[rows, columns], axis=None, kind="stable")
-        for white, part, sign in ((0, order[: half**2 // 2], -1), (1, order[half**2 // 2 :], 1)):
+        for white, part, sign in (
+            (0, order[: half**2 // 2], -1),
+            (1, order[half**2 // 2 :], 1),
+        ):
             score = (sign * level - rough)[rows, columns].ravel()[part]
-            at = np.unravel_index(part[np.argsort(-score, kind="stable")[:CHOSEN]], (half, half))
+            at = np.unravel_index(
+                part[np.argsort(-score, kind="stable")[:CHOSEN]], (half, half)
+            )
             mean = 1 / inverse[rows, columns][at].mean(0)
-            chosen[rows, columns][at], scale[rows, columns][at] = white, mean / split[rows, columns][at]
+            chosen[rows, columns][at], scale[rows, columns][at] = (
+                white,
+                mean / split[rows, columns][at],
+            )
             albedo[PATCHES // 2 * white + q] = mean
-    return Meter(chosen, albedo, scale.transpose(0, 2, 1, 3, 4).reshape(size, size, 3).astype(np.float32))
+    return Meter(
+        chosen,
+        albedo,
+        scale.transpose(0, 2, 1, 3, 4).reshape(size, size, 3).astype(np.float32),
+    )
 
 
 def albedos(patches: Sequence[Patches], ink: float, paper: float) -> np.ndarray:
     """(t, 8, 3) linear albedo of every patch."""
     marker = np.repeat(np.where(WHITE, paper, ink)[:, None], 3, 1)
-    return np.array([marker if p.albedo is None else p.albedo for p in patches]).reshape(-1, PATCHES, 3)
+    return np.array([marker if p.albedo is None else p.albedo for p in patches]).reshape(
+        -1, PATCHES, 3
+    )
 
 
 @cache
 def cells(family: str, number: int) -> np.ndarray:
-    """(n, n) bool, True = paper, border included; row 0 at the top, column 0 at the left of MarkerSpec.corners_m.
+    """(n, n) bool, True = paper, border included; row 0 at the top, column 0 at the left of
+    MarkerSpec.corners_m.
 
-    family, number : FAMILIES key and id; as printed, not inverted. The array is read-only."""
+    family, number : FAMILIES key and id; as printed, not inverted. The array is read-only.
+    """
     n = cells_per_side(family)
     out = cv2.aruco.generateImageMarker(dictionary(family), number, n) > 127
     out.setflags(write=False)
@@ -120,10 +174,14 @@ def cells(family: str, number: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SamplePoints:
-    """Where the samples of one print lie. corner : (k, 2) int32, upper left of the four pixels around each (x, y)
-    part : (k, 2) from there to the next ones, 0..1;  group : (k,) int32 patch;  scale : (k, 3) factor that makes a patch even
+    """Where the samples of one print lie. corner : (k, 2) int32, upper left of the four
+    pixels around each (x, y)
+    part : (k, 2) from there to the next ones, 0..1;  group : (k,) int32 patch;  scale : (k,
+    3) factor that makes a patch even
     last : (x, y) of the picture's last pixel
-    shared : samples that have their noise in common;  leak : share of the contrast that blur brings in from other cells"""
+    shared : samples that have their noise in common;  leak : share of the contrast that
+    blur brings in from other cells
+    """
 
     corner: np.ndarray
     part: np.ndarray
@@ -141,45 +199,90 @@ class SamplePoints:
 
 
 def place_samples(
-    quad_px: np.ndarray, cells: np.ndarray, inverted: bool, blur_px: float, shape: tuple[int, int],
+    quad_px: np.ndarray,
+    cells: np.ndarray,
+    inverted: bool,
+    blur_px: float,
+    shape: tuple[int, int],
     scale: np.ndarray | None = None,
-) -> SamplePoints:  # fmt: skip
+) -> SamplePoints:
     """Samples of a print in a picture of shape (rows, columns); none for a quad that is bent.
 
-    quad_px : (4, 2) order of MarkerSpec.corners_m;  cells : `cells(family, id)`, or of a Meter;  inverted : white on black print
+    quad_px : (4, 2) order of MarkerSpec.corners_m;  cells : `cells(family, id)`, or of a
+    Meter;  inverted : white on black print
     blur_px : standard deviation of the edges' blur;  scale : of a Meter"""
     rows, columns = shape
     most = len(cells) ** 2 * kernels.MOST_SAMPLES**2
-    corner, part, group = np.empty((most, 2), np.int32), np.empty((most, 2)), np.empty(most, np.int32)
+    corner, part, group = (
+        np.empty((most, 2), np.int32),
+        np.empty((most, 2)),
+        np.empty(most, np.int32),
+    )
     noise = np.array([1.0, 0.0])
     quad, white = np.ascontiguousarray(quad_px, float), np.asarray(cells, np.int8)
     white = 1 - white if inverted else white
-    count = kernels.place_samples(quad, white, blur_px, columns, rows, corner, part, group, noise)
+    count = kernels.place_samples(
+        quad, white, blur_px, columns, rows, corner, part, group, noise
+    )
     last = (max(columns - 1, 0), max(rows - 1, 0))
     even = np.ones((count, 3))
     if scale is not None and count:
         side = len(scale)
-        unit = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32) - np.float32(0.5)
+        unit = np.array(
+            [[0, 0], [side, 0], [side, side], [0, side]], np.float32
+        ) - np.float32(0.5)
         turn = cv2.getPerspectiveTransform(quad.astype(np.float32), unit)
-        at = cv2.perspectiveTransform((corner[:count] + part[:count])[:, None], turn).astype(np.float32)
-        even = cv2.remap(scale, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0].astype(float)
-    return SamplePoints(corner[:count], part[:count], group[:count], even, last, float(noise[0]), float(noise[1]))
+        at = cv2.perspectiveTransform(
+            (corner[:count] + part[:count])[:, None], turn
+        ).astype(np.float32)
+        even = cv2.remap(
+            scale, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )[:, 0].astype(float)
+    return SamplePoints(
+        corner[:count],
+        part[:count],
+        group[:count],
+        even,
+        last,
+        float(noise[0]),
+        float(noise[1]),
+    )
 
 
-def reduced(pixels: np.ndarray, points: SamplePoints, albedo: np.ndarray | None = None) -> Patches:
-    """Patches of the samples. pixels : (4 k, 3) float32 linear RGB at `points.pixels()`;  albedo : of the Meter"""
+def reduced(
+    pixels: np.ndarray, points: SamplePoints, albedo: np.ndarray | None = None
+) -> Patches:
+    """Patches of the samples.
+
+    pixels : (4 k, 3) float32 linear RGB at `points.pixels()`;  albedo : of the Meter
+    """
     mean, spread, variance, tally = (np.zeros((PATCHES, 3)) for _ in range(4))
-    kernels.reduce(pixels, points.part, points.group, points.scale, CLIP_LOW, CLIP_HIGH, HALF_GREY, mean, spread, tally)
-    kernels.uncertainty(mean, spread, tally, points.shared, points.leak, HALF_GREY, _cut_offs(), variance)
+    kernels.reduce(
+        pixels,
+        points.part,
+        points.group,
+        points.scale,
+        CLIP_LOW,
+        CLIP_HIGH,
+        HALF_GREY,
+        mean,
+        spread,
+        tally,
+    )
+    kernels.uncertainty(
+        mean, spread, tally, points.shared, points.leak, HALF_GREY, _cut_offs(), variance
+    )
     used, clipped, every = tally.T
     return Patches(mean, variance, used.astype(int), clipped / np.maximum(every, 1), albedo)
 
 
 def cut_off(fraction: np.ndarray) -> np.ndarray:
-    """Deviation, over that of one sample, that a mean gets where a share of its samples was clipped and dropped.
+    """Deviation, over that of one sample, that a mean gets where a share of its samples was
+    clipped and dropped.
 
-    For a normal distribution that is cut off at one end its mean is off by a third of this; but samples are not spread
-    normally, and the error is the same in every frame. So the print's other colour decides where one is partly clipped."""
+    For a normal distribution that is cut off at one end its mean is off by a third of this;
+    but samples are not spread normally, and the error is the same in every frame. So the
+    print's other colour decides where one is partly clipped."""
     from scipy.special import ndtri
 
     p = np.clip(fraction, 0, 0.99)
@@ -193,12 +296,22 @@ def _cut_offs() -> np.ndarray:
 
 
 def stack(patches: Sequence[Patches]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN where nothing was measured."""
+    """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN
+    where nothing was measured.
+    """
     shape = (len(patches), PATCHES, 3)
-    intensity, variance, clipped = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape[:2])
+    intensity, variance, clipped = (
+        np.full(shape, np.nan),
+        np.full(shape, np.nan),
+        np.zeros(shape[:2]),
+    )
     for i, p in enumerate(patches):
         seen = p.count > 0
-        intensity[i, seen], variance[i, seen], clipped[i] = p.mean[seen], p.variance[seen], p.clipped
+        intensity[i, seen], variance[i, seen], clipped[i] = (
+            p.mean[seen],
+            p.variance[seen],
+            p.clipped,
+        )
     return intensity, variance, clipped
 
 
@@ -210,7 +323,8 @@ def comparable(
     clipped: np.ndarray,
     albedo: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(light y (t, 3), its own variance (t, 3), (t,) readings of one kind, for a fit over normals). Arguments as for `solve`.
+    """(light y (t, 3), its own variance (t, 3), (t,) readings of one kind, for a fit over
+    normals). Arguments as for `solve`.
 
     albedo : (t, p, 3), None = that of a marker's ink for all dark patches"""
     overexposed = p.seen & (np.where(white, clipped, 0).sum(1) > OVEREXPOSED * white.sum())
@@ -225,18 +339,33 @@ def comparable(
         value, variance = value * scale, variance * scale**2
     fine = np.isfinite(value) & np.isfinite(variance) & (variance > 0)
     inked = fine.any(1)
-    middle = np.where(inked, np.nanmedian(np.where(inked[:, None], np.where(fine, value, np.nan), 0.0), 1), 0.0)
-    off = np.abs(np.where(fine, value - middle[:, None], 0)) / np.sqrt(np.where(fine, variance, 1))
-    w = np.where(fine, divide(1.0, np.where(fine, variance, 1)), 0) * np.minimum(1, divide(_OUT, off, where_zero=1.0))
+    middle = np.where(
+        inked,
+        np.nanmedian(np.where(inked[:, None], np.where(fine, value, np.nan), 0.0), 1),
+        0.0,
+    )
+    off = np.abs(np.where(fine, value - middle[:, None], 0)) / np.sqrt(
+        np.where(fine, variance, 1)
+    )
+    w = np.where(fine, divide(1.0, np.where(fine, variance, 1)), 0) * np.minimum(
+        1, divide(_OUT, off, where_zero=1.0)
+    )
     total = w.sum(1)
     y = divide((w * np.where(fine, value, 0)).sum(1), total) / p.ink
     own = divide(1.0, total * p.ink**2) * p.misfit**2
     known = (inked & np.isfinite(y)).all(1)
-    return np.where(known[:, None], y, p.y), np.where(known[:, None], own, p.var_y_own), p.seen & known
+    return (
+        np.where(known[:, None], y, p.y),
+        np.where(known[:, None], own, p.var_y_own),
+        p.seen & known,
+    )
 
 
-def quadrant_radiance(mean: np.ndarray, count: np.ndarray, bias: np.ndarray, albedo: np.ndarray | None = None) -> np.ndarray:
-    """(..., 4) light of paper in the print's quadrants (top left, top right, bottom left, bottom right), NaN = not seen.
+def quadrant_radiance(
+    mean: np.ndarray, count: np.ndarray, bias: np.ndarray, albedo: np.ndarray | None = None
+) -> np.ndarray:
+    """(..., 4) light of paper in the print's quadrants (top left, top right, bottom left,
+    bottom right), NaN = not seen.
 
     mean (..., 8, 3), count (..., 8), albedo (..., 8, 3) : of Patches"""
     white = slice(PATCHES // 2, PATCHES)
@@ -248,17 +377,27 @@ def quadrant_radiance(mean: np.ndarray, count: np.ndarray, bias: np.ndarray, alb
 
 
 def clearly_shadowed(light: np.ndarray) -> np.ndarray:
-    """(...) whether a quadrant is clearly darker than the brightest one. light : (..., 4) of `quadrant_radiance`"""
-    low, high = light.min(-1), light.max(-1)  # NaN where a quarter was not seen: nothing is clear there
+    """(...) whether a quadrant is clearly darker than the brightest one.
+
+    light : (..., 4) of `quadrant_radiance`
+    """
+    low, high = (
+        light.min(-1),
+        light.max(-1),
+    )  # NaN where a quarter was not seen: nothing is clear there
     return (high > 0) & (low <= LEAST_LEFT * high)
 
 
 def real_shadow(light: np.ndarray, corners_m: np.ndarray) -> PlaneShadow | None:
     """The real shadow on the anchor's print, None where no quarter is clearly darker.
 
-    light : (4,) of `quadrant_radiance`;  corners_m : (4, 3) of the print. Anchor axes: x right, y up."""
+    light : (4,) of `quadrant_radiance`;  corners_m : (4, 3) of the print. Anchor axes: x
+    right, y up.
+    """
     if not clearly_shadowed(light):
         return None
-    top_left, top_right, bottom_left, bottom_right = np.clip(divide(light, light.max()), 0, 1).tolist()
+    top_left, top_right, bottom_left, bottom_right = np.clip(
+        divide(light, light.max()), 0, 1
+    ).tolist()
     x, y, _ = corners_m.max(0).tolist()
     return PlaneShadow((-x, -y, x, y), ((bottom_left, bottom_right), (top_left, top_right)))

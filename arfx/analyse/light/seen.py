@@ -1,15 +1,21 @@
-"""What the clip saw of its surroundings: maps at times, in the axes that are at rest, about the place where the object stands.
+"""What the clip saw of its surroundings: maps at times, in the axes that are at rest, about
+the place where the object stands.
 
-Small pictures are kept now and then. When all poses are known, each texel of a map finds its pixel in each of them; near in time
-counts most, so that the map follows the clip and what is at rest does not flicker. What was seen once in a shot stays known.
-Around what was seen the map goes on smoothly, less and less known: there the guess of surroundings.py takes over.
+Small pictures are kept now and then. When all poses are known, each texel of a map finds
+its pixel in each of them; near in time counts most, so that the map follows the clip and
+what is at rest does not flicker. What was seen once in a shot stays known. Around what was
+seen the map goes on smoothly, less and less known: there the guess of surroundings.py takes
+over.
 
-A camera beside the object sees a wall in another direction than the object does. The surroundings are taken for a sphere about
-the object; its radius is the one at which the pictures agree best, infinite where they do not tell.
+A camera beside the object sees a wall in another direction than the object does. The
+surroundings are taken for a sphere about the object; its radius is the one at which the
+pictures agree best, infinite where they do not tell.
 
-Radiance is a share of the frame's light (`Light.mean_radiance`), so exposure does not matter. A lamp that is a light of its own
-is cut out. Source: docs/methods/gi.md#environment; the radius: plane sweep (Collins 1996), with spheres. Leaves out: things at
-several distances, people who walk through. Cost: some 10 ms for a look, some 30 ms for a shot's radius."""
+Radiance is a share of the frame's light (`Light.mean_radiance`), so exposure does not
+matter. A lamp that is a light of its own is cut out. Source:
+docs/methods/gi.md#environment; the radius: plane sweep (Collins 1996), with spheres. Leaves
+out: things at several distances, people who walk through. Cost: some 10 ms for a look, some
+30 ms for a shot's radius."""
 
 from __future__ import annotations
 
@@ -34,10 +40,28 @@ MOST_MAPS = 64  # in a clip, beside one for each shot: beyond that they lie fart
 NEAR_S = 1.0  # time in which a look's weight falls to 1 / e, before and after it
 LASTING = 1e-3  # weight of any other look of the shot
 EDGE = 0.12  # of a picture's shorter side, along which its weight falls to 0
-NEARNESSES = (0.0, 0.05, 0.07, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6)  # the camera's mean distance over the radius
+NEARNESSES = (
+    0.0,
+    0.05,
+    0.07,
+    0.1,
+    0.13,
+    0.17,
+    0.22,
+    0.28,
+    0.36,
+    0.46,
+    0.6,
+)  # the camera's mean distance over the radius
 SWEEP_PX, SWEEP_LOOKS = 24, 10
-BETTER, ALIKE = 0.95, 1e-4  # nearer surroundings have to bring the disagreement down to this share of it, and by that much
-COARSEST_PX, GROWS = 4, 3.0  # how far, and how much at each step to coarser texels, what was seen reaches beyond its border
+BETTER, ALIKE = (
+    0.95,
+    1e-4,
+)  # nearer surroundings have to bring the disagreement down to this share of it, and by that much
+COARSEST_PX, GROWS = (
+    4,
+    3.0,
+)  # how far, and how much at each step to coarser texels, what was seen reaches beyond its border
 BRIGHT = 2.0  # times the mean of what was seen
 LAMP_DEG = 15.0  # around a lamp in which bright pixels are the lamp
 LAMP = (0.75, 0.95)  # linear light from which they are partly and wholly
@@ -52,21 +76,34 @@ class Look:
     picture: np.ndarray
 
 
-Seen = tuple[tuple[FrameFacts, ...], dict[str, np.ndarray]]  # facts with `seen_environment`, and the maps that they name
+Seen = tuple[
+    tuple[FrameFacts, ...], dict[str, np.ndarray]
+]  # facts with `seen_environment`, and the maps that they name
 
 
 def with_seen(
-    facts: Sequence[FrameFacts], looks: Sequence[Look], camera: Camera, still_camera: bool, centre_m: np.ndarray, up: np.ndarray
-) -> Seen:  # fmt: skip
-    """still_camera : the axes at rest are the camera's, else the world's;  centre_m, up (3,) : of the anchor, WORLD"""
+    facts: Sequence[FrameFacts],
+    looks: Sequence[Look],
+    camera: Camera,
+    still_camera: bool,
+    centre_m: np.ndarray,
+    up: np.ndarray,
+) -> Seen:
+    """still_camera : the axes at rest are the camera's, else the world's;  centre_m, up
+    (3,) : of the anchor, WORLD
+    """
     by_shot: dict[int, list[_Posed]] = {}
     for look in looks:
         f = facts[look.frame]
         if f.camera_from_world is not None and f.light is not None:
-            by_shot.setdefault(f.shot, []).append(_Posed.of(look, f, camera, still_camera, centre_m))
+            by_shot.setdefault(f.shot, []).append(
+                _Posed.of(look, f, camera, still_camera, centre_m)
+            )
     maps: dict[str, np.ndarray] = {}
     keys: dict[int, tuple[np.ndarray, list[str]]] = {}
-    apart_s = max(KEY_S, sum(p[-1].time_s - p[0].time_s for p in by_shot.values()) / MOST_MAPS)
+    apart_s = max(
+        KEY_S, sum(p[-1].time_s - p[0].time_s for p in by_shot.values()) / MOST_MAPS
+    )
     for shot, posed in by_shot.items():
         inverse_radius = 0.0 if still_camera else _inverse_radius(posed, up)
         first, last = posed[0].time_s, posed[-1].time_s
@@ -79,21 +116,40 @@ def with_seen(
             times, names = keys[f.shot]
             place = np.interp(f.time_s, times, np.arange(len(times)))
             k = min(int(place), len(names) - 1)
-            axes = tuple(f.camera_from_world.rotation.ravel().tolist()) if still_camera else None
+            axes = (
+                tuple(f.camera_from_world.rotation.ravel().tolist())
+                if still_camera
+                else None
+            )
             pair = names[k], names[min(k + 1, len(names) - 1)]
-            f = f.with_(seen_environment=SeenEnvironment(pair, round(float(place - k), 4), axes))
+            f = f.with_(
+                seen_environment=SeenEnvironment(pair, round(float(place - k), 4), axes)
+            )
         out.append(f)
     return tuple(out), maps
 
 
-def given_everywhere(facts: Sequence[FrameFacts], panorama: np.ndarray, world_from_anchor: np.ndarray) -> Seen:
-    """The same of a picture of all surroundings, as surroundings.from_panorama takes it. world_from_anchor : (3, 3)"""
+def given_everywhere(
+    facts: Sequence[FrameFacts], panorama: np.ndarray, world_from_anchor: np.ndarray
+) -> Seen:
+    """The same of a picture of all surroundings, as surroundings.from_panorama takes it.
+
+    world_from_anchor : (3, 3)
+    """
     faces = turned(from_panorama(panorama, FACE_PX), np.asarray(world_from_anchor).T)
     faces = np.clip(divide(faces, faces.mean()), 0, 6e4)  # its scale means nothing
     maps: dict[str, np.ndarray] = {}
-    name = _named(np.concatenate([faces, np.ones_like(faces[..., :1])], -1).astype(np.float16), maps)
+    name = _named(
+        np.concatenate([faces, np.ones_like(faces[..., :1])], -1).astype(np.float16), maps
+    )
     seen = SeenEnvironment((name, name), 0.0)
-    return tuple(f if f.camera_from_world is None else f.with_(seen_environment=seen) for f in facts), maps
+    return (
+        tuple(
+            f if f.camera_from_world is None else f.with_(seen_environment=seen)
+            for f in facts
+        ),
+        maps,
+    )
 
 
 def _named(rgba: np.ndarray, maps: dict[str, np.ndarray]) -> str:
@@ -104,8 +160,11 @@ def _named(rgba: np.ndarray, maps: dict[str, np.ndarray]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Posed:
-    """A look in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the anchor, camera axes
-    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps : directions, axes at rest"""
+    """A look in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the
+    anchor, camera axes
+    picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps :
+    directions, axes at rest
+    """
 
     time_s: float
     picture: np.ndarray
@@ -116,17 +175,31 @@ class _Posed:
     lamps: tuple[np.ndarray, ...]
 
     @staticmethod
-    def of(look: Look, f: FrameFacts, camera: Camera, still_camera: bool, centre_m: np.ndarray) -> _Posed:
+    def of(
+        look: Look, f: FrameFacts, camera: Camera, still_camera: bool, centre_m: np.ndarray
+    ) -> _Posed:
         pose, light = f.pose, f.light
         assert light is not None
         static = pose.rotation if still_camera else np.eye(3)
         level = light.mean_radiance
-        picture = divide(np.clip(look.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None), level)
+        picture = divide(
+            np.clip(look.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None), level
+        )
         lamps = tuple(static @ li.unit for li in light.lights)
         rotation = np.eye(3) if still_camera else pose.rotation
-        return _Posed(f.time_s, picture.astype(np.float32), level, camera, rotation, pose.apply(centre_m), lamps)
+        return _Posed(
+            f.time_s,
+            picture.astype(np.float32),
+            level,
+            camera,
+            rotation,
+            pose.apply(centre_m),
+            lamps,
+        )
 
-    def seen(self, directions: np.ndarray, inverse_radius: float) -> tuple[np.ndarray, np.ndarray]:
+    def seen(
+        self, directions: np.ndarray, inverse_radius: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """((n, 3) shares, (n,) weight 0..1) in directions (n, 3), axes at rest, from the anchor.
 
         inverse_radius : 1/m, of the sphere about the anchor on which everything lies"""
@@ -134,44 +207,81 @@ class _Posed:
         along = directions @ self.camera_from_static.T
         at = self.camera.project(along + inverse_radius * self.centre_m)
         x, y = (np.where(np.isfinite(v), v, -1e4) for v in at.T)
-        x, y = (x + 0.5) * (w / self.camera.width) - 0.5, (y + 0.5) * (h / self.camera.height) - 0.5
-        inside = np.min([x + 0.5, w - 0.5 - x, y + 0.5, h - 0.5 - y], 0) / (EDGE * min(w, h))
+        x, y = (
+            (x + 0.5) * (w / self.camera.width) - 0.5,
+            (y + 0.5) * (h / self.camera.height) - 0.5,
+        )
+        inside = np.min([x + 0.5, w - 0.5 - x, y + 0.5, h - 0.5 - y], 0) / (
+            EDGE * min(w, h)
+        )
         weight = smoothstep(inside)
         found = cv2.remap(
-            self.picture, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            self.picture,
+            x.astype(np.float32),
+            y.astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
         )
         rgb = found.reshape(-1, 3)
         for lamp in self.lamps:
             bright = smoothstep(((rgb * self.level).max(1) - LAMP[0]) / (LAMP[1] - LAMP[0]))
-            weight = weight * (1 - bright * (directions @ lamp > np.cos(np.radians(LAMP_DEG))))
+            weight = weight * (
+                1 - bright * (directions @ lamp > np.cos(np.radians(LAMP_DEG)))
+            )
         return rgb, weight
 
 
 def _inverse_radius(looks: Sequence[_Posed], up: np.ndarray) -> float:
-    """1/m: that of NEARNESSES with which the looks agree best on what is above the plane; the farthest of those as good."""
-    chosen = [looks[i] for i in np.unique(np.linspace(0, len(looks) - 1, SWEEP_LOOKS).astype(int))]
+    """1/m: that of NEARNESSES with which the looks agree best on what is above the plane;
+    the farthest of those as good.
+    """
+    chosen = [
+        looks[i] for i in np.unique(np.linspace(0, len(looks) - 1, SWEEP_LOOKS).astype(int))
+    ]
     d = face_directions(SWEEP_PX).reshape(-1, 3)
     d = d[d @ up > 0]
-    cost, inverse = [], np.array(NEARNESSES) / max(float(np.mean([np.linalg.norm(look.centre_m) for look in looks])), 1e-9)
+    cost, inverse = (
+        [],
+        np.array(NEARNESSES)
+        / max(float(np.mean([np.linalg.norm(look.centre_m) for look in looks])), 1e-9),
+    )
     for inverse_radius in inverse:
-        total, first, second, several = np.zeros(len(d)), np.zeros((len(d), 3)), np.zeros((len(d), 3)), np.zeros(len(d))
+        total, first, second, several = (
+            np.zeros(len(d)),
+            np.zeros((len(d), 3)),
+            np.zeros((len(d), 3)),
+            np.zeros(len(d)),
+        )
         for look in chosen:
             rgb, weight = look.seen(d, inverse_radius)
             total += weight
             several += weight > 0
-            first += weight[:, None] * np.sqrt(rgb)  # as it looks: a lamp does not outweigh the room
+            first += weight[:, None] * np.sqrt(
+                rgb
+            )  # as it looks: a lamp does not outweigh the room
             second += weight[:, None] * rgb
         varied = (second - divide(first**2, total[:, None])).sum(1)
         twice = several > 1
-        cost.append(float(divide(varied[twice].sum(), total[twice].sum(), where_zero=np.inf)))
+        cost.append(
+            float(divide(varied[twice].sum(), total[twice].sum(), where_zero=np.inf))
+        )
     best = min(cost)
-    return next(float(i) for i, c in zip(inverse, cost, strict=True) if c * BETTER <= best + ALIKE or c == best)
+    return next(
+        float(i)
+        for i, c in zip(inverse, cost, strict=True)
+        if c * BETTER <= best + ALIKE or c == best
+    )
 
 
-def _maps(looks: Sequence[_Posed], times: np.ndarray, inverse_radius: float) -> list[np.ndarray]:
+def _maps(
+    looks: Sequence[_Posed], times: np.ndarray, inverse_radius: float
+) -> list[np.ndarray]:
     """(6, n, n, 4) float32 at each of `times`: radiance times the fourth, how well it is known."""
     d = face_directions(FACE_PX).reshape(-1, 3)
-    sums, lasting = np.zeros((len(times), len(d), 4), np.float32), np.zeros((len(d), 4), np.float32)
+    sums, lasting = (
+        np.zeros((len(times), len(d), 4), np.float32),
+        np.zeros((len(d), 4), np.float32),
+    )
     known = np.zeros(len(d))
     for look in looks:
         rgb, weight = look.seen(d, inverse_radius)
@@ -185,18 +295,27 @@ def _maps(looks: Sequence[_Posed], times: np.ndarray, inverse_radius: float) -> 
     for one in sums:
         one = one + lasting
         rgb = divide(one[:, :3], one[:, 3:])
-        rgba = (np.concatenate([rgb, np.ones_like(rgb[:, :1])], 1) * known[:, None]).reshape(6, FACE_PX, FACE_PX, 4)
-        most = np.append(BRIGHT * divide(rgba[..., :3].sum((0, 1, 2)), known.sum()), 1).astype(np.float32)
+        rgba = (
+            np.concatenate([rgb, np.ones_like(rgb[:, :1])], 1) * known[:, None]
+        ).reshape(6, FACE_PX, FACE_PX, 4)
+        most = np.append(
+            BRIGHT * divide(rgba[..., :3].sum((0, 1, 2)), known.sum()), 1
+        ).astype(np.float32)
         out.append(np.clip(_filled(rgba.astype(np.float32), most), 0, [6e4, 6e4, 6e4, 1]))
     return out
 
 
 def _filled(rgba: np.ndarray, most: np.ndarray) -> np.ndarray:
-    """(6, n, n, 4) the map with what is around its known part: the mean of what is near, the coarser and less known the farther
-    off (push and pull, Gortler et al. 1996). most (4,) : what is brighter, such as a lamp, goes on no brighter"""
+    """(6, n, n, 4) the map with what is around its known part: the mean of what is near,
+    the coarser and less known the farther off (push and pull, Gortler et al. 1996). most
+    (4,) : what is brighter, such as a lamp, goes on no brighter"""
     n = rgba.shape[1]
     if n <= COARSEST_PX:
         return rgba
-    mean = np.minimum(rgba, most * rgba[..., 3:]).reshape(6, n // 2, 2, n // 2, 2, 4).mean((2, 4))
+    mean = (
+        np.minimum(rgba, most * rgba[..., 3:])
+        .reshape(6, n // 2, 2, n // 2, 2, 4)
+        .mean((2, 4))
+    )
     mean *= divide(np.minimum(GROWS * mean[..., 3:], 1), mean[..., 3:])
     return rgba + (1 - rgba[..., 3:]) * resampled(_filled(mean, most), n)

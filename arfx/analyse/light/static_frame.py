@@ -1,8 +1,9 @@
-"""The light of the frames that share one static frame: read off the markers, given, or taken from the surroundings.
+"""The light of the frames that share one static frame: read off the markers, given, or
+taken from the surroundings.
 
-A light that the user gives is a direction, or a high dynamic range picture of the surroundings, in the anchor marker's axes: x
-right, y up the print, z out of it. Panoramas are equirectangular, z up: the middle column looks along x, the left half holds +y.
-"""
+A light that the user gives is a direction, or a high dynamic range picture of the
+surroundings, in the anchor marker's axes: x right, y up the print, z out of it. Panoramas
+are equirectangular, z up: the middle column looks along x, the left half holds +y."""
 
 from __future__ import annotations
 
@@ -20,8 +21,21 @@ from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import kalman_pass
-from arfx.analyse.light.over_time import CONSTANT, SEGMENTS, SHARED, SWITCHED, WINDOWS, Span, fit_over_time
-from arfx.analyse.light.surroundings import OUTSTANDING, EnvironmentSample, matched, soft_light
+from arfx.analyse.light.over_time import (
+    CONSTANT,
+    SEGMENTS,
+    SHARED,
+    SWITCHED,
+    WINDOWS,
+    Span,
+    fit_over_time,
+)
+from arfx.analyse.light.surroundings import (
+    OUTSTANDING,
+    EnvironmentSample,
+    matched,
+    soft_light,
+)
 from arfx.analyse.params import LightParams
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, DirectionalLight, Light, harmonics, triple
@@ -29,15 +43,21 @@ from arfx.core.numerics import angle_between, divide, normalise
 
 ROWS = 64  # a panorama is reduced to: 2.8 degrees a pixel
 LEAST_FRACTION = 0.1  # of all light that a lamp gives
-AMBIENT, DIRECT = 0.45, 0.5  # radiance of a white surface without, and from a facing light, where only a direction is given
+AMBIENT, DIRECT = (
+    0.45,
+    0.5,
+)  # radiance of a white surface without, and from a facing light, where only a direction is given
 ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
 JUMP = 0.15  # of the factor's logarithm from one frame to the next: a switch, not a drift
 UNKNOWN = light_map.UNKNOWN  # variance
 MOST_GAINS = 200  # in the report
 ALIKE_DEG = 15.0  # lights before and after a span that is refused, to be used in it
-MODEL_ERROR = 0.003  # of a model's irradiance, relative: a reading of one normal is no better
-LEAST_SEEN = 0.02  # of the brightest irradiance seen: darker normals say nothing about a frame's brightness
+MODEL_ERROR = (
+    0.003  # of a model's irradiance, relative: a reading of one normal is no better
+)
+# of the brightest irradiance seen: darker normals say nothing about a frame's brightness
+LEAST_SEEN = 0.02
 _TEMPORAL_MODELS = {
     CONSTANT: "constant over the clip",
     SWITCHED: "its lamps are switched",
@@ -49,7 +69,10 @@ Lights = dict[int, Light]
 
 
 def light_from_direction(given: tuple[float, ...], size_deg: float) -> tuple[Light, bool]:
-    """(light in anchor axes, whether its brightness is stated). given : azimuth, elevation, and perhaps R, G, B."""
+    """(light in anchor axes, whether its brightness is stated).
+
+    given : azimuth, elevation, and perhaps R, G, B.
+    """
     a, e = np.radians(given[:2])  # azimuth from x towards y, elevation above the plane
     d = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     rgb = given[2:] if len(given) == 5 else (DIRECT,) * 3
@@ -60,19 +83,27 @@ def light_from_direction(given: tuple[float, ...], size_deg: float) -> tuple[Lig
 def light_from_panorama(picture: np.ndarray) -> Light:
     """Light in anchor axes: up to two lamps that stand out, everything else as soft light.
 
-    picture : (h, w, 3) linear radiance, finite and >= 0. rgb are those of core.light: radiance of a white surface."""
-    small = cv2.resize(np.asarray(picture, np.float32), (2 * ROWS, ROWS), interpolation=cv2.INTER_AREA).astype(float)
+    picture : (h, w, 3) linear radiance, finite and >= 0. rgb are those of core.light:
+    radiance of a white surface.
+    """
+    small = cv2.resize(
+        np.asarray(picture, np.float32), (2 * ROWS, ROWS), interpolation=cv2.INTER_AREA
+    ).astype(float)
     elevation = np.pi / 2 - (np.arange(ROWS) + 0.5) / ROWS * np.pi
     azimuth = np.pi - (np.arange(2 * ROWS) + 0.5) / ROWS * np.pi
     e, a = np.meshgrid(elevation, azimuth, indexing="ij")
     direction = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
     edges = np.sin(np.pi / 2 - np.arange(ROWS + 1) / ROWS * np.pi)
-    solid = np.repeat(((edges[:-1] - edges[1:]) * np.pi / ROWS)[:, None], 2 * ROWS, 1)  # steradians of the pixels
+    solid = np.repeat(
+        ((edges[:-1] - edges[1:]) * np.pi / ROWS)[:, None], 2 * ROWS, 1
+    )  # steradians of the pixels
     power = small.mean(-1) * solid
     lamps, rest = [], small.copy()
     out = (small.mean(-1) > OUTSTANDING * power.sum() / solid.sum()).astype(np.uint8)
     count, labels = cv2.connectedComponents(out, connectivity=8)
-    for left, right in labels[:, [0, -1]]:  # connected over the panorama's left and right edge too
+    for left, right in labels[
+        :, [0, -1]
+    ]:  # connected over the panorama's left and right edge too
         if left and right and left != right:
             labels[labels == right] = left
     order = sorted(range(1, count), key=lambda k: -float(power[labels == k].sum()))
@@ -80,7 +111,9 @@ def light_from_panorama(picture: np.ndarray) -> Light:
         on = labels == k
         if power[on].sum() < LEAST_FRACTION * power.sum():
             break
-        base = np.median(small[~out.astype(bool)], axis=0) if (out == 0).any() else np.zeros(3)
+        base = (
+            np.median(small[~out.astype(bool)], axis=0) if (out == 0).any() else np.zeros(3)
+        )
         above = np.clip(small[on] - base, 0, None)
         d = normalise((direction[on] * power[on][:, None]).sum(0))
         facing = np.clip(direction[on] @ d, 0, None)
@@ -89,16 +122,21 @@ def light_from_panorama(picture: np.ndarray) -> Light:
         lamps.append(DirectionalLight(triple(d), triple(rgb), float(min(size, 90.0))))
         rest[on] = np.minimum(small[on], base)
     basis = harmonics(direction.reshape(-1, 3)) * solid.reshape(-1, 1)
-    soft = DIFFUSE[:, None] * (basis.T @ rest.reshape(-1, 3))  # of a white diffuse surface over its normal
+    soft = DIFFUSE[:, None] * (
+        basis.T @ rest.reshape(-1, 3)
+    )  # of a white diffuse surface over its normal
     return Light.of_soft(soft, tuple(lamps), "environment file")
 
 
-def fitted_to(light: Light, normals: np.ndarray, radiance: np.ndarray, keep_lamps: bool) -> Light:
+def fitted_to(
+    light: Light, normals: np.ndarray, radiance: np.ndarray, keep_lamps: bool
+) -> Light:
     """The light, with white surfaces of `normals` as bright as measured, on average.
 
-    normals : (k, 3), radiance : (k, 3) of white surfaces, axes of the light. keep_lamps : their brightness is stated, and
-    what they leave is ambient light (none is left where they are brighter than what was measured); else all of the light
-    is scaled, channel by channel."""
+    normals : (k, 3), radiance : (k, 3) of white surfaces, axes of the light. keep_lamps :
+    their brightness is stated, and
+    what they leave is ambient light (none is left where they are brighter than what was
+    measured); else all of the light is scaled, channel by channel."""
     n, want = np.atleast_2d(normals), np.atleast_2d(radiance).mean(0)
     if keep_lamps:
         lit = (light.radiance(n) - light.soft_radiance(n)).mean(0)
@@ -109,7 +147,10 @@ def fitted_to(light: Light, normals: np.ndarray, radiance: np.ndarray, keep_lamp
 
 @dataclass(frozen=True, eq=False)
 class LightReading:
-    """Another reading of the same light. y, variance : (k, 3);  fit : (k,) where it can be compared with the others"""
+    """Another reading of the same light.
+
+    y, variance : (k, 3);  fit : (k,) where it can be compared with the others
+    """
 
     y: np.ndarray
     variance: np.ndarray
@@ -133,36 +174,80 @@ class StaticFrameLight:
     """Frames that share one static frame, with their readings."""
 
     def __init__(
-        self, frames: Sequence[int], facts: Sequence[FrameFacts], static_from_world: dict[int, np.ndarray], readings: Readings,
+        self,
+        frames: Sequence[int],
+        facts: Sequence[FrameFacts],
+        static_from_world: dict[int, np.ndarray],
+        readings: Readings,
         params: LightParams,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """frames : numbers of those that share it;  static_from_world : (3, 3) by number"""
-        self.frames, self.facts, self.static_from_world, self.params = list(frames), facts, static_from_world, params
+        self.frames, self.facts, self.static_from_world, self.params = (
+            list(frames),
+            facts,
+            static_from_world,
+            params,
+        )
         mine = np.flatnonzero(np.isin(readings.frame, self.frames))
         mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
-        self.y, self.variance, alone = readings.y[mine], readings.variance[mine], readings.alone
-        self.alone = None if alone is None else LightReading(alone.y[mine], alone.variance[mine], alone.fit[mine])
-        lit, first, self.which = np.unique(self.numbers, return_index=True, return_inverse=True)  # which : reading's row of lit
+        self.y, self.variance, alone = (
+            readings.y[mine],
+            readings.variance[mine],
+            readings.alone,
+        )
+        self.alone = (
+            None
+            if alone is None
+            else LightReading(alone.y[mine], alone.variance[mine], alone.fit[mine])
+        )
+        lit, first, self.which = np.unique(
+            self.numbers, return_index=True, return_inverse=True
+        )  # which : reading's row of lit
         self.lit = lit.tolist()
         self.observations = [
-            light_map.Observation(facts[k].time_s, self.normals[a:b], self.y[a:b], self.variance[a:b])
-            for k, (a, b) in zip(self.lit, pairwise([*first.tolist(), len(mine)]), strict=True)
+            light_map.Observation(
+                facts[k].time_s, self.normals[a:b], self.y[a:b], self.variance[a:b]
+            )
+            for k, (a, b) in zip(
+                self.lit, pairwise([*first.tolist(), len(mine)]), strict=True
+            )
         ]
-        self.kinds = light_map.changes(self.observations, params.map_level, params.map_blur_rad, params.drift_per_s)
+        self.kinds = light_map.changes(
+            self.observations, params.map_level, params.map_blur_rad, params.drift_per_s
+        )
 
-    def from_markers(self, rests: bool, samples: Sequence[EnvironmentSample]) -> tuple[Lights, dict[str, Any]]:
-        """The light that the markers tell, or the softer cue that takes its place. rests : a light can rest in it"""
+    def from_markers(
+        self, rests: bool, samples: Sequence[EnvironmentSample]
+    ) -> tuple[Lights, dict[str, Any]]:
+        """The light that the markers tell, or the softer cue that takes its place.
+
+        rests : a light can rest in it
+        """
         if not self.lit:
             soft, source = self._surroundings(samples)
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
-            return dict.fromkeys(self.frames, soft), light_report(REFUSED, source, why, soft)
-        breaks = [self.facts[k].time_s for k, kind in zip(self.lit, self.kinds, strict=True) if kind == light_map.STEP]
+            return dict.fromkeys(self.frames, soft), light_report(
+                REFUSED, source, why, soft
+            )
+        breaks = [
+            self.facts[k].time_s
+            for k, kind in zip(self.lit, self.kinds, strict=True)
+            if kind == light_map.STEP
+        ]
         times = np.array([self.facts[k].time_s for k in self.numbers])
         everything = LightReading(self.y, self.variance, np.ones(len(times), bool))
-        fit_params = FitParams(self.params.most_lights, self.params.limit_deg, self.params.claims == LIKELY)
+        fit_params = FitParams(
+            self.params.most_lights, self.params.limit_deg, self.params.claims == LIKELY
+        )
         model, spans, better = fit_temporal_model(
-            times, self.normals, everything, self.alone, breaks, self.params.window_s, fit_params
+            times,
+            self.normals,
+            everything,
+            self.alone,
+            breaks,
+            self.params.window_s,
+            fit_params,
         )
         if better is not None:
             self.y, self.variance = better.y, better.variance
@@ -171,61 +256,115 @@ class StaticFrameLight:
         known = [s for s in spans if s.fit.claimed]
         if known and rests:
             soft, _ = self._surroundings(samples)
-            at = np.searchsorted([s.start_s for s in spans], [self.facts[k].time_s for k in self.frames], side="right") - 1
+            at = (
+                np.searchsorted(
+                    [s.start_s for s in spans],
+                    [self.facts[k].time_s for k in self.frames],
+                    side="right",
+                )
+                - 1
+            )
             use = used_spans(spans)
-            lights = self._follow([soft, *(s.fit.light(s.group) for s in spans)], use[np.clip(at, 0, None)] + 1)
-            best = max(known, key=lambda s: (s.fit.told(s.group)[0] != REFUSED, s.stop_s - s.start_s))
+            lights = self._follow(
+                [soft, *(s.fit.light(s.group) for s in spans)],
+                use[np.clip(at, 0, None)] + 1,
+            )
+            best = max(
+                known,
+                key=lambda s: (s.fit.told(s.group)[0] != REFUSED, s.stop_s - s.start_s),
+            )
             verdict, why = best.fit.told(best.group)
             why += f"; {_TEMPORAL_MODELS[model]}"
-            report = light_report(verdict, "marker", why, best.fit.light(best.group), **normals)
+            report = light_report(
+                verdict, "marker", why, best.fit.light(best.group), **normals
+            )
             gain = self._relative_gain(lights) if model == SHARED else None
             told = [span_report(s, k >= 0) for s, k in zip(spans, use, strict=True)]
-            return lights, report | {"gamma": best.fit.gamma, "account": model, "gain": gain, "spans": told}
-        why = longest.reason if rests else "camera and marker both move: no frame is known in which a light rests"
+            return lights, report | {
+                "gamma": best.fit.gamma,
+                "account": model,
+                "gain": gain,
+                "spans": told,
+            }
+        why = (
+            longest.reason
+            if rests
+            else "camera and marker both move: no frame is known in which a light rests"
+        )
         soft, source = self._surroundings(samples)
         lights = self._follow([soft])
         shaped = "soft light from the picture's surroundings, brighter from above"
         used = shaped if source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
-        return lights, light_report(REFUSED, source, f"{why}; used instead: {used}", middle, **normals)
+        return lights, light_report(
+            REFUSED, source, f"{why}; used instead: {used}", middle, **normals
+        )
 
     def _relative_gain(self, lights: Lights) -> list[dict[str, float]]:
         """Brightness of at most MOST_GAINS frames, over its median."""
-        frames = [self.frames[i] for i in np.unique(np.linspace(0, len(self.frames) - 1, MOST_GAINS).astype(int))]
+        frames = [
+            self.frames[i]
+            for i in np.unique(np.linspace(0, len(self.frames) - 1, MOST_GAINS).astype(int))
+        ]
         bright = np.array([float(lights[k].mean_radiance.mean()) for k in frames])
         relative = divide(bright, float(np.median(bright)), where_zero=1.0)
-        return [{"time_s": self.facts[k].time_s, "relative": float(g)} for k, g in zip(frames, relative, strict=True)]
+        return [
+            {"time_s": self.facts[k].time_s, "relative": float(g)}
+            for k, g in zip(frames, relative, strict=True)
+        ]
 
-    def from_given(self, light: Light, stated: bool, why: str) -> tuple[Lights, dict[str, Any]]:
+    def from_given(
+        self, light: Light, stated: bool, why: str
+    ) -> tuple[Lights, dict[str, Any]]:
         """A light that the user gave, as bright in each frame as the markers show."""
         if not self.lit:
-            return dict.fromkeys(self.frames, light), light_report(ASSUMED, light.source, why, light)
+            return dict.fromkeys(self.frames, light), light_report(
+                ASSUMED, light.source, why, light
+            )
         typical = fitted_to(light, self.normals, self.y, stated)
         lights = self._follow([typical])
-        return lights, light_report(ASSUMED, light.source, why, typical, **self.normal_statistics())
+        return lights, light_report(
+            ASSUMED, light.source, why, typical, **self.normal_statistics()
+        )
 
     def _surroundings(self, samples: Sequence[EnvironmentSample]) -> tuple[Light, str]:
-        """(soft light of this static frame, "environment" or "ambient"): mean of all samples, as bright as the markers show."""
+        """(soft light of this static frame, "environment" or "ambient"): mean of all
+        samples, as bright as the markers show.
+        """
         mine = set(self.frames)
         samples = [sample for sample in samples if sample.frame in mine]
         shows = self.y.sum(1) > 0
         measured = self.y[shows]
         if not samples:
-            level = np.median(measured, 0) if len(measured) else np.array(Light().ambient_rgb)
+            level = (
+                np.median(measured, 0) if len(measured) else np.array(Light().ambient_rgb)
+            )
             return Light(triple(level), (), "ambient"), "ambient"
-        poses = {sample.frame: self.facts[sample.frame].camera_from_world for sample in samples}
-        turns = [self.static_from_world[k] @ pose.rotation.T for k, pose in poses.items() if pose is not None]
+        poses = {
+            sample.frame: self.facts[sample.frame].camera_from_world for sample in samples
+        }
+        turns = [
+            self.static_from_world[k] @ pose.rotation.T
+            for k, pose in poses.items()
+            if pose is not None
+        ]
         n = self.normals[shows]
         up = normalise((n if len(n) else -np.array([t[:, 2] for t in turns])).sum(0))
-        light = soft_light(samples, turns, up, np.median(measured, 0) if len(measured) else None)
+        light = soft_light(
+            samples, turns, up, np.median(measured, 0) if len(measured) else None
+        )
         return (matched(light, n, measured) if len(n) else light), "environment"
 
-    def _follow(self, models: Sequence[Light], of_frame: np.ndarray | None = None) -> Lights:
-        """Each frame's model, times a factor per channel so that the markers look as they were measured.
+    def _follow(
+        self, models: Sequence[Light], of_frame: np.ndarray | None = None
+    ) -> Lights:
+        """Each frame's model, times a factor per channel so that the markers look as they
+        were measured.
 
-        of_frame : (frames,) number of each frame's model, None = all have the first. Factors are smoothed over both past and
-        future, but never over a step of the light; frames without a reading take that between those before and after, up
-        to a step."""
+        of_frame : (frames,) number of each frame's model, None = all have the first.
+        Factors are smoothed over both past and
+        future, but never over a step of the light; frames without a reading take that
+        between those before and after, up to a step."""
         count = len(self.lit)
         of_frame = np.zeros(len(self.frames), int) if of_frame is None else of_frame
         of_reading = of_frame[np.searchsorted(self.frames, self.numbers)]
@@ -233,23 +372,41 @@ class StaticFrameLight:
         made = np.zeros(self.y.shape)
         for i, model in enumerate(models):
             made[of_reading == i] = model.radiance(self.normals[of_reading == i])
-        weight = np.where(made > LEAST_SEEN * bright, divide(made, self.variance + (MODEL_ERROR * made) ** 2), 0)
-        fraction, shown = (
-            np.stack([np.bincount(self.which, (weight * a)[:, c], count) for c in range(3)], -1) for a in (made, self.y)
+        weight = np.where(
+            made > LEAST_SEEN * bright,
+            divide(made, self.variance + (MODEL_ERROR * made) ** 2),
+            0,
         )
-        factors, variance = divide(shown, fraction, where_zero=1.0), divide(1.0, fraction, where_zero=UNKNOWN)
+        fraction, shown = (
+            np.stack(
+                [np.bincount(self.which, (weight * a)[:, c], count) for c in range(3)], -1
+            )
+            for a in (made, self.y)
+        )
+        factors, variance = (
+            divide(shown, fraction, where_zero=1.0),
+            divide(1.0, fraction, where_zero=UNKNOWN),
+        )
         at = np.array([self.facts[k].time_s for k in self.lit])
         # the factors change by more than JUMP from one to the next, in all channels, and stay so
         size = np.log(np.maximum(np.abs(factors), 1e-6))
         before, here, later = size[:-1], size[1:], np.concatenate([size[2:], size[-1:]])
-        jumps = (np.abs(later - here) < np.abs(later - before)).all(1) & (np.abs(here - before) > JUMP).all(1)
+        jumps = (np.abs(later - here) < np.abs(later - before)).all(1) & (
+            np.abs(here - before) > JUMP
+        ).all(1)
         stepped = (self.kinds == light_map.STEP) | np.append(False, jumps)
         variance[(self.kinds == light_map.OUTLIER) & ~stepped] = UNKNOWN
-        factors = np.clip(smoothed(at, factors, variance, stepped, self.params.drift_per_s), LEAST_FACTOR, MOST_FACTOR)
+        factors = np.clip(
+            smoothed(at, factors, variance, stepped, self.params.drift_per_s),
+            LEAST_FACTOR,
+            MOST_FACTOR,
+        )
         after = np.searchsorted(self.lit, self.frames)
         last, first = np.minimum(after, count - 1), np.clip(after - 1, 0, count - 1)
         now = np.array([self.facts[k].time_s for k in self.frames])
-        fraction = np.clip(divide(now - at[first], at[last] - at[first], where_zero=1.0), 0, 1)
+        fraction = np.clip(
+            divide(now - at[first], at[last] - at[first], where_zero=1.0), 0, 1
+        )
         fraction[(at[last] > now) & stepped[last]] = 0.0
         every = factors[first] + fraction[:, None] * (factors[last] - factors[first])
         return {self.frames[r]: models[i].scaled(every[r]) for r, i in enumerate(of_frame)}
@@ -258,28 +415,59 @@ class StaticFrameLight:
         """What was seen, and how well it separates ambient light from a direction."""
         n = self.normals
         if span_deg is None:
-            span_deg = float(np.degrees(np.arccos(np.clip((n[:: max(1, len(n) // 500)] @ n.T).min(), -1, 1)))) if len(n) else 0.0
+            span_deg = (
+                float(
+                    np.degrees(
+                        np.arccos(np.clip((n[:: max(1, len(n) // 500)] @ n.T).min(), -1, 1))
+                    )
+                )
+                if len(n)
+                else 0.0
+            )
         cells = icosphere(3).nearest(n)
         rows = np.column_stack([np.ones(len(n)), n])
         size = np.linalg.svd(divide(rows, np.linalg.norm(rows, axis=0)), compute_uv=False)
-        condition = float(divide(size[0], size[-1], where_zero=np.inf)) if len(size) == 4 else np.inf
+        condition = (
+            float(divide(size[0], size[-1], where_zero=np.inf))
+            if len(size) == 4
+            else np.inf
+        )
         return {
-            "normals_seen": len(set(cells.tolist())), "normal_span_deg": span_deg,
-            "rank": int((size > 1e-2 * size[0]).sum()), "condition": condition if condition < 1e12 else None,
-        }  # fmt: skip
+            "normals_seen": len(set(cells.tolist())),
+            "normal_span_deg": span_deg,
+            "rank": int((size > 1e-2 * size[0]).sum()),
+            "condition": condition if condition < 1e12 else None,
+        }
 
 
 def fit_temporal_model(
-    times_s: np.ndarray, normals: np.ndarray, reading: LightReading, alone: LightReading | None, breaks_s: Sequence[float],
-    window_s: float = 2.0, params: FitParams = FitParams(),  # noqa: B008 - frozen
-) -> tuple[str, list[Span], LightReading | None]:  # fmt: skip
-    """(account, spans, the readings that tell it if not the first): `alone` where it says more than all cells."""
-    account, spans = fit_over_time(times_s, normals, reading.y, reading.variance, breaks_s, window_s, params)
+    times_s: np.ndarray,
+    normals: np.ndarray,
+    reading: LightReading,
+    alone: LightReading | None,
+    breaks_s: Sequence[float],
+    window_s: float = 2.0,
+    params: FitParams = FitParams(),  # noqa: B008 - frozen
+) -> tuple[str, list[Span], LightReading | None]:
+    """(account, spans, the readings that tell it if not the first): `alone` where it says
+    more than all cells.
+    """
+    account, spans = fit_over_time(
+        times_s, normals, reading.y, reading.variance, breaks_s, window_s, params
+    )
     verdict = best_verdict(s.fit for s in spans)
     if alone is None or not alone.fit.any() or verdict == MEASURED:
         return account, spans, None
     on = alone.fit
-    again, other = fit_over_time(times_s[on], normals[on], alone.y[on], alone.variance[on], breaks_s, window_s, params)
+    again, other = fit_over_time(
+        times_s[on],
+        normals[on],
+        alone.y[on],
+        alone.variance[on],
+        breaks_s,
+        window_s,
+        params,
+    )
     better = best_verdict(s.fit for s in other)
     if better == MEASURED or better != verdict == REFUSED:
         return again, other, alone
@@ -287,39 +475,71 @@ def fit_temporal_model(
 
 
 def smoothed(
-    time_s: np.ndarray, value: np.ndarray, variance: np.ndarray, step: np.ndarray, drift_per_s: float
-) -> np.ndarray:  # fmt: skip
-    """(n, 3) values of a random walk seen with noise, from all of the past and the future (Kalman filters from both ends).
+    time_s: np.ndarray,
+    value: np.ndarray,
+    variance: np.ndarray,
+    step: np.ndarray,
+    drift_per_s: float,
+) -> np.ndarray:
+    """(n, 3) values of a random walk seen with noise, from all of the past and the future
+    (Kalman filters from both ends).
 
-    time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk begins anew there
+    time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk
+    begins anew there
     drift_per_s : its relative standard deviation over one second"""
     order = np.arange(len(value))
     m0, v0, m1, v1 = (np.zeros(value.shape) for _ in range(4))
     kalman_pass(time_s, value, variance, step, order, drift_per_s, m0, v0)
-    kalman_pass(time_s, value, variance, np.append(step[1:], False), order[::-1].copy(), drift_per_s, m1, v1)
+    kalman_pass(
+        time_s,
+        value,
+        variance,
+        np.append(step[1:], False),
+        order[::-1].copy(),
+        drift_per_s,
+        m1,
+        v1,
+    )
     weights = np.stack([divide(1.0, v) * (v < UNKNOWN) for v in (v0, v1, variance)])
     total = weights.sum(0)
-    return np.where(total > 0, divide((weights * np.stack([m0, m1, value])).sum(0), total), value)
+    return np.where(
+        total > 0, divide((weights * np.stack([m0, m1, value])).sum(0), total), value
+    )
 
 
-def light_report(verdict: str, source: str, reason: str, light: Light, **more: Any) -> dict[str, Any]:
+def light_report(
+    verdict: str, source: str, reason: str, light: Light, **more: Any
+) -> dict[str, Any]:
     """What the summary says of a light."""
     document = light.to_json()
     normals = {"normals_seen": 0, "normal_span_deg": 0.0, "rank": 0, "condition": None}
     return {
-        "source": source, **normals, **more, "ambient_rgb": document["ambient_rgb"], "lights": document["lights"],
-        "verdict": verdict, "reason": reason,
-    }  # fmt: skip
+        "source": source,
+        **normals,
+        **more,
+        "ambient_rgb": document["ambient_rgb"],
+        "lights": document["lights"],
+        "verdict": verdict,
+        "reason": reason,
+    }
 
 
 def used_spans(spans: Sequence[Span]) -> np.ndarray:
-    """(s,) int: which span's light is used in each, -1 = soft light. One that is refused takes what those around it agree on."""
+    """(s,) int: which span's light is used in each, -1 = soft light.
+
+    One that is refused takes what those around it agree on.
+    """
     known = [i for i, s in enumerate(spans) if s.fit.claimed]
     out = np.full(len(spans), -1)
     out[known] = known
     for before, after in pairwise(known):
         first, second = spans[before].fit.lights, spans[after].fit.lights
-        if first and second and angle_between(first[0].direction, second[0].direction) < np.radians(ALIKE_DEG):
+        if (
+            first
+            and second
+            and angle_between(first[0].direction, second[0].direction)
+            < np.radians(ALIKE_DEG)
+        ):
             middle = (spans[before].stop_s + spans[after].start_s) / 2
             for i in range(before + 1, after):
                 out[i] = before if spans[i].stop_s <= middle else after
@@ -327,12 +547,21 @@ def used_spans(spans: Sequence[Span]) -> np.ndarray:
 
 
 def span_report(span: Span, used: bool) -> dict[str, Any]:
-    """What the summary says of one span of a clip in which some light is known. used : whether some direction is used in it"""
+    """What the summary says of one span of a clip in which some light is known.
+
+    used : whether some direction is used in it
+    """
     verdict, why = span.fit.told(span.group)
     if not span.fit.claimed:
-        why += "; used instead: " + ("the light before and after it" if used else "soft light")
+        why += "; used instead: " + (
+            "the light before and after it" if used else "soft light"
+        )
     document = span.fit.light(span.group).to_json()
     return {
-        "start_s": span.start_s, "end_s": span.stop_s, "verdict": verdict, "lights": document["lights"],
-        "ambient_rgb": document["ambient_rgb"], "reason": why,
-    }  # fmt: skip
+        "start_s": span.start_s,
+        "end_s": span.stop_s,
+        "verdict": verdict,
+        "lights": document["lights"],
+        "ambient_rgb": document["ambient_rgb"],
+        "reason": why,
+    }

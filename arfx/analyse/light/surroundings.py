@@ -1,13 +1,19 @@
-"""The surroundings, folded out of the frame: a cube of radiance around the camera, and what light it gives.
+"""The surroundings, folded out of the frame: a cube of radiance around the camera, and what
+light it gives.
 
-The direction's angle from the line of sight is the distance from the picture's middle, out to its border at 90 degrees and back
-behind. That gives colour and soft shading, never a direction: a picture of a third of the surroundings says little about the
-rest, and lamps in it are clipped.
+The direction's angle from the line of sight is the distance from the picture's middle, out
+to its border at 90 degrees and back behind. That gives colour and soft shading, never a
+direction: a picture of a third of the surroundings says little about the rest, and lamps in
+it are clipped.
 
-`soft_light` is for where no direction is known: the surroundings above the anchor's plane, evened out by half, brighter from
-above as rooms and skies are, and scaled to what the markers show; the plane itself below. `with_environment` is for
-reflections: one cube per shot, or the panorama that the user gave. Leaves out the four corners of the picture.
-Source: docs/methods/gi.md#environment, docs/methods/light.md#surroundings. Cost: some 0.3 ms a frame at SIZE 16."""
+`soft_light` is for where no direction is known: the surroundings above the anchor's plane,
+evened out by half, brighter from above as rooms and skies are, and scaled to what the
+markers show; the plane itself below. `with_environment` is for
+reflections: one cube per shot, or the panorama that the user gave. Leaves out the four
+corners of the picture.
+Source: docs/methods/gi.md#environment, docs/methods/light.md#surroundings. Cost: some 0.3
+ms a frame at SIZE 16.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +33,23 @@ from arfx.core.numerics import divide, normalise, smoothstep
 SIZE = 16
 FACE_PX = 6  # of the folded cube that is kept
 EVEN = 0.5  # share of the surroundings that is taken for even light
-FROM_ABOVE = 1.0  # of the radiance's mean, by which it rises towards `overhead`: docs/methods/light.md#surroundings
+# of the radiance's mean, by which it rises towards `overhead`:
+# docs/methods/light.md#surroundings
+FROM_ABOVE = 1.0
 LIES = 0.7  # cosine of the plane's normal to the picture's up from which the plane is taken to lie
-RIDGE = 2e-3  # against rough light, per square of its degree: a residual of .2 % of the light is left to noise
+# against rough light, per square of its degree: a residual of .2 % of the light is left to
+# noise
+RIDGE = 2e-3
 AROUND = 1.7  # times the marker's size: where the plane beside it is looked at
 OUTSTANDING = 6.0  # times the panorama's mean radiance from which a pixel belongs to a lamp
 PANORAMA_PX = 16  # side of a face
 
 
 def foldable(image: np.ndarray) -> np.ndarray:
-    """(h, w, 3) float64; what is not finite is black. Raises ValueError for less than 3 x 3 pixels."""
+    """(h, w, 3) float64; what is not finite is black.
+
+    Raises ValueError for less than 3 x 3 pixels.
+    """
     picture = np.asarray(image, np.float64)
     h, w = picture.shape[:2]
     if h < 3 or w < 3:
@@ -45,14 +58,19 @@ def foldable(image: np.ndarray) -> np.ndarray:
 
 
 def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """(6, size, size, 3) float64 radiance, camera frame; faces, rows and columns as in `face_directions`. No seam anywhere: what
-    is continuous in the picture is so on the sphere.
+    """(6, size, size, 3) float64 radiance, camera frame; faces, rows and columns as in
+    `face_directions`. No seam anywhere: what is continuous in the picture is so on the
+    sphere.
 
-    image : (h, w, 3) linear RGB of the whole frame, any size of at least 3 x 3. What is not finite counts as black."""
+    image : (h, w, 3) linear RGB of the whole frame, any size of at least 3 x 3. What is not
+    finite counts as black.
+    """
     picture = foldable(image)
     h, w = picture.shape[:2]
     # as coarse as the faces are: a texel of 90 / size degrees spans this many pixels
-    small = cv2.resize(picture, (min(w, 2 * size), min(h, 2 * size)), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(
+        picture, (min(w, 2 * size), min(h, 2 * size)), interpolation=cv2.INTER_AREA
+    )
     d = face_directions(size)
     angle = np.arctan2(np.hypot(d[..., 0], d[..., 1]), d[..., 2]) / (np.pi / 2)
     out = 1 - np.abs(1 - angle)  # 0 in the middle, 1 at the border
@@ -62,22 +80,33 @@ def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     return _sampled_at(small, x, y, cv2.BORDER_REPLICATE)
 
 
-def _sampled_at(picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int) -> np.ndarray:
+def _sampled_at(
+    picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int
+) -> np.ndarray:
     """(6, n, n, 3) of the picture at places (6, n, n)."""
     places = zip(x.astype(np.float32), y.astype(np.float32), strict=True)
-    return np.stack([cv2.remap(picture, a, b, cv2.INTER_LINEAR, borderMode=border) for a, b in places])
+    return np.stack(
+        [cv2.remap(picture, a, b, cv2.INTER_LINEAR, borderMode=border) for a, b in places]
+    )
 
 
 def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of static_frame.py (z up, middle column x).
+    """(6, size, size, 3) radiance of an equirectangular picture (h, w, 3), axes of
+    static_frame.py (z up, middle column x).
 
-    What is more than OUTSTANDING times as bright as the mean belongs to lamps, which are lights of their own: it is cut."""
+    What is more than OUTSTANDING times as bright as the mean belongs to lamps, which are
+    lights of their own: it is cut."""
     a = np.asarray(picture, np.float32)
     solid = np.cos((np.arange(a.shape[0]) + 0.5) / a.shape[0] * np.pi - np.pi / 2)[:, None]
     grey = a.mean(-1)
     limit = OUTSTANDING * float((grey * solid).sum() / (solid.sum() * a.shape[1]))
-    a = np.ascontiguousarray(a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None], np.float32)
-    a = np.asarray(cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA), np.float32)
+    a = np.ascontiguousarray(
+        a * np.minimum(1, limit / np.maximum(grey, max(limit, 1e-12)))[..., None],
+        np.float32,
+    )
+    a = np.asarray(
+        cv2.resize(a, (4 * size, 2 * size), interpolation=cv2.INTER_AREA), np.float32
+    )
     d = face_directions(size)
     x = (0.5 - np.arctan2(d[..., 1], d[..., 0]) / (2 * np.pi)) * a.shape[1] - 0.5
     y = (0.5 - np.arcsin(np.clip(d[..., 2], -1, 1)) / np.pi) * a.shape[0] - 0.5
@@ -88,22 +117,31 @@ def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:
 def turned(faces: np.ndarray, source_from_dest: np.ndarray) -> np.ndarray:
     """The cube (6, n, n, 3) in other axes. source_from_dest : (3, 3) rotation to the cube's axes"""
     d = face_directions(faces.shape[1])
-    return look_up(faces, d.reshape(-1, 3) @ np.asarray(source_from_dest, float).T).reshape(faces.shape)
+    return look_up(faces, d.reshape(-1, 3) @ np.asarray(source_from_dest, float).T).reshape(
+        faces.shape
+    )
 
 
 def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
-    """(9, 3) harmonics, WORLD frame, of the radiance of a white diffuse surface over its normal (core.light.Light.soft).
+    """(9, 3) harmonics, WORLD frame, of the radiance of a white diffuse surface over its
+    normal (core.light.Light.soft).
 
     faces : (6, n, n, 3) of `fold`;  world_from_camera : (3, 3) rotation"""
-    directions = face_directions(faces.shape[1]).reshape(-1, 3) @ np.asarray(world_from_camera, float).round(12).T
-    basis = harmonics(directions) * np.tile(solid_angles(faces.shape[1]).ravel(), 6)[:, None]
+    directions = (
+        face_directions(faces.shape[1]).reshape(-1, 3)
+        @ np.asarray(world_from_camera, float).round(12).T
+    )
+    basis = (
+        harmonics(directions) * np.tile(solid_angles(faces.shape[1]).ravel(), 6)[:, None]
+    )
     return DIFFUSE[:, None] * (basis.T @ faces.reshape(-1, 3))
 
 
 @serialisable
 @dataclass(frozen=True, eq=False)
 class EnvironmentSample:
-    """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA axes (`fold`)
+    """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA
+    axes (`fold`)
     plane : (3,) radiance beside the marker, as seen"""
 
     frame: int
@@ -111,38 +149,62 @@ class EnvironmentSample:
     plane: np.ndarray
 
 
-def environment_sample(frame: int, picture: np.ndarray, quad: np.ndarray) -> EnvironmentSample:
-    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a marker's corners in its pixels"""
+def environment_sample(
+    frame: int, picture: np.ndarray, quad: np.ndarray
+) -> EnvironmentSample:
+    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a
+    marker's corners in its pixels
+    """
     middle = quad.mean(0)
     fraction = np.linspace(0, 1, 8, endpoint=False)[:, None]
-    sides = np.concatenate([a + fraction * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)])
+    sides = np.concatenate(
+        [a + fraction * (b - a) for a, b in zip(quad, np.roll(quad, -1, 0), strict=True)]
+    )
     at = np.rint(middle + AROUND * (sides - middle)).astype(int)
     inside = ((at >= 0) & (at < [picture.shape[1], picture.shape[0]])).all(1)
-    beside = picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
-    small = cv2.resize(np.ascontiguousarray(picture, np.float32), (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)))
-    return EnvironmentSample(frame, fold(small, FACE_PX), np.clip(np.median(beside, 0), 0, None))
+    beside = (
+        picture[at[inside, 1], at[inside, 0]] if inside.any() else picture.reshape(-1, 3)
+    )
+    small = cv2.resize(
+        np.ascontiguousarray(picture, np.float32),
+        (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)),
+    )
+    return EnvironmentSample(
+        frame, fold(small, FACE_PX), np.clip(np.median(beside, 0), 0, None)
+    )
 
 
 def overhead(static_from_camera: Sequence[np.ndarray], normal: np.ndarray) -> np.ndarray:
     """(3,) unit, STATIC axes: where most of the light of a room or a sky is taken to come from.
 
-    A plane that lies faces it. An upright one sees the half of the room before it: halfway between its normal and the picture's
-    up, because cameras are held upright. So it is from above in the picture too where a camera looks straight down.
+    A plane that lies faces it. An upright one sees the half of the room before it: halfway
+    between its normal and the picture's up, because cameras are held upright. So it is from
+    above in the picture too where a camera looks straight down.
     static_from_camera : (3, 3) of each look;  normal : (3,) unit, of the plane"""
     picture_up = normalise(-np.sum([turn[:, 1] for turn in static_from_camera], 0))
     rise = float(picture_up @ normal)
-    return normalise(normal + (1 - smoothstep(rise / LIES)) * normalise(picture_up - rise * normal))
+    return normalise(
+        normal + (1 - smoothstep(rise / LIES)) * normalise(picture_up - rise * normal)
+    )
 
 
 def soft_light(
-    samples: Sequence[EnvironmentSample], static_from_camera: Sequence[np.ndarray], up: np.ndarray, shown: np.ndarray | None
-) -> Light:  # fmt: skip
+    samples: Sequence[EnvironmentSample],
+    static_from_camera: Sequence[np.ndarray],
+    up: np.ndarray,
+    shown: np.ndarray | None,
+) -> Light:
     """Mean of the looks as one light without a direction, STATIC axes.
 
     static_from_camera : (3, 3) of each look;  up : (3,) unit, out of the plane
-    shown : (3,) radiance of a white surface that lies in the plane, None = unknown: the surroundings' own scale"""
+    shown : (3,) radiance of a white surface that lies in the plane, None = unknown: the
+    surroundings' own scale
+    """
     size = samples[0].cube.shape[1]
-    directions, solid = face_directions(size).reshape(-1, 3), np.tile(solid_angles(size).ravel(), 6)
+    directions, solid = (
+        face_directions(size).reshape(-1, 3),
+        np.tile(solid_angles(size).ravel(), 6),
+    )
     total, plane = np.zeros((9, 3)), np.mean([s.plane for s in samples], 0)
     sky = overhead(static_from_camera, up)
     for one, turn in zip(samples, static_from_camera, strict=True):
@@ -151,68 +213,107 @@ def soft_light(
         above = (height > 0)[:, None]
         incoming = one.cube.reshape(-1, 3)
         even = divide(
-            (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), float((solid * np.clip(height, 0, None)).sum())
+            (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0),
+            float((solid * np.clip(height, 0, None)).sum()),
         )
-        incoming = (EVEN * even + (1 - EVEN) * incoming) * (1 + FROM_ABOVE * d @ sky)[:, None]
-        arriving = divide((np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), np.pi)
-        if shown is not None:  # a colour that the surroundings lack altogether comes evenly from all of them
-            incoming = np.where(arriving > 1e-3 * np.max(shown), incoming * divide(shown, arriving), shown)
-        below = np.minimum(plane, arriving if shown is None else shown)  # no plane is brighter than white
+        incoming = (EVEN * even + (1 - EVEN) * incoming) * (1 + FROM_ABOVE * d @ sky)[
+            :, None
+        ]
+        arriving = divide(
+            (np.where(above, incoming, 0) * (solid * height)[:, None]).sum(0), np.pi
+        )
+        if (
+            shown is not None
+        ):  # a colour that the surroundings lack altogether comes evenly from all of them
+            incoming = np.where(
+                arriving > 1e-3 * np.max(shown), incoming * divide(shown, arriving), shown
+            )
+        below = np.minimum(
+            plane, arriving if shown is None else shown
+        )  # no plane is brighter than white
         radiance = np.where(above, incoming, below)
         total += soft_of(radiance.reshape(one.cube.shape), turn)
     light = Light.of_soft(total / len(samples), (), "environment")
     if shown is None:
         return light
-    return light.scaled(divide(shown, light.radiance(up), where_zero=1.0))  # what degree 2 rounds off
+    return light.scaled(
+        divide(shown, light.radiance(up), where_zero=1.0)
+    )  # what degree 2 rounds off
 
 
 def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
-    """The soft light bent so that white surfaces with `normals` look as measured, as little as that takes.
+    """The soft light bent so that white surfaces with `normals` look as measured, as little
+    as that takes.
 
-    normals : (k, 3) unit, STATIC axes;  shown : (k, 3). Ridge regression of what is missing on the harmonics: one normal moves
+    normals : (k, 3) unit, STATIC axes;  shown : (k, 3). Ridge regression of what is missing
+    on the harmonics: one normal moves
     the whole light, many shape it. Never below 0 where it was measured to be above."""
     cell = icosphere(3).nearest(normals)
     rows, where = np.unique(cell, return_inverse=True)
     count = np.bincount(where, minlength=len(rows))
     n = normalise(np.stack([np.bincount(where, normals[:, i]) for i in range(3)], -1))
-    want = np.stack([np.bincount(where, shown[:, c]) for c in range(3)], -1) / count[:, None]
+    want = (
+        np.stack([np.bincount(where, shown[:, c]) for c in range(3)], -1) / count[:, None]
+    )
     basis = harmonics(n)
     soft = np.array(light.soft, float)
     rough = np.diag(np.repeat([0.0, 1.0, 4.0], [1, 3, 5])) * RIDGE + 1e-9 * np.eye(9)
-    soft = soft + np.linalg.solve(basis.T @ basis / len(rows) + rough, basis.T @ (want - basis @ soft) / len(rows))
+    soft = soft + np.linalg.solve(
+        basis.T @ basis / len(rows) + rough, basis.T @ (want - basis @ soft) / len(rows)
+    )
     return Light.of_soft(soft, (), light.source)
 
 
 def with_environment(
-    facts: Sequence[FrameFacts], samples: Sequence[EnvironmentSample], still_camera: bool, panorama: np.ndarray | None,
+    facts: Sequence[FrameFacts],
+    samples: Sequence[EnvironmentSample],
+    still_camera: bool,
+    panorama: np.ndarray | None,
     world_from_anchor: np.ndarray,
-) -> tuple[FrameFacts, ...]:  # fmt: skip
+) -> tuple[FrameFacts, ...]:
     """The facts with `environment` in every frame that has a pose and a look in its shot.
 
-    still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)"""
-    bias = np.array(next((f.bias_rgb for f in facts if f.light is not None), (0.0, 0.0, 0.0)))  # is no light
+    still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)
+    """
+    bias = np.array(
+        next((f.bias_rgb for f in facts if f.light is not None), (0.0, 0.0, 0.0))
+    )  # is no light
 
     def cube_map(faces: np.ndarray, plane_rgb: np.ndarray | None) -> CubeMap:
         return CubeMap.of(np.maximum(faces, 0), None, plane_rgb)
 
     if panorama is not None:
-        faces = turned(from_panorama(panorama, PANORAMA_PX), np.asarray(world_from_anchor).T)
+        faces = turned(
+            from_panorama(panorama, PANORAMA_PX), np.asarray(world_from_anchor).T
+        )
         given = cube_map(faces, None)
-        return tuple(f if f.camera_from_world is None else f.with_(environment=given) for f in facts)
+        return tuple(
+            f if f.camera_from_world is None else f.with_(environment=given) for f in facts
+        )
     by_shot: dict[int, list[np.ndarray]] = {}
     for sample in samples:
         f = facts[sample.frame]
         if f.camera_from_world is not None:
             cube = np.clip(sample.cube - bias, 0, None)
-            by_shot.setdefault(f.shot, []).append(cube if still_camera else turned(cube, f.camera_from_world.rotation))
-    planes = {shot: np.mean([s.plane for s in samples if facts[s.frame].shot == shot], 0) for shot in by_shot}
-    whole = {shot: cube_map(np.mean(cubes, 0), np.clip(planes[shot] - bias, 0, None)) for shot, cubes in by_shot.items()}
+            by_shot.setdefault(f.shot, []).append(
+                cube if still_camera else turned(cube, f.camera_from_world.rotation)
+            )
+    planes = {
+        shot: np.mean([s.plane for s in samples if facts[s.frame].shot == shot], 0)
+        for shot in by_shot
+    }
+    whole = {
+        shot: cube_map(np.mean(cubes, 0), np.clip(planes[shot] - bias, 0, None))
+        for shot, cubes in by_shot.items()
+    }
     out = []
     for f in facts:
         pose, environment = f.camera_from_world, whole.get(f.shot)
         if pose is not None and environment is not None:
             if still_camera:
-                environment = replace(environment, axes=tuple(pose.rotation.ravel().tolist()))
+                environment = replace(
+                    environment, axes=tuple(pose.rotation.ravel().tolist())
+                )
             f = f.with_(environment=environment)
         out.append(f)
     return tuple(out)

@@ -1,6 +1,8 @@
-"""The compiled inner loop of corners.py: edges along the sides of one quad, lines through them, where the lines meet.
+"""The compiled inner loop of corners.py: edges along the sides of one quad, lines through
+them, where the lines meet.
 
-One marker after the other, so that a result does not depend on its company. What is not finite never becomes an index."""
+One marker after the other, so that a result does not depend on its company. What is not
+finite never becomes an index."""
 
 from __future__ import annotations
 
@@ -11,17 +13,22 @@ from arfx.analyse.pose.kernels import sort
 
 SAMPLES = 32  # normals per side
 STEPS = 33  # samples along a normal
-# Where along a side: its rounded and occluded ends are left out. Uneven, lest the samples keep step with the pixels that a
-# slanted edge crosses (at a slope of 1 in 2 even ones every 2.2 px saw one phase of them all: .05 px of error became .02).
+# Where along a side: its rounded and occluded ends are left out. Uneven, lest the samples
+# keep step with the pixels that a slanted edge crosses (at a slope of 1 in 2 even ones
+# every 2.2 px saw one phase of them all: .05 px of error became .02).
 _EVEN = (np.arange(SAMPLES) + 0.5) / SAMPLES
 FRACTIONS = 0.05 + 0.9 * (_EVEN + 0.15 * np.sin(2 * np.pi * _EVEN) / (2 * np.pi))
 CONVERGED_PX = 4e-3  # a fifth of the noise of a good corner
 ITERATIONS = 6
-# A normal on which the edge is fainter than so much of the side's (its upper quartile) meets something that covers the print.
+# A normal on which the edge is fainter than so much of the side's (its upper quartile)
+# meets something that covers the print.
 _THERE = 0.5
-_ROUNDS = 5  # of the robust line: with three, a quarter of the samples off by .5 px still moves an end by .1 px
-# Least standard deviation of the window: a narrower one sees the steps of the pixels in a sharp edge and is drawn towards
-# them, by up to .13 px at .7 px. Noise gains nothing from a narrow window. Small cells need one: what is beyond is near.
+# of the robust line: with three, a quarter of the samples off by .5 px still moves an end
+# by .1 px
+_ROUNDS = 5
+# Least standard deviation of the window: a narrower one sees the steps of the pixels in a
+# sharp edge and is drawn towards them, by up to .13 px at .7 px. Noise gains nothing from a
+# narrow window. Small cells need one: what is beyond is near.
 WINDOW_PX = (0.7, 1.3)
 WINDOW_FRACTION = 0.4  # of what is looked at to one side, between those two
 WIDE_ITERATIONS = 2  # with the far reach, before the others
@@ -30,12 +37,17 @@ OK, BLUR, SPREAD, GAIN, SKEW, INVERTED = range(6)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, out):  # pragma: no cover - compiled
+def refine_quad(
+    luma, table, quads, bend, half, reach, least_gain, fractions, out
+):  # pragma: no cover - compiled
     """Move quads (n, 4, 2) onto their edges, in place; out (n, 6) by the columns above.
 
-    luma : (h, w) uint8, at least 2 x 2;  table : (256,) to linear light;  bend : (n, 4, SAMPLES, 2) px off the chord
-    half : (n, 4) px searched to either side of an edge;  reach : (n, 4) px for the first passes, not below half
-    least_gain : (n,) give up where a side is fainter, at once;  fractions : FRACTIONS (a constant would be unrolled, and
+    luma : (h, w) uint8, at least 2 x 2;  table : (256,) to linear light;  bend : (n, 4,
+    SAMPLES, 2) px off the chord
+    half : (n, 4) px searched to either side of an edge;  reach : (n, 4) px for the first
+    passes, not below half
+    least_gain : (n,) give up where a side is fainter, at once;  fractions : FRACTIONS (a
+    constant would be unrolled, and
     the compiler take three times as long)"""
     samples = len(fractions)
     seen, slope = np.empty((2, 4, samples)), np.empty((4, samples, STEPS - 1))
@@ -50,12 +62,25 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
         stats[OK] = 1.0
         for k in range(ITERATIONS + wide):
             far = reach[i] if k < wide else half[i]
-            gain, blur, skew, inverted = _edges(luma, table, quad, bend[i], far, window, blur, fractions, slope, seen)
-            stats[BLUR], stats[GAIN], stats[SKEW], stats[INVERTED] = blur, gain, skew, inverted
-            if k < 3 + wide:  # the blur's estimate settles; then the window is held, so that the fixed point is one
+            gain, blur, skew, inverted = _edges(
+                luma, table, quad, bend[i], far, window, blur, fractions, slope, seen
+            )
+            stats[BLUR], stats[GAIN], stats[SKEW], stats[INVERTED] = (
+                blur,
+                gain,
+                skew,
+                inverted,
+            )
+            if (
+                k < 3 + wide
+                # the blur's estimate settles; then the window is held, so that the fixed point
+                # is one
+            ):
                 after = reach[i] if k + 1 < wide else half[i]
                 for side in range(4):
-                    least = min(max(WINDOW_FRACTION * half[i, side], WINDOW_PX[0]), WINDOW_PX[1])
+                    least = min(
+                        max(WINDOW_FRACTION * half[i, side], WINDOW_PX[0]), WINDOW_PX[1]
+                    )
                     window[side] = min(max(1.2 * blur, least), after[side] / 2)
             stats[SPREAD] = _fit(seen, fractions, ends)
             _meet(quad, ends, moved)
@@ -75,12 +100,16 @@ def refine_quad(luma, table, quads, bend, half, reach, least_gain, fractions, ou
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, seen):  # pragma: no cover - compiled
-    """Where the four edges are along their normals: seen (2, 4, SAMPLES), px inwards from the chord; 1, or 0 where a normal shows
-    too faint an edge.
+def _edges(
+    luma, table, quad, bend, half, window, blur, fractions, slope, seen
+):  # pragma: no cover - compiled
+    """Where the four edges are along their normals: seen (2, 4, SAMPLES), px inwards from
+    the chord; 1, or 0 where a normal shows too faint an edge.
 
-    half, window : (4,) px of each side;  blur : NaN at first;  slope (4, SAMPLES, STEPS - 1) : work space
-    Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0 for white on black."""
+    half, window : (4,) px of each side;  blur : NaN at first;  slope (4, SAMPLES, STEPS -
+    1) : work space
+    Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0
+    for white on black."""
     h, w = luma.shape
     offset, there = seen[0], seen[1]
     samples, steps = len(fractions), slope.shape[2] + 1
@@ -95,11 +124,15 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, seen):
         if length > 0:
             nx, ny = -cy / length, cx / length
         for m in range(samples):
-            mx, my = ax + cx * fractions[m] + bend[side, m, 0], ay + cy * fractions[m] + bend[side, m, 1]
+            mx, my = (
+                ax + cx * fractions[m] + bend[side, m, 0],
+                ay + cy * fractions[m] + bend[side, m, 1],
+            )
             before = 0.0
             for s in range(steps):
                 along = half[side] * (s / ((steps - 1) / 2) - 1)
-                # bilinear, in linear light, exact coordinates (cv2.remap rounds them to 1/32 px); borders are replicated
+                # bilinear, in linear light, exact coordinates (cv2.remap rounds them to
+                # 1/32 px); borders are replicated
                 x, y = mx + nx * along, my + ny * along
                 if not x > 0:  # also NaN
                     x = 0.0
@@ -122,10 +155,20 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, seen):
                 before = light
     inverted = 1.0 if total < 0 else 0.0  # else bright outside, dark inside: positive
     sign = -1.0 if total < 0 else 1.0
-    mean, narrow, at, boost = np.zeros((4, steps - 1)), np.empty((4, steps - 1)), np.empty((4, steps - 1)), np.ones(4)
+    mean, narrow, at, boost = (
+        np.zeros((4, steps - 1)),
+        np.empty((4, steps - 1)),
+        np.empty((4, steps - 1)),
+        np.ones(4),
+    )
     for side in range(4):
-        if np.isfinite(blur):  # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a displacement
-            boost[side] = min((blur * blur + window[side] * window[side]) / (window[side] * window[side]), 3.0)
+        if np.isfinite(
+            blur
+        ):  # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a displacement
+            boost[side] = min(
+                (blur * blur + window[side] * window[side]) / (window[side] * window[side]),
+                3.0,
+            )
         for s in range(steps - 1):
             at[side, s] = half[side] * ((s + 0.5) / ((steps - 1) / 2) - 1)
             narrow[side, s] = np.exp(-0.5 * (at[side, s] / window[side]) ** 2)
@@ -153,7 +196,9 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, seen):
             for s in range(steps - 1):
                 first += slope[side, m, s] * narrow[side, s] * at[side, s]
             e = sign * first / mass * boost[side]
-            offset[side, m] = min(max(e, -half[side]), half[side]) if np.isfinite(e) else 0.0
+            offset[side, m] = (
+                min(max(e, -half[side]), half[side]) if np.isfinite(e) else 0.0
+            )
     blur_px = _width(mean, at, half)
     third, near = 0.0, np.empty(steps - 1)
     for side in range(4):
@@ -166,14 +211,22 @@ def _edges(luma, table, quad, bend, half, window, blur, fractions, slope, seen):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _width(mean, at, half):  # pragma: no cover - compiled
-    """Standard deviation px of the mean profiles (4, s) at (4, s), median of the sides; the window's narrowing is taken out."""
+    """Standard deviation px of the mean profiles (4, s) at (4, s), median of the sides; the
+    window's narrowing is taken out.
+    """
     seen, wide = np.empty(4), np.empty(at.shape[1])
     for side in range(4):
         for s in range(len(wide)):
-            wide[s] = max(mean[side, s], 0.0) * np.exp(-0.5 * (at[side, s] / (half[side] / 2)) ** 2)
+            wide[s] = max(mean[side, s], 0.0) * np.exp(
+                -0.5 * (at[side, s] / (half[side] / 2)) ** 2
+            )
         square = _moments(wide, at[side])[0]
         own = 1 / (1 / square - 1 / (half[side] / 2) ** 2)
-        own = min(max(own, 0.04), half[side] ** 2) if np.isfinite(own) and own > 0 else half[side] ** 2
+        own = (
+            min(max(own, 0.04), half[side] ** 2)
+            if np.isfinite(own) and own > 0
+            else half[side] ** 2
+        )
         seen[side] = own if np.isfinite(square) else 1.0
     sort(seen)
     return np.sqrt((seen[1] + seen[2]) / 2)
@@ -181,7 +234,9 @@ def _width(mean, at, half):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _moments(profile, at):  # pragma: no cover - compiled
-    """Means of the square and of the cube of `at` about its mean, under a profile; not finite where that sums up to nothing."""
+    """Means of the square and of the cube of `at` about its mean, under a profile; not
+    finite where that sums up to nothing.
+    """
     total, first, square, cube = 0.0, 0.0, 0.0, 0.0
     for s in range(len(at)):
         total += profile[s]
@@ -196,9 +251,16 @@ def _moments(profile, at):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fit(seen, f, ends):  # pragma: no cover - compiled
-    """Robust line per side (iterated, Geman-McClure) through samples that are there: ends (4, 2) px; returns their spread px."""
+    """Robust line per side (iterated, Geman-McClure) through samples that are there: ends
+    (4, 2) px; returns their spread px.
+    """
     samples, offset, there = len(f), seen[0], seen[1]
-    weight, size, ordered, scales = np.empty(samples), np.empty(samples), np.empty(samples), np.empty(4)
+    weight, size, ordered, scales = (
+        np.empty(samples),
+        np.empty(samples),
+        np.empty(samples),
+        np.empty(4),
+    )
     for side in range(4):
         v = offset[side]
         for m in range(samples):
@@ -244,11 +306,16 @@ def _meet(quad, ends, out):  # pragma: no cover - compiled
         if length > 0:
             nx, ny = -(by - ay) / length, (bx - ax) / length
         p[side, 0], p[side, 1] = ax + nx * ends[side, 0], ay + ny * ends[side, 0]
-        d[side, 0], d[side, 1] = bx + nx * ends[side, 1] - p[side, 0], by + ny * ends[side, 1] - p[side, 1]
+        d[side, 0], d[side, 1] = (
+            bx + nx * ends[side, 1] - p[side, 0],
+            by + ny * ends[side, 1] - p[side, 1],
+        )
     for side in range(4):
         q, e = p[side - 1], d[side - 1]  # the side before: they meet in this corner
         cross = e[0] * d[side, 1] - e[1] * d[side, 0]
-        fraction = ((p[side, 0] - q[0]) * d[side, 1] - (p[side, 1] - q[1]) * d[side, 0]) / cross
+        fraction = (
+            (p[side, 0] - q[0]) * d[side, 1] - (p[side, 1] - q[1]) * d[side, 0]
+        ) / cross
         if not np.isfinite(fraction):
             fraction = np.nan
         out[side, 0], out[side, 1] = q[0] + e[0] * fraction, q[1] + e[1] * fraction

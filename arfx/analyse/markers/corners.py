@@ -1,9 +1,10 @@
 """Sub-pixel corners of square markers: lines through the four sides' edges, met at the corners.
 
-Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples share (shared_px).
-`EdgeRefiner` decides once per clip in which values edges are symmetric, light or code: until then both are computed and kept.
-Each stretch decides for itself; one that decided otherwise than the clip before it is made again (`settle`).
-Leaves out: rolling shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker."""
+Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples
+share (shared_px). `EdgeRefiner` decides once per clip in which values edges are symmetric,
+light or code: until then both are computed and kept. Each stretch decides for itself; one
+that decided otherwise than the clip before it is made again (`settle`). Leaves out: rolling
+shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker."""
 
 from __future__ import annotations
 
@@ -22,21 +23,32 @@ from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import Transfer
 from arfx.core.numerics import divide
 
-# OpenCV thresholds against a neighbourhood of up to 23 px: of a large marker it may report the inner border of the dark
-# rim that is left of a wide black one, 11 px inside the edge. So far is looked where the first try finds no edge.
+# OpenCV thresholds against a neighbourhood of up to 23 px: of a large marker it may report
+# the inner border of the dark rim that is left of a wide black one, 11 px inside the edge.
+# So far is looked where the first try finds no edge.
 REACH_PX = 16.0
-HALF_PX = (1.8, 8.0)  # least and most that is looked at to either side of an edge; between them .6 of a cell
-# Measured: error of an edge that lies along the pixels, by its blur (which holds the pixel's own width and that of the
+HALF_PX = (
+    1.8,
+    8.0,
+)  # least and most that is looked at to either side of an edge; between them .6 of a cell
+# Measured: error of an edge that lies along the pixels, by its blur (which holds the
+# pixel's own width and that of the
 # interpolation, together .5 px); and the directions in which rows of pixels lie.
 _STEP_BLUR_PX, _STEP_PX = (0.455, 0.49, 0.65, 1.0), (0.3, 0.04, 0.03, 0.015)
 # Measured: error of an edge, of the width of a cell, by the edge's blur over that width.
-_BLUR_CELLS, _NEXT_CELL = (0.15, 0.18, 0.21, 0.25, 0.29, 0.32), (0.0, 0.001, 0.002, 0.005, 0.014, 0.03)
+_BLUR_CELLS, _NEXT_CELL = (
+    (0.15, 0.18, 0.21, 0.25, 0.29, 0.32),
+    (0.0, 0.001, 0.002, 0.005, 0.014, 0.03),
+)
 _ROWS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
 FAINT = 2.0  # light (of 255) across an edge below which it is taken for none
 AUTO, LIGHT, CODE = "auto", "srgb", "gamma:1"
 SIGHTINGS = 12  # decide after so many
-FRAMES = 120  # or after so many with a marker in them, by what there is: edges too poor to tell are poor later too
-# Measured: true linear blur gives skews up to .03 in light; camera-sharpened footage .19 in light and -.03 in code.
+# or after so many with a marker in them, by what there is: edges too poor to tell are poor
+# later too
+FRAMES = 120
+# Measured: true linear blur gives skews up to .03 in light; camera-sharpened footage .19 in
+# light and -.03 in code.
 _SKEWED = 0.07
 
 
@@ -44,10 +56,15 @@ _SKEWED = 0.07
 class Corners:
     """Refined corners of n markers.
 
-    corners_px : (n, 4, 2);  sigma_px : (n,) predicted standard deviation of a corner coordinate, without shared_px
-    blur_px : (n,) standard deviation of the edge's blur, median of sides;  inverted : (n,) white on black
-    refined : (n,) False where no clear edge was found and the input corners are returned (sigma 1 px)
-    skew : (n,) third moment of the edge's gradient over blur^3: near 0 where `table` makes the edge symmetric"""
+    corners_px : (n, 4, 2);  sigma_px : (n,) predicted standard deviation of a corner
+    coordinate, without shared_px
+    blur_px : (n,) standard deviation of the edge's blur, median of sides;  inverted : (n,)
+    white on black
+    refined : (n,) False where no clear edge was found and the input corners are returned
+    (sigma 1 px)
+    skew : (n,) third moment of the edge's gradient over blur^3: near 0 where `table` makes
+    the edge symmetric
+    """
 
     corners_px: np.ndarray
     sigma_px: np.ndarray
@@ -63,12 +80,18 @@ def linear_table(transfer: str = "srgb") -> np.ndarray:
 
 
 def refine_corners(
-    luma: np.ndarray, quads_px: np.ndarray, cells: np.ndarray, table: np.ndarray, camera: Camera | None = None
+    luma: np.ndarray,
+    quads_px: np.ndarray,
+    cells: np.ndarray,
+    table: np.ndarray,
+    camera: Camera | None = None,
 ) -> Corners:
     """Refine n markers of one image together.
 
-    luma : (h, w) uint8;  quads_px : (n, 4, 2) clockwise in the picture, good to half a cell (at most REACH_PX)
-    cells : (n,) cells along a side, border included;  table : linear_table();  camera : for the bend of the sides
+    luma : (h, w) uint8;  quads_px : (n, 4, 2) clockwise in the picture, good to half a cell
+    (at most REACH_PX)
+    cells : (n,) cells along a side, border included;  table : linear_table();  camera : for
+    the bend of the sides
     The result depends on the image around the quads only, never on how they were found."""
     start = np.array(quads_px, float).reshape(-1, 4, 2)
     n = len(start)
@@ -80,58 +103,108 @@ def refine_corners(
         light, bend = np.array(table, float), _bend(start, camera)
         luma = luma.view()
         luma.flags.writeable = False  # whoever made it, it is one type to the compiler
-        kernels.refine_quad(luma, light, quad, bend, half, half, np.where((reach > half).any(1), FAINT, 0.0), FRACTIONS, stats)
+        kernels.refine_quad(
+            luma,
+            light,
+            quad,
+            bend,
+            half,
+            half,
+            np.where((reach > half).any(1), FAINT, 0.0),
+            FRACTIONS,
+            stats,
+        )
         ok = _clear(start, quad, stats, half, half)
         again = np.flatnonzero(~ok & (reach > half).any(1))
         if len(again):
             far, far_stats = start[again], stats[again]
             kernels.refine_quad(
-                luma, light, far, bend[again], half[again], reach[again], np.zeros(len(again)), FRACTIONS, far_stats
+                luma,
+                light,
+                far,
+                bend[again],
+                half[again],
+                reach[again],
+                np.zeros(len(again)),
+                FRACTIONS,
+                far_stats,
             )
             ok[again] = _clear(start[again], far, far_stats, half[again], reach[again])
             quad[again], stats[again] = far, far_stats
     # a corner is where two lines meet, each known at its end to about twice the error of its mean
     sigma = np.maximum(2.0 * stats[:, kernels.SPREAD] / np.sqrt(SAMPLES), 0.01)
     return Corners(
-        np.where(ok[:, None, None], quad, start), np.where(ok, sigma, 1.0), np.where(ok, stats[:, kernels.BLUR], np.nan),
-        stats[:, kernels.INVERTED] > 0, ok, np.where(ok, stats[:, kernels.SKEW], np.nan),
-    )  # fmt: skip
+        np.where(ok[:, None, None], quad, start),
+        np.where(ok, sigma, 1.0),
+        np.where(ok, stats[:, kernels.BLUR], np.nan),
+        stats[:, kernels.INVERTED] > 0,
+        ok,
+        np.where(ok, stats[:, kernels.SKEW], np.nan),
+    )
 
 
 def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """(n,) standard deviation of a corner coordinate that all samples of a side share, beside Corners.sigma_px.
+    """(n,) standard deviation of a corner coordinate that all samples of a side share,
+    beside Corners.sigma_px.
 
-    corners_px : (n, 4, 2);  blur_px : (n,) of Corners, NaN gives 0;  cells : (n,) cells along a side, border included
-    The position of a step between pixels is known as well as the blur spreads it over several. A side that crosses many rows of
-    pixels averages that away; one that keeps within a row, be it a diagonal one, does not. And blur brings the cells
-    behind the border near."""
+    corners_px : (n, 4, 2);  blur_px : (n,) of Corners, NaN gives 0;  cells : (n,) cells
+    along a side, border included
+    The position of a step between pixels is known as well as the blur spreads it over
+    several. A side that crosses many rows of pixels averages that away; one that keeps
+    within a row, be it a diagonal one, does not. And blur brings the cells behind the
+    border near."""
     side = np.roll(corners_px, -1, 1) - corners_px
     shared = np.zeros(side.shape[:2])
     for x, y in _ROWS:
-        crossed = np.abs(side[..., 0] * y - side[..., 1] * x)  # rows of pixels along (x, y): 1 / |(x, y)| apart
+        crossed = np.abs(
+            side[..., 0] * y - side[..., 1] * x
+        )  # rows of pixels along (x, y): 1 / |(x, y)| apart
         shared += 1.0 / ((x * x + y * y) * (1.0 + (crossed / 1.2) ** 4) ** 2)
     cell, blur = _cell_px(corners_px, cells), np.asarray(blur_px)[:, None]
-    window = np.clip(kernels.WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *kernels.WINDOW_PX)
-    step = np.minimum(np.interp(blur, _STEP_BLUR_PX, _STEP_PX) * (kernels.WINDOW_PX[1] / window) ** 2, _STEP_PX[0])
+    window = np.clip(
+        kernels.WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *kernels.WINDOW_PX
+    )
+    step = np.minimum(
+        np.interp(blur, _STEP_BLUR_PX, _STEP_PX) * (kernels.WINDOW_PX[1] / window) ** 2,
+        _STEP_PX[0],
+    )
     near = cell * np.interp(divide(blur, cell), _BLUR_CELLS, _NEXT_CELL)
-    # the line that runs to a corner from the samples on its side carries their error on, and more of it if they disagree
-    return np.where(np.isfinite(blur_px), np.sqrt((1.3**2 * step**2 * shared + near**2).mean(1)), 0.0)
+    # the line that runs to a corner from the samples on its side carries their error on,
+    # and more of it if they disagree
+    return np.where(
+        np.isfinite(blur_px), np.sqrt((1.3**2 * step**2 * shared + near**2).mean(1)), 0.0
+    )
 
 
 def _cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,) along a side."""
+    """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,)
+    along a side.
+    """
     length = np.linalg.norm(np.roll(quad, -1, 1) - quad, axis=-1)
     opposite = np.roll(length, 2, 1)
     across, up = quad[:, 2] - quad[:, 0], quad[:, 3] - quad[:, 1]
     area = np.abs(across[:, 0] * up[:, 1] - across[:, 1] * up[:, 0]) / 2
-    deep = divide(2 * area[:, None], length + opposite) * np.minimum(divide(length, opposite, where_zero=1.0), 1.0)
+    deep = divide(2 * area[:, None], length + opposite) * np.minimum(
+        divide(length, opposite, where_zero=1.0), 1.0
+    )
     return np.asarray(deep / np.asarray(cells, float)[:, None])
 
 
-def _clear(start: np.ndarray, quad: np.ndarray, stats: np.ndarray, half: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def _clear(
+    start: np.ndarray,
+    quad: np.ndarray,
+    stats: np.ndarray,
+    half: np.ndarray,
+    reach: np.ndarray,
+) -> np.ndarray:
     """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
     near = np.abs(quad - start).max((1, 2)) <= np.maximum(3.0, 1.5 * reach.max(1))
-    return (stats[:, kernels.OK] > 0) & near & (stats[:, kernels.GAIN] > FAINT) & (stats[:, kernels.SPREAD] < half.max(1))
+    return (
+        (stats[:, kernels.OK] > 0)
+        & near
+        & (stats[:, kernels.GAIN] > FAINT)
+        & (stats[:, kernels.SPREAD] < half.max(1))
+    )
 
 
 def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
@@ -149,7 +222,8 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
     f = FRACTIONS[:, None]
     ends = camera.distort(ideal)
     along = camera.distort(ideal[:, :, None] * (1 - f) + ideal[:, [1, 2, 3, 0], None] * f)
-    # ideal fractions are not picture fractions: only the part across the chord matters, so project it out
+    # ideal fractions are not picture fractions: only the part across the chord matters, so
+    # project it out
     a, b = ends[:, :, None], ends[:, [1, 2, 3, 0], None]
     off = (along - a) * [camera.fx, camera.fy]
     chord = (b - a) * [camera.fx, camera.fy]
@@ -163,16 +237,22 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
 
 
 class EdgeRefiner(Stateful):
-    """Refines sightings. transfer : "auto" until decided;  table : (256,) coded luma to linear light, as decided so far"""
+    """Refines sightings. transfer : "auto" until decided;  table : (256,) coded luma to
+    linear light, as decided so far
+    """
 
     def __init__(self, transfer: str = AUTO) -> None:
         self.transfer = transfer
         self.table = linear_table(LIGHT if transfer == AUTO else transfer)
         self._skews: list[tuple[float, float]] = []
         self._frames = 0  # with a marker, before the decision
-        self._other: list[tuple[int, tuple[Detection, ...]]] = []  # what frames would be in code
+        self._other: list[
+            tuple[int, tuple[Detection, ...]]
+        ] = []  # what frames would be in code
 
-    def refine(self, frame: int, luma: np.ndarray, found: Sequence[Candidate], camera: Camera) -> tuple[Detection, ...]:
+    def refine(
+        self, frame: int, luma: np.ndarray, found: Sequence[Candidate], camera: Camera
+    ) -> tuple[Detection, ...]:
         """frame : number of the record, for `corrections`."""
         if not found:
             return ()
@@ -192,7 +272,10 @@ class EdgeRefiner(Stateful):
         self._other = self._other if transfer == CODE else []
 
     def settle(self, later: EdgeRefiner) -> str | None:
-        """Decide with what the next stretch saw, if that is enough. Returns the transfer to make it again with, or None"""
+        """Decide with what the next stretch saw, if that is enough.
+
+        Returns the transfer to make it again with, or None
+        """
         if self.transfer == AUTO:
             self._skews += later._skews
             self._frames += later._frames
@@ -223,10 +306,22 @@ def _refined(
     luma: np.ndarray, found: Sequence[Candidate], table: np.ndarray, camera: Camera
 ) -> tuple[tuple[Detection, ...], np.ndarray]:
     quads = np.stack([c.quad_px for c in found])
-    r = refine_corners(luma, quads, np.array([cells_per_side(c.family) for c in found]), table, camera)
-    off = [misplaced_px(luma, r.corners_px[i], c.family, c.id, bool(r.inverted[i]), table) for i, c in enumerate(found)]
+    r = refine_corners(
+        luma, quads, np.array([cells_per_side(c.family) for c in found]), table, camera
+    )
+    off = [
+        misplaced_px(luma, r.corners_px[i], c.family, c.id, bool(r.inverted[i]), table)
+        for i, c in enumerate(found)
+    ]
     seen = tuple(
-        Detection(c.key, r.corners_px[i], float(r.sigma_px[i]), float(r.blur_px[i]), bool(r.inverted[i]), off[i])
+        Detection(
+            c.key,
+            r.corners_px[i],
+            float(r.sigma_px[i]),
+            float(r.blur_px[i]),
+            bool(r.inverted[i]),
+            off[i],
+        )
         for i, c in enumerate(found)
     )
     return seen, r.skew

@@ -1,8 +1,12 @@
-"""Finds printed markers of known families in a luma image, by OpenCV's ArucoDetector without its corner refinement (corners.py).
+"""Finds printed markers of known families in a luma image, by OpenCV's ArucoDetector
+without its corner refinement (corners.py).
 
-OpenCV's relative thresholds are set to mean the same pixels in a part as in the whole frame: a search of the part that holds a
-marker gives exactly the corners of a search of the whole frame.
-Cost: about 3 ms per 640x360 image and family, 7 to 10 ms at 720p, 10 to 20 ms at 1080p (two threads)."""
+OpenCV's relative thresholds are set to mean the same pixels in a part as in the whole
+frame: a search of the part that holds a marker gives exactly the corners of a search of the
+whole frame.
+Cost: about 3 ms per 640x360 image and family, 7 to 10 ms at 720p, 10 to 20 ms at 1080p (two
+threads).
+"""
 
 from __future__ import annotations
 
@@ -19,15 +23,26 @@ from arfx.core.rect import Rect
 
 # Families whose dictionary is a superset of others of the same size: enough to look for these.
 SCANNED_FAMILIES = (
-    "36h11", "4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ORIGINAL", "25h9", "36h10", "MIP_36h12", "16h5",
-)  # fmt: skip
+    "36h11",
+    "4X4_1000",
+    "5X5_1000",
+    "6X6_1000",
+    "7X7_1000",
+    "ORIGINAL",
+    "25h9",
+    "36h10",
+    "MIP_36h12",
+    "16h5",
+)
 
 _REDUCED_WINDOW_PX = 9
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A decoded marker. quad_px : (4, 2) whole-frame pixels, about 1 px accurate, order of MarkerSpec.corners_m."""
+    """A decoded marker. quad_px : (4, 2) whole-frame pixels, about 1 px accurate, order of
+    MarkerSpec.corners_m.
+    """
 
     family: str
     id: int
@@ -39,7 +54,9 @@ class Candidate:
 
     @property
     def side_px(self) -> float:
-        return float(np.linalg.norm(self.quad_px - np.roll(self.quad_px, -1, 0), axis=1).mean())
+        return float(
+            np.linalg.norm(self.quad_px - np.roll(self.quad_px, -1, 0), axis=1).mean()
+        )
 
 
 @serialisable
@@ -47,8 +64,11 @@ class Candidate:
 class Detection:
     """One marker print in one frame, refined.
 
-    corners_px : (4, 2);  sigma_px : predicted standard deviation of a coordinate, without misplaced_px
-    blur_px : nan where unknown;  misplaced_px : by how much the cells between contradict the corners, root mean square"""
+    corners_px : (4, 2);  sigma_px : predicted standard deviation of a coordinate, without
+    misplaced_px
+    blur_px : nan where unknown;  misplaced_px : by how much the cells between contradict
+    the corners, root mean square
+    """
 
     key: str
     corners_px: np.ndarray
@@ -59,7 +79,9 @@ class Detection:
 
     @property
     def side_px(self) -> float:
-        return float(np.linalg.norm(self.corners_px - np.roll(self.corners_px, -1, 0), axis=1).mean())
+        return float(
+            np.linalg.norm(self.corners_px - np.roll(self.corners_px, -1, 0), axis=1).mean()
+        )
 
 
 @serialisable
@@ -67,7 +89,9 @@ class Detection:
 class Record:
     """One frame.
 
-    duplicates : further prints with a key that is in `detections` too;  dissimilarity : ShotDetector's two numbers"""
+    duplicates : further prints with a key that is in `detections` too;  dissimilarity :
+    ShotDetector's two numbers
+    """
 
     index: int
     time_s: float
@@ -90,39 +114,66 @@ def cells_per_side(family: str) -> int:
 class MarkerDetector:
     """Detectors for a set of families with one set of parameters."""
 
-    def __init__(self, families: Iterable[str], min_side_px: float = 9.0, inverted: bool = True) -> None:
+    def __init__(
+        self, families: Iterable[str], min_side_px: float = 9.0, inverted: bool = True
+    ) -> None:
         self.families = tuple(dict.fromkeys(families))
         self.min_side_px = min_side_px
         self._parameters = cv2.aruco.DetectorParameters()
         self._parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
         self._parameters.detectInvertedMarker = inverted
         self._parameters.minDistanceToBorder = 1
-        self._detectors = {f: cv2.aruco.ArucoDetector(dictionary(f), self._parameters) for f in self.families}
+        self._detectors = {
+            f: cv2.aruco.ArucoDetector(dictionary(f), self._parameters)
+            for f in self.families
+        }
 
-    def search(self, luma: np.ndarray, rect: Rect | None = None, factor: int = 1, min_side_px: float = 0.0) -> list[Candidate]:
+    def search(
+        self,
+        luma: np.ndarray,
+        rect: Rect | None = None,
+        factor: int = 1,
+        min_side_px: float = 0.0,
+    ) -> list[Candidate]:
         """All markers of the families, in a deterministic order.
 
-        luma : (h, w) uint8;  rect : part of it to search;  factor : search an image reduced by this whole number
-        min_side_px : leave out what is smaller (of the image searched), beside what the detector leaves out anyway"""
+        luma : (h, w) uint8;  rect : part of it to search;  factor : search an image reduced
+        by this whole number
+        min_side_px : leave out what is smaller (of the image searched), beside what the
+        detector leaves out anyway
+        """
         height, width = luma.shape
         area = Rect.of(width, height) if rect is None else rect.clip(Rect.of(width, height))
         if area.width < 8 or area.height < 8:
             return []
         image = luma[area.slices]
         if factor > 1:
-            image = cv2.resize(image, (area.width // factor, area.height // factor), interpolation=cv2.INTER_AREA)
+            image = cv2.resize(
+                image,
+                (area.width // factor, area.height // factor),
+                interpolation=cv2.INTER_AREA,
+            )
         image = np.ascontiguousarray(image)
-        # A reduced image is searched to see whether there is something at all: one threshold window finds the same markers
-        # as OpenCV's three (3, 13, 23 px) on every real test clip, in less than half of the time.
+        # A reduced image is searched to see whether there is something at all: one
+        # threshold window finds the same markers as OpenCV's three (3, 13, 23 px) on every
+        # real test clip, in less than half of the time.
         self._parameters.adaptiveThreshWinSizeMin = _REDUCED_WINDOW_PX if factor > 1 else 3
         self._parameters.adaptiveThreshWinSizeMax = _REDUCED_WINDOW_PX if factor > 1 else 23
-        self._parameters.minMarkerPerimeterRate = 4 * max(self.min_side_px, min_side_px) / max(image.shape)
+        self._parameters.minMarkerPerimeterRate = (
+            4 * max(self.min_side_px, min_side_px) / max(image.shape)
+        )
         out = []
         scale = np.array([area.width / image.shape[1], area.height / image.shape[0]])
         for family, detector in self._detectors.items():
             detector.setDetectorParameters(self._parameters)
             quads, ids, _ = detector.detectMarkers(image)
-            for quad, number in zip(quads, [] if ids is None else np.ravel(ids), strict=True):
-                px = (np.asarray(quad, float).reshape(4, 2) + 0.5) * scale - 0.5 + [area.x0, area.y0]
+            for quad, number in zip(
+                quads, [] if ids is None else np.ravel(ids), strict=True
+            ):
+                px = (
+                    (np.asarray(quad, float).reshape(4, 2) + 0.5) * scale
+                    - 0.5
+                    + [area.x0, area.y0]
+                )
                 out.append(Candidate(family, int(number), px))
         return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))

@@ -1,4 +1,6 @@
-"""The configured prints in every frame: found, their corners refined, cuts between shots noticed; and what else was there."""
+"""The configured prints in every frame: found, their corners refined, cuts between shots
+noticed; and what else was there.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from arfx.errors import ConfigError, InputError, NothingToDoError
 class Markers(Fold):
     """records : of every frame;  camera : at the clip's size
 
-    detections : in the last frame, as it was refined at once;  prints : these and their duplicates"""
+    detections : in the last frame, as it was refined at once;  prints : these and their duplicates
+    """
 
     name = "markers"
     given = frozenset({"job", "_coded"})
@@ -32,20 +35,34 @@ class Markers(Fold):
     def __init__(self, job: AnalysisJob) -> None:
         super().__init__(job)
         if not job.markers:
-            raise ConfigError("no marker is configured", "for example --marker 36h11:3:165mm, or --pattern poster.png:20cm")
+            raise ConfigError(
+                "no marker is configured",
+                "for example --marker 36h11:3:165mm, or --pattern poster.png:20cm",
+            )
         twice = [k for k, n in Counter(m.key for m in job.markers).items() if n > 1]
         if twice:
             raise ConfigError(f"marker {twice[0]} is configured twice")
-        if job.marker_map is not None and not any(m.key in job.marker_map for m in job.markers):
-            raise ConfigError("the marker map holds none of the configured markers", f"it holds {', '.join(job.marker_map)}")
+        if job.marker_map is not None and not any(
+            m.key in job.marker_map for m in job.markers
+        ):
+            raise ConfigError(
+                "the marker map holds none of the configured markers",
+                f"it holds {', '.join(job.marker_map)}",
+            )
         self.camera = job.camera
         self.records: list[Record] = []
         self.detections: tuple[Detection, ...] = ()
         self.prints: tuple[Detection, ...] = ()
         self._coded = [m for m in job.markers if isinstance(m, MarkerSpec)]
         ink, paper = job.light.ink, job.light.paper
-        prints = [PatternPicture(key, coded_luma(picture, ink, paper)) for key, picture in job.prints.items()]
-        self._tracker, self._patterns = Tracker([m.key for m in self._coded], job.params), PatternTracker(prints, job.params)
+        prints = [
+            PatternPicture(key, coded_luma(picture, ink, paper))
+            for key, picture in job.prints.items()
+        ]
+        self._tracker, self._patterns = (
+            Tracker([m.key for m in self._coded], job.params),
+            PatternTracker(prints, job.params),
+        )
         self._refiner = EdgeRefiner(job.params.transfer)
         self._cut, self._survey = ShotDetector(), DictionaryScan()
         self._others: Counter[str] = Counter()
@@ -60,16 +77,27 @@ class Markers(Fold):
         """Raises InputError for luma of another type or size, and for frames out of order."""
         index, time_s, luma, records = frame.index, frame.time_s, frame.luma, self.records
         if luma.ndim != 2 or luma.dtype != np.uint8:
-            raise InputError(f"frame {index}: luma is {luma.dtype} of shape {luma.shape}", "uint8 of shape (height, width)")
+            raise InputError(
+                f"frame {index}: luma is {luma.dtype} of shape {luma.shape}",
+                "uint8 of shape (height, width)",
+            )
         if (luma.shape[1], luma.shape[0]) != (self.camera.width, self.camera.height):
             if records:
-                raise InputError(f"frame {index} is {luma.shape[1]}x{luma.shape[0]}, the frames before it are not")
+                raise InputError(
+                    f"frame {index} is {luma.shape[1]}x{luma.shape[0]}, the frames before"
+                    " it are not"
+                )
             self.camera = self.camera.scaled_to(luma.shape[1], luma.shape[0])
         if records and (index != records[-1].index + 1 or time_s <= records[-1].time_s):
-            raise InputError(f"frame {index} at {time_s:g} s comes after frame {records[-1].index} at {records[-1].time_s:g} s")
+            raise InputError(
+                f"frame {index} at {time_s:g} s comes after frame {records[-1].index} at"
+                f" {records[-1].time_s:g} s"
+            )
         found = self._tracker.step(frame.time_s, luma, frame.following)
         patterns, searched = self._patterns.step(frame.time_s, luma, self.camera)
-        refined = self._refiner.refine(frame.index, luma, (*found.sightings, *found.duplicates), self.camera)
+        refined = self._refiner.refine(
+            frame.index, luma, (*found.sightings, *found.duplicates), self.camera
+        )
         coded, duplicates = refined[: len(found.sightings)], refined[len(found.sightings) :]
         self.detections, self.prints = (*coded, *patterns), (*refined, *patterns)
         self._others.update(found.others)
@@ -77,7 +105,16 @@ class Markers(Fold):
         if not self._ever_seen:
             self._survey.step(frame.index, luma)
         whole = found.whole or searched
-        self.records.append(Record(frame.index, frame.time_s, self.detections, duplicates, whole, self._cut.step(luma)))
+        self.records.append(
+            Record(
+                frame.index,
+                frame.time_s,
+                self.detections,
+                duplicates,
+                whole,
+                self._cut.step(luma),
+            )
+        )
         self._correct()
 
     def _correct(self) -> None:
@@ -85,14 +122,22 @@ class Markers(Fold):
         for index, replaced in self._refiner.corrections():
             was = self.records[index - first]
             n = len(replaced) - len(was.duplicates)
-            self.records[index - first] = replace(was, detections=(*replaced[:n], *was.detections[n:]), duplicates=replaced[n:])
+            self.records[index - first] = replace(
+                was,
+                detections=(*replaced[:n], *was.detections[n:]),
+                duplicates=replaced[n:],
+            )
 
     def end(self, frame: AnalysisFrame) -> dict[str, Any] | None:
-        """Where the prints that are followed were, unless a search of that frame finds each of them."""
+        """Where the prints that are followed were, unless a search of that frame finds each
+        of them.
+        """
         anew = self._tracker.anew(), self._patterns.anew()
         found = anew[0].step(frame.time_s, frame.luma, None)
         anew[1].step(frame.time_s, frame.luma, self.camera)
-        if self._tracker.led_on(found, frame.time_s) and self._patterns.led_on(anew[1], frame.time_s):
+        if self._tracker.led_on(found, frame.time_s) and self._patterns.led_on(
+            anew[1], frame.time_s
+        ):
             return None
         return {"tracker": self._tracker.state(), "patterns": self._patterns.state()}
 
@@ -109,10 +154,15 @@ class Markers(Fold):
         mine, others = ((c.width, c.height) for c in (self.camera, later.camera))
         if later.records:
             if self.records and mine != others:
-                raise InputError(f"frame {len(self.records)} is {others[0]}x{others[1]}, the frames before it are not")
+                raise InputError(
+                    f"frame {len(self.records)} is {others[0]}x{others[1]}, the frames"
+                    " before it are not"
+                )
             self.camera = later.camera
         records, unlike = shifted(later.records, shift), self._cut.join(later._cut)
-        records[: len(unlike)] = [replace(r, dissimilarity=d) for r, d in zip(records, unlike, strict=False)]
+        records[: len(unlike)] = [
+            replace(r, dissimilarity=d) for r, d in zip(records, unlike, strict=False)
+        ]
         self.records += records
         self._refiner.join(later._refiner, shift)
         self._correct()
@@ -124,22 +174,35 @@ class Markers(Fold):
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError if no configured marker was ever seen, saying what was."""
         if not self.records:
-            raise NothingToDoError("the clip holds no frame", "is it empty, or does --start lie behind its end?")
+            raise NothingToDoError(
+                "the clip holds no frame",
+                "is it empty, or does --start lie behind its end?",
+            )
         if self._ever_seen:
             return clip.adding(edge_transfer=self._refiner.transfer)
         wanted = ", ".join(m.key for m in self.job.markers)
         families = ", ".join(dict.fromkeys(m.family for m in self._coded))
         message = f"no configured marker ({wanted}) in {len(self.records)} frames"
         if not families:
-            raise NothingToDoError(message, "is the print flat, sharp, at least 50 px wide, and its picture this one?")
+            raise NothingToDoError(
+                message,
+                "is the print flat, sharp, at least 50 px wide, and its picture this one?",
+            )
         message += f"; dictionaries tried: {families}"
         ids = sorted(self._others, key=lambda k: (-self._others[k], k))[:6]
         other = self._survey.text()
         if ids:
-            raise NothingToDoError(f"{message}; ids of the same dictionary seen: {', '.join(ids)}",
-                                   f"configure one of those: --marker {ids[0]}:SIZE")  # fmt: skip
+            raise NothingToDoError(
+                f"{message}; ids of the same dictionary seen: {', '.join(ids)}",
+                f"configure one of those: --marker {ids[0]}:SIZE",
+            )
         if other:
             first = self._survey.likeliest()[0]
-            raise NothingToDoError(f"{message}; other dictionaries saw: {other}", f"perhaps --marker {first}:SIZE")
-        raise NothingToDoError(f"{message}; no marker of any dictionary was seen",
-                               "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?")  # fmt: skip
+            raise NothingToDoError(
+                f"{message}; other dictionaries saw: {other}",
+                f"perhaps --marker {first}:SIZE",
+            )
+        raise NothingToDoError(
+            f"{message}; no marker of any dictionary was seen",
+            "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?",
+        )

@@ -1,7 +1,9 @@
-"""Whether the cells inside a marker lie where its corners say: a hand over one side has an edge too, and bits are still read.
+"""Whether the cells inside a marker lie where its corners say: a hand over one side has an
+edge too, and bits are still read.
 
-Every line between a dark and a bright cell is looked up in the picture. How far they are off, as a plane over the print, says how
-far each corner is off. Cost: about .1 ms per marker."""
+Every line between a dark and a bright cell is looked up in the picture. How far they are
+off, as a plane over the print, says how far each corner is off. Cost: about .1 ms per
+marker."""
 
 from __future__ import annotations
 
@@ -17,13 +19,17 @@ from arfx.core.numerics import divide
 _ACROSS = np.linspace(-0.4, 0.4, 9)  # cells, where a line between two cells is sampled
 _LEAST_CONTRAST = 0.4  # of the usual one: fainter, one of the two cells is covered
 LEAST_LINES = 12
-_DOUBT = 9.0  # three deviations of a corner, each three of the mean of the lines: it lies outside of them
+# three deviations of a corner, each three of the mean of the lines: it lies outside of them
+_DOUBT = 9.0
 _RIDGE = 1e-6 * np.eye(3)
 AGREE_CELLS = 0.05  # what the camera makes of edges moves lines by less
 
 
 class Lines(NamedTuple):
-    """Of one print, cells from its upper left corner. middle : (k, 2);  normal : (k, 2) unit, to the brighter cell"""
+    """Of one print, cells from its upper left corner.
+
+    middle : (k, 2);  normal : (k, 2) unit, to the brighter cell
+    """
 
     middle: np.ndarray
     normal: np.ndarray
@@ -39,25 +45,43 @@ def _lines(family: str, number: int) -> Lines:
         for row, column in np.argwhere(step):
             at = (column + 1.0, row + 0.5) if axis == 0 else (column + 0.5, row + 1.0)
             middle.append(at)
-            normal.append(np.array([1.0, 0.0] if axis == 0 else [0.0, 1.0]) * step[row, column])
+            normal.append(
+                np.array([1.0, 0.0] if axis == 0 else [0.0, 1.0]) * step[row, column]
+            )
     return Lines(np.array(middle), np.array(normal))
 
 
-def misplaced_px(luma: np.ndarray, corners_px: np.ndarray, family: str, number: int, inverted: bool, table: np.ndarray) -> float:
-    """Root mean square over the corners of how far they are from where the inner cells have them; 0 where these agree.
+def misplaced_px(
+    luma: np.ndarray,
+    corners_px: np.ndarray,
+    family: str,
+    number: int,
+    inverted: bool,
+    table: np.ndarray,
+) -> float:
+    """Root mean square over the corners of how far they are from where the inner cells have
+    them; 0 where these agree.
 
-    luma : (h, w) uint8;  corners_px : (4, 2) in the order of MarkerSpec.corners_m;  table : (256,) coded luma to light, 0..255"""
+    luma : (h, w) uint8;  corners_px : (4, 2) in the order of MarkerSpec.corners_m;  table :
+    (256,) coded luma to light, 0..255
+    """
     cells = cells_per_side(family)
     lines = _lines(family, number)
     if len(lines.middle) < LEAST_LINES or not np.isfinite(corners_px).all():
         return 0.0
     square = np.array([[0, 0], [cells, 0], [cells, cells], [0, cells]], np.float32)
     h = cv2.getPerspectiveTransform(square, np.asarray(corners_px, np.float32))
-    across = np.concatenate([_ACROSS, [-0.5, 0.5]])  # the last two: the middles of both cells
+    across = np.concatenate(
+        [_ACROSS, [-0.5, 0.5]]
+    )  # the last two: the middles of both cells
     at = lines.middle[:, None] + across[:, None] * lines.normal[:, None]
     px = np.concatenate([at, np.ones_like(at[..., :1])], -1) @ h.T
     xy = (px[..., :2] / px[..., 2:]).astype(np.float32)
-    light = table[cv2.remap(luma, xy[..., 0], xy[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)]
+    light = table[
+        cv2.remap(
+            luma, xy[..., 0], xy[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+    ]
     light = 255 - light if inverted else light
     dark, bright = light[:, -2], light[:, -1]
     contrast = bright - dark
@@ -86,4 +110,6 @@ def misplaced_px(luma: np.ndarray, corners_px: np.ndarray, family: str, number: 
     if np.abs(shift).max() < max(AGREE_CELLS, doubt):
         return 0.0
     moved = np.concatenate([square + shift, np.ones((4, 1))], 1) @ h.T
-    return float(np.sqrt(((moved[:, :2] / moved[:, 2:] - corners_px) ** 2).sum(1).mean() / 2))
+    return float(
+        np.sqrt(((moved[:, :2] / moved[:, 2:] - corners_px) ** 2).sum(1).mean() / 2)
+    )

@@ -1,6 +1,8 @@
-"""How plainly a decoded marker can be read: whether it is a print of that code, or texture that happened to be taken for one.
+"""How plainly a decoded marker can be read: whether it is a print of that code, or texture
+that happened to be taken for one.
 
-OpenCV's detector corrects wrong bits and asks for no white around the print, so that codes of few bits turn up everywhere."""
+OpenCV's detector corrects wrong bits and asks for no white around the print, so that codes
+of few bits turn up everywhere."""
 
 from __future__ import annotations
 
@@ -16,27 +18,42 @@ from arfx.core.numerics import divide
 
 SAMPLES = 4  # a side of a cell; those at its border are mixed with its neighbour
 CLEAN = 0.95  # share of the cells around that are paper, and of the border's that are ink
-MARGIN = 0.25  # of the bits from half way between ink and paper; 1 = as ink and paper themselves
+MARGIN = (
+    0.25  # of the bits from half way between ink and paper; 1 = as ink and paper themselves
+)
 HOLDS_FRAMES = 3  # a reading that is not sure by itself has to be in so many frames
 HOLDS, SURE = 1e-2, 1e-4  # chance at which a reading counts, and at which one is enough
 
 
 def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
-    """Whether this reading counts as one of several, and whether it is sure by itself: a quiet zone, a black border and bits
-    that are all clear; or a code so long that chance does not make it."""
+    """Whether this reading counts as one of several, and whether it is sure by itself: a
+    quiet zone, a black border and bits that are all clear; or a code so long that chance
+    does not make it."""
     n = cells_per_side(seen.family)
-    corners = SAMPLES * np.array([[1, 1], [n + 1, 1], [n + 1, n + 1], [1, n + 1]], np.float32) - 0.5
+    corners = (
+        SAMPLES * np.array([[1, 1], [n + 1, 1], [n + 1, n + 1], [1, n + 1]], np.float32)
+        - 0.5
+    )
     warp = cv2.getPerspectiveTransform(corners, seen.quad_px.astype(np.float32))
     side, flags = SAMPLES * (n + 2), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    flat = cv2.warpPerspective(luma, warp, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    cells = flat.reshape(n + 2, SAMPLES, n + 2, SAMPLES)[:, 1:-1, :, 1:-1].mean((1, 3), dtype=float)
+    flat = cv2.warpPerspective(
+        luma, warp, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
+    cells = flat.reshape(n + 2, SAMPLES, n + 2, SAMPLES)[:, 1:-1, :, 1:-1].mean(
+        (1, 3), dtype=float
+    )
     at = np.minimum(np.arange(n + 2), np.arange(n + 2)[::-1])
-    depth = np.minimum(at[:, None], at)  # 0 around the print, 1 its border, from 2 on its bits
+    depth = np.minimum(
+        at[:, None], at
+    )  # 0 around the print, 1 its border, from 2 on its bits
     ink, paper = (float(np.median(cells[depth == k])) for k in (1, 0))
     paper_like = 2 * divide(cells - ink, paper - ink) - 1
     bits = paper_like[depth > 1] * np.where(_code(seen.family, seen.id), 1, -1)
     wrong = int((bits <= 0).sum())
-    clean = min((paper_like[depth == 0] > 0).mean(), (paper_like[depth == 1] < 0).mean()) >= CLEAN
+    clean = (
+        min((paper_like[depth == 0] > 0).mean(), (paper_like[depth == 1] < 0).mean())
+        >= CLEAN
+    )
     chance = _chance(seen.family, seen.id, wrong)
     sure = bool(clean and bits.min() >= MARGIN) or chance <= SURE
     return sure or wrong == 0 or chance <= HOLDS, sure
@@ -50,7 +67,9 @@ def _code(family: str, number: int) -> np.ndarray:
 
 
 def _chance(family: str, number: int, wrong: int) -> float:
-    """That bits by chance are one of the family's codes with so many wrong ones, in one of four turns."""
+    """That bits by chance are one of the family's codes with so many wrong ones, in one of
+    four turns.
+    """
     bits = (cells_per_side(family) - 2) ** 2
     codes = FAMILIES[smallest_family(family, number)]
     return 4 * codes * sum(comb(bits, k) for k in range(wrong + 1)) / 2.0**bits

@@ -1,4 +1,6 @@
-"""What markers of all families are in a clip in which the configured ones are not seen: for the message that says so."""
+"""What markers of all families are in a clip in which the configured ones are not seen: for
+the message that says so.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,12 @@ from arfx.analyse.fold import Stateful
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, MarkerDetector
 from arfx.analyse.markers.legible import legible
 
-LOOKS = (0, 1, 2, *(6 << k for k in range(9)))  # the numbers of the frames searched: all of a photo, few of a long clip
+LOOKS = (
+    0,
+    1,
+    2,
+    *(6 << k for k in range(9)),
+)  # the numbers of the frames searched: all of a photo, few of a long clip
 MIN_SIDE_PX = 14.0  # smaller squares of weak dictionaries are found in any texture
 
 
@@ -34,8 +41,16 @@ class DictionaryScan(Stateful):
 
     def text(self) -> str:
         """ "4X4_1000:7 (2 of 3 sampled frames), ..." likeliest first, or an empty string."""
-        return ", ".join(f"{k} ({self.counts[k]} of {self.looked} sampled frames)" for k in self.likeliest()[:6])
+        return ", ".join(
+            f"{k} ({self.counts[k]} of {self.looked} sampled frames)"
+            for k in self.likeliest()[:6]
+        )
 
     def likeliest(self) -> list[str]:
-        """Keys seen: most often seen first; among equals the families that are hardest to misread first."""
-        return sorted(self.counts, key=lambda k: (-self.counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k))
+        """Keys seen: most often seen first; among equals the families that are hardest to
+        misread first.
+        """
+        return sorted(
+            self.counts,
+            key=lambda k: (-self.counts[k], SCANNED_FAMILIES.index(k.rsplit(":", 1)[0]), k),
+        )

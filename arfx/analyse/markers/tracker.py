@@ -1,9 +1,12 @@
 """Decides where to look in each frame, so that a tracked marker costs little and nothing is missed.
 
-* A tracked marker is looked for in its predicted rectangle, among squares not much smaller than it was.
-* If one is not there, this frame and the next few are searched whole, at full resolution; later ones on a reduced image (a hit
+* A tracked marker is looked for in its predicted rectangle, among squares not much smaller
+  than it was.
+* If one is not there, this frame and the next few are searched whole, at full resolution;
+  later ones on a reduced image (a hit
   there is looked up at full resolution), and whole at a stated interval.
-* While nothing is in view, a frame between two that show nothing on the reduced image is not searched: a marker that shows in a
+* While nothing is in view, a frame between two that show nothing on the reduced image is
+  not searched: a marker that shows in a
   single frame may be missed."""
 
 from __future__ import annotations
@@ -20,14 +23,20 @@ from arfx.analyse.params import AnalyseParams
 from arfx.core.codec import serialisable
 from arfx.core.rect import Rect
 
-SHRINK = 0.4  # a tracked marker is no smaller than this share of what it was in the last frame
-SURE_PX = 32.0  # with smaller sides it is a matter of luck, and of what else is in the picture, which contour OpenCV takes
+SHRINK = (
+    0.4  # a tracked marker is no smaller than this share of what it was in the last frame
+)
+# with smaller sides it is a matter of luck, and of what else is in the picture, which
+# contour OpenCV takes
+SURE_PX = 32.0
 
 
 @serialisable
 @dataclass
 class Track:
-    """Where a marker was last: quad_px (4, 2), its speed px/s, when, and for how many frames it has been missing."""
+    """Where a marker was last: quad_px (4, 2), its speed px/s, when, and for how many
+    frames it has been missing.
+    """
 
     quad_px: np.ndarray
     speed_px_s: np.ndarray
@@ -36,7 +45,9 @@ class Track:
 
     def predicted(self, time_s: float) -> np.ndarray:
         """Centre of the marker at a time, px; speed is trusted for a tenth of a second only."""
-        return self.quad_px.mean(0) + self.speed_px_s * min(max(time_s - self.time_s, 0.0), 0.1)
+        return self.quad_px.mean(0) + self.speed_px_s * min(
+            max(time_s - self.time_s, 0.0), 0.1
+        )
 
     @property
     def sides_px(self) -> np.ndarray:
@@ -44,16 +55,23 @@ class Track:
 
     def rect(self, time_s: float) -> Rect:
         centre, was = self.predicted(time_s), self.quad_px.mean(0)
-        spread = max(0.4 * float(self.sides_px.max()), 20.0) * (1 + 0.25 * min(self.missing, 4))
-        return Rect.around(self.quad_px + (centre - was), spread + 0.5 * float(np.abs(centre - was).max()))
+        spread = max(0.4 * float(self.sides_px.max()), 20.0) * (
+            1 + 0.25 * min(self.missing, 4)
+        )
+        return Rect.around(
+            self.quad_px + (centre - was), spread + 0.5 * float(np.abs(centre - was).max())
+        )
 
 
 @dataclass(frozen=True)
 class Found:
     """What one frame gave.
 
-    sightings : the chosen candidate per configured key;  duplicates : further candidates with the same key
-    others : ids of the families that are not configured;  whole : the whole frame was searched at full resolution"""
+    sightings : the chosen candidate per configured key;  duplicates : further candidates
+    with the same key
+    others : ids of the families that are not configured;  whole : the whole frame was
+    searched at full resolution
+    """
 
     sightings: tuple[Candidate, ...]
     duplicates: tuple[Candidate, ...]
@@ -73,7 +91,10 @@ class Tracker(Stateful):
         self.frames = 0
         self.last_whole_s = -math.inf
         self.lost_frames = 0  # frames still to be searched whole after a loss
-        self.nothing_before, self.nothing_here = False, False  # known of the last frame, and of the one to come
+        self.nothing_before, self.nothing_here = (
+            False,
+            False,
+        )  # known of the last frame, and of the one to come
         families = [k.rsplit(":", 1)[0] for k in keys]
         self.detector = MarkerDetector(families, params.min_side_px, params.detect_inverted)
 
@@ -82,18 +103,29 @@ class Tracker(Stateful):
         return Tracker(self.keys, self.params)
 
     def led_on(self, found: Found, time_s: float) -> bool:
-        """Whether another one, which has seen nothing before, found every print that is followed here, and no other one of the
-        same key nearer to where it was expected."""
+        """Whether another one, which has seen nothing before, found every print that is
+        followed here, and no other one of the same key nearer to where it was expected."""
         for key, track in self.tracks.items():
             expected = track.predicted(time_s)
-            seen = [c.quad_px.mean(0) for c in (*found.sightings, *found.duplicates) if c.key == key]
+            seen = [
+                c.quad_px.mean(0)
+                for c in (*found.sightings, *found.duplicates)
+                if c.key == key
+            ]
             away = [float(np.linalg.norm(centre - expected)) for centre in seen]
             if (away and away[0] > min(away)) or (not away and not track.missing):
                 return False
         return True
 
-    def step(self, time_s: float, luma: np.ndarray, following: Callable[[], np.ndarray] | None = None) -> Found:
-        """following : luma of the frame that comes next; None = there is none, or it is not known yet"""
+    def step(
+        self,
+        time_s: float,
+        luma: np.ndarray,
+        following: Callable[[], np.ndarray] | None = None,
+    ) -> Found:
+        """following : luma of the frame that comes next; None = there is none, or it is not
+        known yet
+        """
         height, width = luma.shape
         frame = Rect.of(width, height)
         factor = max(1, math.ceil(math.sqrt(frame.area / self.params.reduced_px)))
@@ -102,31 +134,56 @@ class Tracker(Stateful):
         followed = list(self.tracks.values())
         sure = all(t.missing == 0 and t.sides_px.min() >= SURE_PX for t in followed)
         if factor == 1 and (len(followed) < len(self.keys) or not sure):
-            followed = []  # a small frame is searched whole while one is missing, and where that could find other ones
+            # a small frame is searched whole while one is missing, and where that could
+            # find other ones
+            followed = []
         rects = [t.rect(time_s).clip(frame) for t in followed]
         for part in _merged(rects):
-            sides = [t.sides_px.min() for t, r in zip(followed, rects, strict=True) if not r.clip(part).empty]
-            every += self.detector.search(luma, part, min_side_px=SHRINK * float(min(sides)))
+            sides = [
+                t.sides_px.min()
+                for t, r in zip(followed, rects, strict=True)
+                if not r.clip(part).empty
+            ]
+            every += self.detector.search(
+                luma, part, min_side_px=SHRINK * float(min(sides))
+            )
         missing = [k for k in self.keys if k not in {c.key for c in every}]
         newly_lost = any(t.missing == 0 for k, t in self.tracks.items() if k in missing)
         nothing_here, self.nothing_here = self.nothing_here, False
-        self.lost_frames = self.params.loss_search_frames if newly_lost else self.lost_frames
+        self.lost_frames = (
+            self.params.loss_search_frames if newly_lost else self.lost_frames
+        )
         due = time_s - self.last_whole_s >= self.params.search_interval_s
         if missing and (factor == 1 or due or newly_lost or self.lost_frames > 0):
             every, whole = self.detector.search(luma), True
             self.last_whole_s = time_s
             self.lost_frames = max(0, self.lost_frames - 1)
-        elif missing and (len(missing) == len(self.keys) or self.frames % self.params.reduced_search_every == 0):
-            ahead = following if self.nothing_before and len(missing) == len(self.keys) else None
-            hits = [] if nothing_here else self._search_reduced(luma, ahead, factor, missing)
-            for part in _merged(Rect.around(c.quad_px, max(24.0, 0.5 * c.side_px)).clip(frame) for c in hits):
+        elif missing and (
+            len(missing) == len(self.keys)
+            or self.frames % self.params.reduced_search_every == 0
+        ):
+            ahead = (
+                following
+                if self.nothing_before and len(missing) == len(self.keys)
+                else None
+            )
+            hits = (
+                [] if nothing_here else self._search_reduced(luma, ahead, factor, missing)
+            )
+            for part in _merged(
+                Rect.around(c.quad_px, max(24.0, 0.5 * c.side_px)).clip(frame) for c in hits
+            ):
                 every += self.detector.search(luma, part)
         self.frames += 1
         self.nothing_before = not any(c.key in self.keys for c in every)
         return self._choose(time_s, every, whole)
 
     def _search_reduced(
-        self, luma: np.ndarray, ahead: Callable[[], np.ndarray] | None, factor: int, keys: Sequence[str]
+        self,
+        luma: np.ndarray,
+        ahead: Callable[[], np.ndarray] | None,
+        factor: int,
+        keys: Sequence[str],
     ) -> list[Candidate]:
         """Markers on the reduced image. ahead : the next frame, if it may speak for this"""
 
@@ -142,8 +199,12 @@ class Tracker(Stateful):
         chosen, duplicates = [], []
         for key in self.keys:
             seen: list[Candidate] = []
-            for c in every:  # one candidate per place: two within half a side of each other are one print
-                if c.key == key and all(np.linalg.norm(c.quad_px.mean(0) - o.quad_px.mean(0)) > 0.5 * o.side_px for o in seen):
+            # one candidate per place: two within half a side of each other are one print
+            for c in every:
+                if c.key == key and all(
+                    np.linalg.norm(c.quad_px.mean(0) - o.quad_px.mean(0)) > 0.5 * o.side_px
+                    for o in seen
+                ):
                     seen.append(c)
             track = self.tracks.get(key)
             if not seen:
@@ -152,7 +213,10 @@ class Tracker(Stateful):
                     if time_s - track.time_s > self.params.search_interval_s:
                         del self.tracks[key]
                 continue
-            speed, expected = np.zeros(2), None if track is None else track.predicted(time_s)
+            speed, expected = (
+                np.zeros(2),
+                None if track is None else track.predicted(time_s),
+            )
             if expected is None:
                 seen.sort(key=lambda c: -c.side_px)
             else:  # two prints of one id: the one where this marker was expected
@@ -161,7 +225,9 @@ class Tracker(Stateful):
             chosen.append(best)
             duplicates += rest
             if track is not None and 0 < time_s - track.time_s < 0.3:
-                speed = (best.quad_px.mean(0) - track.quad_px.mean(0)) / max(time_s - track.time_s, 1e-3)
+                speed = (best.quad_px.mean(0) - track.quad_px.mean(0)) / max(
+                    time_s - track.time_s, 1e-3
+                )
             self.tracks[key] = Track(best.quad_px, speed, time_s)
         others = tuple(sorted({c.key for c in every} - set(self.keys)))
         return Found(tuple(chosen), tuple(duplicates), others, whole)

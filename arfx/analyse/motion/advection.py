@@ -1,8 +1,10 @@
-"""The advection field of every frame: motion steps chained over the clip, around the markers through the known poses.
+"""The advection field of every frame: motion steps chained over the clip, around the
+markers through the known poses.
 
-field(new epoch, node) = field(key frame, where the node lay then). A cut starts a new field, elsewhere. A second texture starts
-undeformed at the end of each stretch and is carried back (`forward_and_backward`): whoever paints both, fading from one to the
-other, sees one that is little deformed. The fade goes by epochs, not by time.
+field(new epoch, node) = field(key frame, where the node lay then). A cut starts a new
+field, elsewhere. A second texture starts undeformed at the end of each stretch and is
+carried back (`forward_and_backward`): whoever paints both, fading from one to the other,
+sees one that is little deformed. The fade goes by epochs, not by time.
 Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch."""
 
 from __future__ import annotations
@@ -22,14 +24,17 @@ from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 
-_NEW_DETAIL = 0.1  # fraction of what is seen now in the detail of an epoch; the rest is what was there before
+# fraction of what is seen now in the detail of an epoch; the rest is what was there before
+_NEW_DETAIL = 0.1
 _RELAX = 0.02  # fraction of the field's bend that is taken out per epoch
 _LEAST_DET = 0.15  # of the field's own mean: triangles smaller than that are about to fold
 _NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
 PERIOD = 90  # epochs
 _APART_PX = 5003.0  # the pattern of the other end of a stretch comes from that far away
 _ROUNDS = 6  # of the search for where a node came to lie
-AROUND = 2.4  # sizes of the marker: within this, its pose gives the motion better than the flow
+AROUND = (
+    2.4  # sizes of the marker: within this, its pose gives the motion better than the flow
+)
 Field = tuple[np.ndarray, np.ndarray]
 
 
@@ -55,16 +60,26 @@ class Advection(Fold):
     def finish(self, clip: Analysis) -> Analysis:
         camera = self.job.camera.scaled_to(*self._motion.size)
         reach_m = AROUND * clip.anchor.size_m
-        return clip.adding(with_advection(clip.facts, self._motion.steps, camera, clip.world_from_anchor, reach_m))
+        return clip.adding(
+            with_advection(
+                clip.facts, self._motion.steps, camera, clip.world_from_anchor, reach_m
+            )
+        )
 
 
 def with_advection(
-    facts: Sequence[FrameFacts], steps: Sequence[MotionStep], camera: Camera, world_from_anchor: Pose, reach_m: float
+    facts: Sequence[FrameFacts],
+    steps: Sequence[MotionStep],
+    camera: Camera,
+    world_from_anchor: Pose,
+    reach_m: float,
 ) -> tuple[FrameFacts, ...]:
     """The facts with `advection`.
 
-    steps : of BackgroundMotion, of the same frames;  reach_m : around the anchor's origin on its plane the poses are
-    believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only"""
+    steps : of BackgroundMotion, of the same frames;  reach_m : around the anchor's origin
+    on its plane the poses are
+    believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only
+    """
     by_index = {s.index: s for s in steps}
     gx, gy = node_positions(camera.width, camera.height)
     rays = camera.directions(np.stack([gx, gy], -1)) if reach_m > 0 else None
@@ -79,18 +94,39 @@ def with_advection(
         cut = last is not None and f.shot != last.shot
         if last is None or cut or step is not None:
             number += last is not None
-            back = None if step is None or step.back is None or last is None or cut else step.back.astype(float)
+            back = (
+                None
+                if step is None or step.back is None or last is None or cut
+                else step.back.astype(float)
+            )
             if back is None:
                 u, v = gx + _NEW_SHOT_PX * number, gy
             else:
                 if rays is not None:
-                    back = _with_pose(back, gx, gy, rays, f.camera_from_world, key[2], camera, world_from_anchor, reach_m)
+                    back = _with_pose(
+                        back,
+                        gx,
+                        gy,
+                        rays,
+                        f.camera_from_world,
+                        key[2],
+                        camera,
+                        world_from_anchor,
+                        reach_m,
+                    )
                 u, v = relaxed(*_at(key[:2], gx + back[..., 0], gy + back[..., 1], gx, gy))
             if step is not None:
                 seen = step.detail.astype(float)
-                if back is not None:  # carried along with the things, a little of what is seen now each time
-                    x, y = gx + back[..., 0] - last_back[..., 0], gy + back[..., 1] - last_back[..., 1]
-                    seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(_sampled(detail, x, y, gx, gy), 0, 255)
+                if (
+                    back is not None
+                ):  # carried along with the things, a little of what is seen now each time
+                    x, y = (
+                        gx + back[..., 0] - last_back[..., 0],
+                        gy + back[..., 1] - last_back[..., 1],
+                    )
+                    seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(
+                        _sampled(detail, x, y, gx, gy), 0, 255
+                    )
                 detail = seen
                 last_back = np.zeros_like(last_back) if step.key or back is None else back
             elif cut:  # unnoticed by the flow: there was nothing to see
@@ -98,44 +134,87 @@ def with_advection(
             if step is not None and step.key:
                 key = u, v, f.camera_from_world
             elif back is None:
-                # a cut that the flow did not notice: the key frame's nodes lie where this frame's flow says
+                # a cut that the flow did not notice: the key frame's nodes lie where this
+                # frame's flow says
                 key = (u, v, f.camera_from_world)
                 if step is not None and step.back is not None:
-                    key = (*_at((u, v), gx - step.back[..., 0], gy - step.back[..., 1], gx, gy), None)
+                    key = (
+                        *_at(
+                            (u, v), gx - step.back[..., 0], gy - step.back[..., 1], gx, gy
+                        ),
+                        None,
+                    )
             origin, shape = (int(gx[0, 0]), int(gy[0, 0])), (u.shape[0], u.shape[1])
             fields.append(
-                AdvectionField(number, GRID_PX, origin, shape, pack_positions(u, v), pack_detail(detail), f.camera_from_world)
+                AdvectionField(
+                    number,
+                    GRID_PX,
+                    origin,
+                    shape,
+                    pack_positions(u, v),
+                    pack_detail(detail),
+                    f.camera_from_world,
+                )
             )
-            kept = back if back is not None or step is None or step.back is None else step.back.astype(float)
-            epochs.append(EpochStep(kept, (step is not None and step.key) or kept is None, back is None))
+            kept = (
+                back
+                if back is not None or step is None or step.back is None
+                else step.back.astype(float)
+            )
+            epochs.append(
+                EpochStep(
+                    kept, (step is not None and step.key) or kept is None, back is None
+                )
+            )
         last = f
         of_frame.append(len(epochs) - 1)
     fields = [
-        replace(m, share=round(share, 4), forward=pack_positions(*forward), backward=pack_positions(*backward))
-        for m, (forward, backward, share) in zip(fields, forward_and_backward(epochs, gx, gy), strict=True)
+        replace(
+            m,
+            share=round(share, 4),
+            forward=pack_positions(*forward),
+            backward=pack_positions(*backward),
+        )
+        for m, (forward, backward, share) in zip(
+            fields, forward_and_backward(epochs, gx, gy), strict=True
+        )
     ]
     return tuple(f.with_(advection=fields[k]) for f, k in zip(facts, of_frame, strict=True))
 
 
-def _sampled(a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
+def _sampled(
+    a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray
+) -> np.ndarray:
     """`a` at places between its nodes, bilinear, linear beyond its border."""
     gh, gw = a.shape
     s, t = (x - gx[0, 0]) / GRID_PX, (y - gy[0, 0]) / GRID_PX
-    i, j = np.clip(np.floor(s), 0, gw - 2).astype(int), np.clip(np.floor(t), 0, gh - 2).astype(int)
+    i, j = (
+        np.clip(np.floor(s), 0, gw - 2).astype(int),
+        np.clip(np.floor(t), 0, gh - 2).astype(int),
+    )
     s, t = s - i, t - j
     top = a[j, i] + s * (a[j, i + 1] - a[j, i])
     bottom = a[j + 1, i] + s * (a[j + 1, i + 1] - a[j + 1, i])
     return top + t * (bottom - top)
 
 
-def _at(field: Field, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> Field:
+def _at(
+    field: Field, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray
+) -> Field:
     return _sampled(field[0], x, y, gx, gy), _sampled(field[1], x, y, gx, gy)
 
 
 def _with_pose(
-    back: np.ndarray, gx: np.ndarray, gy: np.ndarray, rays: np.ndarray, now: Pose | None, then: Pose | None, camera: Camera,
-    world_from_anchor: Pose, reach_m: float,
-) -> np.ndarray:  # fmt: skip
+    back: np.ndarray,
+    gx: np.ndarray,
+    gy: np.ndarray,
+    rays: np.ndarray,
+    now: Pose | None,
+    then: Pose | None,
+    camera: Camera,
+    world_from_anchor: Pose,
+    reach_m: float,
+) -> np.ndarray:
     """The steps back, near the anchor those of points of its plane."""
     if now is None or then is None:
         return back
@@ -144,10 +223,14 @@ def _with_pose(
     far = divide(np.full(d.shape[:-1], -eye[2]), d[..., 2], where_zero=np.nan)
     on_plane = eye + d * np.where(far > 0, far, np.nan)[..., None]
     distance = np.linalg.norm(on_plane[..., :2], axis=-1)
-    before = camera.project((then @ world_from_anchor).apply(np.where(np.isfinite(on_plane), on_plane, 0.0)))
+    before = camera.project(
+        (then @ world_from_anchor).apply(np.where(np.isfinite(on_plane), on_plane, 0.0))
+    )
     step = before - np.stack([gx, gy], -1)
     known = np.isfinite(distance) & np.isfinite(step).all(-1)
-    share = np.where(known, np.clip(2 - np.where(known, distance, 0) / reach_m, 0, 1), 0)[..., None]
+    share = np.where(known, np.clip(2 - np.where(known, distance, 0) / reach_m, 0, 1), 0)[
+        ..., None
+    ]
     return back + share * (np.where(known[..., None], step, back) - back)
 
 
@@ -163,7 +246,9 @@ def relaxed(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _bend(a: np.ndarray) -> np.ndarray:
-    """How much the mean of a node's neighbours differs from it; at the border only along it, at corners nothing."""
+    """How much the mean of a node's neighbours differs from it; at the border only along
+    it, at corners nothing.
+    """
     out = np.zeros_like(a)
     out[:, 1:-1] += (a[:, :-2] + a[:, 2:]) / 2 - a[:, 1:-1]
     out[1:-1] += (a[:-2] + a[2:]) / 2 - a[1:-1]
@@ -179,24 +264,34 @@ def _straight(a: np.ndarray) -> np.ndarray:
 
 
 def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the two triangles of every quad, in units of GRID_PX^2: how many px of the thing lie in one of the picture."""
-    a = (u[:-1, 1:] - u[:-1, :-1]) * (v[1:, :-1] - v[:-1, :-1]) - (v[:-1, 1:] - v[:-1, :-1]) * (u[1:, :-1] - u[:-1, :-1])
-    b = (u[1:, 1:] - u[1:, :-1]) * (v[1:, 1:] - v[:-1, 1:]) - (v[1:, 1:] - v[1:, :-1]) * (u[1:, 1:] - u[:-1, 1:])
+    """Of the two triangles of every quad, in units of GRID_PX^2: how many px of the thing
+    lie in one of the picture.
+    """
+    a = (u[:-1, 1:] - u[:-1, :-1]) * (v[1:, :-1] - v[:-1, :-1]) - (
+        v[:-1, 1:] - v[:-1, :-1]
+    ) * (u[1:, :-1] - u[:-1, :-1])
+    b = (u[1:, 1:] - u[1:, :-1]) * (v[1:, 1:] - v[:-1, 1:]) - (v[1:, 1:] - v[1:, :-1]) * (
+        u[1:, 1:] - u[:-1, 1:]
+    )
     return a / GRID_PX**2, b / GRID_PX**2
 
 
 @dataclass(frozen=True, eq=False)
 class EpochStep:
-    """One epoch. back (gh, gw, 2) px : what its nodes must be moved by to lie where they lay in the key frame before it;
+    """One epoch. back (gh, gw, 2) px : what its nodes must be moved by to lie where they
+    lay in the key frame before it;
     None : it has none, or lies as that
-    key : the next ones are relative to this frame;  starts_shot : it is the first of its shot"""
+    key : the next ones are relative to this frame;  starts_shot : it is the first of its shot
+    """
 
     back: np.ndarray | None
     key: bool
     starts_shot: bool
 
 
-def forward_and_backward(epochs: Sequence[EpochStep], gx: np.ndarray, gy: np.ndarray) -> list[tuple[Field, Field, float]]:
+def forward_and_backward(
+    epochs: Sequence[EpochStep], gx: np.ndarray, gy: np.ndarray
+) -> list[tuple[Field, Field, float]]:
     """Of every epoch the two patterns at its nodes, and the share of the second, 0..1."""
     out: list[tuple[Field, Field, float]] = []
     ends: list[int] = []  # first epoch of each stretch
@@ -205,8 +300,11 @@ def forward_and_backward(epochs: Sequence[EpochStep], gx: np.ndarray, gy: np.nda
             ends.append(k)
     number = -1
     for a, b in pairwise([*ends, len(epochs)]):
-        number += 2 if epochs[a].starts_shot else 1  # nothing of the old pattern is seen in a new shot
-        # the next stretch of a shot goes on from this one's end: they share that epoch, and its pattern
+        number += (
+            2 if epochs[a].starts_shot else 1
+        )  # nothing of the old pattern is seen in a new shot
+        # the next stretch of a shot goes on from this one's end: they share that epoch, and
+        # its pattern
         last = b if b < len(epochs) and not epochs[b].starts_shot else b - 1
         patterns = [(gx + _APART_PX * (number + k), gy) for k in (1, 2)]
         forward = _advect_forward(epochs, a, last, patterns[0], gx, gy)
@@ -224,16 +322,28 @@ def _at_epoch(key: Field, step: EpochStep, gx: np.ndarray, gy: np.ndarray) -> Fi
 
 
 def _at_key(own: Field, step: EpochStep, gx: np.ndarray, gy: np.ndarray) -> Field:
-    """The field at the nodes of an epoch's key frame, from that at the epoch's: a node came to lie where place + back = node."""
+    """The field at the nodes of an epoch's key frame, from that at the epoch's: a node came
+    to lie where place + back = node.
+    """
     if step.back is None:
         return own
     x, y = gx, gy
     for _ in range(_ROUNDS):
-        x, y = gx - _sampled(step.back[..., 0], x, y, gx, gy), gy - _sampled(step.back[..., 1], x, y, gx, gy)
+        x, y = (
+            gx - _sampled(step.back[..., 0], x, y, gx, gy),
+            gy - _sampled(step.back[..., 1], x, y, gx, gy),
+        )
     return _at(own, x, y, gx, gy)
 
 
-def _advect_forward(epochs: Sequence[EpochStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:
+def _advect_forward(
+    epochs: Sequence[EpochStep],
+    a: int,
+    b: int,
+    pattern: Field,
+    gx: np.ndarray,
+    gy: np.ndarray,
+) -> list[Field]:
     """Of the epochs a ... b, unbent at a."""
     out = [pattern]
     key = pattern if epochs[a].key else _at_key(pattern, epochs[a], gx, gy)
@@ -243,13 +353,22 @@ def _advect_forward(epochs: Sequence[EpochStep], a: int, b: int, pattern: Field,
     return out
 
 
-def _advect_backward(epochs: Sequence[EpochStep], a: int, b: int, pattern: Field, gx: np.ndarray, gy: np.ndarray) -> list[Field]:
+def _advect_backward(
+    epochs: Sequence[EpochStep],
+    a: int,
+    b: int,
+    pattern: Field,
+    gx: np.ndarray,
+    gy: np.ndarray,
+) -> list[Field]:
     """Of the epochs a ... b, unbent at b."""
     out = [pattern]
     key = _at_key(pattern, epochs[b], gx, gy)
     for k in range(b - 1, a - 1, -1):
         step = epochs[k]
-        if step.key:  # what follows is relative to it: the field at the key frame is its own
+        if (
+            step.key
+        ):  # what follows is relative to it: the field at the key frame is its own
             out.append(relaxed(*key))
             key = _at_key(out[-1], step, gx, gy)
         else:

@@ -1,10 +1,14 @@
-"""How the picture moves: dense optical flow (DIS) on a small frame, folded into what paint needs to stay where it lies.
+"""How the picture moves: dense optical flow (DIS) on a small frame, folded into what paint
+needs to stay where it lies.
 
-`BackgroundMotion` compares each frame with a key frame: while the picture has moved by less than HOLD_PX the epoch stays,
-so that a resting camera gathers no drift. Every stretch of the clip begins with a key frame. The flow is good to a tenth of a px
-of the small frame; `refined` makes that some hundredths, by a step of Gauss and Newton on the nodes: what all nodes ask for
-together (an affine motion) first, then each one.
-Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's yardsticks (a blur of 1280 x 720) a frame."""
+`BackgroundMotion` compares each frame with a key frame: while the picture has moved by less
+than HOLD_PX the epoch stays, so that a resting camera gathers no drift. Every stretch of
+the clip begins with a key frame. The flow is good to a tenth of a px of the small frame;
+`refined` makes that some hundredths, by a step of Gauss and Newton on the nodes: what all
+nodes ask for together (an affine motion) first, then each one.
+Source: docs/methods/watercolor.md#advection. Cost: some 2 of the benchmark's yardsticks (a
+blur of 1280 x 720) a frame.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +26,30 @@ from arfx.core.numerics import divide
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
 BORDER = 3  # nodes outside the picture on each side
 WIDTH_PX = 256  # of the small frame
-# An epoch is kept while no more than a tenth of the nodes has moved by this much. Half a cell (the issue's figure)
-# would let a slow pan go by in visible leaps.
+# An epoch is kept while no more than a tenth of the nodes has moved by this much. Half a
+# cell (the issue's figure) would let a slow pan go by in visible leaps.
 HOLD_PX = 0.35
-_AGREE_PX, _AGREE_FRACTION = 0.6, 0.05  # forward and backward flow agree to this, on the small frame
+_AGREE_PX, _AGREE_FRACTION = (
+    0.6,
+    0.05,
+)  # forward and backward flow agree to this, on the small frame
 _GRADIENT = 6.0  # grey levels per px at which a place is trusted half
 KEY_FRACTION = 0.06  # of the picture's width
-_NOISE, _STEEP = 2.0, 20.0  # grey levels per px of the small frame: no detail, and as much as counts
-# Standard deviation of what counts as around a node, in nodes. Any less, and what lies between two nodes would change as they
-# pass over the things: cells would grow and shrink.
+_NOISE, _STEEP = (
+    2.0,
+    20.0,
+)  # grey levels per px of the small frame: no detail, and as much as counts
+# Standard deviation of what counts as around a node, in nodes. Any less, and what lies
+# between two nodes would change as they pass over the things: cells would grow and shrink.
 _DETAIL_NODES = 0.85
 _CHANGED = 0.7  # less than this share of agreement: the frame becomes the next key
 _LOST = 0.25  # less than this share of agreement: the frame has nothing to do with the last epoch's
 _SPREAD_NODES = 1.5
 _FINE_PX = 1.0  # what is finer is not compared, px of the small picture
 _MISFIT = 6.0  # grey levels at which a pixel counts half
-_PRIOR = 100.0  # a pixel's noise, grey levels, over what a node may differ from the affine motion, px, squared
+# a pixel's noise, grey levels, over what a node may differ from the affine motion, px,
+# squared
+_PRIOR = 100.0
 _NEIGHBOURS = 0.3
 _MOST_PX = 0.3  # of the small picture
 _RIM_PX = 3  # the interpolation and the band need that much around a pixel
@@ -46,10 +58,12 @@ _RIM_PX = 3  # the interpolation and the band need that much around a pixel
 @serialisable
 @dataclass(frozen=True, eq=False)
 class MotionStep:
-    """A frame at which a new epoch of advection begins. back (gh, gw, 2) float32 : what its nodes must be moved by, px of the
-    frame, to lie where they lay in the last key frame; None : nothing is known (first frame, or all is new)
+    """A frame at which a new epoch of advection begins. back (gh, gw, 2) float32 : what its
+    nodes must be moved by, px of the frame, to lie where they lay in the last key frame;
+    None : nothing is known (first frame, or all is new)
     key : later steps are relative to this frame
-    detail (gh, gw) uint8 : how much there is to see around the nodes, 0 = even, 255 = edges everywhere"""
+    detail (gh, gw) uint8 : how much there is to see around the nodes, 0 = even, 255 = edges
+    everywhere"""
 
     index: int
     back: np.ndarray | None
@@ -58,7 +72,9 @@ class MotionStep:
 
 
 def node_positions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """(x, y) (gh, gw) float64 px of the nodes: every GRID_PX, and BORDER of them outside on each side."""
+    """(x, y) (gh, gw) float64 px of the nodes: every GRID_PX, and BORDER of them outside on
+    each side.
+    """
     x = (np.arange(-(-width // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
     y = (np.arange(-(-height // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
     gx, gy = np.meshgrid(x, y)
@@ -73,7 +89,9 @@ class BackgroundMotion(Stateful):
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
         self._reference: np.ndarray | None = None
-        self._last: np.ndarray | None = None  # back of the last epoch, None where that is the key frame
+        self._last: np.ndarray | None = (
+            None  # back of the last epoch, None where that is the key frame
+        )
         self.size = (0, 0)
 
     def step(self, index: int, luma: np.ndarray) -> None:
@@ -85,16 +103,28 @@ class BackgroundMotion(Stateful):
         self._take(index, luma, True)
 
     def join(self, later: BackgroundMotion, shift: int) -> None:
-        steps = shifted(later.steps, shift)  # the first of which says of its frame only that it is the first
-        self.steps += steps[1:] if self.steps and steps and self.steps[-1].index == steps[0].index else steps
+        steps = shifted(
+            later.steps, shift
+        )  # the first of which says of its frame only that it is the first
+        self.steps += (
+            steps[1:]
+            if self.steps and steps and self.steps[-1].index == steps[0].index
+            else steps
+        )
         self.size = later.size if later.steps else self.size
 
     def _take(self, index: int, luma: np.ndarray, key: bool) -> None:
         h, w = luma.shape
         factor = max(w / WIDTH_PX, 1.0)
         small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
-        small = np.ascontiguousarray(cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA))
-        found = _back(small, self._reference, w, h) if self._reference is not None and self.size == (w, h) else None
+        small = np.ascontiguousarray(
+            cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA)
+        )
+        found = (
+            _back(small, self._reference, w, h)
+            if self._reference is not None and self.size == (w, h)
+            else None
+        )
         self.size = (w, h)
         if found is None:
             self._reference, self._last = small, None
@@ -103,19 +133,27 @@ class BackgroundMotion(Stateful):
         back, agreed = found
         back = np.round(back * STEPS_PER_PX) / STEPS_PER_PX
         inside = (slice(BORDER, -BORDER),) * 2
-        moved = np.linalg.norm((back if self._last is None else back - self._last)[inside], axis=-1)
+        moved = np.linalg.norm(
+            (back if self._last is None else back - self._last)[inside], axis=-1
+        )
         if float(np.quantile(moved, 0.9)) <= HOLD_PX and not key:
             return
-        far = key or float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_FRACTION * w or agreed < _CHANGED
+        far = (
+            key
+            or float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_FRACTION * w
+            or agreed < _CHANGED
+        )
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
         self._last = None if far else back
         if far:
             self._reference = small
 
 
-def _back(small: np.ndarray, reference: np.ndarray, width: int, height: int) -> tuple[np.ndarray, float] | None:
-    """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both directions agree), or None
-    where the two frames have nothing in common."""
+def _back(
+    small: np.ndarray, reference: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, float] | None:
+    """((gh, gw, 2) px of the frame at the nodes, share of the textured places where both
+    directions agree), or None where the two frames have nothing in common."""
     h, w = small.shape
     if min(h, w) < 16 or np.array_equal(small, reference):  # DIS needs a patch or two
         return np.zeros((*node_positions(width, height)[0].shape, 2), np.float32), 1.0
@@ -128,9 +166,14 @@ def _back(small: np.ndarray, reference: np.ndarray, width: int, height: int) -> 
     again = cv2.remap(there, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     apart = np.linalg.norm(back + again, axis=-1)
     agree = apart < _AGREE_PX + _AGREE_FRACTION * np.linalg.norm(back, axis=-1)
-    before = cv2.remap(reference, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    before = cv2.remap(
+        reference, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     agree &= np.abs(before.astype(np.float32) - small) < 40
-    slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
+    slope = np.hypot(
+        cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25),
+        cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25),
+    )
     textured = slope > _GRADIENT
     agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
     if agreed < _LOST:
@@ -139,22 +182,31 @@ def _back(small: np.ndarray, reference: np.ndarray, width: int, height: int) -> 
     agree &= (to_x > 1) & (to_y > 1) & (to_x < w - 2) & (to_y < h - 2)
     trust = np.where(agree, slope**2 / (slope**2 + _GRADIENT**2), 0).astype(np.float32)
     scale = np.array([width / w, height / h])
-    first, rough = (0.5 - BORDER * GRID_PX) / scale - 0.5, _at_nodes(back, trust, width, height) / scale
-    return (refined(rough, small, reference, trust, first, GRID_PX / scale) * scale).astype(np.float32), agreed
+    first, rough = (
+        (0.5 - BORDER * GRID_PX) / scale - 0.5,
+        _at_nodes(back, trust, width, height) / scale,
+    )
+    return (refined(rough, small, reference, trust, first, GRID_PX / scale) * scale).astype(
+        np.float32
+    ), agreed
 
 
 def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Flow of the small frame at the nodes, px of the frame: the affine motion of what is trusted, and what differs from it
-    spread from where it is trusted."""
+    """Flow of the small frame at the nodes, px of the frame: the affine motion of what is
+    trusted, and what differs from it spread from where it is trusted."""
     h, w = trust.shape
     gx, gy = node_positions(width, height)
     sx, sy = width / w, height / h
     y, x = np.mgrid[0:h, 0:w].astype(np.float64)
     terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
-    few = (slice(None, None, 2),) * 2  # a quarter of the pixels is enough for the motion of the whole
+    few = (
+        slice(None, None, 2),
+    ) * 2  # a quarter of the pixels is enough for the motion of the whole
     some, weight = terms[few].reshape(-1, 3), trust[few].ravel().astype(float)
     moved, robust, motion = back[few].reshape(-1, 2).astype(float), weight, np.zeros((3, 2))
-    for _ in range(3):  # weighted least squares, with what misses it by much counting less; drawn towards no motion
+    for _ in range(
+        3
+    ):  # weighted least squares, with what misses it by much counting less; drawn towards no motion
         normal = (some * robust[:, None]).T @ some + np.diag([1e-3, 1.0, 1.0])
         motion = np.linalg.solve(normal, (some * robust[:, None]).T @ moved)
         robust = weight / (1 + (np.linalg.norm(moved - some @ motion, axis=1) / 0.5) ** 2)
@@ -166,8 +218,13 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
     reach = max(GRID_PX / sx / 2, 0.5)
     blur = lambda a: cv2.GaussianBlur(a, (0, 0), reach, borderType=cv2.BORDER_CONSTANT)  # noqa: E731
     density = blur(trust.astype(np.float64))[np.ix_(row, column)]
-    moved = np.stack([blur(residual[..., c] * trust)[np.ix_(row, column)] for c in range(2)], -1)
-    spread = lambda a: cv2.GaussianBlur(a, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)  # noqa: E731
+    moved = np.stack(
+        [blur(residual[..., c] * trust)[np.ix_(row, column)] for c in range(2)], -1
+    )
+
+    def spread(a: np.ndarray) -> np.ndarray:
+        return cv2.GaussianBlur(a, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
+
     moved = moved + 0.3 * spread(moved)
     density = density + 0.3 * spread(density)
     rest = moved / (density + 0.01)[..., None]
@@ -177,8 +234,13 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
 
 
 def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
-    """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP; slopes of noise count nothing."""
-    slope = np.hypot(cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25), cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25))
+    """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP;
+    slopes of noise count nothing.
+    """
+    slope = np.hypot(
+        cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25),
+        cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25),
+    )
     density = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
     h, w = small.shape
     reach = max(_DETAIL_NODES * GRID_PX * w / width, 0.5)
@@ -190,31 +252,50 @@ def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def refined(
-    back: np.ndarray, small: np.ndarray, reference: np.ndarray, trust: np.ndarray, first: np.ndarray, pitch: np.ndarray
+    back: np.ndarray,
+    small: np.ndarray,
+    reference: np.ndarray,
+    trust: np.ndarray,
+    first: np.ndarray,
+    pitch: np.ndarray,
 ) -> np.ndarray:
-    """(gh, gw, 2) float64 px of the small picture: `back`, a step nearer to where the reference has what the nodes show.
+    """(gh, gw, 2) float64 px of the small picture: `back`, a step nearer to where the
+    reference has what the nodes show.
 
-    back (gh, gw, 2) : px of the small picture: what is at a place there is at place + back in the reference
+    back (gh, gw, 2) : px of the small picture: what is at a place there is at place + back
+    in the reference
     small, reference (h, w) uint8;  trust (h, w) : pixels with 0 are left out
-    first, pitch (2,) : place of the first node and distance from one to the next along x and y, px of the small picture"""
+    first, pitch (2,) : place of the first node and distance from one to the next along x
+    and y, px of the small picture"""
     back = np.asarray(back, float)
     sums = np.zeros((*back.shape[:2], 9))
-    now, then = (cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference))
+    now, then = (
+        cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference)
+    )
     _accumulate_normal_equations(now, then, trust > 0, back, first, pitch, sums)
     mean_x, mean_y, mean_e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
     of_x, of_y = sums[..., 5], sums[..., 6]  # taken out: the means around each node
-    centred = sums[..., :5] - np.stack([of_x * mean_x, of_x * mean_y, of_y * mean_y, of_x * mean_e, of_y * mean_e], -1)
+    centred = sums[..., :5] - np.stack(
+        [of_x * mean_x, of_x * mean_y, of_y * mean_y, of_x * mean_e, of_y * mean_e], -1
+    )
     gh, gw = centred.shape[:2]
     y, x = np.mgrid[0:gh, 0:gw] / np.array([gh, gw]).reshape(2, 1, 1) - 0.5
     terms = np.stack([np.ones((gh, gw)), x, y], -1).reshape(-1, 3)
-    xx, xy, yy, xe, ye = centred.reshape(-1, 5).T  # the affine motion that the nodes ask for together, at each of them
+    xx, xy, yy, xe, ye = centred.reshape(
+        -1, 5
+    ).T  # the affine motion that the nodes ask for together, at each of them
     of = lambda weight: (terms * weight[:, None]).T @ terms  # noqa: E731
     normal = np.block([[of(xx), of(xy)], [of(xy), of(yy)]]) + _PRIOR * np.eye(6)
     motion = np.linalg.solve(normal, np.concatenate([terms.T @ xe, terms.T @ ye]))
     affine = (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
-    spread = cv2.GaussianBlur(centred, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
+    spread = cv2.GaussianBlur(
+        centred, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE
+    )
     xx, xy, yy, xe, ye = np.moveaxis(centred + _NEIGHBOURS * spread, -1, 0)
-    ex, ey = xe - xx * affine[..., 0] - xy * affine[..., 1], ye - xy * affine[..., 0] - yy * affine[..., 1]
+    ex, ey = (
+        xe - xx * affine[..., 0] - xy * affine[..., 1],
+        ye - xy * affine[..., 0] - yy * affine[..., 1],
+    )
     xx, yy = xx + _PRIOR, yy + _PRIOR
     det = xx * yy - xy * xy  # _PRIOR^2 at least: without it a sum of squares
     step = affine + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], -1) / det[..., None]
@@ -222,8 +303,12 @@ def refined(
 
 
 @numba.njit(cache=True, nogil=True)
-def _accumulate_normal_equations(small, reference, trusted, back, first, pitch, sums_out):  # pragma: no cover - compiled
-    """sums_out (gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and what is missing (e)."""
+def _accumulate_normal_equations(
+    small, reference, trusted, back, first, pitch, sums_out
+):  # pragma: no cover - compiled
+    """sums_out (gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1:
+    slopes, and what is missing (e).
+    """
     h, w = small.shape
     gh, gw = back.shape[:2]
     lines = np.empty((gw, 2))
@@ -242,11 +327,19 @@ def _accumulate_normal_equations(small, reference, trusted, back, first, pitch, 
             j = (x - first[0]) / pitch[0]
             n = min(max(int(np.floor(j)), 0), gw - 2)
             s = j - n
-            px, py = x + lines[n, 0] + s * (lines[n + 1, 0] - lines[n, 0]), y + lines[n, 1] + s * (lines[n + 1, 1] - lines[n, 1])
-            if not (px >= _RIM_PX and py >= _RIM_PX and px < w - _RIM_PX and py < h - _RIM_PX):
+            px, py = (
+                x + lines[n, 0] + s * (lines[n + 1, 0] - lines[n, 0]),
+                y + lines[n, 1] + s * (lines[n + 1, 1] - lines[n, 1]),
+            )
+            if not (
+                px >= _RIM_PX and py >= _RIM_PX and px < w - _RIM_PX and py < h - _RIM_PX
+            ):
                 continue
             e = np.float64(small[y, x]) - _cubic(reference, px, py)
-            gx, gy = 0.5 * (small[y, x + 1] - small[y, x - 1]), 0.5 * (small[y + 1, x] - small[y - 1, x])
+            gx, gy = (
+                0.5 * (small[y, x + 1] - small[y, x - 1]),
+                0.5 * (small[y + 1, x] - small[y - 1, x]),
+            )
             weight = 1.0 / (1.0 + (e / _MISFIT) ** 2)
             for k in range(2):
                 fraction = weight * (s if k else 1.0 - s)
@@ -269,9 +362,11 @@ def _accumulate_normal_equations(small, reference, trusted, back, first, pitch, 
 def _weights(t):  # pragma: no cover - compiled
     """Of the four samples around a place (Catmull and Rom)."""
     return (
-        ((2.0 - t) * t - 1.0) * t * 0.5, ((3.0 * t - 5.0) * t * t + 2.0) * 0.5, ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5,
+        ((2.0 - t) * t - 1.0) * t * 0.5,
+        ((3.0 * t - 5.0) * t * t + 2.0) * 0.5,
+        ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5,
         (t - 1.0) * t * t * 0.5,
-    )  # fmt: skip
+    )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -285,4 +380,6 @@ def _cubic(a, x, y):  # pragma: no cover - compiled
     v += r1 * (c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2])
     p0, p1 = i + 1, i + 2
     v += r2 * (c0 * a[p0, j - 1] + c1 * a[p0, j] + c2 * a[p0, j + 1] + c3 * a[p0, j + 2])
-    return v + r3 * (c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2])
+    return v + r3 * (
+        c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2]
+    )

@@ -1,7 +1,9 @@
-"""Which of camera and marker stands still, from picture corners outside the markers, followed over about a third of a second.
+"""Which of camera and marker stands still, from picture corners outside the markers,
+followed over about a third of a second.
 
-Corners are taken twice, from the image and from its contrast against the neighbourhood, which a change of light leaves.
-Where there is no marker, `RestCheck` looks for the first picture's corners in later ones, about 2 ms each time.
+Corners are taken twice, from the image and from its contrast against the neighbourhood,
+which a change of light leaves. Where there is no marker, `RestCheck` looks for the first
+picture's corners in later ones, about 2 ms each time.
 Source: docs/methods/pose.md#rest."""
 
 from __future__ import annotations
@@ -21,27 +23,39 @@ from arfx.core.rect import Rect
 
 WIDTH_PX = 320  # of the reduced image
 INTERVAL_S = 0.33
-MAX_SAMPLES = 120  # about so many are taken, evenly over the clip: memory does not grow with it
+MAX_SAMPLES = (
+    120  # about so many are taken, evenly over the clip: memory does not grow with it
+)
 POINTS = 40
 LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
 NEAREST = 1 / 3  # of the marker's distance: nothing before that is taken for background
-DRIFT = 0.02  # of a point's way by which it may be missed: the patch around it is seen from elsewhere
-NEAR_PX, FLAT = 17, 4.0  # neighbourhood that contrast is compared with, and grey levels of contrast that are noise
-STILL_PX = 0.35  # in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
-AT_REST = 0.45  # share of points: moving shadows and what a hand moves beside the marker are the others
+# of a point's way by which it may be missed: the patch around it is seen from elsewhere
+DRIFT = 0.02
+NEAR_PX, FLAT = (
+    17,
+    4.0,
+)  # neighbourhood that contrast is compared with, and grey levels of contrast that are noise
+# in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
+STILL_PX = 0.35
+# share of points: moving shadows and what a hand moves beside the marker are the others
+AT_REST = 0.45
 _MIN_POINTS = 6
 REST_WIDTH_PX = 480  # of the reduced pictures of `RestCheck`
 REST_POINTS = 80
 REST_PX = 0.7  # in a reduced picture: sensor noise and compression move corners by a tenth
 REST_FRACTION = 0.6  # of the corners that have to stay
 _LEAST_POINTS = 8
-_WINDOW_PX, _NOISE = 15, 5.0  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
+_WINDOW_PX, _NOISE = (
+    15,
+    5.0,
+)  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
 
 
 @serialisable
 @dataclass(frozen=True, eq=False)
 class FlowSample:
-    """Corners that were followed. index : number of the first frame;  frames : by so many the second one is later
+    """Corners that were followed. index : number of the first frame;  frames : by so many
+    the second one is later
     pixel_px : of the reduced image, clip px;  here, there : (n, 2) px of the clip"""
 
     index: int
@@ -59,21 +73,40 @@ class BackgroundFlow(Stateful):
 
     def __init__(self, length_s: float = 0.0) -> None:
         self._image: np.ndarray | None = None
-        self._points = [np.zeros((0, 2), np.float32)] * 2  # in the image itself, and in the evened one
+        self._points = [
+            np.zeros((0, 2), np.float32)
+        ] * 2  # in the image itself, and in the evened one
         self._index, self._time_s = 0, -np.inf
         self._stride = max(int(np.ceil(length_s / INTERVAL_S / MAX_SAMPLES)), 1)
         self.samples: list[FlowSample] = []
 
-    def step(self, index: int, time_s: float, luma: np.ndarray, markers: Iterable[Rect], fresh: bool) -> None:
-        """markers : rectangles that hold configured or other markers;  fresh : a marker was measured in this frame."""
+    def step(
+        self,
+        index: int,
+        time_s: float,
+        luma: np.ndarray,
+        markers: Iterable[Rect],
+        fresh: bool,
+    ) -> None:
+        """markers : rectangles that hold configured or other markers;  fresh : a marker was
+        measured in this frame.
+        """
         if time_s - self._time_s < INTERVAL_S:
             return
-        recent = self._image is not None and time_s - self._time_s < 3 * INTERVAL_S and max(map(len, self._points)) >= _MIN_POINTS
+        recent = (
+            self._image is not None
+            and time_s - self._time_s < 3 * INTERVAL_S
+            and max(map(len, self._points)) >= _MIN_POINTS
+        )
         if not fresh and not recent:
             self._image, self._time_s = None, -np.inf
             return
         factor = max(1, luma.shape[1] // WIDTH_PX)
-        small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            luma,
+            (luma.shape[1] // factor, luma.shape[0] // factor),
+            interpolation=cv2.INTER_AREA,
+        )
         if recent:
             self._follow(index, small, factor)
         if not fresh:
@@ -85,9 +118,16 @@ class BackgroundFlow(Stateful):
         mask = np.full(small.shape, 255, np.uint8)
         for r in markers:
             grown = r.pad(max(r.width, r.height) // 3)
-            part = Rect(grown.x0 // factor, grown.y0 // factor, grown.x1 // factor + 1, grown.y1 // factor + 1)
+            part = Rect(
+                grown.x0 // factor,
+                grown.y0 // factor,
+                grown.x1 // factor + 1,
+                grown.y1 // factor + 1,
+            )
             mask[part.clip(Rect.of(small.shape[1], small.shape[0])).slices] = 0
-        self._points = [_corners(view, POINTS, mask) for view in (small, _local_contrast(small))]
+        self._points = [
+            _corners(view, POINTS, mask) for view in (small, _local_contrast(small))
+        ]
         self._image, self._index, self._time_s = small, index, time_s
 
     def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
@@ -99,26 +139,40 @@ class BackgroundFlow(Stateful):
                 continue
             options = {"winSize": (11, 11), "maxLevel": 3}
             there, good, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, **options)  # type: ignore[call-overload]
-            back, good_back, _ = cv2.calcOpticalFlowPyrLK(now, before, there, None, **options)  # type: ignore[call-overload]
+            back, good_back, _ = cv2.calcOpticalFlowPyrLK(
+                now, before, there, None, **options
+            )  # type: ignore[call-overload]
             # which of them lead back to where they came from
-            keep = (good.ravel() > 0) & (good_back.ravel() > 0) & (np.linalg.norm(back - points, axis=1) < 0.3)
+            keep = (
+                (good.ravel() > 0)
+                & (good_back.ravel() > 0)
+                & (np.linalg.norm(back - points, axis=1) < 0.3)
+            )
             if keep.sum() >= _MIN_POINTS:
                 from_.append(points[keep])
                 to.append(there[keep])
         if not from_:
             return
         a, b = ((np.concatenate(p).astype(float) + 0.5) * factor - 0.5 for p in (from_, to))
-        self.samples.append(FlowSample(self._index, index - self._index, factor, a.round(3), b.round(3)))
+        self.samples.append(
+            FlowSample(self._index, index - self._index, factor, a.round(3), b.round(3))
+        )
 
 
 def _corners(image: np.ndarray, most: int, mask: np.ndarray) -> np.ndarray:
     """(n, 2) float32"""
     found = cv2.goodFeaturesToTrack(image, most, 0.02, 8, mask=mask)
-    return np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2).astype(np.float32)
+    return (
+        np.zeros((0, 2), np.float32)
+        if found is None
+        else found.reshape(-1, 2).astype(np.float32)
+    )
 
 
 def _local_contrast(image: np.ndarray) -> np.ndarray:
-    """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves it nearly as it was."""
+    """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves
+    it nearly as it was.
+    """
     value = image.astype(np.float32)
     off = value - cv2.blur(value, (NEAR_PX, NEAR_PX))
     size = np.sqrt(np.maximum(cv2.blur(off * off, (NEAR_PX, NEAR_PX)), 0)) + FLAT
@@ -131,19 +185,32 @@ def decide_static(
     """("camera" | "marker" | "both", evidence).
 
     samples : BackgroundFlow.samples;  camera_from_world : smoothed poses by frame
-    evidence : samples, share of background points at rest, share that move with the marker's world, marker_moves_px.
+    evidence : samples, share of background points at rest, share that move with the
+    marker's world, marker_moves_px.
     Without evidence the answer is "both": nothing is known to stand still."""
-    posed = [s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()]
+    posed = [
+        s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()
+    ]
     every = [np.zeros((0, 2)), *(end for s in posed for end in (s.here, s.there))]
-    ideal = np.split(camera.normalised(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1])[1:]
+    ideal = np.split(
+        camera.normalised(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1]
+    )[1:]
     rest, along, moves = [], [], []
     for s, from_, to in zip(posed, ideal[::2], ideal[1::2], strict=True):
         a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
         still, way = STILL_PX * s.pixel_px, np.linalg.norm(s.there - s.here, axis=1)
         rest.append(float((way < still).mean()))
-        missed = camera.fx * epipolar_distance(from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2]))
+        missed = camera.fx * epipolar_distance(
+            from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2])
+        )
         along.append(float((missed < 2 * still + DRIFT * way).mean()))
-        moves.append(float(np.linalg.norm(camera.project(b.translation_m) - camera.project(a.translation_m))))
+        moves.append(
+            float(
+                np.linalg.norm(
+                    camera.project(b.translation_m) - camera.project(a.translation_m)
+                )
+            )
+        )
     evidence = {
         "samples": float(len(rest)),
         "at_rest": float(np.mean(rest)) if rest else 0.0,
@@ -154,13 +221,20 @@ def decide_static(
     return ("camera" if evidence["at_rest"] > AT_REST else otherwise), evidence
 
 
-def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: float) -> np.ndarray:
-    """(n,) from b to the segment on which a point seen at a lies in the second picture, `nearest_m` to infinite depth.
+def epipolar_distance(
+    a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: float
+) -> np.ndarray:
+    """(n,) from b to the segment on which a point seen at a lies in the second picture,
+    `nearest_m` to infinite depth.
 
-    a, b : (n, 2) ideal normalised coordinates;  b_from_a : motion of the camera frame. inf where there is no direction."""
+    a, b : (n, 2) ideal normalised coordinates;  b_from_a : motion of the camera frame. inf
+    where there is no direction.
+    """
     far = np.column_stack([a, np.ones(len(a))]) @ b_from_a.rotation.T
     near = far + b_from_a.translation_m / max(nearest_m, LEAST_DEPTH_M)
-    p, q = (divide(v[:, :2], np.repeat(v[:, 2:], 2, 1), where_zero=np.nan) for v in (far, near))
+    p, q = (
+        divide(v[:, :2], np.repeat(v[:, 2:], 2, 1), where_zero=np.nan) for v in (far, near)
+    )
     d = q - p
     t = np.clip(divide(((b - p) * d).sum(1), (d * d).sum(1)), 0, 1)
     distance = np.linalg.norm(b - p - t[:, None] * d, axis=1)
@@ -168,7 +242,8 @@ def epipolar_distance(a: np.ndarray, b: np.ndarray, b_from_a: Pose, nearest_m: f
 
 
 class RestCheck(Stateful):
-    """Fed the frames in order. moved_px : the farthest that the middle corner was seen from its place, clip px
+    """Fed the frames in order. moved_px : the farthest that the middle corner was seen from
+    its place, clip px
 
     Each stretch is held against its own first picture, and that against the clip's."""
 
@@ -188,18 +263,29 @@ class RestCheck(Stateful):
             return
         self._next_s = time_s + INTERVAL_S
         self._factor = factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
-        small = cv2.resize(luma, (luma.shape[1] // factor, luma.shape[0] // factor), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            luma,
+            (luma.shape[1] // factor, luma.shape[0] // factor),
+            interpolation=cv2.INTER_AREA,
+        )
         if self._first is None:
             value = small.astype(np.float32)
             off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
             contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
-            self._first, self._points = small, _corners(small, REST_POINTS, contrast.astype(np.uint8))
+            self._first, self._points = (
+                small,
+                _corners(small, REST_POINTS, contrast.astype(np.uint8)),
+            )
             return
         self._compare(small)
 
     def join(self, later: RestCheck) -> None:
         if self._first is None:
-            self._first, self._points, self._factor = later._first, later._points, later._factor
+            self._first, self._points, self._factor = (
+                later._first,
+                later._points,
+                later._factor,
+            )
         elif later._first is not None and self.rests:
             self._compare(later._first)
         self.moved_px = max(self.moved_px, later.moved_px)
@@ -207,12 +293,18 @@ class RestCheck(Stateful):
 
     def _compare(self, small: np.ndarray) -> None:
         assert self._first is not None
-        if len(self._points) < _LEAST_POINTS:  # nothing to see: nothing that could tell of a motion
+        if (
+            len(self._points) < _LEAST_POINTS
+        ):  # nothing to see: nothing that could tell of a motion
             return
         there, good, _ = cv2.calcOpticalFlowPyrLK(self._first, small, self._points, None)  # type: ignore[call-overload]
         away = np.linalg.norm(there - self._points, axis=1)
-        away = np.where(good.ravel() > 0, away, np.inf)  # a corner that is lost may have left the picture
+        away = np.where(
+            good.ravel() > 0, away, np.inf
+        )  # a corner that is lost may have left the picture
         seen = away[np.isfinite(away)]
-        self.moved_px = max(self.moved_px, self._factor * float(np.median(seen)) if len(seen) else 0.0)
+        self.moved_px = max(
+            self.moved_px, self._factor * float(np.median(seen)) if len(seen) else 0.0
+        )
         if (away < REST_PX).mean() < REST_FRACTION:
             self.rests = False

@@ -1,7 +1,8 @@
-"""Compiled loops of smooth.py, for one chain of small matrices, and planar.refine_poses. Float64 throughout.
+"""Compiled loops of smooth.py, for one chain of small matrices, and planar.refine_poses.
+Float64 throughout.
 
-Every link of a chain has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and constant velocity for the other axes:
-only those blocks are multiplied."""
+Every link of a chain has the form [[F, G], [0, 1]] with 3 x 3 blocks for the turns and
+constant velocity for the other axes: only those blocks are multiplied."""
 
 from __future__ import annotations
 
@@ -13,13 +14,15 @@ import numpy as np
 from arfx.core.numerics import EPS_ANGLE, EPS_DEPTH_M
 
 DIM = 12
-_UNFIXED = 1e-14  # share of an axis's information below which what the other axes leave of it is rounding
+# share of an axis's information below which what the other axes leave of it is rounding
+_UNFIXED = 1e-14
 HUBER_SIGMA = 3.0  # residuals beyond it count linearly
 _CONVERGED = 1e-9  # change of the cost, relative to 1 + cost
 
 
 class Chain(NamedTuple):
-    """Of n states. measured (n, 6, 6), info_vector (n, 6) : as of smooth_chain;  move ... dt (n - 1, ...) : of its links
+    """Of n states. measured (n, 6, 6), info_vector (n, 6) : as of smooth_chain;  move ...
+    dt (n - 1, ...) : of its links
     start : standard deviations of the first state"""
 
     measured: np.ndarray
@@ -34,7 +37,9 @@ class Chain(NamedTuple):
 
 @numba.njit(cache=True, nogil=True)
 def sort(v):  # pragma: no cover - compiled
-    """In place (Shell 1959), for some hundred numbers at most; none of them NaN. numpy's own sort takes a second to compile."""
+    """In place (Shell 1959), for some hundred numbers at most; none of them NaN. numpy's
+    own sort takes a second to compile.
+    """
     gap = 1
     while gap < len(v) // 9:
         gap = 3 * gap + 1
@@ -50,7 +55,9 @@ def sort(v):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def solve_in_place(a, b):  # pragma: no cover - compiled
-    """b becomes a^-1 b for a (n, n), b (n, m); a is used up. Returns log |det a|; a singular a leaves NaN."""
+    """b becomes a^-1 b for a (n, n), b (n, m); a is used up. Returns log |det a|; a
+    singular a leaves NaN.
+    """
     n, m = b.shape
     log_det = 0.0
     for c in range(n):
@@ -94,7 +101,8 @@ def _copy_state(x, p, means, covs):  # pragma: no cover - compiled
 def _predict(x, p, move, gate, shift, shake, q, dt, w, v):  # pragma: no cover - compiled
     """Predict state x (12,) and covariance p (12, 12) over one link, in place; q (7,) densities.
 
-    shake (6, 6) : of the last density;  w (6, 12) : filled with the upper half of move p, p being that of before
+    shake (6, 6) : of the last density;  w (6, 12) : filled with the upper half of move p, p
+    being that of before
     v (6, 6) : work space"""
     for i in range(3):
         for j in range(DIM):
@@ -145,8 +153,9 @@ def _predict(x, p, move, gate, shift, shake, q, dt, w, v):  # pragma: no cover -
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _whitened(measured, info_vector, roots, values):  # pragma: no cover - compiled
-    """Measurements as independent ones of unit noise: roots (n, 6, 6) lower triangular, values (n, 6), of
-    measured = roots roots^T, info_vector = roots values. Of a direction that nothing fixes the column is 0."""
+    """Measurements as independent ones of unit noise: roots (n, 6, 6) lower triangular,
+    values (n, 6), of measured = roots roots^T, info_vector = roots values. Of a direction
+    that nothing fixes the column is 0."""
     for f in range(len(measured)):
         m, root = measured[f], roots[f]
         for j in range(6):
@@ -168,9 +177,11 @@ def _whitened(measured, info_vector, roots, values):  # pragma: no cover - compi
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _update(x, p, root, value, t):  # pragma: no cover - compiled
-    """Take in a frame's measurements one after the other, in place. Returns their log evidence, up to a constant.
+    """Take in a frame's measurements one after the other, in place. Returns their log
+    evidence, up to a constant.
 
-    One by one nothing is inverted: the errors of rounding stay those of p, however strongly its axes are bound together.
+    One by one nothing is inverted: the errors of rounding stay those of p, however strongly
+    its axes are bound together.
     root (6, 6), value (6,) : of `_whitened`;  t (12,) : work space"""
     log = 0.0
     for j in range(6):
@@ -197,22 +208,45 @@ def _update(x, p, root, value, t):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def filter_and_smooth(chain: Chain, density, means, covs):  # pragma: no cover - compiled
-    """Fill means (n, 12) and covs (n, 12, 12) of every state given all measurements; the rest as for smooth_chain."""
+    """Fill means (n, 12) and covs (n, 12, 12) of every state given all measurements; the
+    rest as for smooth_chain.
+    """
     measured, info_vector, move, gate, shift, shake, dt, start = chain
     n = len(measured)
     x, p, none = np.zeros(DIM), np.empty((DIM, DIM)), np.zeros(DIM)
     _copy_state(none, start, x, p)
     upper = np.empty((max(n - 1, 0), 6, DIM))
     predicted_x, predicted_p = np.empty((n, DIM)), np.empty((n, DIM, DIM))
-    roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
+    roots, values, v, t = (
+        np.empty((n, 6, 6)),
+        np.empty((n, 6)),
+        np.empty((6, 6)),
+        np.empty(DIM),
+    )
     _whitened(measured, info_vector, roots, values)
     for k in range(n):
         if k:
-            _predict(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[k - 1], dt[k - 1], upper[k - 1], v)
+            _predict(
+                x,
+                p,
+                move[k - 1],
+                gate[k - 1],
+                shift[k - 1],
+                shake[k - 1],
+                density[k - 1],
+                dt[k - 1],
+                upper[k - 1],
+                v,
+            )
         _copy_state(x, p, predicted_x[k], predicted_p[k])
         _update(x, p, roots[k], values[k], t)
         _copy_state(x, p, means[k], covs[k])
-    size, scaled, gain, change = np.empty(DIM), np.empty((DIM, DIM)), np.empty((DIM, DIM)), np.empty((DIM, DIM))
+    size, scaled, gain, change = (
+        np.empty(DIM),
+        np.empty((DIM, DIM)),
+        np.empty((DIM, DIM)),
+        np.empty((DIM, DIM)),
+    )
     for k in range(n - 2, -1, -1):
         # gain^T = ahead^-1 move p, each axis scaled to its own size first
         for i in range(DIM):
@@ -247,29 +281,56 @@ def filter_and_smooth(chain: Chain, density, means, covs):  # pragma: no cover -
 def log_evidence(chain: Chain, density, out):  # pragma: no cover - compiled
     """Fill out (c,): log evidence, up to a constant, of c candidates of density (c, n - 1, 6)."""
     measured, info_vector, move, gate, shift, shake, dt, start = chain
-    x, p, none, upper = np.empty(DIM), np.empty((DIM, DIM)), np.zeros(DIM), np.empty((6, DIM))
+    x, p, none, upper = (
+        np.empty(DIM),
+        np.empty((DIM, DIM)),
+        np.zeros(DIM),
+        np.empty((6, DIM)),
+    )
     n = len(measured)
-    roots, values, v, t = np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((6, 6)), np.empty(DIM)
+    roots, values, v, t = (
+        np.empty((n, 6, 6)),
+        np.empty((n, 6)),
+        np.empty((6, 6)),
+        np.empty(DIM),
+    )
     _whitened(measured, info_vector, roots, values)
     for c in range(len(density)):
         _copy_state(none, start, x, p)
         total = 0.0
         for k in range(n):
             if k:
-                _predict(x, p, move[k - 1], gate[k - 1], shift[k - 1], shake[k - 1], density[c, k - 1], dt[k - 1], upper, v)
+                _predict(
+                    x,
+                    p,
+                    move[k - 1],
+                    gate[k - 1],
+                    shift[k - 1],
+                    shake[k - 1],
+                    density[c, k - 1],
+                    dt[k - 1],
+                    upper,
+                    v,
+                )
             total += _update(x, p, roots[k], values[k], t)
         out[c] = total
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def refine(rotation, translation, points, ideal, px_per_ideal, weight, iterations, cost):  # pragma: no cover - compiled
-    """Refine rotation (n, 3, 3) and translation (n, 3) in place and fill cost (n,); the rest as in geometry.Observed."""
+def refine(
+    rotation, translation, points, ideal, px_per_ideal, weight, iterations, cost
+):  # pragma: no cover - compiled
+    """Refine rotation (n, 3, 3) and translation (n, 3) in place and fill cost (n,); the
+    rest as in geometry.Observed.
+    """
     a, g, normal, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
     new_r, new_t, turn = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for n in range(len(rotation)):
         r, t = rotation[n], translation[n]
         damping, still = 1e-4, 0
-        best = _system(r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, np.bool_(True))
+        best = _system(
+            r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, np.bool_(True)
+        )
         for _ in range(iterations):
             for i in range(6):
                 for j in range(6):
@@ -280,10 +341,28 @@ def refine(rotation, translation, points, ideal, px_per_ideal, weight, iteration
             _turn(step, turn)
             for i in range(3):
                 for j in range(3):
-                    new_r[i, j] = turn[i, 0] * r[0, j] + turn[i, 1] * r[1, j] + turn[i, 2] * r[2, j]
-                new_t[i] = turn[i, 0] * t[0] + turn[i, 1] * t[1] + turn[i, 2] * t[2] + step[i + 3, 0]
-            now = _system(new_r, new_t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, np.bool_(False))
-            # settled twice in a row: a refused step may by chance cost the same as the place it came from
+                    new_r[i, j] = (
+                        turn[i, 0] * r[0, j] + turn[i, 1] * r[1, j] + turn[i, 2] * r[2, j]
+                    )
+                new_t[i] = (
+                    turn[i, 0] * t[0]
+                    + turn[i, 1] * t[1]
+                    + turn[i, 2] * t[2]
+                    + step[i + 3, 0]
+                )
+            now = _system(
+                new_r,
+                new_t,
+                points[n],
+                ideal[n],
+                px_per_ideal[n],
+                weight[n],
+                a,
+                g,
+                np.bool_(False),
+            )
+            # settled twice in a row: a refused step may by chance cost the same as the
+            # place it came from
             still = still + 1 if abs(best - now) < _CONVERGED * (1 + best) else 0
             if now < best:
                 best = now
@@ -297,13 +376,27 @@ def refine(rotation, translation, points, ideal, px_per_ideal, weight, iteration
             if still > 1 or not np.isfinite(best):
                 break
             if now <= best:
-                _system(r, t, points[n], ideal[n], px_per_ideal[n], weight[n], a, g, np.bool_(True))
+                _system(
+                    r,
+                    t,
+                    points[n],
+                    ideal[n],
+                    px_per_ideal[n],
+                    weight[n],
+                    a,
+                    g,
+                    np.bool_(True),
+                )
         cost[n] = best
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _system(r, t, points, ideal, px_per_ideal, weight, a, g, derive):  # pragma: no cover - compiled
-    """Cost of a pose with Huber's loss; derive : also its normal matrix a (6, 6) and gradient g (6,)."""
+def _system(
+    r, t, points, ideal, px_per_ideal, weight, a, g, derive
+):  # pragma: no cover - compiled
+    """Cost of a pose with Huber's loss; derive : also its normal matrix a (6, 6) and
+    gradient g (6,).
+    """
     cost = 0.0
     if derive:
         for i in range(6):
@@ -316,7 +409,9 @@ def _system(r, t, points, ideal, px_per_ideal, weight, a, g, derive):  # pragma:
             continue
         x = r[0, 0] * points[p, 0] + r[0, 1] * points[p, 1] + r[0, 2] * points[p, 2] + t[0]
         y = r[1, 0] * points[p, 0] + r[1, 1] * points[p, 1] + r[1, 2] * points[p, 2] + t[1]
-        depth = r[2, 0] * points[p, 0] + r[2, 1] * points[p, 1] + r[2, 2] * points[p, 2] + t[2]
+        depth = (
+            r[2, 0] * points[p, 0] + r[2, 1] * points[p, 1] + r[2, 2] * points[p, 2] + t[2]
+        )
         z = max(depth, EPS_DEPTH_M)
         u, v = x / z - ideal[p, 0], y / z - ideal[p, 1]
         s = px_per_ideal[p]
@@ -355,7 +450,11 @@ def _turn(step, out):  # pragma: no cover - compiled
         a, b = 1 - t2 / 6, 0.5 - t2 / 24
     else:
         a, b = np.sin(t) / t, (1 - np.cos(t)) / t2
-    out[0, 0], out[1, 1], out[2, 2] = 1 - b * (y * y + z * z), 1 - b * (x * x + z * z), 1 - b * (x * x + y * y)
+    out[0, 0], out[1, 1], out[2, 2] = (
+        1 - b * (y * y + z * z),
+        1 - b * (x * x + z * z),
+        1 - b * (x * x + y * y),
+    )
     out[0, 1], out[1, 0] = b * x * y - a * z, b * x * y + a * z
     out[0, 2], out[2, 0] = b * x * z + a * y, b * x * z - a * y
     out[1, 2], out[2, 1] = b * y * z - a * x, b * y * z + a * x

@@ -1,6 +1,8 @@
-"""The layout of several markers from the clip: relative poses by vote, then bundle adjustment, O(frames * markers^2).
+"""The layout of several markers from the clip: relative poses by vote, then bundle
+adjustment, O(frames * markers^2).
 
-world = the axes of the first configured marker that was seen. Source: docs/methods/pose.md#map."""
+world = the axes of the first configured marker that was seen. Source: docs/methods/pose.md#map.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,17 @@ from arfx.analyse.pose.planar import (
 from arfx.core.numerics import EPS_DEPTH_M, condition
 from arfx.core.pose import Pose, skew
 
-MAX_FRAMES = 200  # frames that the adjustment uses, evenly spread over those with two or more markers
+# frames that the adjustment uses, evenly spread over those with two or more markers
+MAX_FRAMES = 200
 _VOTERS, _JUDGES = 40, 60
 
 
 @dataclass(frozen=True)
 class View:
-    """One marker in one frame, as the mapping needs it. solutions : its planar poses, best first."""
+    """One marker in one frame, as the mapping needs it.
+
+    solutions : its planar poses, best first.
+    """
 
     key: str
     corners_m: np.ndarray
@@ -41,8 +47,11 @@ class View:
 
 @dataclass(frozen=True)
 class MarkerMap:
-    """world_from_marker by key;  unmapped keys;  frames used;  rms_px of the adjustment, 0 without one
-    standard_deviation_m : of each marker's centre;  condition : of the reduced normal matrix, 1 without one"""
+    """world_from_marker by key;  unmapped keys;  frames used;  rms_px of the adjustment, 0
+    without one
+    standard_deviation_m : of each marker's centre;  condition : of the reduced normal
+    matrix, 1 without one
+    """
 
     world_from_marker: dict[str, Pose]
     unmapped: tuple[str, ...] = ()
@@ -53,19 +62,26 @@ class MarkerMap:
 
 
 def map_markers(frames: Sequence[Sequence[View]], keys: Sequence[str]) -> MarkerMap:
-    """frames : the markers of each frame (ones without solutions are ignored);  keys : configured order."""
+    """frames : the markers of each frame (ones without solutions are ignored);  keys :
+    configured order.
+    """
     usable = [[v for v in views if v.solutions] for views in frames]
     present = [k for k in keys if any(v.key == k for views in usable for v in views)]
     if not present:
         return MarkerMap({})
-    together = [{v.key: v for v in views} for views in usable if len({v.key for v in views}) > 1]
+    together = [
+        {v.key: v for v in views} for views in usable if len({v.key for v in views}) > 1
+    ]
     start = _spanning_tree(together, present)
     unmapped = tuple(k for k in present if k not in start)
     if len(start) == 1:
         return MarkerMap(start, unmapped)
     chosen = [f for f in together if sum(k in start for k in f) > 1]
     if len(chosen) > MAX_FRAMES:
-        chosen = [chosen[i] for i in np.linspace(0, len(chosen) - 1, MAX_FRAMES).round().astype(int)]
+        chosen = [
+            chosen[i]
+            for i in np.linspace(0, len(chosen) - 1, MAX_FRAMES).round().astype(int)
+        ]
     return _adjust(chosen, start, unmapped)
 
 
@@ -80,7 +96,9 @@ def _spanning_tree(together: list[dict[str, View]], present: list[str]) -> dict[
                 if b in out:
                     continue
                 if (a, b) not in edges:
-                    edges[a, b] = _relative_pose([f for f in together if a in f and b in f], a, b)
+                    edges[a, b] = _relative_pose(
+                        [f for f in together if a in f and b in f], a, b
+                    )
                 misfit, a_from_b = edges[a, b]
                 if np.isfinite(misfit) and (best is None or misfit < best[0]):
                     best = (misfit, b, out[a] @ a_from_b)
@@ -91,15 +109,27 @@ def _spanning_tree(together: list[dict[str, View]], present: list[str]) -> dict[
 
 
 def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float, Pose]:
-    """(misfit, pose of b in a): the candidate under which b's corners fit best in the other frames, medians of px.
+    """(misfit, pose of b in a): the candidate under which b's corners fit best in the other
+    frames, medians of px.
 
-    The misfit is divided by the root of the number of frames, so that a pair often seen together is preferred."""
+    The misfit is divided by the root of the number of frames, so that a pair often seen
+    together is preferred."""
     if not frames:
         return np.inf, Pose.identity()
-    sampled = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _VOTERS).round().astype(int))]
-    judges = [frames[i] for i in np.unique(np.linspace(0, len(frames) - 1, _JUDGES).round().astype(int))]
-    candidates = [pa.inverse() @ pb for f in sampled for pa in f[a].solutions for pb in f[b].solutions]
-    corners = np.stack([c.apply(frames[0][b].corners_m) for c in candidates])  # (c, 4, 3) in a
+    sampled = [
+        frames[i]
+        for i in np.unique(np.linspace(0, len(frames) - 1, _VOTERS).round().astype(int))
+    ]
+    judges = [
+        frames[i]
+        for i in np.unique(np.linspace(0, len(frames) - 1, _JUDGES).round().astype(int))
+    ]
+    candidates = [
+        pa.inverse() @ pb for f in sampled for pa in f[a].solutions for pb in f[b].solutions
+    ]
+    corners = np.stack(
+        [c.apply(frames[0][b].corners_m) for c in candidates]
+    )  # (c, 4, 3) in a
     error = np.empty((len(candidates), len(judges)))
     for k, f in enumerate(judges):
         distances = []
@@ -115,7 +145,9 @@ def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float
     return float(typical[best] / np.sqrt(len(frames))), candidates[best]
 
 
-def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tuple[str, ...]) -> MarkerMap:
+def _adjust(
+    frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tuple[str, ...]
+) -> MarkerMap:
     keys = list(start)
     n, m = len(frames), len(keys)
     corners_m = {v.key: v.corners_m for frame in frames for v in frame.values()}
@@ -123,10 +155,21 @@ def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tup
     seen = observe([frame.values() for frame in frames], start, keys)
     map_r, map_t = stack([*start.values()])
     now, first = _placed(seen, map_r, map_t, local), []
-    for k, frame in enumerate(frames):  # from the planar solution that fits all its markers best
-        candidates = [p @ start[key].inverse() for key, v in frame.items() if key in start for p in v.solutions]
+    for k, frame in enumerate(
+        frames
+    ):  # from the planar solution that fits all its markers best
+        candidates = [
+            p @ start[key].inverse()
+            for key, v in frame.items()
+            if key in start
+            for p in v.solutions
+        ]
         one = now.take(np.full(len(candidates), k))
-        first.append(candidates[int(huber_cost(residuals(*stack(candidates), one), one.weight)[0].argmin())])
+        first.append(
+            candidates[
+                int(huber_cost(residuals(*stack(candidates), one), one.weight)[0].argmin())
+            ]
+        )
     rotation, translation, _ = refine_poses(*stack(first), now)
     damping, cost = 1e-6, np.inf
     reduced = np.eye(6 * (m - 1))
@@ -139,10 +182,13 @@ def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tup
         cost = float(rho.sum())
         w = now.weight * factor
         jf = jacobian(rotation, translation, now)
-        # (n, p, 2, 6) px per left perturbation, in world axes, of the marker that carries the corner
+        # (n, p, 2, 6) px per left perturbation, in world axes, of the marker that carries
+        # the corner
         world = now.points_m
         q = np.einsum("nij,npj->npi", rotation, world) + translation[:, None]
-        lever = np.concatenate([-skew(world), np.broadcast_to(np.eye(3), (*world.shape, 3))], -1)
+        lever = np.concatenate(
+            [-skew(world), np.broadcast_to(np.eye(3), (*world.shape, 3))], -1
+        )
         jm = now.px_per_ideal @ view_jacobian(q) @ rotation[:, None] @ lever
         jfw = np.swapaxes((jf * w[..., None, None]).reshape(n, 8 * m, 6), 1, 2)
         hff = jfw @ jf.reshape(n, 8 * m, 6)
@@ -154,19 +200,28 @@ def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tup
         hff = hff + np.einsum("nii->ni", hff)[:, :, None] * damping * np.eye(6)
         inverse = np.linalg.inv(hff)
         couple = np.swapaxes(hfm, 2, 3) @ inverse[:, None]  # (n, m, 6, 6)
-        left, middle = couple.transpose(1, 2, 0, 3).reshape(6 * m, 6 * n), hfm.transpose(0, 2, 1, 3).reshape(6 * n, 6 * m)
+        left, middle = (
+            couple.transpose(1, 2, 0, 3).reshape(6 * m, 6 * n),
+            hfm.transpose(0, 2, 1, 3).reshape(6 * n, 6 * m),
+        )
         reduced_full = -(left @ middle).reshape(m, 6, m, 6)
         for i in range(m):
             reduced_full[i, :, i, :] += hmm[i] * (1 + damping * np.eye(6))
-        reduced = reduced_full[1:, :, 1:, :].reshape(6 * (m - 1), -1)  # the first marker is the world: it stays
+        reduced = reduced_full[1:, :, 1:, :].reshape(
+            6 * (m - 1), -1
+        )  # the first marker is the world: it stays
         right = (gm - np.einsum("nmij,nj->mi", couple, gf))[1:].reshape(-1)
         step_m = np.zeros((m, 6))
         step_m[1:] = -np.linalg.solve(reduced, right).reshape(m - 1, 6)
-        step_f = -np.einsum("nij,nj->ni", inverse, gf + np.einsum("nmij,mj->ni", hfm, step_m))
+        step_f = -np.einsum(
+            "nij,nj->ni", inverse, gf + np.einsum("nmij,mj->ni", hfm, step_m)
+        )
         map_r, map_t = apply_step(map_r, map_t, step_m)
         rotation, translation = apply_step(rotation, translation, step_f)
     now = _placed(seen, map_r, map_t, local)
-    rms = float(np.sqrt(np.mean(rms_px(residuals(rotation, translation, now), now.weight) ** 2)))
+    rms = float(
+        np.sqrt(np.mean(rms_px(residuals(rotation, translation, now), now.weight) ** 2))
+    )
     covariance = np.linalg.pinv(reduced)
     spread = {keys[0]: 0.0}
     for i, key in enumerate(keys[1:]):
@@ -179,11 +234,17 @@ def _adjust(frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tup
     return MarkerMap(poses, unmapped, n, rms, spread, condition(reduced))
 
 
-def observe(frames: Sequence[Iterable[View]], world_from_marker: Mapping[str, Pose], keys: Sequence[str]) -> Observed:
+def observe(
+    frames: Sequence[Iterable[View]],
+    world_from_marker: Mapping[str, Pose],
+    keys: Sequence[str],
+) -> Observed:
     """The corners of these markers, four places per key."""
     slot = {k: i for i, k in enumerate(keys)}
     n, p = len(frames), 4 * max(len(slot), 1)
-    out = Observed(np.zeros((n, p, 3)), np.zeros((n, p, 2)), np.zeros((n, p, 2, 2)), np.zeros((n, p)))
+    out = Observed(
+        np.zeros((n, p, 3)), np.zeros((n, p, 2)), np.zeros((n, p, 2, 2)), np.zeros((n, p))
+    )
     for k, views in enumerate(frames):
         for v in views:
             if v.key in slot:
@@ -194,7 +255,14 @@ def observe(frames: Sequence[Iterable[View]], world_from_marker: Mapping[str, Po
     return out
 
 
-def _placed(seen: Observed, map_r: np.ndarray, map_t: np.ndarray, local: np.ndarray) -> Observed:
+def _placed(
+    seen: Observed, map_r: np.ndarray, map_t: np.ndarray, local: np.ndarray
+) -> Observed:
     """The same observations with the corners where the map now puts them, in world coordinates."""
     world = (np.einsum("mij,mpj->mpi", map_r, local) + map_t[:, None]).reshape(1, -1, 3)
-    return Observed(np.broadcast_to(world, seen.points_m.shape), seen.ideal, seen.px_per_ideal, seen.weight)
+    return Observed(
+        np.broadcast_to(world, seen.points_m.shape),
+        seen.ideal,
+        seen.px_per_ideal,
+        seen.weight,
+    )

@@ -1,8 +1,10 @@
-"""Many poses at once: projection, Jacobians and robust least squares over marker corners; and both planar poses of a sighting.
+"""Many poses at once: projection, Jacobians and robust least squares over marker corners;
+and both planar poses of a sighting.
 
-Corners are ideal normalised coordinates with the lens's local scale (2 x 2), so residuals are picture pixels, to first order.
-Poses are pairs rotation (n, 3, 3), translation (n, 3); perturbations multiply from the left in the camera frame,
-[rotation rad, translation m]. Source: docs/methods/pose.md#planar."""
+Corners are ideal normalised coordinates with the lens's local scale (2 x 2), so residuals
+are picture pixels, to first order. Poses are pairs rotation (n, 3, 3), translation (n, 3);
+perturbations multiply from the left in the camera frame, [rotation rad, translation m].
+Source: docs/methods/pose.md#planar."""
 
 from __future__ import annotations
 
@@ -20,14 +22,16 @@ from arfx.core.numerics import EPS_DEPTH_M, divide, normalise
 from arfx.core.parallel import parallel_rows
 from arfx.core.pose import Pose, rotation_from_rotvec, skew
 
-_SAME_RAD = 5e-3  # two minima closer than this are one (a frontal marker): below any tilt noise seen
+# two minima closer than this are one (a frontal marker): below any tilt noise seen
+_SAME_RAD = 5e-3
 
 
 @dataclass(frozen=True)
 class Observed:
     """Corners seen in n frames, at most p in each.
 
-    points_m : (n, p, 3) world (or marker) coordinates;  ideal : (n, p, 2) normalised;  px_per_ideal : (n, p, 2, 2)
+    points_m : (n, p, 3) world (or marker) coordinates;  ideal : (n, p, 2) normalised;
+    px_per_ideal : (n, p, 2, 2)
     weight : (n, p) 1 / sigma_px^2, 0 = no corner"""
 
     points_m: np.ndarray
@@ -36,19 +40,32 @@ class Observed:
     weight: np.ndarray
 
     def take(self, index: np.ndarray) -> Observed:
-        return Observed(self.points_m[index], self.ideal[index], self.px_per_ideal[index], self.weight[index])
+        return Observed(
+            self.points_m[index],
+            self.ideal[index],
+            self.px_per_ideal[index],
+            self.weight[index],
+        )
 
 
 def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
-    """(..., 2, 2) px per unit of ideal normalised coordinates, at ideal (..., 2): central differences."""
+    """(..., 2, 2) px per unit of ideal normalised coordinates, at ideal (..., 2): central
+    differences.
+    """
     h = 1e-6
     focal = np.array([camera.fx, camera.fy])
-    columns = [(camera.distort(ideal + axis) - camera.distort(ideal - axis)) / (2 * h) * focal for axis in np.eye(2) * h]
+    columns = [
+        (camera.distort(ideal + axis) - camera.distort(ideal - axis)) / (2 * h) * focal
+        for axis in np.eye(2) * h
+    ]
     return np.stack(columns, -1)
 
 
 def residuals(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
-    """(n, p, 2) px, predicted minus seen. Points behind the camera count as straight on its plane (EPS_DEPTH_M)."""
+    """(n, p, 2) px, predicted minus seen.
+
+    Points behind the camera count as straight on its plane (EPS_DEPTH_M).
+    """
     q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
     z = np.maximum(q[..., 2:], EPS_DEPTH_M)
     return np.einsum("npij,npj->npi", seen.px_per_ideal, q[..., :2] / z - seen.ideal)
@@ -57,7 +74,11 @@ def residuals(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> 
 def jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
     """(n, p, 2, 6) px per left perturbation of the pose."""
     q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
-    return seen.px_per_ideal @ view_jacobian(q) @ np.concatenate([-skew(q), np.broadcast_to(np.eye(3), (*q.shape, 3))], -1)
+    return (
+        seen.px_per_ideal
+        @ view_jacobian(q)
+        @ np.concatenate([-skew(q), np.broadcast_to(np.eye(3), (*q.shape, 3))], -1)
+    )
 
 
 def view_jacobian(q: np.ndarray) -> np.ndarray:
@@ -70,7 +91,9 @@ def view_jacobian(q: np.ndarray) -> np.ndarray:
 
 
 def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual exceeds HUBER_SIGMA."""
+    """Cost per frame (n,) and factor (n, p) on the weights of corners whose residual
+    exceeds HUBER_SIGMA.
+    """
     d2 = (r * r).sum(-1) * weight
     d = np.sqrt(d2)
     over = d > HUBER_SIGMA
@@ -81,33 +104,57 @@ def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def refine_poses(
     rotation: np.ndarray, translation: np.ndarray, seen: Observed, iterations: int = 12
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation, cost (n,))."""
-    rotation, translation = np.array(rotation, float, order="C"), np.array(translation, float, order="C")
+    """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation,
+    cost (n,)).
+    """
+    rotation, translation = (
+        np.array(rotation, float, order="C"),
+        np.array(translation, float, order="C"),
+    )
     cost = np.empty(len(rotation))
-    points, ideal, scale, weight = (np.array(v, float, order="C") for v in vars(seen).values())
+    points, ideal, scale, weight = (
+        np.array(v, float, order="C") for v in vars(seen).values()
+    )
 
     def refine(a: int, b: int) -> None:
         of = slice(a, b)
-        kernels.refine(rotation[of], translation[of], points[of], ideal[of], scale[of], weight[of], iterations, cost[of])
+        kernels.refine(
+            rotation[of],
+            translation[of],
+            points[of],
+            ideal[of],
+            scale[of],
+            weight[of],
+            iterations,
+            cost[of],
+        )
 
     parallel_rows(refine, len(cost))
     return rotation, translation, cost
 
 
-def information(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+def information(
+    rotation: np.ndarray, translation: np.ndarray, seen: Observed
+) -> np.ndarray:
     """(n, 6, 6) Fisher information of each pose from its corners."""
     j = jacobian(rotation, translation, seen)
     return np.einsum("npki,npkj->nij", j * seen.weight[..., None, None], j)
 
 
-def apply_step(rotation: np.ndarray, translation: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Left-multiply by a small motion (n, 6): rotation about the camera's centre, then translation."""
+def apply_step(
+    rotation: np.ndarray, translation: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Left-multiply by a small motion (n, 6): rotation about the camera's centre, then
+    translation.
+    """
     turn = rotation_from_rotvec(step[:, :3])
     return turn @ rotation, np.einsum("nij,nj->ni", turn, translation) + step[:, 3:]
 
 
 def rms_px(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(n,) root mean square over the corners present of the residual's length, px; 0 where there is none."""
+    """(n,) root mean square over the corners present of the residual's length, px; 0 where
+    there is none.
+    """
     on = weight > 0
     total = ((r * r).sum(-1) * on).sum(-1)
     return np.sqrt(total / np.maximum(on.sum(-1), 1))
@@ -123,22 +170,31 @@ def stack(poses: list[Pose]) -> tuple[np.ndarray, np.ndarray]:
 def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
     """IPPE's one or two solutions, best first, wherever they lie.
 
-    corners_m : (4, 3) of a rectangle, order of MarkerSpec.corners_m;  ideal : (4, 2) normalised, without lens distortion"""
+    corners_m : (4, 3) of a rectangle, order of MarkerSpec.corners_m;  ideal : (4, 2)
+    normalised, without lens distortion
+    """
     if not np.isfinite(ideal).all():
         return []
     square = corners_m[1, 0] == corners_m[1, 1]
     method = cv2.SOLVEPNP_IPPE_SQUARE if square else cv2.SOLVEPNP_IPPE
     count, rvecs, tvecs, _ = cv2.solvePnPGeneric(
-        np.ascontiguousarray(corners_m), np.ascontiguousarray(ideal)[:, None], np.eye(3), None, flags=method
+        np.ascontiguousarray(corners_m),
+        np.ascontiguousarray(ideal)[:, None],
+        np.eye(3),
+        None,
+        flags=method,
     )
     return [Pose.from_rotvec(rvecs[k], tvecs[k]) for k in range(count)]
 
 
-def frontal_poses(corners_m: np.ndarray, ideal: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (n, 3, 3) and translation (n, 3) of markers that face against a direction, at the place, distance and roll
-    of their pictures.
+def frontal_poses(
+    corners_m: np.ndarray, ideal: np.ndarray, towards: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (n, 3, 3) and translation (n, 3) of markers that face against a direction,
+    at the place, distance and roll of their pictures.
 
-    corners_m : (n, 4, 3);  ideal : (n, 4, 2);  towards : (n, 3) camera coordinates, for instance the rays through their middles
+    corners_m : (n, 4, 3);  ideal : (n, 4, 2);  towards : (n, 3) camera coordinates, for
+    instance the rays through their middles
     """
     side = np.linalg.norm(corners_m - corners_m[:, [1, 2, 3, 0]], axis=2).mean(1)
     ray = np.concatenate([ideal.mean(1), np.ones((len(ideal), 1))], 1)
@@ -158,11 +214,15 @@ def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 
 def hypotheses(
-    corners_m: Sequence[np.ndarray], ideal: np.ndarray, px_per_ideal: np.ndarray, sigma_px: np.ndarray
+    corners_m: Sequence[np.ndarray],
+    ideal: np.ndarray,
+    px_per_ideal: np.ndarray,
+    sigma_px: np.ndarray,
 ) -> list[tuple[Hypothesis, ...]]:
     """Refined hypotheses of n sightings, best first; none where no direction leads to a corner.
 
-    corners_m : n times (4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)"""
+    corners_m : n times (4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
+    """
     out: list[tuple[Hypothesis, ...]] = [()] * len(corners_m)
     at = np.flatnonzero(np.isfinite(ideal).all((1, 2)))
     if not len(at):
@@ -170,25 +230,47 @@ def hypotheses(
     points, ideal, px_per_ideal = np.stack(corners_m)[at], ideal[at], px_per_ideal[at]
     n = len(points)
     every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
-    of, (rotation, translation) = np.array([i for i, _ in every], int), stack([p for _, p in every])
+    of, (rotation, translation) = (
+        np.array([i for i, _ in every], int),
+        stack([p for _, p in every]),
+    )
     ahead = _in_sight(rotation, translation)
-    # IPPE returns rubbish for a marker that faces the camera, or is parallel to the picture, exactly: starts of their own
+    # IPPE returns rubbish for a marker that faces the camera, or is parallel to the
+    # picture, exactly: starts of their own
     ray = np.concatenate([ideal.mean(1), np.ones((n, 1))], 1)
     starts = [(rotation[ahead], translation[ahead])]
-    starts += [frontal_poses(points, ideal, d) for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3)))]
+    starts += [
+        frontal_poses(points, ideal, d)
+        for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3)))
+    ]
     owner = np.concatenate([of[ahead], np.arange(n), np.arange(n)])
     rotation, translation = (np.concatenate(parts) for parts in zip(*starts, strict=True))
-    seen = Observed(points[owner], ideal[owner], px_per_ideal[owner], np.repeat(sigma_px[at][owner, None] ** -2.0, 4, 1))
+    seen = Observed(
+        points[owner],
+        ideal[owner],
+        px_per_ideal[owner],
+        np.repeat(sigma_px[at][owner, None] ** -2.0, 4, 1),
+    )
     rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     error[~(_in_sight(rotation, translation) & np.isfinite(error))] = np.inf
-    order = np.lexsort((error, owner))[::-1]  # worst first: of those assigned to one place the last one stays
+    order = np.lexsort((error, owner))[
+        ::-1
+    ]  # worst first: of those assigned to one place the last one stays
     order = order[np.isfinite(error[order])]
     best, other = np.full((2, n), -1)
     best[owner[order]] = order
-    apart = 8 * np.sin(_SAME_RAD / 2) ** 2  # squared distance of two rotation matrices by that angle
-    order = order[((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2)) > apart]
+    apart = (
+        8 * np.sin(_SAME_RAD / 2) ** 2
+    )  # squared distance of two rotation matrices by that angle
+    order = order[
+        ((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2)) > apart
+    ]
     other[owner[order]] = order
     for k, pair in zip(at.tolist(), np.stack([best, other], 1).tolist(), strict=True):
-        out[k] = tuple(Hypothesis(Pose(rotation[i], translation[i]), float(error[i])) for i in pair if i >= 0)
+        out[k] = tuple(
+            Hypothesis(Pose(rotation[i], translation[i]), float(error[i]))
+            for i in pair
+            if i >= 0
+        )
     return out

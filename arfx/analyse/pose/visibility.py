@@ -1,5 +1,6 @@
-"""When the object is there: measured frames, bridged gaps, absence and the fades at its ends; where a new shot begins; where in
-each frame the model can be seen, and how much its position in the picture jitters.
+"""When the object is there: measured frames, bridged gaps, absence and the fades at its
+ends; where a new shot begins; where in each frame the model can be seen, and how much its
+position in the picture jitters.
 
 Source: docs/methods/pose.md#presence."""
 
@@ -21,49 +22,71 @@ from arfx.core.scene import Scene
 
 MIN_FRAMES = 3
 THUMBNAIL = (32, 18)
-DISSIMILAR = 0.45  # 1 - correlation of thumbnails; hand-held clips stay below .1, unrelated pictures lie around 1
+# 1 - correlation of thumbnails; hand-held clips stay below .1, unrelated pictures lie
+# around 1
+DISSIMILAR = 0.45
 _STANDS_OUT = 3.0
-_CALM = 0.6  # of a cut's dissimilarity: on one side of it at least, frames follow each other with less
+# of a cut's dissimilarity: on one side of it at least, frames follow each other with less
+_CALM = 0.6
 _AT_ONCE = 1 << 14  # points that are projected at a time: they stay in the cache
-_HULL_POINTS = 400  # above this many vertices their convex hull is taken once: it projects to the same box
+# above this many vertices their convex hull is taken once: it projects to the same box
+_HULL_POINTS = 400
 
 
-def visible_intervals(measured: np.ndarray, shot: np.ndarray, times_s: np.ndarray, max_gap_s: float) -> list[tuple[int, int]]:
-    """Half-open ranges of frames in which the object is present: from one measured frame to another of the same shot,
-    with no gap between two measured frames longer than max_gap_s beyond the clip's own frame distance."""
+def visible_intervals(
+    measured: np.ndarray, shot: np.ndarray, times_s: np.ndarray, max_gap_s: float
+) -> list[tuple[int, int]]:
+    """Half-open ranges of frames in which the object is present: from one measured frame to
+    another of the same shot, with no gap between two measured frames longer than max_gap_s
+    beyond the clip's own frame distance."""
     out: list[tuple[int, int]] = []
     for k in np.flatnonzero(measured).tolist():
         last = out[-1][1] - 1 if out else k
-        bridged = bool(out) and shot[last] == shot[k] and (k == last + 1 or times_s[k] - times_s[last] <= max_gap_s)
+        bridged = (
+            bool(out)
+            and shot[last] == shot[k]
+            and (k == last + 1 or times_s[k] - times_s[last] <= max_gap_s)
+        )
         first = out.pop()[0] if bridged else k
         out.append((first, k + 1))
     return out
 
 
-def without_flickers(present: Sequence[tuple[int, int]], measured: np.ndarray, shot: np.ndarray) -> list[tuple[int, int]]:
-    """The intervals without flickers: fewer than MIN_FRAMES measured frames with absence of the same shot on both sides.
+def without_flickers(
+    present: Sequence[tuple[int, int]], measured: np.ndarray, shot: np.ndarray
+) -> list[tuple[int, int]]:
+    """The intervals without flickers: fewer than MIN_FRAMES measured frames with absence of
+    the same shot on both sides.
 
-    A square of texture that is misread as a marker lasts for a frame or two; an object that appears for as long would
-    only flash."""
+    A square of texture that is misread as a marker lasts for a frame or two; an object that
+    appears for as long would only flash."""
     n = len(measured)
     return [
-        (a, b) for a, b in present
-        if not (a > 0 and b < n and shot[a - 1] == shot[a] and shot[b] == shot[b - 1]) or measured[a:b].sum() >= MIN_FRAMES
-    ]  # fmt: skip
+        (a, b)
+        for a, b in present
+        if not (a > 0 and b < n and shot[a - 1] == shot[a] and shot[b] == shot[b - 1])
+        or measured[a:b].sum() >= MIN_FRAMES
+    ]
 
 
 def frame_statuses(measured: np.ndarray, present: Sequence[tuple[int, int]]) -> list[str]:
     """Status of every frame."""
     out = [ABSENT] * len(measured)
     for first, end in present:
-        out[first:end] = [MEASURED if measured[k] else INTERPOLATED for k in range(first, end)]
+        out[first:end] = [
+            MEASURED if measured[k] else INTERPOLATED for k in range(first, end)
+        ]
     return out
 
 
-def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray, fade_frames: int) -> np.ndarray:
-    """(n,) 0..1: 1 inside a stretch, ramping over its first and last frames where an absence follows in the same shot.
+def opacities(
+    present: Sequence[tuple[int, int]], shot: np.ndarray, fade_frames: int
+) -> np.ndarray:
+    """(n,) 0..1: 1 inside a stretch, ramping over its first and last frames where an
+    absence follows in the same shot.
 
-    At the ends of the clip and at cuts the object is there at once: nothing was absent before."""
+    At the ends of the clip and at cuts the object is there at once: nothing was absent before.
+    """
     n = len(shot)
     out = np.zeros(n)
     for first, end in present:
@@ -80,18 +103,28 @@ class ShotDetector(Stateful):
     """Unlikeness of successive frames, 0 (same up to brightness and contrast) to 2."""
 
     def __init__(self) -> None:
-        self._first: list[np.ndarray] = []  # thumbnails of the first two frames, and of the last two
+        self._first: list[
+            np.ndarray
+        ] = []  # thumbnails of the first two frames, and of the last two
         self._last: list[np.ndarray] = []
 
     def step(self, luma: np.ndarray) -> tuple[float, float]:
-        """To the frame before, and to the one before that; 0 where there is none. luma : (h, w) uint8."""
-        step = max(1, min(luma.shape[0] // (4 * THUMBNAIL[1]), luma.shape[1] // (4 * THUMBNAIL[0])))
+        """To the frame before, and to the one before that; 0 where there is none. luma :
+        (h, w) uint8.
+        """
+        step = max(
+            1, min(luma.shape[0] // (4 * THUMBNAIL[1]), luma.shape[1] // (4 * THUMBNAIL[0]))
+        )
         thin = np.ascontiguousarray(luma[::step, ::step])
         thumb = cv2.resize(thin, THUMBNAIL, interpolation=cv2.INTER_AREA)
         return self._follow(thumb)
 
     def _follow(self, thumb: np.ndarray) -> tuple[float, float]:
-        first, second = [*(dissimilarity(thumb, old) for old in reversed(self._last)), 0.0, 0.0][:2]
+        first, second = [
+            *(dissimilarity(thumb, old) for old in reversed(self._last)),
+            0.0,
+            0.0,
+        ][:2]
         self._first = [*self._first, thumb][:2]
         self._last = [*self._last, thumb][-2:]
         return first, second
@@ -105,27 +138,38 @@ class ShotDetector(Stateful):
 
 
 def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:
-    """1 - correlation of two pictures of one size; flat pictures are compared by their level alone."""
+    """1 - correlation of two pictures of one size; flat pictures are compared by their
+    level alone.
+    """
     x, y = a.ravel().astype(float), b.ravel().astype(float)
     level_x, level_y = float(x.mean()), float(y.mean())
     x -= level_x
     y -= level_y
     sx, sy = math.sqrt(x @ x / x.size), math.sqrt(y @ y / y.size)
     if sx < 2.0 or sy < 2.0:  # less contrast than noise: no structure to compare
-        return 0.0 if sx < 2.0 and sy < 2.0 and abs(level_x - level_y) < 20 else float(sx > 8.0 or sy > 8.0)
+        return (
+            0.0
+            if sx < 2.0 and sy < 2.0 and abs(level_x - level_y) < 20
+            else float(sx > 8.0 or sy > 8.0)
+        )
     return 1.0 - float(divide(x @ y / x.size, sx * sy))
 
 
-def find_cuts(before: Sequence[float], before_last: Sequence[float], followed: Sequence[bool]) -> list[int]:
+def find_cuts(
+    before: Sequence[float], before_last: Sequence[float], followed: Sequence[bool]
+) -> list[int]:
     """Frames that begin a new shot.
 
-    before, before_last : ShotDetector of every frame;  followed : a marker moved on smoothly from the frame before"""
+    before, before_last : ShotDetector of every frame;  followed : a marker moved on
+    smoothly from the frame before
+    """
     cuts = []
     n = len(before)
     for k in range(1, n):
         if before[k] < DISSIMILAR or followed[k]:
             continue
-        # the next frame is like the last one, a flash or one broken frame; or back from such a frame
+        # the next frame is like the last one, a flash or one broken frame; or back from
+        # such a frame
         if any(before_last[i] < DISSIMILAR / 2 for i in (k, k + 1) if 2 <= i < n):
             continue
         near = [before[i] for i in range(max(1, k - 4), min(n, k + 5)) if i != k]
@@ -145,35 +189,59 @@ class ModelBox(Fold):
     needs = ("pose",)
 
     def finish(self, clip: Analysis) -> Analysis:
-        return clip if self.job.scene is None else clip.adding(with_model(clip.facts, self.job.scene(clip)))
+        return (
+            clip
+            if self.job.scene is None
+            else clip.adding(with_model(clip.facts, self.job.scene(clip)))
+        )
 
 
 def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, ...]:
     """The facts with `model_box` and `depth_range_m` filled in.
 
-    model_box covers the projection of every vertex with a pixel to spare, clipped to the frame; EMPTY where the model is
-    out of view. A model that reaches behind the camera may cover the whole frame."""
+    model_box covers the projection of every vertex with a pixel to spare, clipped to the
+    frame; EMPTY where the model is out of view. A model that reaches behind the camera may
+    cover the whole frame."""
     points = _outline(scene.model_points_m)
     seen = [f for f in facts if f.camera_from_world is not None]
     regions: list[tuple[Rect, tuple[float, float]]] = []
     step = max(_AT_ONCE // len(points), 1)
     for start in range(0, len(seen), step):
-        regions += _seen_boxes(_seen_from([f.camera_from_world for f in seen[start : start + step]], points), scene.camera)
+        regions += _seen_boxes(
+            _seen_from([f.camera_from_world for f in seen[start : start + step]], points),
+            scene.camera,
+        )
     found = iter(regions)
-    pairs = [(f, *((EMPTY, (0.0, 0.0)) if f.camera_from_world is None else next(found))) for f in facts]
+    pairs = [
+        (f, *((EMPTY, (0.0, 0.0)) if f.camera_from_world is None else next(found)))
+        for f in facts
+    ]
     return tuple(f.with_(model_box=box, depth_range_m=depth) for f, box, depth in pairs)
 
 
-def jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(frames,) root mean square, px, of the second difference over three successive frames of points' place in the picture,
-    and the same of their place relative to the centre of the markers as measured: there the footage's own motion, which the
-    object has to follow, is taken out.
+def jitter_px(
+    facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera, raw: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """(frames,) root mean square, px, of the second difference over three successive frames
+    of points' place in the picture, and the same of their place relative to the centre of
+    the markers as measured: there the footage's own motion, which the object has to follow,
+    is taken out.
 
-    points_m : (n, 3) world, for instance scene.model_corners_m;  raw : of the poses before smoothing
-    NaN but for the middle of unbroken triples of one shot in which raw and smoothed poses both exist, with a marker that is in
-    all three, and evenly spaced (to 20 %)."""
-    posed = [f for f in facts if f.camera_from_world is not None and f.raw_camera_from_world is not None]
-    projected = camera.project(_seen_from([f.raw_camera_from_world if raw else f.camera_from_world for f in posed], points_m))
+    points_m : (n, 3) world, for instance scene.model_corners_m;  raw : of the poses before
+    smoothing
+    NaN but for the middle of unbroken triples of one shot in which raw and smoothed poses
+    both exist, with a marker that is in all three, and evenly spaced (to 20 %)."""
+    posed = [
+        f
+        for f in facts
+        if f.camera_from_world is not None and f.raw_camera_from_world is not None
+    ]
+    projected = camera.project(
+        _seen_from(
+            [f.raw_camera_from_world if raw else f.camera_from_world for f in posed],
+            points_m,
+        )
+    )
     position = dict(zip((f.index for f in posed), projected, strict=True))
     moved, relative = np.full((2, len(facts)), np.nan)
     for k, three in enumerate(zip(facts, facts[1:], facts[2:], strict=False), 1):
@@ -189,7 +257,10 @@ def jitter_px(facts: Sequence[FrameFacts], points_m: np.ndarray, camera: Camera,
             continue
         corners = [[m.corners_px for m in f.markers if m.key in keys] for f in three]
         centre = [np.sum(c, axis=(0, 1)) / (4 * len(c)) for c in corners]
-        moved[k], relative[k] = _rms(bend), _rms(bend - (centre[0] - 2 * centre[1] + centre[2]))
+        moved[k], relative[k] = (
+            _rms(bend),
+            _rms(bend - (centre[0] - 2 * centre[1] + centre[2])),
+        )
     return moved, relative
 
 
@@ -199,8 +270,9 @@ def _rms(offsets_px: np.ndarray) -> float:
 
 
 def _seen_from(poses: Sequence[Pose | None], points_m: np.ndarray) -> np.ndarray:
-    """(poses, n, 3) world points (n, 3) in the coordinates of every camera. In memory x, y and z are apart: what follows looks
-    along the points, and is many times as fast there as over triples."""
+    """(poses, n, 3) world points (n, 3) in the coordinates of every camera. In memory x, y
+    and z are apart: what follows looks along the points, and is many times as fast there as
+    over triples."""
     known = [p for p in poses if p is not None]
     if not known:
         return np.zeros((0, *np.shape(points_m)))
@@ -216,7 +288,8 @@ def _outline(points: np.ndarray) -> np.ndarray:
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        # moved by rounding (QJ), far below a pixel: else Qhull takes the square of points on a circle
+        # moved by rounding (QJ), far below a pixel: else Qhull takes the square of points
+        # on a circle
         return points[ConvexHull(points, qhull_options="QJ").vertices]
     except QhullError:  # all in one plane or line: no volume, and no need
         return points
@@ -238,11 +311,14 @@ def _seen_boxes(q: np.ndarray, camera: Camera) -> list[tuple[Rect, tuple[float, 
     return out
 
 
-def _partly_seen(q: np.ndarray, px: np.ndarray, camera: Camera) -> tuple[Rect, tuple[float, float]]:
+def _partly_seen(
+    q: np.ndarray, px: np.ndarray, camera: Camera
+) -> tuple[Rect, tuple[float, float]]:
     """Of one frame in which some points (n, 3) have no place px (n, 2) in the picture.
 
-    Behind the camera or beyond the lens's fold: such a point says nothing about where the surface between it and a visible
-    one ends, so the frame bounds it. If none is visible the model is out of view or around the camera."""
+    Behind the camera or beyond the lens's fold: such a point says nothing about where the
+    surface between it and a visible one ends, so the frame bounds it. If none is visible
+    the model is out of view or around the camera."""
     ahead = q[:, 2] > EPS_DEPTH_M
     if not ahead.any():
         return EMPTY, (0.0, 0.0)

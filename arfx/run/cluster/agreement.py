@@ -15,26 +15,49 @@ from arfx.stages import STAGES
 
 # whose code makes pixels or the bytes of a file
 LIBRARIES = (
-    "av", "embreex", "llvmlite", "numba", "numpy", "opencv-contrib-python-headless", "pyrender-maintained", "scikit-image",
-    "scipy", "trimesh",
-)  # fmt: skip
+    "av",
+    "embreex",
+    "llvmlite",
+    "numba",
+    "numpy",
+    "opencv-contrib-python-headless",
+    "pyrender-maintained",
+    "scikit-image",
+    "scipy",
+    "trimesh",
+)
 STAGE = "stage "  # begins the name of a plug-in
 PROCESSOR = "the processor"
-_LOADED = code_digest()  # as it is when this process begins to import arfx: later the files may be others
+_LOADED = (
+    code_digest()
+)  # as it is when this process begins to import arfx: later the files may be others
 
 
 def environment(plugins: Sequence[str] = (), processor: bool = False) -> dict[str, str]:
     """Name -> version or digest, of this process.
 
-    plugins : stages from other packages that the job has;  processor : by which libraries choose their code, too"""
-    out = {"Python": platform.python_version(), "arfx": arfx.__version__, "arfx's code": code_digest.__wrapped__()}
+    plugins : stages from other packages that the job has;  processor : by which libraries
+    choose their code, too
+    """
+    out = {
+        "Python": platform.python_version(),
+        "arfx": arfx.__version__,
+        "arfx's code": code_digest.__wrapped__(),
+    }
     for name in LIBRARIES:
         try:
             out[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             out[name] = "none"
-    out["the processor that code is compiled for"] = os.environ.get("NUMBA_CPU_NAME") or target_cpu() or processor_name()
-    out |= {f"{STAGE}{n}": code_digest.__wrapped__(*STAGES.source(n)) if n in STAGES.plugins else "none" for n in plugins}
+    out["the processor that code is compiled for"] = (
+        os.environ.get("NUMBA_CPU_NAME") or target_cpu() or processor_name()
+    )
+    out |= {
+        f"{STAGE}{n}": (
+            code_digest.__wrapped__(*STAGES.source(n)) if n in STAGES.plugins else "none"
+        )
+        for n in plugins
+    }
     if processor:
         out[PROCESSOR] = processor_name()
     if out["arfx's code"] != _LOADED:

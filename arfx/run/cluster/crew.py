@@ -1,4 +1,6 @@
-"""Who is there to work: the workers of a cluster as they come and go, and which of them may get chunks."""
+"""Who is there to work: the workers of a cluster as they come and go, and which of them may
+get chunks.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ _ANSWER_S = 5.0  # for an answer that is there to be brought
 @dataclass
 class Member:
     """A worker. slots : chunks at once;  reads_on : number of the chunk after its last one
-    asked : its answer, awaited; None = it has come;  refused : why it gets no work, "" = it may"""
+    asked : its answer, awaited; None = it has come;  refused : why it gets no work, "" = it may
+    """
 
     slots: int
     asked: Any
@@ -36,24 +39,37 @@ class Member:
 class Crew:
     """The workers, by address.
 
-    job : what they are to render, None = only versions are compared;  here : this process's (`environment`)
+    job : what they are to render, None = only versions are compared;  here : this process's
+    (`environment`)
     notice : is told of workers that get no work"""
 
     def __init__(
-        self, client: Any, here: Mapping[str, str], job: remote.JobReference | None, notice: Callable[[str], None]
+        self,
+        client: Any,
+        here: Mapping[str, str],
+        job: remote.JobReference | None,
+        notice: Callable[[str], None],
     ) -> None:
         self._client, self._here, self._job, self._notice = client, here, job, notice
         self.members: dict[str, Member] = {}
         self._looked, self._began = -LOOK_S, time.monotonic()
 
     def look(self) -> dict[str, Member]:
-        """Who has gone since the last look; who has come is asked. Raises RenderError where the scheduler is gone."""
+        """Who has gone since the last look; who has come is asked. Raises RenderError where
+        the scheduler is gone.
+        """
         self._hear()
         if time.monotonic() - self._looked < LOOK_S:
             return {}
-        threads = scheduler_says(self._client, lambda: self._client.nthreads(callback_timeout=SILENT_S))
+        threads = scheduler_says(
+            self._client, lambda: self._client.nthreads(callback_timeout=SILENT_S)
+        )
         self._looked = time.monotonic()
-        gone = {address: self.members.pop(address) for address in [*self.members] if address not in threads}
+        gone = {
+            address: self.members.pop(address)
+            for address in [*self.members]
+            if address not in threads
+        }
         for address, slots in threads.items():
             if address not in self.members:
                 asked = submit(self._client, address, remote.examine, self._here, self._job)
@@ -68,31 +84,49 @@ class Crew:
             answer, member.asked = member.asked, None
             try:
                 said = answer.result(timeout=_ANSWER_S)
-                member.name, member.host, member.refused = said["name"], said["host"], said["refused"]
-            except Exception as e:  # arfx is not there, or is another, or the worker died over it
+                member.name, member.host, member.refused = (
+                    said["name"],
+                    said["host"],
+                    said["refused"],
+                )
+            except (
+                Exception
+            ) as e:  # arfx is not there, or is another, or the worker died over it
                 member.refused = f"it does not answer as arfx does: {type(e).__name__}: {e}"
             if member.refused:
-                self._notice(f"worker {member.name} ({member.host or address}) gets no work: {member.refused}")
+                self._notice(
+                    f"worker {member.name} ({member.host or address}) gets no work:"
+                    f" {member.refused}"
+                )
 
     def refusal(self) -> str:
         """Why every worker that there is has been refused; "" where that is not so."""
         if not all(m.refused for m in self.members.values()):
             return ""
-        return "; ".join(dict.fromkeys(f"{m.name}: {m.refused}" for m in self.members.values()))
+        return "; ".join(
+            dict.fromkeys(f"{m.name}: {m.refused}" for m in self.members.values())
+        )
 
     def check(self) -> None:
         """Raises RenderError where every worker that there is has been refused."""
         if why := self.refusal():
             raise RenderError(
                 f"no worker may render: {why}",
-                "the same arfx, Python and libraries on all machines; --map-path HERE=THERE where paths are others",
+                "the same arfx, Python and libraries on all machines; --map-path HERE=THERE"
+                " where paths are others",
             )
 
     def anyone(self, tick: Callable[[], object] = lambda: None) -> bool:
-        """Whether one may work. Waits for the answers of those that are there; tick() meanwhile, often"""
+        """Whether one may work.
+
+        Waits for the answers of those that are there; tick() meanwhile, often
+        """
         while True:
             self.look()
-            ready, asked = any(m.ready for m in self.members.values()), any(m.asked is not None for m in self.members.values())
+            ready, asked = (
+                any(m.ready for m in self.members.values()),
+                any(m.asked is not None for m in self.members.values()),
+            )
             if ready or not asked or time.monotonic() - self._began > _START_S:
                 return ready
             tick()
@@ -109,9 +143,23 @@ class SchedulerLostError(RenderError):
     """Nothing that is said to the scheduler arrives."""
 
 
-def submit(client: Any, address: str, function: Callable[..., Any], *arguments: Any, key: str | None = None) -> Any:
+def submit(
+    client: Any,
+    address: str,
+    function: Callable[..., Any],
+    *arguments: Any,
+    key: str | None = None,
+) -> Any:
     """The future of a call on this very worker."""
-    return client.submit(function, *arguments, key=key, workers=[address], allow_other_workers=False, pure=False, retries=0)
+    return client.submit(
+        function,
+        *arguments,
+        key=key,
+        workers=[address],
+        allow_other_workers=False,
+        pure=False,
+        retries=0,
+    )
 
 
 def scheduler_says(client: Any, ask: Callable[[], Any]) -> Any:

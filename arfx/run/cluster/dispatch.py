@@ -1,8 +1,10 @@
-"""Chunks to the workers of a cluster, one at a time for each of their threads: consecutive ones where that is possible.
+"""Chunks to the workers of a cluster, one at a time for each of their threads: consecutive
+ones where that is possible.
 
-What a worker that is lost was at is rendered by others, unless its file is there already. When nothing waits any more, a chunk
-that takes far longer than others is rendered twice: files appear when they are whole, so whoever is first wins.
-Stretches of the analysis are given out in the same way; all that is said here of chunks is so for them."""
+What a worker that is lost was at is rendered by others, unless its file is there already.
+When nothing waits any more, a chunk that takes far longer than others is rendered twice:
+files appear when they are whole, so whoever is first wins. Stretches of the analysis are
+given out in the same way; all that is said here of chunks is so for them."""
 
 from __future__ import annotations
 
@@ -28,7 +30,10 @@ from arfx.run.folder import JobFolder
 from arfx.run.schedule import find_chunk, next_chunk
 
 ROUND_S = 0.05
-SLOW, SLOW_S = 3.0, 2.0  # a chunk is rendered twice after so many times the others' median, and at least so long
+SLOW, SLOW_S = (
+    3.0,
+    2.0,
+)  # a chunk is rendered twice after so many times the others' median, and at least so long
 ARRIVE_S = 20.0  # until a file that a worker has written is seen here
 LEAVE_S = 3.0  # for workers to leave what they are at
 START_S = 120.0  # for workers that were started here to be there
@@ -36,7 +41,9 @@ START_S = 120.0  # for workers that were started here to be there
 
 @dataclass
 class _Attempt:
-    """chunk : number of the task;  worker : address;  frames : done;  result : when it has come;  ended : when that was due"""
+    """chunk : number of the task;  worker : address;  frames : done;  result : when it has
+    come;  ended : when that was due
+    """
 
     chunk: int
     worker: str
@@ -50,29 +57,49 @@ class _Attempt:
 class Dispatch:
     """One run of tasks.
 
-    suffix : of their files, None = stretches, whose files are the targets themselves;  most_lost : workers that a chunk may lose
+    suffix : of their files, None = stretches, whose files are the targets themselves;
+    most_lost : workers that a chunk may lose
     own : whether workers that were started here run, or may yet; None = they are others'"""
 
     def __init__(
-        self, client: Any, crew: Crew, tasks: Sequence[Task], run: str, suffix: str | None, store: Store | None, most_lost: int,
-        own: Callable[[], bool] | None, notice: Callable[[str], None],
-    ) -> None:  # fmt: skip
+        self,
+        client: Any,
+        crew: Crew,
+        tasks: Sequence[Task],
+        run: str,
+        suffix: str | None,
+        store: Store | None,
+        most_lost: int,
+        own: Callable[[], bool] | None,
+        notice: Callable[[str], None],
+    ) -> None:
         self._client, self._crew, self._tasks, self._run = client, crew, tasks, run
-        self._suffix, self._store, self._most_lost, self._own, self._notice = suffix, store, most_lost, own, notice
+        self._suffix, self._store, self._most_lost, self._own, self._notice = (
+            suffix,
+            store,
+            most_lost,
+            own,
+            notice,
+        )
         self._targets = [Path(target) for *_, target in tasks]
         self._frames = [last - first + 1 for _, _, first, last, _ in tasks]
         self._waiting = [*range(len(tasks))]
         self._done: set[int] = set()
         self._attempts: dict[str, _Attempt] = {}
-        self._leaving: dict[str, str] = {}  # attempts that nobody wants any more, and the address of their worker
-        self._lost: dict[int, list[str]] = {}  # names of the workers that were lost with a chunk
+        self._leaving: dict[
+            str, str
+        ] = {}  # attempts that nobody wants any more, and the address of their worker
+        self._lost: dict[
+            int, list[str]
+        ] = {}  # names of the workers that were lost with a chunk
         self._s_per_frame: list[float] = []  # of finished chunks
         self._count = itertools.count()
         self._worked = time.monotonic()  # when there was a worker last
         self._said_waiting = False
 
     def results(self, progress: Callable[[int], None]) -> Results:
-        """Raises RenderError: a chunk that lost too many workers, no worker that may render, no scheduler; what a worker raises.
+        """Raises RenderError: a chunk that lost too many workers, no worker that may
+        render, no scheduler; what a worker raises.
 
         On the way out all of them leave what they are at."""
         self._client.subscribe_topic(self._run, self._event)
@@ -85,8 +112,12 @@ class Dispatch:
                 self._check_crew()
                 self._give()
                 self._give_twice()
-                for token in [t for t, a in self._attempts.items() if a.result or a.future.done()]:
-                    if token in self._attempts:  # no other has finished the same chunk meanwhile
+                for token in [
+                    t for t, a in self._attempts.items() if a.result or a.future.done()
+                ]:
+                    if (
+                        token in self._attempts
+                    ):  # no other has finished the same chunk meanwhile
                         for result in self._finish(token):
                             self._give()  # whoever takes the result may be long about it
                             yield result
@@ -114,7 +145,9 @@ class Dispatch:
         else:
             found = target if target.exists() else None
         if found is None and self._store is not None:
-            found = self._store.take(target.name, self._suffix, JobFolder(target.parents[1]))
+            found = self._store.take(
+                target.name, self._suffix, JobFolder(target.parents[1])
+            )
         return found
 
     def _found(self, chunk: int, path: Path) -> dict[str, Any]:
@@ -128,8 +161,13 @@ class Dispatch:
             self._crew.check()
         if self._attempts or any(m.ready for m in members):
             self._worked, self._said_waiting = time.monotonic(), False
-        elif self._own is not None and (not self._own() or time.monotonic() - self._worked > START_S):
-            raise RenderError("no worker of the local cluster starts", "--workers N renders without a cluster")
+        elif self._own is not None and (
+            not self._own() or time.monotonic() - self._worked > START_S
+        ):
+            raise RenderError(
+                "no worker of the local cluster starts",
+                "--workers N renders without a cluster",
+            )
         elif not members and not self._said_waiting and self._own is None:
             self._notice("the cluster has no worker: waiting for one")
             self._said_waiting = True
@@ -155,17 +193,28 @@ class Dispatch:
         name = self._targets[chunk].name
         token = f"{self._run}-{next(self._count)}-{name}"
         member.reads_on = chunk + 1
-        future = submit(self._client, address, remote.work, self._run, first, last, name, key=token)
+        future = submit(
+            self._client, address, remote.work, self._run, first, last, name, key=token
+        )
         self._attempts[token] = _Attempt(chunk, address, future)
 
     def _give_twice(self) -> None:
         """Chunks of stragglers to others that are idle."""
         if self._waiting or not self._s_per_frame:
             return
-        usual, now, tried = statistics.median(self._s_per_frame), time.monotonic(), self._tried()
+        usual, now, tried = (
+            statistics.median(self._s_per_frame),
+            time.monotonic(),
+            self._tried(),
+        )
         for a in sorted(self._attempts.values(), key=lambda a: a.began):
-            if tried[a.chunk] == 1 and now - a.began > max(SLOW_S, SLOW * usual * self._frames[a.chunk]):
-                other = next(((address, m) for address, m in self._idle() if address != a.worker), None)
+            if tried[a.chunk] == 1 and now - a.began > max(
+                SLOW_S, SLOW * usual * self._frames[a.chunk]
+            ):
+                other = next(
+                    ((address, m) for address, m in self._idle() if address != a.worker),
+                    None,
+                )
                 if other is None:
                     return
                 self._submit(a.chunk, *other)
@@ -182,13 +231,17 @@ class Dispatch:
             del self._attempts[token]
             self._await_file(attempt.chunk, attempt.result["file"], name)
             self._done.add(attempt.chunk)
-            self._s_per_frame.append((time.monotonic() - attempt.began) / self._frames[attempt.chunk])
+            self._s_per_frame.append(
+                (time.monotonic() - attempt.began) / self._frames[attempt.chunk]
+            )
             self._drop([t for t, a in self._attempts.items() if a.chunk == attempt.chunk])
             yield attempt.result
         elif attempt.future.status == "error":
             e = attempt.future.exception(timeout=ARRIVE_S)
             # Dask has given up on it, or its worker is being closed
-            if type(e).__name__ != "KilledWorker" and not isinstance(e, remote.UnwantedError):
+            if type(e).__name__ != "KilledWorker" and not isinstance(
+                e, remote.UnwantedError
+            ):
                 raise e
             yield from self._lose_attempt(token, name)
         elif attempt.future.status == "finished":  # its event comes by another way
@@ -214,18 +267,31 @@ class Dispatch:
 
     def _lose(self, address: str, name: str) -> Results:
         """The worker is gone, with all that it was at."""
-        self._leaving = {token: worker for token, worker in self._leaving.items() if worker != address}
+        self._leaving = {
+            token: worker for token, worker in self._leaving.items() if worker != address
+        }
         for token in [t for t, a in self._attempts.items() if a.worker == address]:
             yield from self._lose_attempt(token, name)
 
     def _check_lost(self) -> None:
-        killers = [c for c, names in self._lost.items() if c not in self._done and len(names) >= self._most_lost]
+        killers = [
+            c
+            for c, names in self._lost.items()
+            if c not in self._done and len(names) >= self._most_lost
+        ]
         if killers:
-            frames = " or ".join(f"{self._tasks[c][2]}–{self._tasks[c][3]}" for c in killers)
-            names, what = ", ".join(self._lost[killers[0]]), "stretch" if self._suffix is None else "chunk"
+            frames = " or ".join(
+                f"{self._tasks[c][2]}–{self._tasks[c][3]}" for c in killers
+            )
+            names, what = (
+                ", ".join(self._lost[killers[0]]),
+                "stretch" if self._suffix is None else "chunk",
+            )
             raise RenderError(
-                f"frames {frames}: workers were lost with this {what} {self._most_lost} times ({names})",
-                "out of memory? --resume goes on; as many are allowed as Dask's distributed.scheduler.allowed-failures says",
+                f"frames {frames}: workers were lost with this {what} {self._most_lost}"
+                f" times ({names})",
+                "out of memory? --resume goes on; as many are allowed as Dask's"
+                " distributed.scheduler.allowed-failures says",
             )
 
     def _lose_attempt(self, token: str, name: str) -> Results:
@@ -264,7 +330,11 @@ class Dispatch:
     def _leave(self) -> None:
         self._drop([*self._attempts])
         began = time.monotonic()
-        while self._leaving and self._client.status == "running" and time.monotonic() - began < LEAVE_S:
+        while (
+            self._leaving
+            and self._client.status == "running"
+            and time.monotonic() - began < LEAVE_S
+        ):
             time.sleep(ROUND_S)
         with contextlib.suppress(Exception):
             self._client.unsubscribe_topic(self._run)

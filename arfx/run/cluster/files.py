@@ -1,4 +1,5 @@
-"""The files that a job reads, as a worker finds them: at a path that it sees, or fetched once into its cache.
+"""The files that a job reads, as a worker finds them: at a path that it sees, or fetched
+once into its cache.
 
 What is found there is the same file by its size and content, whatever it is called."""
 
@@ -23,12 +24,20 @@ from arfx.run.parameters import pipeline
 from arfx.run.times import CHUNK, STRETCH
 from arfx.run.worker import process_name
 
-FAILURES = (OSError, ValueError, ImportError, NotImplementedError, ArfxError)  # of fsspec and its file systems
+FAILURES = (
+    OSError,
+    ValueError,
+    ImportError,
+    NotImplementedError,
+    ArfxError,
+)  # of fsspec and its file systems
 
 
 @dataclass(frozen=True)
 class Part:
-    """A file: name : from the folder of the bundle, "" = the bundle's own path;  digest : of its content, "" = not compared"""
+    """A file: name : from the folder of the bundle, "" = the bundle's own path;  digest :
+    of its content, "" = not compared
+    """
 
     name: str
     size: int
@@ -39,7 +48,9 @@ class Part:
 class Bundle:
     """What one path of a job stands for: a clip; a model with its textures; a folder of depth maps.
 
-    section, key : of the setting;  places : where a worker is to look (`paths.places`);  folder : whether the path is one"""
+    section, key : of the setting;  places : where a worker is to look (`paths.places`);
+    folder : whether the path is one
+    """
 
     section: str
     key: str
@@ -48,7 +59,9 @@ class Bundle:
     parts: tuple[Part, ...]
 
 
-def bundles(inputs: Inputs, maps: Sequence[PathMap], work: str = CHUNK) -> tuple[Bundle, ...]:
+def bundles(
+    inputs: Inputs, maps: Sequence[PathMap], work: str = CHUNK
+) -> tuple[Bundle, ...]:
     """Of all files that a worker reads beside the job folder. Raises OSError."""
     config = inputs.config
     assert config.input.clip is not None and config.model.file is not None
@@ -57,24 +70,37 @@ def bundles(inputs: Inputs, maps: Sequence[PathMap], work: str = CHUNK) -> tuple
         return tuple(found)
     found.append(_bundle("model", "file", config.model.file, inputs.model.files, maps))
     if inputs.depth is not None and config.input.depth is not None:
-        found.append(_bundle("input", "depth", config.input.depth, inputs.depth.files, maps))
+        found.append(
+            _bundle("input", "depth", config.input.depth, inputs.depth.files, maps)
+        )
     for name in pipeline(config):
         settings = config.params.get(name)
-        for field in dataclasses.fields(settings) if dataclasses.is_dataclass(settings) else ():
+        for field in (
+            dataclasses.fields(settings) if dataclasses.is_dataclass(settings) else ()
+        ):
             if isinstance(path := getattr(settings, field.name), Path):
                 found.append(_bundle(name, field.name, path, (), maps))
     return tuple(found)
 
 
-def _bundle(section: str, key: str, path: Path, more: Sequence[Path], maps: Sequence[PathMap]) -> Bundle:
+def _bundle(
+    section: str, key: str, path: Path, more: Sequence[Path], maps: Sequence[PathMap]
+) -> Bundle:
     path = path.absolute()
     folder = path.is_dir()
     root = path if folder else path.parent
-    parts = [] if folder else [Part("", path.stat().st_size, file_digest(path, with_time=False))]
+    parts = (
+        []
+        if folder
+        else [Part("", path.stat().st_size, file_digest(path, with_time=False))]
+    )
     for file in sorted({p.absolute() for p in more} - {path}):
-        # maps of depth are many: their content is compared where it is used, by the chunk's own facts
+        # maps of depth are many: their content is compared where it is used, by the chunk's
+        # own facts
         content = "" if folder else file_digest(file, with_time=False)
-        parts.append(Part(Path(os.path.relpath(file, root)).as_posix(), file.stat().st_size, content))
+        parts.append(
+            Part(Path(os.path.relpath(file, root)).as_posix(), file.stat().st_size, content)
+        )
     return Bundle(section, key, places(path, maps), folder, tuple(parts))
 
 
@@ -106,10 +132,16 @@ def _differs(bundle: Bundle, path: Path) -> str | None:
 
 
 def _fetch(bundle: Bundle, url: str) -> Path | str:
-    """Its path in the cache of this machine, to which it is copied if it is not there; why it cannot be."""
+    """Its path in the cache of this machine, to which it is copied if it is not there; why
+    it cannot be.
+    """
     name = "." if bundle.folder else PurePosixPath(url).name
     try:
-        kept = cache_folder() / "files" / digest([dataclasses.astuple(p) for p in bundle.parts], name)
+        kept = (
+            cache_folder()
+            / "files"
+            / digest([dataclasses.astuple(p) for p in bundle.parts], name)
+        )
     except RuntimeError as e:  # no home
         return f"{url} cannot be fetched: {e}"
     if _differs(bundle, kept / name) is None:
@@ -119,7 +151,10 @@ def _fetch(bundle: Bundle, url: str) -> Path | str:
 
 
 def _copy(bundle: Bundle, url: str, kept: Path, name: str) -> str:
-    """Fill the folder `kept`, which appears when it is whole. Returns what went wrong, if anything did."""
+    """Fill the folder `kept`, which appears when it is whole.
+
+    Returns what went wrong, if anything did.
+    """
     aside = kept.with_name(f"{kept.name}-{process_name()}.part")
     try:
         for part, source in _sources(bundle, url):
@@ -152,4 +187,6 @@ def file_system(url: str) -> tuple[Any, str]:
 
 def said(e: BaseException) -> str:
     """An error of fsspec in a line."""
-    return (getattr(e, "strerror", None) or str(e) or type(e).__name__).splitlines()[0][:300]
+    return (getattr(e, "strerror", None) or str(e) or type(e).__name__).splitlines()[0][
+        :300
+    ]

@@ -16,7 +16,9 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://|[a-z]+::")
 
 @dataclass(frozen=True)
 class PathMap:
-    """here : a folder or file of this machine, absolute;  there : the same for a worker, a path or a URL of fsspec"""
+    """here : a folder or file of this machine, absolute;  there : the same for a worker, a
+    path or a URL of fsspec
+    """
 
     here: Path
     there: str
@@ -26,10 +28,14 @@ class PathMap:
         here, equals, there = text.partition("=")
         if not (here and equals and there):
             raise ConfigError(
-                f"--map-path {text} does not name two places", "--map-path /here=/there, or /here=s3://bucket/there"
+                f"--map-path {text} does not name two places",
+                "--map-path /here=/there, or /here=s3://bucket/there",
             )
         if not is_url(there) and not Path(there).is_absolute():
-            raise ConfigError(f"--map-path {text}: {there} is not absolute", "a whole path, or a URL: file://, s3://, http://")
+            raise ConfigError(
+                f"--map-path {text}: {there} is not absolute",
+                "a whole path, or a URL: file://, s3://, http://",
+            )
         return PathMap(Path(os.path.abspath(here)), there)  # noqa: PTH100  (links stay as they are named)
 
     def of(self, path: Path) -> str | None:
@@ -46,6 +52,16 @@ def is_url(place: str) -> bool:
 
 
 def places(path: Path, maps: Sequence[PathMap]) -> tuple[str, ...]:
-    """Where a worker is to look for `path` (absolute): paths first, the longest match before others, then URLs."""
-    found = [there for m in sorted(maps, key=lambda m: -len(m.here.parts)) if (there := m.of(path)) is not None]
-    return (*(p for p in found if not is_url(p)), str(path), *(p for p in found if is_url(p)))
+    """Where a worker is to look for `path` (absolute): paths first, the longest match
+    before others, then URLs.
+    """
+    found = [
+        there
+        for m in sorted(maps, key=lambda m: -len(m.here.parts))
+        if (there := m.of(path)) is not None
+    ]
+    return (
+        *(p for p in found if not is_url(p)),
+        str(path),
+        *(p for p in found if is_url(p)),
+    )

@@ -1,7 +1,9 @@
-"""What runs on a worker of a cluster: it says who it is, finds what the job reads, analyses stretches and renders chunks.
+"""What runs on a worker of a cluster: it says who it is, finds what the job reads, analyses
+stretches and renders chunks.
 
-What it is sent are places, digests and numbers of frames; what it returns are names and times. It tells how far it is by events,
-and leaves a chunk of which nobody wants the result any more."""
+What it is sent are places, digests and numbers of frames; what it returns are names and
+times. It tells how far it is by events, and leaves a chunk of which nobody wants the result
+any more."""
 
 from __future__ import annotations
 
@@ -36,8 +38,11 @@ TELL_S = 0.5  # between two events of a chunk or stretch
 class JobReference:
     """What a worker has to know of a run of a job.
 
-    run : names it, and the topic of its events;  key : of the job, or of its analysis;  work : CHUNK or STRETCH
-    folders : places of the job folder (`paths.places`), and of a store, if there is one;  holder : digest of its lock's file"""
+    run : names it, and the topic of its events;  key : of the job, or of its analysis;
+    work : CHUNK or STRETCH
+    folders : places of the job folder (`paths.places`), and of a store, if there is one;
+    holder : digest of its lock's file
+    """
 
     run: str
     key: str
@@ -49,7 +54,10 @@ class JobReference:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A job as this worker sees it. store : where its chunks go; the folder is a copy then, to be removed"""
+    """A job as this worker sees it.
+
+    store : where its chunks go; the folder is a copy then, to be removed
+    """
 
     key: str
     folder: JobFolder
@@ -63,7 +71,11 @@ _placed: dict[str, _Placed] = {}  # by run
 
 
 def examine(here: Mapping[str, str], job: JobReference | None) -> dict[str, str]:
-    """{name, host, refused}. refused : why this worker can do nothing for a process with the environment `here`, "" = it can."""
+    """{name, host, refused}.
+
+    refused : why this worker can do nothing for a process with the environment `here`, "" =
+    it can.
+    """
     import cv2
 
     cv2.setNumThreads(1)
@@ -118,7 +130,9 @@ def _holds(folder: JobFolder, job: JobReference) -> bool:
 
 
 def holder(folder: JobFolder) -> str:
-    """Tells the folder that a job has locked from copies of it; "" where the disk was too full for that."""
+    """Tells the folder that a job has locked from copies of it; "" where the disk was too
+    full for that.
+    """
     with contextlib.suppress(OSError):
         return content_digest(folder.path / HOLDER)
     return ""
@@ -129,9 +143,11 @@ class UnwantedError(Exception):
 
 
 def work(run: str, first: int, last: int, name: str) -> None:
-    """Do a task of the job that was placed here, as `render_chunk` or `analyse_stretch` does; its file goes into the job folder.
+    """Do a task of the job that was placed here, as `render_chunk` or `analyse_stretch`
+    does; its file goes into the job folder.
 
-    The result is an event too: the scheduler has it then, while what a call returns would have to be asked of this worker."""
+    The result is an event too: the scheduler has it then, while what a call returns would
+    have to be asked of this worker."""
     worker = _worker()
     token, placed = worker.get_current_task(), _placed[run]
     done, told = 0, time.monotonic()
@@ -148,21 +164,43 @@ def work(run: str, first: int, last: int, name: str) -> None:
 
     folder, failed = placed.folder, None
     try:
-        do, files = (analyse_stretch, folder.stretches) if placed.work == STRETCH else (render_chunk, folder.chunks)
-        result = do(str(folder.path), placed.key, first, last, str(files / name), tick, paths=placed.paths)
+        do, files = (
+            (analyse_stretch, folder.stretches)
+            if placed.work == STRETCH
+            else (render_chunk, folder.chunks)
+        )
+        result = do(
+            str(folder.path),
+            placed.key,
+            first,
+            last,
+            str(files / name),
+            tick,
+            paths=placed.paths,
+        )
         if placed.store is not None:
             _hand_over(placed.store, folder, files / result["file"], result)
     except ArfxError as e:
-        failed = type(e)(f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint)
+        failed = type(e)(
+            f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint
+        )
     finally:
         worker.log_event(run, {"attempt": token, "ended": True})
-    if failed is not None:  # raised here, it has no context: Dask would send that too, and FFmpeg's errors cannot be sent
+    if (
+        failed is not None
+        # raised here, it has no context: Dask would send that too, and FFmpeg's errors cannot
+        # be sent
+    ):
         raise failed
-    worker.log_event(run, {"attempt": token, "result": {**result, "worker": str(worker.name)}})
+    worker.log_event(
+        run, {"attempt": token, "result": {**result, "worker": str(worker.name)}}
+    )
 
 
 def _hand_over(store: Store, folder: JobFolder, file: Path, result: dict[str, Any]) -> None:
-    """A chunk's previews, then the file, into the store; there the names of all end with the digest of the content."""
+    """A chunk's previews, then the file, into the store; there the names of all end with
+    the digest of the content.
+    """
     for index in range(result["first"], result["last"] + 1):
         for path in folder.previews.glob(f"{index:06d}.*"):
             store.put(path, f"previews/{path.name}")

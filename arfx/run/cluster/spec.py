@@ -1,4 +1,7 @@
-"""`--executor`: which cluster renders. Nothing here starts or connects, and nothing imports Dask before it is asked for."""
+"""`--executor`: which cluster renders.
+
+Nothing here starts or connects, and nothing imports Dask before it is asked for.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,30 @@ LOCAL, ADDRESS, SLURM = "local", "address", "slurm"
 FORMS = "local, local:4, tcp://HOST:8786, tls://HOST:8786, or slurm:FILE"
 _WHOLE = ("jobs", "cores", "processes")
 _TEXT = (
-    "memory", "queue", "account", "walltime", "interface", "python", "shebang", "log_directory", "local_directory", "job_name",
+    "memory",
+    "queue",
+    "account",
+    "walltime",
+    "interface",
+    "python",
+    "shebang",
+    "log_directory",
+    "local_directory",
+    "job_name",
     "job_mem",
-)  # fmt: skip
-_LISTS = ("job_extra_directives", "job_directives_skip", "job_script_prologue", "worker_extra_args")
+)
+_LISTS = (
+    "job_extra_directives",
+    "job_directives_skip",
+    "job_script_prologue",
+    "worker_extra_args",
+)
 
 
 @dataclass(frozen=True)
 class ClusterSpec:
-    """kind : LOCAL (a cluster on this machine), ADDRESS (one that runs) or SLURM (workers are jobs of Slurm)
+    """kind : LOCAL (a cluster on this machine), ADDRESS (one that runs) or SLURM (workers
+    are jobs of Slurm)
 
     address : of the scheduler;  workers : how many there are to be, 0 = only the cluster knows
     settings : of dask_jobqueue's SLURMCluster"""
@@ -39,12 +57,16 @@ class ClusterSpec:
 
     @staticmethod
     def parse(text: str) -> ClusterSpec:
-        """Raises ConfigError for what is no such name, or a file of settings that is wrong; InputError if it cannot be read."""
+        """Raises ConfigError for what is no such name, or a file of settings that is wrong;
+        InputError if it cannot be read.
+        """
         if match := re.fullmatch(r"local(?::(\d{1,4}))?", text):
             workers = usable_cores() if match[1] is None else int(match[1])
             if workers:
                 return ClusterSpec(LOCAL, workers=workers)
-        elif re.fullmatch(r"(?:tcp|tls)://(?:\[[0-9A-Fa-f:.%]+\]|[^\s:/?#@\[\]]+):\d{1,5}", text):
+        elif re.fullmatch(
+            r"(?:tcp|tls)://(?:\[[0-9A-Fa-f:.%]+\]|[^\s:/?#@\[\]]+):\d{1,5}", text
+        ):
             return ClusterSpec(ADDRESS, text)
         elif text.startswith("slurm:") and len(text) > 6:
             return _slurm(Path(text[6:]))
@@ -60,20 +82,34 @@ def _slurm(path: Path) -> ClusterSpec:
     for key, value in settings.items():
         if key not in known:
             near = difflib.get_close_matches(key, known, 1)
-            raise ConfigError(f"{path}: there is no setting {key!r}", f"did you mean {near[0]!r}?" if near else ", ".join(known))
+            raise ConfigError(
+                f"{path}: there is no setting {key!r}",
+                f"did you mean {near[0]!r}?" if near else ", ".join(known),
+            )
         good, what = isinstance(value, str), "text"
         if key in _WHOLE:
-            good, what = type(value) is int and 1 <= value <= 10_000, "a whole number above 0"
+            good, what = (
+                type(value) is int and 1 <= value <= 10_000,
+                "a whole number above 0",
+            )
         elif key in _LISTS:
-            good, what = isinstance(value, list) and all(isinstance(v, str) for v in value), "a list of texts"
+            good, what = (
+                isinstance(value, list) and all(isinstance(v, str) for v in value),
+                "a list of texts",
+            )
         if not good:
             raise ConfigError(f"{path}: {key} is {value!r}", f"{key} is {what}")
     if missing := [key for key in ("cores", "memory") if key not in settings]:
-        raise ConfigError(f"{path}: {missing[0]} is not said", 'of one Slurm job: cores = 8, memory = "32GB"')
+        raise ConfigError(
+            f"{path}: {missing[0]} is not said",
+            'of one Slurm job: cores = 8, memory = "32GB"',
+        )
     # of a job's processes each has one thread, unless the file says otherwise
     settings = {"jobs": 1, "processes": settings["cores"], **settings}
     threads = max(settings["cores"] // settings["processes"], 1)
-    return ClusterSpec(SLURM, workers=settings["jobs"] * settings["processes"] * threads, settings=settings)
+    return ClusterSpec(
+        SLURM, workers=settings["jobs"] * settings["processes"] * threads, settings=settings
+    )
 
 
 def library(name: str) -> ModuleType:
@@ -83,4 +119,7 @@ def library(name: str) -> ModuleType:
     except ImportError as e:
         if e.name is None or e.name.partition(".")[0] != name.partition(".")[0]:
             raise
-        raise ConfigError(f"--executor needs {name}, which is not installed", "pip install 'arfx[cluster]'") from None
+        raise ConfigError(
+            f"--executor needs {name}, which is not installed",
+            "pip install 'arfx[cluster]'",
+        ) from None

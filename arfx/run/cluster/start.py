@@ -39,51 +39,84 @@ CONNECT_S, CLOSE_S = 7, 3
 _NOISY = ("distributed", "dask_jobqueue", "tornado", "asyncio")
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
-    "distributed.worker.profile.enabled": False,  # it looks at every thread a hundred times a second
+    "distributed.worker.profile.enabled": (
+        False
+    ),  # it looks at every thread a hundred times a second
     "distributed.scheduler.allowed-failures": 1_000_000,  # `Dispatch` counts them
 }
 
 
 class Cluster:
-    """A cluster that is there. workers : how many stretches or chunks are done at once, as far as that is known
+    """A cluster that is there. workers : how many stretches or chunks are done at once, as
+    far as that is known
 
     own : as in Dispatch"""
 
     def __init__(
-        self, client: Any, spec: ClusterSpec, maps: Sequence[PathMap], most_lost: int, notice: Callable[[str], None],
+        self,
+        client: Any,
+        spec: ClusterSpec,
+        maps: Sequence[PathMap],
+        most_lost: int,
+        notice: Callable[[str], None],
         own: Callable[[], bool] | None = None,
-    ) -> None:  # fmt: skip
-        self._client, self._spec, self._maps, self._most_lost, self._notice = client, spec, maps, most_lost, notice
+    ) -> None:
+        self._client, self._spec, self._maps, self._most_lost, self._notice = (
+            client,
+            spec,
+            maps,
+            most_lost,
+            notice,
+        )
         self._own = own
         self.workers = spec.workers
-        if spec.kind == ADDRESS:  # it is said before any work if none of its workers can be used
-            self.workers = sum(m.slots for m in Crew(client, environment(), None, notice).compared()) or 1
+        if (
+            spec.kind == ADDRESS
+        ):  # it is said before any work if none of its workers can be used
+            self.workers = (
+                sum(m.slots for m in Crew(client, environment(), None, notice).compared())
+                or 1
+            )
 
-    def render(self, tasks: Sequence[Task], progress: Callable[[int], None], job: Job) -> Results:
+    def render(
+        self, tasks: Sequence[Task], progress: Callable[[int], None], job: Job
+    ) -> Results:
         """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
         with self._placed(job.inputs, job.folder, job.key, CHUNK) as (reference, store):
             crew = self._crew(job.inputs, reference, self._notice)
-            yield from self._by_workers(tasks, progress, crew, reference, chunk_suffix(job.inputs.output), store)
+            yield from self._by_workers(
+                tasks, progress, crew, reference, chunk_suffix(job.inputs.output), store
+            )
 
     def analysing(self, inputs: Inputs, folder: JobFolder, key: str, here: Run) -> Run:
-        """Has the stretches of a job analysed. This process does that itself while no worker is there, one after the other.
+        """Has the stretches of a job analysed. This process does that itself while no
+        worker is there, one after the other.
 
-        Those with another processor may not: with one that libraries choose other code for, facts differ in their last digits.
+        Those with another processor may not: with one that libraries choose other code for,
+        facts differ in their last digits.
         key : of the analysis;  here : how this machine does it where all are refused"""
 
-        def run(tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]) -> Results:
+        def run(
+            tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
+        ) -> Results:
             if count <= 1:
                 yield from here(tasks, count, frames, progress)
                 return
             waiting, done = deque(tasks), 0
             with self._placed(inputs, folder, key, STRETCH) as (reference, store):
-                crew = self._crew(inputs, reference, lambda _: None)  # what is wrong with a worker is told when it is to render
+                crew = self._crew(
+                    inputs, reference, lambda _: None
+                )  # what is wrong with a worker is told when it is to render
 
                 def ours() -> Iterator[Task]:
-                    while waiting and not (crew.anyone(lambda: progress(done)) or crew.refusal()):
+                    while waiting and not (
+                        crew.anyone(lambda: progress(done)) or crew.refusal()
+                    ):
                         yield waiting.popleft()
 
-                with contextlib.closing(in_order(ours(), count, frames, progress)) as results:
+                with contextlib.closing(
+                    in_order(ours(), count, frames, progress)
+                ) as results:
                     for result in results:
                         done += result["last"] - result["first"] + 1
                         yield result
@@ -93,45 +126,84 @@ class Cluster:
 
                 if waiting and (why := crew.refusal()):
                     self._notice(f"this machine analyses the clip alone: {why}")
-                    with contextlib.closing(here(iter(waiting), len(waiting), frames, more)) as results:
+                    with contextlib.closing(
+                        here(iter(waiting), len(waiting), frames, more)
+                    ) as results:
                         yield from results
                 elif waiting:
-                    yield from self._by_workers([*waiting], more, crew, reference, None, store)
+                    yield from self._by_workers(
+                        [*waiting], more, crew, reference, None, store
+                    )
 
         return run
 
-    def _crew(self, inputs: Inputs, job: JobReference, notice: Callable[[str], None]) -> Crew:
+    def _crew(
+        self, inputs: Inputs, job: JobReference, notice: Callable[[str], None]
+    ) -> Crew:
         plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
         return Crew(self._client, environment(plugins, job.work == STRETCH), job, notice)
 
     def _by_workers(
-        self, tasks: Sequence[Task], progress: Callable[[int], None], crew: Crew, job: JobReference, suffix: str | None,
+        self,
+        tasks: Sequence[Task],
+        progress: Callable[[int], None],
+        crew: Crew,
+        job: JobReference,
+        suffix: str | None,
         store: Store | None,
-    ) -> Results:  # fmt: skip
-        dispatch = Dispatch(self._client, crew, tasks, job.run, suffix, store, self._most_lost, self._own, self._notice)
+    ) -> Results:
+        dispatch = Dispatch(
+            self._client,
+            crew,
+            tasks,
+            job.run,
+            suffix,
+            store,
+            self._most_lost,
+            self._own,
+            self._notice,
+        )
         with contextlib.closing(dispatch.results(progress)) as results:
             yield from results
 
     @contextlib.contextmanager
-    def _placed(self, inputs: Inputs, folder: JobFolder, key: str, work: str) -> Iterator[tuple[JobReference, Store | None]]:
-        """Where workers find a job, and the store if there is one: with the job's files in it, emptied when the body is done."""
+    def _placed(
+        self, inputs: Inputs, folder: JobFolder, key: str, work: str
+    ) -> Iterator[tuple[JobReference, Store | None]]:
+        """Where workers find a job, and the store if there is one: with the job's files in
+        it, emptied when the body is done.
+        """
         folders = places(folder.path.absolute(), self._maps)
-        store = next((Store(f"{there.rstrip('/')}/{key}") for there in folders if is_url(there)), None)
+        store = next(
+            (Store(f"{there.rstrip('/')}/{key}") for there in folders if is_url(there)),
+            None,
+        )
         if store is not None:
             store.put_job(folder, work)
-        seen = tuple(there for there in folders if not is_url(there)) + ((store.url,) if store is not None else ())
+        seen = tuple(there for there in folders if not is_url(there)) + (
+            (store.url,) if store is not None else ()
+        )
         files = bundles(inputs, self._maps, work)
-        yield JobReference(f"arfx-{uuid.uuid4().hex}", key, work, seen, holder(folder), files), store
+        yield (
+            JobReference(
+                f"arfx-{uuid.uuid4().hex}", key, work, seen, holder(folder), files
+            ),
+            store,
+        )
         if store is not None:
             store.take_previews(folder.previews)
             store.remove()
 
 
 @contextlib.contextmanager
-def open_cluster(spec: ClusterSpec | None, maps: Sequence[PathMap], notice: Callable[[str], None]) -> Iterator[Cluster | None]:
-    """The cluster, until the body ends; None where there is none to be. notice : is told the dashboard's address
+def open_cluster(
+    spec: ClusterSpec | None, maps: Sequence[PathMap], notice: Callable[[str], None]
+) -> Iterator[Cluster | None]:
+    """The cluster, until the body ends; None where there is none to be. notice : is told
+    the dashboard's address
 
-    Raises ConfigError where the extra is not installed, or the scheduler cannot be reached."""
+    Raises ConfigError where the extra is not installed, or the scheduler cannot be reached.
+    """
     if spec is None:
         yield None
         return
@@ -153,12 +225,17 @@ def open_cluster(spec: ClusterSpec | None, maps: Sequence[PathMap], notice: Call
         try:
             if spec.kind == ADDRESS:
                 asyncio.run(asyncio.wait_for(_greet(address), CONNECT_S))
-            client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False, name="arfx")
-        except Exception as e:  # what another's server says is taken for lengths of arrays, and more
+            client = distributed.Client(
+                address, timeout=CONNECT_S, set_as_default=False, name="arfx"
+            )
+        except (
+            Exception
+        ) as e:  # what another's server says is taken for lengths of arrays, and more
             said = f"{type(e).__name__}: {e}".splitlines()[0][:200]
             raise ConfigError(
                 f"no scheduler answers at {address}: {said}",
-                "`dask scheduler` starts one and says its address; --executor local needs none",
+                "`dask scheduler` starts one and says its address; --executor local needs"
+                " none",
             ) from None
         stack.callback(_close, client)
         if spec.kind == ADDRESS and client.dashboard_link:
@@ -168,11 +245,15 @@ def open_cluster(spec: ClusterSpec | None, maps: Sequence[PathMap], notice: Call
 
 
 async def _greet(address: str) -> None:
-    """Raises what distributed raises where nobody answers; a client would wait for ever for one who is there and silent."""
+    """Raises what distributed raises where nobody answers; a client would wait for ever for
+    one who is there and silent.
+    """
     from distributed.comm import connect
     from distributed.security import Security
 
-    comm = await connect(address, timeout=CONNECT_S, **Security().get_connection_args("client"))
+    comm = await connect(
+        address, timeout=CONNECT_S, **Security().get_connection_args("client")
+    )
     comm.abort()
 
 
@@ -180,12 +261,20 @@ def _start_local(spec: ClusterSpec, scratch: str) -> Any:
     """Processes of one thread each, which end with this one; reached from this machine alone."""
     from distributed import LocalCluster
 
-    # the threads of the cluster, and what they start, never see Ctrl-C: that is this process's affair
+    # the threads of the cluster, and what they start, never see Ctrl-C: that is this
+    # process's affair
     with interrupt.starting_workers():
         cluster = LocalCluster(
-            n_workers=0, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0",
-            memory_limit=0, local_directory=scratch, silence_logs=logging.CRITICAL, env=ONE_THREAD,
-        )  # fmt: skip
+            n_workers=0,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            memory_limit=0,
+            local_directory=scratch,
+            silence_logs=logging.CRITICAL,
+            env=ONE_THREAD,
+        )
         cluster.scale(spec.workers)
     return cluster
 
@@ -196,17 +285,25 @@ def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
 
     for command in ("sbatch", "scancel"):
         if shutil.which(command) is None:
-            raise ConfigError(f"there is no {command} here", "run it on a machine of the Slurm cluster that may submit jobs")
+            raise ConfigError(
+                f"there is no {command} here",
+                "run it on a machine of the Slurm cluster that may submit jobs",
+            )
     settings = {k: v for k, v in spec.settings.items() if k != "jobs"}
     settings["job_script_prologue"] = [
-        *(f"export {name}={value}" for name, value in ONE_THREAD.items()), *settings.get("job_script_prologue", ()),
-    ]  # fmt: skip
+        *(f"export {name}={value}" for name, value in ONE_THREAD.items()),
+        *settings.get("job_script_prologue", ()),
+    ]
     settings.setdefault("local_directory", scratch)
     with interrupt.starting_workers():
         try:
-            cluster = SLURMCluster(**settings, scheduler_options={"dashboard_address": ":0"})
+            cluster = SLURMCluster(
+                **settings, scheduler_options={"dashboard_address": ":0"}
+            )
         except (ValueError, TypeError, OSError) as e:
-            raise ConfigError(f"Slurm's settings: {e}", "docs/limits.md lists them") from None
+            raise ConfigError(
+                f"Slurm's settings: {e}", "docs/limits.md lists them"
+            ) from None
         cluster.scale(jobs=spec.settings["jobs"])
     return cluster
 
@@ -224,8 +321,15 @@ def _close(opened: Any) -> None:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """What goes wrong is said once, in arfx's own words. Some of Dask's loggers have levels of their own."""
-    loggers = [logging.getLogger(name) for name in [*logging.root.manager.loggerDict] if name.partition(".")[0] in _NOISY]
+    """What goes wrong is said once, in arfx's own words.
+
+    Some of Dask's loggers have levels of their own.
+    """
+    loggers = [
+        logging.getLogger(name)
+        for name in [*logging.root.manager.loggerDict]
+        if name.partition(".")[0] in _NOISY
+    ]
     before = [logger.level for logger in loggers]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -1,7 +1,8 @@
-"""A job folder under a URL, for workers that do not see the one of this machine: job files go up, chunks and
-stretches come down.
+"""A job folder under a URL, for workers that do not see the one of this machine: job files
+go up, chunks and stretches come down.
 
-It lies in a folder of its own under that URL, named by the job's key, and is removed when the job is done."""
+It lies in a folder of its own under that URL, named by the job's key, and is removed when
+the job is done."""
 
 from __future__ import annotations
 
@@ -44,7 +45,10 @@ class Store:
                 fs.makedirs(target.rpartition("/")[0], exist_ok=True)
                 fs.put_file(str(file), target)
         except FAILURES as e:
-            raise RenderError(f"cannot write {self.url}/{name}: {said(e)}", "the job folder's URL has to take files") from None
+            raise RenderError(
+                f"cannot write {self.url}/{name}: {said(e)}",
+                "the job folder's URL has to take files",
+            ) from None
 
     def _get(self, name: str, target: Path) -> None:
         try:
@@ -54,12 +58,17 @@ class Store:
             raise RenderError(f"cannot read {self.url}/{name}: {said(e)}") from None
 
     def take(self, name: str, suffix: str | None, folder: JobFolder) -> Path | None:
-        """The file of a chunk (`Chunk.name`), or of a stretch where there is no suffix, moved into the job folder; None where
-        there is none that is whole. Raises RenderError."""
+        """The file of a chunk (`Chunk.name`), or of a stretch where there is no suffix,
+        moved into the job folder; None where there is none that is whole. Raises
+        RenderError."""
         kind = (folder.stretches if suffix is None else folder.chunks).name
         try:
             fs, root = file_system(self.url)
-            listed = [p for p in fs.find(f"{root}/{kind}") if f"/{kind}/{name}." in p] if fs.exists(f"{root}/{kind}") else []
+            listed = (
+                [p for p in fs.find(f"{root}/{kind}") if f"/{kind}/{name}." in p]
+                if fs.exists(f"{root}/{kind}")
+                else []
+            )
         except FAILURES as e:
             raise RenderError(f"cannot read {self.url}: {said(e)}") from None
         for file in sorted({p.partition(f"/{kind}/")[2].partition("/")[0] for p in listed}):
@@ -72,7 +81,9 @@ class Store:
                     self._get(f"{kind}/{inside}", target)
             fs.rm(f"{root}/{kind}/{file}", recursive=True)
             if file == f"{name}.{content_digest(aside)}{suffix or ''}":
-                return aside.replace(folder.path / kind / (name if suffix is None else file))
+                return aside.replace(
+                    folder.path / kind / (name if suffix is None else file)
+                )
         return None
 
     def take_previews(self, previews: Path) -> None:
@@ -80,7 +91,10 @@ class Store:
         with contextlib.suppress(*FAILURES):
             fs, root = file_system(self.url)
             for path in fs.find(f"{root}/previews"):
-                self._get(f"previews/{PurePosixPath(path).name}", previews / PurePosixPath(path).name)
+                self._get(
+                    f"previews/{PurePosixPath(path).name}",
+                    previews / PurePosixPath(path).name,
+                )
 
     def remove(self) -> None:
         """As far as that is possible."""

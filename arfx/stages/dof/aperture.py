@@ -17,7 +17,8 @@ def disc(radius: float, blades: int = 0, turn_deg: float = 0.0) -> np.ndarray:
 
     radius : px;  blades : 0 = round, else corners of the polygon, the first at turn_deg from x
 
-    Returns (2 n + 1, 2 n + 1) float32, sum 1; one pixel where the radius is at most SHARP_PX."""
+    Returns (2 n + 1, 2 n + 1) float32, sum 1; one pixel where the radius is at most SHARP_PX.
+    """
     if radius <= SHARP_PX:
         return np.ones((1, 1), np.float32)
     half = int(np.ceil(radius * circumradius(blades) - 0.5))

@@ -19,11 +19,17 @@ LEVELS = {
     "draft": Accuracy(ratio=2.0, step_px=1.41, fine_px=0.0, cells=3.0),
     "standard": Accuracy(ratio=1.3, step_px=0.5, fine_px=2.2, cells=5.4),
 }
-_WHITE_FROM = 0.9  # linear light; a pixel is clipped to the degree that it lies between this and 1
+_WHITE_FROM = (
+    0.9  # linear light; a pixel is clipped to the degree that it lies between this and 1
+)
 
 
 def blurred(
-    image: np.ndarray, layers: list[LightLayer], out: Rect, accuracy: Accuracy, params: DofParams
+    image: np.ndarray,
+    layers: list[LightLayer],
+    out: Rect,
+    accuracy: Accuracy,
+    params: DofParams,
 ) -> np.ndarray:
     """(h, w, 3) of the rows of `out`, as wide as the first layer.
 

@@ -27,7 +27,8 @@ def sharp_share(radius, sharp_px2):  # pragma: no cover - compiled
 def lay_real(out, touched, spread, light, radius, sharp_px2):  # pragma: no cover - compiled
     """out (h, w, 3) = the real scene, and touched (h, w) = 1, where light was spread to.
 
-    spread (h, w, 4) : that light;  light (h, w, 4) : before it was spread, from pixels of radius"""
+    spread (h, w, 4) : that light;  light (h, w, 4) : before it was spread, from pixels of radius
+    """
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             if spread[y, x, 3] > 0:

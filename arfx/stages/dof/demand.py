@@ -24,7 +24,11 @@ def object_radius_px(facts: FrameFacts, coc: CircleOfConfusion) -> float:
 
 
 def demand(
-    facts: FrameFacts, frame: Rect, coc: CircleOfConfusion, real: Real | None, grid: np.ndarray
+    facts: FrameFacts,
+    frame: Rect,
+    coc: CircleOfConfusion,
+    real: Real | None,
+    grid: np.ndarray,
 ) -> Demand:
     """real : None = the real scene keeps its own blur"""
     on_object = object_radius_px(facts, coc)

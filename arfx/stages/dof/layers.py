@@ -4,7 +4,8 @@ farthest.
 The virtual object, real planes of limited size and what was measured before the focus are layers
 of their own, with coverage and a blur radius that goes on outside of their outline. What the
 outline lets through is then spread with the same discs as what it covers: both weights add up
-to 1, and coverage is right inside, at the edge, and where near parts stand before far ones."""
+to 1, and coverage is right inside, at the edge, and where near parts stand before far ones.
+"""
 
 from __future__ import annotations
 
@@ -136,7 +137,9 @@ def _object(
     dioptre = 1 / np.clip(np.where(known, depth, near), np.float32(near), np.float32(far))
     radius = np.where(known, coc.radius_px(dioptre), np.float32(0))
     light = cv2.cvtColor(now[Layer.VIRTUAL], cv2.COLOR_RGB2RGBA)
-    cv2.insertChannel(np.fmax(now[Layer.COVERAGE], np.float32(0)), light, 3)  # not a number is none
+    cv2.insertChannel(
+        np.fmax(now[Layer.COVERAGE], np.float32(0)), light, 3
+    )  # not a number is none
     if facts.opacity < 1:
         light = light * np.float32(facts.opacity)
     return light, radius
@@ -184,4 +187,6 @@ def _radius_around(rect: Rect, coverage: np.ndarray, radius: np.ndarray) -> np.n
 def box_of(mask: np.ndarray) -> Rect:
     """Smallest rectangle that holds what is not 0."""
     ys, xs = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    return Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1) if len(ys) else EMPTY
+    return (
+        Rect(int(xs[0]), int(ys[0]), int(xs[-1]) + 1, int(ys[-1]) + 1) if len(ys) else EMPTY
+    )

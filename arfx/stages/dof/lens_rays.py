@@ -35,7 +35,10 @@ from arfx.stages.dof.planes import Real
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.triangles import Triangles
 
-FIRST, MOST = 32, 512  # rays of a pixel; powers of two, as the sequence is even after such numbers
+FIRST, MOST = (
+    32,
+    512,
+)  # rays of a pixel; powers of two, as the sequence is even after such numbers
 NOISE = 2e-3  # of white, linear light
 _BATCH_PX = 1024
 # Where less is covered all around, a point of the model is cut out, or hidden by what is real.
@@ -108,7 +111,10 @@ def seen_object(
         part = Rect(box.x0, top, box.x1, min(top + rows, box.y1))
         at = part.slices_in(now.rect)
         seen, mean = rays.trace(part, behind[at].reshape(-1, 3))
-        fraction[at], colour[at] = seen.reshape(fraction[at].shape), mean.reshape(colour[at].shape)
+        fraction[at], colour[at] = (
+            seen.reshape(fraction[at].shape),
+            mean.reshape(colour[at].shape),
+        )
 
     parallel_map(trace, list(range(box.y0, box.y1, rows)))
     return fraction, colour
@@ -150,7 +156,10 @@ class _Rays:
             active = active[noise[active] > NOISE]
             first, last = last, 2 * last
         fraction = sums[:, :1] / count
-        return fraction, fraction * divide(sums[:, 2:5], sums[:, 1:2]) + sums[:, 8:11] / count
+        return (
+            fraction,
+            fraction * divide(sums[:, 2:5], sums[:, 1:2]) + sums[:, 8:11] / count,
+        )
 
     def _add(
         self, sums: np.ndarray, active: np.ndarray, corners: np.ndarray, points: np.ndarray
@@ -166,9 +175,13 @@ class _Rays:
         z = np.asarray(hit["tfar"], float)[met]
         world = origins[met] + z[:, None] * directions[met] - eye
         place = self.camera.project(world @ pose.rotation.T) - [now.rect.x0, now.rect.y0]
-        picture = tuple(packed(now[name]) for name in (Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH))
+        picture = tuple(
+            packed(now[name]) for name in (Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH)
+        )
         opaque = np.zeros(len(origins))
-        opaque[met] = _look_up(sums, active[met // n], place, z, points[met % n, 2:], picture)
+        opaque[met] = _look_up(
+            sums, active[met // n], place, z, points[met % n, 2:], picture
+        )
         if self.real is not None:
             passing = 1 - opaque.reshape(-1, n)
             passing -= passing.mean(1, keepdims=True)
@@ -188,7 +201,9 @@ class _Rays:
         corner = np.array([self.now.rect.x0, self.now.rect.y0])
         place = self.camera.project(seen) - corner - (points[:, 2:] - 0.5)
         h, w = self.sharp.shape[:2]
-        x, y = np.rint(np.where(np.isfinite(place), place, 0.0)).astype(int).transpose(2, 0, 1)
+        x, y = (
+            np.rint(np.where(np.isfinite(place), place, 0.0)).astype(int).transpose(2, 0, 1)
+        )
         return self.sharp[y.clip(0, h - 1), x.clip(0, w - 1)]
 
 
@@ -201,7 +216,12 @@ def _aim(
     w, n = corners.shape[1] - 1, len(points)
     for i in range(len(active)):
         y, x = active[i] // w, active[i] % w
-        a, b, c, d = corners[y, x], corners[y, x + 1], corners[y + 1, x], corners[y + 1, x + 1]
+        a, b, c, d = (
+            corners[y, x],
+            corners[y, x + 1],
+            corners[y + 1, x],
+            corners[y + 1, x + 1],
+        )
         for k in range(n):
             lens_x, lens_y, s, t = points[k]
             above_x, above_y = a[0] + (b[0] - a[0]) * s, a[1] + (b[1] - a[1]) * s

@@ -61,7 +61,9 @@ def unknown_lens(params: DofParams, facts: FrameFacts) -> str | None:
     )
 
 
-def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> CircleOfConfusion:
+def circle_of_confusion(
+    params: DofParams, facts: FrameFacts, scene: Scene
+) -> CircleOfConfusion:
     """Of a frame with a pose. While the object fades in or out the aperture opens or closes with
     it.
 
@@ -81,7 +83,9 @@ def circle_of_confusion(params: DofParams, facts: FrameFacts, scene: Scene) -> C
         )  # focus beyond 1 km: as at 1 km
     else:
         fnumber = interpolate_ratio(fnumber_keys(params.fnumber), facts.time_s)
-        lens = Lens(focal_mm(params, facts, scene), fnumber, 1e3 / focus if focus > 0 else math.inf)
+        lens = Lens(
+            focal_mm(params, facts, scene), fnumber, 1e3 / focus if focus > 0 else math.inf
+        )
         px_per_dioptre = 0.5e-3 * lens.coc_mm_per_dioptre * width / params.sensor_width_mm
     return CircleOfConfusion(px_per_dioptre * fade, focus, limit, mm_per_px)
 
@@ -111,7 +115,9 @@ def _dioptre(what: str | float, facts: FrameFacts, scene: Scene) -> float:
         point = float(pose.apply(scene.world_from_anchor.translation_m)[2])
     else:
         point = float(
-            pose.apply(scene.world_from_marker[marker_key(what[3:], scene)].translation_m)[2]
+            pose.apply(scene.world_from_marker[marker_key(what[3:], scene)].translation_m)[
+                2
+            ]
         )
     return float(divide(1.0, max(point, EPS_DEPTH_M)))
 
@@ -122,7 +128,8 @@ def marker_key(name: str, scene: Scene) -> str:
     if len(found) != 1:
         known = ", ".join(scene.world_from_marker) or "none"
         raise ConfigError(
-            f"dof.focus: {'several markers have' if found else 'there is no marker'} {name!r}",
+            f"dof.focus: {'several markers have' if found else 'there is no marker'}"
+            f" {name!r}",
             f"known: {known}",
         )
     return found[0]

@@ -39,7 +39,8 @@ class DofParams:
     background_m : distance of whatever is behind the real plane, which ends there; 0 = endless
     blades : blades of the aperture, 3 or more; 0 = round
     blade_turn_deg : direction of the aperture's first corner, clockwise from the picture's right
-    highlight_boost : how much brighter than stored a clipped pixel is taken to be; 0 = as stored"""
+    highlight_boost : how much brighter than stored a clipped pixel is taken to be; 0 = as stored
+    """
 
     formula: str = field(default="corrected", init=False)
     scope: str = "all"
@@ -59,11 +60,13 @@ class DofParams:
         _one_of("lens", self.lens, ("given", "footage"))
         if self.lens == "footage" and self.scope == "all":
             raise ConfigError(
-                "dof.lens = footage would blur the footage twice", "use it with dof.scope = virtual"
+                "dof.lens = footage would blur the footage twice",
+                "use it with dof.scope = virtual",
             )
         if not 0 < self.sensor_width_mm <= 1e4:
             raise ConfigError(
-                f"dof.sensor_width_mm must be above 0 and at most 10000, is {self.sensor_width_mm:g}"
+                "dof.sensor_width_mm must be above 0 and at most 10000, is"
+                f" {self.sensor_width_mm:g}"
             )
         lengths = ("aperture_px", "background_m", "highlight_boost")
         require_within("dof", self, **dict.fromkeys(lengths, (0, 1e6)))
@@ -72,19 +75,23 @@ class DofParams:
         for time, focal_mm in focal_keys(self.focal_mm):
             if not 0 <= focal_mm <= 1e6:
                 raise ConfigError(
-                    f"dof.focal_mm must be between 0 and 1000000, is {focal_mm:g} at {time:g} s"
+                    f"dof.focal_mm must be between 0 and 1000000, is {focal_mm:g} at"
+                    f" {time:g} s"
                 )
         for time, fnumber in fnumber_keys(self.fnumber):
             if not fnumber >= 1e-3:
                 raise ConfigError(
-                    f"dof.fnumber must be above 0 (0.001 or more), is {fnumber:g} at {time:g} s"
+                    f"dof.fnumber must be above 0 (0.001 or more), is {fnumber:g} at"
+                    f" {time:g} s"
                 )
         focus_keys(self.focus)
 
 
 def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
-        raise ConfigError(f"dof.{name} {value!r} is unknown", "one of " + ", ".join(allowed))
+        raise ConfigError(
+            f"dof.{name} {value!r} is unknown", "one of " + ", ".join(allowed)
+        )
 
 
 def focal_keys(value: float | str) -> list[tuple[float, float]]:
@@ -92,7 +99,9 @@ def focal_keys(value: float | str) -> list[tuple[float, float]]:
     return _keys(
         str(value),
         "focal_mm",
-        lambda text: _number(text, text.lower().removesuffix("mm"), "focal_mm", "35@0s, 85@2s"),
+        lambda text: _number(
+            text, text.lower().removesuffix("mm"), "focal_mm", "35@0s, 85@2s"
+        ),
     )
 
 
@@ -101,7 +110,9 @@ def fnumber_keys(value: float | str) -> list[tuple[float, float]]:
     return _keys(
         str(value),
         "fnumber",
-        lambda text: _number(text, text.lower().removeprefix("f/"), "fnumber", "2.8@0s, 11@3s"),
+        lambda text: _number(
+            text, text.lower().removeprefix("f/"), "fnumber", "2.8@0s, 11@3s"
+        ),
     )
 
 
@@ -129,7 +140,8 @@ def focus_keys(value: int | float | str) -> list[tuple[float, str | float]]:
             distance = length_m(text, "dof.focus")
         except ConfigError:
             raise ConfigError(
-                f"dof.focus: {text!r} is neither object, marker, a marker's id nor a length",
+                f"dof.focus: {text!r} is neither object, marker, a marker's id nor a"
+                " length",
                 "such as object, 36h11:3 or 60cm",
             ) from None
         if distance <= 0:

@@ -3,7 +3,8 @@ prints, and a background.
 
 Distances are kept as dioptres (1/m): of a plane they are affine in the viewing direction, so a
 table of every GRID_PX-th pixel follows the lens, linear between. Leaves out: real things that
-stand on the plane. Where the frame has measured depth, that stands in place of all planes."""
+stand on the plane. Where the frame has measured depth, that stands in place of all planes.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ def between_nodes(nodes: np.ndarray, rect: Rect) -> np.ndarray:
     pixel_to_node = np.array([[step, 0, step * rect.x0], [0, step, step * rect.y0]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     size = rect.width, rect.height
-    return cv2.warpAffine(nodes, pixel_to_node, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return cv2.warpAffine(
+        nodes, pixel_to_node, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
 
 
 @dataclass(frozen=True, eq=False)

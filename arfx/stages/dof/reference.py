@@ -5,7 +5,8 @@ The real scene: every pixel's light onto every pixel that its circle covers, cir
 areas, sums in float64. A pixel p sees the point x of a plane through the place o = (x - p) / s of
 the lens, s the blur radius with its sign; s is affine on a plane, so a pixel's disc is weighted by
 |do/dx| = (1 - o . grad s) / s^2. The virtual object: rays through the lens (lens_rays.py).
-Cost: O(pixels x radius). Leaves out: as the other levels, what measured depth does not show."""
+Cost: O(pixels x radius). Leaves out: as the other levels, what measured depth does not show.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -131,13 +132,17 @@ def _measured(
         around = radius[tuple(nearest)].astype(float)
         colour = divide(light[..., :3], coverage[..., None])
         spread = _scattered(colour, coverage, around, flat, params)
-        through = _scattered(np.zeros_like(sharp), 1 - coverage, around, flat, params)[..., 3]
+        through = _scattered(np.zeros_like(sharp), 1 - coverage, around, flat, params)[
+            ..., 3
+        ]
         fraction = divide(spread[..., 3], spread[..., 3] + through)[..., None]
         out = out + (_normal(spread, out) - out) * fraction
     return out
 
 
-def _met(plane: Plane, directions: np.ndarray, lens_m: np.ndarray, focus: float) -> np.ndarray:
+def _met(
+    plane: Plane, directions: np.ndarray, lens_m: np.ndarray, focus: float
+) -> np.ndarray:
     """(h, w) fraction of the places on the lens (n, 2) from which the plane's square is met in the
     pixel's direction.
 
@@ -154,7 +159,11 @@ def _met(plane: Plane, directions: np.ndarray, lens_m: np.ndarray, focus: float)
 
 
 def _scattered(
-    colour: np.ndarray, weight: np.ndarray, radius: np.ndarray, slope: np.ndarray, params: DofParams
+    colour: np.ndarray,
+    weight: np.ndarray,
+    radius: np.ndarray,
+    slope: np.ndarray,
+    params: DofParams,
 ) -> np.ndarray:
     """(h, w, 4) sums of light and weight. radius, slope : of `_circles`"""
     boost = 1 + params.highlight_boost * np.clip((colour.max(-1) - 0.9) / 0.1, 0, 1)
@@ -191,7 +200,9 @@ def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True)
-def _scatter(marks, top, light, slope, which, table, first, reach):  # pragma: no cover - compiled
+def _scatter(
+    marks, top, light, slope, which, table, first, reach
+):  # pragma: no cover - compiled
     """Light (h, w, 4) onto rows of marks from row `top`, column -reach on. table, first : rows of
     `_disc_ends` of each size"""
     h, w = which.shape

@@ -110,7 +110,9 @@ class Scatter:
             if len(rows):
                 weights = cell_disc(radii[k], level, blades, turn_deg)[::-1, ::-1]
                 hat = np.array(ends[k - 1 : k + 2], np.float32)
-                self.bins.append(_Bin(hat, level, weights, (int(rows[0]), int(rows[-1]) + 1)))
+                self.bins.append(
+                    _Bin(hat, level, weights, (int(rows[0]), int(rows[-1]) + 1))
+                )
         self.coarse = self._coarse()
 
     def _coarse(self) -> np.ndarray | None:
@@ -140,7 +142,10 @@ class Scatter:
         above, below = min(first, begin), max(last, end)
         share = np.zeros((below - above, *light.shape[1:]), np.float32)
         take_share(
-            light[first:last], radius[first:last], of.hat, share[first - above : last - above]
+            light[first:last],
+            radius[first:last],
+            of.hat,
+            share[first - above : last - above],
         )
         spread = cv2.filter2D(share, -1, of.weights, borderType=cv2.BORDER_CONSTANT)
         return begin, spread[begin - above : end - above]

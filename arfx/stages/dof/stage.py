@@ -87,7 +87,9 @@ class Dof(Stage):
             f"object stays sharp: {reason}",
         )
         if known:
-            fraction = max(float(divide(f.px_per_dioptre_ci95, f.px_per_dioptre)) for f in known)
+            fraction = max(
+                float(divide(f.px_per_dioptre_ci95, f.px_per_dioptre)) for f in known
+            )
             yield Check(
                 f"{name}, half width of its interval",
                 fraction,
@@ -112,7 +114,9 @@ class Dof(Stage):
             from arfx.stages.dof import reference
 
             return {
-                Layer.IMAGE: reference.render(now, facts, scene, real, coc, self.params, prepared)
+                Layer.IMAGE: reference.render(
+                    now, facts, scene, real, coc, self.params, prepared
+                )
             }
         layers = layers_of_light(now, facts, real, prepared, coc, self.params)
         image = blurred(now[Layer.IMAGE], layers, view.out, LEVELS[view.level], self.params)

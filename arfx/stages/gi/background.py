@@ -1,8 +1,10 @@
 """What lies behind the object: the real planes with the picture on them, else the environment.
 
-A lobe that is mirrored meets the planes in its cone, the nearest first, and the environment with what is left.
-Planes carry the picture's radiance as a texture with a mip chain, denser in the middle, where the object stands.
-Cost: O(rays x planes). Source: docs/methods/gi.md#gloss. Leaves out: real things that are no plane."""
+A lobe that is mirrored meets the planes in its cone, the nearest first, and the environment
+with what is left. Planes carry the picture's radiance as a texture with a mip chain, denser
+in the middle, where the object stands.
+Cost: O(rays x planes). Source: docs/methods/gi.md#gloss. Leaves out: real things that are no plane.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -37,9 +39,14 @@ class Background(NamedTuple):
 
 
 def behind_object(
-    background: Background, places: np.ndarray, directions: np.ndarray, roughness: np.ndarray
+    background: Background,
+    places: np.ndarray,
+    directions: np.ndarray,
+    roughness: np.ndarray,
 ) -> np.ndarray:
-    """(m, 3) radiance from places (m, 3), metres, about unit directions (m, 3), as surfaces of roughness (m,) mirror it."""
+    """(m, 3) radiance from places (m, 3), metres, about unit directions (m, 3), as surfaces
+    of roughness (m,) mirror it.
+    """
     places, directions, roughness = (
         np.ascontiguousarray(a, np.float32) for a in (places, directions, roughness)
     )
@@ -51,8 +58,9 @@ def behind_object(
 def _radiances(
     background: Background, places, directions, roughness, tangents
 ):  # pragma: no cover - compiled
-    """A cone that lies across a plane's horizon sees it with the part of its width that is under it, and the environment with
-    the rest, about the middle of that and narrower. Beyond a plane's end the next one shows. tangents (m,) : of the cones"""
+    """A cone that lies across a plane's horizon sees it with the part of its width that is
+    under it, and the environment with the rest, about the middle of that and narrower.
+    Beyond a plane's end the next one shows. tangents (m,) : of the cones"""
     axes, extents, textures, mips, environment = background
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     out = np.zeros((places.shape[0], 3), np.float32)
@@ -88,7 +96,11 @@ def _radiances(
             left -= share
             if abs(down) < reach:
                 rise = half * within * (down + reach)
-                ux, uy, uz = ux + rise * normal[0], uy + rise * normal[1], uz + rise * normal[2]
+                ux, uy, uz = (
+                    ux + rise * normal[0],
+                    uy + rise * normal[1],
+                    uz + rise * normal[2],
+                )
                 over *= one - half * rise / reach
             if left <= np.float32(1e-3):
                 break
@@ -102,7 +114,8 @@ def _radiances(
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
 def _next_plane(axes, place, direction, reach, beyond):  # pragma: no cover - compiled
-    """(plane, distance, sine by which the cone's middle points down to it) of the nearest farther than `beyond`; -1 = none.
+    """(plane, distance, sine by which the cone's middle points down to it) of the nearest
+    farther than `beyond`; -1 = none.
 
     reach : sine of the cone's half-angle"""
     half, zero = np.float32(0.5), np.float32(0)
@@ -124,14 +137,17 @@ def _next_plane(axes, place, direction, reach, beyond):  # pragma: no cover - co
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
 def _plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compiled
-    """(r, g, b) of one plane's texture at a, b (in half sides from its middle), mean over `footprint` half sides."""
+    """(r, g, b) of one plane's texture at a, b (in half sides from its middle), mean over
+    `footprint` half sides.
+    """
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
     far = max(abs(a), abs(b))
     # the warp's slope is WARP / (1 + (WARP - 1) |x|)^2
     slope = one + (WARP - one) * far
     texels = footprint * WARP / (slope * slope) * np.float32(mips[0, 1])
     last = np.float32(mips.shape[0] - 1)
-    # beyond the texture the plane looks as its outer parts do on average: not as near the object, with its shadow
+    # beyond the texture the plane looks as its outer parts do on average: not as near the
+    # object, with its shadow
     outer = max(last - _OUTER, zero) * min(max((far - one) * np.float32(2), zero), one)
     level = min(max(np.log2(max(texels, one)), outer), last)
     first = int(level)

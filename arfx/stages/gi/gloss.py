@@ -12,18 +12,25 @@ _BEND = 0.5  # normals of neighbours that differ by more lie on two sides of an 
 
 
 def mirror_tangent(roughness: np.ndarray | float) -> np.ndarray:
-    """Tangent of the half-angle of a cone about the mirrored direction that blurs like a GGX lobe of width roughness^2.
+    """Tangent of the half-angle of a cone about the mirrored direction that blurs like a
+    GGX lobe of width roughness^2.
 
-    Half of the microfacets' normals lie within atan(a) (GGX: D integrates to tan^2 / (a^2 + tan^2)); the mirrored
-    direction turns twice as far. Of a cone, half lies within 1 / sqrt(2) of its half-angle: so it is that much wider."""
+    Half of the microfacets' normals lie within atan(a) (GGX: D integrates to tan^2 / (a^2 +
+    tan^2)); the mirrored direction turns twice as far. Of a cone, half lies within 1 /
+    sqrt(2) of its half-angle: so it is that much wider."""
     a = np.clip(np.asarray(roughness, float), 0.0, 1.0) ** 2
-    return np.clip(np.tan(np.minimum(np.sqrt(8) * np.arctan(a), np.radians(50))), 0.01, None)
+    return np.clip(
+        np.tan(np.minimum(np.sqrt(8) * np.arctan(a), np.radians(50))), 0.01, None
+    )
 
 
 def gloss_weights(
     roughness: np.ndarray | float, cosine: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(a, b), each (n,): F0 x a + b of what lies about the mirrored direction is reflected. cosine (n,) : of the view"""
+    """(a, b), each (n,): F0 x a + b of what lies about the mirrored direction is reflected.
+
+    cosine (n,) : of the view
+    """
     from scipy.ndimage import map_coordinates
 
     row = np.broadcast_to(roughness, cosine.shape) * (ROUGHNESSES - 1)
@@ -38,10 +45,14 @@ def gloss_weights(
 def widened_roughness(
     roughness: np.ndarray, coverage: np.ndarray, normal: np.ndarray
 ) -> np.ndarray:
-    """(h, w) roughness whose lobe is as wide as what one pixel of the curved surface mirrors, if that is more than its own.
+    """(h, w) roughness whose lobe is as wide as what one pixel of the curved surface
+    mirrors, if that is more than its own.
 
-    Neighbours whose normals differ by d mirror directions 2 d apart: half of that is the half-angle. Without it a
-    mirror's rim shows every n-th pixel of what it squeezes together. roughness, coverage (h, w);  normal (h, w, 3)"""
+    Neighbours whose normals differ by d mirror directions 2 d apart: half of that is the
+    half-angle. Without it a
+    mirror's rim shows every n-th pixel of what it squeezes together. roughness, coverage
+    (h, w);  normal (h, w, 3)
+    """
     most = np.zeros(coverage.shape, np.float32)
     for axis in (0, 1):
         apart = (np.diff(normal, axis=axis) ** 2).sum(-1)

@@ -1,4 +1,6 @@
-"""Health of indirect light: seams of the environment map, and the white furnace of the job's own model."""
+"""Health of indirect light: seams of the environment map, and the white furnace of the
+job's own model.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +22,18 @@ from arfx.core.stage import Check, JobView
 from arfx.stages.light.surroundings import checked_faces
 
 SIZE = (96, 72)
-LIMIT = 0.05  # of the mean: thin parts and corners darken a little, as each sees the other darkened once more
+# of the mean: thin parts and corners darken a little, as each sees the other darkened once
+# more
+LIMIT = 0.05
 _COARSE_PX = 16  # of a face: finer maps are looked at by their means
 _LOOKS = 5  # environments that are looked at, evenly over the clip
 T = TypeVar("T")
 
 
 def seams(job: JobView) -> Iterator[Check]:
-    """Steps of environment maps across the edges of their cubes beside those between texels within a face."""
+    """Steps of environment maps across the edges of their cubes beside those between texels
+    within a face.
+    """
     maps = [
         checked_faces(f.environment)
         for f in _evenly([f for f in job.facts if f.environment is not None])
@@ -35,7 +41,9 @@ def seams(job: JobView) -> Iterator[Check]:
     ]
     for rgba in _evenly([*job.scene.environment_maps.values()]):
         block = rgba.shape[1] // _COARSE_PX
-        blocks = rgba[..., :3].astype(float).reshape(6, _COARSE_PX, block, _COARSE_PX, block, 3)
+        blocks = (
+            rgba[..., :3].astype(float).reshape(6, _COARSE_PX, block, _COARSE_PX, block, 3)
+        )
         maps.append(blocks.mean((2, 4)))
     if maps:
         worst = max(map(seam_ratio, maps))
@@ -53,7 +61,8 @@ def _evenly(things: Sequence[T]) -> list[T]:
 
 
 def seam_ratio(faces: np.ndarray) -> float:
-    """Median step across the edges of a cube (6, n, n, 3) over that within its faces next to them; 1 = no seam.
+    """Median step across the edges of a cube (6, n, n, 3) over that within its faces next
+    to them; 1 = no seam.
 
     Flat maps have neither: steps below a thousandth of the mean count as that."""
     n = faces.shape[1]
@@ -94,8 +103,9 @@ def furnace(job: JobView) -> Iterator[Check]:
 
 
 def furnace_mean(job: JobView, level: str) -> float | None:
-    """Mean radiance of the model, made white, on a white plane in a light of 1: it has to vanish. Energy that levels lose or
-    invent is a mean other than 1. Over pixels inside its outline; None where it shows too few. Cost: one small picture."""
+    """Mean radiance of the model, made white, on a white plane in a light of 1: it has to
+    vanish. Energy that levels lose or invent is a mean other than 1. Over pixels inside its
+    outline; None where it shows too few. Cost: one small picture."""
     scene = job.scene
     white = Material("white", base_colour=(1.0, 1.0, 1.0, 1.0), roughness=1.0, specular=0.0)
     model = replace(
@@ -112,12 +122,22 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     even = Light(ambient_rgb=(1.0, 1.0, 1.0), lights=())
     small = replace(scene, camera=camera, model=model, light=even, surface_m=None)
     box = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
-    centre, size_m = (box.min(0) + box.max(0)) / 2, float(np.linalg.norm(np.ptp(box, axis=0)))
+    centre, size_m = (
+        (box.min(0) + box.max(0)) / 2,
+        float(np.linalg.norm(np.ptp(box, axis=0))),
+    )
     turn = rotation_from_euler_deg(180, 0, 0) @ rotation_from_euler_deg(-40, 0, 0)
     camera_from_anchor = Pose(turn, np.array([0, 0, 1.3 * size_m]) - turn @ centre)
     pose = camera_from_anchor @ scene.world_from_anchor.inverse()
-    facts = FrameFacts(0, 0.0, status=MEASURED, camera_from_world=pose, opacity=1.0, light=even)
-    levels = {"raster": "standard", "lightmap": "standard", "gi": level, "composite": "standard"}
+    facts = FrameFacts(
+        0, 0.0, status=MEASURED, camera_from_world=pose, opacity=1.0, light=even
+    )
+    levels = {
+        "raster": "standard",
+        "lightmap": "standard",
+        "gi": level,
+        "composite": "standard",
+    }
     seen = job.picture(small, facts, levels)
     if seen is None:
         return None

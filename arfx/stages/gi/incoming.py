@@ -20,7 +20,13 @@ from arfx.core.stage import View
 from arfx.stages.gi.background import Background
 from arfx.stages.gi.plane_change import measured
 from arfx.stages.light.environment import Environment
-from arfx.stages.light.planes import Planes, bounding_ball, filled, mip_chain, picture_on_planes
+from arfx.stages.light.planes import (
+    Planes,
+    bounding_ball,
+    filled,
+    mip_chain,
+    picture_on_planes,
+)
 from arfx.stages.light.surroundings import frame_environment, frame_surroundings
 from arfx.stages.light.transport import SKY
 
@@ -28,15 +34,19 @@ _LIGHT_STEP = 0.03
 _PLANE_STEP = (
     0.05  # the plane's mean brightness is rounded to 5 %: of the planes' change that is 1 %
 )
-_SHARE_STEP = 1 / 8  # of the way from one map of the surroundings to the next, a second later
+_SHARE_STEP = (
+    1 / 8
+)  # of the way from one map of the surroundings to the next, a second later
 _AXES_STEP = 1 / 32
 _NEAR_RADII = 3  # of the object: how far the plane counts for its mean
 
 
 @dataclass(frozen=True, eq=False)
 class IncomingLight:
-    """picture (p, side, side, 3) : radiance of the planes, filled where the frame does not show them
-    mean (3,) : of it near the object, rounded;  environment : with the turn from the anchor's axes"""
+    """picture (p, side, side, 3) : radiance of the planes, filled where the frame does not
+    show them
+    mean (3,) : of it near the object, rounded;  environment : with the turn from the anchor's axes
+    """
 
     planes: Planes
     picture: np.ndarray
@@ -44,18 +54,26 @@ class IncomingLight:
     environment: Environment
 
     def background(self, left: np.ndarray) -> Background:
-        """As mirrors see it, the planes darkened and lit by the object. left (p, n, n, 3) : of `Indirect`"""
+        """As mirrors see it, the planes darkened and lit by the object.
+
+        left (p, n, n, 3) : of `Indirect`
+        """
         planes, side = self.planes, self.picture.shape[1]
         shares = [cv2.resize(a.astype(np.float32), (side, side)) for a in left]
         picture = (self.picture * np.stack(shares)).astype(np.float32)
         known = np.ones(picture.shape[:3], np.float32)
         extents = np.column_stack([np.full(len(planes.axes), planes.half_m), planes.bounds])
         textures = mip_chain(picture, known, self.mean)
-        return Background(planes.axes, extents.astype(np.float32), *textures, self.environment)
+        return Background(
+            planes.axes, extents.astype(np.float32), *textures, self.environment
+        )
 
 
-def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray) -> IncomingLight:
-    """seen : the pixels that may be looked at (the same for every part of the frame that is rendered);  positions : of the
+def incoming_light(
+    view: View, seen: Rect, planes: Planes, positions: np.ndarray
+) -> IncomingLight:
+    """seen : the pixels that may be looked at (the same for every part of the frame that is
+    rendered);  positions : of the
     texels of the picture on the planes"""
     facts, scene, light = view.facts, view.scene, view.light
     picture, known = picture_on_planes(
@@ -70,7 +88,9 @@ def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray
         measured(view.layers),
     )
     turn = scene.world_from_anchor.rotation
-    mean = _plane_mean(picture, known, positions, planes, scene, 0.4 * light.radiance(turn[:, 2]))
+    mean = _plane_mean(
+        picture, known, positions, planes, scene, 0.4 * light.radiance(turn[:, 2])
+    )
     environment = frame_environment(facts, scene, light, view.memo.of_light)
     cube_from_anchor = (environment.turn @ turn).astype(np.float32)
     environment = environment._replace(turn=cube_from_anchor)
@@ -78,16 +98,22 @@ def incoming_light(view: View, seen: Rect, planes: Planes, positions: np.ndarray
 
 
 def sky_radiance(facts: FrameFacts, scene: Scene, light: Light, memo: Memo) -> np.ndarray:
-    """(6 SKY^2, 3) of the surroundings as matt surfaces see them, the anchor's axes, as `sky_texels` numbers them."""
+    """(6 SKY^2, 3) of the surroundings as matt surfaces see them, the anchor's axes, as
+    `sky_texels` numbers them.
+    """
     around = frame_surroundings(facts, scene, light, memo)
     cube = around.cubes()[1].astype(np.float32)
     coarse = [cv2.resize(face, (SKY, SKY), interpolation=cv2.INTER_AREA) for face in cube]
     cube_from_anchor = around.axes @ scene.world_from_anchor.rotation
-    return look_up(np.stack(coarse), face_directions(SKY).reshape(-1, 3) @ cube_from_anchor.T)
+    return look_up(
+        np.stack(coarse), face_directions(SKY).reshape(-1, 3) @ cube_from_anchor.T
+    )
 
 
 def in_steps(facts: FrameFacts, light: Light) -> FrameFacts:
-    """The light and its surroundings in steps too small to show by what bounces, so that it can be kept."""
+    """The light and its surroundings in steps too small to show by what bounces, so that it
+    can be kept.
+    """
     seen, guess = facts.seen_environment, facts.environment
     if seen is not None:
         share = float(_nearest(seen.share, _SHARE_STEP))
@@ -96,7 +122,9 @@ def in_steps(facts: FrameFacts, light: Light) -> FrameFacts:
         plane = guess.plane_rgb
         rgb = None if plane is None else triple(_powers(plane, _PLANE_STEP))
         guess = replace(guess, axes=_axes_in_steps(guess), plane_rgb=rgb)
-    return facts.with_(light=_light_in_steps(light), seen_environment=seen, environment=guess)
+    return facts.with_(
+        light=_light_in_steps(light), seen_environment=seen, environment=guess
+    )
 
 
 def _light_in_steps(light: Light) -> Light:
@@ -139,7 +167,9 @@ def _plane_mean(
     scene: Scene,
     otherwise: np.ndarray,
 ) -> np.ndarray:
-    """(3,) mean radiance of the first plane near the object, in steps of 5 %; `otherwise` if unknown."""
+    """(3,) mean radiance of the first plane near the object, in steps of 5 %; `otherwise`
+    if unknown.
+    """
     reach_m = _NEAR_RADII * bounding_ball(scene)[1]
     step = max(picture.shape[1] // 64, 1)
     away2 = ((positions[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1)

@@ -1,8 +1,9 @@
 """What the object changes on the real planes, as textures that pixels look up.
 
-Places of a plane see the object by few rays, so what they gain is known coarsely; how much of their hemisphere it hides is
-known finely, by silhouettes. Their quotient, the radiance of what hides less that of what is hidden, is even: so the
-change is the fine share times the coarse quotient, sharp where the object stands. Planes that it does not stand on have
+Places of a plane see the object by few rays, so what they gain is known coarsely; how much
+of their hemisphere it hides is known finely, by silhouettes. Their quotient, the radiance
+of what hides less that of what is hidden, is even: so the change is the fine share times
+the coarse quotient, sharp where the object stands. Planes that it does not stand on have
 the coarse share. Source: docs/methods/gi.md#delta."""
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from arfx.stages.light.planes import SHOWS, Planes, warped
 from arfx.stages.light.transport import Indirect
 
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
-SAME_DEPTH = 0.02  # of the distance: measured depth that is off by less lies on the plane; by twice that, not
+# of the distance: measured depth that is off by less lies on the plane; by twice that, not
+SAME_DEPTH = 0.02
 _EVENED_TEXELS = 0.8  # blur of what few rays bring
 _EVENED_FOR_SIZE = 2.0  # the same, where a single ray must not count
 _OTHER_SIDE = 192  # texels of a plane that the object does not stand on
@@ -33,7 +35,10 @@ _CHANNELS = np.eye(3)
 
 def measured(layers: Layers) -> np.ndarray:
     """(h, w) the layer REAL_DEPTH; (0, 0) where the job has none."""
-    if layers.extent(Layer.REAL_DEPTH).empty or not np.isfinite(layers[Layer.REAL_DEPTH]).any():
+    if (
+        layers.extent(Layer.REAL_DEPTH).empty
+        or not np.isfinite(layers[Layer.REAL_DEPTH]).any()
+    ):
         return np.zeros((0, 0), np.float32)
     return np.array(layers[Layer.REAL_DEPTH], np.float32, order="C")
 
@@ -47,13 +52,17 @@ def plane_pose(axes: np.ndarray) -> Pose:
 def change_textures(
     light: Indirect, hidden: np.ndarray, planes: Planes, soft: Sequence[SoftPicture]
 ) -> list[list[tuple[PlaneTexture, ...]]]:
-    """Of each plane, textures that add up, each by channel: share of all the plane's light that the object adds.
+    """Of each plane, textures that add up, each by channel: share of all the plane's light
+    that the object adds.
 
-    hidden (p, side, side) : of `Transport`;  soft : pictures of the first plane that add up, in the anchor's axes; the
+    hidden (p, side, side) : of `Transport`;  soft : pictures of the first plane that add
+    up, in the anchor's axes; the
     other planes' textures are in their own"""
     out = []
     for k, axes in enumerate(planes.axes.astype(float)):
-        even = [cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS) for a in (light.gain[k], hidden[k])]
+        even = [
+            cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS) for a in (light.gain[k], hidden[k])
+        ]
         quotient = divide(even[0], even[1][..., None] * light.total[k])
         to_own = (np.eye(2), np.zeros(2))
         if k == 0:
@@ -63,12 +72,18 @@ def change_textures(
         textures = []
         for picture in pictures:
             places = (texel_places(picture.even) @ to_own[0].T + to_own[1]) / planes.half_m
-            share = picture.hidden[0] if k == 0 else _sampled(even[1][..., None], places)[..., 0]
+            share = (
+                picture.hidden[0]
+                if k == 0
+                else _sampled(even[1][..., None], places)[..., 0]
+            )
             change = (share * _faded(places))[..., None] * _sampled(quotient, places)
             textures.append(_channels(change, picture.texel_from_m))
         if len(planes.axes) > 1:
             places = (texel_places(blank) @ to_own[0].T + to_own[1]) / planes.half_m
-            change = _faded(places)[..., None] * _sampled(light.spread[k] / light.total[k], places)
+            change = _faded(places)[..., None] * _sampled(
+                light.spread[k] / light.total[k], places
+            )
             textures.append(_channels(change, blank.texel_from_m))
         out.append(textures)
     return out
@@ -89,7 +104,9 @@ def _channels(change: np.ndarray, texel_from_m: np.ndarray) -> tuple[PlaneTextur
 
 
 def _sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """(h, w, c) of a warped texture (side, side, c) at places (h, w, 2) in half sides from its middle."""
+    """(h, w, c) of a warped texture (side, side, c) at places (h, w, 2) in half sides from
+    its middle.
+    """
     side = len(texels)
     at = ((warped(np.clip(places, -1, 1)) + 1) / 2 * side - 0.5).astype(np.float32)
     source = np.ascontiguousarray(texels, np.float32)
@@ -116,7 +133,9 @@ def add_change(
 ) -> None:
     """shadow (h, w, 3) over `rect` += strength x the planes' change, never below 0.
 
-    grid : viewing directions;  textures : of `change_textures`;  real : of `measured`, what is not on a plane stays"""
+    grid : viewing directions;  textures : of `change_textures`;  real : of `measured`, what
+    is not on a plane stays
+    """
     change = np.zeros((3, rect.height, rect.width), np.float32)
     poses = [plane_pose(axes) for axes in planes.axes]
     shares = shown_planes(rect, grid, anchor_from_camera, poses, real)
@@ -152,7 +171,8 @@ def shown_planes(
         return [share.astype(np.float32) for share in shares]
     agree = [on_plane(real, d, SAME_DEPTH) for d in dioptres]
     return [
-        np.where(share, a, 0).astype(np.float32) for share, a in zip(shares, agree, strict=True)
+        np.where(share, a, 0).astype(np.float32)
+        for share, a in zip(shares, agree, strict=True)
     ]
 
 

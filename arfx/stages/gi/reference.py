@@ -148,7 +148,9 @@ class Pixels:
         out[rows] = self._mean(draw, rows) * coverage[:, None]
         return out
 
-    def plane_change(self, disc: Rect, mirror: Rect, gloss: tuple[float, float]) -> np.ndarray:
+    def plane_change(
+        self, disc: Rect, mirror: Rect, gloss: tuple[float, float]
+    ) -> np.ndarray:
         """(h, w, 3) float32 change of the planes' light by the object, as a share of it. disc :
         pixels that may change
         mirror : pixels that may mirror the object, by this `gloss`: share seen from above, and

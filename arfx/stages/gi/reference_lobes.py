@@ -4,7 +4,8 @@ reflects.
 Both kinds of surface answer the same two questions: `directions` draws some, `at` tells of any
 direction what is reflected, and with which density `directions` takes it. So samples of bright
 parts of the environment can be weighed against these (balance heuristic). Source: Heitz 2014
-(Smith's G), 2018 (visible normals); Veach and Guibas 1995 (multiple importance sampling)."""
+(Smith's G), 2018 (visible normals); Veach and Guibas 1995 (multiple importance sampling).
+"""
 
 from __future__ import annotations
 
@@ -117,8 +118,8 @@ def lobe_width(roughness: np.ndarray) -> np.ndarray:
 
 
 def lost_share(roughness: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """(k, 1) light that single reflections of a white mirror lose, over what they reflect: microfacets send it on to each
-    other, and the lobe gives it back (Turquin 2019)."""
+    """(k, 1) light that single reflections of a white mirror lose, over what they reflect:
+    microfacets send it on to each other, and the lobe gives it back (Turquin 2019)."""
     direct, grazing = gloss_weights(roughness[:, 0], cosine[:, 0])
     return divide(1.0, direct + grazing)[:, None] - 1
 
@@ -220,7 +221,8 @@ class PlaneLobes:
     a ball around the object.
 
     About the normal where the ball is near; in half of the samples where what other planes lose or
-    gain counts too (`all_around`). points, normals (k, 3);  centre (3,), radius : of the ball"""
+    gain counts too (`all_around`). points, normals (k, 3);  centre (3,), radius : of the ball
+    """
 
     def __init__(
         self,

@@ -214,7 +214,9 @@ class Surroundings:
         radiance, known = self._picture(positions, plane)
         return np.where(known[:, None], radiance, self._means[plane])
 
-    def _picture(self, positions: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _picture(
+        self, positions: np.ndarray, plane: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """((n, 3) radiance, (n,) whether the picture shows it): linear between pixels."""
         seen = self._camera.project(self._camera_from_anchor.apply(positions))
         last = np.array([self._rect.width - 1, self._rect.height - 1])

@@ -75,7 +75,9 @@ class Environment:
         sign = np.where(face % 2 == 0, 1.0, -1.0)
         axis = face // 2
         # as the faces of core.cube lie
-        x, y, z = (np.choose(axis, parts) for parts in ((sign, u, u), (v, sign, v), (-u, -v, sign)))
+        x, y, z = (
+            np.choose(axis, parts) for parts in ((sign, u, u), (v, sign, v), (-u, -v, sign))
+        )
         d = normalise(np.stack([x, y, z], -1))
         return np.asarray(d @ self.turn)
 

@@ -124,7 +124,9 @@ class Tracer:
         self._met(rays, numbers[rays.places.pixel, BOUNCES], True, out)
         return out
 
-    def _met(self, rays: Rays, drawn: np.ndarray, last: bool, out: np.ndarray) -> list[Rays]:
+    def _met(
+        self, rays: Rays, drawn: np.ndarray, last: bool, out: np.ndarray
+    ) -> list[Rays]:
         """Rays that go on where these end, unless they are the `last`. out (pixels, 3) += what
         these bring;  drawn (n, NUMBERS)"""
         start, change = rays.places.start, rays.places.change[:, 0]
@@ -142,7 +144,9 @@ class Tracer:
         rows = np.flatnonzero((plane >= 0) & ~on_object)
         on_plane = rays.of(rows)
         positions = on_plane.along(plane_m[rows])
-        going_on += self._from_plane(on_plane, positions, plane[rows], drawn[rows], last, out)
+        going_on += self._from_plane(
+            on_plane, positions, plane[rows], drawn[rows], last, out
+        )
         return going_on
 
     def _behind(self, rays: Rays, plane: np.ndarray, plane_m: np.ndarray) -> np.ndarray:

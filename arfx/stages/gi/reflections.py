@@ -1,7 +1,10 @@
-"""Indirect light that the object's pixels send to the camera: all that falls on them, and what they mirror.
+"""Indirect light that the object's pixels send to the camera: all that falls on them, and
+what they mirror.
 
-Gloss: the surroundings in a cone about the lobe's middle, as wide as the roughness asks; where the object hides some of
-its own surroundings a ray along that middle shows which. Cost: O(covered pixels + rays). Source: docs/methods/gi.md#gloss."""
+Gloss: the surroundings in a cone about the lobe's middle, as wide as the roughness asks;
+where the object hides some of
+its own surroundings a ray along that middle shows which. Cost: O(covered pixels + rays).
+Source: docs/methods/gi.md#gloss."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -18,7 +21,9 @@ from arfx.stages.light.split_sum import split_sum
 from arfx.stages.light.transport import Transport
 from arfx.stages.lightmap.shading import SMOOTHEST, Surface, reflected_shares
 
-_OCCLUDED = 0.01  # share of a place's hemisphere that the object hides, from which on a ray is sent
+_OCCLUDED = (
+    0.01  # share of a place's hemisphere that the object hides, from which on a ray is sent
+)
 _LIFT_EXTENTS = 2e-3  # rays begin that far over the surface
 _MIRRORS = 2  # times that a ray is mirrored on by metal
 _METAL = 0.5  # metallic from which on what a mirror shows of it is mirrored on
@@ -42,7 +47,10 @@ class Sight:
     def along(
         self, places: np.ndarray, directions: np.ndarray, roughness: np.ndarray
     ) -> np.ndarray:
-        """(m, 3) radiance of the planes and the environment, anchor axes. roughness (m,) : of what mirrors them"""
+        """(m, 3) radiance of the planes and the environment, anchor axes.
+
+        roughness (m,) : of what mirrors them
+        """
         return behind_object(self.background, places, directions, roughness)
 
     def of_object(
@@ -50,7 +58,8 @@ class Sight:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(rays (m,) that meet the object, before any plane; radiance (m, 3) that it sends there).
 
-        turns : of a ray that metal mirrors on; then metal sends its light in all directions"""
+        turns : of a ray that metal mirrors on; then metal sends its light in all directions
+        """
         rays = self.transport.rays
         face, distance = rays.first_hits(starts, directions)
         met = np.flatnonzero(face >= 0)
@@ -85,12 +94,16 @@ class Sight:
 def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.ndarray:
     """(h, w, 3) float32 that the surface sends to the camera, premultiplied by coverage.
 
-    received (h, w, 3) : radiance of a white surface from all but the lamps. Where too little is mirrored to be seen, what
-    is mirrored is the light that falls on the surface."""
+    received (h, w, 3) : radiance of a white surface from all but the lamps. Where too
+    little is mirrored to be seen, what is mirrored is the light that falls on the
+    surface."""
     roughness = np.ascontiguousarray(surface.material[..., 1])
     wide = widened_roughness(roughness, surface.coverage, surface.normal).astype(np.float32)
     anchor = sight.anchor_from_world
-    turn, offset = anchor.rotation.astype(np.float32), anchor.translation_m.astype(np.float32)
+    turn, offset = (
+        anchor.rotation.astype(np.float32),
+        anchor.translation_m.astype(np.float32),
+    )
     out = np.zeros((*surface.coverage.shape, 3), np.float32)
     placed = turn, offset, sight.eye.astype(np.float32)
     pixels, lobes = _lobes(
@@ -112,14 +125,20 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(
+    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
+)
 def _lobes(
     surface: Surface, wide, received, placed, table, shows, out
 ):  # pragma: no cover - compiled
-    """(pixels (m, 2), lobes (m, 13)) of those whose mirrored light shows: place, normal, direction, roughness, weights.
+    """(pixels (m, 2), lobes (m, 13)) of those whose mirrored light shows: place, normal,
+    direction, roughness, weights.
 
-    Anchor axes. out (h, w, 3) += what the pixels send of the light that falls on them; of those pixels the matt part alone
-    wide (h, w) : roughness, no less than a pixel of the curved surface holds;  placed : rotation, offset, eye"""
+    Anchor axes. out (h, w, 3) += what the pixels send of the light that falls on them; of
+    those pixels the matt part alone
+    wide (h, w) : roughness, no less than a pixel of the curved surface holds;  placed :
+    rotation, offset, eye
+    """
     coverage, normal, position, albedo, material, _ = surface
     turn, offset, eye = placed
     rows, columns = coverage.shape
@@ -136,8 +155,12 @@ def _lobes(
                 continue
             scale, away = one / np.sqrt(length), zero
             for k in range(3):
-                to[k] = turn[k, 0] * p[0] + turn[k, 1] * p[1] + turn[k, 2] * p[2] + offset[k]
-                to[3 + k] = scale * (turn[k, 0] * n[0] + turn[k, 1] * n[1] + turn[k, 2] * n[2])
+                to[k] = (
+                    turn[k, 0] * p[0] + turn[k, 1] * p[1] + turn[k, 2] * p[2] + offset[k]
+                )
+                to[3 + k] = scale * (
+                    turn[k, 0] * n[0] + turn[k, 1] * n[1] + turn[k, 2] * n[2]
+                )
                 away += (eye[k] - to[k]) ** 2
             away = one / np.sqrt(max(away, np.float32(1e-12)))
             facing = zero

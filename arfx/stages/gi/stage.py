@@ -1,13 +1,16 @@
 """Gi: indirect light between the object, its surroundings and the real planes.
 
-Occlusion, colour bleeding and reflections of the picture on the object, and what the object adds to and takes from the
-planes, as a ratio. It replaces lightmap's soft light.
+Occlusion, colour bleeding and reflections of the picture on the object, and what the object
+adds to and takes from the planes, as a ratio. It replaces lightmap's soft light.
 
-Rays say once a clip what each place gets from each other (`light.transport`); a light is a few sparse products, a frame
-what the picture on the planes adds to them, look-ups, and a ray for pixels that mirror the object in itself. `reference`
-traces paths (embree) and shares nothing of that with the others.
-Source: docs/methods/gi.md. Cost: O(covered pixels + pixels of the planes that change). Leaves out: real things that are no
-plane, caustics, refraction, light that the object sends through its own transparent parts."""
+Rays say once a clip what each place gets from each other (`light.transport`); a light is a
+few sparse products, a frame what the picture on the planes adds to them, look-ups, and a
+ray for pixels that mirror the object in itself. `reference` traces paths (embree) and
+shares nothing of that with the others.
+Source: docs/methods/gi.md. Cost: O(covered pixels + pixels of the planes that change).
+Leaves out: real things that are no
+plane, caustics, refraction, light that the object sends through its own transparent parts.
+"""
 
 from __future__ import annotations
 
@@ -72,8 +75,10 @@ LEVELS = {
 class GiParams:
     """formula : corrected, or paper: Yao, Tao, Wu 2018 as printed
     strength : strength of the indirect light on the real planes: 0 = none, 1 = as computed
-    plane_gloss : fraction of light that the real plane reflects like a mirror, seen from above: 0 = matt, .04 = varnish or glass
-    samples : paths per pixel at level reference: noise falls with their root, best at powers of two"""
+    plane_gloss : fraction of light that the real plane reflects like a mirror, seen from
+    above: 0 = matt, .04 = varnish or glass
+    samples : paths per pixel at level reference: noise falls with their root, best at powers of two
+    """
 
     formula: str = field(default="corrected", init=False)
     strength: float = 1.0
@@ -86,7 +91,8 @@ class GiParams:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Of one clip, worker and level. grid : viewing directions;  soft : pictures of the first plane that add up
+    """Of one clip, worker and level. grid : viewing directions;  soft : pictures of the
+    first plane that add up
     positions : of the texels of the picture on the planes"""
 
     planes: Planes
@@ -98,8 +104,11 @@ class Prepared:
 
 @dataclass(frozen=True, eq=False)
 class LitScene:
-    """What does not change while the light stays. changes : of `change_textures`;  radius_m : within which they show
-    sent (z, y, x, 3) : nodes of what the object sends;  mean (3,) : radiance of the planes that was taken"""
+    """What does not change while the light stays. changes : of `change_textures`;  radius_m
+    : within which they show
+    sent (z, y, x, 3) : nodes of what the object sends;  mean (3,) : radiance of the planes
+    that was taken
+    """
 
     indirect: Indirect
     changes: list[list[tuple[PlaneTexture, ...]]]
@@ -129,7 +138,9 @@ class Gi(Stage):
     facts = frozenset({"pose", "light", "environment"})
     Params = GiParams
     terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
-    overrides: ClassVar = {"lightmap": {"ambient": False}}  # gi gives all light without a direction
+    overrides: ClassVar = {
+        "lightmap": {"ambient": False}
+    }  # gi gives all light without a direction
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model = facts.raster_box.clip(frame)
@@ -143,7 +154,9 @@ class Gi(Stage):
         return Demand(model.union(disc).union(mirror), f"{seen} in view; {why}")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
-        """The picture that the object reflects lies on the planes around it; a pixel's neighbours say how it bends."""
+        """The picture that the object reflects lies on the planes around it; a pixel's
+        neighbours say how it bends.
+        """
         return out.pad(1).union(_reflected_rect(facts, scene)).clip(scene.camera.rect)
 
     def once(self, facts: FrameFacts) -> Mapping[str, Hashable]:
@@ -151,7 +164,9 @@ class Gi(Stage):
         if facts.light is None:
             return {"new_lights": None}
         known = in_steps(facts, facts.light)
-        return {"new_lights": (repr(known.light), known.seen_environment, known.environment)}
+        return {
+            "new_lights": (repr(known.light), known.seen_environment, known.environment)
+        }
 
     def health(self, job: JobView) -> Iterable[Check]:
         return chain(seams(job), furnace(job))
@@ -174,7 +189,10 @@ class Gi(Stage):
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         facts, scene, frame = view.facts, view.scene, view.scene.camera.rect
-        disc, mirror = self._disc(facts, scene, frame)[0], self._mirror_rect(facts, scene, frame)
+        disc, mirror = (
+            self._disc(facts, scene, frame)[0],
+            self._mirror_rect(facts, scene, frame),
+        )
         seen = _reflected_rect(facts, scene)
         if view.level == "reference":
             gloss = self.params.plane_gloss, PLANE_ROUGHNESS
@@ -234,13 +252,20 @@ class Gi(Stage):
         now, shown = view.layers, view.facts.raster_box.clip(view.out)
         part = now.extent(Layer.VIRTUAL).clip(view.out).union(shown).clip(now.rect)
         out = _written(now, Layer.VIRTUAL, part)
-        box = EMPTY if shown.empty else shown.pad(1).clip(view.facts.raster_box).clip(now.rect)
+        box = (
+            EMPTY
+            if shown.empty
+            else shown.pad(1).clip(view.facts.raster_box).clip(now.rect)
+        )
         if box.empty:
             return Pixels(now.rect, out, part=part)
         here, transport = now.crop(box), prepared.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
         side = transport.level.side
-        shares = [cv2.resize(p, (side, side), interpolation=cv2.INTER_AREA) for p in incoming.picture]
+        shares = [
+            cv2.resize(p, (side, side), interpolation=cv2.INTER_AREA)
+            for p in incoming.picture
+        ]
         change = (np.stack(shares) - lit.mean) * lit.indirect.left
         received = lit.indirect.received + transport.more_from_planes(change.reshape(-1, 3))
         nodes = transport.grid.nodes(received)
@@ -260,7 +285,9 @@ class Gi(Stage):
         mirror: Rect,
     ) -> Pixels:
         now, scene = view.layers, view.scene
-        part = now.extent(Layer.SHADOW).union(disc).union(mirror).clip(view.out).clip(now.rect)
+        part = (
+            now.extent(Layer.SHADOW).union(disc).union(mirror).clip(view.out).clip(now.rect)
+        )
         shadow = _written(now, Layer.SHADOW, part)
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         changed, strength = disc.clip(part), self.params.strength
@@ -277,7 +304,9 @@ class Gi(Stage):
     def _mirror(
         self, shadow: np.ndarray, view: View, prepared: Prepared, sight: Sight, rect: Rect
     ) -> None:
-        """The planes' mirror image of the object, less what it hides of theirs, as a share of the pixel."""
+        """The planes' mirror image of the object, less what it hides of theirs, as a share
+        of the pixel.
+        """
         plate = view.layers.crop(rect)[Layer.PLATE]
         bias = np.array(view.facts.bias_rgb, np.float32)
         anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
@@ -287,7 +316,9 @@ class Gi(Stage):
         directions = viewing(prepared.grid @ anchor_from_camera.rotation.T, rect)
         for axes, share in zip(prepared.planes.axes.astype(float), shares, strict=True):
             normal = axes[3]
-            rows = np.nonzero((directions @ normal < 0) & (True if share is None else share > 0))
+            rows = np.nonzero(
+                (directions @ normal < 0) & (True if share is None else share > 0)
+            )
             d = normalise(directions[rows].astype(float))
             along = d @ normal
             height = (sight.eye - axes[0]) @ normal
@@ -297,7 +328,9 @@ class Gi(Stage):
             towards = d - 2 * along[:, None] * normal
             starts = places + sight.transport.rays.lift_m * normal
             met, sent = sight.of_object(starts, towards)
-            behind = sight.along(places[met], towards[met], np.full(len(met), PLANE_ROUGHNESS))
+            behind = sight.along(
+                places[met], towards[met], np.full(len(met), PLANE_ROUGHNESS)
+            )
             weight = self.params.strength * fresnel[met]
             if share is not None:
                 weight = weight * share[rows][met]
@@ -339,12 +372,16 @@ class Gi(Stage):
 
 def _soft(view: View) -> float:
     """Least channel of the light without a direction, of a white surface on the plane."""
-    return float(view.light.soft_radiance(view.scene.world_from_anchor.rotation[:, 2]).min())
+    return float(
+        view.light.soft_radiance(view.scene.world_from_anchor.rotation[:, 2]).min()
+    )
 
 
 def _brightest(incoming: IncomingLight, lit: LitScene) -> float:
     """No radiance that is mirrored is greater."""
-    return float(max(incoming.environment.texels.max(), incoming.picture.max(), lit.sent.max()))
+    return float(
+        max(incoming.environment.texels.max(), incoming.picture.max(), lit.sent.max())
+    )
 
 
 def _written(layers: Layers, name: Layer, part: Rect) -> np.ndarray:

@@ -1,6 +1,8 @@
-"""The light of one frame as the shadows need it: directions in the plane's axes, sizes, and each part's share of the plane.
+"""The light of one frame as the shadows need it: directions in the plane's axes, sizes, and
+each part's share of the plane.
 
-Directions and sizes are quantised, finely, for shadows only: they are the keys by which shadows are cached."""
+Directions and sizes are quantised, finely, for shadows only: they are the keys by which
+shadows are cached."""
 
 from __future__ import annotations
 
@@ -12,19 +14,22 @@ from arfx.core.light import DIFFUSE, Light, triple
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
 
-# Step of a direction, radians. The tip of the shadow of an object 300 px high, under a light 30 degrees high, moves by
-# 300 / sin(30 deg)^2 x QUANTUM = 0.4 px.
+# Step of a direction, radians. The tip of the shadow of an object 300 px high, under a
+# light 30 degrees high, moves by 300 / sin(30 deg)^2 x QUANTUM = 0.4 px.
 QUANTUM = np.radians(0.02)
 SIZE_STEP_DEG = 0.1
 SHAPE_STEP = 1 / 128
 SMALLEST_DEG, LARGEST_DEG = 0.5, 90.0
-# No shadow is longer than this many heights of its object: lower lights cast it as if they stood 4.8 degrees high.
+# No shadow is longer than this many heights of its object: lower lights cast it as if they
+# stood 4.8 degrees high.
 REACH = 12.0
 
 
 @dataclass(frozen=True)
 class Beam:
-    """A directional light, rounded: equal beams cast equal shadows. direction : unit, anchor axes;  size_deg : full angle"""
+    """A directional light, rounded: equal beams cast equal shadows. direction : unit,
+    anchor axes;  size_deg : full angle
+    """
 
     direction: tuple[float, float, float]
     size_deg: float
@@ -32,11 +37,13 @@ class Beam:
 
 @dataclass(frozen=True, eq=False)
 class FrameLight:
-    """towards (l, 3) unit, WORLD frame; rgb (l, 3) : on a facing surface; on_object (l,) share of the disc over the horizon
+    """towards (l, 3) unit, WORLD frame; rgb (l, 3) : on a facing surface; on_object (l,)
+    share of the disc over the horizon
     beams : the same lights, rounded, anchor axes
     soft (9, 3) harmonics or empty; ambient (3,)
-    shape (3,) : the soft light's radiance is 1 + shape . d times its mean, anchor axes; rounded, no longer than 1
-    plane_ambient (3,), plane_direct (l, 3) : radiance of the white plane from each part, nothing in the way"""
+    shape (3,) : the soft light's radiance is 1 + shape . d times its mean, anchor axes;
+    rounded, no longer than 1 plane_ambient (3,), plane_direct (l, 3) : radiance of the
+    white plane from each part, nothing in the way"""
 
     towards: np.ndarray
     rgb: np.ndarray
@@ -63,10 +70,11 @@ class FrameLight:
 def frame_light(
     light: Light, world_from_anchor: Pose, hard: bool, plane_blocks: bool
 ) -> FrameLight:
-    """hard : lights without size;  plane_blocks : what is behind the plane does not light the object.
+    """hard : lights without size;  plane_blocks : what is behind the plane does not light
+    the object.
 
-    Lights without a direction or without finite colour are left out; negative colour counts as none, a size that is not finite as
-    the smallest."""
+    Lights without a direction or without finite colour are left out; negative colour counts
+    as none, a size that is not finite as the smallest."""
     lights = [
         (li.unit, np.clip(np.asarray(li.rgb, float), 0, None), li.angular_size_deg)
         for li in light.lights
@@ -112,14 +120,17 @@ def _shape(soft: np.ndarray, world_from_anchor: np.ndarray) -> tuple[float, floa
         return 0.0, 0.0, 0.0
     level = (soft / DIFFUSE[:, None]).mean(1)
     rise = np.sqrt(3) * divide(level[[3, 1, 2]], max(level[0], 0.0)) @ world_from_anchor
-    return triple(np.round(rise / max(1.0, float(np.linalg.norm(rise))) / SHAPE_STEP) * SHAPE_STEP)
+    return triple(
+        np.round(rise / max(1.0, float(np.linalg.norm(rise))) / SHAPE_STEP) * SHAPE_STEP
+    )
 
 
 def quantised(direction: np.ndarray, size_deg: float) -> Beam:
     """The beam nearest a direction (3,), unit, anchor axes: within QUANTUM of it."""
     d = np.asarray(direction, float)
     steps = np.round(d / QUANTUM)
-    # rounded and scaled to a unit again it may round to a neighbour: until it stays, so that equal lights are equal keys
+    # rounded and scaled to a unit again it may round to a neighbour: until it stays, so
+    # that equal lights are equal keys
     for _ in range(4):
         d = normalise(steps * QUANTUM)
         again = np.round(d / QUANTUM)
@@ -127,15 +138,17 @@ def quantised(direction: np.ndarray, size_deg: float) -> Beam:
             break
         steps = again
     return Beam(
-        (float(d[0]), float(d[1]), float(d[2])), round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG
+        (float(d[0]), float(d[1]), float(d[2])),
+        round(size_deg / SIZE_STEP_DEG) * SIZE_STEP_DEG,
     )
 
 
 def disc_directions(beam: Beam, points: np.ndarray, over_plane: bool = True) -> np.ndarray:
     """(n, 3) unit directions, anchor axes, to `points` (n, 2) of the light's unit disc.
 
-    The first axis of the disc lies level, the second rises. over_plane : what would lie under the horizon is mirrored over
-    it, and no direction is lower than 1 / REACH: a shadow has an end."""
+    The first axis of the disc lies level, the second rises. over_plane : what would lie
+    under the horizon is mirrored over it, and no direction is lower than 1 / REACH: a
+    shadow has an end."""
     w = np.array(beam.direction)
     level = normalise(np.array([-w[1], w[0], 0.0]))
     if not level.any():

@@ -1,4 +1,6 @@
-"""The model as something that casts shadows: triangles in the axes of the plane that it stands on."""
+"""The model as something that casts shadows: triangles in the axes of the plane that it
+stands on.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,14 @@ class Caster:
     """Axes of the anchor: z out of the plane, metres.
 
     vertices (n, 3) float32, faces (m, 3) int32 : every triangle
-    above (m', 3) int32, above_vertices (n', 3) : those over the plane, cut where they pass through it
-    edges (e, 5) int32 : of those, see `_edges`;  across (3, m') float32 : their normals, as long as twice their area
+    above (m', 3) int32, above_vertices (n', 3) : those over the plane, cut where they pass
+    through it
+    edges (e, 5) int32 : of those, see `_edges`;  across (3, m') float32 : their normals, as
+    long as twice their area
     outline (k, 3) float64 : points whose hull holds everything above the plane
     extent_m : largest side;  height_m : highest point over the plane, >= 0
-    sag_m, facet_slope : how far flat facets lie below the smooth surface of their normals, and by what slope
+    sag_m, facet_slope : how far flat facets lie below the smooth surface of their normals,
+    and by what slope
     opacity : of its shadow"""
 
     vertices: np.ndarray
@@ -45,7 +50,9 @@ class Caster:
 
 
 def make_caster(scene: Scene) -> Caster:
-    """All parts of the scene's model together, less those that are less than half as opaque as the most opaque one."""
+    """All parts of the scene's model together, less those that are less than half as opaque
+    as the most opaque one.
+    """
     anchor_from_world = scene.world_from_anchor.inverse()
     vertices = anchor_from_world.apply(scene.model_points_m)
     starts = np.cumsum([0, *(len(p.vertices) for p in scene.model.parts)])
@@ -85,8 +92,9 @@ def make_caster(scene: Scene) -> Caster:
 
 
 def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(e, 5) int32: two vertices, the face that runs from the first to the second, another or -1, and +1 where that one
-    runs the same way, -1 where against it. Vertices at the same place count as one; of more than two faces some pair up."""
+    """(e, 5) int32: two vertices, the face that runs from the first to the second, another
+    or -1, and +1 where that one runs the same way, -1 where against it. Vertices at the
+    same place count as one; of more than two faces some pair up."""
     if not len(faces):
         return np.zeros((0, 5), np.int32)
     low, size = vertices.min(0), float(np.ptp(vertices, axis=0).max())
@@ -132,7 +140,11 @@ def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
 
     ab, ac = meet(a, b), meet(a, c)
     one = count == 1
-    parts = (a[one], ab[one], ac[one]), (ab[~one], b[~one], c[~one]), (ab[~one], c[~one], ac[~one])
+    parts = (
+        (a[one], ab[one], ac[one]),
+        (ab[~one], b[~one], c[~one]),
+        (ab[~one], c[~one], ac[~one]),
+    )
     triangles = np.concatenate([np.stack(corners, 1) for corners in parts])
     n = len(vertices)
     new = np.arange(n, n + 3 * len(triangles)).reshape(-1, 3)
@@ -142,13 +154,16 @@ def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _outline(points: np.ndarray) -> np.ndarray:
-    """Vertices of the convex hull; the corners of the box where the points are few, many or flat."""
+    """Vertices of the convex hull; the corners of the box where the points are few, many or
+    flat.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     if not len(points):
         return np.zeros((1, 3))
     try:
-        # moved by rounding (QJ): else Qhull takes the square of points on a circle, 0.2 s for _FREED of them
+        # moved by rounding (QJ): else Qhull takes the square of points on a circle, 0.2 s
+        # for _FREED of them
         hull = points[ConvexHull(points, qhull_options="QJ").vertices]
         if len(hull) <= _FREED:
             hull = hull[ConvexHull(hull).vertices]
@@ -156,7 +171,8 @@ def _outline(points: np.ndarray) -> np.ndarray:
         hull = points
     if len(hull) <= _HULL_POINTS:
         return hull
-    # extreme points in 400 even directions, pushed out to the planes that bound the rest: a slightly larger hull
+    # extreme points in 400 even directions, pushed out to the planes that bound the rest: a
+    # slightly larger hull
     middle = (hull.min(0) + hull.max(0)) / 2
     i = np.arange(400) + 0.5
     z, phi = 1 - 2 * i / 400, i * np.pi * (3 - np.sqrt(5))
@@ -172,15 +188,20 @@ def _outline(points: np.ndarray) -> np.ndarray:
 def _faceting(
     vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, extent: float
 ) -> tuple[float, float]:
-    """95 % of the facets lie less than this below their smooth surface (metres), and lean from it by less than this slope."""
+    """95 % of the facets lie less than this below their smooth surface (metres), and lean
+    from it by less than this slope.
+    """
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     face = normalise(np.cross(b - a, c - a))
     cosine = np.abs((normals[faces] * face[:, None]).sum(-1)).min(1)
     angle = np.minimum(arccos(cosine), np.radians(45))
     side = np.sqrt(
-        np.stack([((a - b) ** 2).sum(1), ((b - c) ** 2).sum(1), ((c - a) ** 2).sum(1)]).max(0)
+        np.stack([((a - b) ** 2).sum(1), ((b - c) ** 2).sum(1), ((c - a) ** 2).sum(1)]).max(
+            0
+        )
     )
-    # a chord of length L that leans by the angle from the arc's tangent at its end lies L / 2 tan(angle / 2) below the arc
+    # a chord of length L that leans by the angle from the arc's tangent at its end lies L /
+    # 2 tan(angle / 2) below the arc
     sag = float(np.quantile(side / 2 * np.tan(angle / 2), 0.95)) if len(faces) else 0.0
     slope = float(np.quantile(np.tan(angle), 0.95)) if len(faces) else 0.0
     return min(sag, _COARSEST_SAG * extent), slope

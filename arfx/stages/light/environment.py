@@ -1,8 +1,11 @@
-"""The surroundings as surfaces of any roughness see them: one cube map, filtered once for each of a few roughnesses.
+"""The surroundings as surfaces of any roughness see them: one cube map, filtered once for
+each of a few roughnesses.
 
-A level holds the mean radiance under the lobe of GGX about each direction, seen from along it, by filtered importance
-sampling (Křivánek and Colbert 2008). A look-up is linear between texels, over the faces' edges too, and between levels.
-Cost: O(texels x samples) for a new cube, O(1) a look-up. Leaves out: that the lobe is longer at grazing angles.
+A level holds the mean radiance under the lobe of GGX about each direction, seen from along
+it, by filtered importance sampling (Křivánek and Colbert 2008). A look-up is linear between
+texels, over the faces' edges too, and between levels.
+Cost: O(texels x samples) for a new cube, O(1) a look-up. Leaves out: that the lobe is
+longer at grazing angles.
 Source: Karis 2013 (the split sum's first part), docs/methods/light.md#reflections."""
 
 # mypy: disable-error-code="no-untyped-def"
@@ -28,10 +31,10 @@ _FAST = {"contract", "nsz", "arcp"}
 
 
 class Environment(NamedTuple):
-    """texels (n, 3) float32 : radiance, level by level, face by face, each face with a border of one texel
-    sides, starts (levels,) : texels of a face without its border; a level's first row of `texels`
-    roughness (levels,) : of each level
-    turn (3, 3) float32 : rotation to the cube's axes from the world's"""
+    """texels (n, 3) float32 : radiance, level by level, face by face, each face with a
+    border of one texel sides, starts (levels,) : texels of a face without its border; a
+    level's first row of `texels` roughness (levels,) : of each level turn (3, 3) float32 :
+    rotation to the cube's axes from the world's"""
 
     texels: np.ndarray
     sides: np.ndarray
@@ -43,7 +46,9 @@ class Environment(NamedTuple):
 def environment_of(texels: np.ndarray, cube_from_world: np.ndarray) -> Environment:
     """texels : of `prefiltered`, or sums of several;  cube_from_world : (3, 3)"""
     roughness = np.array(ROUGHNESSES, np.float32)
-    return Environment(texels, *layout(SIDES), roughness, cube_from_world.astype(np.float32))
+    return Environment(
+        texels, *layout(SIDES), roughness, cube_from_world.astype(np.float32)
+    )
 
 
 def layout(sides: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +65,10 @@ def level_slices() -> list[slice]:
 
 
 def prefiltered(cube: np.ndarray) -> np.ndarray:
-    """(n, 3) float32 texels of all levels. cube : (6, m, m, 3) radiance, faces as core.cube's, m <= 64"""
+    """(n, 3) float32 texels of all levels.
+
+    cube : (6, m, m, 3) radiance, faces as core.cube's, m <= 64
+    """
     if not cube.any():
         return np.zeros((level_slices()[-1].stop, 3), np.float32)
     finest = resampled(np.asarray(cube, np.float32), SIDES[0])
@@ -86,7 +94,9 @@ def _packed(faces: np.ndarray) -> np.ndarray:
 
 
 def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(directions (k, 3) about +z, weights (k,) of sum 1, and (k,) the halving whose texels are as large as a sample)."""
+    """(directions (k, 3) about +z, weights (k,) of sum 1, and (k,) the halving whose texels
+    are as large as a sample).
+    """
     u = (np.arange(samples) + 0.5) / samples
     phi = np.arange(samples) * _GOLDEN_RAD
     alpha2 = roughness**4
@@ -120,8 +130,12 @@ def look_ups(texels, sides, starts, level, directions):  # pragma: no cover - co
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def radiance(environment: Environment, dx, dy, dz, roughness):  # pragma: no cover - compiled
-    """(r, g, b) about a direction (of any length, WORLD axes), as a surface of that roughness mirrors it."""
+def radiance(
+    environment: Environment, dx, dy, dz, roughness
+):  # pragma: no cover - compiled
+    """(r, g, b) about a direction (of any length, WORLD axes), as a surface of that
+    roughness mirrors it.
+    """
     texels, sides, starts, levels, turn = environment
     x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
     y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
@@ -137,7 +151,9 @@ def radiance(environment: Environment, dx, dy, dz, roughness):  # pragma: no cov
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
 def look_up(texels, sides, starts, level, x, y, z):  # pragma: no cover - compiled
-    """(r, g, b) in a direction of any length, the cube's axes; linear between levels, the last beyond them."""
+    """(r, g, b) in a direction of any length, the cube's axes; linear between levels, the
+    last beyond them.
+    """
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:

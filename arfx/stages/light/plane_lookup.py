@@ -1,6 +1,7 @@
 """Textures of a real plane, looked up where each pixel's viewing ray meets it.
 
-The lens is followed by viewing directions at every GRID_PX-th pixel, linear between. Cost: O(pixels) for each texture."""
+The lens is followed by viewing directions at every GRID_PX-th pixel, linear between. Cost:
+O(pixels) for each texture."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -72,14 +73,19 @@ class PlaneView:
         weights = np.asarray(weights, np.float32)
         _add_texture(out[:, *at], corner, near, start, texture.dark, weights, seen)
 
-    def _seen_part(self, nodes: np.ndarray, start: np.ndarray, shape: tuple[int, int]) -> Rect:
-        """Pixels, from the first node, that may see a texture of that shape: whole cells of the grid."""
+    def _seen_part(
+        self, nodes: np.ndarray, start: np.ndarray, shape: tuple[int, int]
+    ) -> Rect:
+        """Pixels, from the first node, that may see a texture of that shape: whole cells of
+        the grid.
+        """
         with np.errstate(all="ignore"):
             distance = start[2] / -nodes[2]
             places = nodes[:2] * distance + start[:2, None, None]
         places[:, nodes[2] >= 0] = np.nan
         corners = [
-            places[:, j : j + nodes.shape[1] - 1, i : i + nodes.shape[2] - 1] for j, i in _CELL
+            places[:, j : j + nodes.shape[1] - 1, i : i + nodes.shape[2] - 1]
+            for j, i in _CELL
         ]
         low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
         # a cell on the horizon, where not all corners meet the plane, may see anything
@@ -106,8 +112,10 @@ def shadow_ratio(
 ) -> np.ndarray:
     """(h, w, 3) float32 ratio of the light that the object leaves the plane; 1 where it leaves all.
 
-    soft, lamps : what is taken of their light;  weights (t, 3) : of each, its part of the plane's light
-    ambient (3,) : the soft light's part;  blocked : share of every lamp's light that something real takes already
+    soft, lamps : what is taken of their light;  weights (t, 3) : of each, its part of the
+    plane's light
+    ambient (3,) : the soft light's part;  blocked : share of every lamp's light that
+    something real takes already
     faint : darkening under it is left out, over 3 times as much kept whole, faded between
     strength : 0..1"""
     height, width = view.rect.height, view.rect.width
@@ -131,17 +139,23 @@ def shadow_ratio(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _add_texture(out, corner, nodes, start, texture, weights, share):  # pragma: no cover - compiled
+def _add_texture(
+    out, corner, nodes, start, texture, weights, share
+):  # pragma: no cover - compiled
     """Rows of `PlaneView.add`.
 
     corner : the first pixel, from the first node
-    nodes (3, gh, gw) : column and row by which a ray moves on, and its rise;  start (3,) : of all"""
+    nodes (3, gh, gw) : column and row by which a ray moves on, and its rise;  start (3,) : of all
+    """
     channels, height, width = out.shape
     rows, columns = texture.shape
     x0, y0 = corner
     cells = nodes.shape[2] - 1
     line = np.empty((3, cells + 1), np.float32)
-    across, down = np.empty(cells * GRID_PX, np.float32), np.empty(cells * GRID_PX, np.float32)
+    across, down = (
+        np.empty(cells * GRID_PX, np.float32),
+        np.empty(cells * GRID_PX, np.float32),
+    )
     rise = np.empty(cells * GRID_PX, np.float32)
     texel, value = np.empty(width, np.int32), np.empty(width, np.float32)
     flat = texture.reshape(-1)
@@ -173,7 +187,9 @@ def _add_texture(out, corner, nodes, start, texture, weights, share):  # pragma:
         first, after = 0, width
         while first < after and not (zero < u[first] < last_u and zero < v[first] < last_v):
             first += 1
-        while first < after and not (zero < u[after - 1] < last_u and zero < v[after - 1] < last_v):
+        while first < after and not (
+            zero < u[after - 1] < last_u and zero < v[after - 1] < last_v
+        ):
             after -= 1
         n = after - first
         u, v = u[first:after], v[first:after]
@@ -200,7 +216,9 @@ def _add_texture(out, corner, nodes, start, texture, weights, share):  # pragma:
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def _write_ratio(out, taken, faint, rise, strength):  # pragma: no cover - compiled
-    """out (h, w, 3) : 1 - `taken` (c, h, w), faded in above `faint` by the channel that loses most."""
+    """out (h, w, 3) : 1 - `taken` (c, h, w), faded in above `faint` by the channel that
+    loses most.
+    """
     channels, height, width = taken.shape
     zero, one, three = np.float32(0), np.float32(1), np.float32(3)
     shown = np.empty(width, np.float32)

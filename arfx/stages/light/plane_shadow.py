@@ -1,9 +1,11 @@
-"""What the object takes from the plane that it stands on, as textures of the plane: of the soft light, made once a clip,
-and of each lamp, kept while the lamp stands still.
+"""What the object takes from the plane that it stands on, as textures of the plane: of the
+soft light, made once a clip, and of each lamp, kept while the lamp stands still.
 
-A texture counts silhouettes of the object: its shadows under directions that fill the light's disc, or the hemisphere as
-densely as the cosine. So all of them agree where the object touches the plane, however coarse the mesh is, and a second
-texture there, the contact's, has texels of about a pixel. Values are the share of that light that is taken, 0..1.
+A texture counts silhouettes of the object: its shadows under directions that fill the
+light's disc, or the hemisphere as densely as the cosine. So all of them agree where the
+object touches the plane, however coarse the mesh is, and a second texture there, the
+contact's, has texels of about a pixel. Values are the share of that light that is taken,
+0..1.
 Cost: O(silhouettes x (edges + texels / 64)). Source: docs/methods/light.md#shadow."""
 
 from __future__ import annotations
@@ -27,18 +29,18 @@ from arfx.stages.light.silhouette import covered_fraction, smoothed
 _MARGIN = 3  # texels without shadow around it
 _BUNDLES = 16  # of directions of the hemisphere, each of which counts as its middle
 _LOW = 0.05  # of the extent: what lies lower may touch the plane
-_BESIDE = (
-    0.08  # of the extent, around the contact; the outer half of it goes over to the wide texture
-)
+# of the extent, around the contact; the outer half of it goes over to the wide texture
+_BESIDE = 0.08
 
-_EVENED_TEXELS = (
-    2.0  # blur of the soft picture beside the contact: each silhouette's own edge would show
-)
+# blur of the soft picture beside the contact: each silhouette's own edge would show
+_EVENED_TEXELS = 2.0
 
 
 @dataclass(frozen=True)
 class PlaneLevel:
-    """texels : of a texture, about;  silhouettes : directions over a lamp's disc;  sky : over the hemisphere"""
+    """texels : of a texture, about;  silhouettes : directions over a lamp's disc;  sky :
+    over the hemisphere
+    """
 
     texels: int
     silhouettes: int
@@ -53,7 +55,10 @@ PLANE_LEVELS = {
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """Where the object touches the plane, with what is beside it. low, high (2,) : metres, of its box;  rim_m"""
+    """Where the object touches the plane, with what is beside it.
+
+    low, high (2,) : metres, of its box;  rim_m
+    """
 
     low: np.ndarray
     high: np.ndarray
@@ -83,7 +88,8 @@ def contact_of(caster: Caster) -> Contact | None:
 
 @dataclass(frozen=True, eq=False)
 class SoftPicture:
-    """What is hidden of soft light whose radiance in direction d is 1 + shape . d, in parts of 1 and of d.
+    """What is hidden of soft light whose radiance in direction d is 1 + shape . d, in parts
+    of 1 and of d.
 
     hidden (4, rows, columns) float32, means over the hemisphere weighted by the cosine
     texel_from_m : as `PlaneTexture`"""
@@ -94,21 +100,27 @@ class SoftPicture:
     def under(self, shape: tuple[float, float, float]) -> PlaneTexture:
         """shape : anchor axes, no longer than 1"""
         hidden = np.tensordot(np.array([1.0, *shape], np.float32), self.hidden, 1)
-        return PlaneTexture(_zero_border(hidden / (1 + 2 / 3 * shape[2])), self.texel_from_m)
+        return PlaneTexture(
+            _zero_border(hidden / (1 + 2 / 3 * shape[2])), self.texel_from_m
+        )
 
     def even_at(self, places_m: np.ndarray) -> np.ndarray:
         """(n, m) hidden share of even light at places (n, m, 2)"""
         (sx, _, x0), (_, sy, y0) = self.texel_from_m
         x = (places_m[..., 0] * sx + x0).clip(-9, 9e3).astype(np.float32)
         y = (places_m[..., 1] * sy + y0).clip(-9, 9e3).astype(np.float32)
-        return cv2.remap(self.hidden[0], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return cv2.remap(
+            self.hidden[0], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
+        )
 
     def times(self, share: np.ndarray) -> SoftPicture:
         return SoftPicture(self.hidden * share, self.texel_from_m)
 
     def blurred(self, texels: float) -> SoftPicture:
         border = cv2.BORDER_REPLICATE
-        parts = [cv2.GaussianBlur(a, (0, 0), texels, borderType=border) for a in self.hidden]
+        parts = [
+            cv2.GaussianBlur(a, (0, 0), texels, borderType=border) for a in self.hidden
+        ]
         return SoftPicture(np.stack(parts), self.texel_from_m)
 
     @property
@@ -163,7 +175,8 @@ def soft_pictures(
 def beam_textures(
     caster: Caster, beam: Beam, level: PlaneLevel, hard: bool
 ) -> tuple[PlaneTexture, ...]:
-    """The share of a lamp's disc that is hidden, of all its shadow and of the contact, which add up to one.
+    """The share of a lamp's disc that is hidden, of all its shadow and of the contact,
+    which add up to one.
 
     hard : by its middle alone"""
     wide = beam_texture(caster, beam, level, hard)
@@ -184,9 +197,11 @@ def beam_texture(
     hard: bool,
     within: np.ndarray | None = None,
 ) -> PlaneTexture:
-    """The share of a lamp's disc that is hidden. within (n, 2) : points around the part to be made, None = all
+    """The share of a lamp's disc that is hidden. within (n, 2) : points around the part to
+    be made, None = all
 
-    It lies along its light, so that a long shadow wastes no texels and its penumbra is a box in rows and columns."""
+    It lies along its light, so that a long shadow wastes no texels and its penumbra is a
+    box in rows and columns."""
     middle = disc_directions(beam, np.zeros((1, 2)))[0]
     away = normalise(-middle[:2])
     if not away.any():
@@ -208,12 +223,18 @@ def beam_texture(
     pitch = max(float(np.sqrt(texel_area)), 1e-6 * caster.extent_m, 1e-9)
     columns = -(-int(np.ceil((high[0] - low[0]) / pitch) + 2 * _MARGIN) // 64) * 64
     rows = int(np.ceil((high[1] - low[1]) / pitch)) + 2 * _MARGIN
-    low = (low + high) / 2 - pitch * (np.array([columns, rows]) - 1) / 2  # place of texel (0, 0)
+    low = (low + high) / 2 - pitch * (
+        np.array([columns, rows]) - 1
+    ) / 2  # place of texel (0, 0)
     matrix = np.column_stack([axes / pitch, -low / pitch])
     flat = caster.above_vertices[:, :2] @ (axes / pitch).T - low / pitch
     points = np.column_stack([flat, caster.above_vertices[:, 2] / pitch]).astype(np.float32)
     # without a size: 8 shifted sample points, antialiased
-    many = disc_directions(beam, disc(level.silhouettes)) if soft else np.repeat(middle[None], 8, 0)
+    many = (
+        disc_directions(beam, disc(level.silhouettes))
+        if soft
+        else np.repeat(middle[None], 8, 0)
+    )
     displaced = -(many[:, :2] @ axes.T) / many[:, 2:]
     shape = rows, columns
     dark = covered_fraction(points, caster.edges, caster.across, many, displaced, shape)
@@ -239,15 +260,18 @@ def within_surface(
 
 
 def plane_shadow_texture(shadow: PlaneShadow, ambient_fraction: np.ndarray) -> PlaneTexture:
-    """Fraction of the lamps' light that a real shadow takes already: (1 - ratio) / (1 - ambient fraction), 0..1.
+    """Fraction of the lamps' light that a real shadow takes already: (1 - ratio) / (1 -
+    ambient fraction), 0..1.
 
-    ambient_fraction (3,). With it the object's shadow is what it takes of the light that is there, so that the result is
-    never darker than the soft light alone with the object in it, however dark the plate is."""
+    ambient_fraction (3,). With it the object's shadow is what it takes of the light that is
+    there, so that the result is never darker than the soft light alone with the object in
+    it, however dark the plate is."""
     (x0, y0, x1, y1), ratio = shadow.box_m, np.array(shadow.ratio)
     usable = ratio.ndim == 2 and ratio.size > 0 and bool(np.isfinite(ratio).all())
     if not usable or not (x1 > x0 and y1 > y0):
         raise RenderError(
-            "facts: the real shadow on the plane needs a box with an extent and a grid of finite numbers"
+            "facts: the real shadow on the plane needs a box with an extent and a grid of"
+            " finite numbers"
         )
     darkening = np.clip(divide(1 - ratio, 1 - float(ambient_fraction.mean())), 0, 1)
     rows, columns = darkening.shape

@@ -1,7 +1,10 @@
-"""The real scene as planes: the anchor's, and those of other markers that are not in it. The picture is their radiance.
+"""The real scene as planes: the anchor's, and those of other markers that are not in it.
+The picture is their radiance.
 
-Where the object can change a plane by half a grey level: albedo x (r / d)^2 x the cosine at which it is seen from there.
-Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around the object."""
+Where the object can change a plane by half a grey level: albedo x (r / d)^2 x the cosine at
+which it is seen from there.
+Source: docs/methods/gi.md#delta; bound from the solid angle of the ball around the object.
+"""
 
 from __future__ import annotations
 
@@ -19,25 +22,35 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.stages.viewing import seen_rect
 
-# Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c + .055)) x step, least at c = 1.
+# Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c +
+# .055)) x step, least at c = 1.
 SHOWS = HALF_GREY * 2.4 / 1.055
 # of markers, whose poses are that uncertain: an edge between two halves of one wall would be seen
 _SAME_PLANE_M, _SAME_COSINE = 0.02, 0.99
-_SAME_MEASURED_M, _SAME_MEASURED_COSINE = 0.03, 0.985  # of planes that are measured as depth
+_SAME_MEASURED_M, _SAME_MEASURED_COSINE = (
+    0.03,
+    0.985,
+)  # of planes that are measured as depth
 _SAME_DEPTH = 0.03  # of the distance
 COARSE = 16  # texels of a plane by which the unseen parts are filled
-BLUR = 0.6  # a rough plane's mirror image is wider by this share of the object's height, times the lobe's tangent
+# a rough plane's mirror image is wider by this share of the object's height, times the
+# lobe's tangent
+BLUR = 0.6
 NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller or larger
 
 
 ENDLESS = 1e6  # metres
-WARP = np.float32(3.0)  # how much denser a plane's texture is in its middle than if it were even
+WARP = np.float32(
+    3.0
+)  # how much denser a plane's texture is in its middle than if it were even
 
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the plane, normal;  half_m : of textures
-    bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was seen to end; +-ENDLESS"""
+    """Real planes, anchor axes. axes (p, 4, 3) float32 : origin, two directions in the
+    plane, normal;  half_m : of textures
+    bounds (p, 4) float32 : x0, y0, x1, y1 on those directions, beyond which a plane was
+    seen to end; +-ENDLESS"""
 
     axes: np.ndarray
     half_m: float
@@ -56,7 +69,9 @@ def unwarped(u: np.ndarray) -> np.ndarray:
 
 
 def warped(places: np.ndarray) -> np.ndarray:
-    """Texture coordinate, -1..1 inside, of places on a plane in units of its texture's half side."""
+    """Texture coordinate, -1..1 inside, of places on a plane in units of its texture's half
+    side.
+    """
     return np.asarray(WARP * places / (1 + (WARP - 1) * np.abs(places)))
 
 
@@ -71,21 +86,29 @@ def bounding_ball(scene: Scene) -> tuple[np.ndarray, float]:
 
 @lru_cache(maxsize=4)
 def planes_of(scene: Scene) -> Planes:
-    """The anchor's plane first; other markers' and measured ones only where the object stands before them."""
+    """The anchor's plane first; other markers' and measured ones only where the object
+    stands before them.
+    """
     anchor_from_world = scene.world_from_anchor.inverse()
     centre, radius = bounding_ball(scene)
     axes = [np.array([[centre[0], centre[1], 0.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])]
     bounds = [np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])]
     known: list[tuple[Pose, RealPlane | None, float, float]]
-    known = [(pose, None, _SAME_COSINE, _SAME_PLANE_M) for pose in scene.world_from_marker.values()]
+    known = [
+        (pose, None, _SAME_COSINE, _SAME_PLANE_M)
+        for pose in scene.world_from_marker.values()
+    ]
     known += [
-        (p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M) for p in scene.real_planes
+        (p.world_from_plane, p, _SAME_MEASURED_COSINE, _SAME_MEASURED_M)
+        for p in scene.real_planes
     ]
     for pose, measured, cosine, apart_m in known:
         m = anchor_from_world @ pose
         n, o = m.rotation[:, 2], m.translation_m
         same = [
-            k for k, a in enumerate(axes) if n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m
+            k
+            for k, a in enumerate(axes)
+            if n @ a[3] > cosine and abs((o - a[0]) @ a[3]) < apart_m
         ]
         distance = float((centre - o) @ n)
         if same and measured is not None and np.abs(bounds[same[0]]).min() >= ENDLESS:
@@ -94,13 +117,20 @@ def planes_of(scene: Scene) -> Planes:
             axes[k] = np.stack([axes[k][0], x, np.cross(axes[k][3], x), axes[k][3]])
             bounds[k] = _bounds(measured, axes[k], o)
         if not same and -0.5 * radius < distance < FARTHEST * radius:
-            axes.append(np.stack([centre - distance * n, m.rotation[:, 0], m.rotation[:, 1], n]))
+            axes.append(
+                np.stack([centre - distance * n, m.rotation[:, 0], m.rotation[:, 1], n])
+            )
             bounds.append(_bounds(measured, axes[-1], o))
-    return Planes(np.array(axes, np.float32), FARTHEST * radius, np.array(bounds, np.float32))
+    return Planes(
+        np.array(axes, np.float32), FARTHEST * radius, np.array(bounds, np.float32)
+    )
 
 
 def _bounds(measured: RealPlane | None, axes: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """(4,) x0, y0, x1, y1 from axes[0] along axes[1], axes[2] where the plane was seen to end. origin (3,) : of its extent"""
+    """(4,) x0, y0, x1, y1 from axes[0] along axes[1], axes[2] where the plane was seen to end.
+
+    origin (3,) : of its extent
+    """
     out = np.array([-ENDLESS, -ENDLESS, ENDLESS, ENDLESS])
     if measured is not None:
         shift = np.tile([(origin - axes[0]) @ axes[1], (origin - axes[0]) @ axes[2]], 2)
@@ -109,18 +139,26 @@ def _bounds(measured: RealPlane | None, axes: np.ndarray, origin: np.ndarray) ->
 
 
 def disc_radius_m(scene: Scene, planes: Planes, fraction: float) -> float:
-    """Beyond this distance from the object's foot the change of the plane is under half a grey level.
+    """Beyond this distance from the object's foot the change of the plane is under half a
+    grey level.
 
-    fraction : of the plane's light that is indirect, times how much brighter than that light the object can be (>= 1)"""
+    fraction : of the plane's light that is indirect, times how much brighter than that
+    light the object can be (>= 1)
+    """
     centre, radius = bounding_ball(scene)
     height = max(float(centre[2]) + radius, 1e-9)
-    # form factor of the ball from a place on the plane at distance d, at most (r / d)^2 x height / d
+    # form factor of the ball from a place on the plane at distance d, at most (r / d)^2 x
+    # height / d
     d = float(np.cbrt(max(fraction, 0.0) * radius**2 * height / SHOWS))
     return float(np.clip(d, NEAREST * radius, planes.half_m))
 
 
-def disc_rect(scene: Scene, planes: Planes, radius_m: float, pose: Pose, frame: Rect) -> Rect:
-    """Pixels of the picture in which the discs of all planes lie; the whole frame where one reaches behind the camera."""
+def disc_rect(
+    scene: Scene, planes: Planes, radius_m: float, pose: Pose, frame: Rect
+) -> Rect:
+    """Pixels of the picture in which the discs of all planes lie; the whole frame where one
+    reaches behind the camera.
+    """
     angle = np.arange(32) * np.pi / 16
     ring = 1.02 * radius_m * np.stack([np.cos(angle), np.sin(angle)], -1)
     out = EMPTY
@@ -135,8 +173,11 @@ def disc_rect(scene: Scene, planes: Planes, radius_m: float, pose: Pose, frame: 
     return out.clip(frame)
 
 
-def mirror_rect(scene: Scene, planes: Planes, tangent: float, pose: Pose, frame: Rect) -> Rect:
-    """Pixels in which the planes can mirror the object; the whole frame where its image reaches behind the camera.
+def mirror_rect(
+    scene: Scene, planes: Planes, tangent: float, pose: Pose, frame: Rect
+) -> Rect:
+    """Pixels in which the planes can mirror the object; the whole frame where its image
+    reaches behind the camera.
 
     tangent : of the lobe's half-angle, by which a rough plane widens the image"""
     corners = scene.world_from_anchor.inverse().apply(scene.model_corners_m)
@@ -176,10 +217,14 @@ def picture_on_planes(
     bias: np.ndarray,
     real: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The picture's radiance on the planes (p, side, side, 3) float32 and whether it is known there (p, side, side).
+    """The picture's radiance on the planes (p, side, side, 3) float32 and whether it is
+    known there (p, side, side).
 
-    plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  positions : of `texel_positions`
-    real : (h, w) measured depth; a pixel that shows something before a plane does not show the plane"""
+    plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  positions :
+    of `texel_positions`
+    real : (h, w) measured depth; a pixel that shows something before a plane does not show
+    the plane
+    """
     allowed = allowed.clip(rect)
     eye = camera_from_anchor.inverse().translation_m
     placed = camera_from_anchor.apply(positions)
@@ -187,9 +232,16 @@ def picture_on_planes(
     fronts = ((eye - axes[:, 0]) * axes[:, 3]).sum(-1) > 0
     inside = np.isfinite(seen).all(-1) & fronts[:, None, None]
     x, y = np.where(inside, seen[..., 0], -1e6), np.where(inside, seen[..., 1], -1e6)
-    inside &= (x >= allowed.x0) & (x <= allowed.x1 - 1) & (y >= allowed.y0) & (y <= allowed.y1 - 1)
+    inside &= (
+        (x >= allowed.x0)
+        & (x <= allowed.x1 - 1)
+        & (y >= allowed.y0)
+        & (y <= allowed.y1 - 1)
+    )
     if real is not None and real.size and inside.any():
-        column, row = (np.rint(v[inside] - o).astype(int) for v, o in ((x, rect.x0), (y, rect.y0)))
+        column, row = (
+            np.rint(v[inside] - o).astype(int) for v, o in ((x, rect.x0), (y, rect.y0))
+        )
         depth = real[np.clip(row, 0, rect.height - 1), np.clip(column, 0, rect.width - 1)]
         with np.errstate(invalid="ignore"):
             inside[inside] = ~(
@@ -210,15 +262,17 @@ def picture_on_planes(
 
 
 def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """(p, side, side, 3) float32: what the picture does not show as what it shows around, by COARSE texels a side; `otherwise`
-    (3,) where it shows nothing."""
+    """(p, side, side, 3) float32: what the picture does not show as what it shows around,
+    by COARSE texels a side; `otherwise` (3,) where it shows nothing."""
     p, side = known.shape[:2]
     if known.all():
         return radiance
     n = min(side, COARSE)
     k = side // n
     seen = known.reshape(p, n, k, n, k).mean((2, 4), dtype=np.float32)
-    coarse = np.stack([cv2.resize(r, (n, n), interpolation=cv2.INTER_AREA) for r in radiance])
+    coarse = np.stack(
+        [cv2.resize(r, (n, n), interpolation=cv2.INTER_AREA) for r in radiance]
+    )
     flat = mip_chain(coarse, seen, otherwise)[0]
     around = np.stack([cv2.resize(f[: n * n].reshape(n, n, 3), (side, side)) for f in flat])
     return np.asarray(radiance + (1 - known)[..., None] * around, np.float32)
@@ -227,8 +281,9 @@ def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np
 def mip_chain(
     radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one texel; what is not known is filled from
-    the coarser levels, and from `otherwise` (3,) where nothing is known at all."""
+    """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one
+    texel; what is not known is filled from the coarser levels, and from `otherwise` (3,)
+    where nothing is known at all."""
     p = len(known)
     sums, weights = [radiance], [known]
     while sums[-1].shape[1] > 1:
@@ -241,7 +296,9 @@ def mip_chain(
     )
     levels = [level]
     for s, w in zip(sums[-2::-1], weights[-2::-1], strict=True):
-        up = np.stack([cv2.resize(x.astype(np.float32), (s.shape[2], s.shape[1])) for x in level])
+        up = np.stack(
+            [cv2.resize(x.astype(np.float32), (s.shape[2], s.shape[1])) for x in level]
+        )
         level = np.where(w[..., None] > 0, s + (1 - w[..., None]) * up, up)
         levels.append(level)
     levels = levels[::-1]

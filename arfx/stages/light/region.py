@@ -1,6 +1,8 @@
-"""Where on the plane the shadow shows: points around it, for the rectangle of a frame. Found without the picture.
+"""Where on the plane the shadow shows: points around it, for the rectangle of a frame.
+Found without the picture.
 
-The soft light: a coarse picture of the plane. Lamps: the hull of the object, cast from the rim of the lamp's disc."""
+The soft light: a coarse picture of the plane. Lamps: the hull of the object, cast from the
+rim of the lamp's disc."""
 
 from __future__ import annotations
 
@@ -12,22 +14,30 @@ from arfx.core.memo import memo_of
 from arfx.core.scene import Scene
 from arfx.stages.light.beams import Beam, disc_directions
 from arfx.stages.light.caster import Caster, make_caster
-from arfx.stages.light.plane_shadow import PlaneLevel, SoftPicture, soft_picture, soft_pictures
+from arfx.stages.light.plane_shadow import (
+    PlaneLevel,
+    SoftPicture,
+    soft_picture,
+    soft_pictures,
+)
 from arfx.stages.light.surfels import ObjectRays
 
 _TEXELS, _SKY = 96, 256
-# Heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the hemisphere, an object less.
+# Heights around the footprint: a wall as high takes (1 / 2.5)^2 / 4 = 4 % of the
+# hemisphere, an object less.
 _BORDER = 2.5
-UNEVEN = (
-    2.0  # times what it takes of even light that an object takes of light from one side, at most
-)
+# times what it takes of even light that an object takes of light from one side, at most
+UNEVEN = 2.0
 _PLACEMENTS = 4  # of one model, whose regions are kept
 _SIDES = 4  # points a side of an outline: a lens bends it
 _RIM = 1.04  # of a lamp's disc, as seen by the corners of a hull of twelve
 
 
 class ShadowRegion:
-    """The plane around one scene's object. caster, rays : the object;  soft : coarse picture of the plane around it"""
+    """The plane around one scene's object.
+
+    caster, rays : the object;  soft : coarse picture of the plane around it
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.caster: Caster = make_caster(scene)
@@ -45,7 +55,9 @@ class ShadowRegion:
         return float(self.soft.hidden[0].max())
 
     def _soft_pictures(self, level: PlaneLevel, least: float) -> tuple[SoftPicture, ...]:
-        """What the object takes of the soft light, where that can be more than `least` whatever its shape."""
+        """What the object takes of the soft light, where that can be more than `least`
+        whatever its shape.
+        """
         points = self._soft_outline_m(least / UNEVEN)
         if not len(points):
             return ()
@@ -54,7 +66,9 @@ class ShadowRegion:
     def _outline_m(self, least_hidden: float, beams: tuple[Beam, ...]) -> np.ndarray:
         """(k, 2) metres: points around the shadow; none where nothing shows.
 
-        least_hidden : share of the soft light that has to be hidden to show;  beams : lamps whose shadow shows"""
+        least_hidden : share of the soft light that has to be hidden to show;  beams : lamps
+        whose shadow shows
+        """
         parts = [self._soft_outline_m(least_hidden), *map(self._beam_outline_m, beams)]
         points = np.concatenate(parts)
         return _subdivided(_hull(points)) if len(points) else points

@@ -1,12 +1,16 @@
-"""Silhouettes of the triangles on the plane along directions of a light: one bit a texel and direction, counted.
+"""Silhouettes of the triangles on the plane along directions of a light: one bit a texel
+and direction, counted.
 
-The silhouette is what the contour winds around: the edges between triangles that face the light and triangles that do not.
-Those are few (some 300 of 6,000 triangles), and any model has them, whether its surface is closed or not.
-Every direction shifts the texels' sample points a little, so that the mean over the directions is antialiased even where
-the object touches the plane and all silhouettes agree. Cost: O(directions x (edges + rows that the contour crosses)).
+The silhouette is what the contour winds around: the edges between triangles that face the
+light and triangles that do not. Those are few (some 300 of 6,000 triangles), and any model
+has them, whether its surface is closed or not. Every direction shifts the texels' sample
+points a little, so that the mean over the directions is antialiased even where the object
+touches the plane and all silhouettes agree. Cost: O(directions x (edges + rows that the
+contour crosses)).
 
-K silhouettes leave K steps across a penumbra. Their distance grows with the height of what casts them, so a box of that
-width, its height read from a coarse map of the highest caster, turns the steps into a ramp and leaves the contact sharp."""
+K silhouettes leave K steps across a penumbra. Their distance grows with the height of what
+casts them, so a box of that width, its height read from a coarse map of the highest caster,
+turns the steps into a ramp and leaves the contact sharp."""
 
 # mypy: disable-error-code="no-untyped-def, assignment"
 from __future__ import annotations
@@ -38,9 +42,13 @@ def covered_fraction(
 ) -> np.ndarray:
     """(rows, columns) float32: in what share of the directions a texel is covered.
 
-    points (n, 3) float32 : column, row (texel centres at integers) and height above the plane, in texels
-    edges (e, 5), across (3, m) : see Caster;  directions (k, 3) : towards the light, in the axes of `across`
-    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape : columns a multiple of 64"""
+    points (n, 3) float32 : column, row (texel centres at integers) and height above the
+    plane, in texels
+    edges (e, 5), across (3, m) : see Caster;  directions (k, 3) : towards the light, in the
+    axes of `across`
+    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape :
+    columns a multiple of 64
+    """
     rows, columns = shape
     offsets = sample_offsets(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
     return _count(
@@ -102,16 +110,19 @@ def _count(
             word = counters[p, i]
             if word != 0:
                 for b in range(64):
-                    line[i * 64 + b] += np.float32((word >> np.uint64(b)) & np.uint64(1)) * value
+                    line[i * 64 + b] += (
+                        np.float32((word >> np.uint64(b)) & np.uint64(1)) * value
+                    )
     return out
 
 
 @numba.njit(cache=True, nogil=True)
 def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover - compiled
-    """Set the bits of the texels around which the contour winds: the sum of its edges to the left of them is not 0.
+    """Set the bits of the texels around which the contour winds: the sum of its edges to
+    the left of them is not 0.
 
-    Each row keeps the columns in which edges cross it, sorted. A vertex belongs to the row above it, whichever edge asks,
-    so that the sums of every row end at 0."""
+    Each row keeps the columns in which edges cross it, sorted. A vertex belongs to the row
+    above it, whichever edge asks, so that the sums of every row end at 0."""
     zero, columns = np.int64(0), np.int64(words * 64)
     start = np.zeros(rows + 1, np.int64)
     for c in range(contour.shape[0]):
@@ -131,12 +142,17 @@ def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover 
         w = weight[c]
         if vb < va:
             ua, va, ub, vb, w = ub, vb, ua, va, -w
-        first, last = max(np.int64(np.ceil(va)), zero), min(np.int64(np.ceil(vb)), np.int64(rows))
+        first, last = (
+            max(np.int64(np.ceil(va)), zero),
+            min(np.int64(np.ceil(vb)), np.int64(rows)),
+        )
         if first >= last:
             continue
         slope = (ub - ua) / (vb - va)
         for y in range(first, last):
-            x = min(max(np.int64(np.ceil(ua + (np.float32(y) - va) * slope)), zero), columns)
+            x = min(
+                max(np.int64(np.ceil(ua + (np.float32(y) - va) * slope)), zero), columns
+            )
             crossing[free[y]] = x * 16 + (w + 8)  # weights are -2, -1, 1 or 2
             free[y] += 1
     row = np.zeros(columns + 1, np.int32)
@@ -180,7 +196,8 @@ def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover 
 
 @numba.njit(cache=True, nogil=True)
 def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover - compiled
-    """(rows, columns) float32: the greatest height of the triangles at each texel's centre; `empty` where there is none.
+    """(rows, columns) float32: the greatest height of the triangles at each texel's centre;
+    `empty` where there is none.
 
     u, v, height : (n,) float32 of the vertices, texels (centres at integers)"""
     out = np.full((rows, columns), empty, np.float32)
@@ -205,7 +222,10 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
             ub, vb, hb, uc, vc, hc = uc, vc, hc, ub, vb, hb
             if vb < va:
                 ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
-        first, last = max(np.int64(np.ceil(va)), zero), min(np.int64(np.ceil(vc)), np.int64(rows))
+        first, last = (
+            max(np.int64(np.ceil(va)), zero),
+            min(np.int64(np.ceil(vc)), np.int64(rows)),
+        )
         if first >= last or area == 0:
             continue
         across = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
@@ -242,8 +262,11 @@ def smoothed(
     """`fraction` (rows, columns) float32 after the boxes.
 
     points (n, 3) float32, faces, as for `covered_fraction`;  slope (2,) of the light's middle
-    radii : columns and rows by which one texel of height opens the penumbra, half its width;  count : directions used"""
-    # the mean distance of K points on a unit disc is sqrt(pi / K): less leaves steps, more blurs beyond the true penumbra
+    radii : columns and rows by which one texel of height opens the penumbra, half its
+    width;  count : directions used
+    """
+    # the mean distance of K points on a unit disc is sqrt(pi / K): less leaves steps, more
+    # blurs beyond the true penumbra
     half = np.array(radii) * np.sqrt(np.pi / count) / 2
     top = float(points[:, 2].max(initial=0.0))
     if top * float(half.max()) <= 0.5:
@@ -255,7 +278,9 @@ def smoothed(
 def _caster_height(
     points: np.ndarray, faces: np.ndarray, slope: np.ndarray, shape: tuple[int, ...]
 ) -> np.ndarray:
-    """(rows, columns) float32 texels: height of the highest caster over each texel, of the nearest one beside them."""
+    """(rows, columns) float32 texels: height of the highest caster over each texel, of the
+    nearest one beside them.
+    """
     rows, columns = -(-shape[0] // COARSE), -(-shape[1] // COARSE)
     h = np.ascontiguousarray(points[:, 2])
     u = ((points[:, 0] + np.float32(slope[0]) * h + 0.5) / COARSE - 0.5).astype(np.float32)
@@ -270,14 +295,18 @@ def _caster_height(
     table = np.zeros(int(label.max()) + 1, np.float32)
     table[label[~empty]] = height[~empty]
     grown = cv2.blur(table[label], (3, 3), borderType=cv2.BORDER_REPLICATE)
-    return cv2.resize(grown, (columns * COARSE, rows * COARSE), interpolation=cv2.INTER_LINEAR)[
-        : shape[0], : shape[1]
-    ]
+    return cv2.resize(
+        grown, (columns * COARSE, rows * COARSE), interpolation=cv2.INTER_LINEAR
+    )[: shape[0], : shape[1]]
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(
+    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
+)
 def _boxes(fraction, height, across, down):  # pragma: no cover - compiled
-    """A box of half-width across x height along the rows, then down x height along the columns, exact for parts of texels."""
+    """A box of half-width across x height along the rows, then down x height along the
+    columns, exact for parts of texels.
+    """
     rows, columns = fraction.shape
     half, one = np.float32(0.5), np.float32(1)
     middle = np.empty((rows, columns), np.float32)

@@ -1,8 +1,11 @@
-"""What the object, and its own shadow on the plane, hide of the soft light from each place of the object.
+"""What the object, and its own shadow on the plane, hide of the soft light from each place
+of the object.
 
-The soft light's radiance rises evenly towards one side, 1 + shape . d (`beams.FrameLight`), so what is hidden is the sum
-of four parts, of 1 and of the three coordinates of d. Rays from surfels find them once a clip; a light sums the parts.
-Cost: O(surfels x rays) a clip, O(covered pixels) a frame. Leaves out: light from the object onto itself.
+The soft light's radiance rises evenly towards one side, 1 + shape . d (`beams.FrameLight`),
+so what is hidden is the sum of four parts, of 1 and of the three coordinates of d. Rays
+from surfels find them once a clip; a light sums the parts.
+Cost: O(surfels x rays) a clip, O(covered pixels) a frame. Leaves out: light from the object
+onto itself.
 `reference` sends rays from every pixel. Source: docs/methods/light.md#shading."""
 
 from __future__ import annotations
@@ -19,7 +22,9 @@ from arfx.stages.light.plane_shadow import SoftPicture
 from arfx.stages.light.surface_grid import SurfaceGrid
 from arfx.stages.light.surfels import Hits, ObjectRays, surfels_of
 
-DIFFUSE_RISE = 2 / 3  # of the light's rise towards one side that is left in the light on a surface
+DIFFUSE_RISE = (
+    2 / 3
+)  # of the light's rise towards one side that is left in the light on a surface
 LEAST_SEEN = 1e-3  # of the hemisphere: a surfel counts by what it sees, as cameras see it
 _CELLS, _SURFELS, _RAYS = 32, 16_000, 48
 _PIXEL_RAYS = 400  # of level reference
@@ -36,7 +41,9 @@ class SoftVisibility:
 
     def under(self, shape: tuple[float, float, float]) -> np.ndarray:
         """(z, y, x, 1) float32: what is hidden of a soft light of this shape."""
-        return np.ascontiguousarray(self.parts @ np.array([1.0, *shape], np.float32)[:, None])
+        return np.ascontiguousarray(
+            self.parts @ np.array([1.0, *shape], np.float32)[:, None]
+        )
 
 
 def hidden_parts(hits: Hits, plane: SoftPicture) -> np.ndarray:
@@ -80,7 +87,8 @@ def visible_fraction(
     anchor_from_world: Pose,
     shape: tuple[float, float, float],
 ) -> np.ndarray:
-    """(h, w) float32, 0..1: the share of the soft light that is left; any where the pixel is not covered.
+    """(h, w) float32, 0..1: the share of the soft light that is left; any where the pixel
+    is not covered.
 
     layers : COVERAGE, NORMAL, POSITION;  nodes : `kept`, under a light of this shape"""
     hidden = kept.grid.read(nodes, *layers, anchor_from_world)[..., 0]
@@ -103,7 +111,9 @@ def visible_fraction_by_rays(
     n = normalise(normal[y, x].astype(float) @ anchor_from_world.rotation.T)
     points = anchor_from_world.apply(position[y, x].astype(float))
     traced = rays.over(points, n, _PIXEL_RAYS, turned=False)
-    parts = np.concatenate([np.zeros((0, 4)), *(hidden_parts(hits, plane) for hits in traced)])
+    parts = np.concatenate(
+        [np.zeros((0, 4)), *(hidden_parts(hits, plane) for hits in traced)]
+    )
     light = 1 + DIFFUSE_RISE * n @ np.array(shape)
     out[y, x] = np.clip(1 - divide(parts @ [1.0, *shape], light), 0, 1)
     return out

@@ -1,7 +1,8 @@
 """What a rough surface mirrors of even light, by roughness and angle: the split sum's second part.
 
-GGX with Smith's height-correlated shadowing and Schlick's Fresnel term, over the microfacets that the viewer sees. Karis' fit
-of it (2014, for phones) is a fifth too dark for metal of roughness .4, and below zero for what is rough and dark.
+GGX with Smith's height-correlated shadowing and Schlick's Fresnel term, over the
+microfacets that the viewer sees. Karis' fit of it (2014, for phones) is a fifth too dark
+for metal of roughness .4, and below zero for what is rough and dark.
 Source: Karis 2013; Heitz 2014 (shadowing), 2018 (visible normals)."""
 
 # mypy: disable-error-code="no-untyped-def"
@@ -21,8 +22,8 @@ _GOLDEN = 0.6180339887498949
 
 @lru_cache(maxsize=1)
 def split_sum() -> np.ndarray:
-    """(ROUGHNESSES, COSINES, 2) float32 (a, b) for roughness and cosine of view from 0 to 1, both ends included: F0 x a + b is
-    mirrored."""
+    """(ROUGHNESSES, COSINES, 2) float32 (a, b) for roughness and cosine of view from 0 to
+    1, both ends included: F0 x a + b is mirrored."""
     a = np.maximum(np.linspace(0, 1, ROUGHNESSES), _SMOOTHEST)[:, None, None] ** 2
     nv = np.maximum(np.linspace(0, 1, COSINES), 1e-3)[:, None]
     k = np.arange(_MICROFACETS)
@@ -44,7 +45,9 @@ def split_sum() -> np.ndarray:
     a2, light = a * a, np.clip(nl, 1e-6, None)
     view = np.sqrt(a2 + (1 - a2) * nv * nv)
     shadowed = light * view + nv * np.sqrt(a2 + (1 - a2) * light * light)
-    unmasked = np.where(nl > 0, light * (nv + view) / shadowed, 0.0)  # G2 over G1 of the view
+    unmasked = np.where(
+        nl > 0, light * (nv + view) / shadowed, 0.0
+    )  # G2 over G1 of the view
     grazing = (1 - vh) ** 5
     out = np.stack([((1 - grazing) * unmasked).mean(-1), (grazing * unmasked).mean(-1)], -1)
     return np.ascontiguousarray(out, np.float32)
@@ -52,11 +55,16 @@ def split_sum() -> np.ndarray:
 
 @line_kernel(fastmath={"contract", "nsz", "arcp"})
 def table_entry(table, roughness, cosine):  # pragma: no cover - compiled
-    """The two values of a table (m, n, 2) over roughness and cosine, 0..1 each, linear between its entries."""
+    """The two values of a table (m, n, 2) over roughness and cosine, 0..1 each, linear
+    between its entries.
+    """
     one, zero = np.float32(1), np.float32(0)
     s = min(max(roughness, zero), one) * np.float32(table.shape[0] - 1)
     t = min(max(cosine, zero), one) * np.float32(table.shape[1] - 1)
-    i, j = np.uintp(min(int(s), table.shape[0] - 2)), np.uintp(min(int(t), table.shape[1] - 2))
+    i, j = (
+        np.uintp(min(int(s), table.shape[0] - 2)),
+        np.uintp(min(int(t), table.shape[1] - 2)),
+    )
     fs, ft = s - np.float32(i), t - np.float32(j)
     below, right = i + np.uintp(1), j + np.uintp(1)
     w00, w01 = (one - fs) * (one - ft), (one - fs) * ft

@@ -1,8 +1,12 @@
-"""What is known at points of the object's surface, kept at the nodes of a grid and read at its pixels.
+"""What is known at points of the object's surface, kept at the nodes of a grid and read at
+its pixels.
 
-Points and pixels meet the grid one cell off the surface, along their normal: so what is on the two sides of a wall does
-not mix, nor what is on the two sides of an edge. A pixel reads between eight nodes.
-Cost: O(points) for new values, O(covered pixels) a frame. Source: irradiance volumes (Greger et al. 1998)."""
+Points and pixels meet the grid one cell off the surface, along their normal: so what is on
+the two sides of a wall does not mix, nor what is on the two sides of an edge. A pixel reads
+between eight nodes.
+Cost: O(points) for new values, O(covered pixels) a frame. Source: irradiance volumes
+(Greger et al. 1998).
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -22,7 +26,9 @@ _FAR = 1e-4  # weight of a point for the nodes beyond its cell: they count where
 
 
 class SurfaceGrid:
-    """points, normals (n, 3) : of the surface;  weights (n,) : of the points;  cells : along the largest side"""
+    """points, normals (n, 3) : of the surface;  weights (n,) : of the points;  cells :
+    along the largest side
+    """
 
     def __init__(
         self, points: np.ndarray, normals: np.ndarray, weights: np.ndarray, cells: int
@@ -61,7 +67,9 @@ class SurfaceGrid:
         matrix = np.column_stack([turn / self.pitch_m, shift, turn]).astype(np.float32)
         return _read(packed(coverage), packed(normal), packed(position), nodes, matrix)
 
-    def _spreading(self, points: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> csr_array:
+    def _spreading(
+        self, points: np.ndarray, normals: np.ndarray, weights: np.ndarray
+    ) -> csr_array:
         """(nodes, points) float32 weights whose rows sum to 1, or to 0 far from the surface."""
         from scipy.sparse import csr_array, diags_array
 
@@ -81,13 +89,18 @@ class SurfaceGrid:
         entries = np.concatenate(shares), (np.concatenate(rows), columns)
         table = csr_array(entries, shape=(z * y * x, len(points)))
         total = np.asarray(table.sum(1)).ravel()
-        scaled = diags_array(np.divide(1, total, where=total > 0, out=np.zeros_like(total))) @ table
+        scaled = (
+            diags_array(np.divide(1, total, where=total > 0, out=np.zeros_like(total)))
+            @ table
+        )
         scaled.data[scaled.data < _FAR] = 0
         scaled.eliminate_zeros()
         return csr_array(scaled.astype(np.float32))
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(
+    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
+)
 def _read(coverage, normal, position, nodes, matrix):  # pragma: no cover - compiled
     """matrix (3, 7) : node of a WORLD place, and from it for a normal"""
     rows, columns = coverage.shape
@@ -100,9 +113,24 @@ def _read(coverage, normal, position, nodes, matrix):  # pragma: no cover - comp
             if coverage[y, x] <= zero:
                 continue
             p, n = position[y, x], normal[y, x]
-            u = matrix[0, 0] * p[0] + matrix[0, 1] * p[1] + matrix[0, 2] * p[2] + matrix[0, 3]
-            v = matrix[1, 0] * p[0] + matrix[1, 1] * p[1] + matrix[1, 2] * p[2] + matrix[1, 3]
-            w = matrix[2, 0] * p[0] + matrix[2, 1] * p[1] + matrix[2, 2] * p[2] + matrix[2, 3]
+            u = (
+                matrix[0, 0] * p[0]
+                + matrix[0, 1] * p[1]
+                + matrix[0, 2] * p[2]
+                + matrix[0, 3]
+            )
+            v = (
+                matrix[1, 0] * p[0]
+                + matrix[1, 1] * p[1]
+                + matrix[1, 2] * p[2]
+                + matrix[1, 3]
+            )
+            w = (
+                matrix[2, 0] * p[0]
+                + matrix[2, 1] * p[1]
+                + matrix[2, 2] * p[2]
+                + matrix[2, 3]
+            )
             u += matrix[0, 4] * n[0] + matrix[0, 5] * n[1] + matrix[0, 6] * n[2]
             v += matrix[1, 4] * n[0] + matrix[1, 5] * n[1] + matrix[1, 6] * n[2]
             w += matrix[2, 4] * n[0] + matrix[2, 5] * n[1] + matrix[2, 6] * n[2]
@@ -118,6 +146,8 @@ def _read(coverage, normal, position, nodes, matrix):  # pragma: no cover - comp
                 high = flat[a + up, c] + fu * (flat[b + up, c] - flat[a + up, c])
                 near = low + fv * (high - low)
                 low = flat[a + far, c] + fu * (flat[b + far, c] - flat[a + far, c])
-                high = flat[a + far + up, c] + fu * (flat[b + far + up, c] - flat[a + far + up, c])
+                high = flat[a + far + up, c] + fu * (
+                    flat[b + far + up, c] - flat[a + far + up, c]
+                )
                 out[y, x, c] = near + fw * (low + fv * (high - low) - near)
     return out

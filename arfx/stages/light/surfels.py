@@ -1,7 +1,8 @@
 """Points all over the object that light is gathered at and sent from, and the rays between them.
 
-Rays meet the object's triangles (embree). A triangle that lets light pass stops a ray as often as it is opaque, so that
-thin and transparent parts dim what lies behind them. Cost: O(rays), once a clip."""
+Rays meet the object's triangles (embree). A triangle that lets light pass stops a ray as
+often as it is opaque, so that thin and transparent parts dim what lies behind them. Cost:
+O(rays), once a clip."""
 
 from __future__ import annotations
 
@@ -24,7 +25,9 @@ _RAYS_IN_FLIGHT = 1 << 18
 _PASSES = 4  # of a ray through parts that let light pass
 _PROBES = 8  # rays that tell the inside of a closed surface
 _INSIDE = 0.6  # share of them that meets a back face there
-_STRIP = 0.04  # of the extent: a face counts at least as much as a strip of that width as long as its longest edge
+# of the extent: a face counts at least as much as a strip of that width as long as its
+# longest edge
+_STRIP = 0.04
 _OPAQUE, _UNSEEN = 0.999, 0.001
 
 
@@ -45,7 +48,8 @@ class Hits:
 class ObjectRays:
     """The object as rays meet it, anchor axes, metres.
 
-    corners (f, 3, 3) : triangles;  normals (f, 3) : unit, of their front sides;  opacity, metallic (f,) : 0..1
+    corners (f, 3, 3) : triangles;  normals (f, 3) : unit, of their front sides;  opacity,
+    metallic (f,) : 0..1
     extent_m : largest side"""
 
     def __init__(self, scene: Scene) -> None:
@@ -85,11 +89,19 @@ class ObjectRays:
     def _first(
         self, starts: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(face, distance, a number in 0..1 that depends on the place that is met alone), each (n,)."""
+        """(face, distance, a number in 0..1 that depends on the place that is met alone),
+        each (n,).
+        """
         hits = self.triangles.first_hits(starts, directions)
-        place = np.asarray(hits["u"], float) * 12.9898 + np.asarray(hits["v"], float) * 78.233
+        place = (
+            np.asarray(hits["u"], float) * 12.9898 + np.asarray(hits["v"], float) * 78.233
+        )
         chance = (np.sin(place) * 43758.5453) % 1
-        return np.array(hits["primID"], np.int64), np.array(hits["tfar"], np.float32), chance
+        return (
+            np.array(hits["primID"], np.int64),
+            np.array(hits["tfar"], np.float32),
+            chance,
+        )
 
     def open_fraction(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(n,) share of `directions` (k, 3) in which nothing stops a ray from points (n, 3)."""
@@ -107,7 +119,9 @@ class ObjectRays:
     ) -> Iterator[Hits]:
         """Rays over the hemispheres of points (n, 3), as dense as the cosine, `count` of each.
 
-        turned : each point turns their pattern by its number, so that what few rays leave is noise and no bands"""
+        turned : each point turns their pattern by its number, so that what few rays leave
+        is noise and no bands
+        """
         step = max(_RAYS_IN_FLIGHT // count, 1)
         local = hemisphere(count).astype(np.float32)
 
@@ -121,7 +135,9 @@ class ObjectRays:
             u, v = frame_about(n)
             directions = x[..., None] * u[:, None] + y[..., None] * v[:, None]
             directions = (directions + local[:, 2:] * n[:, None]).astype(np.float32)
-            starts = (points[rows] + self.lift_m * normals[rows]).astype(np.float32)[:, None]
+            starts = (points[rows] + self.lift_m * normals[rows]).astype(np.float32)[
+                :, None
+            ]
             origins = np.broadcast_to(starts, directions.shape).reshape(-1, 3)
             face, distance = self.first_hits(origins, directions.reshape(-1, 3))
             face, shape = face.reshape(directions.shape[:2]), directions.shape[:2]
@@ -135,9 +151,9 @@ class ObjectRays:
 class Surfels:
     """Points of the object, each of the side that it is seen from. Anchor axes.
 
-    points, normals (n, 3) : metres, unit, of their triangles: rays over a smooth normal would pass under them
-    face (n,) : the triangle
-    albedo, matt, emission (n, 3) : of light that leaves in all directions, mirrored light counted as such, and without"""
+    points, normals (n, 3) : metres, unit, of their triangles: rays over a smooth normal
+    would pass under them face (n,) : the triangle albedo, matt, emission (n, 3) : of light
+    that leaves in all directions, mirrored light counted as such, and without"""
 
     points: np.ndarray
     normals: np.ndarray
@@ -148,10 +164,14 @@ class Surfels:
 
 
 def surfels_of(scene: Scene, rays: ObjectRays, count: int) -> Surfels:
-    """About `count`, evenly over the surface, more on thin faces: on both sides, but for the inside of what is closed."""
+    """About `count`, evenly over the surface, more on thin faces: on both sides, but for
+    the inside of what is closed.
+    """
     edges = np.linalg.norm(rays.corners - np.roll(rays.corners, 1, 1), axis=2).max(1)
     # thin faces have some along all of their length
-    upto = np.cumsum(np.linalg.norm(rays.across, axis=1) / 2 + _STRIP * rays.extent_m * edges)
+    upto = np.cumsum(
+        np.linalg.norm(rays.across, axis=1) / 2 + _STRIP * rays.extent_m * edges
+    )
     i = np.arange(count) + 0.5
     face = np.minimum(np.searchsorted(upto, i / count * upto[-1]), len(upto) - 1)
     u, v = r2(count).T
@@ -167,10 +187,14 @@ def surfels_of(scene: Scene, rays: ObjectRays, count: int) -> Surfels:
     front |= ~(front | back)  # a sliver between others: counted once
     keep = np.concatenate([np.flatnonzero(front), np.flatnonzero(back)])
     side = np.repeat([1.0, -1.0], [front.sum(), back.sum()])[:, None]
-    return Surfels(points[keep], side * normals[keep], face[keep], *(c[keep] for c in colours))
+    return Surfels(
+        points[keep], side * normals[keep], face[keep], *(c[keep] for c in colours)
+    )
 
 
-def _seen_from_outside(rays: ObjectRays, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _seen_from_outside(
+    rays: ObjectRays, points: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
     """(n,) whether the rays of a side meet fewer back faces than they would inside of something."""
     out = np.empty(len(points), bool)
     for hits in rays.over(points, normals, _PROBES):
@@ -189,14 +213,18 @@ def _colours(
         rows = np.flatnonzero(rays.part[face] == k)
         corners, m = part.faces[rays.face_of_part[face[rows]]], part.material
         share = weights[rows]
-        colour = np.asarray(m.base_colour[:3]) * _texture(part, m.base_texture, corners, share)
+        colour = np.asarray(m.base_colour[:3]) * _texture(
+            part, m.base_texture, corners, share
+        )
         if part.colours is not None:
             colour = colour * (part.colours[corners][..., :3] * share[..., None]).sum(1)
         metallic = _metallic(part)
         mirrored = 0.08 * m.specular * (1 - metallic)
         matt[rows] = colour * (1 - metallic) * (1 - mirrored)
         albedo[rows] = matt[rows] + colour * metallic + mirrored
-        emission[rows] = np.asarray(m.emissive) * _texture(part, m.emissive_texture, corners, share)
+        emission[rows] = np.asarray(m.emissive) * _texture(
+            part, m.emissive_texture, corners, share
+        )
     return albedo, matt, emission
 
 

@@ -1,10 +1,13 @@
 """Which surroundings a frame's object mirrors: the best that is known of them, as an `Environment`.
 
-Three parts add up: what the clip saw (or the panorama that was given), the plane's own colour below its horizon, and a guess
-of the rest. Each is filtered once, and a frame weighs them: as bright as its light, and by how much of what was seen lies
-between two maps in time. What is missing of the light on the plane comes from lamps that the clip never saw: a rough surface
-sees their mean, a mirror looks through between them, so the guess has two brightnesses.
-Cost: some 50 ms for a map, once; O(texels) a frame. Lamps of the light are no part of the surroundings: a map has none.
+Three parts add up: what the clip saw (or the panorama that was given), the plane's own
+colour below its horizon, and a guess of the rest. Each is filtered once, and a frame weighs
+them: as bright as its light, and by how much of what was seen lies between two maps in
+time. What is missing of the light on the plane comes from lamps that the clip never saw: a
+rough surface sees their mean, a mirror looks through between them, so the guess has two
+brightnesses.
+Cost: some 50 ms for a map, once; O(texels) a frame. Lamps of the light are no part of the
+surroundings: a map has none.
 Source: docs/methods/gi.md#environment."""
 
 from __future__ import annotations
@@ -51,7 +54,8 @@ _SHAPE_STEPS = 64  # of a harmonic over the first
 
 @dataclass(frozen=True, eq=False)
 class SurroundingParts:
-    """seen, plane and guess, in this order, each radiance of one scale: seen as a share of the light, the plane's as 1.
+    """seen, plane and guess, in this order, each radiance of one scale: seen as a share of
+    the light, the plane's as 1.
 
     texels (3, n, 3) : `prefiltered`;  arriving, mean (3, 3) : on the plane, over the sphere
     guess_where_seen (3,) : mean of the guess times how well the place is known
@@ -91,20 +95,26 @@ class FrameSurroundings:
 
     def environment(self) -> Environment:
         """Filtered, as surfaces of any roughness mirror it."""
-        return environment_of(_weighed(self.parts.texels, self.narrow, self.wide), self.axes)
+        return environment_of(
+            _weighed(self.parts.texels, self.narrow, self.wide), self.axes
+        )
 
     def cubes(self) -> tuple[np.ndarray, np.ndarray]:
         """(6, n, n, 3) radiance as a mirror sees it, and as a matt surface does; not filtered."""
         finest = self.parts.texels[:, level_slices()[0]]
         side = SIDES[0] + 2
         narrow, wide = (
-            np.einsum("pc,pnc->nc", factors, finest).reshape(6, side, side, 3)[:, 1:-1, 1:-1]
+            np.einsum("pc,pnc->nc", factors, finest).reshape(6, side, side, 3)[
+                :, 1:-1, 1:-1
+            ]
             for factors in (self.narrow, self.wide)
         )
         return narrow, wide
 
 
-def frame_environment(facts: FrameFacts, scene: Scene, light: Light, memo: Memo) -> Environment:
+def frame_environment(
+    facts: FrameFacts, scene: Scene, light: Light, memo: Memo
+) -> Environment:
     """What the frame's object mirrors. As `frame_surroundings`."""
     return frame_surroundings(facts, scene, light, memo).environment()
 
@@ -114,12 +124,15 @@ def frame_surroundings(
 ) -> FrameSurroundings:
     """The best that is known around the frame's object. memo : keeps what is filtered
 
-    Raises RenderError for radiance that is not finite and >= 0, and for a map that is missing."""
+    Raises RenderError for radiance that is not finite and >= 0, and for a map that is missing.
+    """
     seen, guess = facts.seen_environment, facts.environment
     plane = None if guess is None else guess.plane_rgb
     up = scene.world_from_anchor.rotation[:, 2]
     axes = _axes(seen if seen is not None else guess)
-    cube_up = up if np.array_equal(axes, np.eye(3)) else np.round(axes @ up / _UP_STEP) * _UP_STEP
+    cube_up = (
+        up if np.array_equal(axes, np.eye(3)) else np.round(axes @ up / _UP_STEP) * _UP_STEP
+    )
 
     def parts(name: str | None) -> SurroundingParts:
         rgba = None if name is None else seen_map(name, scene)
@@ -150,13 +163,20 @@ def frame_surroundings(
 def parts_of(
     seen: np.ndarray | None, guess: np.ndarray, up: np.ndarray, plane_known: bool
 ) -> SurroundingParts:
-    """seen : (6, n, n, 4) radiance times the fourth, how well it is known, or None;  guess : (6, n, n, 3)
-    up : (3,) the plane's normal, axes of the cubes;  plane_known : its colour is, so that the guess ends at its horizon"""
+    """seen : (6, n, n, 4) radiance times the fourth, how well it is known, or None;  guess
+    : (6, n, n, 3)
+    up : (3,) the plane's normal, axes of the cubes;  plane_known : its colour is, so that
+    the guess ends at its horizon
+    """
     size = guess.shape[1]
     rgba = np.zeros((6, size, size, 4), np.float32) if seen is None else seen
     known = rgba[..., 3:]
     above = above_horizon(size, up) if plane_known else np.ones((6, size, size, 1))
-    cubes = rgba[..., :3], (1 - known) * (1 - above) * np.ones(3), (1 - known) * above * guess
+    cubes = (
+        rgba[..., :3],
+        (1 - known) * (1 - above) * np.ones(3),
+        (1 - known) * above * guess,
+    )
     facing = np.clip(face_directions(size) @ up, 0, None) * solid_angles(size)
     facing /= facing.sum()
     solid = np.tile(solid_angles(size) / (4 * np.pi), (6, 1, 1))
@@ -172,9 +192,12 @@ def parts_of(
 def brightness(
     parts: SurroundingParts, light: Light, want: np.ndarray, plane_rgb: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(narrow, wide), (3, 3) each: factors of the parts for a mirror, and for a surface that sees far around.
+    """(narrow, wide), (3, 3) each: factors of the parts for a mirror, and for a surface
+    that sees far around.
 
-    want : (3,) radiance of a white surface on the plane under the light without its lamps;  plane_rgb : (3,)"""
+    want : (3,) radiance of a white surface on the plane under the light without its lamps;
+    plane_rgb : (3,)
+    """
     want, scale = _radiance(want), _radiance(light.mean_radiance)
     shown = scale * parts.arriving[0] + plane_rgb * parts.arriving[1]
     missing = divide(np.maximum(want - shown, _LEAST_SKY * want), parts.arriving[2])
@@ -208,28 +231,41 @@ def _weighed(texels: np.ndarray, narrow: np.ndarray, wide: np.ndarray) -> np.nda
 
 
 def seen_map(name: str, scene: Scene) -> np.ndarray:
-    """(6, n, n, 4) float32 of the scene's maps. Raises RenderError where it is missing or holds no radiance."""
+    """(6, n, n, 4) float32 of the scene's maps.
+
+    Raises RenderError where it is missing or holds no radiance.
+    """
     if name not in scene.environment_maps:
         raise RenderError(
-            f"facts: environment map {name} is not among the job's", "analyse the clip again"
+            f"facts: environment map {name} is not among the job's",
+            "analyse the clip again",
         )
     rgba = np.asarray(scene.environment_maps[name], np.float32)
     if not np.isfinite(rgba).all() or rgba.min() < 0:
-        raise RenderError("facts: an environment map holds values that are not finite and >= 0")
+        raise RenderError(
+            "facts: an environment map holds values that are not finite and >= 0"
+        )
     return resampled(rgba, SIDES[0])
 
 
 def checked_faces(environment: CubeMap) -> np.ndarray:
-    """(6, n, n, 3) float64, its own axes. Raises RenderError for values that are not finite and >= 0."""
+    """(6, n, n, 3) float64, its own axes.
+
+    Raises RenderError for values that are not finite and >= 0.
+    """
     cube = environment.faces().astype(float)
     if not np.isfinite(cube).all() or (cube < 0).any():
-        raise RenderError("facts: the environment holds values that are not finite and >= 0")
+        raise RenderError(
+            "facts: the environment holds values that are not finite and >= 0"
+        )
     return cube
 
 
 def above_horizon(size: int, up: np.ndarray) -> np.ndarray:
     """(6, size, size, 1) from 0 at the plane's horizon to 1 from SOFT_DEG on."""
-    return smoothstep((face_directions(size) @ up) / np.sin(np.radians(SOFT_DEG)))[..., None]
+    return smoothstep((face_directions(size) @ up) / np.sin(np.radians(SOFT_DEG)))[
+        ..., None
+    ]
 
 
 def _axes(found: SeenEnvironment | CubeMap | None) -> np.ndarray:
@@ -240,7 +276,9 @@ def _axes(found: SeenEnvironment | CubeMap | None) -> np.ndarray:
 
 
 def _soft_shape(light: Light) -> np.ndarray:
-    """(9, 3) harmonics of the light's soft part over their first, in steps: the same for all brightnesses."""
+    """(9, 3) harmonics of the light's soft part over their first, in steps: the same for
+    all brightnesses.
+    """
     shape = np.zeros((9, 3))
     if light.soft:
         soft = np.asarray(light.soft, float)
@@ -250,7 +288,9 @@ def _soft_shape(light: Light) -> np.ndarray:
 
 
 def _guess_of(environment: CubeMap | None, light: Light) -> np.ndarray:
-    """(6, n, n, 3) float32, of every colour everywhere; what the light's soft part comes from where there is no guess."""
+    """(6, n, n, 3) float32, of every colour everywhere; what the light's soft part comes
+    from where there is no guess.
+    """
     if environment is None:
         cube = _from_light(light)
     else:
@@ -263,6 +303,9 @@ def _guess_of(environment: CubeMap | None, light: Light) -> np.ndarray:
 
 def _from_light(light: Light) -> np.ndarray:
     """(6, n, n, 3), about what gives the light's soft radiance, but for its scale."""
-    # a cosine lobe leaves 2/3 and 1/4 of degrees 1 and 2; the latter is given back by half only, as it rings
+    # a cosine lobe leaves 2/3 and 1/4 of degrees 1 and 2; the latter is given back by half
+    # only, as it rings
     gain = np.repeat([1.0, 1.5, 2.0], [1, 3, 5])[:, None]
-    return np.clip(harmonics(face_directions(_GUESS_PX)) @ (_soft_shape(light) * gain), 0, None)
+    return np.clip(
+        harmonics(face_directions(_GUESS_PX)) @ (_soft_shape(light) * gain), 0, None
+    )

@@ -1,11 +1,16 @@
-"""Light between the object, the real planes and the sky: what each place gets from each other, by rays, once a clip.
+"""Light between the object, the real planes and the sky: what each place gets from each
+other, by rays, once a clip.
 
-Places are surfels of the object and texels of the planes. Rays over a place's hemisphere, as dense as the cosine, meet
-the object, a plane or the sky: each adds its share to a sparse matrix whose rows sum to 1. A light is then a few products
-with it. What the object sends is read at the nodes of a grid over its surface.
-Cost: O(rays) a clip, O(entries x bounces) for a new light. Leaves out: caustics, but that metal sends its mirrored light in
+Places are surfels of the object and texels of the planes. Rays over a place's hemisphere,
+as dense as the cosine, meet the object, a plane or the sky: each adds its share to a sparse
+matrix whose rows sum to 1. A light is then a few products with it. What the object sends is
+read at the nodes of a grid over its surface.
+Cost: O(rays) a clip, O(entries x bounces) for a new light. Leaves out: caustics, but that
+metal sends its mirrored light in
 all directions; what lamps light on planes other than by the picture.
-Source: Sillion and Puech 1994 (radiosity by Monte Carlo form factors), docs/methods/gi.md#transport."""
+Source: Sillion and Puech 1994 (radiosity by Monte Carlo form factors),
+docs/methods/gi.md#transport.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +40,8 @@ _LEAST_TOTAL = 1e-4  # radiance of a white plane under which it has no light
 
 @dataclass(frozen=True)
 class TransportLevel:
-    """surfels : of the object, about;  rays : of each place;  side : texels of a plane;  cells : of the surface's grid
+    """surfels : of the object, about;  rays : of each place;  side : texels of a plane;
+    cells : of the surface's grid
     bounces : of light from place to place"""
 
     surfels: int
@@ -47,10 +53,12 @@ class TransportLevel:
 
 @dataclass(frozen=True, eq=False)
 class Indirect:
-    """Of one light. received, sent (n, 3) : radiance of white surfels from all but the lamps, and what surfels send
-    gain (p, side, side, 3) : radiance that white planes gain or lose by the object, but for the lamps' shadow
+    """Of one light. received, sent (n, 3) : radiance of white surfels from all but the
+    lamps, and what surfels send gain (p, side, side, 3) : radiance that white planes gain
+    or lose by the object, but for the lamps' shadow
     spread : the same, by what the object changes on other planes and by the light that these hide
-    total : of white planes without the object;  left : share of it that is left, lamps counted too"""
+    total : of white planes without the object;  left : share of it that is left, lamps counted too
+    """
 
     received: np.ndarray
     sent: np.ndarray
@@ -63,8 +71,9 @@ class Indirect:
 class Transport:
     """planes : real ones;  rays : of the object
 
-    occluded (z, y, x, 1), colours (z, y, x, 3) : nodes of `grid`, share of the hemisphere that the object hides, albedo
-    hidden (p, side, side) : share of a texel's hemisphere in which the object is nearest"""
+    occluded (z, y, x, 1), colours (z, y, x, 3) : nodes of `grid`, share of the hemisphere
+    that the object hides, albedo hidden (p, side, side) : share of a texel's hemisphere in
+    which the object is nearest"""
 
     def __init__(
         self, scene: Scene, planes: Planes, rays: ObjectRays, level: TransportLevel
@@ -113,7 +122,9 @@ class Transport:
         shares = np.bincount(row, minlength=count) / self.level.rays
         self.hidden = shares.reshape(-1, side, side)
 
-    def _joined(self, count: int, parts: list[tuple[np.ndarray, np.ndarray]]) -> csr_array | None:
+    def _joined(
+        self, count: int, parts: list[tuple[np.ndarray, np.ndarray]]
+    ) -> csr_array | None:
         """None where there is one plane."""
         if not parts:
             return None
@@ -168,7 +179,9 @@ class Transport:
         return column, nearest
 
     def _texel(self, plane: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Number of the texel of a plane at places, metres along its axes; the outermost beyond it."""
+        """Number of the texel of a plane at places, metres along its axes; the outermost
+        beyond it.
+        """
         side, half = self.level.side, self.planes.half_m
         x, y = (warped(np.clip(a / half, -1, 1)) for a in (u, v))
         column = np.minimum((x + 1) / 2 * side, side - 1).astype(int)
@@ -182,8 +195,11 @@ class Transport:
         columns = self._node_count + len(self.texels) + 6 * SKY * SKY
         return csr_array((share, (row, column)), shape=(count, columns))
 
-    def solve(self, scene: Scene, light: Light, picture: np.ndarray, sky: np.ndarray) -> Indirect:
-        """picture (p side^2, 3) : radiance of the planes without the object;  sky (6 SKY^2, 3) : WORLD axes turned to
+    def solve(
+        self, scene: Scene, light: Light, picture: np.ndarray, sky: np.ndarray
+    ) -> Indirect:
+        """picture (p side^2, 3) : radiance of the planes without the object;  sky (6 SKY^2,
+        3) : WORLD axes turned to
         the anchor's, as `sky_texels` numbers them"""
         surfels, shape = self.surfels, (*self.hidden.shape, 3)
         on_surfels, shadow = self._lamps(scene, light)
@@ -195,7 +211,8 @@ class Transport:
         if self._without is not None:
             soft = light.soft_radiance(normals)
             total = np.maximum(alone + self._without @ undisturbed - soft, _LEAST_TOTAL)
-            # a lamp's shadow on the first plane is drawn as if no other plane hid soft light that is left in it
+            # a lamp's shadow on the first plane is drawn as if no other plane hid soft
+            # light that is left in it
             first = np.arange(len(total)) < self.level.side**2
             extra = np.where(first[:, None], shadow * (total / alone - 1), 0)
         base = 1 - np.minimum(shadow / total, 1)
@@ -209,7 +226,9 @@ class Transport:
             received = self._of_surfels @ arriving
             gain = self._to_object @ arriving - lost
             if self._beside is not None:
-                beside = self._beside @ _stacked(unseen, picture * (left - 1), np.zeros_like(sky))
+                beside = self._beside @ _stacked(
+                    unseen, picture * (left - 1), np.zeros_like(sky)
+                )
             left = np.clip(base + divide(gain + beside, total), 0, None)
             sent = surfels.albedo * received + direct
         fields = (gain, beside + extra, total, left)
@@ -222,7 +241,9 @@ class Transport:
         return np.asarray(part @ change.astype(np.float32))
 
     def _lamps(self, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
-        """(light on surfels (n, 3), light that texels lose (m, 3)), of white surfaces, by lamps alone."""
+        """(light on surfels (n, 3), light that texels lose (m, 3)), of white surfaces, by
+        lamps alone.
+        """
         turn, rays, surfels = scene.world_from_anchor.rotation.T, self.rays, self.surfels
         points = surfels.points + rays.lift_m * surfels.normals
         texels = self.texels + rays.lift_m * self._texel_normals
@@ -231,7 +252,9 @@ class Transport:
             towards, rgb = turn @ lamp.unit, np.clip(lamp.rgb, 0, None)
             if not np.isfinite(rgb).all() or not rgb.any() or towards[2] <= 0:
                 continue
-            radius = np.tan(np.radians(np.clip(np.nan_to_num(lamp.angular_size_deg), 0, 90) / 2))
+            radius = np.tan(
+                np.radians(np.clip(np.nan_to_num(lamp.angular_size_deg), 0, 90) / 2)
+            )
             u, v = frame_about(towards)
             spots = radius * disc(_LAMP_RAYS)
             many = normalise(towards + spots[:, :1] * u + spots[:, 1:] * v)
@@ -245,7 +268,9 @@ class Transport:
 
 
 def _open(hits: Hits) -> np.ndarray:
-    """(n, k) rays over the anchor's plane that meet nothing: as cameras see a surfel, which counts by that."""
+    """(n, k) rays over the anchor's plane that meet nothing: as cameras see a surfel, which
+    counts by that.
+    """
     return np.asarray((hits.face < 0) & (hits.directions[..., 2] > 0))
 
 
@@ -254,7 +279,9 @@ def _stacked(*parts: np.ndarray) -> np.ndarray:
 
 
 def sky_texels(directions: np.ndarray) -> np.ndarray:
-    """(...) number of the texel of a cube of SKY texels a side that directions (..., 3) point to."""
+    """(...) number of the texel of a cube of SKY texels a side that directions (..., 3)
+    point to.
+    """
     face, u, v = on_cube(directions.reshape(-1, 3))
     column = np.minimum((u + 1) / 2 * SKY, SKY - 1).astype(int)
     row = np.minimum((v + 1) / 2 * SKY, SKY - 1).astype(int)

@@ -1,9 +1,13 @@
-"""What lies over the base of a material: cloth's fibres (sheen) and varnish (clear coat), after `shading.shade`.
+"""What lies over the base of a material: cloth's fibres (sheen) and varnish (clear coat),
+after `shading.shade`.
 
-A coat takes from what is below as much as it reflects of even light itself. Clear coat is a second lobe of GGX with 4 % at
-normal incidence, by the split sum as the base; sheen is a volume of fibres (Zeltner, Burley and Chiang 2022), of soft light
-by what it reflects of even light, of lamps by its lobe. Only for pixels that have one.
-Cost: O(coated pixels x (1 + lamps)). Source: glTF 2.0, KHR_materials_clearcoat and KHR_materials_sheen."""
+A coat takes from what is below as much as it reflects of even light itself. Clear coat is a
+second lobe of GGX with 4 % at normal incidence, by the split sum as the base; sheen is a
+volume of fibres (Zeltner, Burley and Chiang 2022), of soft light by what it reflects of
+even light, of lamps by its lobe. Only for pixels that have one.
+Cost: O(coated pixels x (1 + lamps)). Source: glTF 2.0, KHR_materials_clearcoat and
+KHR_materials_sheen.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -32,14 +36,19 @@ _TINY = np.float32(1e-12)
 
 @line_kernel(fastmath=_FAST)
 def sheen_reflected(roughness, n_v):  # pragma: no cover - compiled
-    """Share of even light that fibres reflect, a Gauss over the cosine of view. Source: the fit of MaterialX 1.39."""
+    """Share of even light that fibres reflect, a Gauss over the cosine of view.
+
+    Source: the fit of MaterialX 1.39.
+    """
     y, y2 = roughness, roughness * roughness
     width = y * (np.float32(0.0206607) + np.float32(1.58491) * y)
     width /= np.float32(0.0379424) + y * (np.float32(1.32227) + y)
     middle = np.float32(1.7932) - np.float32(0.95943) * y2
     middle = np.float32(-0.193854) + y * (np.float32(-1.14885) + y * middle)
     middle *= y / (np.float32(0.046391) + y)
-    least = np.float32(0.000654023) + (np.float32(-0.0207818) + np.float32(0.119681) * y) * y
+    least = (
+        np.float32(0.000654023) + (np.float32(-0.0207818) + np.float32(0.119681) * y) * y
+    )
     least *= y / (np.float32(1.26264) + y * (np.float32(-1.92021) + y))
     off = (n_v - middle) / width
     reflected = np.exp(np.float32(-0.5) * off * off) * _PER_ROOT_2PI / width + least
@@ -48,9 +57,12 @@ def sheen_reflected(roughness, n_v):  # pragma: no cover - compiled
 
 @line_kernel(fastmath=_FAST)
 def sheen_lobe(roughness, n_v, n_l, v_l):  # pragma: no cover - compiled
-    """How a lamp's light is reflected by fibres over `sheen_reflected`, of the radiance of a white surface that faces it.
+    """How a lamp's light is reflected by fibres over `sheen_reflected`, of the radiance of
+    a white surface that faces it.
 
-    v_l : cosine between eye and lamp. A cosine lobe, linearly transformed; its fit is MaterialX 1.39's."""
+    v_l : cosine between eye and lamp. A cosine lobe, linearly transformed; its fit is
+    MaterialX 1.39's.
+    """
     one, zero = np.float32(1), np.float32(0)
     x, y, y2 = n_v, roughness, roughness * roughness
     wide = (np.float32(2.58126) * x + np.float32(0.813703) * y) * y
@@ -72,7 +84,10 @@ def sheen_lobe(roughness, n_v, n_l, v_l):  # pragma: no cover - compiled
 def add_sheen(
     out, surface: Surface, sheen, eye, lights: Lights, soft, bias
 ):  # pragma: no cover - compiled
-    """Fibres over `out` (h, w, 3) of `shade`, in place. sheen (h, w, 4) : colour, roughness;  the others : of `shade`"""
+    """Fibres over `out` (h, w, 3) of `shade`, in place.
+
+    sheen (h, w, 4) : colour, roughness;  the others : of `shade`
+    """
     zero, one = np.float32(0), np.float32(1)
     light = np.empty(3, np.float32)
     for y in range(out.shape[0]):
@@ -89,11 +104,19 @@ def add_sheen(
             for c in range(3):
                 light[c] = share * soft_radiance(soft, c, nx, ny, nz)
             for k in range(lights.towards.shape[0]):
-                tx, ty, tz = lights.towards[k, 0], lights.towards[k, 1], lights.towards[k, 2]
+                tx, ty, tz = (
+                    lights.towards[k, 0],
+                    lights.towards[k, 1],
+                    lights.towards[k, 2],
+                )
                 n_l = nx * tx + ny * ty + nz * tz
                 if n_l > zero:
                     v_l = vx * tx + vy * ty + vz * tz
-                    lobe = reflected * sheen_lobe(rough, n_v, n_l, v_l) * lights.visibility[k, y, x]
+                    lobe = (
+                        reflected
+                        * sheen_lobe(rough, n_v, n_l, v_l)
+                        * lights.visibility[k, y, x]
+                    )
                     for c in range(3):
                         light[c] += lights.rgb[k, c] * lobe
             left = one - most * reflected
@@ -104,9 +127,20 @@ def add_sheen(
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def add_clear_coat(
-    out, surface: Surface, coat, eye, lights: Lights, environment: Environment, mirrors, table, bias
+    out,
+    surface: Surface,
+    coat,
+    eye,
+    lights: Lights,
+    environment: Environment,
+    mirrors,
+    table,
+    bias,
 ):  # pragma: no cover - compiled
-    """Varnish over `out` (h, w, 3), in place. coat (h, w, 2) : how much, roughness;  the others : of `shade`"""
+    """Varnish over `out` (h, w, 3), in place.
+
+    coat (h, w, 2) : how much, roughness;  the others : of `shade`
+    """
     zero, half, one, two = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
     light = np.empty(3, np.float32)
     for y in range(out.shape[0]):
@@ -122,13 +156,21 @@ def add_clear_coat(
             reflected = amount * (_F0 * direct + grazing)
             twice = two * facing
             dx, dy, dz = twice * nx - vx, twice * ny - vy, twice * nz - vz
-            share = mirrors * mirrored_share(lights.soft_visibility[y, x], n_v, rough) * reflected
+            share = (
+                mirrors
+                * mirrored_share(lights.soft_visibility[y, x], n_v, rough)
+                * reflected
+            )
             around = radiance(environment, dx, dy, dz, rough)
             for c in range(3):
                 light[c] = share * around[c]
             alpha2 = rough * rough * rough * rough
             for k in range(lights.towards.shape[0]):
-                tx, ty, tz = lights.towards[k, 0], lights.towards[k, 1], lights.towards[k, 2]
+                tx, ty, tz = (
+                    lights.towards[k, 0],
+                    lights.towards[k, 1],
+                    lights.towards[k, 2],
+                )
                 n_l = nx * tx + ny * ty + nz * tz
                 if n_l > zero:
                     # of the half-vector, which is as far from eye as from lamp
@@ -152,4 +194,11 @@ def _towards_eye(surface: Surface, eye, y, x):  # pragma: no cover - compiled
     vx, vy = eye[0] - position[y, x, 0], eye[1] - position[y, x, 1]
     vz = eye[2] - position[y, x, 2]
     scale = np.float32(1) / np.sqrt(max(vx * vx + vy * vy + vz * vz, _TINY))
-    return normal[y, x, 0], normal[y, x, 1], normal[y, x, 2], vx * scale, vy * scale, vz * scale
+    return (
+        normal[y, x, 0],
+        normal[y, x, 1],
+        normal[y, x, 2],
+        vx * scale,
+        vy * scale,
+        vz * scale,
+    )

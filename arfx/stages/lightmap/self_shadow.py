@@ -1,10 +1,12 @@
-"""Self-shadow under a directional light: a depth map along the light, sampled around each pixel's position.
+"""Self-shadow under a directional light: a depth map along the light, sampled around each
+pixel's position.
 
-The blockers found within the light's cone give the width of the penumbra there, and so the radius of a second filtering
-(Fernando 2005, "Percentage-closer soft shadows"). Every answer is compared with the depth of the receiver's own
-tangent plane at that very texel, from a place lifted off the surface by more than the texels and facets are coarse: no acne,
-and nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high` sends rays
-where the map finds a penumbra, `reference` everywhere."""
+The blockers found within the light's cone give the width of the penumbra there, and so the
+radius of a second filtering (Fernando 2005, "Percentage-closer soft shadows"). Every answer
+is compared with the depth of the receiver's own tangent plane at that very texel, from a
+place lifted off the surface by more than the texels and facets are coarse: no acne, and
+nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high`
+sends rays where the map finds a penumbra, `reference` everywhere."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
@@ -28,7 +30,9 @@ _EMPTY = -1e9
 _LIFT_TEXELS = 1.5
 _LIFT_SAGS = 2.0
 _LIFT_RAYS = 1e-3  # of the extent
-_LIFT_FAR = 4e-4  # of the distance: embree's hit points, and so the rays raster's places, are 1.5e-4 of it wrong
+# of the distance: embree's hit points, and so the rays raster's places, are 1.5e-4 of it
+# wrong
+_LIFT_FAR = 4e-4
 _NARROWEST, _WIDEST = (
     1.7,
     40.0,
@@ -37,7 +41,8 @@ _NARROWEST, _WIDEST = (
 
 @dataclass(frozen=True)
 class SelfLevel:
-    """texels : of the depth map, a side, 0 = none;  search : questions to it for blockers, or first rays where there is no map
+    """texels : of the depth map, a side, 0 = none;  search : questions to it for blockers,
+    or first rays where there is no map
     taps : questions to it for light where some of these are hidden, 0 = the search is the answer
     rays : sent where the map, or the first of them, do not agree, 0 = none
     soft : penumbrae as wide as the light's disc makes them"""
@@ -58,7 +63,8 @@ SELF_LEVELS = {
 
 
 class DepthMap(NamedTuple):
-    """depth (n, n) float32 : nearest to the light, in texels along it;  matrix (3, 4) : column, row and depth of a position in
+    """depth (n, n) float32 : nearest to the light, in texels along it;  matrix (3, 4) :
+    column, row and depth of a position in
     metres, unit (3, 3) : their directions;  spread : penumbra radius per depth
     lift, slope : texels, and slope by which facets may deviate;  top : least depth"""
 
@@ -85,7 +91,9 @@ def depth_map(caster: Caster, beam: Beam, level: SelfLevel) -> DepthMap:
         np.ascontiguousarray(a, np.float32)
         for a in (caster.vertices @ matrix[:, :3].T + matrix[:, 3]).T
     )
-    depth = height_map(u, v, h, caster.faces, level.texels, level.texels, np.float32(_EMPTY))
+    depth = height_map(
+        u, v, h, caster.faces, level.texels, level.texels, np.float32(_EMPTY)
+    )
     spread = float(np.tan(np.radians(beam.size_deg / 2))) if level.soft else 0.0
     lift = _LIFT_TEXELS + _LIFT_SAGS * caster.sag_m / pitch
     return DepthMap(
@@ -104,9 +112,13 @@ def visibility_by_map(
     anchor_from_world: Pose,
     level: SelfLevel,
 ) -> np.ndarray:
-    """(h, w) float32, 0..1: the share of the light that is left; 1 where the pixel is not covered or turned away."""
+    """(h, w) float32, 0..1: the share of the light that is left; 1 where the pixel is not
+    covered or turned away.
+    """
     turn = shadow_map.matrix[:, :3] @ anchor_from_world.rotation
-    shift = shadow_map.matrix[:, :3] @ anchor_from_world.translation_m + shadow_map.matrix[:, 3]
+    shift = (
+        shadow_map.matrix[:, :3] @ anchor_from_world.translation_m + shadow_map.matrix[:, 3]
+    )
     matrix = np.column_stack([turn, shift]).astype(np.float32)
     seen = shadow_map._replace(
         matrix=matrix, unit=(turn / np.linalg.norm(turn[0])).astype(np.float32)
@@ -132,9 +144,12 @@ def visibility_by_rays(
     eye: np.ndarray,
     by_map: np.ndarray | None,
 ) -> np.ndarray:
-    """The same with rays over the light's disc, weighted by their cosine to the normal. eye (3,) : the camera, WORLD frame
+    """The same with rays over the light's disc, weighted by their cosine to the normal. eye
+    (3,) : the camera, WORLD frame
 
-    by_map : (h, w), kept where it is 0 or 1;  None = rays decide everywhere, `level.search` of them first"""
+    by_map : (h, w), kept where it is 0 or 1;  None = rays decide everywhere, `level.search`
+    of them first
+    """
     mixed = coverage > 0 if by_map is None else (by_map > 0) & (by_map < 1)
     out = np.ones(coverage.shape, np.float32) if by_map is None else by_map.copy()
     directions = disc_directions(
@@ -153,7 +168,9 @@ def visibility_by_rays(
     return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
+@numba.njit(
+    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
+)
 def _percentage_closer(
     coverage, normal, position, seen: DepthMap, search, taps
 ):  # pragma: no cover - compiled
@@ -162,7 +179,12 @@ def _percentage_closer(
     out = np.ones((rows, columns), np.float32)
     size = depth.shape[0]
     texels = depth.reshape(-1)
-    zero, one, half, far = np.float32(0), np.float32(1), np.float32(0.5), np.float32(size - 1)
+    zero, one, half, far = (
+        np.float32(0),
+        np.float32(1),
+        np.float32(0.5),
+        np.float32(size - 1),
+    )
     least = np.float32(_NARROWEST)
     at = np.empty(columns, np.uintp)
     s, t, z = (
@@ -199,13 +221,25 @@ def _percentage_closer(
             nt = unit[1, 0] * a + unit[1, 1] * b + unit[1, 2] * c
             nw = max(unit[2, 0] * a + unit[2, 1] * b + unit[2, 2] * c, np.float32(0.15))
             s[i] = (
-                matrix[0, 0] * px + matrix[0, 1] * py + matrix[0, 2] * pz + matrix[0, 3] + lift * ns
+                matrix[0, 0] * px
+                + matrix[0, 1] * py
+                + matrix[0, 2] * pz
+                + matrix[0, 3]
+                + lift * ns
             )
             t[i] = (
-                matrix[1, 0] * px + matrix[1, 1] * py + matrix[1, 2] * pz + matrix[1, 3] + lift * nt
+                matrix[1, 0] * px
+                + matrix[1, 1] * py
+                + matrix[1, 2] * pz
+                + matrix[1, 3]
+                + lift * nt
             )
             z[i] = (
-                matrix[2, 0] * px + matrix[2, 1] * py + matrix[2, 2] * pz + matrix[2, 3] + lift * nw
+                matrix[2, 0] * px
+                + matrix[2, 1] * py
+                + matrix[2, 2] * pz
+                + matrix[2, 3]
+                + lift * nw
             )
             gs[i], gt[i] = -ns / nw, -nt / nw
         for i in range(n):

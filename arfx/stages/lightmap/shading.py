@@ -1,10 +1,13 @@
 """Radiance of every covered pixel of the virtual object under the light of its frame.
 
-Metals and dielectrics as in glTF 2.0: Lambert's diffuse part, and GGX with Smith's height-correlated shadowing and Schlick's
-Fresnel term. Lamps are seen by the lobe itself, which a lamp of some size widens; soft light by its harmonics, and the
-surroundings mirrored by the split sum. What single reflections lose is given back (Turquin 2019), so that a white surface
-under even light is white at every roughness. What a camera adds where no light falls is added to the object too.
-Cost: O(covered pixels x (1 + lamps)). Leaves out: light from the object, and from the plane, onto the object.
+Metals and dielectrics as in glTF 2.0: Lambert's diffuse part, and GGX with Smith's
+height-correlated shadowing and Schlick's Fresnel term. Lamps are seen by the lobe itself,
+which a lamp of some size widens; soft light by its harmonics, and the surroundings mirrored
+by the split sum. What single reflections lose is given back (Turquin 2019), so that a white
+surface under even light is white at every roughness. What a camera adds where no light
+falls is added to the object too.
+Cost: O(covered pixels x (1 + lamps)). Leaves out: light from the object, and from the
+plane, onto the object.
 Source: docs/methods/light.md#shading, docs/methods/light.md#reflections."""
 
 # mypy: disable-error-code="no-untyped-def"
@@ -35,7 +38,9 @@ class Surface(NamedTuple):
 
 
 class Lights(NamedTuple):
-    """Directional: towards, rgb (l, 3), widths (l,) of `highlight_width`; visibility (l, h, w);  soft_visibility (h, w)"""
+    """Directional: towards, rgb (l, 3), widths (l,) of `highlight_width`; visibility (l, h,
+    w);  soft_visibility (h, w)
+    """
 
     towards: np.ndarray
     rgb: np.ndarray
@@ -45,7 +50,9 @@ class Lights(NamedTuple):
 
 
 def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
-    """(9, 3) float32 factors of 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2; without harmonics the first alone."""
+    """(9, 3) float32 factors of 1, y, z, x, xy, yz, 3z^2 - 1, xz, x^2 - y^2; without
+    harmonics the first alone.
+    """
     out = np.zeros((9, 3))
     out[0] = ambient
     if len(soft):
@@ -57,16 +64,18 @@ def harmonic_terms(soft: np.ndarray, ambient: np.ndarray) -> np.ndarray:
 
 
 def highlight_width(size_deg: np.ndarray) -> np.ndarray:
-    """What a light's disc (full angle) adds to roughness^4: a disc of radius a spreads half-vectors by a^2 / 16, the lobe's
-    own spread is roughness^4 / 2."""
+    """What a light's disc (full angle) adds to roughness^4: a disc of radius a spreads
+    half-vectors by a^2 / 16, the lobe's own spread is roughness^4 / 2."""
     return (np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8).astype(np.float32)
 
 
 @line_kernel(fastmath=_FAST)
 def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
-    """What a lamp shows by microfacets, without Fresnel's factor, over the radiance of a white surface that faces it.
+    """What a lamp shows by microfacets, without Fresnel's factor, over the radiance of a
+    white surface that faces it.
 
-    alpha2 : roughness^4;  wide : the same with the lamp's own size;  n_h, n_v, n_l : cosines of half-vector, eye and lamp
+    alpha2 : roughness^4;  wide : the same with the lamp's own size;  n_h, n_v, n_l :
+    cosines of half-vector, eye and lamp
     Source: Walter et al. 2007 (GGX), Heitz 2014 (height-correlated shadowing)."""
     one = np.float32(1)
     spread = n_h * n_h * (wide - one) + one
@@ -81,13 +90,16 @@ def soft_radiance(soft, channel, x, y, z):  # pragma: no cover - compiled
     c = channel
     light = soft[0, c] + soft[1, c] * y + soft[2, c] * z + soft[3, c] * x
     light += soft[4, c] * x * y + soft[5, c] * y * z + soft[7, c] * x * z
-    light += soft[6, c] * (np.float32(3) * z * z - np.float32(1)) + soft[8, c] * (x * x - y * y)
+    light += soft[6, c] * (np.float32(3) * z * z - np.float32(1)) + soft[8, c] * (
+        x * x - y * y
+    )
     return max(light, np.float32(0))
 
 
 @line_kernel(fastmath=_FAST)
 def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
-    """Share of what is mirrored that the object does not hide, 0..1, after what it leaves of the soft light.
+    """Share of what is mirrored that the object does not hide, 0..1, after what it leaves
+    of the soft light.
 
     Source: Lagarde and de Rousiers 2014, listing 26, its power taken as its tangent."""
     one = np.float32(1)
@@ -100,8 +112,9 @@ def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
 
 @line_kernel(fastmath=_FAST)
 def reflected_shares(table, metal, roughness, specular, n_v):  # pragma: no cover - compiled
-    """(matt, coat, direct, grazing, lost): shares of even light, of the matt part, of what a dielectric mirrors, the split
-    sum's two, and how much single reflections lose of white over what they mirror."""
+    """(matt, coat, direct, grazing, lost): shares of even light, of the matt part, of what
+    a dielectric mirrors, the split sum's two, and how much single reflections lose of white
+    over what they mirror."""
     one, two = np.float32(1), np.float32(2)
     direct, grazing = table_entry(table, roughness, n_v)
     lost = one / (direct + grazing) - one
@@ -132,7 +145,15 @@ def shade(
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
 def _shade(
-    out, surface: Surface, eye, lights: Lights, soft, environment: Environment, mirrors, table, bias
+    out,
+    surface: Surface,
+    eye,
+    lights: Lights,
+    soft,
+    environment: Environment,
+    mirrors,
+    table,
+    bias,
 ):  # pragma: no cover - compiled
     coverage, normal, position, albedo, material, emissive = surface
     towards, rgb, widths, visibility, soft_visibility = lights
@@ -153,7 +174,8 @@ def _shade(
             metal, rough, specular = material[y, x, 0], material[y, x, 1], material[y, x, 2]
             rough = max(rough, np.float32(SMOOTHEST))
             base = np.float32(0.08) * specular * (one - metal)
-            # at grazing angles all is mirrored, unless the material is set not to be glossy at all (F0 under 4 %)
+            # at grazing angles all is mirrored, unless the material is set not to be glossy
+            # at all (F0 under 4 %)
             edge = metal + (one - metal) * min(two * specular, one)
             shares = reflected_shares(table, metal, rough, specular, n_v)
             matt, coat, direct, grazing, lost = shares
@@ -162,15 +184,22 @@ def _shade(
             for c in range(3):
                 pixel[c] = colour[c] * matt * visible * soft_radiance(soft, c, nx, ny, nz)
             if mirrors > zero:
-                # the lobe's middle: the mirrored direction, the rougher the nearer to the normal (Lagarde 2014)
+                # the lobe's middle: the mirrored direction, the rougher the nearer to the
+                # normal (Lagarde 2014)
                 alpha = min(rough * rough, one)
                 bend = (one - alpha) * (np.sqrt(one - alpha) + alpha)
                 along = bend * (two * facing) + one - bend
-                dx, dy, dz = along * nx - bend * vx, along * ny - bend * vy, along * nz - bend * vz
+                dx, dy, dz = (
+                    along * nx - bend * vx,
+                    along * ny - bend * vy,
+                    along * nz - bend * vz,
+                )
                 around = radiance(environment, dx, dy, dz, rough)
                 share = mirrors * mirrored_share(visible, n_v, rough)
                 for c in range(3):
-                    mirrored = metal * (colour[c] * direct + grazing) * (one + colour[c] * lost)
+                    mirrored = (
+                        metal * (colour[c] * direct + grazing) * (one + colour[c] * lost)
+                    )
                     pixel[c] += share * around[c] * ((one - metal) * coat + mirrored)
             alpha2 = rough * rough * rough * rough
             for k in range(towards.shape[0]):

@@ -1,10 +1,14 @@
-"""Lightmap: the object in the light of the frame, and its shadow on itself and, as a ratio, on its plane.
+"""Lightmap: the object in the light of the frame, and its shadow on itself and, as a ratio,
+on its plane.
 
-The light comes from the facts (measured, given or refused: `Light.source`), or is the scene's. Shadows are kept by the
-direction of their lamp: a still light costs nothing per frame but the look-up. Soft light is hidden by what silhouettes
-(on the plane) and rays (on the object) find once a clip.
-Cost: O(pixels of the shadow + covered pixels x taps); a lamp that moves adds O(directions x edges) a frame.
-Leaves out: other real surfaces, shadows of unlike opacity, light from the plane onto the object, caustics.
+The light comes from the facts (measured, given or refused: `Light.source`), or is the
+scene's. Shadows are kept by the direction of their lamp: a still light costs nothing per
+frame but the look-up. Soft light is hidden by what silhouettes (on the plane) and rays (on
+the object) find once a clip.
+Cost: O(pixels of the shadow + covered pixels x taps); a lamp that moves adds O(directions x
+edges) a frame.
+Leaves out: other real surfaces, shadows of unlike opacity, light from the plane onto the
+object, caustics.
 Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
 
 from __future__ import annotations
@@ -48,14 +52,22 @@ from arfx.stages.lightmap.self_shadow import (
     visibility_by_map,
     visibility_by_rays,
 )
-from arfx.stages.lightmap.shading import Lights, Surface, harmonic_terms, highlight_width, shade
+from arfx.stages.lightmap.shading import (
+    Lights,
+    Surface,
+    harmonic_terms,
+    highlight_width,
+    shade,
+)
 from arfx.stages.viewing import direction_grid, seen_rect
 
 _BEAM_STEP = np.radians(
     0.02
 )  # lights nearer to each other than this cast the shadow that was made for the first
 
-_SHOWS_FAINTS = 1.45  # times `faint`: what is left of it, faded, is .0036 of the light, half a level of a grey plane
+# times `faint`: what is left of it, faded, is .0036 of the light, half a level of a grey
+# plane
+_SHOWS_FAINTS = 1.45
 _SOFT_STEPS = 32
 
 
@@ -65,7 +77,9 @@ class LightmapParams:
     shadow_strength : strength of the shadow on the plane: 0 = none, 1 = as computed
     self_shadow : strength of the object's shadow on itself: 0 = none, 1 = as computed
     plane_blocks : light from below the marker's plane does not reach the object
-    ambient : include light without a direction; a job with gi turns this off, because gi computes that light itself"""
+    ambient : include light without a direction; a job with gi turns this off, because gi
+    computes that light itself
+    """
 
     formula: str = field(default="corrected", init=False)
     shadow_strength: float = 1.0
@@ -81,7 +95,9 @@ class LightmapParams:
 class Prepared:
     """Of one clip, worker and level.
 
-    soft : pictures of the plane that add up;  visibility : on the object, None = by rays;  grid : viewing directions"""
+    soft : pictures of the plane that add up;  visibility : on the object, None = by rays;
+    grid : viewing directions
+    """
 
     region: ShadowRegion
     soft: tuple[SoftPicture, ...]
@@ -109,7 +125,8 @@ class Lightmap(Stage):
     facts = frozenset({"pose", "light", "environment"})
     Params = LightmapParams
     hard: ClassVar[bool] = False  # lights have no size
-    # A shadow that takes less than this share of the plane's light is not drawn; up to 3 times that it fades out.
+    # A shadow that takes less than this share of the plane's light is not drawn; up to 3
+    # times that it fades out.
     faint: ClassVar[float] = 0.02
     always = True
     terms = ("frames", "mpx", "object_mpx", "lamps", "lamp_mpx", "new_directions")
@@ -133,7 +150,10 @@ class Lightmap(Stage):
             return {"new_directions": None}
         lights = [li for li in facts.light.lights if any(c > 0 for c in li.rgb)]
         key = tuple(
-            (*np.round(li.unit / _BEAM_STEP).astype(int).tolist(), round(li.angular_size_deg, 1))
+            (
+                *np.round(li.unit / _BEAM_STEP).astype(int).tolist(),
+                round(li.angular_size_deg, 1),
+            )
             for li in lights
         )
         return {"new_directions": key} if key else {}
@@ -177,7 +197,9 @@ class Lightmap(Stage):
         reaching: Sequence[int],
         eye: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(h, w) and (k, h, w): shares of the soft light, and of the lights `reaching`, that the object leaves itself."""
+        """(h, w) and (k, h, w): shares of the soft light, and of the lights `reaching`,
+        that the object leaves itself.
+        """
         seen = surface.coverage, surface.normal, surface.position
         visibility = np.ones((len(reaching), *surface.coverage.shape), np.float32)
         if self.params.self_shadow > 0:
@@ -221,7 +243,9 @@ class Lightmap(Stage):
             what = region.rays, region.soft, anchor_from_world, shape
             visible = visible_fraction_by_rays(layers, *what)
         else:
-            nodes = view.memo.of_light.get(("object", shape), lambda: kept.under(shape), "soft")
+            nodes = view.memo.of_light.get(
+                ("object", shape), lambda: kept.under(shape), "soft"
+            )
             visible = visible_fraction(layers, kept, nodes, anchor_from_world, shape)
         strength = np.float32(self.params.self_shadow)
         return visible if strength == 1 else 1 + strength * (visible - 1)
@@ -240,7 +264,8 @@ class Lightmap(Stage):
         view: View,
         now: Layers | None,
     ) -> np.ndarray:
-        """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of each of the lights `reaching`, past
+        """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of
+        each of the lights `reaching`, past
         the object;  now : the layers of the surface's rectangle, for its coats"""
         f32 = np.float32
         rgb = (light.rgb * light.on_object[:, None])[reaching].astype(f32)
@@ -249,7 +274,9 @@ class Lightmap(Stage):
         lights = Lights(towards, rgb, widths, visibility, soft_visibility)
         soft_share = f32(self.params.ambient)
         soft = soft_share * harmonic_terms(light.soft, light.ambient)
-        environment = frame_environment(view.facts, view.scene, view.light, view.memo.of_light)
+        environment = frame_environment(
+            view.facts, view.scene, view.light, view.memo.of_light
+        )
         eye = view.pose.inverse().translation_m.astype(f32)
         bias = np.array(view.facts.bias_rgb, f32)
         mirrored = environment, soft_share, split_sum()
@@ -257,7 +284,9 @@ class Lightmap(Stage):
         if now is not None and not now.extent(Layer.SHEEN).empty:
             add_sheen(out, surface, packed(now[Layer.SHEEN]), eye, lights, soft, bias)
         if now is not None and not now.extent(Layer.COAT).empty:
-            add_clear_coat(out, surface, packed(now[Layer.COAT]), eye, lights, *mirrored, bias)
+            add_clear_coat(
+                out, surface, packed(now[Layer.COAT]), eye, lights, *mirrored, bias
+            )
         return out
 
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> Pixels:
@@ -279,10 +308,14 @@ class Lightmap(Stage):
                 lamps += textures
                 weights += [fraction] * len(textures)
         real = view.facts.plane_shadow
-        blocked = None if real is None else plane_shadow_texture(real, light.ambient_fraction)
+        blocked = (
+            None if real is None else plane_shadow_texture(real, light.ambient_fraction)
+        )
         seen = PlaneView(view.out, prepared.grid, anchor_from_camera)
         shares = np.reshape(weights, (-1, 3))
-        ratio = shadow_ratio(seen, soft, lamps, shares, ambient, blocked, self.faint, strength)
+        ratio = shadow_ratio(
+            seen, soft, lamps, shares, ambient, blocked, self.faint, strength
+        )
         return Pixels(view.out, ratio)
 
     def _soft_textures(
@@ -293,7 +326,9 @@ class Lightmap(Stage):
         def make() -> tuple[PlaneTexture, ...]:
             return tuple(within_surface(p.under(shape), surface_m) for p in prepared.soft)
 
-        kept: tuple[PlaneTexture, ...] = view.memo.of_light.get(("plane", shape), make, "soft")
+        kept: tuple[PlaneTexture, ...] = view.memo.of_light.get(
+            ("plane", shape), make, "soft"
+        )
         return kept
 
     def _lamp_textures(
@@ -320,7 +355,10 @@ class Lightmap(Stage):
         most = self.params.shadow_strength * region.caster.opacity * darkest
         share = 100 * most
         if most <= least:
-            return EMPTY, f"no shadow: the object takes at most {share:.1f} % of the plane's light"
+            return (
+                EMPTY,
+                f"no shadow: the object takes at most {share:.1f} % of the plane's light",
+            )
         fractions = light.direct_fractions.max(1) if light.beams else ()
         beams = tuple(
             beam
@@ -336,19 +374,26 @@ class Lightmap(Stage):
             part = 100 * least
             return (
                 EMPTY,
-                f"no shadow: nowhere does the object take {part:.1f} % of the plane's light",
+                (
+                    f"no shadow: nowhere does the object take {part:.1f} % of the plane's"
+                    " light"
+                ),
             )
         rect = _plane_rect(outline, facts, scene).clip(frame)
         if scene.surface_m is not None:
             x0, y0, x1, y1 = scene.surface_m
             rect = rect.clip(
-                _plane_rect(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene)
+                _plane_rect(
+                    np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene
+                )
             )
         return (
             rect,
-            f"shadow takes up to {share:.0f} % of the plane's light"
-            if not rect.empty
-            else "shadow out of view",
+            (
+                f"shadow takes up to {share:.0f} % of the plane's light"
+                if not rect.empty
+                else "shadow out of view"
+            ),
         )
 
     @property
@@ -358,23 +403,34 @@ class Lightmap(Stage):
 
     def _light(self, facts: FrameFacts, scene: Scene) -> FrameLight:
         return frame_light(
-            scene.light_of(facts), scene.world_from_anchor, self.hard, self.params.plane_blocks
+            scene.light_of(facts),
+            scene.world_from_anchor,
+            self.hard,
+            self.params.plane_blocks,
         )
 
 
 def _plane_rect(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
-    """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are not before the camera."""
+    """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are
+    not before the camera.
+    """
     points = np.column_stack([points_m, np.zeros(len(points_m))])
-    return seen_rect(scene.camera, facts.pose.apply(scene.world_from_anchor.apply(points)), 1.0)
+    return seen_rect(
+        scene.camera, facts.pose.apply(scene.world_from_anchor.apply(points)), 1.0
+    )
 
 
 def _darkest(light: FrameLight, scene: Scene) -> float:
-    """The largest share of the plane's light, 0..1, that the object can take: every directional light, and of the ambient
-    one what it hides where it hides most."""
+    """The largest share of the plane's light, 0..1, that the object can take: every
+    directional light, and of the ambient one what it hides where it hides most."""
     hidden = min(shadow_region(scene).hidden * _unevenness(light), 1.0)
     return float((light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max())
 
 
 def _unevenness(light: FrameLight) -> float:
-    """How many times as bright as its mean over the plane's hemisphere the soft light is at most, as far as pictures hold it."""
-    return min((1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), UNEVEN)
+    """How many times as bright as its mean over the plane's hemisphere the soft light is at
+    most, as far as pictures hold it.
+    """
+    return min(
+        (1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), UNEVEN
+    )

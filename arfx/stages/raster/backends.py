@@ -1,6 +1,7 @@
 """Which back ends exist, which open here, and why not.
 
-Probing OpenGL opens a context in this process, which keeps it; nothing is probed before it is asked for."""
+Probing OpenGL opens a context in this process, which keeps it; nothing is probed before it
+is asked for."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ class Backend:
 
 @dataclass(frozen=True)
 class BackendState:
-    """opens : usable in this process;  detail : version, or why not;  fix : what would make it open, may be empty"""
+    """opens : usable in this process;  detail : version, or why not;  fix : what would make
+    it open, may be empty
+    """
 
     name: str
     opens: bool
@@ -40,9 +43,11 @@ class BackendState:
 
 
 def choose_backend(wanted: str = "auto") -> Backend:
-    """The back end to use. Raises RenderError where the one asked for by name cannot open, ConfigError if unknown.
+    """The back end to use. Raises RenderError where the one asked for by name cannot open,
+    ConfigError if unknown.
 
-    auto : pyrender where OpenGL runs on a graphics card, else rays. OpenGL in software is never taken unasked: at the same
+    auto : pyrender where OpenGL runs on a graphics card, else rays. OpenGL in software is
+    never taken unasked: at the same
     edge quality it takes two to three times as long as rays (measured with llvmpipe)."""
     if wanted not in ("auto", *BACKENDS):
         raise ConfigError(
@@ -75,7 +80,9 @@ def _ray_backend(why: str) -> Backend:
 
 
 def _graphics_card() -> bool:
-    """Is there a device that a driver could render on? Spares each worker a context that would be refused anyway."""
+    """Is there a device that a driver could render on? Spares each worker a context that
+    would be refused anyway.
+    """
     if not sys.platform.startswith("linux"):
         return True
     dev = Path("/dev")
@@ -93,7 +100,9 @@ def backend_report() -> list[BackendState]:
     try:
         import embreex
 
-        rays = BackendState("rays", True, f"embreex {getattr(embreex, '__version__', '')}".strip())
+        rays = BackendState(
+            "rays", True, f"embreex {getattr(embreex, '__version__', '')}".strip()
+        )
     except ImportError as e:
         rays = BackendState(
             "rays", False, f"embreex cannot be imported: {e}", "pip install embreex"

@@ -1,7 +1,8 @@
 """Which pixels need more than one sample: those that an outline or a sharp edge passes through.
 
 Outlines come from the geometry, so that features thinner than a pixel are not missed; what geometry
-does not tell (cut-outs, parts that pass through each other) comes from neighbours that differ."""
+does not tell (cut-outs, parts that pass through each other) comes from neighbours that differ.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +26,12 @@ _SLOPES = 3.0
 
 
 def edge_pixels(
-    mesh: SceneMesh, camera: Camera, view: View, rect: Rect, face: np.ndarray, depth: np.ndarray
+    mesh: SceneMesh,
+    camera: Camera,
+    view: View,
+    rect: Rect,
+    face: np.ndarray,
+    depth: np.ndarray,
 ) -> np.ndarray:
     """(h, w) bool, pixels of `rect` with more than one surface in them.
 
@@ -61,7 +67,9 @@ def _points_along(
     z = view.points[ends, 2]
     xy = divide(view.points[ends, :2], z[..., None])
     low = np.array([np.nanmin(view.x, initial=np.inf), np.nanmin(view.y, initial=np.inf)])
-    high = np.array([np.nanmax(view.x, initial=-np.inf), np.nanmax(view.y, initial=-np.inf)])
+    high = np.array(
+        [np.nanmax(view.x, initial=-np.inf), np.nanmax(view.y, initial=-np.inf)]
+    )
     near = (xy.max(1) >= low).all(1) & (xy.min(1) <= high).all(1) & (z > EPS_DEPTH_M).all(1)
     xy, z = xy[near], z[near]
     length = (np.abs(xy[:, 1] - xy[:, 0]) * [camera.fx, camera.fy]).max(1, initial=0)
@@ -103,7 +111,10 @@ def _add_jumps(
         jump = gap[k] > depth[here][k] * (_SLOPES * slope + least_jump)
         marked = before[here][k] | before[there][k]
         explained = before[here][k] & before[there][k]
-        differ = np.where(marked, other_part & ~nothing, nothing | other_part | jump) & ~explained
+        differ = (
+            np.where(marked, other_part & ~nothing, nothing | other_part | jump)
+            & ~explained
+        )
         mask[here][k] |= differ
         mask[there][k] |= differ
 

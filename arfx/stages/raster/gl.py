@@ -1,10 +1,11 @@
 """Which faces a camera sees, by OpenGL: a picture of face numbers, looked up along directions.
 
-The picture is an ideal camera's, over the rectangle only, k x k texels a pixel whose middle one lies
-on the pixel's centre; a direction takes the texel next to it (Burns and Hunt 2013, "The visibility
-buffer"). With lens distortion the picture is made as wide as the rectangle needs. The near plane
-stands at 9/10 of the nearest vertex, at least NEAR_M; what is nearer is cut away.
-Any thread may ask, several at once too: drawing alone waits for the OpenGL thread (gl_draw.py)."""
+The picture is an ideal camera's, over the rectangle only, k x k texels a pixel whose middle
+one lies on the pixel's centre; a direction takes the texel next to it (Burns and Hunt 2013,
+"The visibility buffer"). With lens distortion the picture is made as wide as the rectangle
+needs. The near plane stands at 9/10 of the nearest vertex, at least NEAR_M; what is nearer
+is cut away. Any thread may ask, several at once too: drawing alone waits for the OpenGL
+thread (gl_draw.py)."""
 
 from __future__ import annotations
 
@@ -47,7 +48,9 @@ class GlFaces:
 
     any_rectangle = False  # the driver's fixed-point edges depend on the viewport's corner
 
-    def __init__(self, mesh: SceneMesh, camera: Camera, curvature: float, samples: int) -> None:
+    def __init__(
+        self, mesh: SceneMesh, camera: Camera, curvature: float, samples: int
+    ) -> None:
         self._mesh, self._camera = mesh, camera
         self._side = 2 * round((samples**0.5 - 1) / 2) + 1
         offset = (np.arange(self._side) + 0.5) / self._side - 0.5
@@ -63,7 +66,9 @@ class GlFaces:
         near, far = max(0.9 * float(depths.min()), NEAR_M), 1.1 * float(depths.max())
         picture = self._picture(view)
         if far <= near or picture is None:
-            return GlFrame(self._mesh, view, Picture(np.ones(2), np.zeros(2), 0, 0), np.zeros(0))
+            return GlFrame(
+                self._mesh, view, Picture(np.ones(2), np.zeros(2), 0, 0), np.zeros(0)
+            )
         middle = picture.shift + 0.5
         ideal = self.context.pyrender.IntrinsicsCamera(*picture.scale, *middle, near, far)
         projection = ideal.get_projection_matrix(picture.width, picture.height)
@@ -86,16 +91,22 @@ class GlFaces:
         size = (high - low) * scale + 2
         # A wide lens would need an endless ideal picture: it is made coarser instead.
         scale = scale * min(1.0, *(MAX_SIDE_PX / size), np.sqrt(MAX_AREA_PX / size.prod()))
-        width, height = np.minimum(np.ceil((high - low) * scale).astype(int) + 2, MAX_SIDE_PX)
+        width, height = np.minimum(
+            np.ceil((high - low) * scale).astype(int) + 2, MAX_SIDE_PX
+        )
         centre = np.array([c.cx, c.cy]) * self._side
         # The texels' grid is fixed to the picture, not to the rectangle.
-        return Picture(scale, centre - np.floor(low * scale + centre), int(width), int(height))
+        return Picture(
+            scale, centre - np.floor(low * scale + centre), int(width), int(height)
+        )
 
 
 class GlFrame:
     """One frame of GlFaces. numbers : (texels,) int32, of faces, -1 = none, bottom row first"""
 
-    def __init__(self, mesh: SceneMesh, view: View, picture: Picture, numbers: np.ndarray) -> None:
+    def __init__(
+        self, mesh: SceneMesh, view: View, picture: Picture, numbers: np.ndarray
+    ) -> None:
         self._mesh, self._view, self._picture, self._numbers = mesh, view, picture, numbers
 
     def centres(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -131,5 +142,6 @@ def _on_gl_thread(work: Callable[..., T], *args: Any) -> T:
         return on_gl_thread(work, *args)
     except Error as e:
         raise RenderError(
-            f"OpenGL failed: {e!r}", "the rays back end needs no OpenGL: --set raster.backend=rays"
+            f"OpenGL failed: {e!r}",
+            "the rays back end needs no OpenGL: --set raster.backend=rays",
         ) from e

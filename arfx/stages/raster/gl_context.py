@@ -1,8 +1,11 @@
-"""The one OpenGL context of this process, EGL, else OSMesa, through pyrender's platforms, and the one thread that uses it.
+"""The one OpenGL context of this process, EGL, else OSMesa, through pyrender's platforms,
+and the one thread that uses it.
 
-A context is current in one thread at a time: all OpenGL work of a process is handed to a single thread, whoever asks.
-The context is opened on first use, stays current there, and is never deleted: EGL's displays are shared, so that ending one
-ends others, and a driver may be unloaded before Python is done. A spawned process opens its own; none survives a fork."""
+A context is current in one thread at a time: all OpenGL work of a process is handed to a
+single thread, whoever asks. The context is opened on first use, stays current there, and is
+never deleted: EGL's displays are shared, so that ending one ends others, and a driver may
+be unloaded before Python is done. A spawned process opens its own; none survives a fork.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ from arfx.errors import RenderError
 
 T = TypeVar("T")
 
-FIX = "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6), or use the rays back end, which needs no OpenGL"
+FIX = (
+    "apt-get install libegl1 libgl1 libgl1-mesa-dri (or libosmesa6), or use the rays back"
+    " end, which needs no OpenGL"
+)
 _LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",)}
 
 
@@ -40,24 +46,32 @@ _failure = ""
 _thread = ThreadPoolExecutor(1, "opengl")  # Python's end waits for the draw that it is at
 _thread.submit(
     int
-).result()  # it starts now: Ctrl-C while it starts with work in hand would leave it running beside a second
+    # it starts now: Ctrl-C while it starts with work in hand would leave it running beside a
+    # second
+).result()
 _discarded: deque[Callable[[], None]] = deque()
 _pid = os.getpid()
 
 
 def on_gl_thread(work: Callable[..., T], *args: Any) -> T:
-    """work(*args) on the thread that has the context; returns what it returns, raises what it raises.
+    """work(*args) on the thread that has the context; returns what it returns, raises what
+    it raises.
 
-    Not to be called from that thread. Raises RenderError in a forked process, which has neither thread nor context."""
+    Not to be called from that thread. Raises RenderError in a forked process, which has
+    neither thread nor context."""
     if _pid != os.getpid():
         raise RenderError(
-            "OpenGL was carried into a forked process", "start workers with the spawn method"
+            "OpenGL was carried into a forked process",
+            "start workers with the spawn method",
         )
     return _thread.submit(_free_then, work, args).result()
 
 
 def discard(free: Callable[[], None]) -> None:
-    """Call `free` on the OpenGL thread before its next work. Takes no lock: a finalizer may run anywhere."""
+    """Call `free` on the OpenGL thread before its next work.
+
+    Takes no lock: a finalizer may run anywhere.
+    """
     _discarded.append(free)
 
 
@@ -68,7 +82,10 @@ def _free_then(work: Callable[..., T], args: tuple[Any, ...]) -> T:
 
 
 def open_context() -> GlContext:
-    """The context of this process, opened on first use. Raises RenderError with what each platform answered."""
+    """The context of this process, opened on first use.
+
+    Raises RenderError with what each platform answered.
+    """
     return on_gl_thread(_open_once)
 
 
@@ -79,7 +96,8 @@ def _open_once() -> GlContext:
     if _failure:
         raise RenderError(_failure, FIX)
     answers = []
-    # One thread per process: frames are spread over worker processes, and two llvmpipe pools fight for the same cores.
+    # One thread per process: frames are spread over worker processes, and two llvmpipe
+    # pools fight for the same cores.
     os.environ.setdefault("LP_NUM_THREADS", "1")
     asked = os.environ.get("PYOPENGL_PLATFORM", "").lower()
     for name in (asked,) if asked in _LIBRARIES else tuple(_LIBRARIES):
@@ -90,7 +108,9 @@ def _open_once() -> GlContext:
         try:
             _context = _open(name)
             return _context
-        except Exception as e:  # drivers and PyOpenGL raise anything, down to AttributeError
+        except (
+            Exception
+        ) as e:  # drivers and PyOpenGL raise anything, down to AttributeError
             answers.append(f"{name}: {type(e).__name__} {e}".rstrip().split("\n")[0])
             _drop_modules()
     _failure = "no OpenGL context opens here (" + "; ".join(answers) + ")"
@@ -108,7 +128,9 @@ def _missing_library(name: str) -> str:
 
 def _open(name: str) -> GlContext:
     os.environ["PYOPENGL_PLATFORM"] = name  # PyOpenGL looks at it once, when it is imported
-    if "pyrender.viewer" not in sys.modules:  # the real one imports pyglet, which wants a display
+    if (
+        "pyrender.viewer" not in sys.modules
+    ):  # the real one imports pyglet, which wants a display
         stub = types.ModuleType("pyrender.viewer")
         stub.Viewer = None  # type: ignore[attr-defined]
         stub.__all__ = ["Viewer"]  # type: ignore[attr-defined]
@@ -136,7 +158,8 @@ def _open(name: str) -> GlContext:
         raise RuntimeError("the context has no version")
     renderer = GL.glGetString(GL.GL_RENDERER) or b""
     software = any(
-        word in renderer.decode().lower() for word in ("llvmpipe", "softpipe", "swrast", "software")
+        word in renderer.decode().lower()
+        for word in ("llvmpipe", "softpipe", "swrast", "software")
     )
     detail = f"{name}, OpenGL {version.decode()}, {renderer.decode()}"
     platform.delete_context = lambda: None  # its __del__ would call it at Python's end
@@ -144,7 +167,9 @@ def _open(name: str) -> GlContext:
 
 
 def _plain_context_ids(contextdata: Any) -> None:
-    """Make OSMesa's contexts ints: pyrender keeps shaders by context, and two pointers to one context are not equal."""
+    """Make OSMesa's contexts ints: pyrender keeps shaders by context, and two pointers to
+    one context are not equal.
+    """
     given = contextdata.getContext
 
     def as_int(context: Any = None) -> Any:

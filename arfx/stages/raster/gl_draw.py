@@ -28,7 +28,10 @@ class Drawing:
         self.order = np.argsort(~mesh.hidden_behind, kind="stable")
         one_sided = int(mesh.hidden_behind.sum())
         self.primitives = []
-        for first, faces in ((0, self.order[:one_sided]), (one_sided, self.order[one_sided:])):
+        for first, faces in (
+            (0, self.order[:one_sided]),
+            (one_sided, self.order[one_sided:]),
+        ):
             if len(faces):
                 primitive = context.pyrender.Primitive(
                     positions=mesh.vertices.astype(np.float32),
@@ -68,7 +71,9 @@ class Drawing:
             cull(GL.GL_CULL_FACE)
             program.set_uniform("first", first)
             primitive._bind()
-            GL.glDrawElements(GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, ctypes.c_void_p(0))
+            GL.glDrawElements(
+                GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, ctypes.c_void_p(0)
+            )
             primitive._unbind()
         program._unbind()
         drawn = np.empty(height * width, np.int32)
@@ -107,12 +112,15 @@ class _Buffer:
             for store, kind, target in zip(self.stores, formats, targets, strict=True):
                 GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, store)
                 GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, self.width, self.height)
-                GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, target, GL.GL_RENDERBUFFER, store)
+                GL.glFramebufferRenderbuffer(
+                    GL.GL_FRAMEBUFFER, target, GL.GL_RENDERBUFFER, store
+                )
             state = GL.glCheckFramebufferStatus(GL.GL_FRAMEBUFFER)
             if state != GL.GL_FRAMEBUFFER_COMPLETE:
                 size = f"{self.width}x{self.height}"
                 raise RenderError(
-                    f"OpenGL refuses a {size} buffer of face numbers (state {int(state):#x})",
+                    f"OpenGL refuses a {size} buffer of face numbers (state"
+                    f" {int(state):#x})",
                     "the rays back end needs no OpenGL: --set raster.backend=rays",
                 )
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self.framebuffer)

@@ -1,8 +1,9 @@
 """Viewing directions of pixels, through the lens of the real camera, fast enough for every frame.
 
-The exact inverse of the distortion costs microseconds a pixel. It is smooth, so it is solved on a grid of every 8th pixel
-and a cubic spline through the nodes gives the rest: off by less than 1e-3 px for every lens that is one-to-one over the
-frame (tested). Where it is not, every pixel is solved."""
+The exact inverse of the distortion costs microseconds a pixel. It is smooth, so it is
+solved on a grid of every 8th pixel and a cubic spline through the nodes gives the rest: off
+by less than 1e-3 px for every lens that is one-to-one over the frame (tested). Where it is
+not, every pixel is solved."""
 
 from __future__ import annotations
 
@@ -18,13 +19,17 @@ MARGIN_PX = 3  # the table reaches this far out of the frame: derivatives at its
 
 
 class LensTable:
-    """Directions of one camera. Cheap to make; the table of a distorted lens is made on first use."""
+    """Directions of one camera.
+
+    Cheap to make; the table of a distorted lens is made on first use.
+    """
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
 
     def directions(self, rect: Rect) -> np.ndarray:
-        """(h, w, 2) float32 (x/z, y/z) at the pixel centres of `rect`, which may pass the frame by MARGIN_PX.
+        """(h, w, 2) float32 (x/z, y/z) at the pixel centres of `rect`, which may pass the
+        frame by MARGIN_PX.
 
         NaN where no direction maps to the pixel."""
         c = self.camera
@@ -48,11 +53,15 @@ class LensTable:
             return np.inf
         steps = (x[1] - x[0]) ** 2, (y[1] - y[0]) ** 2
         bends = [np.abs(np.diff(ideal, 2, axis=1 - k)).max() / steps[k] for k in range(2)]
-        mixed = np.abs(np.diff(np.diff(ideal, axis=0), axis=1)).max() / np.sqrt(steps[0] * steps[1])
+        mixed = np.abs(np.diff(np.diff(ideal, axis=0), axis=1)).max() / np.sqrt(
+            steps[0] * steps[1]
+        )
         return float(sum(bends) + 2 * mixed)
 
     def at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """(len(rows), len(columns), 2) float64 directions at fractional pixel positions, within the margin."""
+        """(len(rows), len(columns), 2) float64 directions at fractional pixel positions,
+        within the margin.
+        """
         c = self.camera
         if self._splines is not None:
             return np.stack([s(rows, columns) for s in self._splines], -1)

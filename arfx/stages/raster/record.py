@@ -1,6 +1,7 @@
 """What the parts of this stage hand to one another: named tuples of arrays that belong together.
 
-Compiled loops take them, and are compiled again for each mix of types: dtypes and order are fixed."""
+Compiled loops take them, and are compiled again for each mix of types: dtypes and order are fixed.
+"""
 
 from __future__ import annotations
 

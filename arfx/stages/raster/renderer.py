@@ -3,7 +3,8 @@
 More than one ray goes through a pixel only where an outline, a sharp edge or a cut-out passes
 through it (edges.py). Directions are those of the distorted camera, so nothing is warped. Rays go
 on behind transparent layers and cut-outs, up to MAX_LAYERS, by embree.
-Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `Raster.levels`."""
+Cost: O(faces + pixels of the rectangle + edge pixels x samples); measured in `Raster.levels`.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +42,9 @@ REFERENCE_SAMPLES = 256
 # A ray goes on this far behind a hit, as a fraction of the depth: eight steps of float32.
 _ONWARD = np.float32(1e-6)
 _STRIP_PX, _BLOCK_RAYS = 1 << 20, 1 << 20  # at a time: bounds memory to about 200 MB
-_CENTRES = 1 << 13  # pixels of one ray at a time: their arrays stay in the processor's cache
+_CENTRES = (
+    1 << 13
+)  # pixels of one ray at a time: their arrays stay in the processor's cache
 
 
 class FacesOfFrame(Protocol):
@@ -76,7 +79,8 @@ class Renderer:
     find_faces : makes FacesSeen of mesh, camera, the lens's curvature (1 / px) and samples
     samples : of a pixel that an edge crosses; of a mesh with transparency a quarter, because each
     one is followed through it. A texture gets half as many taps along a pixel's side as there are
-    samples along it. From REFERENCE_SAMPLES on, rays go through all pixels, each by itself"""
+    samples along it. From REFERENCE_SAMPLES on, rays go through all pixels, each by itself
+    """
 
     def __init__(
         self,
@@ -120,7 +124,9 @@ class Renderer:
                 self._strip(strip, camera_from_world, part)
         return out
 
-    def _strip(self, rect: Rect, camera_from_world: Pose, out: dict[Layer, np.ndarray]) -> None:
+    def _strip(
+        self, rect: Rect, camera_from_world: Pose, out: dict[Layer, np.ndarray]
+    ) -> None:
         view = self._view(rect, camera_from_world)
         # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
         wide = rect.pad(1)

@@ -45,7 +45,8 @@ class RasterParams:
     def __post_init__(self) -> None:
         if self.backend not in ("auto", *BACKENDS):
             raise ConfigError(
-                f"raster.backend {self.backend!r} is unknown", "one of auto, " + ", ".join(BACKENDS)
+                f"raster.backend {self.backend!r} is unknown",
+                "one of auto, " + ", ".join(BACKENDS),
             )
         require_within("raster", self, samples=(0, 256))
 
@@ -67,11 +68,14 @@ class Raster(Stage):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         rect = facts.raster_box.clip(frame)
         return Demand(
-            rect, f"model covers up to {rect.area} px" if not rect.empty else "model out of view"
+            rect,
+            f"model covers up to {rect.area} px" if not rect.empty else "model out of view",
         )
 
     def prepare(self, scene: Scene, level: str) -> Renderer:
-        """Raises InputError for a model too large for the scene, RenderError where the chosen back end cannot open."""
+        """Raises InputError for a model too large for the scene, RenderError where the
+        chosen back end cannot open.
+        """
         from arfx.stages.raster.renderer import Renderer
 
         backend = choose_backend("rays" if level == "reference" else self.params.backend)

@@ -87,7 +87,11 @@ def _in_world(rotation, x, y):  # pragma: no cover - compiled
 @numba.njit(inline="always")
 def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
     """Where the ray x, y meets the plane of face f."""
-    i, j, k = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+    i, j, k = (
+        np.uintp(mesh.faces[f, 0]),
+        np.uintp(mesh.faces[f, 1]),
+        np.uintp(mesh.faces[f, 2]),
+    )
     a, b, c, volume = planes_of(view.points, i, j, k)
     side_a = a[0] * x + a[1] * y + a[2]
     side_b = b[0] * x + b[1] * y + b[2]
@@ -124,9 +128,17 @@ def _along(f, first, way, laid, slopes):  # pragma: no cover - compiled
     """(2,) how a place on a texture moves along a way (3,) on face f.
 
     first : column of the texture's coordinates;  laid : (2, 3), of the texture"""
-    u = slopes[f, first, 0] * way[0] + slopes[f, first, 1] * way[1] + slopes[f, first, 2] * way[2]
+    u = (
+        slopes[f, first, 0] * way[0]
+        + slopes[f, first, 1] * way[1]
+        + slopes[f, first, 2] * way[2]
+    )
     second = first + 1
-    v = slopes[f, second, 0] * way[0] + slopes[f, second, 1] * way[1] + slopes[f, second, 2] * way[2]
+    v = (
+        slopes[f, second, 0] * way[0]
+        + slopes[f, second, 1] * way[1]
+        + slopes[f, second, 2] * way[2]
+    )
     return laid[0, 0] * u + laid[0, 1] * v, laid[1, 0] * u + laid[1, 1] * v
 
 
@@ -135,7 +147,11 @@ def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - 
     """Multiply what is in `values` by the part's textures. side : of the sample at depth 1
 
     Returns what the normal map shows, 0..1, unused where there is none."""
-    i, j, k = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+    i, j, k = (
+        np.uintp(mesh.faces[f, 0]),
+        np.uintp(mesh.faces[f, 1]),
+        np.uintp(mesh.faces[f, 2]),
+    )
     uv, rotation, reach = mesh.uv, view.rotation, hit.z * side
     right = _F(rotation[0, 0]), _F(rotation[0, 1]), _F(rotation[0, 2])
     below = _F(rotation[1, 0]), _F(rotation[1, 1]), _F(rotation[1, 2])
@@ -169,7 +185,9 @@ def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - 
         elif slot == EMISSIVE_SLOT:
             _multiply(values, EMISSIVE, red, green, blue)
         elif values.shape[0] > PLAIN_COLUMNS:
-            _apply_extra(slot, red, green, blue, alpha, mesh.floats[p, OCCLUSION_STRENGTH], values)
+            _apply_extra(
+                slot, red, green, blue, alpha, mesh.floats[p, OCCLUSION_STRENGTH], values
+            )
     return map_x, map_y, map_z
 
 
@@ -181,7 +199,9 @@ def _multiply(values, first, a, b, c):  # pragma: no cover - compiled
 
 
 @numba.njit(inline="always")
-def _apply_extra(slot, red, green, blue, alpha, strength, values):  # pragma: no cover - compiled
+def _apply_extra(
+    slot, red, green, blue, alpha, strength, values
+):  # pragma: no cover - compiled
     """Textures of occlusion, clear coat and sheen."""
     if slot == OCCLUSION_SLOT:
         values[OCCLUSION] = _F(1) + strength * (red - _F(1))
@@ -198,7 +218,11 @@ def _apply_extra(slot, red, green, blue, alpha, strength, values):  # pragma: no
 @numba.njit(inline="always")
 def _interpolated(rows, f, hit, mesh):  # pragma: no cover - compiled
     """(3,) of rows (n, 3 or more) at a hit."""
-    i, j, k = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+    i, j, k = (
+        np.uintp(mesh.faces[f, 0]),
+        np.uintp(mesh.faces[f, 1]),
+        np.uintp(mesh.faces[f, 2]),
+    )
     return (
         hit.b0 * rows[i, 0] + hit.b1 * rows[j, 0] + hit.b2 * rows[k, 0],
         hit.b0 * rows[i, 1] + hit.b1 * rows[j, 1] + hit.b2 * rows[k, 1],
@@ -210,7 +234,8 @@ def _interpolated(rows, f, hit, mesh):  # pragma: no cover - compiled
 def _bent_normal(normal, shown, f, p, hit, mesh):  # pragma: no cover - compiled
     """(3,) the normal that a normal map shows, in world axes, any length.
 
-    Source: glTF 2.0, 3.9.3; as it is stated there, nothing is made unit before it is summed."""
+    Source: glTF 2.0, 3.9.3; as it is stated there, nothing is made unit before it is summed.
+    """
     scale = _F(2) * mesh.floats[p, NORMAL_SCALE]
     x, y = scale * (shown[0] - _F(0.5)), scale * (shown[1] - _F(0.5))
     z = _F(2) * shown[2] - _F(1)
@@ -242,7 +267,11 @@ def _write_normal(normal, hit, f, mesh, values):  # pragma: no cover - compiled
 def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - compiled
     """Write what a hit shows into `values`; its opacity into the column COVERED."""
     p = np.uintp(mesh.part[f])
-    i, j, k = np.uintp(mesh.faces[f, 0]), np.uintp(mesh.faces[f, 1]), np.uintp(mesh.faces[f, 2])
+    i, j, k = (
+        np.uintp(mesh.faces[f, 0]),
+        np.uintp(mesh.faces[f, 1]),
+        np.uintp(mesh.faces[f, 2]),
+    )
     floats, colours = mesh.floats, mesh.colours
     colour = _interpolated(colours, f, hit, mesh)
     for c in range(3):
@@ -269,7 +298,9 @@ def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - comp
 
 
 @line_kernel(error_model="numpy", fastmath=ROUNDED)
-def add_surfaces(rays: Rays, view: View, mesh: SurfaceTables, values, sums):  # pragma: no cover
+def add_surfaces(
+    rays: Rays, view: View, mesh: SurfaceTables, values, sums
+):  # pragma: no cover
     """Add what rays meet to their pixels' sums (n, columns), and take it off what rays let pass.
 
     values : (columns,) float32, scratch"""
@@ -330,7 +361,9 @@ def merged_by_face(face, x, y):  # pragma: no cover - compiled
 
 
 @line_kernel(error_model="numpy", fastmath=ROUNDED)
-def resolve(pixels, part, depth, sums, view: View, out: GBuffer):  # pragma: no cover - compiled
+def resolve(
+    pixels, part, depth, sums, view: View, out: GBuffer
+):  # pragma: no cover - compiled
     """Write pixels (n,), numbered within `out`, from their sums; those that meet nothing stay.
 
     part, depth : (n,), of the surface that their centre sees, or the ray next to it"""
@@ -343,13 +376,21 @@ def resolve(pixels, part, depth, sums, view: View, out: GBuffer):  # pragma: no 
         row, column = y + np.uintp(MARGIN), x + np.uintp(MARGIN)
         dx, dy, dz = _in_world(view.rotation, view.x[row, column], view.y[row, column])
         z, inverse = depth[a], _F(1) / covered
-        out.coverage[y, x], out.depth[y, x], out.object_id[y, x] = min(covered, _F(1)), z, part[a] + 1
+        out.coverage[y, x], out.depth[y, x], out.object_id[y, x] = (
+            min(covered, _F(1)),
+            z,
+            part[a] + 1,
+        )
         nx, ny, nz = sums[a, NORMAL], sums[a, NORMAL + 1], sums[a, NORMAL + 2]
         n = np.sqrt(nx * nx + ny * ny + nz * nz)
         if n < _F(1e-6) * covered:  # opposite sides cancel: straight towards the camera
             nx, ny, nz = -dx, -dy, -dz
             n = np.sqrt(nx * nx + ny * ny + nz * nz)
-        out.normal[y, x, 0], out.normal[y, x, 1], out.normal[y, x, 2] = nx / n, ny / n, nz / n
+        out.normal[y, x, 0], out.normal[y, x, 1], out.normal[y, x, 2] = (
+            nx / n,
+            ny / n,
+            nz / n,
+        )
         for c in range(3):
             out.albedo[y, x, c] = sums[a, ALBEDO + c] * inverse
             out.material[y, x, c] = sums[a, MATERIAL + c] * inverse

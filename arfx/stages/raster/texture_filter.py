@@ -31,7 +31,12 @@ def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover -
     place : u, v of its middle;  across, down : its sides in u, v
     taps : along the short side, at most; twice as many along the long one"""
     width, height = _F(table[t, textures.WIDTH]), _F(table[t, textures.HEIGHT])
-    ax, ay, bx, by = across[0] * width, across[1] * height, down[0] * width, down[1] * height
+    ax, ay, bx, by = (
+        across[0] * width,
+        across[1] * height,
+        down[0] * width,
+        down[1] * height,
+    )
     wide, high = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
     finest = max(min(wide, high) / _F(taps), max(wide, high) / _F(2 * taps))
     level = np.int32(0)

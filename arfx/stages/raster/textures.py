@@ -50,7 +50,15 @@ class StackBuilder:
             offsets = self._pyramid_offsets(picture, srgb)
             height, width = picture.shape[:2]
             wrap_u, wrap_v = (_WRAPS[way] for way in texture.wrap)
-            row = [width, height, len(offsets), wrap_u, wrap_v, int(texture.nearest), *offsets]
+            row = [
+                width,
+                height,
+                len(offsets),
+                wrap_u,
+                wrap_v,
+                int(texture.nearest),
+                *offsets,
+            ]
             self._rows.append(row + [0] * (MAX_LEVELS - len(offsets)))
         return self._index[key]
 

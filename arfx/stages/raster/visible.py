@@ -7,7 +7,8 @@ directions in place of a pinhole's pixels: any lens works). Neighbours compute t
 the sign turned, exactly, so no ray slips between them.
 Each run of directions is passed twice: a plain loop of arithmetic, which the compiler turns into
 vectors, then one that looks at those inside.
-Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for a picture's rays."""
+Cost: O(faces + pixels of their boxes); some 8 times quicker than a tree for a picture's rays.
+"""
 
 # mypy: disable-error-code="no-untyped-def, var-annotated"
 from __future__ import annotations
@@ -43,7 +44,8 @@ class Projection(NamedTuple):
 
     pixels : (n, 2) float64, the vertices' places in the picture; NaN = none
     points : (n, 3) float64, camera axes;  faces : (m, 3)
-    hidden : (m,) bool, faces that are not seen from behind;  curvature : of the lens, 1 / px"""
+    hidden : (m,) bool, faces that are not seen from behind;  curvature : of the lens, 1 / px
+    """
 
     pixels: np.ndarray
     points: np.ndarray
@@ -58,7 +60,9 @@ class RayFaces:
 
     any_rectangle = True
 
-    def __init__(self, mesh: SceneMesh, camera: Camera, curvature: float, samples: int) -> None:
+    def __init__(
+        self, mesh: SceneMesh, camera: Camera, curvature: float, samples: int
+    ) -> None:
         self.offsets = lattice(samples)
         self._mesh, self._camera, self._curvature = mesh, camera, curvature
 
@@ -114,7 +118,9 @@ def planes_of(points, i, j, k):  # pragma: no cover - compiled
 
 @numba.njit(nogil=True, inline="always")
 def _box(projection, i, j, k, height, width):  # pragma: no cover - compiled
-    """Half-open x0 y0 x1 y1 of the pixels that a face may cover; a corner without a picture: all."""
+    """Half-open x0 y0 x1 y1 of the pixels that a face may cover; a corner without a
+    picture: all.
+    """
     pixels, points, near = projection.pixels, projection.points, projection.near
     if points[i, 2] <= near and points[j, 2] <= near and points[k, 2] <= near:
         return 0, 0, 0, 0
@@ -135,7 +141,9 @@ def _box(projection, i, j, k, height, width):  # pragma: no cover - compiled
 
 
 @numba.njit(nogil=True, inline="always")
-def _meet_run(face, planes, near, x, y, first, last, inside, prim, depth):  # pragma: no cover
+def _meet_run(
+    face, planes, near, x, y, first, last, inside, prim, depth
+):  # pragma: no cover
     """Meet one face with the directions x, y [first:last]; prim, depth : the nearest so far."""
     (a0, a1, a2), (b0, b1, b2), (c0, c1, c2), volume = planes
     if volume < 0:
@@ -176,7 +184,9 @@ def nearest_faces(projection: Projection, x, y):  # pragma: no cover - compiled
         first, last = np.uintp(x0), np.uintp(max(x0, x1))
         for row in range(np.uintp(y0), np.uintp(max(y0, y1))):
             of_row = prim[row], depth[row]
-            _meet_run(f, planes, near, x[row], y[row], first, last, inside, of_row[0], of_row[1])
+            _meet_run(
+                f, planes, near, x[row], y[row], first, last, inside, of_row[0], of_row[1]
+            )
     return prim, depth
 
 
@@ -219,7 +229,9 @@ def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - 
             for column in range(np.uintp(x0), np.uintp(x1)):
                 n = slot[row, column]
                 if n >= 0 and not _misses(planes, bounds[n]):
-                    _meet_run(f, planes, near, x[n], y[n], zero, last, inside, prim[n], depth[n])
+                    _meet_run(
+                        f, planes, near, x[n], y[n], zero, last, inside, prim[n], depth[n]
+                    )
     return prim, depth
 
 

@@ -3,7 +3,8 @@
 A wash is what a painter lays on in one go: neighbouring cells of nearly one colour. Their colours
 are drawn together over the graph of neighbours, with a weight that falls with their difference, so
 that cells vanish in even areas and stay where the picture changes.
-Cost: O(pixels) once for the means, O(cells) after. Source: docs/methods/watercolor.md#cells."""
+Cost: O(pixels) once for the means, O(cells) after. Source: docs/methods/watercolor.md#cells.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +63,9 @@ def _sum_rows(image, labels, first, last, total):  # pragma: no cover - compiled
             total[k, 3] += 1.0
 
 
-def neighbours(x: np.ndarray, y: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def neighbours(
+    x: np.ndarray, y: np.ndarray, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(near (n, NEIGHBOURS) int32 sites around each, the nearest, itself behind the last; weight
     (n, NEIGHBOURS) float32 0..1).
 

@@ -51,14 +51,19 @@ class RealDioptre:
         dioptre = divide(1.0, np.maximum(few, EPS_DEPTH_M)).astype(np.float32)
         side = 2 * GRID_PX // _EVERY_PX + 1
         return RealDioptre(
-            rect, cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w)
+            rect,
+            cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w),
         )
 
     def at_nodes(self, field: SiteField) -> np.ndarray:
         """(gh, gw) 1/m; outside the picture that of its border."""
         (h, w), (gh, gw) = self.mean.shape, field.u.shape
-        i = (field.y0 - self.rect.y0 + GRID_PX * np.arange(gh) + 0.5) * (h / self.rect.height)
-        j = (field.x0 - self.rect.x0 + GRID_PX * np.arange(gw) + 0.5) * (w / self.rect.width)
+        i = (field.y0 - self.rect.y0 + GRID_PX * np.arange(gh) + 0.5) * (
+            h / self.rect.height
+        )
+        j = (field.x0 - self.rect.x0 + GRID_PX * np.arange(gw) + 0.5) * (
+            w / self.rect.width
+        )
         out: np.ndarray = self.mean[
             np.clip(i, 0, h - 1).astype(int)[:, None], np.clip(j, 0, w - 1).astype(int)
         ].astype(float)

@@ -65,7 +65,8 @@ def collect(buckets: Buckets, x, y, reach, out: LocalSites):  # pragma: no cover
     """Number of sites in the buckets within `reach` of (x, y), up to a multiple of STEP.
 
     out : these, by number, then some that are far: loops end with whole steps.
-    x, y : from the first bucket's corner, 1/STEPS px; buckets at the border hold what is beyond"""
+    x, y : from the first bucket's corner, 1/STEPS px; buckets at the border hold what is beyond
+    """
     position, _, start, side_px, rows, columns = buckets
     lx, ly, lw, number = out
     count, side = 0, _F(side_px * STEPS)
@@ -78,7 +79,11 @@ def collect(buckets: Buckets, x, y, reach, out: LocalSites):  # pragma: no cover
         for begin in range(first, last, STEP):
             for m in range(STEP):  # what is too much is overwritten by the next row
                 k, to = _U(begin) + _U(m), _U(count) + _U(m)
-                lx[to], ly[to], lw[to] = position[0, k] - x, position[1, k] - y, position[2, k]
+                lx[to], ly[to], lw[to] = (
+                    position[0, k] - x,
+                    position[1, k] - y,
+                    position[2, k],
+                )
                 number[to] = _I(k)
             count += STEP
         count -= -(last - first) % STEP
@@ -141,7 +146,9 @@ def prune(sites: LocalSites, count, box, limit, away, found):  # pragma: no cove
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def pack(sites: LocalSites, found, n, reach, out: Candidates):  # pragma: no cover - compiled
+def pack(
+    sites: LocalSites, found, n, reach, out: Candidates
+):  # pragma: no cover - compiled
     """(unit, largest packed number): |p - s|^2 - |p|^2 - weight, in units, plus the index.
 
     The index is the candidate's in `found`, the unit a power of 2 above it; the number is linear
@@ -258,7 +265,9 @@ def nearest_two(
 
 
 @line_kernel()
-def nearest_of_far(sites: LocalSites, found, n, p, blend, n1, n2, inset):  # pragma: no cover
+def nearest_of_far(
+    sites: LocalSites, found, n, p, blend, n1, n2, inset
+):  # pragma: no cover
     """The same one by one, where packed numbers would be too large. blend 0 : no borders"""
     factor = SOLID / max(2.0 * blend, 1e-9)
     for q in range(PIXELS):

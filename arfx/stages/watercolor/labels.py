@@ -114,12 +114,16 @@ class _Grid(NamedTuple):
         spacing = np.sqrt(rect.area / max(count, 1))
         longest = max(rect.width, rect.height)
         side = int(max(1, min(round(1.5 * spacing), longest)))
-        return _Grid(x, y, side, -(-(rect.height - y) // side), -(-(rect.width - x) // side))
+        return _Grid(
+            x, y, side, -(-(rect.height - y) // side), -(-(rect.width - x) // side)
+        )
 
     def order(self, sites: Sites, rect: Rect) -> tuple[np.ndarray, np.ndarray]:
         """(start, order) of the sites by bucket."""
         corner = float(rect.x0 + self.x), float(rect.y0 + self.y)
-        return bucket_sites(sites.x, sites.y, *corner, float(self.side), self.rows, self.columns)
+        return bucket_sites(
+            sites.x, sites.y, *corner, float(self.side), self.rows, self.columns
+        )
 
 
 def sort_sites(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
@@ -221,7 +225,9 @@ def _label_rows(
     n1 = np.empty(PIXELS, np.int32)
     n2 = np.empty(PIXELS, np.int32)
     inset = np.empty(PIXELS, np.uint8)
-    spacing = buckets.side * STEPS * np.sqrt(buckets.rows * buckets.columns / buckets.order.size)
+    spacing = (
+        buckets.side * STEPS * np.sqrt(buckets.rows * buckets.columns / buckets.order.size)
+    )
     # how far around a tile it looks at first: mostly enough
     usual = np.float32(1.5 * spacing + 2 * blend)
     for ty in range(y_first + y0, min(y_last + y0, h), TILE):

@@ -13,7 +13,8 @@ class Accuracy(NamedTuple):
         that it stands for
     borders : alike cells run into each other, unlike ones get a dark edge; else a pixel has its
         own cell's colour
-    places : along a pixel's side at which it is labelled and painted; it shows their mean"""
+    places : along a pixel's side at which it is labelled and painted; it shows their mean
+    """
 
     rounds: float
     borders: bool

@@ -52,7 +52,10 @@ def yuv_matrix(name: str = "bt601") -> np.ndarray:
 
 
 def measure_edges(
-    image: np.ndarray, smooth_px: float = SMOOTH_PX, alpha: float = ALPHA, beta: float = BETA
+    image: np.ndarray,
+    smooth_px: float = SMOOTH_PX,
+    alpha: float = ALPHA,
+    beta: float = BETA,
 ) -> Edges:
     """Edges of a picture (h, w, 3) float32 linear; the grid is (ceil(h / 2), ceil(w / 2)).
 
@@ -79,7 +82,9 @@ def measure_edges(
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _measure_rows(planes, yuv, alpha, beta, first, last, out):  # pragma: no cover - compiled
+def _measure_rows(
+    planes, yuv, alpha, beta, first, last, out
+):  # pragma: no cover - compiled
     """Rows first ... last - 1, from central differences. planes (3, h + 2, w + 2) : R', G', B'"""
     width = out.measure.shape[1]
     half = _F(0.5)
@@ -126,7 +131,8 @@ def object_edges(
 ) -> np.ndarray:
     """(ceil(h / 2), ceil(w / 2)) float32, 0..1: silhouettes from coverage, creases, jumps of depth.
 
-    coverage (h, w), normal (h, w, 3), depth (h, w) metres; a depth that is not finite is none"""
+    coverage (h, w), normal (h, w, 3), depth (h, w) metres; a depth that is not finite is none
+    """
     height, width = ((n + 1) // 2 for n in coverage.shape)
     edge = np.zeros((height, width), np.float32)
     _object_rows(packed(coverage), packed(normal), packed(depth), edge)
@@ -170,7 +176,8 @@ def add_object_edges(
 ) -> None:
     """Let edges of the object count as strong lines, across their own gradient.
 
-    edges : changed from (row, column) on;  of_object : of `object_edges`;  high : `line_high`"""
+    edges : changed from (row, column) on;  of_object : of `object_edges`;  high : `line_high`
+    """
     rows = slice(row, row + of_object.shape[0])
     columns = slice(column, column + of_object.shape[1])
     measure, across_x, across_y = (a[rows, columns] for a in edges)
@@ -194,7 +201,9 @@ def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> np.nd
     strength = np.zeros(edges.measure.shape, np.float32)
     offset = _F(max(width_px / 2, 0.75))
     limits = _F(low), _F(high)
-    parallel_rows(lambda a, b: _trace_rows(edges, offset, *limits, a, b, strength), len(strength))
+    parallel_rows(
+        lambda a, b: _trace_rows(edges, offset, *limits, a, b, strength), len(strength)
+    )
     # hysteresis: a line is as strong as its strongest pixel
     line = strength > 0
     count, parts = cv2.connectedComponents(line.view(np.uint8), ltype=cv2.CV_32S)
@@ -221,7 +230,9 @@ def _trace_rows(edges, offset, low, high, first, last, out):  # pragma: no cover
                 continue
             dx = edges.across_x[y, x] * offset
             dy = edges.across_y[y, x] * offset
-            beside = max(_between(measure, x + dx, y + dy), _between(measure, x - dx, y - dy))
+            beside = max(
+                _between(measure, x + dx, y + dy), _between(measure, x - dx, y - dy)
+            )
             ridge = min(max(_F(0.8) + (here - beside) / (_F(0.35) * here), zero), one)
             if ridge > _F(_RIDGE):
                 t = min((here - low) / max(high - low, _F(1e-6)), one)

@@ -23,7 +23,9 @@ POINTS = 16000
 _LEVELS = 9
 _FAR_PX = 1e5  # where points lie that have no place in the picture's plane
 _GRAZING = 0.2  # cosine to the viewer below which a point fades: it is about to turn away
-_UNROLLED = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.4]])  # places on the surface, from space
+_UNROLLED = np.array(
+    [[1.0, 0.0], [0.0, 1.0], [0.6, 0.4]]
+)  # places on the surface, from space
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +54,9 @@ def sample_surface(scene: Scene, seed: int) -> SurfacePoints:
     if not area.sum() > 0:
         return SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), extent)
     rng = np.random.default_rng([seed, 0x0B1E])
-    at = np.searchsorted(np.cumsum(area) / area.sum(), rng.random(POINTS)).clip(0, len(area) - 1)
+    at = np.searchsorted(np.cumsum(area) / area.sum(), rng.random(POINTS)).clip(
+        0, len(area) - 1
+    )
     s, t = rng.random((2, POINTS))
     s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
     points = (
@@ -81,7 +85,9 @@ def _importance(points: np.ndarray, extent: float) -> np.ndarray:
         # of k parts that hold a point, the one of rank r appears where the cell should hold r + 1/2
         # of them
         parts = np.repeat(np.maximum(count, 2), count)
-        out[first[order]] = finest + level - np.log(rank + 0.5 + 0.5 * (rank == 0)) / np.log(parts)
+        out[first[order]] = (
+            finest + level - np.log(rank + 0.5 + 0.5 * (rank == 0)) / np.log(parts)
+        )
         first = np.sort(first[order[begins]])
     out[first] = np.inf
     return out
@@ -102,7 +108,9 @@ def object_sites(
     """
     camera = scene.camera
     eye = camera_from_world.inverse().translation_m
-    depth = surface.points @ camera_from_world.rotation[2] + camera_from_world.translation_m[2]
+    depth = (
+        surface.points @ camera_from_world.rotation[2] + camera_from_world.translation_m[2]
+    )
     facing = np.einsum("ij,ij->i", eye - surface.points, surface.normals)
     keep = np.flatnonzero((depth > EPS_DEPTH_M) & (facing > 0))
     level = np.log2(depth[keep])
@@ -111,7 +119,9 @@ def object_sites(
         least, most = np.log2(nearness_limits(nearer_finer))
         marker_m = marker_depth_m(camera_from_world @ scene.world_from_anchor)
         larger = -nearer_finer * np.clip(np.log2(marker_m) - level, least, most)
-    wanted = level + np.log2(cell_px / camera.fx) + larger  # log2 of the size of a cell, metres
+    wanted = (
+        level + np.log2(cell_px / camera.fx) + larger
+    )  # log2 of the size of a cell, metres
     grown = (surface.importance[keep] - wanted) / FADE + 0.5
     grows = grown > 0
     keep = keep[grows]

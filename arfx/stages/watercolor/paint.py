@@ -16,7 +16,9 @@ from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.labels import Labels
 from arfx.stages.watercolor.pigment import PAPER_PX
 
-CONTRAST = 0.25  # difference of two washes' square roots, summed, at which a border is whole
+CONTRAST = (
+    0.25  # difference of two washes' square roots, summed, at which a border is whole
+)
 DRY_BRUSH = 2.3  # how much more the grain shows in lines than in washes
 _FAST = {"contract", "nsz", "arcp"}
 _F = np.float32

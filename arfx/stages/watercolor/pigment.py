@@ -44,7 +44,10 @@ def paper_grain(seed: int) -> np.ndarray:
 
 
 def wobble_tile(
-    seed: int, amplitude_px: float, wavelength_px: float, first: tuple[float, float] = (0.0, 0.0)
+    seed: int,
+    amplitude_px: float,
+    wavelength_px: float,
+    first: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:
     """(2, WOBBLE_PX, WOBBLE_PX) float32 displacement, in whole 1/STEPS px, that repeats without a
     seam. first : (x, y) px of the noise at which the first pixel lies"""
@@ -60,13 +63,17 @@ def wobble_tile(
 @lru_cache(maxsize=2)
 def _wobble_spectra(seed: int, wavelength_px: float) -> np.ndarray:
     rng = np.random.default_rng([seed, 0x30BB])
-    return np.stack([np.fft.rfft2(smooth_noise(WOBBLE_PX, wavelength_px, rng)) for _ in range(2)])
+    return np.stack(
+        [np.fft.rfft2(smooth_noise(WOBBLE_PX, wavelength_px, rng)) for _ in range(2)]
+    )
 
 
 def turbulence(u: np.ndarray, v: np.ndarray, seed: int) -> np.ndarray:
     """(n,) float32 slow noise at positions (u, v) (n,) float32 px, about -1..1: three octaves from
     FLOW_PX down."""
-    out: np.ndarray = _turbulence(u, v, np.uint32(seed & 0xFFFFFFFF), np.float32(1 / FLOW_PX))
+    out: np.ndarray = _turbulence(
+        u, v, np.uint32(seed & 0xFFFFFFFF), np.float32(1 / FLOW_PX)
+    )
     return out
 
 
@@ -103,7 +110,9 @@ def _turbulence(u, v, seed, frequency):  # pragma: no cover - compiled
 def _lattice(seed, i, j, octave):  # pragma: no cover - compiled
     """-1..1 at a node of the noise (murmur finaliser)."""
     z = np.uint64(seed) + np.uint64(octave) * np.uint64(0x165667B19E3779F9)
-    z += np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
+    z += np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(
+        0xC2B2AE3D27D4EB4F
+    )
     z = (z ^ (z >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
     z = (z ^ (z >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53)
     return np.float64(z >> np.uint64(40)) / float(1 << 23) - 1.0

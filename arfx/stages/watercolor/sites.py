@@ -6,7 +6,8 @@ one of the four, picked by a hash of (seed, level, column, row), and so on down:
 point at every level it belongs to, so making the grid finer adds sites and moves none. The other
 three appear one by one in a fixed order; while one appears its cell grows from nothing (the weight
 of a power diagram), so that nothing pops. Source: jittered sampling,
-docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cost: O(sites)."""
+docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cost: O(sites).
+"""
 
 from __future__ import annotations
 
@@ -72,14 +73,17 @@ def still_field(width: int, height: int, size_px: float, pad_px: int) -> SiteFie
     x = (np.arange(across) - before) * float(GRID_PX)
     y = (np.arange(down) - before) * float(GRID_PX)
     u, v = np.meshgrid(x, y)
-    return SiteField(-before * GRID_PX, -before * GRID_PX, u, v, np.full(u.shape, float(size_px)))
+    return SiteField(
+        -before * GRID_PX, -before * GRID_PX, u, v, np.full(u.shape, float(size_px))
+    )
 
 
 def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) -> Sites:
     """Sites of a field, at most `limit`: where there would be more the grid is made coarser, a
     level at a time.
 
-    unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest"""
+    unit_px : size of the cells of level 0: where it is the wanted one the sites are evenest
+    """
     u = field.u / unit_px
     v = field.v / unit_px
     level = np.log2(np.clip(field.size, 0.25, None))
@@ -97,8 +101,12 @@ def make_sites(field: SiteField, seed: int, limit: int, unit_px: float = 8.0) ->
 @numba.njit(cache=True, nogil=True, inline="always")
 def _mixed(seed, level, i, j):  # pragma: no cover - compiled
     """64 random bits for a cell (splitmix64 finaliser)."""
-    z = seed * np.uint64(0x9E3779B97F4A7C15) + np.uint64(level + 64) * np.uint64(0xD1B54A32D192ED03)
-    z ^= np.uint64(i) * np.uint64(0xBF58476D1CE4E5B9) + np.uint64(j) * np.uint64(0x94D049BB133111EB)
+    z = seed * np.uint64(0x9E3779B97F4A7C15) + np.uint64(level + 64) * np.uint64(
+        0xD1B54A32D192ED03
+    )
+    z ^= np.uint64(i) * np.uint64(0xBF58476D1CE4E5B9) + np.uint64(j) * np.uint64(
+        0x94D049BB133111EB
+    )
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
@@ -136,7 +144,8 @@ def _refine(seed, level, i, j):  # pragma: no cover - compiled
 def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compiled
     """All sites of the field's triangles in rows row ... end - 1 of quads, as columns of Sites.
 
-    nodes : x0, y0; u, v in units of the cells of level 0; log2 of the cell size, px of the frame"""
+    nodes : x0, y0; u, v in units of the cells of level 0; log2 of the cell size, px of the frame
+    """
     x0, y0, u, v, wanted = nodes
     places = np.empty((5, limit), np.float32)  # x, y, weight, u, v
     keys = np.empty(limit, np.int64)
@@ -198,8 +207,12 @@ def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compil
                         if n == limit:
                             return _columns(places, keys, n)
                         side = 1 - 2 * half
-                        places[0, n] = np.rint((x0 + GRID_PX * (gx + half + side * s)) * STEPS)
-                        places[1, n] = np.rint((y0 + GRID_PX * (gy + half + side * t)) * STEPS)
+                        places[0, n] = np.rint(
+                            (x0 + GRID_PX * (gx + half + side * s)) * STEPS
+                        )
+                        places[1, n] = np.rint(
+                            (y0 + GRID_PX * (gy + half + side * t)) * STEPS
+                        )
                         grown = (1.2 * 2.0**size * STEPS) ** 2
                         places[2, n] = -np.rint(max(1 - fade, 0.0) * grown)
                         places[3, n] = pu * unit

@@ -27,7 +27,12 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
-from arfx.stages.watercolor.cells import adjust_tone, mean_colours, neighbours, smooth_washes
+from arfx.stages.watercolor.cells import (
+    adjust_tone,
+    mean_colours,
+    neighbours,
+    smooth_washes,
+)
 from arfx.stages.watercolor.field import RealDioptre, frame_field
 from arfx.stages.watercolor.labels import Labels, label, sort_sites
 from arfx.stages.watercolor.levels import ACCURACY
@@ -57,7 +62,14 @@ BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each o
 _OBJECT_CELL = 0.8  # size of the object's cells, of the background's
 _ROUNDS = 8  # of a wash of strength 1
 _KEPT = 4  # sets of cells
-_VIRTUAL = (Layer.VIRTUAL, Layer.COVERAGE, Layer.NORMAL, Layer.DEPTH, Layer.ALBEDO, Layer.EMISSIVE)
+_VIRTUAL = (
+    Layer.VIRTUAL,
+    Layer.COVERAGE,
+    Layer.NORMAL,
+    Layer.DEPTH,
+    Layer.ALBEDO,
+    Layer.EMISSIVE,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +120,17 @@ class Watercolor(Stage):
         cells = self.cells_of(view, prepared)
         paint = self._mixed(view.level, prepared, cells, picture)
         pictures = (
-            paint.on(picture, labels, lines(), (rect.x0, rect.y0)) for labels in cells.labels
+            paint.on(picture, labels, lines(), (rect.x0, rect.y0))
+            for labels in cells.labels
         )
         out = next(pictures)
         for more in pictures:
             out += more
-        return {Layer.IMAGE: out / np.float32(len(cells.labels)) if len(cells.labels) > 1 else out}
+        return {
+            Layer.IMAGE: (
+                out / np.float32(len(cells.labels)) if len(cells.labels) > 1 else out
+            )
+        }
 
     # the picture that is painted
 
@@ -150,7 +167,9 @@ class Watercolor(Stage):
             top = (seen.y0 - rect.y0) // 2 - 1
             left = max(left, 0)
             top = max(top, 0)
-            box = Rect(rect.x0 + 2 * left, rect.y0 + 2 * top, seen.x1 + 2, seen.y1 + 2).clip(rect)
+            box = Rect(
+                rect.x0 + 2 * left, rect.y0 + 2 * top, seen.x1 + 2, seen.y1 + 2
+            ).clip(rect)
             part = view.layers.crop(box)
             coverage = part[Layer.COVERAGE]
             normal = part[Layer.NORMAL]
@@ -191,7 +210,9 @@ class Watercolor(Stage):
             real = RealDioptre.of(view[Layer.REAL_DEPTH], view.rect)
         return frame_field(facts, view.scene, p.cell_px, p.nearer_finer, real)
 
-    def _background_cells(self, view: View, prepared: Prepared, field: SiteField) -> CellSet:
+    def _background_cells(
+        self, view: View, prepared: Prepared, field: SiteField
+    ) -> CellSet:
         cell_px = self.params.cell_px
         rect = view.rect
         seed = view.scene.seed
@@ -201,9 +222,13 @@ class Watercolor(Stage):
 
         def make() -> CellSet:
             # borders stray with the things, as far as one shift of the whole picture can say
-            wobbles = [prepared.wobbles.of_field(field, place) for place in _places(view.level)]
+            wobbles = [
+                prepared.wobbles.of_field(field, place) for place in _places(view.level)
+            ]
             sites = sort_sites(make_sites(field, seed, limit, cell_px), rect, wobbles[0])
-            labels = tuple(label(sites, rect, w, self._blend_px(view.level)) for w in wobbles)
+            labels = tuple(
+                label(sites, rect, w, self._blend_px(view.level)) for w in wobbles
+            )
             return self._cell_set(sites, labels, _size_at(field, sites), seed)
 
         cells: CellSet = view.memo.of_frame.get((field.key(), rect), make, "cells", _KEPT)
@@ -219,7 +244,9 @@ class Watercolor(Stage):
         def make() -> CellSet:
             cell_px = _OBJECT_CELL * p.cell_px
             origin_m = scene.world_from_anchor.translation_m
-            sites, size = object_sites(prepared.surface, scene, pose, cell_px, p.nearer_finer)
+            sites, size = object_sites(
+                prepared.surface, scene, pose, cell_px, p.nearer_finer
+            )
             wobbles = [
                 prepared.wobbles.of_object(scene.camera, pose, origin_m, place)
                 for place in _places(view.level)
@@ -234,7 +261,9 @@ class Watercolor(Stage):
         return cells
 
     def _blend_px(self, level: str) -> float:
-        return BLEND_PX if self.params.edge_darkening > 0 and ACCURACY[level].borders else 0.0
+        return (
+            BLEND_PX if self.params.edge_darkening > 0 and ACCURACY[level].borders else 0.0
+        )
 
     def _cell_set(
         self, sites: Sites, labels: tuple[Labels, ...], size_px: np.ndarray, seed: int
@@ -246,7 +275,9 @@ class Watercolor(Stage):
         near, weight = neighbours(sites.x, sites.y, size_px * STEPS)
         return CellSet(labels, flow, near, weight)
 
-    def _mixed(self, level: str, prepared: Prepared, cells: CellSet, picture: np.ndarray) -> Paint:
+    def _mixed(
+        self, level: str, prepared: Prepared, cells: CellSet, picture: np.ndarray
+    ) -> Paint:
         """The paint for each cell."""
         p = self.params
         labellings = [labels.first for labels in cells.labels]

@@ -40,7 +40,9 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             most = strength
     if best is None:
         soft = np.asarray(light.soft, float).reshape(-1, 3)
-        slope = soft[[3, 1, 2]].sum(1) if len(soft) == 9 else np.zeros(3)  # harmonics x, y, z
+        slope = (
+            soft[[3, 1, 2]].sum(1) if len(soft) == 9 else np.zeros(3)
+        )  # harmonics x, y, z
         length = float(np.linalg.norm(slope))
         best = slope / length if length > 1e-6 else up
     return best, np.clip(light.radiance(best), 0, None)
@@ -58,7 +60,8 @@ class ObjectLayers(NamedTuple):
 class Tones(NamedTuple):
     """All float32. towards (3,) : the light
     direct, even (3,) : radiance of a white surface that faces it, of which `even` is in every tone
-    thresholds (2,), factors (3,) : of the tones;  ramp : of n . l over which a step is spread"""
+    thresholds (2,), factors (3,) : of the tones;  ramp : of n . l over which a step is spread
+    """
 
     towards: np.ndarray
     direct: np.ndarray
@@ -133,16 +136,22 @@ def _shade_rows(
                 out[y, x, c] = covered * (albedo[y, x, c] * lit + emissive[y, x, c])
 
 
-def replace_lit(image: np.ndarray, lit: np.ndarray, flat: np.ndarray, opacity: float) -> None:
+def replace_lit(
+    image: np.ndarray, lit: np.ndarray, flat: np.ndarray, opacity: float
+) -> None:
     """Put flat tones in the place of the lit object, that was composited at this opacity.
 
     image (h, w, 3) : changed;  lit, flat (h, w, 3) float32 premultiplied"""
     gain = gain_to_lit(lit, flat)
-    parallel_rows(lambda a, b: _replace_rows(lit, flat, gain, _F(opacity), a, b, image), len(flat))
+    parallel_rows(
+        lambda a, b: _replace_rows(lit, flat, gain, _F(opacity), a, b, image), len(flat)
+    )
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _replace_rows(lit, flat, gain, opacity, first, last, out):  # pragma: no cover - compiled
+def _replace_rows(
+    lit, flat, gain, opacity, first, last, out
+):  # pragma: no cover - compiled
     for y in range(first, last):
         for x in range(out.shape[1]):
             for c in range(3):

@@ -9,7 +9,14 @@ from arfx.calibrate.board import BoardSpec, charuco_board
 from arfx.errors import ConfigError
 
 
-@pytest.mark.parametrize("text", ["chessboard:9x6:25mm", "charuco:12x8:18mm:14mm:5X5_100", "charuco:7x5:0.03m:20mm:36h11:legacy"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "chessboard:9x6:25mm",
+        "charuco:12x8:18mm:14mm:5X5_100",
+        "charuco:7x5:0.03m:20mm:36h11:legacy",
+    ],
+)
 def test_a_spec_survives_being_written(text: str) -> None:
     spec = BoardSpec.parse(text)
     assert BoardSpec.parse(str(spec)) == spec
@@ -19,7 +26,9 @@ def test_corners_are_those_of_opencv() -> None:
     spec = BoardSpec.parse("charuco:12x8:18mm:14mm:DICT_5X5_100")
     corners = np.asarray(charuco_board(spec).getChessboardCorners())
     # the same grid; OpenCV counts from the board's edge, one square before the first corner
-    np.testing.assert_allclose(spec.corners_m + np.array([spec.square_m, spec.square_m, 0]), corners, atol=1e-7)
+    np.testing.assert_allclose(
+        spec.corners_m + np.array([spec.square_m, spec.square_m, 0]), corners, atol=1e-7
+    )
     chess = BoardSpec.parse("chessboard:9x6:25mm")
     assert chess.corners_m.shape == (54, 3)
     assert tuple(chess.corners_m[10]) == (0.025, 0.025, 0.0)

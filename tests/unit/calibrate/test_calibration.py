@@ -10,7 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.calibrate.advice import GOOD, LIMITS, POOR, USABLE, coverage, judge, projection_uncertainty_px
+from arfx.calibrate.advice import (
+    GOOD,
+    LIMITS,
+    POOR,
+    USABLE,
+    coverage,
+    judge,
+    projection_uncertainty_px,
+)
 from arfx.calibrate.board import BoardSpec
 from arfx.calibrate.calibration import Calibration, Found, Picture, calibrate, find_board
 from arfx.calibrate.corners import View
@@ -19,7 +27,16 @@ from arfx.calibrate.plots import write_plots
 from arfx.calibrate.solve import FIRST_MODEL, fit, uncertainty
 from arfx.core.camera import Camera
 from arfx.errors import InputError, NothingToDoError
-from tests.unit.calibrate.boards import CHESS, SIZE, TRUE, board_picture, poses, render, view, views
+from tests.unit.calibrate.boards import (
+    CHESS,
+    SIZE,
+    TRUE,
+    board_picture,
+    poses,
+    render,
+    view,
+    views,
+)
 
 CHARUCO = BoardSpec.parse("charuco:10x7:25mm:18mm:5X5_100")
 
@@ -32,12 +49,16 @@ def spread_views() -> list[View]:
     """24 views that reach the picture's corners."""
     rng = np.random.default_rng(1)
     out = views(16)
-    for i, (x, y) in enumerate([(-1, -1), (1, -1), (-1, 1), (1, 1), (-1, 0), (1, 0), (0, -1), (0, 1)]):
+    for i, (x, y) in enumerate(
+        [(-1, -1), (1, -1), (-1, 1), (1, 1), (-1, 0), (1, 0), (0, -1), (0, 1)]
+    ):
         rvec = 0.5 * np.array([np.cos(i), np.sin(i), 0])
         r = cv2.Rodrigues(rvec)[0]
         middle = np.array([x * 0.27, y * 0.2, 1]) * 0.45
         out.append(view((rvec, middle - r @ CHESS.corners_m.mean(0)), rng, 0.1, f"edge{i}"))
-    return [v for v in out if (v.pixels > 0).all() and (v.pixels < np.array(SIZE) - 1).all()]
+    return [
+        v for v in out if (v.pixels > 0).all() and (v.pixels < np.array(SIZE) - 1).all()
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -66,16 +87,32 @@ def test_the_next_picture_goes_where_nothing_was() -> None:
     left = []
     for i, (rvec, _) in enumerate(poses(8)):
         middle = np.array([-0.16, 0.05 * (i % 3 - 1), 1]) * 0.55
-        left.append(view((rvec, middle - cv2.Rodrigues(rvec)[0] @ CHESS.corners_m.mean(0)), rng, 0.1, f"l{i}"))
+        left.append(
+            view(
+                (rvec, middle - cv2.Rodrigues(rvec)[0] @ CHESS.corners_m.mean(0)),
+                rng,
+                0.1,
+                f"l{i}",
+            )
+        )
     result = calibrate(found(left))
     assert result.verdict.word != GOOD
-    assert "right of the picture" in result.verdict.next_picture, result.verdict.next_picture
+    assert "right of the picture" in result.verdict.next_picture, (
+        result.verdict.next_picture
+    )
 
 
-def test_the_recommended_kind_of_picture_helps_more_than_another_of_the_same(good: Calibration) -> None:
+def test_the_recommended_kind_of_picture_helps_more_than_another_of_the_same(
+    good: Calibration,
+) -> None:
     some = views(8)
     before = uncertainty(fit(some, FIRST_MODEL)).independent[0]
-    frontal = view((np.zeros(3), np.array([0, 0, 0.5]) - CHESS.corners_m.mean(0)), np.random.default_rng(0), 0.1, "frontal")
+    frontal = view(
+        (np.zeros(3), np.array([0, 0, 0.5]) - CHESS.corners_m.mean(0)),
+        np.random.default_rng(0),
+        0.1,
+        "frontal",
+    )
     tilted = views(9)[8]
     assert (
         uncertainty(fit([*some, tilted], FIRST_MODEL)).independent[0]
@@ -101,15 +138,28 @@ def test_projection_uncertainty_is_the_spread_of_projections() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tilt", "edge", "azimuth"), [((0, 1), "right", 0), ((0, -1), "left", 180), ((1, 0), "upper", 270), ((-1, 0), "lower", 90)]
+    ("tilt", "edge", "azimuth"),
+    [
+        ((0, 1), "right", 0),
+        ((0, -1), "left", 180),
+        ((1, 0), "upper", 270),
+        ((-1, 0), "lower", 90),
+    ],
 )
-def test_tilt_is_told_by_the_near_edge(tilt: tuple[int, int], edge: str, azimuth: int) -> None:
+def test_tilt_is_told_by_the_near_edge(
+    tilt: tuple[int, int], edge: str, azimuth: int
+) -> None:
     rvec = np.radians(30) * np.array([*tilt, 0.0])
     middle = np.array([0, 0, 0.45]) - cv2.Rodrigues(rvec)[0] @ CHESS.corners_m.mean(0)
     pose = (rvec, middle)
     corners = CHESS.corners_m @ cv2.Rodrigues(rvec)[0].T + middle
     nearest = corners[corners[:, 2].argmin()]
-    assert {"right": nearest[0] > 0, "left": nearest[0] < 0, "upper": nearest[1] < 0, "lower": nearest[1] > 0}[edge]
+    assert {
+        "right": nearest[0] > 0,
+        "left": nearest[0] < 0,
+        "upper": nearest[1] < 0,
+        "lower": nearest[1] > 0,
+    }[edge]
     fitted = fit([view(pose, np.random.default_rng(0), 0.05), *views(6)], FIRST_MODEL)
     seen = coverage(fitted)
     assert seen.tilt_deg[0] == pytest.approx(30, abs=1)
@@ -117,7 +167,9 @@ def test_tilt_is_told_by_the_near_edge(tilt: tuple[int, int], edge: str, azimuth
 
 
 def test_judging() -> None:
-    fine = {limit.name: (limit.good * 2 if limit.more else limit.good / 2) for limit in LIMITS}
+    fine = {
+        limit.name: limit.good * 2 if limit.more else limit.good / 2 for limit in LIMITS
+    }
     assert judge(fine) == (GOOD, ())
     for limit in LIMITS:
         between = fine | {limit.name: (limit.good + limit.poor) / 2}
@@ -132,7 +184,10 @@ def test_two_finders_that_disagree_make_the_uncertainty_larger() -> None:
     some = views(8)
     other = Camera(*SIZE, TRUE.matrix * np.array([[1.01], [1.01], [1]]), TRUE.distortion)
     rng = np.random.default_rng(9)
-    told = [replace(v, alternative=view(p, rng, 0.1, camera=other).pixels) for v, p in zip(some, poses(8), strict=True)]
+    told = [
+        replace(v, alternative=view(p, rng, 0.1, camera=other).pixels)
+        for v, p in zip(some, poses(8), strict=True)
+    ]
     alone, both = calibrate(found(some)), calibrate(found(told))
     assert not alone.finder_sd.any()
     assert both.finder_sd[0] == pytest.approx(6.2 / np.sqrt(2), rel=0.35)
@@ -154,12 +209,16 @@ def test_too_few_different_views() -> None:
         calibrate(found([v] * 4))
 
 
-def test_the_document_is_json_and_the_plots_are_pictures(good: Calibration, tmp_path: Path) -> None:
+def test_the_document_is_json_and_the_plots_are_pictures(
+    good: Calibration, tmp_path: Path
+) -> None:
     d = json.loads(json.dumps(document(good), allow_nan=False))
     assert np.shape(d["camera_matrix"]) == (3, 3)
     assert d["verdict"] == "good"
     assert len(d["views"]) == len(good.fitted.views)
-    assert set(file_extras(good)["standard_deviations"]) == set(good.fitted.model.parameters)
+    assert set(file_extras(good)["standard_deviations"]) == set(
+        good.fitted.model.parameters
+    )
     assert any("verdict: good" in line for line in summary(good))
     for path in write_plots(good, tmp_path, "x-"):
         picture = cv2.imread(str(path))
@@ -173,24 +232,38 @@ def flat(spec: BoardSpec, px_per_square: int = 30) -> np.ndarray:
 
 
 def test_no_board_says_what_is_there_instead() -> None:
-    small = BoardSpec.parse("charuco:6x4:25mm:18mm:5X5_100")  # every marker is looked up in dictionaries of a thousand
-    with pytest.raises(NothingToDoError, match=r"none of 1 pictures.*chessboard with 5x4 inner corners"):
+    small = BoardSpec.parse(
+        "charuco:6x4:25mm:18mm:5X5_100"
+    )  # every marker is looked up in dictionaries of a thousand
+    with pytest.raises(
+        NothingToDoError, match=r"none of 1 pictures.*chessboard with 5x4 inner corners"
+    ):
         find_board([Picture("a", flat(BoardSpec.parse("chessboard:5x4:20mm")))], CHESS)
     with pytest.raises(NothingToDoError, match=r"a\.png: 10 markers of 5X5_1000"):
-        find_board([Picture("a.png", flat(BoardSpec.parse("charuco:5x4:25mm:18mm:5X5_100")))], CHESS)
+        find_board(
+            [Picture("a.png", flat(BoardSpec.parse("charuco:5x4:25mm:18mm:5X5_100")))],
+            CHESS,
+        )
     with pytest.raises(NothingToDoError, match="no other board or marker"):
         find_board([Picture("a", np.full((200, 300), 128, np.uint8))], CHARUCO)
     with pytest.raises(NothingToDoError, match="fits charuco:6x4:25mm:18mm:5X5_50"):
-        find_board([Picture("a", flat(small))], BoardSpec.parse("charuco:6x4:25mm:18mm:4X4_100"))
+        find_board(
+            [Picture("a", flat(small))], BoardSpec.parse("charuco:6x4:25mm:18mm:4X4_100")
+        )
     with pytest.raises(NothingToDoError, match="fits charuco:6x4"):
-        find_board([Picture("a", flat(small))], BoardSpec.parse("charuco:4x6:25mm:18mm:5X5_100"))
+        find_board(
+            [Picture("a", flat(small))], BoardSpec.parse("charuco:4x6:25mm:18mm:5X5_100")
+        )
     with pytest.raises(NothingToDoError, match="no pictures"):
         find_board([], CHESS)
 
 
 def test_the_other_charuco_pattern_is_tried_and_told() -> None:
     old = BoardSpec.parse("charuco:9x6:25mm:18mm:5X5_100:legacy")
-    got = find_board([Picture("a", flat(old)), Picture("b", flat(old))], replace(old, legacy=not old.legacy))
+    got = find_board(
+        [Picture("a", flat(old)), Picture("b", flat(old))],
+        replace(old, legacy=not old.legacy),
+    )
     assert got.spec == old
     assert len(got.views) == 2
     assert "legacy pattern" in got.notices[0]
@@ -207,20 +280,38 @@ def test_mixed_boards_are_told() -> None:
     assert any("mixed boards" in n and "7x5" in n for n in got.notices)
 
 
-def test_what_cannot_be_read_or_is_of_another_kind_is_left_out_and_all_of_it_is_told() -> None:
-    """A picture upside down by EXIF has the others' size, and its principal point on the other side."""
-    good = [Picture(f"g{i}", render(CHESS, p), turn=(1, 6)[i % 2]) for i, p in enumerate(poses(9)[:5])]
+def test_what_cannot_be_read_or_is_of_another_kind_is_left_out_and_all_of_it_is_told() -> (
+    None
+):
+    """A picture upside down by EXIF has the others' size, and its principal point on the
+    other side.
+    """
+    good = [
+        Picture(f"g{i}", render(CHESS, p), turn=(1, 6)[i % 2])
+        for i, p in enumerate(poses(9)[:5])
+    ]
     turned = Picture("turned", render(CHESS, poses(9)[5]), turn=3)
     small = Picture("small", np.zeros((200, 300), np.uint8))
-    bad = [Picture(n, InputError(f"{n} is damaged", "save it again")) for n in ("bad", "worse")]
+    bad = [
+        Picture(n, InputError(f"{n} is damaged", "save it again")) for n in ("bad", "worse")
+    ]
     got = find_board([bad[0], *good, small, turned, bad[1]], CHESS)
     assert [v.name for v in got.views] == [g.name for g in good]
     assert got.notices[0] == "left out: bad is damaged; likewise worse (save it again)"
-    assert "small is 300x200" in got.notices[1] and "turned is 640x480 by EXIF orientation 3" in got.notices[1]
+    assert (
+        "small is 300x200" in got.notices[1]
+        and "turned is 640x480 by EXIF orientation 3" in got.notices[1]
+    )
     assert "EXIF orientations are mixed" in got.notices[1]
     with pytest.raises(InputError, match="bad is damaged; likewise worse"):
         find_board(bad, CHESS)
-    with pytest.raises(InputError, match=r"a is 640x480 by EXIF orientation 1, b is 640x480 by EXIF orientation 3; their EXIF"):
+    with pytest.raises(
+        InputError,
+        match=(
+            r"a is 640x480 by EXIF orientation 1, b is 640x480 by EXIF orientation 3; their"
+            r" EXIF"
+        ),
+    ):
         find_board([Picture("a", good[0].gray), Picture("b", good[1].gray, 3)], CHESS)
     with pytest.raises(NothingToDoError, match="left out: bad is damaged"):
         find_board([small, bad[0]], CHESS)
@@ -230,4 +321,10 @@ def test_what_cannot_be_read_or_is_of_another_kind_is_left_out_and_all_of_it_is_
 
 def test_mixed_sizes_are_an_error_that_names_both() -> None:
     with pytest.raises(InputError, match="a is 300x200, b is 200x300"):
-        find_board([Picture("a", np.zeros((200, 300), np.uint8)), Picture("b", np.zeros((300, 200), np.uint8))], CHARUCO)
+        find_board(
+            [
+                Picture("a", np.zeros((200, 300), np.uint8)),
+                Picture("b", np.zeros((300, 200), np.uint8)),
+            ],
+            CHARUCO,
+        )

@@ -21,13 +21,16 @@ def test_chessboard_corners_are_where_they_are(index: int) -> None:
     assert found is not None
     assert found.upside_down is False
     assert rms(found.pixels, projected(CHESS, pose)) < 0.06
-    # the mean must be better still: a shift of all corners together is what biases the principal point
+    # the mean must be better still: a shift of all corners together is what biases the
+    # principal point
     assert np.abs((found.pixels - projected(CHESS, pose)).mean(0)).max() < 0.015
     assert found.alternative is not None
     assert rms(found.alternative, projected(CHESS, pose)) < 0.2
 
 
-def test_a_window_that_reaches_the_next_corner_is_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_that_reaches_the_next_corner_is_worse(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """What the rule on the window's size is for."""
     pose = poses(3, tilt_deg=(60, 60))[1]
     picture, truth = render(CHESS, pose), projected(CHESS, pose)
@@ -55,13 +58,26 @@ def test_nor_may_it_reach_the_markers(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_board_upside_down_keeps_its_numbers() -> None:
     rvec, _ = poses(8)[2]
     r = cv2.Rodrigues(rvec)[0] @ np.diag([-1.0, -1, 1])
-    pose = (cv2.Rodrigues(r)[0].ravel(), np.array([0, 0, 0.45]) - r @ CHESS.corners_m.mean(0))
+    pose = (
+        cv2.Rodrigues(r)[0].ravel(),
+        np.array([0, 0, 0.45]) - r @ CHESS.corners_m.mean(0),
+    )
     found = find_view(render(CHESS, pose), CHESS, "a")
     assert found is not None
     assert found.upside_down is True
     assert rms(found.pixels, projected(CHESS, pose)) < 0.06
     even = BoardSpec.parse("chessboard:8x6:25mm")
-    told = find_view(render(even, (rvec, np.array([0, 0, 0.45]) - cv2.Rodrigues(rvec)[0] @ even.corners_m.mean(0))), even, "b")
+    told = find_view(
+        render(
+            even,
+            (
+                rvec,
+                np.array([0, 0, 0.45]) - cv2.Rodrigues(rvec)[0] @ even.corners_m.mean(0),
+            ),
+        ),
+        even,
+        "b",
+    )
     assert told is not None
     assert told.upside_down is None
 
@@ -85,7 +101,10 @@ def test_nothing_is_found_where_nothing_is() -> None:
 
 
 def test_sharpness_falls_with_blur() -> None:
-    found = [find_view(render(CHESS, poses(8)[0], blur_px=b), CHESS, "a") for b in (0.6, 1.5, 3.0)]
+    found = [
+        find_view(render(CHESS, poses(8)[0], blur_px=b), CHESS, "a")
+        for b in (0.6, 1.5, 3.0)
+    ]
     sharpness = [v.sharpness for v in found if v is not None]
     assert len(sharpness) == 3
     assert sharpness[0] > 1.3 * sharpness[1] > 1.6 * sharpness[2]

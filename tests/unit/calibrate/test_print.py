@@ -15,7 +15,14 @@ from PIL import Image
 
 from arfx.calibrate.board import BoardSpec, opencv_dictionary
 from arfx.calibrate.corners import find_view
-from arfx.calibrate.print_layout import Cells, lay_out, marker_bits, outlines, parse_targets, write_sheet
+from arfx.calibrate.print_layout import (
+    Cells,
+    lay_out,
+    marker_bits,
+    outlines,
+    parse_targets,
+    write_sheet,
+)
 from arfx.errors import ConfigError
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -30,14 +37,22 @@ def png(tmp_path: Path, specs: list[str], page: str = "a4", dpi: float = 254) ->
 
 
 def markers(picture: np.ndarray, family: str) -> dict[int, np.ndarray]:
-    corners, ids, _ = cv2.aruco.ArucoDetector(opencv_dictionary(family)).detectMarkers(picture)
-    return {} if ids is None else {int(i): c.reshape(4, 2) for i, c in zip(ids.ravel(), corners, strict=True)}
+    corners, ids, _ = cv2.aruco.ArucoDetector(opencv_dictionary(family)).detectMarkers(
+        picture
+    )
+    return (
+        {}
+        if ids is None
+        else {int(i): c.reshape(4, 2) for i, c in zip(ids.ravel(), corners, strict=True)}
+    )
 
 
 def test_a_marker_of_165_mm_fits_on_a4_and_is_165_mm(tmp_path: Path) -> None:
     seen = markers(png(tmp_path, ["36h11:3:165mm"]), "36h11")
     assert list(seen) == [3]
-    sides = np.linalg.norm(np.roll(seen[3], -1, 0) - seen[3], axis=1) + 1  # from first to last black pixel
+    sides = (
+        np.linalg.norm(np.roll(seen[3], -1, 0) - seen[3], axis=1) + 1
+    )  # from first to last black pixel
     np.testing.assert_allclose(sides / 10, 165, atol=0.11)
 
 
@@ -47,7 +62,9 @@ def test_a_sheet_holds_all_its_markers_at_their_sizes(tmp_path: Path) -> None:
     assert sorted(seen) == [0, 1, 2, 3, 4, 5, 9]
     for number, corners in seen.items():
         size = 20 if number == 9 else 40
-        assert (np.linalg.norm(corners[1] - corners[0]) + 1) / 10 == pytest.approx(size, abs=0.15)
+        assert (np.linalg.norm(corners[1] - corners[0]) + 1) / 10 == pytest.approx(
+            size, abs=0.15
+        )
         # a module of white all round
         x0, y0 = np.floor(corners.min(0)).astype(int)
         x1, y1 = np.ceil(corners.max(0)).astype(int)
@@ -64,13 +81,17 @@ def test_a_sheet_holds_all_its_markers_at_their_sizes(tmp_path: Path) -> None:
         "charuco:7x5:25mm:18mm:4X4_50:legacy", "charuco:6x5:30mm:22mm:36h11",
     ],
 )  # fmt: skip
-def test_a_board_is_found_with_the_spec_it_was_printed_from(tmp_path: Path, text: str) -> None:
+def test_a_board_is_found_with_the_spec_it_was_printed_from(
+    tmp_path: Path, text: str
+) -> None:
     spec = BoardSpec.parse(text)
     picture = cv2.GaussianBlur(png(tmp_path, [text], dpi=254), (0, 0), 1.5)
     view = find_view(picture, spec, "")
     assert view is not None
     assert len(view.ids) == len(spec.corners_m)
-    scale = np.linalg.norm(view.pixels[-1] - view.pixels[0]) / np.linalg.norm(spec.corners_m[-1] - spec.corners_m[0])
+    scale = np.linalg.norm(view.pixels[-1] - view.pixels[0]) / np.linalg.norm(
+        spec.corners_m[-1] - spec.corners_m[0]
+    )
     assert scale == pytest.approx(10000, rel=1e-3)  # edges are rounded to pixels of .1 mm
     if spec.kind == "charuco" and spec.rows % 2 == 0:
         assert find_view(picture, replace(spec, legacy=not spec.legacy), "") is None
@@ -82,24 +103,41 @@ def filled(points: list[np.ndarray], size: tuple[float, float], scale: float) ->
     for p in points:
         one = np.zeros_like(out)
         low = np.floor(p.min(0) * scale).astype(int)
-        ys, xs = np.mgrid[low[1] : int(np.ceil(p[:, 1].max() * scale)), low[0] : int(np.ceil(p[:, 0].max() * scale))]
+        ys, xs = np.mgrid[
+            low[1] : int(np.ceil(p[:, 1].max() * scale)),
+            low[0] : int(np.ceil(p[:, 0].max() * scale)),
+        ]
         centres = np.stack([(xs + 0.5) / scale, (ys + 0.5) / scale], -1)
         inside = np.zeros(xs.shape, bool)
         for a, b in zip(p, np.roll(p, -1, 0), strict=True):
             if a[0] == b[0]:  # only the upright edges matter for a ray along x
-                crosses = (centres[..., 1] >= min(a[1], b[1])) & (centres[..., 1] < max(a[1], b[1])) & (centres[..., 0] < a[0])
+                crosses = (
+                    (centres[..., 1] >= min(a[1], b[1]))
+                    & (centres[..., 1] < max(a[1], b[1]))
+                    & (centres[..., 0] < a[0])
+                )
                 inside ^= crosses
         one[ys, xs] = inside
         out ^= one
     return out
 
 
-@pytest.mark.parametrize("bits", [marker_bits("36h11", 3), marker_bits("4X4_50", 17), np.eye(3) > 0, np.ones((2, 2)) > 0])
+@pytest.mark.parametrize(
+    "bits",
+    [
+        marker_bits("36h11", 3),
+        marker_bits("4X4_50", 17),
+        np.eye(3) > 0,
+        np.ones((2, 2)) > 0,
+    ],
+)
 def test_outlines_enclose_exactly_the_black(bits: np.ndarray) -> None:
     paths = outlines(Cells(5.0, 7.0, 2.0, bits))
     picture = filled(paths, (40, 40), 2)
     expected = np.zeros_like(picture)
-    expected[14 : 14 + 4 * len(bits), 10 : 10 + 4 * len(bits)] = np.kron(bits, np.ones((4, 4)))
+    expected[14 : 14 + 4 * len(bits), 10 : 10 + 4 * len(bits)] = np.kron(
+        bits, np.ones((4, 4))
+    )
     np.testing.assert_array_equal(picture, expected)
 
 
@@ -110,17 +148,27 @@ def test_the_svg_is_in_points_and_its_paths_show_the_marker(tmp_path: Path) -> N
     size_pt = [float((root.get(k) or "").removesuffix("pt")) for k in ("width", "height")]
     np.testing.assert_allclose(np.array(size_pt) * point_mm, (215.9, 279.4), atol=1e-3)
     drawn = [
-        [np.array(re.findall(r"([\d.]+) ([\d.]+)", part), float) * point_mm for part in re.split("[zZ]", p.get("d") or "")]
+        [
+            np.array(re.findall(r"([\d.]+) ([\d.]+)", part), float) * point_mm
+            for part in re.split("[zZ]", p.get("d") or "")
+        ]
         for p in root.iter(f"{SVG}path")
     ]
     shapes = [s for s in max(drawn, key=len) if len(s)]
     np.testing.assert_allclose(np.ptp(np.concatenate(shapes), axis=0), 100, atol=1e-3)
-    seen = markers(255 - 255 * filled([s[:4].round(4) for s in shapes], (215.9, 279.4), 4), "36h11")
+    seen = markers(
+        255 - 255 * filled([s[:4].round(4) for s in shapes], (215.9, 279.4), 4), "36h11"
+    )
     assert list(seen) == [3]
     texts = [t.text for t in root.iter(f"{SVG}text")]
     assert "36h11:3:100mm" in texts
     assert any("measure this line" in (t or "") for t in texts)
-    assert any(np.allclose(np.ptp(s, axis=0), (100, 0), atol=1e-3) for p in drawn for s in p if len(s) == 2), "the ruler"
+    assert any(
+        np.allclose(np.ptp(s, axis=0), (100, 0), atol=1e-3)
+        for p in drawn
+        for s in p
+        if len(s) == 2
+    ), "the ruler"
 
 
 def test_the_pdf_is_in_points(tmp_path: Path) -> None:
@@ -129,13 +177,22 @@ def test_the_pdf_is_in_points(tmp_path: Path) -> None:
     data = path.read_bytes()
     box = re.search(rb"/MediaBox \[ ?([\d. ]+)\]", data)
     assert box is not None
-    np.testing.assert_allclose([float(v) for v in box[1].split()], [0, 0, 210 / 25.4 * 72, 297 / 25.4 * 72], atol=1e-3)
+    np.testing.assert_allclose(
+        [float(v) for v in box[1].split()],
+        [0, 0, 210 / 25.4 * 72, 297 / 25.4 * 72],
+        atol=1e-3,
+    )
     page = next(s for s in _streams(data) if b" Tf" in s)  # the others are letters
     # the marker is the largest filled path: lines of "x y m" and "x y l"
-    shapes = [np.array(re.findall(rb"([-\d.]+) ([-\d.]+) [ml]\b", part), float) for part in re.split(rb"\bf\*?\s", page)]
+    shapes = [
+        np.array(re.findall(rb"([-\d.]+) ([-\d.]+) [ml]\b", part), float)
+        for part in re.split(rb"\bf\*?\s", page)
+    ]
     sides = [np.ptp(s, axis=0) for s in shapes if len(s) > 20]
     assert sides
-    np.testing.assert_allclose(max(sides, key=lambda s: float(s[0])), 165 / 25.4 * 72, atol=0.01)
+    np.testing.assert_allclose(
+        max(sides, key=lambda s: float(s[0])), 165 / 25.4 * 72, atol=0.01
+    )
     again = tmp_path / "u.pdf"
     write_sheet(lay_out(parse_targets(["36h11:3:165mm"])), again)
     assert again.read_bytes() == data, "the same sheet gives the same bytes"

@@ -43,27 +43,39 @@ def test_jacobians_are_those_of_finite_differences() -> None:
         import cv2
 
         k = np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]])
-        return cv2.projectPoints(v.board_m, pose[:3], pose[3:], k, np.array([*values[4:], 0.0]))[0].ravel()
+        return cv2.projectPoints(
+            v.board_m, pose[:3], pose[3:], k, np.array([*values[4:], 0.0])
+        )[0].ravel()
 
     x, pose = fitted.values, np.concatenate([r, t])
     for j in range(len(x)):
         step = h * np.eye(len(x))[j]
         np.testing.assert_allclose(
-            by_intrinsics[:, j], (projected(x + step, pose) - projected(x - step, pose)) / (2 * h), atol=1e-3
+            by_intrinsics[:, j],
+            (projected(x + step, pose) - projected(x - step, pose)) / (2 * h),
+            atol=1e-3,
         )
     for j in range(6):
         step = h * np.eye(6)[j]
-        np.testing.assert_allclose(by_pose[:, j], (projected(x, pose + step) - projected(x, pose - step)) / (2 * h), atol=2e-2)
+        np.testing.assert_allclose(
+            by_pose[:, j],
+            (projected(x, pose + step) - projected(x, pose - step)) / (2 * h),
+            atol=2e-2,
+        )
     assert (
         np.abs(by_pose.T @ without_pose(by_intrinsics, by_pose)).max()
         < 1e-6 * np.abs(by_pose).max() * np.abs(by_intrinsics).max()
     )
 
 
-def repeated(noise_of_view: float, count: int = 60) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Spread of the parameters over repetitions; the mean stated standard deviation; the mean independent one.
+def repeated(
+    noise_of_view: float, count: int = 60
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Spread of the parameters over repetitions; the mean stated standard deviation; the
+    mean independent one.
 
-    noise_of_view : a bend of each view, equal for corners near each other, on top of .1 px of independent noise
+    noise_of_view : a bend of each view, equal for corners near each other, on top of .1 px
+    of independent noise
     """
     values, stated, independent = [], [], []
     for k in range(count):
@@ -72,19 +84,28 @@ def repeated(noise_of_view: float, count: int = 60) -> tuple[np.ndarray, np.ndar
         for p in poses(14):
             v = view(p, rng, 0.1)
             u = v.board_m[:, :2] / 0.1 - 1
-            bend = np.stack([u[:, 0] ** 2, u[:, 0] * u[:, 1], u[:, 1] ** 2], 1) @ rng.normal(0, noise_of_view, (3, 2))
-            made.append(type(v)(v.name, v.size, v.ids, v.board_m, v.pixels + bend, v.finder))
+            bend = np.stack(
+                [u[:, 0] ** 2, u[:, 0] * u[:, 1], u[:, 1] ** 2], 1
+            ) @ rng.normal(0, noise_of_view, (3, 2))
+            made.append(
+                type(v)(v.name, v.size, v.ids, v.board_m, v.pixels + bend, v.finder)
+            )
         fitted = fit(made, BROWN4)
         known = uncertainty(fitted)
         values.append(fitted.values)
         stated.append(known.standard_deviations)
         independent.append(known.independent)
-    return np.std(values, axis=0, ddof=1), np.mean(stated, axis=0), np.mean(independent, axis=0)
+    return (
+        np.std(values, axis=0, ddof=1),
+        np.mean(stated, axis=0),
+        np.mean(independent, axis=0),
+    )
 
 
 def test_standard_deviations_are_the_spread_of_repetitions() -> None:
     spread, stated, _ = repeated(0.0)
-    # 60 repetitions know a spread to 9 %; the larger of two estimates is a little too large by design
+    # 60 repetitions know a spread to 9 %; the larger of two estimates is a little too large
+    # by design
     assert (stated / spread > 0.8).all(), stated / spread
     assert (stated / spread < 1.7).all(), stated / spread
 
@@ -93,7 +114,8 @@ def test_they_still_are_when_the_errors_of_a_view_go_together() -> None:
     spread, stated, independent = repeated(0.3)
     assert (stated / spread > 0.7).all(), stated / spread
     assert (stated / spread < 1.7).all(), stated / spread
-    # the textbook formula is what is being improved on: it must fail here, or this test shows nothing
+    # the textbook formula is what is being improved on: it must fail here, or this test
+    # shows nothing
     assert independent[0] / spread[0] < 0.6
 
 
@@ -110,7 +132,9 @@ def test_near_the_singularity_it_says_that_it_knows_nothing_or_refuses(tilt: flo
     answers = []
     for noise_px in (0.0, 0.05, 0.1):
         with contextlib.suppress(NothingToDoError):
-            answers.append(fit(views(6, tilt_deg=(tilt, tilt), noise_px=noise_px), MODELS[0]))
+            answers.append(
+                fit(views(6, tilt_deg=(tilt, tilt), noise_px=noise_px), MODELS[0])
+            )
     assert answers, "all refused"
     for fitted in answers:
         known = uncertainty(fitted)
@@ -140,7 +164,9 @@ def test_a_view_is_judged_by_its_pose_alone() -> None:
         ([-0.3, 0.15, 0.004, -0.003, 0], "k1 k2 p1 p2"),
     ],
 )
-def test_the_lens_model_is_the_one_the_views_call_for(distortion: list[float], name: str) -> None:
+def test_the_lens_model_is_the_one_the_views_call_for(
+    distortion: list[float], name: str
+) -> None:
     camera = Camera(*SIZE, TRUE.matrix, np.array(distortion))
     chosen, table = choose_model(views(14, noise_px=0.1, camera=camera))
     assert chosen.model.name == name

@@ -28,7 +28,11 @@ def test_no_two_settings_have_the_same_option() -> None:
     [
         ("clip", Path("c.mp4"), {"input": {"clip": Path("c.mp4")}}),
         ("model", Path("m.glb"), {"model": {"file": Path("m.glb")}}),
-        ("marker", ("36h11:3:5cm", "36h11:4:5cm"), {"marker": [{"spec": "36h11:3:5cm"}, {"spec": "36h11:4:5cm"}]}),
+        (
+            "marker",
+            ("36h11:3:5cm", "36h11:4:5cm"),
+            {"marker": [{"spec": "36h11:3:5cm"}, {"spec": "36h11:4:5cm"}]},
+        ),
         ("rotate", "0, 0,90", {"model": {"rotate": [0.0, 0.0, 90.0]}}),
         ("offset", "1cm,0,0", {"model": {"offset": ["1cm", "0", "0"]}}),
         ("pipeline", "gi, dof", {"pipeline": {"stages": ["gi", "dof"]}}),
@@ -38,7 +42,9 @@ def test_no_two_settings_have_the_same_option() -> None:
         ("crf", 0.0, {"output": {"crf": 0.0}}),
     ],
 )
-def test_options_become_keys_of_a_job_file(option: str, value: Any, tree: dict[str, Any]) -> None:
+def test_options_become_keys_of_a_job_file(
+    option: str, value: Any, tree: dict[str, Any]
+) -> None:
     assert given(**{option: value}) == tree
     load(None, tree, {})
 
@@ -50,7 +56,9 @@ def test_options_become_keys_of_a_job_file(option: str, value: Any, tree: dict[s
         ("rotate", "0,0,x", "--rotate: 'x' is not a number of degrees"),
     ],
 )
-def test_lists_that_cannot_be_read_are_named_by_their_option(option: str, value: str, says: str) -> None:
+def test_lists_that_cannot_be_read_are_named_by_their_option(
+    option: str, value: str, says: str
+) -> None:
     with pytest.raises(ConfigError, match=says):
         given(**{option: value})
 

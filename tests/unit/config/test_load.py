@@ -60,8 +60,13 @@ def write(tmp_path: Path, text: str) -> Path:
 
 def test_a_job_is_read_with_paths_relative_to_its_file(tmp_path: Path) -> None:
     job = load(write(tmp_path, GOOD), {}, TABLE)
-    assert job.input.clip == tmp_path / "clip.mp4" and job.model.file == tmp_path / "m odel.glb"
-    assert job.markers[1].size_m == pytest.approx(0.1651) and job.model.offset == pytest.approx((0.01, 0, 0.002))
+    assert (
+        job.input.clip == tmp_path / "clip.mp4"
+        and job.model.file == tmp_path / "m odel.glb"
+    )
+    assert job.markers[1].size_m == pytest.approx(
+        0.1651
+    ) and job.model.offset == pytest.approx((0.01, 0, 0.002))
     assert job.input.end == 1.5 and job.params["dof"] == Lens(4.0)
 
 
@@ -75,14 +80,26 @@ def test_every_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> Non
         if Path in s.kinds:
             tree.setdefault(s.section, {})[s.key] = "a"
     assert len(tree["input"]) >= 5 and {"path"} == tree["output"].keys()
-    kept = frozen(load(write(tmp_path, to_toml(tree)), {}, {"sky": {"corrected": Sky, "other": Sky}}))
-    assert {kept[section][key] for section, table in tree.items() for key in table} == {str(tmp_path / "a")}
+    kept = frozen(
+        load(write(tmp_path, to_toml(tree)), {}, {"sky": {"corrected": Sky, "other": Sky}})
+    )
+    assert {kept[section][key] for section, table in tree.items() for key in table} == {
+        str(tmp_path / "a")
+    }
 
 
 def test_the_command_line_wins(tmp_path: Path) -> None:
-    over = {"dof": {"aperture": 1.0}, "input": {"end": "2s", "clip": "other.mp4"}, "marker": [{"spec": "4X4_50:0:5cm"}]}
+    over = {
+        "dof": {"aperture": 1.0},
+        "input": {"end": "2s", "clip": "other.mp4"},
+        "marker": [{"spec": "4X4_50:0:5cm"}],
+    }
     job = load(write(tmp_path, GOOD), over, TABLE)
-    assert job.params["dof"].aperture == 1.0 and job.input.end == 2 and str(job.input.clip) == "other.mp4"
+    assert (
+        job.params["dof"].aperture == 1.0
+        and job.input.end == 2
+        and str(job.input.clip) == "other.mp4"
+    )
     assert [m.key for m in job.markers] == ["4X4_50:0"]
 
 
@@ -94,9 +111,16 @@ def test_a_frozen_job_reads_back_as_the_same_job(tmp_path: Path) -> None:
 
 
 def test_a_frozen_job_holds_from_wherever_it_is_read() -> None:
-    told = {"input": {"clip": "c.mp4", "poses": "poses.txt", "depth": "maps"}, "pipeline": {"tradeoff": "t.json"}}
+    told = {
+        "input": {"clip": "c.mp4", "poses": "poses.txt", "depth": "maps"},
+        "pipeline": {"tradeoff": "t.json"},
+    }
     kept = frozen(load(None, told, TABLE))
-    assert all(kept[section][key] == str(Path(path).absolute()) for section, table in told.items() for key, path in table.items())
+    assert all(
+        kept[section][key] == str(Path(path).absolute())
+        for section, table in told.items()
+        for key, path in table.items()
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,10 +136,16 @@ def test_a_frozen_job_holds_from_wherever_it_is_read() -> None:
         ('"2mm"]', '"2mm", "1mm"]', 14, "offset"),
     ],
 )
-def test_errors_point_at_the_line_and_say_what_would_be_right(tmp_path: Path, old: str, new: str, line: int, says: str) -> None:
+def test_errors_point_at_the_line_and_say_what_would_be_right(
+    tmp_path: Path, old: str, new: str, line: int, says: str
+) -> None:
     with pytest.raises(ConfigError) as e:
         load(write(tmp_path, GOOD.replace(old, new)), {}, TABLE)
-    assert f"job.toml:{line}\n" in str(e.value) and says in str(e.value) and "^" in str(e.value)
+    assert (
+        f"job.toml:{line}\n" in str(e.value)
+        and says in str(e.value)
+        and "^" in str(e.value)
+    )
     assert e.value.exit_code == 2
 
 
@@ -127,11 +157,21 @@ def two_files(tmp_path: Path, later: str) -> list[Path]:
 
 
 def test_of_several_files_the_later_wins_key_by_key(tmp_path: Path) -> None:
-    later = '[input]\ncamera = "c.yaml"\nend = "2s"\n[[marker]]\nspec = "4X4_50:0:5cm"\n[dof]\nblades = 5\n'
+    later = (
+        '[input]\ncamera = "c.yaml"\nend = "2s"\n[[marker]]\nspec ='
+        ' "4X4_50:0:5cm"\n[dof]\nblades = 5\n'
+    )
     files = two_files(tmp_path, later)
     job = load(files, {"input": {"start": "1s"}}, TABLE)
-    assert (job.input.start, job.input.end, job.params["dof"]) == (1.0, 2.0, Lens(4.0, 5)) and job.sources == tuple(files)
-    assert job.input.clip == tmp_path / "clip.mp4" and job.input.camera == tmp_path / "more" / "c.yaml"
+    assert (job.input.start, job.input.end, job.params["dof"]) == (
+        1.0,
+        2.0,
+        Lens(4.0, 5),
+    ) and job.sources == tuple(files)
+    assert (
+        job.input.clip == tmp_path / "clip.mp4"
+        and job.input.camera == tmp_path / "more" / "c.yaml"
+    )
     assert [m.key for m in job.markers] == ["4X4_50:0"], "lists are replaced"
     assert load(files[::-1], {}, TABLE).input.end == 1.5
 
@@ -149,7 +189,9 @@ def test_of_several_files_the_later_wins_key_by_key(tmp_path: Path) -> None:
         ("[dof]", "[dov]", "[dof]\nblades = 5", "job.toml:16"),
     ],
 )
-def test_of_several_files_errors_name_the_one_that_is_wrong(tmp_path: Path, old: str, new: str, later: str, where: str) -> None:
+def test_of_several_files_errors_name_the_one_that_is_wrong(
+    tmp_path: Path, old: str, new: str, later: str, where: str
+) -> None:
     files = two_files(tmp_path, later)
     files[0].write_text(GOOD.replace(old, new))
     with pytest.raises(ConfigError) as e:
@@ -162,23 +204,35 @@ def test_all_errors_are_told_at_once_and_the_command_line_is_named(tmp_path: Pat
     with pytest.raises(ConfigError) as e:
         load(write(tmp_path, text), {"pipeline": {"quality": "best"}}, TABLE)
     message = str(e.value)
-    assert "apperture" in message and "ende" in message and "command line: pipeline.quality" in message
+    assert (
+        "apperture" in message
+        and "ende" in message
+        and "command line: pipeline.quality" in message
+    )
 
 
 def test_the_formula_chooses_the_settings(tmp_path: Path) -> None:
     printed = {"formula": "paper", "near_m": 1, "blades": 5}
     job = load(None, {"dof": printed}, TABLE)
-    assert type(job.params["dof"]) is PrintedLens and job.params["dof"] == PrintedLens(blades=5, near_m=1.0)
+    assert type(job.params["dof"]) is PrintedLens and job.params["dof"] == PrintedLens(
+        blades=5, near_m=1.0
+    )
     assert frozen(load(None, {"dof": frozen(job)["dof"]}, TABLE)) == frozen(job)
     assert type(load(None, {"dof": {"formula": "corrected"}}, TABLE).params["dof"]) is Lens
     for table, says in (
         (
             {"near_m": 1},
-            'dof.near_m belongs to formula = "paper"\n  --> command line: dof.near_m\nhelp: dof.formula is "corrected"',
+            (
+                'dof.near_m belongs to formula = "paper"\n  --> command line:'
+                ' dof.near_m\nhelp: dof.formula is "corrected"'
+            ),
         ),
         (
             {"formula": "papper"},
-            "dof.formula 'papper' is unknown\n  --> command line: dof.formula\nhelp: one of corrected, paper",
+            (
+                "dof.formula 'papper' is unknown\n  --> command line: dof.formula\nhelp:"
+                " one of corrected, paper"
+            ),
         ),
         ({"formula": [1]}, "one of corrected, paper"),
     ):
@@ -204,18 +258,30 @@ def test_line_of_falls_back_to_the_nearest_parent() -> None:
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 1e300, 10**15])
-def test_numbers_that_no_setting_can_have_are_refused_with_their_own_name(tmp_path: Path, value: float) -> None:
+def test_numbers_that_no_setting_can_have_are_refused_with_their_own_name(
+    tmp_path: Path, value: float
+) -> None:
     with pytest.raises(ConfigError) as e:
         load(None, {"dof": {"aperture": value}}, TABLE)
     assert "dof.aperture" in str(e.value) and "command line" in str(e.value)
     shown = str(value) if math.isfinite(value) else f"{value}".replace("Infinity", "inf")
     with pytest.raises(ConfigError) as e:
-        load(write(tmp_path, GOOD.replace("aperture = 4", f"aperture = {shown}")), {"dof": {"blades": 5}}, TABLE)
+        load(
+            write(tmp_path, GOOD.replace("aperture = 4", f"aperture = {shown}")),
+            {"dof": {"blades": 5}},
+            TABLE,
+        )
     assert "dof.aperture" in str(e.value) and "job.toml:17" in str(e.value)
 
 
 @pytest.mark.parametrize(
-    "text", ["x = " + "9" * 5000, "x = " + "[" * 2000, ".".join("a" * 200) + " = 1", "[input]\nend = 1979-99-99"]
+    "text",
+    [
+        "x = " + "9" * 5000,
+        "x = " + "[" * 2000,
+        ".".join("a" * 200) + " = 1",
+        "[input]\nend = 1979-99-99",
+    ],
 )
 def test_toml_beyond_what_a_job_holds_is_one_message(tmp_path: Path, text: str) -> None:
     with pytest.raises(ConfigError, match=r"job\.toml: not valid TOML") as e:
@@ -235,6 +301,8 @@ def test_toml_beyond_what_a_job_holds_is_one_message(tmp_path: Path, text: str) 
         ("output", "crf", -1e300), ("pipeline", "budget", "9" * 400 + "h"),
     ],
 )  # fmt: skip
-def test_sections_refuse_absurd_numbers_by_name(section: str, key: str, value: object) -> None:
+def test_sections_refuse_absurd_numbers_by_name(
+    section: str, key: str, value: object
+) -> None:
     with pytest.raises(ConfigError, match=rf"{section}\.{key}"):
         load(None, {section: {key: value}}, TABLE)

@@ -42,16 +42,31 @@ sub/ü.mov,,x.mkv,,,,,false
 
 def read(path: Path, text: str, over: dict[str, Any] | None = None) -> list[JobConfig]:
     path.write_text(text, encoding="utf-8")
-    return [load(files, over or {}, parameters()) for files in read_manifest(path, parameters())]
+    return [
+        load(files, over or {}, parameters()) for files in read_manifest(path, parameters())
+    ]
 
 
 def test_a_job_is_laid_over_what_all_share(tmp_path: Path) -> None:
     first, second = read(tmp_path / "m.toml", TOML)
-    assert first.input.clip == tmp_path / "a b.mp4" and first.model.fit == 0.15 and first.model.file == tmp_path / "duck.glb"
+    assert (
+        first.input.clip == tmp_path / "a b.mp4"
+        and first.model.fit == 0.15
+        and first.model.file == tmp_path / "duck.glb"
+    )
     assert first.output.path is None and not first.markers
-    assert second.input.clip == tmp_path / "sub/ü.mov" and second.output.path == tmp_path / "{stem}.mkv"
-    assert second.model.fit == 0.1 and second.model.up == "z" and second.model.rotate == (0, 0, 90)
-    assert [m.key for m in second.markers] == ["36h11:3", "36h11:4"] and second.params["light"].most_lights == 1
+    assert (
+        second.input.clip == tmp_path / "sub/ü.mov"
+        and second.output.path == tmp_path / "{stem}.mkv"
+    )
+    assert (
+        second.model.fit == 0.1
+        and second.model.up == "z"
+        and second.model.rotate == (0, 0, 90)
+    )
+    assert [m.key for m in second.markers] == ["36h11:3", "36h11:4"] and second.params[
+        "light"
+    ].most_lights == 1
     assert second.sources == (tmp_path / "m.toml",)
 
 
@@ -63,21 +78,50 @@ def test_the_command_line_wins(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", ["toml", "csv"])
 def test_a_job_may_have_a_job_file(tmp_path: Path, suffix: str) -> None:
     (tmp_path / "orbit").mkdir()
-    (tmp_path / "orbit/job.toml").write_text("[input]\nclip = 'clip.mp4'\n[model]\nfit = '3cm'\nup = 'x'\n")
+    (tmp_path / "orbit/job.toml").write_text(
+        "[input]\nclip = 'clip.mp4'\n[model]\nfit = '3cm'\nup = 'x'\n"
+    )
     toml = "[[job]]\nconfig = ['lossless', 'orbit/job.toml']\nfit = '4cm'\n"
-    (job,) = read(tmp_path / f"m.{suffix}", toml if suffix == "toml" else "config,fit\norbit/job.toml,4cm\n")
-    assert job.input.clip == tmp_path / "orbit/clip.mp4" and job.model.fit == 0.04 and job.model.up == "x"
-    assert (job.output.codec == "ffv1") == (suffix == "toml") and tmp_path / "orbit/job.toml" in job.sources
+    (job,) = read(
+        tmp_path / f"m.{suffix}",
+        toml if suffix == "toml" else "config,fit\norbit/job.toml,4cm\n",
+    )
+    assert (
+        job.input.clip == tmp_path / "orbit/clip.mp4"
+        and job.model.fit == 0.04
+        and job.model.up == "x"
+    )
+    assert (job.output.codec == "ffv1") == (
+        suffix == "toml"
+    ) and tmp_path / "orbit/job.toml" in job.sources
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_columns_are_options_and_settings(tmp_path: Path, separator: str) -> None:
-    text = CSV if separator == "," else CSV.replace("a, b", "a b").replace('"0cm,2cm,0cm"', "0cm/2cm/0cm").replace(",", separator)
+    text = (
+        CSV
+        if separator == ","
+        else CSV.replace("a, b", "a b")
+        .replace('"0cm,2cm,0cm"', "0cm/2cm/0cm")
+        .replace(",", separator)
+    )
     first, second = read(tmp_path / "m.csv", text.replace("0cm/2cm/0cm", "0cm,2cm,0cm"))
-    assert first.input.camera == tmp_path / "left.yaml" and first.model.fit == 0.1 and first.model.offset == (0, 0.02, 0)
-    assert first.params["light"].most_lights == 1 and first.markers[0].key == "36h11:3" and first.output.path is None
+    assert (
+        first.input.camera == tmp_path / "left.yaml"
+        and first.model.fit == 0.1
+        and first.model.offset == (0, 0.02, 0)
+    )
+    assert (
+        first.params["light"].most_lights == 1
+        and first.markers[0].key == "36h11:3"
+        and first.output.path is None
+    )
     assert first.pipeline.skip and not second.pipeline.skip
-    assert second.input.clip == tmp_path / "sub/ü.mov" and second.output.path == tmp_path / "x.mkv" and second.model.fit is None
+    assert (
+        second.input.clip == tmp_path / "sub/ü.mov"
+        and second.output.path == tmp_path / "x.mkv"
+        and second.model.fit is None
+    )
 
 
 def test_a_name_that_reads_as_a_number_stays_a_name(tmp_path: Path) -> None:
@@ -134,7 +178,9 @@ def test_a_manifest_that_is_not_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["m.csv", "m.toml"])
-def test_a_misspelt_head_of_20000_rows_is_told_within_seconds(tmp_path: Path, name: str) -> None:
+def test_a_misspelt_head_of_20000_rows_is_told_within_seconds(
+    tmp_path: Path, name: str
+) -> None:
     rows = range(20_000)  # each looked the whole table through: minutes
     csv = "clip,outptu\n" + "".join(f"c{i}.mp4,o{i}.mp4\n" for i in rows)
     toml = "".join(f'[[job]]\nclip = "c{i}.mp4"\noutptu = "o{i}.mp4"\n' for i in rows)

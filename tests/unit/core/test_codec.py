@@ -1,4 +1,6 @@
-"""What is stored comes back as it was: type for type, bit for bit; nothing else is taken, nothing damaged is believed."""
+"""What is stored comes back as it was: type for type, bit for bit; nothing else is taken,
+nothing damaged is believed.
+"""
 
 from __future__ import annotations
 
@@ -37,10 +39,14 @@ def test_values_come_back_as_they_were(value: Any) -> None:
     again = codec.loads(codec.dumps([value, value]))
     assert type(again) is list and len(again) == 2
     for one in again:
-        if isinstance(value, np.ndarray) and not (value.flags.c_contiguous or value.flags.f_contiguous):
+        if isinstance(value, np.ndarray) and not (
+            value.flags.c_contiguous or value.flags.f_contiguous
+        ):
             value = value.copy()  # gaps between rows are not kept
         assert identical(one, value)
-        assert not isinstance(one, np.ndarray) or (one.flags.writeable and one.flags.aligned)
+        assert not isinstance(one, np.ndarray) or (
+            one.flags.writeable and one.flags.aligned
+        )
 
 
 def test_a_random_generator_goes_on_where_it_was() -> None:
@@ -78,7 +84,17 @@ def test_every_damage_is_seen() -> None:
             codec.loads(data)
 
 
-@pytest.mark.parametrize("tree", ['["os.system","x"]', '["Camera",1]', '["array","<f4","C",9]', '["array","O","C",1]', "[]", "{"])
+@pytest.mark.parametrize(
+    "tree",
+    [
+        '["os.system","x"]',
+        '["Camera",1]',
+        '["array","<f4","C",9]',
+        '["array","O","C",1]',
+        "[]",
+        "{",
+    ],
+)
 def test_what_is_whole_but_no_state_is_refused(tree: str) -> None:
     body = zlib.compress(struct.pack("<Q", len(tree)) + tree.encode())
     with pytest.raises(ValueError, match="not a state of these classes"):
@@ -109,15 +125,30 @@ class Outer(codec.Document):
 
 def test_documents_are_json_by_the_types_of_their_fields() -> None:
     inner = Inner(np.eye(2), np.array([[0.5, 2.0]], np.float32))
-    one = Outer("x", Path("/a/b"), ((1.0, 2.0), (3.0, 4.0)), {"i": inner}, [inner], Pose.identity())
+    one = Outer(
+        "x", Path("/a/b"), ((1.0, 2.0), (3.0, 4.0)), {"i": inner}, [inner], Pose.identity()
+    )
     text = json.dumps(one.to_json(), allow_nan=False)
     again = Outer.from_json(json.loads(text))
-    assert json.dumps(again.to_json()) == text and again.width == math.inf and again.pose == one.pose
-    assert (again.name, again.path, again.rows) == (one.name, one.path, one.rows) and type(again.some) is list
+    assert (
+        json.dumps(again.to_json()) == text
+        and again.width == math.inf
+        and again.pose == one.pose
+    )
+    assert (again.name, again.path, again.rows) == (one.name, one.path, one.rows) and type(
+        again.some
+    ) is list
     for read in (again.by_name["i"], again.some[0]):
         assert identical(read.a, inner.a) and identical(read.b, inner.b)
-    bare = Outer.from_json({"name": "y", "path": "p", "rows": [], "by_name": {}, "width": 3})
+    bare = Outer.from_json(
+        {"name": "y", "path": "p", "rows": [], "by_name": {}, "width": 3}
+    )
     assert bare.pose is None and bare.some == () and bare.width == 3
-    for wrong in ({"name": "y"}, {**one.to_json(), "other": 1}, {**one.to_json(), "rows": 1}, {**one.to_json(), "pose": [0]}):
+    for wrong in (
+        {"name": "y"},
+        {**one.to_json(), "other": 1},
+        {**one.to_json(), "rows": 1},
+        {**one.to_json(), "pose": [0]},
+    ):
         with pytest.raises((TypeError, ValueError, KeyError, AttributeError)):
             Outer.from_json(wrong)

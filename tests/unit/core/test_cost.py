@@ -6,21 +6,40 @@ from pathlib import Path
 
 import pytest
 
-from arfx.core.cost import UNCALIBRATED, Price, Prices, load_prices, measured, sum_independent, with_spread
+from arfx.core.cost import (
+    UNCALIBRATED,
+    Price,
+    Prices,
+    load_prices,
+    measured,
+    sum_independent,
+    with_spread,
+)
 
-PRICES = Prices({"dof/draft": Price({"frames": 0.002, "mpx": 0.03}, 0.2, 9)}, 2, "a test", calibrated=True)
+PRICES = Prices(
+    {"dof/draft": Price({"frames": 0.002, "mpx": 0.03}, 0.2, 9)},
+    2,
+    "a test",
+    calibrated=True,
+)
 
 
 def test_a_prediction_is_the_price_of_its_terms_and_carries_its_interval() -> None:
     p = PRICES.predict("dof/draft", {"frames": 1, "mpx": 2.0, "object_mpx": 5.0})
     assert p is not None and p.seconds == pytest.approx(0.062)
-    assert p.low_s < p.seconds < p.high_s and p.high_s / p.seconds == pytest.approx(math.exp(1.645 * 0.2))
-    assert PRICES.predict("gi/draft", {"frames": 1}) is None, "unknown is allowed, a made-up number is not"
+    assert p.low_s < p.seconds < p.high_s and p.high_s / p.seconds == pytest.approx(
+        math.exp(1.645 * 0.2)
+    )
+    assert PRICES.predict("gi/draft", {"frames": 1}) is None, (
+        "unknown is allowed, a made-up number is not"
+    )
 
 
 def test_prices_of_another_machine_are_wide() -> None:
     shipped = Prices(PRICES.prices, calibrated=False).predict("dof/draft", {"frames": 1})
-    assert shipped is not None and shipped.high_s / shipped.seconds == pytest.approx(math.exp(1.645 * UNCALIBRATED))
+    assert shipped is not None and shipped.high_s / shipped.seconds == pytest.approx(
+        math.exp(1.645 * UNCALIBRATED)
+    )
 
 
 def test_independent_errors_add_in_quadrature_and_what_was_measured_adds_none() -> None:
@@ -51,7 +70,10 @@ def test_the_shipped_list_prices_every_stage_at_every_level() -> None:
     assert shipped.predict("encode h264", {"frames": 30, "mpx": 27.0}) is not None
     for name, stage in STAGES.items():
         for level in stage.levels:
-            found = shipped.predict(f"{name}/{level}", {"frames": 1, "mpx": 0.5, "object_mpx": 0.1, "mfaces": 0.006})
+            found = shipped.predict(
+                f"{name}/{level}",
+                {"frames": 1, "mpx": 0.5, "object_mpx": 0.1, "mfaces": 0.006},
+            )
             assert found is not None and 0 <= found.low_s <= found.seconds <= found.high_s
             prepared = [key for key in shipped.prices if key.startswith(f"prepare {name}/")]
             assert prepared, f"what {name} prepares has a price"

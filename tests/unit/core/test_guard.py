@@ -38,7 +38,9 @@ def clip(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("alias", [symlink, hard_link])
 @pytest.mark.parametrize("turned", [False, True], ids=["output", "input"])
-def test_an_input_is_known_under_every_name(clip: Path, tmp_path: Path, alias: Alias, turned: bool) -> None:
+def test_an_input_is_known_under_every_name(
+    clip: Path, tmp_path: Path, alias: Alias, turned: bool
+) -> None:
     other = tmp_path / "other.mp4"
     alias(other, clip)
     read, written = (other, clip) if turned else (clip, other)
@@ -47,18 +49,31 @@ def test_an_input_is_known_under_every_name(clip: Path, tmp_path: Path, alias: A
     assert clip.read_bytes() == b"frames"
 
 
-def test_other_ways_to_write_a_path_are_the_same_file(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_ways_to_write_a_path_are_the_same_file(
+    clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(clip.parent)
     (clip.parent / "sub").mkdir()
-    for name in ("clip.mp4", "./sub/../clip.mp4", str(clip), f"../{clip.parent.name}/clip.mp4"):
+    for name in (
+        "clip.mp4",
+        "./sub/../clip.mp4",
+        str(clip),
+        f"../{clip.parent.name}/clip.mp4",
+    ):
         with pytest.raises(ConfigError, match="also an input"):
             Guard([("clip", Path("clip.mp4"))], overwrite=True).file(Path(name))
 
 
-def test_a_file_known_by_its_identity_alone_is_the_same_file(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_known_by_its_identity_alone_is_the_same_file(
+    clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As on a disk that takes Clip.mp4 and clip.mp4 for one file."""
     stat = Path.stat
-    monkeypatch.setattr(Path, "stat", lambda p, **k: stat(p.with_name(p.name.lower()) if p.suffix else p, **k))
+    monkeypatch.setattr(
+        Path,
+        "stat",
+        lambda p, **k: stat(p.with_name(p.name.lower()) if p.suffix else p, **k),
+    )
     with pytest.raises(ConfigError, match="also an input"):
         Guard([("clip", clip)], overwrite=True).file(clip.with_name("CLIP.MP4"))
 
@@ -94,7 +109,9 @@ def test_images_never_fall_on_an_input(tmp_path: Path) -> None:
     texture.touch()
     with pytest.raises(ConfigError, match="also an input \\(file of the model\\)"):
         Guard([("file of the model", texture)], True).images(tmp_path, ".png", named)
-    Guard([("file of the model", tmp_path / "wood.png")], True).images(tmp_path, ".png", named)
+    Guard([("file of the model", tmp_path / "wood.png")], True).images(
+        tmp_path, ".png", named
+    )
     with pytest.raises(ConfigError, match="also an input \\(depth\\)"):
         Guard([("depth", tmp_path)], True).images(tmp_path, ".exr", image_names("%06d.exr"))
     with pytest.raises(ConfigError, match="exists"):
@@ -114,10 +131,20 @@ def test_a_folder_of_our_own_holds_no_input(clip: Path, tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match="could be lost"):
             Guard([("clip", clip)], True).folder(folder, "--job")
     Guard([("clip", clip)], True).folder(tmp_path / "job", "--job")
-    Guard([("clip", clip)], True).folder(tmp_path / "i", "--job")  # the beginning of a name is not a folder
+    Guard([("clip", clip)], True).folder(
+        tmp_path / "i", "--job"
+    )  # the beginning of a name is not a folder
 
 
-@pytest.mark.parametrize("name", ["x" * 300 + ".mp4", "é" * 140 + ".mp4", "a\0b.mp4", "/".join(["d" * 200] * 30) + "/o.mp4"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "x" * 300 + ".mp4",
+        "é" * 140 + ".mp4",
+        "a\0b.mp4",
+        "/".join(["d" * 200] * 30) + "/o.mp4",
+    ],
+)
 def test_a_name_that_the_system_does_not_take_is_said(tmp_path: Path, name: str) -> None:
     with pytest.raises(ConfigError, match=r"too long|cannot be a file's name") as e:
         check_file_name(tmp_path / name)
@@ -137,6 +164,11 @@ def test_aside_leaves_all_of_a_file_or_nothing(tmp_path: Path) -> None:
 def test_names_of_images() -> None:
     named = image_names("a%%_%04d.png")
     assert named("a%_0001.png") and named("a%_12345.png")
-    assert not named("a%_1.png") and not named("a%_00001.png") and not named("a%%_0001.png") and not named("b_0001.png")
+    assert (
+        not named("a%_1.png")
+        and not named("a%_00001.png")
+        and not named("a%%_0001.png")
+        and not named("b_0001.png")
+    )
     assert image_names("%4d.png")("  12.png")
     assert image_names("a%04d.png")("A0001.PNG"), "the same file on many disks"

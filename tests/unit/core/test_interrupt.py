@@ -30,7 +30,9 @@ def test_a_signal_that_is_swallowed_is_raised_again() -> None:
     interrupt.check()
 
 
-@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+@pytest.mark.parametrize(
+    ("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)]
+)
 def test_every_signal_has_its_code(name: str, code: int) -> None:
     with pytest.raises(KeyboardInterrupt), interrupt.catching():
         try:
@@ -60,7 +62,9 @@ def test_before_an_output_is_in_place_a_signal_stops_it() -> None:
 
 def test_once_an_output_is_in_place_none_changes_the_outcome() -> None:
     done = []
-    with pytest.raises(KeyboardInterrupt):  # behind it all, for the program that called the library
+    with pytest.raises(
+        KeyboardInterrupt
+    ):  # behind it all, for the program that called the library
         with interrupt.catching():
             with interrupt.committing():
                 press()
@@ -69,7 +73,10 @@ def test_once_an_output_is_in_place_none_changes_the_outcome() -> None:
             assert interrupt.exit_code() == 0
             done.append("reported")
         pytest.fail("lost")
-    assert done == ["in place", "reported"] and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert (
+        done == ["in place", "reported"]
+        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )
 
 
 def test_a_signal_that_came_too_late_for_one_job_stops_the_next() -> None:
@@ -121,13 +128,22 @@ def test_threads_neither_hold_nor_raise() -> None:
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
     code = "import os, signal, sys, time\nfrom arfx.core import interrupt\n" + code
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
 
 
-def test_the_second_signal_ends_the_process_at_once_and_an_echo_of_the_first_does_not() -> None:
+def test_the_second_signal_ends_the_process_at_once_and_an_echo_of_the_first_does_not() -> (
+    None
+):
     echo = (
-        "interrupt._SAME_SIGNAL_S = 1e9\ninterrupt.catch()\n"
-        "with interrupt.deferred():\n for _ in range(3): signal.raise_signal(signal.SIGINT)\n print('went on', flush=True)\n"
+        "interrupt._SAME_SIGNAL_S = 1e9\ninterrupt.catch()\nwith interrupt.deferred():\n"
+        " for _ in range(3): signal.raise_signal(signal.SIGINT)\n print('went on',"
+        " flush=True)\n"
     )
     assert run(echo).stdout == "went on\n"
     second = echo.replace("1e9", "-1")
@@ -141,21 +157,28 @@ def test_the_second_signal_ends_the_process_at_once_and_an_echo_of_the_first_doe
 
 def test_nothing_that_happens_at_the_end_changes_the_exit_code() -> None:
     done = run(
-        "import atexit, threading\ninterrupt.catch()\n"
-        "@atexit.register\ndef late():\n for n in interrupt.STOPPING: os.kill(os.getpid(), n)\n print('at exit')\n"
-        "threading.Thread(target=time.sleep, args=(1000,)).start()\ninterrupt.exit_process(7)"
+        "import atexit, threading\ninterrupt.catch()\n@atexit.register\ndef late():\n for n"
+        " in interrupt.STOPPING: os.kill(os.getpid(), n)\n print('at"
+        " exit')\nthreading.Thread(target=time.sleep,"
+        " args=(1000,)).start()\ninterrupt.exit_process(7)"
     )
     assert (done.returncode, done.stdout, done.stderr) == (7, "at exit\n", "")
 
 
 def test_a_signal_while_python_starts_arfx_is_not_lost() -> None:
-    """Red with handlers of Python's own: what SIGINT raises in an import is swallowed, and --version answers with exit 0."""
+    """Red with handlers of Python's own: what SIGINT raises in an import is swallowed, and
+    --version answers with exit 0.
+    """
     code = (
-        "class Finder:\n def find_spec(self, name, *_):\n  if name == 'click':\n   try: signal.raise_signal(signal.{})\n"
-        "   except BaseException: pass\nsys.meta_path.insert(0, Finder())\nsys.argv = ['arfx', '--version']\n"
-        "from arfx_cli.__main__ import start\nstart()"
+        "class Finder:\n def find_spec(self, name, *_):\n  if name == 'click':\n   try:"
+        " signal.raise_signal(signal.{})\n   except BaseException:"
+        " pass\nsys.meta_path.insert(0, Finder())\nsys.argv = ['arfx', '--version']\nfrom"
+        " arfx_cli.__main__ import start\nstart()"
     )
-    for number, code_, cause in (("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "stopped by SIGTERM")):
+    for number, code_, cause in (
+        ("SIGINT", 130, "interrupted"),
+        ("SIGTERM", 143, "stopped by SIGTERM"),
+    ):
         done = run(code.format(number))
         assert (done.returncode, done.stdout, done.stderr) == (code_, "", cause + "\n")
 
@@ -169,4 +192,6 @@ def test_a_worker_ends_with_its_parent() -> None:
         " multiprocessing.get_context('fork').Process(target=work, args=(its,)).start()\n"
         " mine.recv(); os.kill(os.getpid(), signal.SIGKILL)"
     )
-    assert run(code).returncode == -signal.SIGKILL  # it returns when the worker, too, has closed standard output
+    assert (
+        run(code).returncode == -signal.SIGKILL
+    )  # it returns when the worker, too, has closed standard output

@@ -1,4 +1,6 @@
-"""The thin lens: numbers of docs/methods/dof.md#numbers, and every place where a formula might have a pole."""
+"""The thin lens: numbers of docs/methods/dof.md#numbers, and every place where a formula
+might have a pole.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,14 @@ COC = 0.035
 
 def test_numbers_as_they_should_be() -> None:
     d = depth_of_field(EXAMPLE, COC)
-    assert d.front_mm == pytest.approx(54.1451, abs=1e-4) and d.back_mm == pytest.approx(56.5967, abs=1e-4)
-    assert d.front_mm is not None and d.back_mm is not None and d.total_mm == d.front_mm + d.back_mm
+    assert d.front_mm == pytest.approx(54.1451, abs=1e-4) and d.back_mm == pytest.approx(
+        56.5967, abs=1e-4
+    )
+    assert (
+        d.front_mm is not None
+        and d.back_mm is not None
+        and d.total_mm == d.front_mm + d.back_mm
+    )
     assert d.hyperfocal_mm == pytest.approx(104_096.10, abs=0.01)
     # consistent with the circle itself, which the printed limits are not
     at = circle_of_confusion_mm([2500 - d.front_mm, 2500 + d.back_mm], EXAMPLE)
@@ -30,7 +38,9 @@ def test_numbers_as_they_should_be() -> None:
 def test_circle_is_the_printed_equation_3() -> None:
     distance = np.array([300.0, 900.0, 2400.0, 2600.0, 9000.0, 1e9])
     printed = 200.0**2 * np.abs(distance - 2500) / ((2500 - 200) * 11 * distance)
-    np.testing.assert_allclose(circle_of_confusion_mm(distance, EXAMPLE), printed, rtol=1e-12)
+    np.testing.assert_allclose(
+        circle_of_confusion_mm(distance, EXAMPLE), printed, rtol=1e-12
+    )
     assert circle_of_confusion_mm(np.inf, EXAMPLE) == pytest.approx(1.58103, abs=1e-5)
     assert circle_of_confusion_mm(2500.0, EXAMPLE) == 0.0
 
@@ -55,9 +65,16 @@ def test_focus_within_the_focal_length_is_an_input_error(focus: float) -> None:
 @pytest.mark.parametrize("beyond", [1e-3, 1e-9, 1e-12])
 def test_focus_down_to_the_focal_length_stays_finite(beyond: float) -> None:
     lens = Lens(200.0, 11.0, 200.0 + beyond)
-    assert np.isfinite(circle_of_confusion_mm([1e-3, 200.0, 200.0 + beyond, 1e9, np.inf], lens)).all()
+    assert np.isfinite(
+        circle_of_confusion_mm([1e-3, 200.0, 200.0 + beyond, 1e9, np.inf], lens)
+    ).all()
     d = depth_of_field(lens, COC)
-    assert d.front_mm is not None and 0 <= d.front_mm < lens.focus_mm and d.back_mm is not None and math.isfinite(d.back_mm)
+    assert (
+        d.front_mm is not None
+        and 0 <= d.front_mm < lens.focus_mm
+        and d.back_mm is not None
+        and math.isfinite(d.back_mm)
+    )
 
 
 def test_focus_at_infinity() -> None:
@@ -92,7 +109,10 @@ def test_a_circle_without_size_is_an_input_error(coc: float) -> None:
         depth_of_field(EXAMPLE, coc)
 
 
-@pytest.mark.parametrize(("focal", "fnumber"), [(0.0, 2.0), (-1.0, 2.0), (math.inf, 2.0), (50.0, 0.0), (50.0, math.nan)])
+@pytest.mark.parametrize(
+    ("focal", "fnumber"),
+    [(0.0, 2.0), (-1.0, 2.0), (math.inf, 2.0), (50.0, 0.0), (50.0, math.nan)],
+)
 def test_impossible_lenses_are_input_errors(focal: float, fnumber: float) -> None:
     with pytest.raises(InputError):
         Lens(focal, fnumber, 1e4)

@@ -13,7 +13,12 @@ from arfx.core.pose import rotation_from_euler_deg
 RNG = np.random.default_rng(1)
 NORMALS = normalise(RNG.normal(size=(300, 3)))
 SOFT = tuple(map(tuple, RNG.normal(scale=0.05, size=(9, 3)) + np.eye(9)[0][:, None] * 2))
-LIGHT = Light((0.5, 0.5, 0.5), (DirectionalLight((0.6, 0.0, 0.8), (0.5, 0.4, 0.3), 8.0, 2.0),), "marker", SOFT)
+LIGHT = Light(
+    (0.5, 0.5, 0.5),
+    (DirectionalLight((0.6, 0.0, 0.8), (0.5, 0.4, 0.3), 8.0, 2.0),),
+    "marker",
+    SOFT,
+)
 TURN = rotation_from_euler_deg(20, -50, 110)
 
 
@@ -29,7 +34,12 @@ def test_harmonics_are_orthonormal() -> None:
 
 
 def test_a_turned_light_lights_turned_surfaces_alike() -> None:
-    assert np.abs(LIGHT.turned(TURN).radiance(NORMALS @ TURN.T) - LIGHT.radiance(NORMALS)).max() < 1e-12
+    assert (
+        np.abs(
+            LIGHT.turned(TURN).radiance(NORMALS @ TURN.T) - LIGHT.radiance(NORMALS)
+        ).max()
+        < 1e-12
+    )
 
 
 def test_turning_back_gives_the_same_coefficients() -> None:
@@ -40,7 +50,12 @@ def test_turning_back_gives_the_same_coefficients() -> None:
 
 def test_scaling_is_by_channel() -> None:
     factor = np.array([2.0, 0.5, 0.0])
-    assert np.abs(LIGHT.scaled(factor).radiance(NORMALS) - LIGHT.radiance(NORMALS) * factor).max() < 1e-12
+    assert (
+        np.abs(
+            LIGHT.scaled(factor).radiance(NORMALS) - LIGHT.radiance(NORMALS) * factor
+        ).max()
+        < 1e-12
+    )
 
 
 def test_json_keeps_every_digit() -> None:

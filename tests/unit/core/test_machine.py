@@ -24,7 +24,11 @@ from arfx.measure.machine import _encode_fails
     ],
 )
 def test_usable_cores(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quota: str | None, bound_to: int | None, cores: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    quota: str | None,
+    bound_to: int | None,
+    cores: int,
 ) -> None:
     if quota is not None:
         (tmp_path / "cpu.max").write_text(quota + "\n")
@@ -33,14 +37,22 @@ def test_usable_cores(
     if bound_to is None:
         monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     else:
-        monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(bound_to)), raising=False)
+        monkeypatch.setattr(
+            os, "sched_getaffinity", lambda _: set(range(bound_to)), raising=False
+        )
     assert machine.usable_cores.__wrapped__() == cores
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="the encoder does this as root alone")
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0,
+    reason="the encoder does this as root alone",
+)
 def test_the_av1_encoder_takes_the_machine_from_nobody() -> None:
     def scheduling() -> set[int]:
-        return {os.sched_getscheduler(thread) for thread in map(int, os.listdir("/proc/self/task"))}  # noqa: PTH208 - {os.SCHED_BATCH}
+        return {
+            os.sched_getscheduler(thread)
+            for thread in map(int, os.listdir("/proc/self/task"))  # noqa: PTH208 - {os.SCHED_BATCH}
+        }
 
     before = scheduling()
     assert _encode_fails("libsvtav1", "yuv420p", ".nut", {"svtav1-params": "lp=2"}) == ""

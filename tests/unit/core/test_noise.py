@@ -20,7 +20,9 @@ def test_numbers_are_even_over_their_range() -> None:
     assert n.dtype == np.float32 and n.min() >= 0 and n.max() < 1
     share, _ = np.histogram(n, 16, (0, 1))
     assert np.abs(share / n.size * 16 - 1).max() < 0.03
-    assert n.mean() == pytest.approx(0.5, abs=2e-3) and n.var() == pytest.approx(1 / 12, abs=1e-3)
+    assert n.mean() == pytest.approx(0.5, abs=2e-3) and n.var() == pytest.approx(
+        1 / 12, abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("other", ["right", "below", "channel", "frame", "stage", "seed"])

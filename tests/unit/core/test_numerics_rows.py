@@ -12,7 +12,12 @@ RNG = np.random.default_rng(0)
 
 @pytest.mark.parametrize(
     "rows",
-    [RNG.integers(-2, 3, (1000, 3)) * 1.0, -0.0 * RNG.integers(0, 2, (50, 3)), RNG.integers(0, 9, (400, 2)), np.zeros((0, 3))],
+    [
+        RNG.integers(-2, 3, (1000, 3)) * 1.0,
+        -0.0 * RNG.integers(0, 2, (50, 3)),
+        RNG.integers(0, 9, (400, 2)),
+        np.zeros((0, 3)),
+    ],
 )
 def test_same_rows_are_those_of_unique(rows: np.ndarray) -> None:
     _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)

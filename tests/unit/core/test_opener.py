@@ -8,7 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from arfx.core.opener import LIMITS, MIB, ffmpeg_url, folder_entries, parse_json, parse_toml, read_bytes, read_text, regular
+from arfx.core.opener import (
+    LIMITS,
+    MIB,
+    ffmpeg_url,
+    folder_entries,
+    parse_json,
+    parse_toml,
+    read_bytes,
+    read_text,
+    regular,
+)
 from arfx.errors import InputError
 from arfx.media.cameras import load_camera
 from arfx.media.depth_maps import open_depth
@@ -96,7 +106,10 @@ def test_every_limit_is_documented() -> None:
     for kind, (mib, reason) in LIMITS.items():
         assert reason
         words = kind.removesuffix(" part")
-        assert any(words in line and (f"{mib:g} MiB" in line or mib == 1 << 24) for line in text.splitlines()), kind
+        assert any(
+            words in line and (f"{mib:g} MiB" in line or mib == 1 << 24)
+            for line in text.splitlines()
+        ), kind
 
 
 @pytest.mark.parametrize("name", ["n" * 300, "a\0b", "nowhere", "n" * 300 + ".yaml#cam1"])
@@ -106,7 +119,9 @@ def test_a_name_that_cannot_be_looked_up_is_one_message(tmp_path: Path, name: st
             opened(tmp_path / name)
 
 
-def test_a_folder_is_listed_without_what_is_hidden_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_is_listed_without_what_is_hidden_or_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("b.png", "a.png", "._a.png"):
         (tmp_path / name).touch()
     assert [p.name for p in folder_entries(tmp_path)] == ["a.png", "b.png"]

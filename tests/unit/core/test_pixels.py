@@ -1,4 +1,6 @@
-"""Pixels made where they are asked for are those that would be made all at once; parts of an image fall into place."""
+"""Pixels made where they are asked for are those that would be made all at once; parts of
+an image fall into place.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,13 @@ def cut(rect: Rect) -> np.ndarray:
 
 
 def random_rect(g: np.random.Generator, inside: Rect) -> Rect:
-    x, y = np.sort(g.integers(inside.x0, inside.x1 + 1, 2)), np.sort(g.integers(inside.y0, inside.y1 + 1, 2))
-    return Rect(int(x[0]), int(y[0]), max(int(x[1]), int(x[0]) + 1), max(int(y[1]), int(y[0]) + 1)).clip(inside)
+    x, y = (
+        np.sort(g.integers(inside.x0, inside.x1 + 1, 2)),
+        np.sort(g.integers(inside.y0, inside.y1 + 1, 2)),
+    )
+    return Rect(
+        int(x[0]), int(y[0]), max(int(x[1]), int(x[0]) + 1), max(int(y[1]), int(y[0]) + 1)
+    ).clip(inside)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -33,7 +40,11 @@ def test_whatever_is_asked_for_in_whatever_order(seed: int) -> None:
         return cut(rect).copy()
 
     part = random_rect(g, WHOLE) if seed % 2 else None
-    laid = None if part is None else np.full((part.height, part.width, 3), g.random(), np.float32)
+    laid = (
+        None
+        if part is None
+        else np.full((part.height, part.width, 3), g.random(), np.float32)
+    )
     expected = PIXELS.copy()
     if part is not None:
         expected[part.slices_in(WHOLE)] = laid
@@ -48,7 +59,9 @@ def test_whatever_is_asked_for_in_whatever_order(seed: int) -> None:
         assert seen.shape == (outer.height, outer.width, 3)
         for p in parts:
             assert np.array_equal(seen[p.slices_in(outer)], expected[p.slices_in(WHOLE)])
-    assert asked.max() == 1 and (part is None or not asked[part.slices_in(WHOLE)].any()), "nothing twice, nothing for naught"
+    assert asked.max() == 1 and (part is None or not asked[part.slices_in(WHOLE)].any()), (
+        "nothing twice, nothing for naught"
+    )
 
 
 def test_a_region_grows_to_the_hull_of_its_rows_and_says_what_was_missing() -> None:
@@ -63,20 +76,33 @@ def test_a_region_grows_to_the_hull_of_its_rows_and_says_what_was_missing() -> N
                 missing[r.slices_in(WHOLE)] = True
             held |= missing
             columns = region.columns(WHOLE)
-            assert held[part.slices_in(WHOLE)].all() and (held.sum(1) == columns[:, 1] - columns[:, 0]).all()
-        assert region.bounds == Region(region.rects).bounds and all(a.y1 <= b.y0 for a, b in pairwise(region.rects))
+            assert (
+                held[part.slices_in(WHOLE)].all()
+                and (held.sum(1) == columns[:, 1] - columns[:, 0]).all()
+            )
+        assert region.bounds == Region(region.rects).bounds and all(
+            a.y1 <= b.y0 for a, b in pairwise(region.rects)
+        )
 
 
 def test_a_picture_made_in_some_columns_is_completed_by_what_was_there() -> None:
     rect = Rect(20, 3 * BAND_PX, 90, 4 * BAND_PX)
-    rows = [Rect(25, rect.y0 + 10, 60, rect.y0 + 30), Rect(20, rect.y0 + 30, 90, rect.y0 + 33)]
-    made, expected = np.full((rect.height, rect.width, 3), np.nan, np.float32), cut(rect).copy()
+    rows = [
+        Rect(25, rect.y0 + 10, 60, rect.y0 + 30),
+        Rect(20, rect.y0 + 30, 90, rect.y0 + 33),
+    ]
+    made, expected = (
+        np.full((rect.height, rect.width, 3), np.nan, np.float32),
+        cut(rect).copy(),
+    )
     made[10:30, 5:40] = made[30:33] = expected[10:30, 5:40] = expected[30:33] = 2
     before = Pixels(WHOLE, rest=lambda r: cut(r))
     some = Pixels(rect, made.copy(), before, written=rows)
     assert some.painted == Rect(20, rect.y0 + 10, 90, rect.y0 + 33) and before.painted.empty
     assert np.array_equal(some(rect), expected)
-    only = Pixels(rect, made.copy(), before, written=rows).clip(Rect(30, rect.y0 + 12, 45, rect.y1))
+    only = Pixels(rect, made.copy(), before, written=rows).clip(
+        Rect(30, rect.y0 + 12, 45, rect.y1)
+    )
     expected = cut(rect).copy()
     expected[12:33, 10:25] = 2
     assert np.array_equal(only(rect), expected)
@@ -90,7 +116,13 @@ def test_an_array_that_a_stage_made_whole_is_never_filled_in() -> None:
 
 
 def test_less_light_is_worked_out_where_it_is_asked_for() -> None:
-    def make(plate: np.ndarray, left: np.ndarray, opacity: float, bias: np.ndarray, out: np.ndarray) -> None:
+    def make(
+        plate: np.ndarray,
+        left: np.ndarray,
+        opacity: float,
+        bias: np.ndarray,
+        out: np.ndarray,
+    ) -> None:
         out[:] = bias + (1 + opacity * (left - 1)) * (plate - bias)
 
     plate, dark = Pixels(WHOLE, rest=lambda r: cut(r)), Rect(30, 200, 60, 260)

@@ -6,16 +6,26 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg, rotation_from_rotvec, rotvec_from_rotation
+from arfx.core.pose import (
+    Pose,
+    quaternion_from_rotation,
+    rotation_from_euler_deg,
+    rotation_from_rotvec,
+    rotvec_from_rotation,
+)
 
 AXES = np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(20, 3))])
 AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
-NEAR = [s * d for d in (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1.0001e-4, 1e-2) for s in (1, -1)]
+NEAR = [
+    s * d for d in (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1.0001e-4, 1e-2) for s in (1, -1)
+]
 
 
 @pytest.mark.parametrize("centre", [0.0, np.pi / 2, np.pi])
 @pytest.mark.parametrize("delta", NEAR)
-def test_rotation_round_trip_stays_accurate_near_singular_angles(centre: float, delta: float) -> None:
+def test_rotation_round_trip_stays_accurate_near_singular_angles(
+    centre: float, delta: float
+) -> None:
     r = AXES * (centre + delta)
     m = rotation_from_rotvec(r)
     np.testing.assert_allclose(m, Rotation.from_rotvec(r).as_matrix(), atol=3e-15)
@@ -33,7 +43,9 @@ def test_quaternion_agrees_with_scipy_up_to_sign() -> None:
 
 def test_euler_turns_about_x_then_y_then_z() -> None:
     np.testing.assert_allclose(
-        rotation_from_euler_deg(10, 20, 30), Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_matrix(), atol=1e-15
+        rotation_from_euler_deg(10, 20, 30),
+        Rotation.from_euler("xyz", [10, 20, 30], degrees=True).as_matrix(),
+        atol=1e-15,
     )
 
 

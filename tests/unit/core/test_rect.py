@@ -7,7 +7,13 @@ from hypothesis import strategies as st
 from arfx.core.rect import EMPTY, Rect
 
 small = st.integers(-50, 50)
-rects = st.builds(lambda x, y, w, h: Rect(x, y, x + w, y + h), small, small, st.integers(0, 40), st.integers(0, 40))
+rects = st.builds(
+    lambda x, y, w, h: Rect(x, y, x + w, y + h),
+    small,
+    small,
+    st.integers(0, 40),
+    st.integers(0, 40),
+)
 
 
 def pixels(r: Rect) -> set[tuple[int, int]]:
@@ -27,7 +33,9 @@ def test_align_grows_to_the_grid_and_no_further(r: Rect, sx: int, sy: int) -> No
     assert g.contains(r)
     if not r.empty:
         assert g.x0 % sx == g.x1 % sx == g.y0 % sy == g.y1 % sy == 0
-        assert r.x0 - g.x0 < sx and g.x1 - r.x1 < sx and r.y0 - g.y0 < sy and g.y1 - r.y1 < sy
+        assert (
+            r.x0 - g.x0 < sx and g.x1 - r.x1 < sx and r.y0 - g.y0 < sy and g.y1 - r.y1 < sy
+        )
 
 
 @given(rects, rects)
@@ -37,7 +45,9 @@ def test_slices_in_cuts_the_same_pixels(a: Rect, b: Rect) -> None:
         return
     yy, xx = np.mgrid[outer.y0 : outer.y1, outer.x0 : outer.x1]
     part = a.slices_in(outer)
-    assert {(int(x), int(y)) for x, y in zip(xx[part].ravel(), yy[part].ravel(), strict=True)} == pixels(a)
+    assert {
+        (int(x), int(y)) for x, y in zip(xx[part].ravel(), yy[part].ravel(), strict=True)
+    } == pixels(a)
 
 
 def test_around_holds_pixel_centres_and_ignores_what_is_not_finite() -> None:

@@ -11,7 +11,15 @@ from arfx.errors import ConfigError
 
 
 @pytest.mark.parametrize(
-    ("text", "metres"), [("25mm", 0.025), ("0.165m", 0.165), ("6.5in", 0.1651), ("-2 cm", -0.02), ("1ft", 0.3048), ("0", 0.0)]
+    ("text", "metres"),
+    [
+        ("25mm", 0.025),
+        ("0.165m", 0.165),
+        ("6.5in", 0.1651),
+        ("-2 cm", -0.02),
+        ("1ft", 0.3048),
+        ("0", 0.0),
+    ],
 )
 def test_lengths(text: str, metres: float) -> None:
     assert length_m(text) == pytest.approx(metres, abs=1e-12)
@@ -24,13 +32,24 @@ def test_lengths_without_unit_or_sense_are_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "s"), [("1.5", 1.5), ("90s", 90), ("2min", 120), ("01:02.5", 62.5), ("1:02:03", 3723), ("500ms", 0.5)]
+    ("text", "s"),
+    [
+        ("1.5", 1.5),
+        ("90s", 90),
+        ("2min", 120),
+        ("01:02.5", 62.5),
+        ("1:02:03", 3723),
+        ("500ms", 0.5),
+    ],
 )
 def test_times(text: str, s: float) -> None:
     assert time_s(text) == pytest.approx(s)
 
 
-@pytest.mark.parametrize("name", ["36h11", "tag36h11", "APRILTAG_36h11", "DICT_APRILTAG_36H11", "april tag 36h11"])
+@pytest.mark.parametrize(
+    "name",
+    ["36h11", "tag36h11", "APRILTAG_36h11", "DICT_APRILTAG_36H11", "april tag 36h11"],
+)
 def test_family_spellings(name: str) -> None:
     if " " in name:
         with pytest.raises(ConfigError, match="36h11"):
@@ -43,14 +62,24 @@ def test_every_family_exists_in_opencv_with_that_many_ids() -> None:
     import cv2
 
     for family, count in FAMILIES.items():
-        names = [f"DICT_{family}", f"DICT_ARUCO_{family}", f"DICT_APRILTAG_{family}", f"DICT_ARUCO_{family.upper()}"]
+        names = [
+            f"DICT_{family}",
+            f"DICT_ARUCO_{family}",
+            f"DICT_APRILTAG_{family}",
+            f"DICT_ARUCO_{family.upper()}",
+        ]
         name = next(n for n in names if hasattr(cv2.aruco, n))
-        assert len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList) == count, family
+        assert (
+            len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
+            == count
+        ), family
 
 
 def test_marker_specs() -> None:
     m = MarkerSpec.parse("tag36h11:3:165.1mm")
-    assert (m.key, m.size_m) == ("36h11:3", pytest.approx(0.1651)) and MarkerSpec.parse(str(m)) == m
+    assert (m.key, m.size_m) == ("36h11:3", pytest.approx(0.1651)) and MarkerSpec.parse(
+        str(m)
+    ) == m
     assert np.allclose(m.corners_m[0], [-0.08255, 0.08255, 0])
     for bad in ("36h11:3", "36h11:x:1cm", "36h11:587:1cm", "36h11:3:0mm", "nope:1:1cm"):
         with pytest.raises(ConfigError):
@@ -76,16 +105,27 @@ def test_half_a_shadow_on_200_is_146() -> None:
 def test_yuv_of_grey_has_no_chroma_and_is_full_scale(matrix: str) -> None:
     m = yuv_from_rgb(matrix)
     np.testing.assert_allclose(m @ np.ones(3), [1, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(np.abs(m @ np.array([[0, 0, 1], [1, 0, 0]]).T)[[1, 2], [0, 1]], 0.5)
+    np.testing.assert_allclose(
+        np.abs(m @ np.array([[0, 0, 1], [1, 0, 0]]).T)[[1, 2], [0, 1]], 0.5
+    )
 
 
 def test_guarded_operations_on_hard_values() -> None:
     hard = np.array([0.0, -0.0, 1e-320, np.inf, -np.inf, np.nan, 1e308, 1.0])
     assert np.isfinite(divide(1.0, hard)).all() and divide(0.0, 0.0, 7.0) == 7.0
-    assert np.isfinite(normalise(np.array([[0.0, 0, 0], [1e-300, 0, 0], [np.inf, 1, 0], [np.nan, 0, 0], [3, 4, 0]]))).all()
+    assert np.isfinite(
+        normalise(
+            np.array(
+                [[0.0, 0, 0], [1e-300, 0, 0], [np.inf, 1, 0], [np.nan, 0, 0], [3, 4, 0]]
+            )
+        )
+    ).all()
     for delta in (1e-1, 1e-4, 1e-8, 1e-12):
         a, b = np.array([1.0, 0, 0]), np.array([np.cos(delta), np.sin(delta), 0])
         assert angle_between(a, b) == pytest.approx(delta, rel=1e-3)
         assert angle_between(a, -b) == pytest.approx(np.pi - delta, abs=1e-12)
-    assert condition(np.zeros((2, 2))) == np.inf and condition(np.full((2, 2), np.nan)) == np.inf
+    assert (
+        condition(np.zeros((2, 2))) == np.inf
+        and condition(np.full((2, 2), np.nan)) == np.inf
+    )
     assert condition(np.diag([4.0, 2])) == 2

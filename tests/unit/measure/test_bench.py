@@ -1,4 +1,6 @@
-"""The standard scene is what it claims to be; rows tell medians of runs that took turns with the yardstick."""
+"""The standard scene is what it claims to be; rows tell medians of runs that took turns
+with the yardstick.
+"""
 
 from __future__ import annotations
 
@@ -58,30 +60,49 @@ def test_it_covers_a_tenth_of_the_picture(size: tuple[int, int]) -> None:
     at = bench_scene(*size)
     pose = at.facts.camera_from_world
     assert pose is not None
-    outline = cv2.convexHull(at.scene.camera.project(pose.apply(at.scene.model_points_m)).astype(np.float32))
+    outline = cv2.convexHull(
+        at.scene.camera.project(pose.apply(at.scene.model_points_m)).astype(np.float32)
+    )
     assert cv2.contourArea(outline) / (size[0] * size[1]) == pytest.approx(0.1, rel=0.02)
-    assert at.scene.model_points_m[:, 2].min() == pytest.approx(0, abs=1e-9), "it stands on the plane"
+    assert at.scene.model_points_m[:, 2].min() == pytest.approx(0, abs=1e-9), (
+        "it stands on the plane"
+    )
     assert at.plate.shape == (size[1], size[0], 3) and at.plate.dtype == np.float32
 
 
 def test_rows_order_levels_by_their_cost() -> None:
     rows = bench([(128, 96)], stages=STAGES)
-    assert [(r["stage"], r["level"], r["size"]) for r in rows] == [("sleeper", le, "128x96") for le in Sleeper.levels]
+    assert [(r["stage"], r["level"], r["size"]) for r in rows] == [
+        ("sleeper", le, "128x96") for le in Sleeper.levels
+    ]
     assert rows[0]["ms"] < rows[1]["ms"] < rows[2]["ms"]
     for r in rows:
-        assert r["ratio"] == pytest.approx(r["ms"] / r["yardstick_ms"]) and r["yardstick_ms"] > 0 and r["runs"] >= 3
+        assert (
+            r["ratio"] == pytest.approx(r["ms"] / r["yardstick_ms"])
+            and r["yardstick_ms"] > 0
+            and r["runs"] >= 3
+        )
 
 
 def test_a_stage_or_level_can_be_singled_out() -> None:
     rows = bench([(128, 96), (96, 128)], level="draft", stages=STAGES)
-    assert [(r["level"], r["size"]) for r in rows] == [("draft", "128x96"), ("draft", "96x128")]
+    assert [(r["level"], r["size"]) for r in rows] == [
+        ("draft", "128x96"),
+        ("draft", "96x128"),
+    ]
 
 
 @pytest.mark.parametrize(
     ("what", "said"),
-    [({"stage": "sleper"}, "did you mean 'sleeper'"), ({"level": "best"}, "reference"), ({"sizes": [(10, 10)]}, "1280x720")],
+    [
+        ({"stage": "sleper"}, "did you mean 'sleeper'"),
+        ({"level": "best"}, "reference"),
+        ({"sizes": [(10, 10)]}, "1280x720"),
+    ],
 )
-def test_what_is_unknown_is_said_with_what_is_known(what: dict[str, Any], said: str) -> None:
+def test_what_is_unknown_is_said_with_what_is_known(
+    what: dict[str, Any], said: str
+) -> None:
     with pytest.raises(ConfigError) as e:
         bench(**{"sizes": [(128, 96)], "stages": STAGES, **what})
     assert said in e.value.hint

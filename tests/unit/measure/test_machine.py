@@ -14,8 +14,16 @@ from arfx.measure.machine import Check, essentials_work, examine
 
 def test_this_machine_is_examined_in_every_respect(tmp_path: Path) -> None:
     checks = examine(tmp_path)
-    assert {c.group for c in checks} == {"python", "package", "renderer", "codec", "machine"}
-    assert {"rays", "h264", "ffv1", "exr", "numpy", "cores", "disk"} <= {c.name for c in checks}
+    assert {c.group for c in checks} == {
+        "python",
+        "package",
+        "renderer",
+        "codec",
+        "machine",
+    }
+    assert {"rays", "h264", "ffv1", "exr", "numpy", "cores", "disk"} <= {
+        c.name for c in checks
+    }
     assert essentials_work(checks), [c for c in checks if not c.ok]
     assert all(c.fix for c in checks if not c.ok) and not any(c.fix for c in checks if c.ok)
 
@@ -29,15 +37,25 @@ def test_an_encoder_that_does_not_work_is_found_out() -> None:
 def test_a_missing_package_has_its_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "PACKAGES", ("numpy", "no-such-package-here"))
     good, bad = [c for c in machine._python() if c.group == "package"][:2]
-    assert good.ok and not bad.ok and bad.essential and bad.fix == "pip install no-such-package-here"
+    assert (
+        good.ok
+        and not bad.ok
+        and bad.essential
+        and bad.fix == "pip install no-such-package-here"
+    )
 
 
 def test_sound_needs_the_essential_and_one_renderer() -> None:
-    rays, gl = Check("renderer", "rays", True, ""), Check("renderer", "pyrender", False, "", "apt-get")
+    rays, gl = (
+        Check("renderer", "rays", True, ""),
+        Check("renderer", "pyrender", False, "", "apt-get"),
+    )
     other = Check("codec", "av1", False, "", "fix")
     assert essentials_work([rays, gl, other])
     assert not essentials_work([gl, other])
-    assert not essentials_work([rays, Check("codec", "h264", False, "", "fix", essential=True)])
+    assert not essentials_work(
+        [rays, Check("codec", "h264", False, "", "fix", essential=True)]
+    )
 
 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
@@ -46,7 +64,15 @@ def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
 
 
 def test_a_plug_in_that_does_not_load_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    broken = {"mist": ConfigError("stage 'mist' of one 1.2 cannot be loaded", "uninstall it")}
-    monkeypatch.setattr(machine, "STAGES", SimpleNamespace(plugins={"mist": None, "haze": None}, broken=broken))
+    broken = {
+        "mist": ConfigError("stage 'mist' of one 1.2 cannot be loaded", "uninstall it")
+    }
+    monkeypatch.setattr(
+        machine,
+        "STAGES",
+        SimpleNamespace(plugins={"mist": None, "haze": None}, broken=broken),
+    )
     haze, mist = sorted(machine._plugins(), key=lambda c: c.name)
-    assert haze.ok and not mist.ok and "one 1.2" in mist.detail and mist.fix == "uninstall it"
+    assert (
+        haze.ok and not mist.ok and "one 1.2" in mist.detail and mist.fix == "uninstall it"
+    )

@@ -1,4 +1,6 @@
-"""report.html is self-contained and escaped, report.json is strict, and an unfinished job is said to be one."""
+"""report.html is self-contained and escaped, report.json is strict, and an unfinished job
+is said to be one.
+"""
 
 from __future__ import annotations
 
@@ -44,9 +46,15 @@ def camera() -> Camera:
     return Camera(640, 480, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]))
 
 
-def frame_facts(x_m: float, index: int, status: str = MEASURED, marker_px: float = 0.0) -> FrameFacts:
+def frame_facts(
+    x_m: float, index: int, status: str = MEASURED, marker_px: float = 0.0
+) -> FrameFacts:
     pose = None if status == ABSENT else Pose(np.eye(3), np.array([x_m, 0.0, 1.0]))
-    seen = MarkerSighting("36h11:3", np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]]) + np.array([marker_px, 0]), 0.1)
+    seen = MarkerSighting(
+        "36h11:3",
+        np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]]) + np.array([marker_px, 0]),
+        0.1,
+    )
     return FrameFacts(
         index, index / 30, status=status, camera_from_world=pose, raw_camera_from_world=pose, reprojection_px=0.2,
         opacity=float(status != ABSENT), markers=(seen,),
@@ -76,7 +84,9 @@ class Links(html.parser.HTMLParser):
         self.open: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.addresses += [v or "" for k, v in attrs if k in ("src", "href", "srcset", "action", "data")]
+        self.addresses += [
+            v or "" for k, v in attrs if k in ("src", "href", "srcset", "action", "data")
+        ]
         if tag not in self.VOID:
             self.open.append(tag)
 
@@ -96,7 +106,9 @@ def test_the_page_is_self_contained_escaped_and_well_formed(tmp_path: Path) -> N
     assert "<script>alert" not in text and "&lt;script&gt;alert(1)" in text
     assert "a&lt;b&gt;&amp;.mp4" in text and "marker &lt;not&gt; visible" in text
     assert "secret detail" not in text
-    assert len([a for a in links.addresses if a.startswith("data:image/jpeg")]) == 2 * len(pictures())
+    assert len([a for a in links.addresses if a.startswith("data:image/jpeg")]) == 2 * len(
+        pictures()
+    )
 
 
 def test_the_pictures_in_the_page_are_the_given_ones(tmp_path: Path) -> None:
@@ -106,7 +118,9 @@ def test_the_pictures_in_the_page_are_the_given_ones(tmp_path: Path) -> None:
     data = re.findall(r'class="(in|out)"[^>]*src="data:image/jpeg;base64,([^"]+)"', text)
     assert [kind for kind, _ in data] == ["out", "in"] * 2
     for kind, encoded in data:
-        rgb = cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)[..., ::-1].astype(int)
+        rgb = cv2.imdecode(
+            np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR
+        )[..., ::-1].astype(int)
         wanted = (255, 0, 0) if kind == "out" else (90, 90, 90)
         assert np.abs(rgb[15, 20] - wanted).max() < 12
 
@@ -114,7 +128,10 @@ def test_the_pictures_in_the_page_are_the_given_ones(tmp_path: Path) -> None:
 def test_the_document_is_written_strictly_and_unchanged(tmp_path: Path) -> None:
     given = copy.deepcopy(REPORT)
     write_report(tmp_path, REPORT, six(), pictures())
-    read = json.loads((tmp_path / "report.json").read_text(), parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))
+    read = json.loads(
+        (tmp_path / "report.json").read_text(),
+        parse_constant=lambda c: pytest.fail(f"{c} is no JSON"),
+    )
     assert read["pose"]["reprojection_px"] == {"median": 0.21, "p95": None}
     assert read["input"] == REPORT["input"]
     assert str(given) == str(REPORT)
@@ -122,10 +139,17 @@ def test_the_document_is_written_strictly_and_unchanged(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "facts", [[], [frame_facts(0, 0)], [frame_facts(0, i, ABSENT) for i in range(4)]], ids=["0", "1", "absent"]
+    "facts",
+    [[], [frame_facts(0, 0)], [frame_facts(0, i, ABSENT) for i in range(4)]],
+    ids=["0", "1", "absent"],
 )
-def test_short_and_empty_clips_get_a_report(tmp_path: Path, facts: list[FrameFacts]) -> None:
-    assert "kept no pictures" in write_report(tmp_path, REPORT, facts, [], camera(), np.zeros((1, 3))).read_text()
+def test_short_and_empty_clips_get_a_report(
+    tmp_path: Path, facts: list[FrameFacts]
+) -> None:
+    assert (
+        "kept no pictures"
+        in write_report(tmp_path, REPORT, facts, [], camera(), np.zeros((1, 3))).read_text()
+    )
 
 
 def test_a_place_that_cannot_be_written_is_one_clear_error(tmp_path: Path) -> None:
@@ -153,7 +177,10 @@ def test_numbers_read_well() -> None:
     assert [number(v) for v in (None, True, 0.123456, 1234.5, [1.0, 2], {"a": 0.5}, "x", [])] == [
         "–", "yes", "0.123", "1234", "1, 2", "a 0.5", "x", "–",
     ]  # fmt: skip
-    assert finite({"a": [math.inf, np.float32(1.5), np.array([1, 2])], 3: (math.nan,)}) == {"a": [None, 1.5, [1, 2]], "3": [None]}
+    assert finite({"a": [math.inf, np.float32(1.5), np.array([1, 2])], 3: (math.nan,)}) == {
+        "a": [None, 1.5, [1, 2]],
+        "3": [None],
+    }
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
@@ -167,10 +194,15 @@ def test_a_pipe_in_a_job_folder_is_not_waited_for(tmp_path: Path) -> None:
 
 def test_a_likely_light_is_told_with_its_doubt_and_its_spans() -> None:
     text = light_told(REPORT["light"])
-    assert "Likely: the simplest light" in text and "two lamps up to 30 degrees apart" in text
+    assert (
+        "Likely: the simplest light" in text and "two lamps up to 30 degrees apart" in text
+    )
     assert "0.10 – 0.20" in text and "0.5, 0.4, 0.3" in text
 
 
 def test_placeholders_in_a_title_are_text() -> None:
     page = full_page("@BODY@ and @TITLE@", ["the body of @TITLE@"])
-    assert "<title>@BODY@ and @TITLE@</title>" in page and page.count("the body of @TITLE@") == 1
+    assert (
+        "<title>@BODY@ and @TITLE@</title>" in page
+        and page.count("the body of @TITLE@") == 1
+    )

@@ -1,4 +1,6 @@
-"""The HTML reports in a real browser: the slider moves, every picture shows, no error, no network, at most 5 MB."""
+"""The HTML reports in a real browser: the slider moves, every picture shows, no error, no
+network, at most 5 MB.
+"""
 
 from __future__ import annotations
 
@@ -27,9 +29,21 @@ SLIDE = """above: (() => { const r = document.querySelector(".slider input"), a 
 def test_the_slider_moves_and_another_frame_can_be_chosen(tmp_path: Path) -> None:
     before, after = (np.full((48, 64, 3), v, np.uint8) for v in (40, 200))
     pairs = [*pictures()[:1], (5, before, after)]
-    page = write_report(tmp_path / "report", REPORT, six(), pairs, camera(), np.array([[0.0, 0, 0], [0.1, 0, 0]]))
+    page = write_report(
+        tmp_path / "report",
+        REPORT,
+        six(),
+        pairs,
+        camera(),
+        np.array([[0.0, 0, 0], [0.1, 0, 0]]),
+    )
     got = opened(page, tmp_path, SHOWN % SLIDE)
-    assert got["errors"] == [] and got["broken"] == 0 and got["images"] >= 6 and not got["wide"]
+    assert (
+        got["errors"] == []
+        and got["broken"] == 0
+        and got["images"] >= 6
+        and not got["wide"]
+    )
     assert "20%" in got["above"], "the input event moves the edge between the pictures"
     assert got["other"] == [False, True]
     assert page.stat().st_size <= 5_000_000
@@ -37,7 +51,10 @@ def test_the_slider_moves_and_another_frame_can_be_chosen(tmp_path: Path) -> Non
 
 def test_a_broken_page_is_caught(tmp_path: Path) -> None:
     page = tmp_path / "bad.html"
-    page.write_text('<html><head></head><body><img src="http://example.org/x.png"><script>nothing.here()</script></body></html>')
+    page.write_text(
+        "<html><head></head><body><img"
+        ' src="http://example.org/x.png"><script>nothing.here()</script></body></html>'
+    )
     got = opened(page, tmp_path, SHOWN % "x: 1")
     assert got["broken"] == 1 and any("nothing" in e for e in got["errors"])
 
@@ -45,6 +62,10 @@ def test_a_broken_page_is_caught(tmp_path: Path) -> None:
 def test_the_tradeoff_shows_plots_and_pictures(tmp_path: Path) -> None:
     rows = found()
     page = write_tradeoff(tmp_path, rows, told(rows))
-    got = opened(page, tmp_path, SHOWN % "plots: document.querySelectorAll('img.plot').length")
-    assert got["errors"] == [] and got["broken"] == 0 and got["plots"] == 2 and not got["wide"]
+    got = opened(
+        page, tmp_path, SHOWN % "plots: document.querySelectorAll('img.plot').length"
+    )
+    assert (
+        got["errors"] == [] and got["broken"] == 0 and got["plots"] == 2 and not got["wide"]
+    )
     assert page.stat().st_size <= 5_000_000

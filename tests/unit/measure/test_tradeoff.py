@@ -1,4 +1,6 @@
-"""What stands for a clip, how far pictures are apart, what is rendered in a window, and the sentence that comes of it."""
+"""What stands for a clip, how far pictures are apart, what is rendered in a window, and the
+sentence that comes of it.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +33,19 @@ from tests.scenes import camera, facts, look_at, scene
 NOISE = np.random.default_rng(0)
 
 
-def row(name: str, level: str, seconds: float, mean: float, p99: float, formula: str = "", frame: int = 3) -> Row:
+def row(
+    name: str,
+    level: str,
+    seconds: float,
+    mean: float,
+    p99: float,
+    formula: str = "",
+    frame: int = 3,
+) -> Row:
     r = Row(name, level, formula, measured(seconds), levels={"dof": level})
-    r.by_frame[frame] = Difference(mean, p99, mean / 100, mean / 3, 1 - mean / 100, (4, 5), 900)
+    r.by_frame[frame] = Difference(
+        mean, p99, mean / 100, mean / 3, 1 - mean / 100, (4, 5), 900
+    )
     r.pictures[frame] = NOISE.integers(0, 255, (40, 50, 3)).astype(np.uint8)
     return r
 
@@ -46,7 +58,13 @@ def found() -> Measurements:
              row("pipeline", "mixed", 0.06, 0.9, 6), row("pipeline", "reference", 2.0, 0, 0),
              row("pipeline", "usual", 0.05, 5.0, 50, "paper")]  # fmt: skip
     samples = [Sample(3, dict.fromkeys(NAMES, 1.0), "typical")]
-    return Measurements(samples, effects, whole, {3: Rect(0, 0, 50, 40)}, {("dof", "draft"): "at the silhouette"})
+    return Measurements(
+        samples,
+        effects,
+        whole,
+        {3: Rect(0, 0, 50, 40)},
+        {("dof", "draft"): "at the silhouette"},
+    )
 
 
 def told(f: Measurements) -> dict[str, Any]:
@@ -64,10 +82,15 @@ def told(f: Measurements) -> dict[str, Any]:
 
 def test_frames_are_unlike_each_other_and_say_what_they_stand_for() -> None:
     s = scene(camera(320, 240))
-    clip = [facts(s, look_at(0.5 + 0.002 * i), i) for i in range(20)] + [facts(s, look_at(1.6), 20), facts(s, look_at(0.35), 21)]
+    clip = [facts(s, look_at(0.5 + 0.002 * i), i) for i in range(20)] + [
+        facts(s, look_at(1.6), 20),
+        facts(s, look_at(0.35), 21),
+    ]
     clip += [facts(s, look_at(), 22).with_(camera_from_world=None, opacity=0.0)]
     picked = pick_frames(clip, s.camera.rect, 3)
-    assert [p.index for p in picked if p.words != "typical"] == [20, 21] and len(picked) == 3
+    assert [p.index for p in picked if p.words != "typical"] == [20, 21] and len(
+        picked
+    ) == 3
     assert "far" in next(p.words for p in picked if p.index == 20)
     assert pick_frames(clip[-1:], s.camera.rect, 3) == []
     assert len(pick_frames(clip[:1] * 5, s.camera.rect, 4)) == 1, "equal frames are one"
@@ -85,15 +108,21 @@ def test_errors_are_of_the_touched_pixels_alone() -> None:
     assert difference(a, a, np.zeros_like(where)) == Difference()
 
 
-def test_a_picture_that_moves_with_its_footage_is_at_rest_and_one_that_flickers_is_not() -> None:
+def test_a_picture_that_moves_with_its_footage_is_at_rest_and_one_that_flickers_is_not() -> (
+    None
+):
     import cv2
 
-    plate = cv2.GaussianBlur(NOISE.integers(0, 255, (80, 100, 3)).astype(np.uint8), (0, 0), 3)
+    plate = cv2.GaussianBlur(
+        NOISE.integers(0, 255, (80, 100, 3)).astype(np.uint8), (0, 0), 3
+    )
     moved = np.roll(plate, 2, axis=1)
     where = np.zeros((80, 100), bool)
     where[20:60, 20:80] = True
     steady = mean_flicker(plate, moved, plate, moved, where)
-    flicker = mean_flicker(plate, np.clip(moved.astype(int) + 12, 0, 255).astype(np.uint8), plate, moved, where)
+    flicker = mean_flicker(
+        plate, np.clip(moved.astype(int) + 12, 0, 255).astype(np.uint8), plate, moved, where
+    )
     assert steady < 2.5 and flicker > steady + 8
 
 
@@ -117,54 +146,91 @@ def test_a_window_shows_what_the_whole_picture_shows() -> None:
 
 def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
     s = scene(camera(160, 120))
-    plan = plan_frame(list(stages.values()), dict.fromkeys(stages, "standard"), facts(s), s, s.camera.rect)
-    return FrameRenderer(facts(s), np.zeros((120, 160, 3), np.float32), plan, s.camera.rect, PreparedStages(s, stages))
+    plan = plan_frame(
+        list(stages.values()), dict.fromkeys(stages, "standard"), facts(s), s, s.camera.rect
+    )
+    return FrameRenderer(
+        facts(s),
+        np.zeros((120, 160, 3), np.float32),
+        plan,
+        s.camera.rect,
+        PreparedStages(s, stages),
+    )
 
 
 class Deep(Stage):
     """Shows the real depth, 255 grey levels a metre."""
 
-    name, reads, writes = "deep", frozenset({Layer.IMAGE, Layer.REAL_DEPTH}), frozenset({Layer.IMAGE})
+    name, reads, writes = (
+        "deep",
+        frozenset({Layer.IMAGE, Layer.REAL_DEPTH}),
+        frozenset({Layer.IMAGE}),
+    )
 
     def run(self, view: View, prepared: None) -> dict[Layer, np.ndarray]:
         depth = view[Layer.REAL_DEPTH]
-        return {Layer.IMAGE: np.repeat(depth[..., None], 3, -1) if depth.size else 0 * view[Layer.IMAGE]}
+        return {
+            Layer.IMAGE: (
+                np.repeat(depth[..., None], 3, -1) if depth.size else 0 * view[Layer.IMAGE]
+            )
+        }
 
 
 def test_stages_read_the_measured_depth_as_in_a_job() -> None:
     s = scene(camera(160, 120))
     f, whole = facts(s), s.camera.rect
-    plan = FramePlan(0, whole, whole, (Step("deep", "standard", whole, whole, "", None),), ())
+    plan = FramePlan(
+        0, whole, whole, (Step("deep", "standard", whole, whole, "", None),), ()
+    )
     depth = NOISE.uniform(0.2, 0.9, (120, 160)).astype(np.float32)
     window = Rect(30, 20, 90, 70)
     prepared = PreparedStages(s, {"deep": Deep()})  # type: ignore[dict-item]
     pictures = [
-        FrameRenderer(f, np.zeros((120, 160, 3), np.float32), plan, window, prepared, frozenset(), d).image(
-            (("deep", "standard"),)
-        )
+        FrameRenderer(
+            f, np.zeros((120, 160, 3), np.float32), plan, window, prepared, frozenset(), d
+        ).image((("deep", "standard"),))
         for d in (depth, None)
     ]
-    assert np.array_equal(pictures[0][..., 0], np.rint(255 * SRGB.encode(depth[window.slices])))
+    assert np.array_equal(
+        pictures[0][..., 0], np.rint(255 * SRGB.encode(depth[window.slices]))
+    )
     assert (pictures[1] == 255).all(), "unmeasured is far away"
 
 
 def test_the_ratio_of_two_times_is_told_with_its_interval() -> None:
     assert _share(Prediction(0.1, 0.1, 0.1), Prediction(4.0, 4.0, 4.0)) == "1/40"
-    assert _share(Prediction(0.1, 0.09, 0.11), Prediction(41.7, 30.0, 60.0)) == "1/420 (1/290 to 1/610)"
+    assert (
+        _share(Prediction(0.1, 0.09, 0.11), Prediction(41.7, 30.0, 60.0))
+        == "1/420 (1/290 to 1/610)"
+    )
     assert _share(Prediction(1.0, 0.9, 1.1), Prediction(1.25, 1.0, 1.5)) == "80 %"
 
 
 def test_the_sentence_names_the_cheapest_that_does_not_show_and_what_would() -> None:
     text = recommendation(found())
     assert text.startswith("standard is within 0.8 grey levels of reference")
-    assert "1/40 of its time" in text and "dof draft would show at the silhouette (frame 3)" in text
+    assert (
+        "1/40 of its time" in text
+        and "dof draft would show at the silhouette (frame 3)" in text
+    )
     cheap = found()
-    cheap.pipelines = [row("pipeline", "draft", 0.02, 0.5, 5), row("pipeline", "reference", 2.0, 0, 0)]
-    assert "show" not in recommendation(cheap), "what is better than the advice is no warning"
+    cheap.pipelines = [
+        row("pipeline", "draft", 0.02, 0.5, 5),
+        row("pipeline", "reference", 2.0, 0, 0),
+    ]
+    assert "show" not in recommendation(cheap), (
+        "what is better than the advice is no warning"
+    )
     bad = found()
-    bad.pipelines = [row("pipeline", "draft", 0.1, 5, 60), row("pipeline", "reference", 1, 0, 0)]
+    bad.pipelines = [
+        row("pipeline", "draft", 0.1, 5, 60),
+        row("pipeline", "reference", 1, 0, 0),
+    ]
     told = recommendation(bad)
-    assert told.startswith("no quality below reference is without") and "would show in frame 3" in told
+    assert (
+        told.startswith("no quality below reference is without")
+        and "would show in frame 3" in told
+    )
     bad.pipelines[0].levels = {"dof": "draft"}
     assert "most of it is dof's" in recommendation(bad)
 
@@ -181,11 +247,15 @@ def test_the_front_holds_only_what_nothing_beats() -> None:
     assert [r.level for r in front(rows)] == ["draft", "standard", "reference"]
 
 
-def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_at_last() -> None:
+def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_at_last() -> (
+    None
+):
     effects = [row("raster", "draft", 0.01, 2.0, 9), row("raster", "high", 0.02, 1.0, 9), row("raster", "reference", 5, 0, 0),
                row("gi", LEFT_OUT, 0.0, 20.0, 9), row("gi", "draft", 0.05, 6.0, 9), row("gi", "standard", 0.06, 6.5, 9),
                row("gi", "high", 0.3, 2.0, 9), row("gi", "reference", 50, 0, 0)]  # fmt: skip
-    sets = level_sets(effects, {"raster": "standard", "composite": "standard", "gi": "standard"})
+    sets = level_sets(
+        effects, {"raster": "standard", "composite": "standard", "gi": "standard"}
+    )
     assert [(s.get("raster"), s.get("gi")) for s in sets] == [
         ("reference", "reference"), ("reference", "high"), ("high", "high"), ("high", "draft"), ("draft", "draft"),
         ("draft", None),
@@ -196,34 +266,69 @@ def test_the_way_down_goes_by_error_per_second_over_all_effects_and_leaves_out_a
     for r in effects:
         if r.name == "raster":
             r.by_frame[3] = Difference(r.average("mean"), 9, pixels=90_000)
-    assert ("draft", "draft") not in [(s.get("raster"), s.get("gi")) for s in level_sets(effects, {})], (
-        "a larger part counts more"
-    )
+    assert ("draft", "draft") not in [
+        (s.get("raster"), s.get("gi")) for s in level_sets(effects, {})
+    ], "a larger part counts more"
 
 
 def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
     params = {n: kind.Params() for n, kind in STAGES.items()}
     names = ("raster", "lightmap", "gi", "composite")
-    job: Any = SimpleNamespace(scene=scene(), inputs=SimpleNamespace(config=SimpleNamespace(params=params)))
+    job: Any = SimpleNamespace(
+        scene=scene(), inputs=SimpleNamespace(config=SimpleNamespace(params=params))
+    )
     stages, usual = stages_of(params, names), dict.fromkeys(names, "standard")
     frame: Any = replace(tiny_frame(stages), slow=frozenset())
-    work = _Work(job, stages, [], {3: frame}, usual, usual, usual, frozenset(), {}, Times(), found())
+    work = _Work(
+        job, stages, [], {3: frame}, usual, usual, usual, frozenset(), {}, Times(), found()
+    )
     left = {n: level for n, level in usual.items() if n != "gi"}
-    assert work.frame(3, usual) is frame and work.frame(3, left) is work.frame(3, dict(left))
-    ambient = [work.frame(3, levels).prepared.stages["lightmap"].params.ambient for levels in (usual, left)]
-    assert ambient == [False, True], "indirect light takes over the light without direction, and gives it back"
+    assert work.frame(3, usual) is frame and work.frame(3, left) is work.frame(
+        3, dict(left)
+    )
+    ambient = [
+        work.frame(3, levels).prepared.stages["lightmap"].params.ambient
+        for levels in (usual, left)
+    ]
+    assert ambient == [
+        False,
+        True,
+    ], "indirect light takes over the light without direction, and gives it back"
 
 
-def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    frame, upon = tiny_frame(stages_of({n: kind.Params() for n, kind in STAGES.items()}, ("raster", "lightmap", "composite"))), []
+def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    frame, upon = (
+        tiny_frame(
+            stages_of(
+                {n: kind.Params() for n, kind in STAGES.items()},
+                ("raster", "lightmap", "composite"),
+            )
+        ),
+        [],
+    )
     monkeypatch.setattr(FrameRenderer, "run", lambda self, chain: upon.append(chain))
     monkeypatch.setattr("arfx.measure.tradeoff_time._whole", lambda *_: None)
-    time_frame(Times(), frame, {"raster": "high", "composite": "standard"}, {("composite", "standard")}, {})
+    time_frame(
+        Times(),
+        frame,
+        {"raster": "high", "composite": "standard"},
+        {("composite", "standard")},
+        {},
+    )
     assert upon == [(("raster", "high"), ("composite", "standard"))]
 
 
-def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_none_is_near() -> None:
-    named = ("draft", 0.02, 2.0), ("standard", 0.05, 0.8), ("high", 0.3, 0.9), ("reference", 9, 0)
+def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_none_is_near() -> (
+    None
+):
+    named = (
+        ("draft", 0.02, 2.0),
+        ("standard", 0.05, 0.8),
+        ("high", 0.3, 0.9),
+        ("reference", 9, 0),
+    )
     between = ((0.1, 0.5), (0.11, 0.49), (0.03, 2.1), (0.06, 0.7), (0.004, 5))
     rows = [row("pipeline", *of, 9) for of in (*named, *(("mixed", *of) for of in between))]
     assert [r.seconds for r in worth_showing(rows)] == [0.004, 0.02, 0.05, 0.1, 0.3, 9]
@@ -232,7 +337,14 @@ def test_pipelines_between_the_qualities_are_shown_where_nothing_beats_them_and_
 def test_the_page_holds_everything_and_little_enough() -> None:
     f = found()
     html = page(f, told(f))
-    assert "a&lt;b&gt;.mp4" in html and "error × 8" in html and "paper" in html and len(html) < MOST_BYTES
+    assert (
+        "a&lt;b&gt;.mp4" in html
+        and "error × 8" in html
+        and "paper" in html
+        and len(html) < MOST_BYTES
+    )
     assert "http://" not in html.replace("http://www.w3.org", "")
     reference = np.full((4, 5, 3), 100, np.uint8)
-    assert (error_map(reference, reference + 3) == 152).all() and (error_map(reference, reference) == 128).all()
+    assert (error_map(reference, reference + 3) == 152).all() and (
+        error_map(reference, reference) == 128
+    ).all()

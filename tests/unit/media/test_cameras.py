@@ -19,7 +19,24 @@ from arfx.media.cameras import calibration_claims, claim_warnings, load_camera, 
 
 K = np.array([[801.5, 0, 322.25], [0, 799.125, 239.75], [0, 0, 1]])
 D5 = np.array([-0.2664, 0.0386, 0.00178, -0.00028, 0.2384])
-D14 = np.array([0.4, -2.5, -0.001, 0.0017, 5.6, 0.046, 0.118, -0.22, 1e-4, -2e-4, 3e-4, 4e-5, 0.01, -0.02])
+D14 = np.array(
+    [
+        0.4,
+        -2.5,
+        -0.001,
+        0.0017,
+        5.6,
+        0.046,
+        0.118,
+        -0.22,
+        1e-4,
+        -2e-4,
+        3e-4,
+        4e-5,
+        0.01,
+        -0.02,
+    ]
+)
 
 
 def write(tmp_path: Path, name: str, text: str) -> Path:
@@ -28,7 +45,13 @@ def write(tmp_path: Path, name: str, text: str) -> Path:
     return path
 
 
-def same(camera: Camera, k: np.ndarray, d: np.ndarray, size: tuple[int, int] = (640, 480), model: str = BROWN) -> None:
+def same(
+    camera: Camera,
+    k: np.ndarray,
+    d: np.ndarray,
+    size: tuple[int, int] = (640, 480),
+    model: str = BROWN,
+) -> None:
     assert (camera.width, camera.height, camera.model) == (*size, model)
     np.testing.assert_array_equal(camera.matrix, k)
     np.testing.assert_array_equal(camera.distortion, d)
@@ -36,11 +59,26 @@ def same(camera: Camera, k: np.ndarray, d: np.ndarray, size: tuple[int, int] = (
 
 @pytest.mark.parametrize(
     ("d", "model"),
-    [(D5, BROWN), (D14[:8], BROWN), (D14[:12], BROWN), (D14, BROWN), (np.array([0.1, -0.02, 0.003, 1e-5]), FISHEYE)],
+    [
+        (D5, BROWN),
+        (D14[:8], BROWN),
+        (D14[:12], BROWN),
+        (D14, BROWN),
+        (np.array([0.1, -0.02, 0.003, 1e-5]), FISHEYE),
+    ],
 )
-def test_round_trip_is_exact_and_readable_by_opencv_and_strict_yaml(tmp_path: Path, d: np.ndarray, model: str) -> None:
+def test_round_trip_is_exact_and_readable_by_opencv_and_strict_yaml(
+    tmp_path: Path, d: np.ndarray, model: str
+) -> None:
     path = tmp_path / "camera.yaml"
-    save_camera(path, Camera(640, 480, K, d, model), verdict="good", reasons=["a: b", "c 'd'"], std={"fx": 0.1}, rms=0.3)
+    save_camera(
+        path,
+        Camera(640, 480, K, d, model),
+        verdict="good",
+        reasons=["a: b", "c 'd'"],
+        std={"fx": 0.1},
+        rms=0.3,
+    )
     same(load_camera(path), K, d, model=model)
     fs = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     np.testing.assert_array_equal(fs.getNode("camera_matrix").mat(), K)
@@ -50,10 +88,16 @@ def test_round_trip_is_exact_and_readable_by_opencv_and_strict_yaml(tmp_path: Pa
     fs.release()
     ros = yaml.safe_load(path.read_text())
     assert ros["distortion_model"] == (
-        "equidistant" if model == FISHEYE else "plumb_bob" if d.size <= 5 else "rational_polynomial"
+        "equidistant"
+        if model == FISHEYE
+        else "plumb_bob"
+        if d.size <= 5
+        else "rational_polynomial"
     )
     assert np.reshape(ros["projection_matrix"]["data"], (3, 4))[1, 2] == K[1, 2]
-    assert [p.name for p in tmp_path.iterdir()] == ["camera.yaml"], "no temporary file is left"
+    assert [p.name for p in tmp_path.iterdir()] == ["camera.yaml"], (
+        "no temporary file is left"
+    )
 
 
 @pytest.mark.parametrize("suffix", ["yaml", "json"])
@@ -78,7 +122,12 @@ camera_matrix: {{rows: 3, cols: 3, data: {K.ravel().tolist()}}}
 distortion_model: equidistant
 distortion_coefficients: {{rows: 1, cols: 4, data: [1e-3, 0.2, 3E-05, 0]}}
 """
-    same(load_camera(write(tmp_path, "a.yaml", file)), K, np.array([1e-3, 0.2, 3e-5, 0]), model=FISHEYE)
+    same(
+        load_camera(write(tmp_path, "a.yaml", file)),
+        K,
+        np.array([1e-3, 0.2, 3e-5, 0]),
+        model=FISHEYE,
+    )
     message = f"""
 header:
   seq: 0
@@ -93,13 +142,26 @@ K: {K.ravel().tolist()}
 
 
 def test_colmap_pixel_centres_are_half_a_pixel_off(tmp_path: Path) -> None:
-    head = "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n"
+    head = (
+        "# Camera list with one line of data per camera:\n#   CAMERA_ID, MODEL, WIDTH,"
+        " HEIGHT, PARAMS[]\n"
+    )
     k = np.array([[800.0, 0, 319.5], [0, 800, 239.5], [0, 0, 1]])
-    path = write(tmp_path, "cameras.txt", head + "1 SIMPLE_RADIAL 640 480 800 320 240 -0.05\n")
+    path = write(
+        tmp_path, "cameras.txt", head + "1 SIMPLE_RADIAL 640 480 800 320 240 -0.05\n"
+    )
     same(load_camera(path), k, np.array([-0.05, 0, 0, 0]))
-    path = write(tmp_path, "cameras.txt", head + "1 FULL_OPENCV 640 480 800 800 320 240 1 2 3 4 5 6 7 8\n")
+    path = write(
+        tmp_path,
+        "cameras.txt",
+        head + "1 FULL_OPENCV 640 480 800 800 320 240 1 2 3 4 5 6 7 8\n",
+    )
     same(load_camera(path), k, np.arange(1.0, 9.0))
-    path = write(tmp_path, "cameras.txt", "1 PINHOLE 640 480 800 800 320 240\n2 RADIAL_FISHEYE 64 48 90 32 24 .1 .2\n")
+    path = write(
+        tmp_path,
+        "cameras.txt",
+        "1 PINHOLE 640 480 800 800 320 240\n2 RADIAL_FISHEYE 64 48 90 32 24 .1 .2\n",
+    )
     with pytest.raises(InputError, match="2 cameras"):
         load_camera(path)
     same(load_camera(f"{path}#1"), k, np.zeros(4))
@@ -131,21 +193,39 @@ cam1:
     with pytest.raises(InputError, match="cam0, cam1"):
         load_camera(path)
     k = np.array([[458.6, 0, 367.2], [0, 457.2, 248.3], [0, 0, 1]])
-    same(load_camera(f"{path}#cam0"), k, np.array([-0.28, 0.07, 0.0002, 1.7e-05]), (752, 480))
+    same(
+        load_camera(f"{path}#cam0"), k, np.array([-0.28, 0.07, 0.0002, 1.7e-05]), (752, 480)
+    )
     assert load_camera(f"{path}#cam1").model == FISHEYE
     with pytest.raises(InputError, match="omni-radtan"):
-        load_camera(write(tmp_path, "o.yaml", chain.split("cam1:")[0].replace("pinhole", "omni")))
+        load_camera(
+            write(tmp_path, "o.yaml", chain.split("cam1:")[0].replace("pinhole", "omni"))
+        )
 
 
 @pytest.mark.parametrize(
     "document",
     [
-        {"camera_matrix": K.ravel().tolist(), "distortion_coefficients": D5.tolist(), "image_width": 640, "image_height": 480},
+        {
+            "camera_matrix": K.ravel().tolist(),
+            "distortion_coefficients": D5.tolist(),
+            "image_width": 640,
+            "image_height": 480,
+        },
         {"image_size": [640, 480], "K": K.ravel().tolist(), "dist": D5.tolist()},
-        {"img_size": [640, 480], "camera_matrix": K.tolist(), "distortion_coefficients": [D5.tolist()]},
+        {
+            "img_size": [640, 480],
+            "camera_matrix": K.tolist(),
+            "distortion_coefficients": [D5.tolist()],
+        },
         {
             "resolution": {"width": 640.0, "height": 480.0},
-            "cameraIntrinsics": {"rows": 3, "cols": 3, "type": 6, "data": K.ravel().tolist()},
+            "cameraIntrinsics": {
+                "rows": 3,
+                "cols": 3,
+                "type": 6,
+                "data": K.ravel().tolist(),
+            },
             "distCoeffs": {"rows": 1, "cols": 5, "data": D5.tolist()},
         },
     ],
@@ -155,7 +235,13 @@ def test_json_of_wpilib_photonvision_and_others(tmp_path: Path, document: dict) 
 
 
 def test_a_file_without_a_size_needs_one(tmp_path: Path) -> None:
-    path = write(tmp_path, "c.json", json.dumps({"camera_matrix": K.ravel().tolist(), "distortion_coefficients": D5.tolist()}))
+    path = write(
+        tmp_path,
+        "c.json",
+        json.dumps(
+            {"camera_matrix": K.ravel().tolist(), "distortion_coefficients": D5.tolist()}
+        ),
+    )
     with pytest.raises(InputError, match="picture size"):
         load_camera(path)
 
@@ -173,8 +259,14 @@ def test_a_file_without_a_size_needs_one(tmp_path: Path) -> None:
         ('{"K": [9,0,1,0,9,1,0,0,1], "image_size": [4.5, 4]}', "picture size"),
         ('{"K": [9,3,1,0,9,1,0,0,1], "image_size": [4, 4]}', "skew"),
         ('{"K": [-9,0,1,0,9,1,0,0,1], "image_size": [4, 4]}', "focal length"),
-        ('{"K": [9,0,1,0,9,1,0,0,1], "image_size": [4, 4], "distortion_model": "ucm"}', "'ucm'"),
-        ('{"K": [9,0,1,0,9,1,0,0,1], "image_size": [4, 4], "dist": [1,2,3,4,5,6,7]}', "7 distortion"),
+        (
+            '{"K": [9,0,1,0,9,1,0,0,1], "image_size": [4, 4], "distortion_model": "ucm"}',
+            "'ucm'",
+        ),
+        (
+            '{"K": [9,0,1,0,9,1,0,0,1], "image_size": [4, 4], "dist": [1,2,3,4,5,6,7]}',
+            "7 distortion",
+        ),
         ("K: [9,0,.Nan,0,9,1,0,0,1]\nimage_size: [4, 4]", "not finite"),
         ("K: [9,0,1,0,9,1,0,0,1]\nimage_size: [4, 4]\nD: [-.Inf,0,0,0]", "not finite"),
         ("K: !!python/object:os.system [1]", "neither valid"),
@@ -201,7 +293,11 @@ def test_a_failed_save_leaves_nothing(tmp_path: Path) -> None:
 
 
 def test_what_a_calibration_says_of_itself_is_read(tmp_path: Path) -> None:
-    a = write(tmp_path, "a.yaml", "%YAML:1.0\n---\nverdict: usable\ncondition: 3.5e+04\nimage_width: 640\n")
+    a = write(
+        tmp_path,
+        "a.yaml",
+        "%YAML:1.0\n---\nverdict: usable\ncondition: 3.5e+04\nimage_width: 640\n",
+    )
     assert calibration_claims(a) == {"verdict": "usable", "condition": 3.5e4}
     assert calibration_claims(write(tmp_path, "c.yaml", "condition: e.e\n")) == {}
     assert calibration_claims(write(tmp_path, "d.yaml", "condition: .nan\n")) == {}
@@ -212,12 +308,17 @@ def test_what_a_calibration_says_of_itself_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("claims", "said"),
     [
-        ({"verdict": "poor", "reasons": ["only 3 views"]}, ["verdict is poor (only 3 views)"]),
+        (
+            {"verdict": "poor", "reasons": ["only 3 views"]},
+            ["verdict is poor (only 3 views)"],
+        ),
         ({"verdict": "poor"}, ["verdict is poor:"]),
         ({"verdict": "usable", "reasons": ["only 9 views"]}, []),
     ],
 )
-def test_a_calibration_that_calls_itself_poor_is_one_notice(tmp_path: Path, claims: dict[str, object], said: list[str]) -> None:
+def test_a_calibration_that_calls_itself_poor_is_one_notice(
+    tmp_path: Path, claims: dict[str, object], said: list[str]
+) -> None:
     path = tmp_path / "camera.yaml"
     save_camera(path, Camera(640, 480, K, D5), **claims)
     notices = claim_warnings(load_camera(path), calibration_claims(path))
@@ -238,7 +339,14 @@ def test_what_opencv_writes_as_xml_or_packed(tmp_path: Path, name: str) -> None:
 
 def test_numpy_archives(tmp_path: Path) -> None:
     path = tmp_path / "c.npz"
-    np.savez(path, mtx=K, dist=D5[None], image_width=640, image_height=480, rvecs=np.array([{}], object))
+    np.savez(
+        path,
+        mtx=K,
+        dist=D5[None],
+        image_width=640,
+        image_height=480,
+        rvecs=np.array([{}], object),
+    )
     same(load_camera(path), K, D5)
     np.savez_compressed(path, mtx=K, dist=D5, imageSize=(640, 480))
     same(load_camera(path), K, D5)

@@ -1,4 +1,6 @@
-"""Clips that are lists of other files, names that look like protocols, pictures that pose as clips."""
+"""Clips that are lists of other files, names that look like protocols, pictures that pose
+as clips.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,18 @@ def listener() -> socket.socket:
             s.accept()  # nobody called
 
 
-@pytest.mark.parametrize("name", ["list.mp4", "list.mkv", "list.ffconcat", "list.m3u8", "list.mpd", "list.sdp", "list.txt"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "list.mp4",
+        "list.mkv",
+        "list.ffconcat",
+        "list.m3u8",
+        "list.mpd",
+        "list.sdp",
+        "list.txt",
+    ],
+)
 def test_a_list_of_other_files_is_refused_whatever_its_name(
     clip: Path, tmp_path: Path, name: str, listener: socket.socket
 ) -> None:
@@ -52,27 +65,56 @@ def test_a_list_of_other_files_is_refused_whatever_its_name(
             f"ffconcat version 1.0\nfile '{other}'\n",
             f"\ufeffffconcat version 1.0\nfile '{other}'\n",
             f"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:1,\n{other}\n#EXT-X-ENDLIST\n",
-            f'<?xml version="1.0"?><MPD xmlns="urn:mpeg:dash:schema:mpd:2011"><Period><BaseURL>{other}</BaseURL></Period></MPD>',
-            "v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n",
+            (
+                '<?xml version="1.0"?><MPD'
+                f' xmlns="urn:mpeg:dash:schema:mpd:2011"><Period><BaseURL>{other}</BaseURL></Period></MPD>'
+            ),
+            (
+                "v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP"
+                " 96\na=rtpmap:96 H264/90000\n"
+            ),
         ):
             (tmp_path / name).write_text(text)
             with pytest.raises(InputError, match="cannot be read as a video: it is text"):
                 probe(tmp_path / name)
             if name.endswith((".mp4", ".mkv")):
-                with pytest.raises(InputError, match="cannot be read as a video: it is text"):
+                with pytest.raises(
+                    InputError, match="cannot be read as a video: it is text"
+                ):
                     open_frames(tmp_path / name)
 
 
 def test_formats_that_open_other_files_are_not_listed() -> None:
-    assert not {"concat", "hls", "dash", "imf", "sdp", "rtsp", "image2", "lavfi", "vobsub", "tty", "webm_dash_manifest"} & set(
-        CONTAINERS
-    )
+    assert not {
+        "concat",
+        "hls",
+        "dash",
+        "imf",
+        "sdp",
+        "rtsp",
+        "image2",
+        "lavfi",
+        "vobsub",
+        "tty",
+        "webm_dash_manifest",
+    } & set(CONTAINERS)
 
 
 @pytest.mark.parametrize(
-    "name", ["12:30.mp4", "http:x.mp4", "tcp:127.0.0.1.mp4", "concat:a|b.mp4", "a%03d.mp4", "pipe:0.mp4", "out 1:2.mp4"]
+    "name",
+    [
+        "12:30.mp4",
+        "http:x.mp4",
+        "tcp:127.0.0.1.mp4",
+        "concat:a|b.mp4",
+        "a%03d.mp4",
+        "pipe:0.mp4",
+        "out 1:2.mp4",
+    ],
 )
-def test_names_are_never_protocols(clip: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_are_never_protocols(
+    clip: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     path = Path(name)  # relative: a folder before it would hide the colon
     path.write_bytes(clip.read_bytes())
@@ -115,9 +157,15 @@ def test_empty_files_devices_and_huge_pictures_are_refused(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
-def test_pictures_with_exif_in_motion_jpeg_are_read_and_turned(tmp_path: Path, orientation: int) -> None:
+def test_pictures_with_exif_in_motion_jpeg_are_read_and_turned(
+    tmp_path: Path, orientation: int
+) -> None:
     """PyAV does not know EXIF among a picture's side data."""
-    stored = Image.fromarray(np.repeat(np.arange(64 * 96, dtype=np.uint16).reshape(64, 96, 1) // 25, 3, 2).astype(np.uint8))
+    stored = Image.fromarray(
+        np.repeat(
+            np.arange(64 * 96, dtype=np.uint16).reshape(64, 96, 1) // 25, 3, 2
+        ).astype(np.uint8)
+    )
     exif = stored.getexif()
     exif[0x0112] = orientation
     coded = io.BytesIO()
@@ -127,9 +175,19 @@ def test_pictures_with_exif_in_motion_jpeg_are_read_and_turned(tmp_path: Path, o
         stream.width, stream.height, stream.pix_fmt = 96, 64, "yuvj420p"
         for k in range(2):
             packet = av.Packet(coded.getvalue())
-            packet.pts, packet.dts, packet.time_base, packet.stream = k, k, Fraction(1, 25), stream
+            packet.pts, packet.dts, packet.time_base, packet.stream = (
+                k,
+                k,
+                Fraction(1, 25),
+                stream,
+            )
             c.mux(packet)
     info = probe(tmp_path / "a.avi")
     with ClipReader(info) as reader:
         shown = next(reader.frames()).rgb8()
-    assert np.abs(shown.astype(int) - np.asarray(ImageOps.exif_transpose(Image.open(coded)))).mean() < 2
+    assert (
+        np.abs(
+            shown.astype(int) - np.asarray(ImageOps.exif_transpose(Image.open(coded)))
+        ).mean()
+        < 2
+    )

@@ -16,7 +16,14 @@ from arfx.core.rect import Rect
 from arfx.errors import RenderError
 from arfx.media.frame import Frame
 from arfx.media.lines import apply_curve, encode_curve
-from arfx.media.planes import FrameFormat, Orientation, layout_named, orientation_of, planes_of, working_layout
+from arfx.media.planes import (
+    FrameFormat,
+    Orientation,
+    layout_named,
+    orientation_of,
+    planes_of,
+    working_layout,
+)
 
 FORMATS = [
     "yuv420p",
@@ -31,7 +38,12 @@ FORMATS = [
     "gbrp",
     "gbrp10le",
 ]
-TURNS = [Orientation(t, x, y) for t in (False, True) for x in (False, True) for y in (False, True)]
+TURNS = [
+    Orientation(t, x, y)
+    for t in (False, True)
+    for x in (False, True)
+    for y in (False, True)
+]
 
 
 def frame(
@@ -72,10 +84,19 @@ def reference_linear(f: Frame) -> np.ndarray:
         cw, ch = -(-form.width >> lay.sub_x), -(-form.height >> lay.sub_y)
         c = (c[:ch, :cw] - form.chroma_steps[0]) / form.chroma_steps[1]
         for axis, (n, sub, cosited) in enumerate(
-            [(form.height, lay.sub_y, form.cosited[1]), (form.width, lay.sub_x, form.cosited[0])]
+            [
+                (form.height, lay.sub_y, form.cosited[1]),
+                (form.width, lay.sub_x, form.cosited[0]),
+            ]
         ):
-            at = np.arange(n) / (1 << sub) if cosited else (np.arange(n) + 0.5) / (1 << sub) - 0.5
-            c = np.apply_along_axis(lambda v, at=at: np.interp(at, np.arange(len(v)), v), axis, c)
+            at = (
+                np.arange(n) / (1 << sub)
+                if cosited
+                else (np.arange(n) + 0.5) / (1 << sub) - 0.5
+            )
+            c = np.apply_along_axis(
+                lambda v, at=at: np.interp(at, np.arange(len(v)), v), axis, c
+            )
         out.append(c)
     rgb = np.stack(out, -1) @ np.linalg.inv(yuv_from_rgb(form.matrix)).T
     return form.transfer.decode(rgb)
@@ -85,11 +106,23 @@ def reference_linear(f: Frame) -> np.ndarray:
 @pytest.mark.parametrize("name", [n for n in FORMATS if n.startswith("yuv")])
 def test_linear_light_is_the_textbooks(name: str, location: str) -> None:
     f = frame(name, location=location)
-    assert np.abs(f.linear(f.rect) - reference_linear(f)).max() < 2e-5  # float32 and the series
-    for turn, step in ((Orientation(), 7), (Orientation(), 1), (Orientation(True, True, False), 7)):  # sparse, dense, turned
+    assert (
+        np.abs(f.linear(f.rect) - reference_linear(f)).max() < 2e-5
+    )  # float32 and the series
+    for turn, step in (
+        (Orientation(), 7),
+        (Orientation(), 1),
+        (Orientation(True, True, False), 7),
+    ):  # sparse, dense, turned
         g = Frame(f.picture, replace(f.format, orientation=turn), 5, 7)
         y, x = np.mgrid[0 : g.rect.height : step, 0 : g.rect.width : step]
-        assert np.abs(g.linear_at(np.stack([x.ravel(), y.ravel()], -1)) - g.linear(g.rect)[y, x].reshape(-1, 3)).max() < 1e-5
+        assert (
+            np.abs(
+                g.linear_at(np.stack([x.ravel(), y.ravel()], -1))
+                - g.linear(g.rect)[y, x].reshape(-1, 3)
+            ).max()
+            < 1e-5
+        )
 
 
 @pytest.mark.parametrize("transfer", ["srgb", "bt709", "bt1886", "gamma:2.2"])
@@ -97,7 +130,9 @@ def test_curves_follow_the_transfer(transfer: str) -> None:
     t = Transfer(transfer)
     f = frame("yuv444p", transfer=t)
     assert np.abs(f.linear(f.rect) - reference_linear(f)).max() < 2e-5
-    v = np.concatenate([np.linspace(0, 1, 500), np.geomspace(1e-9, 50, 500)]).astype(np.float32)
+    v = np.concatenate([np.linspace(0, 1, 500), np.geomspace(1e-9, 50, 500)]).astype(
+        np.float32
+    )
     got, room = np.empty_like(v), np.empty((2, len(v)), np.float32)
     apply_curve(v, encode_curve(t), *room, got)
     assert np.abs(got - t.encode(v.astype(float))).max() < 1e-5
@@ -108,53 +143,78 @@ def test_curves_follow_the_transfer(transfer: str) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(FORMATS), st.sampled_from(TURNS), st.data())
-def test_rectangles_agree_and_edits_stay_inside(name: str, turn: Orientation, data: st.DataObject) -> None:
+def test_rectangles_agree_and_edits_stay_inside(
+    name: str, turn: Orientation, data: st.DataObject
+) -> None:
     f = frame(name, turn=turn, location=data.draw(st.sampled_from(["left", "center"])))
     whole = f.rect
-    x0, y0 = data.draw(st.integers(0, whole.x1 - 1)), data.draw(st.integers(0, whole.y1 - 1))
-    r = Rect(x0, y0, data.draw(st.integers(x0 + 1, whole.x1)), data.draw(st.integers(y0 + 1, whole.y1)))
+    x0, y0 = (
+        data.draw(st.integers(0, whole.x1 - 1)),
+        data.draw(st.integers(0, whole.y1 - 1)),
+    )
+    r = Rect(
+        x0,
+        y0,
+        data.draw(st.integers(x0 + 1, whole.x1)),
+        data.draw(st.integers(y0 + 1, whole.y1)),
+    )
     all_linear = f.linear(whole)
     before = f.linear(r)
     assert np.array_equal(before, all_linear[r.slices])
     old = samples(f)
     after = np.random.default_rng(1).random(before.shape).astype(np.float32)
     g = f.edited(r, before, after)
-    assert all(np.array_equal(a, b) for a, b in zip(samples(f), old, strict=True))  # the frame itself never changes
+    assert all(
+        np.array_equal(a, b) for a, b in zip(samples(f), old, strict=True)
+    )  # the frame itself never changes
     lay = f.format.layout
     coded = turn.coded_rect(r, whole.width, whole.height)
     for k, (a, b) in enumerate(zip(old, samples(g), strict=True)):
         sx, sy = (lay.sub_x, lay.sub_y) if k else (0, 0)
         inside = np.zeros(a.shape, bool)
-        inside[coded.y0 >> sy : -(-coded.y1 >> sy), coded.x0 >> sx : -(-coded.x1 >> sx)] = True
+        inside[coded.y0 >> sy : -(-coded.y1 >> sy), coded.x0 >> sx : -(-coded.x1 >> sx)] = (
+            True
+        )
         w = f.format.width if not k or lay.kind != "yuv" else -(-f.format.width >> sx)
         h = a.shape[0]
         assert np.array_equal(a[:h, :w][~inside[:h, :w]], b[:h, :w][~inside[:h, :w]])
     same = f.edited(r, before, before.copy())
-    assert all(np.array_equal(a[:, :16], b[:, :16]) for a, b in zip(old, samples(same), strict=True))
+    assert all(
+        np.array_equal(a[:, :16], b[:, :16])
+        for a, b in zip(old, samples(same), strict=True)
+    )
 
 
 @pytest.mark.parametrize("name", ["yuv444p", "gbrp", "yuv444p12le", "gbrp10le"])
 def test_an_edit_arrives_to_half_a_step(name: str) -> None:
     f = frame(name, smooth=True)
     r = Rect(4, 3, 30, 22)
-    target = SRGB.decode(np.random.default_rng(2).uniform(0.2, 0.8, (r.height, r.width, 3))).astype(np.float32)
+    target = SRGB.decode(
+        np.random.default_rng(2).uniform(0.2, 0.8, (r.height, r.width, 3))
+    ).astype(np.float32)
     got = f.edited(r, f.linear(r), target).linear(r)
     steps = f.format.layout.peak * (1 if f.format.full_range else 219 / 255)
-    assert np.abs(SRGB.encode(got) - SRGB.encode(target)).max() < 1.9 / steps  # rounding of Y, Cb and Cr together
+    assert (
+        np.abs(SRGB.encode(got) - SRGB.encode(target)).max() < 1.9 / steps
+    )  # rounding of Y, Cb and Cr together
 
 
 @pytest.mark.parametrize("location", ["left", "center", "topleft"])
 def test_a_smooth_edit_keeps_colour_with_subsampled_chroma(location: str) -> None:
     """A flat tint over the whole picture: chroma must not shift, darken at the borders, or leak."""
     f = frame("yuv420p", smooth=True, location=location)
-    target = np.broadcast_to(SRGB.decode(np.array([0.7, 0.4, 0.3])), (*f.linear(f.rect).shape[:2], 3)).astype(np.float32)
+    target = np.broadcast_to(
+        SRGB.decode(np.array([0.7, 0.4, 0.3])), (*f.linear(f.rect).shape[:2], 3)
+    ).astype(np.float32)
     got = SRGB.encode(f.edited(f.rect, f.linear(f.rect), target).linear(f.rect))
     assert np.abs(got - SRGB.encode(target)).max() < 0.02
 
 
 def test_a_shadow_keeps_super_white_and_clips_new_light() -> None:
     f = frame("yuv420p", smooth=True)
-    planes_of(f.picture, f.format.layout)[0][:8] = 250  # beyond legal white, as cameras store it
+    planes_of(f.picture, f.format.layout)[0][:8] = (
+        250  # beyond legal white, as cameras store it
+    )
     r = Rect(0, 0, 16, 8)
     b = f.linear(r)
     assert samples(f.edited(r, b, b * np.float32(0.99)))[0][:8, :16].max() > 240

@@ -18,17 +18,20 @@ def camera(folder: Path, matrix: object = K, distortion: object = (0, 0, 0, 0)) 
     path = folder / "camera.yaml"
     rows = np.array(matrix, object).ravel().tolist()
     path.write_text(
-        f"image_width: 1280\nimage_height: 720\ncamera_matrix: [{', '.join(map(str, rows))}]\n"
+        "image_width: 1280\nimage_height: 720\ncamera_matrix:"
+        f" [{', '.join(map(str, rows))}]\n"
         f"distortion_coefficients: [{', '.join(map(str, distortion))}]\n"  # type: ignore[call-overload]
     )
     return path
 
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
-    f"{b}: &{b} [{', '.join(['*' + a] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+    f"{b}: &{b} [{', '.join(['*' + a] * 9)}]\n"
+    for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
 MERGES = "a: &a {x: 1}\n" + "".join(
-    f"{b}: &{b} {{<<: [{', '.join(['*' + a] * 9)}]}}\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+    f"{b}: &{b} {{<<: [{', '.join(['*' + a] * 9)}]}}\n"
+    for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
 
 
@@ -52,7 +55,9 @@ MERGES = "a: &a {x: 1}\n" + "".join(
         ("x" * 300_000, r"0\.25 MiB"),
     ],
 )
-def test_a_camera_file_that_unfolds_is_refused_at_once(tmp_path: Path, text: str, message: str) -> None:
+def test_a_camera_file_that_unfolds_is_refused_at_once(
+    tmp_path: Path, text: str, message: str
+) -> None:
     (tmp_path / "camera.yaml").write_text(text)
     with pytest.raises(InputError, match=message) as e:
         load_camera(tmp_path / "camera.yaml")
@@ -81,14 +86,20 @@ def test_a_device_is_no_camera_file() -> None:
         ([[800, 0, 640], [0, 800, -1e9], [0, 0, 1]], "cy is -1e.09 px, far outside"),
     ],
 )
-def test_a_matrix_that_is_surely_wrong_is_refused_with_what_would_be_right(tmp_path: Path, matrix: object, message: str) -> None:
+def test_a_matrix_that_is_surely_wrong_is_refused_with_what_would_be_right(
+    tmp_path: Path, matrix: object, message: str
+) -> None:
     with pytest.raises(InputError, match=message) as e:
         load_camera(camera(tmp_path, matrix))
     assert e.value.hint
 
 
-@pytest.mark.parametrize("distortion", [(1e9, 0, 0, 0), (0, 0, 1e9, 0), (-1e5, 0, 0, 0), (1e300, 1e300, 0, 0)])
-def test_a_distortion_that_no_lens_has_is_refused(tmp_path: Path, distortion: tuple[float, ...]) -> None:
+@pytest.mark.parametrize(
+    "distortion", [(1e9, 0, 0, 0), (0, 0, 1e9, 0), (-1e5, 0, 0, 0), (1e300, 1e300, 0, 0)]
+)
+def test_a_distortion_that_no_lens_has_is_refused(
+    tmp_path: Path, distortion: tuple[float, ...]
+) -> None:
     with pytest.raises(InputError, match="distortion"):
         load_camera(camera(tmp_path, distortion=distortion))
 
@@ -102,15 +113,25 @@ def test_a_distortion_that_no_lens_has_is_refused(tmp_path: Path, distortion: tu
         (K, (-2.0, 0, 0, 0), "of the picture only"),
     ],
 )
-def test_what_is_odd_is_told(tmp_path: Path, matrix: object, distortion: tuple[float, ...], message: str) -> None:
+def test_what_is_odd_is_told(
+    tmp_path: Path, matrix: object, distortion: tuple[float, ...], message: str
+) -> None:
     (doubt,) = camera_warnings(load_camera(camera(tmp_path, matrix, distortion)))
     assert message in doubt
 
 
 def test_usual_cameras_raise_no_doubt(tmp_path: Path) -> None:
-    assert camera_warnings(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0)))) == []
+    assert (
+        camera_warnings(load_camera(camera(tmp_path, distortion=(-0.28, 0.07, 0, 0)))) == []
+    )
     assert camera_warnings(Camera.guess(1920, 1080)) == []
-    fisheye = Camera(1280, 720, np.array([[400.0, 0, 640], [0, 400, 360], [0, 0, 1]]), np.array([0.01, 0, 0, 0]), "fisheye")
+    fisheye = Camera(
+        1280,
+        720,
+        np.array([[400.0, 0, 640], [0, 400, 360], [0, 0, 1]]),
+        np.array([0.01, 0, 0, 0]),
+        "fisheye",
+    )
     assert camera_warnings(fisheye) == []
 
 

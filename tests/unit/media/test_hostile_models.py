@@ -14,7 +14,10 @@ from PIL import Image
 from arfx.errors import InputError
 from arfx.media.models import load_model
 
-OBJ = "mtllib {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n"
+OBJ = (
+    "mtllib {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2"
+    " 3/3\n"
+)
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 
 
@@ -48,28 +51,61 @@ def test_a_model_names_all_files_that_it_was_read_from(tmp_path: Path) -> None:
                                  materials=[{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]))  # fmt: skip
     Image.new("RGB", (2, 2)).save(tmp_path / "t x.png")
     model = load_model(path)
-    assert sorted(f.name for f in model.files) == ["a.gltf", "t x.png", "triangle.bin"] and not model.notices
+    assert (
+        sorted(f.name for f in model.files) == ["a.gltf", "t x.png", "triangle.bin"]
+        and not model.notices
+    )
     Image.new("RGB", (2, 2)).save(tmp_path / "t.png")
-    model = load_model(obj(tmp_path, "a.mtl", "newmtl m\nmap_Kd C:\\work\\t.png\n"))  # an exporter's own path
-    assert sorted(f.name for f in model.files) == ["a.mtl", "a.obj", "t.png"] and not model.notices
+    model = load_model(
+        obj(tmp_path, "a.mtl", "newmtl m\nmap_Kd C:\\work\\t.png\n")
+    )  # an exporter's own path
+    assert (
+        sorted(f.name for f in model.files) == ["a.mtl", "a.obj", "t.png"]
+        and not model.notices
+    )
 
 
-@pytest.mark.parametrize("name", ["../secret.bin", "{root}/secret.bin", "link.bin", "..%2Fsecret.bin", "x/../../secret.bin"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../secret.bin",
+        "{root}/secret.bin",
+        "link.bin",
+        "..%2Fsecret.bin",
+        "x/../../secret.bin",
+    ],
+)
 def test_a_buffer_outside_the_models_folder_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "secret.bin").write_bytes(POINTS.tobytes())
-    path = gltf(tmp_path / "m", header(buffers=[{"uri": name.format(root=tmp_path), "byteLength": 36}]))
+    path = gltf(
+        tmp_path / "m",
+        header(buffers=[{"uri": name.format(root=tmp_path), "byteLength": 36}]),
+    )
     (tmp_path / "m" / "link.bin").symlink_to(tmp_path / "secret.bin")
     with pytest.raises(InputError, match="outside its folder"):
         load_model(path)
 
 
-@pytest.mark.parametrize("name", ["file:///etc/passwd", "http://localhost:1/x.bin", "", ".", "pipe:0", "x" * 5000, "a\0b"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "file:///etc/passwd",
+        "http://localhost:1/x.bin",
+        "",
+        ".",
+        "pipe:0",
+        "x" * 5000,
+        "a\0b",
+    ],
+)
 def test_an_address_is_no_file_of_the_folder(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=r"not in its folder|outside its folder"):
         load_model(gltf(tmp_path / "m", header(buffers=[{"uri": name, "byteLength": 36}])))
 
 
-def test_a_name_outside_the_models_folder_is_not_even_looked_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_outside_the_models_folder_is_not_even_looked_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     looked: list[Path] = []
     given = Path.exists
 
@@ -77,7 +113,9 @@ def test_a_name_outside_the_models_folder_is_not_even_looked_up(tmp_path: Path, 
         looked.append(self)
         return given(self)
 
-    path = gltf(tmp_path / "m", header(buffers=[{"uri": "//host/share/x.bin", "byteLength": 36}]))
+    path = gltf(
+        tmp_path / "m", header(buffers=[{"uri": "//host/share/x.bin", "byteLength": 36}])
+    )
     monkeypatch.setattr(Path, "exists", exists)
     with pytest.raises(InputError, match="outside its folder"):
         load_model(path)
@@ -94,7 +132,9 @@ def test_materials_that_are_missing_or_outside_are_told(tmp_path: Path, mtl: str
 def test_textures_that_are_missing_outside_or_no_pictures_are_told(tmp_path: Path) -> None:
     Image.new("RGB", (2, 2)).save(tmp_path / "out.png")
     for name, why in (("../out.png", "outside"), ("none.png", "not in its folder")):
-        (notice,) = load_model(obj(tmp_path / "m", "a.mtl", f"newmtl m\nmap_Kd {name}\n")).notices
+        (notice,) = load_model(
+            obj(tmp_path / "m", "a.mtl", f"newmtl m\nmap_Kd {name}\n")
+        ).notices
         assert why in notice
     (tmp_path / "m" / "t.png").write_text("no picture")
     (notice,) = load_model(obj(tmp_path / "m", "a.mtl", "newmtl m\nmap_Kd t.png\n")).notices
@@ -108,7 +148,10 @@ def test_postscript_under_a_pictures_name_starts_no_program(
     def started(*_: object, **__: object) -> None:
         raise AssertionError("a program was started")
 
-    eps = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n%%EOF\n"
+    eps = (
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10"
+        b" 10\n%%EndComments\nshowpage\n%%EOF\n"
+    )
     tmp_path.joinpath("t.png").write_bytes(eps)
     import base64
 
@@ -118,7 +161,10 @@ def test_postscript_under_a_pictures_name_starts_no_program(
     for name in ("subprocess.Popen", "subprocess.check_call", "os.system"):
         monkeypatch.setattr(name, started)
     model = load_model(path)
-    assert "textures left out" in model.notices[0] and model.parts[0].material.base_texture is None
+    assert (
+        "textures left out" in model.notices[0]
+        and model.parts[0].material.base_texture is None
+    )
 
 
 def damaged(change: Any) -> dict[str, Any]:
@@ -180,10 +226,19 @@ def test_damaged_gltf_is_one_message(tmp_path: Path, change: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "factor", ['"metallicFactor": 1e999', '"baseColorFactor": [1e999, 0, 0, 1]', '"baseColorFactor": [NaN, 0, 0, 1]']
+    "factor",
+    [
+        '"metallicFactor": 1e999',
+        '"baseColorFactor": [1e999, 0, 0, 1]',
+        '"baseColorFactor": [NaN, 0, 0, 1]',
+    ],
 )
-def test_material_numbers_that_are_not_finite_are_refused(tmp_path: Path, factor: str) -> None:
-    path = gltf(tmp_path, header(materials=[{"name": "m", "pbrMetallicRoughness": {"x": 0}}]))
+def test_material_numbers_that_are_not_finite_are_refused(
+    tmp_path: Path, factor: str
+) -> None:
+    path = gltf(
+        tmp_path, header(materials=[{"name": "m", "pbrMetallicRoughness": {"x": 0}}])
+    )
     path.write_text(path.read_text().replace('"x": 0', factor))
     with pytest.raises(InputError, match=r"out of range|NaN is not"):
         load_model(path)
@@ -208,7 +263,10 @@ def test_odd_obj_is_read_or_one_message(tmp_path: Path, body: str) -> None:
     except InputError as e:
         assert "a.obj" in e.message and "\n" not in e.message
     else:
-        assert all(np.isfinite(p.vertices).all() and (p.uv is None or np.isfinite(p.uv).all()) for p in model.parts)
+        assert all(
+            np.isfinite(p.vertices).all() and (p.uv is None or np.isfinite(p.uv).all())
+            for p in model.parts
+        )
 
 
 def test_mtl_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
@@ -251,11 +309,17 @@ def test_a_picture_that_materials_share_is_decoded_once_and_all_are_counted(
 ) -> None:
     Image.new("RGB", (64, 64)).save(tmp_path / "t.png")
     Image.new("RGB", (64, 64)).save(tmp_path / "u.png")
-    tree = header(images=[{"uri": "t.png"}, {"uri": "u.png"}], textures=[{"source": 0}, {"source": 0}, {"source": 1}])
+    tree = header(
+        images=[{"uri": "t.png"}, {"uri": "u.png"}],
+        textures=[{"source": 0}, {"source": 0}, {"source": 1}],
+    )
     tree["materials"] = [
-        {"name": n, "pbrMetallicRoughness": {"baseColorTexture": {"index": k}}} for n, k in zip("abc", (0, 1, 2), strict=True)
+        {"name": n, "pbrMetallicRoughness": {"baseColorTexture": {"index": k}}}
+        for n, k in zip("abc", (0, 1, 2), strict=True)
     ]
-    tree["meshes"] = [{"primitives": [{"attributes": {"POSITION": 0}, "material": k} for k in range(3)]}]
+    tree["meshes"] = [
+        {"primitives": [{"attributes": {"POSITION": 0}, "material": k} for k in range(3)]}
+    ]
     a, b, c = (p.material.base_texture for p in load_model(gltf(tmp_path, tree)).parts)
     assert a.picture is b.picture and a.picture is not c.picture
     monkeypatch.setattr("arfx.media.model_materials.MAX_TEXELS", 5000)

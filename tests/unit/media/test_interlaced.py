@@ -1,4 +1,6 @@
-"""An interlaced clip stays one, with the order of its fields, or is refused with the command that makes it progressive."""
+"""An interlaced clip stays one, with the order of its fields, or is refused with the
+command that makes it progressive.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,18 @@ ORDERS = {"tff": 2, "bff": 3}
 def interlaced(path: Path, order: str) -> Path:
     graph = av.filter.Graph()
     source = graph.add_buffer(width=96, height=64, format="yuv420p", time_base="1/25")
-    graph.link_nodes(source, graph.add("setfield", order), graph.add("buffersink")).configure()
+    graph.link_nodes(
+        source, graph.add("setfield", order), graph.add("buffersink")
+    ).configure()
     with av.open(str(path), "w") as out:
         s = out.add_stream("mpeg2video", rate=25)
         s.width, s.height, s.pix_fmt = 96, 64, "yuv420p"
         s.codec_context.flags |= Flags.interlaced_dct | Flags.interlaced_me
         s.codec_context.field_order = ORDERS[order]
         for i in range(8):
-            frame = av.VideoFrame.from_ndarray(pattern(i, 96, 64), format="rgb24").reformat(format="yuv420p")
+            frame = av.VideoFrame.from_ndarray(pattern(i, 96, 64), format="rgb24").reformat(
+                format="yuv420p"
+            )
             frame.pts = i
             graph.vpush(frame)
             out.mux(s.encode(graph.vpull()))
@@ -41,9 +47,18 @@ def interlaced(path: Path, order: str) -> Path:
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
-    ("name", "codec"), [("a.mp4", "h264"), ("a.mkv", "h264"), ("a.mov", "h264"), ("a.mkv", "ffv1"), ("a.mov", "prores")]
+    ("name", "codec"),
+    [
+        ("a.mp4", "h264"),
+        ("a.mkv", "h264"),
+        ("a.mov", "h264"),
+        ("a.mkv", "ffv1"),
+        ("a.mov", "prores"),
+    ],
 )
-def test_the_output_has_the_fields_of_the_clip(tmp_path: Path, order: str, name: str, codec: str) -> None:
+def test_the_output_has_the_fields_of_the_clip(
+    tmp_path: Path, order: str, name: str, codec: str
+) -> None:
     info = probe(interlaced(tmp_path / "in.mpg", order))
     assert info.fields == order and any("interlaced" in n for n in info.notices)
     plan = plan_output(info, tmp_path / name, OutputSettings(codec=codec))

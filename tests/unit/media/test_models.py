@@ -19,9 +19,15 @@ from arfx.media.models import load_model
 
 
 def glb(
-    path: Path, material: dict, uv: np.ndarray | None = None, colours: np.ndarray | None = None, matrix: list | None = None
+    path: Path,
+    material: dict,
+    uv: np.ndarray | None = None,
+    colours: np.ndarray | None = None,
+    matrix: list | None = None,
 ) -> Path:
-    """One triangle (0,0,0) (1,0,0) (0,1,0) with a material, as a binary glTF file of our own making."""
+    """One triangle (0,0,0) (1,0,0) (0,1,0) with a material, as a binary glTF file of our
+    own making.
+    """
     arrays = {"POSITION": np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)}
     if uv is not None:
         arrays["TEXCOORD_0"] = uv.astype(np.float32)
@@ -56,13 +62,17 @@ def test_gltf_factors_are_exact_and_defaults_are_the_standards(tmp_path: Path) -
     m = load_model(glb(tmp_path / "a.glb", {"name": "m", "alphaMode": "BLEND", "emissiveFactor": [0.5, 0.25, 0.125],
                                             "pbrMetallicRoughness": {"baseColorFactor": base}}))  # fmt: skip
     material = m.parts[0].material
-    np.testing.assert_allclose(material.base_colour, base, atol=1e-6)  # trimesh alone rounds to 8 bits: .0118
+    np.testing.assert_allclose(
+        material.base_colour, base, atol=1e-6
+    )  # trimesh alone rounds to 8 bits: .0118
     assert (material.metallic, material.roughness, material.alpha_mode) == (1.0, 1.0, BLEND)
     np.testing.assert_allclose(material.emissive, [0.5, 0.25, 0.125])
     assert m.up == "y" and not material.double_sided
 
 
-@pytest.mark.parametrize(("mode", "expected"), [("MASK", MASK), ("OPAQUE", OPAQUE), (None, OPAQUE)])
+@pytest.mark.parametrize(
+    ("mode", "expected"), [("MASK", MASK), ("OPAQUE", OPAQUE), (None, OPAQUE)]
+)
 def test_alpha_modes(tmp_path: Path, mode: str | None, expected: str) -> None:
     material = {"name": "m", "alphaCutoff": 0.75} | ({"alphaMode": mode} if mode else {})
     m = load_model(glb(tmp_path / "a.glb", material)).parts[0].material
@@ -90,16 +100,21 @@ def test_obj_with_spaces_in_its_textures_name(tmp_path: Path) -> None:
     picture = np.zeros((2, 4, 3), np.uint8)
     picture[0, 0] = [255, 10, 20]  # top left
     Image.fromarray(picture).save(tmp_path / "my wood picture.png")
-    (tmp_path / "a.mtl").write_text("newmtl wood\nKd 0.5 1 1\nNs 30\nmap_Kd my wood picture.png\n")
+    (tmp_path / "a.mtl").write_text(
+        "newmtl wood\nKd 0.5 1 1\nNs 30\nmap_Kd my wood picture.png\n"
+    )
     (tmp_path / "a.obj").write_text(
-        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 1\nvt 1 1\nvt 0 0\nusemtl wood\nf 1/1 2/2 3/3\n"
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 1\nvt 1 1\nvt 0 0\nusemtl wood\nf"
+        " 1/1 2/2 3/3\n"
     )
     p = load_model(tmp_path / "a.obj").parts[0]
     assert p.material.base_texture is not None and p.uv is not None
     at = p.uv_on(p.material.base_texture)[np.flatnonzero((p.vertices == 0).all(1))[0]]
     np.testing.assert_allclose(at, [0, 0], atol=1e-9)  # vt (0, 1) is the picture's top left
     assert p.material.base_texture.picture[0, 0, :3].tolist() == [255, 10, 20]
-    assert p.material.base_colour[0] == pytest.approx(float(SRGB.decode(np.array(0.5))), abs=0.004)
+    assert p.material.base_colour[0] == pytest.approx(
+        float(SRGB.decode(np.array(0.5))), abs=0.004
+    )
     assert 0.4 < p.material.roughness < 0.6  # (2 / 32) ^ 1/4
 
 
@@ -110,7 +125,12 @@ def test_ply_vertex_colours_become_linear(tmp_path: Path) -> None:
     m = load_model(tmp_path / "a.ply")
     assert m.up == "z" and m.parts[0].material.double_sided
     np.testing.assert_allclose(m.parts[0].colours[0], [0.503, 0, 1, 1], atol=1e-3)
-    assert m.parts[0].material.base_colour == (1, 1, 1, 1), "colours must not be darkened by a default factor"
+    assert m.parts[0].material.base_colour == (
+        1,
+        1,
+        1,
+        1,
+    ), "colours must not be darkened by a default factor"
 
 
 def test_stl_cube_gets_sharp_edges_and_a_sphere_smooth_ones(tmp_path: Path) -> None:
@@ -135,7 +155,9 @@ def test_smoothing_keeps_apart_what_the_file_keeps_apart() -> None:
 
 
 def test_faces_without_area_are_dropped_and_counted(tmp_path: Path) -> None:
-    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 2 4\nf 1 1 2\n")
+    (tmp_path / "a.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 2 4\nf 1 1 2\n"
+    )
     m = load_model(tmp_path / "a.obj")
     assert m.face_count == 1 and "2 faces without area" in m.notices[0]
 
@@ -143,7 +165,11 @@ def test_faces_without_area_are_dropped_and_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of 3 vertices are not finite"),
+        (
+            "a.obj",
+            "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n",
+            "1 of 3 vertices are not finite",
+        ),
         ("a.obj", "v 0 0 0\nv 1 0 0\n", "no faces|cannot read"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no faces"),
         ("a.obj", "v 0 0 0\nv 1e12 0 0\nv 0 1 0\nf 1 2 3\n", "spans|no faces"),
@@ -174,6 +200,9 @@ def test_missing_file_folder_and_bad_axis(tmp_path: Path) -> None:
 def test_a_texture_beyond_the_limit_is_refused(tmp_path: Path) -> None:
     Image.new("L", (8193, 1)).save(tmp_path / "t.png")
     (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd t.png\n")
-    (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3\n")
+    (tmp_path / "a.obj").write_text(
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl m\nf 1/1"
+        " 2/2 3/3\n"
+    )
     with pytest.raises(InputError, match="8193x1"):
         load_model(tmp_path / "a.obj")

@@ -1,4 +1,6 @@
-"""OBJ, MTL and PLY as people have them: encodings, names, options of maps; and what is lost is told."""
+"""OBJ, MTL and PLY as people have them: encodings, names, options of maps; and what is lost
+is told.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,10 @@ from arfx.core.model import Model
 from arfx.errors import InputError
 from arfx.media.models import load_model
 
-OBJ = "# Würfel\nmtllib {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl {}\nf 1/1 2/2 3/3\n"
+OBJ = (
+    "# Würfel\nmtllib {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl {}\nf"
+    " 1/1 2/2 3/3\n"
+)
 PLY = """ply
 format ascii 1.0
 comment {comment}
@@ -36,7 +41,11 @@ end_header
 
 
 def obj(
-    folder: Path, mtl: str = "newmtl Möbel\nmap_Kd Küche.png\n", line: str = "a.mtl", use: str = "Möbel", code: str = "utf-8"
+    folder: Path,
+    mtl: str = "newmtl Möbel\nmap_Kd Küche.png\n",
+    line: str = "a.mtl",
+    use: str = "Möbel",
+    code: str = "utf-8",
 ) -> Model:
     for name in ("Küche.png", "t.png"):
         Image.new("RGB", (2, 2), (250, 120, 10)).save(folder / name)
@@ -51,10 +60,17 @@ def is_whole(model: Model) -> bool:
     (part,) = model.parts
     texture = part.material.base_texture
     white = part.material.base_colour == (1, 1, 1, 1)
-    return not model.notices and white and texture is not None and texture.picture[0, 0, 0] == 250
+    return (
+        not model.notices
+        and white
+        and texture is not None
+        and texture.picture[0, 0, 0] == 250
+    )
 
 
-@pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
+@pytest.mark.parametrize(
+    "code", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"]
+)
 def test_text_in_any_encoding(tmp_path: Path, code: str) -> None:
     assert is_whole(obj(tmp_path, code=code))
 
@@ -64,12 +80,18 @@ def test_text_in_any_encoding(tmp_path: Path, code: str) -> None:
     [
         ("A.MTL", "möbel", "KÜCHE.PNG"),
         ('"a.mtl"', '"Möbel"', '"Küche.png"'),
-        (unicodedata.normalize("NFD", "a.mtl"), unicodedata.normalize("NFD", "Möbel"), unicodedata.normalize("NFD", "Küche.png")),
+        (
+            unicodedata.normalize("NFD", "a.mtl"),
+            unicodedata.normalize("NFD", "Möbel"),
+            unicodedata.normalize("NFD", "Küche.png"),
+        ),
         ("b.mtl a.mtl", "Möbel", "-s 1 1 1 -o 0 0 0 -bm 1 Küche.png"),
         ("b.mtl\nmtllib a.mtl", "Möbel", "-clamp off -bm .5 Küche.png"),
     ],
 )
-def test_names_as_exporters_write_them(tmp_path: Path, line: str, use: str, map_kd: str) -> None:
+def test_names_as_exporters_write_them(
+    tmp_path: Path, line: str, use: str, map_kd: str
+) -> None:
     (tmp_path / "b.mtl").write_text("newmtl other\nKd 1 0 0\n")
     assert is_whole(obj(tmp_path, f"newmtl Möbel\nmap_Kd {map_kd}\n", line, use))
 
@@ -119,29 +141,51 @@ def test_a_material_that_is_nowhere_is_told(tmp_path: Path) -> None:
 
 def ply(folder: Path, comment: str = "none", uv: bool = True) -> Model:
     Image.new("RGB", (2, 2), (250, 120, 10)).save(folder / "t.png")
-    rows = {k: v if uv else "" for k, v in zip("abcd", ("0 0 ", "1 0 ", "1 1 ", "0 1 "), strict=True)}
+    rows = {
+        k: v if uv else ""
+        for k, v in zip("abcd", ("0 0 ", "1 0 ", "1 1 ", "0 1 "), strict=True)
+    }
     properties = "property float s\nproperty float t\n" if uv else ""
-    (folder / "a.ply").write_bytes(PLY.format(comment=comment, uv=properties, **rows).encode("latin-1"))
+    (folder / "a.ply").write_bytes(
+        PLY.format(comment=comment, uv=properties, **rows).encode("latin-1")
+    )
     return load_model(folder / "a.ply")
 
 
 def test_the_texture_of_a_ply_is_not_darkened(tmp_path: Path) -> None:
     model = ply(tmp_path, "TextureFile t.png")
     (part,) = model.parts
-    assert part.material.base_colour == (1, 1, 1, 1) and part.material.base_texture is not None and part.colours is None
+    assert (
+        part.material.base_colour == (1, 1, 1, 1)
+        and part.material.base_texture is not None
+        and part.colours is None
+    )
     assert "colours by vertex are left out" in model.notices[0]
 
 
 def test_colours_of_a_ply_are_kept_beside_coordinates(tmp_path: Path) -> None:
     (part,) = ply(tmp_path, "von Jürgen").parts
     assert part.colours is not None and part.material.base_colour == (1, 1, 1, 1)
-    by_place = {tuple(v[:2]): tuple(c[:3]) for v, c in zip(part.vertices, part.colours, strict=True)}
-    assert by_place == {(0, 0): (1, 0, 0), (1, 0): (0, 1, 0), (1, 1): (0, 0, 1), (0, 1): (1, 1, 1)}
+    by_place = {
+        tuple(v[:2]): tuple(c[:3]) for v, c in zip(part.vertices, part.colours, strict=True)
+    }
+    assert by_place == {
+        (0, 0): (1, 0, 0),
+        (1, 0): (0, 1, 0),
+        (1, 1): (0, 0, 1),
+        (0, 1): (1, 1, 1),
+    }
 
 
 def test_textures_of_a_ply_that_are_not_shown_are_told(tmp_path: Path) -> None:
-    assert "1 of its textures left out" in ply(tmp_path, "TextureFile t.png\ncomment TextureFile t.png").notices[-1]
-    assert "1 of its textures left out" in ply(tmp_path, "TextureFile t.png", uv=False).notices[-1]
+    assert (
+        "1 of its textures left out"
+        in ply(tmp_path, "TextureFile t.png\ncomment TextureFile t.png").notices[-1]
+    )
+    assert (
+        "1 of its textures left out"
+        in ply(tmp_path, "TextureFile t.png", uv=False).notices[-1]
+    )
 
 
 def test_limits_hold_before_the_work(tmp_path: Path) -> None:

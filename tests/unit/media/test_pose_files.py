@@ -14,12 +14,18 @@ from arfx.media.pose_files import load_poses
 
 def test_lines_in_order_and_their_inverse(tmp_path: Path) -> None:
     path = tmp_path / "p.txt"
-    path.write_text("# tx ty tz qx qy qz qw\n1 2 3 0 0 0 1\n\n0,0,0, 0.70710678,0,0,0.70710678\n")
+    path.write_text(
+        "# tx ty tz qx qy qz qw\n1 2 3 0 0 0 1\n\n0,0,0, 0.70710678,0,0,0.70710678\n"
+    )
     told = load_poses(path)
     assert told.times_s is None and len(told.camera_from_given) == 2
     np.testing.assert_allclose(told.camera_from_given[0].translation_m, [-1, -2, -3])
     # camera turned by 90 degrees about x: its z is the world's -y
-    np.testing.assert_allclose(told.camera_from_given[1].inverse().apply(np.array([0, 0, 1.0])), [0, -1, 0], atol=1e-7)
+    np.testing.assert_allclose(
+        told.camera_from_given[1].inverse().apply(np.array([0, 0, 1.0])),
+        [0, -1, 0],
+        atol=1e-7,
+    )
     assert told.of_frames([0.1], 1, True, 0.5) == [(told.camera_from_given[1], True)]
     with pytest.raises(InputError, match="hold 2 lines"):
         told.of_frames([0.0, 0.1, 0.2], 0, True, 0.5)
@@ -27,16 +33,29 @@ def test_lines_in_order_and_their_inverse(tmp_path: Path) -> None:
 
 def lines(times: list[float]) -> str:
     """The camera moves by 1 m and turns by 0.4 rad about z in a second."""
-    return "".join(f"{1305 + t} {t} 0 0 0 0 {math.sin(0.2 * t)} {math.cos(0.2 * t)}\n" for t in times)
+    return "".join(
+        f"{1305 + t} {t} 0 0 0 0 {math.sin(0.2 * t)} {math.cos(0.2 * t)}\n" for t in times
+    )
 
 
-def test_frames_between_lines_are_interpolated_and_told_from_measured_ones(tmp_path: Path) -> None:
+def test_frames_between_lines_are_interpolated_and_told_from_measured_ones(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "p.txt"
     path.write_text(lines([0.0, 0.4, 0.8, 1.2, 2.4]))
     times = [k / 10 for k in range(26)]
     got = load_poses(path).of_frames(times, 7, False, 0.5)
-    assert [t for t, g in zip(times, got, strict=True) if g and g[1]] == [0.0, 0.4, 0.8, 1.2, 2.4]
-    assert [t for t, g in zip(times, got, strict=True) if g is None] == [*times[13:24], 2.5]  # a gap too long, and the end
+    assert [t for t, g in zip(times, got, strict=True) if g and g[1]] == [
+        0.0,
+        0.4,
+        0.8,
+        1.2,
+        2.4,
+    ]
+    assert [t for t, g in zip(times, got, strict=True) if g is None] == [
+        *times[13:24],
+        2.5,
+    ]  # a gap too long, and the end
     for t, g in zip(times, got, strict=True):
         if g is not None:
             seen = g[0].inverse()
@@ -44,10 +63,15 @@ def test_frames_between_lines_are_interpolated_and_told_from_measured_ones(tmp_p
             np.testing.assert_allclose(seen.rotvec, [0, 0, 0.4 * t], atol=1e-9)
 
 
-def test_lines_as_dense_as_frames_are_measured_and_sparse_ones_are_refused(tmp_path: Path) -> None:
+def test_lines_as_dense_as_frames_are_measured_and_sparse_ones_are_refused(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "p.txt"
     path.write_text(lines([0.01, 0.11, 0.21, 0.31]))
-    assert [g and g[1] for g in load_poses(path).of_frames([0.0, 0.1, 0.2, 0.3, 0.4], 0, True, 0.5)] == [True] * 4 + [None]
+    assert [
+        g and g[1]
+        for g in load_poses(path).of_frames([0.0, 0.1, 0.2, 0.3, 0.4], 0, True, 0.5)
+    ] == [True] * 4 + [None]
     path.write_text(lines([0, 1, 2, 3]))
     with pytest.raises(InputError, match="are 1 s apart"):
         load_poses(path).of_frames([0.0, 0.1, 0.2], 0, True, 0.5)

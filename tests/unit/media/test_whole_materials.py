@@ -17,7 +17,9 @@ UV = np.ascontiguousarray(SQUARE[:, :2])
 def material_of(w, given, folder, **attributes):
     """The part of a square with this material."""
     w.tree["materials"] = [given]
-    w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=w.accessor(UV), **attributes)["material"] = 0
+    w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_0=w.accessor(UV), **attributes)[
+        "material"
+    ] = 0
     return w.load(folder).parts[0]
 
 
@@ -28,12 +30,19 @@ def test_every_slot_and_factor_is_read(tmp_path):
     def slot(**more):
         return w.texture(np.full((1, 1, 3), next(number))) | more
 
-    coat = {"clearcoatFactor": 0.9, "clearcoatTexture": slot(), "clearcoatRoughnessFactor": 0.2}
+    coat = {
+        "clearcoatFactor": 0.9,
+        "clearcoatTexture": slot(),
+        "clearcoatRoughnessFactor": 0.2,
+    }
     coat |= {"clearcoatRoughnessTexture": slot(), "clearcoatNormalTexture": slot(scale=0.3)}
     sheen = {"sheenColorFactor": [0.1, 0.2, 0.3], "sheenRoughnessFactor": 0.4}
     sheen |= {"sheenColorTexture": slot(), "sheenRoughnessTexture": slot()}
     given = {
-        "pbrMetallicRoughness": {"baseColorTexture": slot(), "metallicRoughnessTexture": slot()},
+        "pbrMetallicRoughness": {
+            "baseColorTexture": slot(),
+            "metallicRoughnessTexture": slot(),
+        },
         "normalTexture": slot(scale=0.5),
         "occlusionTexture": slot(strength=0.7),
         "emissiveFactor": [0.5, 1, 0],
@@ -57,7 +66,11 @@ def test_every_slot_and_factor_is_read(tmp_path):
         "emissive_texture",
     )  # fmt: skip
     assert [first_texels[name] for name in written_in_this_order] == list(range(10))
-    assert (m.normal_scale, m.occlusion_strength, m.clearcoat_normal_scale) == (0.5, 0.7, 0.3)
+    assert (m.normal_scale, m.occlusion_strength, m.clearcoat_normal_scale) == (
+        0.5,
+        0.7,
+        0.3,
+    )
     assert (m.clearcoat, m.clearcoat_roughness, m.sheen_roughness) == (0.9, 0.2, 0.4)
     assert m.sheen_colour == (0.1, 0.2, 0.3) and m.emissive == (1.5, 3, 0)
     assert m.specular == pytest.approx(0.5 / 9 / 0.08) and m.double_sided
@@ -68,10 +81,19 @@ def test_samplers_transforms_and_sets_are_each_textures_own(tmp_path):
     sampler = {"wrapS": 33071, "wrapT": 33648, "magFilter": 9728}
     base = w.texture(CORNERS, **sampler) | {"texCoord": 1}
     glow = w.texture(CORNERS) | {"extensions": {"KHR_texture_transform": {"scale": [2, 3]}}}
-    given = {"pbrMetallicRoughness": {"baseColorTexture": base}, "emissiveTexture": glow, "emissiveFactor": [1, 1, 1]}
+    given = {
+        "pbrMetallicRoughness": {"baseColorTexture": base},
+        "emissiveTexture": glow,
+        "emissiveFactor": [1, 1, 1],
+    }
     part = material_of(w, given, tmp_path, TEXCOORD_1=w.accessor(1 - UV))
     base, glow = part.material.base_texture, part.material.emissive_texture
-    assert (base.wrap, base.nearest, glow.wrap, glow.nearest) == ((CLAMP, MIRROR), True, (REPEAT, REPEAT), False)
+    assert (base.wrap, base.nearest, glow.wrap, glow.nearest) == (
+        (CLAMP, MIRROR),
+        True,
+        (REPEAT, REPEAT),
+        False,
+    )
     where = part.vertices[:, :2]
     assert part.uv_on(base) == pytest.approx(1 - where)
     assert part.uv_on(glow) == pytest.approx(where * [2, 3])
@@ -83,7 +105,9 @@ def test_a_third_set_of_coordinates_is_told(tmp_path):
     w.tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": slot}}]
     w.primitive(POSITION=w.accessor(SQUARE), TEXCOORD_2=w.accessor(UV))["material"] = 0
     model = w.load(tmp_path)
-    assert model.parts[0].material.base_texture is None and "third set" in " ".join(model.notices)
+    assert model.parts[0].material.base_texture is None and "third set" in " ".join(
+        model.notices
+    )
 
 
 def test_greys_of_16_bits_are_scaled(tmp_path):
@@ -92,24 +116,42 @@ def test_greys_of_16_bits_are_scaled(tmp_path):
     w = Writer()
     slot = w.texture(CORNERS)
     w.tree["images"] = [{"uri": "grey.png"}]
-    m = material_of(w, {"pbrMetallicRoughness": {"baseColorTexture": slot}}, tmp_path).material
-    assert m.base_texture.picture[0].tolist() == [[0, 0, 0, 255], [128, 128, 128, 255], [255] * 4]
+    m = material_of(
+        w, {"pbrMetallicRoughness": {"baseColorTexture": slot}}, tmp_path
+    ).material
+    assert m.base_texture.picture[0].tolist() == [
+        [0, 0, 0, 255],
+        [128, 128, 128, 255],
+        [255] * 4,
+    ]
 
 
-@pytest.mark.parametrize(("flip", "along", "sign"), [((1, 1), 1, 1), ((-1, 1), -1, -1), ((1, -1), 1, -1), ((-1, -1), -1, 1)])
+@pytest.mark.parametrize(
+    ("flip", "along", "sign"),
+    [((1, 1), 1, 1), ((-1, 1), -1, -1), ((1, -1), 1, -1), ((-1, -1), -1, 1)],
+)
 def test_tangents_of_a_square_are_the_pictures_rows(flip, along, sign):
-    """UV counts v downwards, so that a picture that stands upright on the square has flip (1, -1)."""
+    """UV counts v downwards, so that a picture that stands upright on the square has flip
+    (1, -1).
+    """
     uv = UV * flip * [1, -1]
-    tangents = corner_tangents(SQUARE, np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0.0, 0, 1]] * 4), uv)
+    tangents = corner_tangents(
+        SQUARE, np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0.0, 0, 1]] * 4), uv
+    )
     assert tangents == pytest.approx(np.array([[along, 0, 0, sign]] * 6), abs=1e-12)
     up = tangents[0, 3] * np.cross([0, 0, 1], tangents[0, :3])
     assert up @ [0, 1, 0] == flip[1]
 
 
-FAN = np.array([[0, 0, 0.5], [1, 0, 0], [0.3, 1.2, 0.1], [-1, 0.4, -0.2], [-0.2, -0.9, 0.3]])
+FAN = np.array(
+    [[0, 0, 0.5], [1, 0, 0], [0.3, 1.2, 0.1], [-1, 0.4, -0.2], [-0.2, -0.9, 0.3]]
+)
 FAN_FACES = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
-FAN_NORMALS = np.array([[0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8], [-0.6, 0, 0.8], [0, -0.6, 0.8]])
-# Of the fan, by the reference implementation (mikktspace.c, in float32): of a picture laid over it ...
+FAN_NORMALS = np.array(
+    [[0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8], [-0.6, 0, 0.8], [0, -0.6, 0.8]]
+)
+# Of the fan, by the reference implementation (mikktspace.c, in float32): of a picture laid
+# over it ...
 EVEN = [[0.99774, -0.06716, 0], [0.76738, -0.28265, -0.57553], [0.99801, -0.05047, 0.03785],
         [0.99774, -0.06716, 0], [0.99801, -0.05047, 0.03785], [0.79056, 0.15313, 0.59292],
         [0.99774, -0.06716, 0], [0.79056, 0.15313, 0.59292], [0.99956, 0.02362, 0.01771],
@@ -121,7 +163,10 @@ FOLDED = [[0.99815, -0.06085, 0], [0.76496, -0.29271, -0.57372], [0.99801, -0.05
           [0.96077, -0.27735, 0], [0.96356, -0.21399, -0.16049], [0.77245, 0.26018, -0.57934]]  # fmt: skip
 
 
-@pytest.mark.parametrize(("last", "expected", "signs"), [((0.7, 0.8), EVEN, [1] * 12), ((0.5, 0.2), FOLDED, [1] * 6 + [-1] * 6)])
+@pytest.mark.parametrize(
+    ("last", "expected", "signs"),
+    [((0.7, 0.8), EVEN, [1] * 12), ((0.5, 0.2), FOLDED, [1] * 6 + [-1] * 6)],
+)
 def test_tangents_are_mikktspaces(last, expected, signs):
     uv = np.array([[0.5, 0.5], [0.9, 0.4], [0.6, 0.1], [0.1, 0.3], last])
     tangents = corner_tangents(FAN, FAN_FACES, FAN_NORMALS, uv)
@@ -135,7 +180,9 @@ def test_vertices_are_split_where_tangents_differ_alone():
     part = with_tangents(Part(FAN, FAN_FACES, FAN_NORMALS, material, uv))
     assert len(part.vertices) == 8  # the middle, and both ends of the fold
     assert (part.vertices[part.faces] == FAN[FAN_FACES]).all()
-    assert part.tangents[part.faces].reshape(-1, 4)[:, :3] == pytest.approx(np.array(FOLDED), abs=1e-5)
+    assert part.tangents[part.faces].reshape(-1, 4)[:, :3] == pytest.approx(
+        np.array(FOLDED), abs=1e-5
+    )
     assert with_tangents(Part(FAN, FAN_FACES, FAN_NORMALS, uv=uv)).tangents is None
 
 
@@ -151,14 +198,27 @@ def test_tangents_of_the_file_turn_with_its_node(tmp_path, mirrored):
     w = Writer()
     normals = w.accessor(np.array([[0, 0, 1]] * 4, np.float32))
     tangents = w.accessor(np.array([[0, 1, 0, 1]] * 4, np.float32))
-    w.tree["nodes"] = [{"mesh": 0, "rotation": [0, 0, np.sqrt(0.5), np.sqrt(0.5)], "scale": [1, 1, -1 if mirrored else 1]}]
-    part = material_of(w, {"normalTexture": w.texture(CORNERS)}, tmp_path, NORMAL=normals, TANGENT=tangents)
-    assert part.tangents == pytest.approx(np.array([[-1, 0, 0, -1 if mirrored else 1]] * 4), abs=1e-6)
+    w.tree["nodes"] = [
+        {
+            "mesh": 0,
+            "rotation": [0, 0, np.sqrt(0.5), np.sqrt(0.5)],
+            "scale": [1, 1, -1 if mirrored else 1],
+        }
+    ]
+    part = material_of(
+        w, {"normalTexture": w.texture(CORNERS)}, tmp_path, NORMAL=normals, TANGENT=tangents
+    )
+    assert part.tangents == pytest.approx(
+        np.array([[-1, 0, 0, -1 if mirrored else 1]] * 4), abs=1e-6
+    )
 
 
 def obj(folder, mtl, vertices="v 0 0 0\nv 1 0 0\nv 0 1 0\n"):
     """The part of a triangle with texture coordinates and this material."""
-    normal, grey = np.full((2, 2, 3), (128, 128, 255), np.uint8), np.full((4, 4), 51, np.uint8)
+    normal, grey = (
+        np.full((2, 2, 3), (128, 128, 255), np.uint8),
+        np.full((4, 4), 51, np.uint8),
+    )
     Image.fromarray(normal).save(folder / "n.png")
     Image.fromarray(grey).save(folder / "g.png")
     (folder / "a.mtl").write_text(f"newmtl m\n{mtl}\n")
@@ -168,9 +228,17 @@ def obj(folder, mtl, vertices="v 0 0 0\nv 1 0 0\nv 0 1 0\n"):
 
 
 def test_physical_terms_of_mtl(tmp_path: Path) -> None:
-    part = obj(tmp_path, "Kd 1 1 1\nPr .3\nPm .8\nPs .5\nPc .25\nPcr .1\nKe 0 2 .5\nmap_Bump -bm .4 n.png")
+    part = obj(
+        tmp_path,
+        "Kd 1 1 1\nPr .3\nPm .8\nPs .5\nPc .25\nPcr .1\nKe 0 2 .5\nmap_Bump -bm .4 n.png",
+    )
     m = part.material
-    assert (m.roughness, m.metallic, m.clearcoat, m.clearcoat_roughness) == (0.3, 0.8, 0.25, 0.1)
+    assert (m.roughness, m.metallic, m.clearcoat, m.clearcoat_roughness) == (
+        0.3,
+        0.8,
+        0.25,
+        0.1,
+    )
     assert m.emissive == (0, 2, 0.5) and m.sheen_colour == (0.5, 0.5, 0.5)
     assert m.normal_texture is not None and m.normal_scale == 0.4
     assert part.tangents is not None and part.tangents[:, 3].tolist() == [1, 1, 1]
@@ -185,8 +253,14 @@ def test_maps_of_roughness_and_metal_are_one_texture(tmp_path: Path) -> None:
 
 def test_colours_of_vertices_multiply_an_objs_material(tmp_path: Path) -> None:
     part = obj(tmp_path, "Kd 0 1 0", "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\n")
-    assert part.material.base_colour == (0, 1, 0, 1) and part.uv is not None and part.colours is not None
-    by_place = {tuple(v[:2]): tuple(c) for v, c in zip(part.vertices, part.colours, strict=True)}
+    assert (
+        part.material.base_colour == (0, 1, 0, 1)
+        and part.uv is not None
+        and part.colours is not None
+    )
+    by_place = {
+        tuple(v[:2]): tuple(c) for v, c in zip(part.vertices, part.colours, strict=True)
+    }
     assert by_place == {(0, 0): (1, 0, 0, 1), (1, 0): (0, 1, 0, 1), (0, 1): (0, 0, 1, 1)}
 
 

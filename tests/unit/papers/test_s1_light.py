@@ -13,7 +13,15 @@ from arfx.core.cube import look_up
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.numerics import angle_between, normalise
 from arfx.errors import ConfigError
-from arfx.papers.s1_light import LightMap, PrintedLight, PrintedLightParams, eq9_lights, hemisphere, lights_of, upright
+from arfx.papers.s1_light import (
+    LightMap,
+    PrintedLight,
+    PrintedLightParams,
+    eq9_lights,
+    hemisphere,
+    lights_of,
+    upright,
+)
 from arfx.papers.s1_lightmap import printed_map
 from tests.clips import clip_camera
 from tests.unit.analyse.light.test_fold import AMBIENT, DIRECT, LAMP, MARKER, UP, Clip
@@ -22,7 +30,10 @@ from tests.unit.analyse.light.test_fold import run as corrected
 
 def run(clip: Clip, **settings: Any) -> Analysis:
     analysis, taken = clip.made()
-    fold = PrintedLight(AnalysisJob((MARKER,), clip_camera(), light=PrintedLightParams(**settings)), *[None] * 2)  # type: ignore
+    fold = PrintedLight(
+        AnalysisJob((MARKER,), clip_camera(), light=PrintedLightParams(**settings)),
+        *[None] * 2,
+    )  # type: ignore
     fold.readings, fold._surroundings.samples = taken.readings, taken.samples
     return fold.finish(analysis)
 
@@ -48,26 +59,38 @@ def test_settings_out_of_bounds_are_named() -> None:
 
 def test_settings_that_change_nothing_are_said() -> None:
     done = run(Clip(frames=4), most_lights=1, ink=0.04)
-    assert any("most_lights, ink" in notice and "without effect" in notice for notice in done.notices)
-    assert not any("without effect" in notice for notice in run(Clip(frames=4), albedos="known", ink=0.04).notices)
+    assert any(
+        "most_lights, ink" in notice and "without effect" in notice
+        for notice in done.notices
+    )
+    assert not any(
+        "without effect" in notice
+        for notice in run(Clip(frames=4), albedos="known", ink=0.04).notices
+    )
 
 
 @pytest.mark.parametrize("level", [2, 3, 4, 5])
 def test_figure_1_is_a_hemisphere_of_triangles_one_of_them_at_its_pole(level: int) -> None:
     n = hemisphere(level)
     assert (n[:, 2] >= 0).all() and np.linalg.norm(n, axis=1) == pytest.approx(1)
-    assert abs(len(n) - 10 * 4**level) < 8 * 2**level  # half of all triangles, but for those on the rim
+    assert (
+        abs(len(n) - 10 * 4**level) < 8 * 2**level
+    )  # half of all triangles, but for those on the rim
     assert n[n[:, 2].argmax()] == pytest.approx([0, 0, 1], abs=1e-12)
 
 
 def test_one_single_normal_is_a_peak_whichever_it_is() -> None:
-    """A marker at rest. A normal on a corner of triangles ties with all of them, and (9) rejects each."""
+    """A marker at rest. A normal on a corner of triangles ties with all of them, and (9)
+    rejects each.
+    """
     rng = np.random.default_rng(0)
     for n in normalise(rng.normal(size=(50, 3))):
         (light,), (cube,), turn = lights_of([seen(n)], PrintedLightParams())
         (found,) = light.lights
         assert off_deg(found.unit, n) < 1e-5
-        assert found.rgb == pytest.approx([0.6] * 3, rel=1e-6) and light.ambient_rgb == pytest.approx([0] * 3, abs=1e-6)
+        assert found.rgb == pytest.approx(
+            [0.6] * 3, rel=1e-6
+        ) and light.ambient_rgb == pytest.approx([0] * 3, abs=1e-6)
         assert look_up(cube, (turn @ n)[None])[0] == pytest.approx([0.6] * 3, rel=1e-6)
         away = n @ -turn.T  # a direction that no marker faced
         assert look_up(cube, away[None])[0] == pytest.approx([0] * 3, abs=1e-9)
@@ -77,13 +100,23 @@ def test_constant_light_on_a_marker_at_rest_stays_one_peak() -> None:
     """In some hundred frames M is equal to the last digit in many triangles around the normal."""
     up = normalise(np.array([0.3, -0.2, 0.9]))
     lights, _, _ = lights_of([seen(up)] * 400, PrintedLightParams())
-    assert all(len(light.lights) == 1 and off_deg(light.lights[0].unit, up) < 1e-5 for light in lights)
+    assert all(
+        len(light.lights) == 1 and off_deg(light.lights[0].unit, up) < 1e-5
+        for light in lights
+    )
 
 
 def test_light_that_gets_darker_leaves_one_peak_beside_the_normal() -> None:
-    """(7) replaces at the normal itself and averages beside it: the ring around it is brighter, and equal by symmetry."""
-    lights, _, _ = lights_of([seen(UP, 0.6 - 0.01 * k) for k in range(20)], PrintedLightParams())
-    assert all(len(light.lights) == 1 and off_deg(light.lights[0].unit, UP) < 15 for light in lights)
+    """(7) replaces at the normal itself and averages beside it: the ring around it is
+    brighter, and equal by symmetry.
+    """
+    lights, _, _ = lights_of(
+        [seen(UP, 0.6 - 0.01 * k) for k in range(20)], PrintedLightParams()
+    )
+    assert all(
+        len(light.lights) == 1 and off_deg(light.lights[0].unit, UP) < 15
+        for light in lights
+    )
     assert off_deg(lights[-1].lights[0].unit, UP) > 3
 
 
@@ -105,19 +138,31 @@ def test_the_critical_brightness_is_a_share_or_a_value() -> None:
     two = normalise(np.array([[0.0, 0, 1], [1, 0, 1]]))
 
     def peaks(**settings: Any) -> list[float]:
-        return [li.rgb[0] for li in lights_of([seen(two)], PrintedLightParams(**settings))[0][0].lights]
+        return [
+            li.rgb[0]
+            for li in lights_of([seen(two)], PrintedLightParams(**settings))[0][0].lights
+        ]
 
     bright, less = peaks(peak=0.1)
     assert 0.6 > bright > less > 0.1 and peaks(peak=1.0) == [bright]
-    assert peaks(peak=0.5 * (1 + less / bright)) == [bright] and len(peaks(peak=0.99 * less / bright)) == 2
-    assert peaks(least_light=0.6) == [] and peaks(least_light=(bright + less) / 2) == [bright]
+    assert (
+        peaks(peak=0.5 * (1 + less / bright)) == [bright]
+        and len(peaks(peak=0.99 * less / bright)) == 2
+    )
+    assert peaks(least_light=0.6) == [] and peaks(least_light=(bright + less) / 2) == [
+        bright
+    ]
     assert peaks(least_light=0.99 * less) == [bright, less]
 
 
 @pytest.mark.parametrize("apart_deg", [0.5, 12, 40, 90])
 @pytest.mark.parametrize("grey", [False, True])
-def test_the_papers_lights_are_those_that_no_other_candidate_near_them_rivals(apart_deg: float, grey: bool) -> None:
-    """Eq. (9) as it is written: each candidate beside all others. grey : values of few steps, of which many are equal"""
+def test_the_papers_lights_are_those_that_no_other_candidate_near_them_rivals(
+    apart_deg: float, grey: bool
+) -> None:
+    """Eq. (9) as it is written: each candidate beside all others. grey : values of few
+    steps, of which many are equal
+    """
     n = hemisphere(3)
     value = np.random.default_rng(2).random(n.shape)
     value = np.round(value) if grey else value
@@ -127,7 +172,10 @@ def test_the_papers_lights_are_those_that_no_other_candidate_near_them_rivals(ap
     strict = [k for k in range(len(n)) if M[k] >= 0.4 and (M[near[k]] < M[k]).all()]
     if grey:  # and of equal ones one
         assert set(strict) < set(found) or apart_deg < 5
-        assert all((M[near[k]] <= M[k]).all() for k in found) and not near[np.ix_(found, found)].any()
+        assert (
+            all((M[near[k]] <= M[k]).all() for k in found)
+            and not near[np.ix_(found, found)].any()
+        )
     else:
         assert sorted(found) == strict and (np.diff(M[found]) <= 0).all() and strict
 
@@ -139,12 +187,17 @@ def test_brightness_as_albedo_makes_the_first_pictures_light_1() -> None:
     assert first.radiance(done.facts[0].camera_from_world.rotation.T @ UP).mean() < 3  # type: ignore[union-attr]
     x, true = first.radiance(UP), known.radiance(UP)
     assert x.mean() == pytest.approx(1, abs=0.1)
-    assert x / x.mean() == pytest.approx(true / true.mean(), rel=0.1)  # the light's colour stays
+    assert x / x.mean() == pytest.approx(
+        true / true.mean(), rel=0.1
+    )  # the light's colour stays
 
 
 def test_the_printed_bias_is_a_setting_and_no_bias() -> None:
     clip = Clip(bias=0.02)
-    good, printed = (run(clip, albedos="known", printed_bias=on).summary["light"]["bias"] for on in (False, True))
+    good, printed = (
+        run(clip, albedos="known", printed_bias=on).summary["light"]["bias"]
+        for on in (False, True)
+    )
     assert good == pytest.approx([0.02] * 3, abs=2e-3)
     assert min(printed) > 1
 
@@ -158,7 +211,11 @@ def test_a_light_that_is_given_has_no_map() -> None:
 def test_the_papers_formula_finds_a_peak_within_its_own_error() -> None:
     done = run(Clip())
     report = done.summary["light"]
-    assert report["formula"] == "paper" and report["lights"] and "no confidence" in report["reason"]
+    assert (
+        report["formula"] == "paper"
+        and report["lights"]
+        and "no confidence" in report["reason"]
+    )
     for f in done.facts:
         assert f.light is not None and np.isfinite(f.light.radiance(np.eye(3))).all()
 

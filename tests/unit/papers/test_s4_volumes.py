@@ -40,7 +40,9 @@ def traced(
     scaled: bool = False,
 ) -> np.ndarray:
     walk = np.array(steps, np.float32)
-    return np.asarray(cone_trace(volumes, V, walk, np.array([start]), np.array([[d]]), scaled)[0, 0])
+    return np.asarray(
+        cone_trace(volumes, V, walk, np.array([start]), np.array([[d]]), scaled)[0, 0]
+    )
 
 
 def test_a_wall_one_voxel_thick_leaks() -> None:
@@ -70,14 +72,18 @@ def test_scaled_radiance_does_not_depend_on_how_a_step_is_cut(parts: int) -> Non
     V = half.filtered(np.full((len(cells), 3), 0.5))
     walk = [[k / parts, 0, 1 / parts] for k in range(parts)]
     got = traced(half, V, walk, [8, 8, 8], [1, 0, 0], scaled=True)
-    assert got[:3] == pytest.approx(0.5, abs=1e-5) and got[3] == pytest.approx(0.5, abs=1e-5)
+    assert got[:3] == pytest.approx(0.5, abs=1e-5) and got[3] == pytest.approx(
+        0.5, abs=1e-5
+    )
 
 
 def test_nothing_empty_is_stored_and_everything_else_is_found() -> None:
     cells = np.unique(np.random.default_rng(1).integers(0, N, (60, 3)), axis=0)
     made = filled(cells)
     ancestors = sum(len(np.unique(cells >> level, axis=0)) for level in range(5))
-    assert len(made.tree.first) == ancestors and len(made.starts) == 4 == made.tree.depth, "n levels, n - 1 steps"
+    assert len(made.tree.first) == ancestors and len(made.starts) == 4 == made.tree.depth, (
+        "n levels, n - 1 steps"
+    )
     assert (made.tree.eta[:, 3] > 0).all()
     stored = {tuple(c) for c in cells}
     lowest = made.rows_of(0).start
@@ -97,15 +103,23 @@ def test_the_root_is_the_mean_of_all_voxels() -> None:
 
 
 def test_half_a_step() -> None:
-    """The opacity is corrected for the step, .29289 for half of one at .5; the radiance is not, as printed."""
+    """The opacity is corrected for the step, .29289 for half of one at .5; the radiance is
+    not, as printed.
+    """
     every = np.argwhere(np.ones((N, N, N)))
     half = filled(every, 0.5)
     V = half.filtered(np.full((len(every), 3), 0.5))
     one = traced(half, V, [[0.0, 0, 0.5]], [8, 8, 8], [1, 0, 0])
     two = traced(half, V, [[0.0, 0, 0.5], [0.5, 0, 0.5]], [8, 8, 8], [1, 0, 0])
     four = traced(half, V, [[k / 4, 0, 0.25] for k in range(4)], [8, 8, 8], [1, 0, 0])
-    assert 1 - one[3] == pytest.approx(0.29289, abs=1e-5) and two[3] == pytest.approx(0.5) and four[3] == pytest.approx(0.5)
-    assert one[0] == pytest.approx(0.5) and two[0] == pytest.approx(0.5 + 0.5 * np.sqrt(0.5))
+    assert (
+        1 - one[3] == pytest.approx(0.29289, abs=1e-5)
+        and two[3] == pytest.approx(0.5)
+        and four[3] == pytest.approx(0.5)
+    )
+    assert one[0] == pytest.approx(0.5) and two[0] == pytest.approx(
+        0.5 + 0.5 * np.sqrt(0.5)
+    )
     assert four[0] / 0.5 > 2, "over twice as bright as a whole step"
 
 
@@ -115,7 +129,9 @@ def test_voxels_that_face_away_are_not_met() -> None:
     up = filled(floor, 1.0, (0.0, 0.0, 1.0))
     V = up.filtered(np.ones((len(floor), 3)))
     away = traced(up, V, [[t, 0, 1.0] for t in (0.5, 1.0, 1.5)], [8, 8, 7.5], [0.6, 0, 0.8])
-    onto = traced(up, V, [[t, 0, 1.0] for t in (0.5, 1.0, 1.5)], [8, 8, 8.5], [0.6, 0, -0.8])
+    onto = traced(
+        up, V, [[t, 0, 1.0] for t in (0.5, 1.0, 1.5)], [8, 8, 8.5], [0.6, 0, -0.8]
+    )
     assert away.tolist() == [0, 0, 0, 1] and onto[3] < 0.05 and onto[0] > 0.9
 
 
@@ -124,7 +140,9 @@ def test_the_volume_of_normals_holds_the_plane_and_the_object() -> None:
     eta = made.tree.eta[made.rows_of(0)]
     middle = made.leaf_of(np.array([[0.0, 0.0, 1e-6], [0.09, 0.09, 1e-6]]))
     assert (middle >= 0).all()
-    np.testing.assert_allclose(eta[middle[1]], [0, 0, 1, 1], atol=1e-5)  # the plane beside the object
+    np.testing.assert_allclose(
+        eta[middle[1]], [0, 0, 1, 1], atol=1e-5
+    )  # the plane beside the object
     horizontal = np.linalg.norm(eta[:, :2], axis=1) / eta[:, 3]
     assert (horizontal > 0.99).sum() > 100, "the box's sides"
 

@@ -37,7 +37,9 @@ def test_surface_is_closed_and_where_it_belongs(n: int) -> None:
     grid = np.zeros((n + 2,) * 3, bool)
     grid[tuple((v.cells[v.opacity > 0.3] + 1).T)] = True
     outside = scipy.ndimage.label(~grid)[0]
-    middle = np.floor((np.array([0, 0, 0.06]) - volume.low_m) / volume.voxel_m).astype(int) + 1
+    middle = (
+        np.floor((np.array([0, 0, 0.06]) - volume.low_m) / volume.voxel_m).astype(int) + 1
+    )
     assert outside[tuple(middle)] != outside[0, 0, 0]
 
 
@@ -69,18 +71,24 @@ def test_order_of_the_triangles_does_not_matter() -> None:
 
 def test_what_is_seen_through_is_as_opaque_as_its_colour_says() -> None:
     glass = Material(base_colour=(1.0, 1.0, 1.0, 0.25), alpha_mode=BLEND)
-    clear, solid = (voxels_of(on_plane(box_model(material=m), NIGHT)) for m in (glass, MATT_WHITE))
+    clear, solid = (
+        voxels_of(on_plane(box_model(material=m), NIGHT)) for m in (glass, MATT_WHITE)
+    )
     np.testing.assert_allclose(clear.opacity, 0.25 * solid.opacity, rtol=1e-5)
 
 
 def test_finer_triangles_fill_the_same_voxels() -> None:
-    many, few = (len(voxels_of(on_plane(ball(MATT_RED, k), NIGHT), 64).cells) for k in (6, 4))
+    many, few = (
+        len(voxels_of(on_plane(ball(MATT_RED, k), NIGHT), 64).cells) for k in (6, 4)
+    )
     assert abs(many / few - 1) < 0.05
 
 
 def test_cone_weights_sum_to_one() -> None:
     directions, weights, tangent = six_cones()
-    assert weights.tolist() == pytest.approx([0.25] + [0.15] * 5) and weights.sum() == pytest.approx(1)
+    assert weights.tolist() == pytest.approx(
+        [0.25] + [0.15] * 5
+    ) and weights.sum() == pytest.approx(1)
     assert tangent == pytest.approx(np.tan(np.radians(30)))
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-6)
     assert (directions[:, 2] > 0).all()
@@ -88,13 +96,17 @@ def test_cone_weights_sum_to_one() -> None:
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_six_cones_leave_what_a_cosine_leaves(degree: int) -> None:
-    """With the five at 60 degrees it is .583 and .126 instead of 2/3 and 1/4: light from above was lost."""
+    """With the five at 60 degrees it is .583 and .126 instead of 2/3 and 1/4: light from
+    above was lost.
+    """
     directions, weights, tangent = six_cones()
 
     def legendre(cosine: np.ndarray) -> np.ndarray:
         return np.asarray(cosine if degree == 1 else (3 * cosine**2 - 1) / 2)
 
-    of_a_cone = legendre(np.linspace(np.cos(np.arctan(tangent)), 1, 2001)).mean()  # over its solid angle
+    of_a_cone = legendre(
+        np.linspace(np.cos(np.arctan(tangent)), 1, 2001)
+    ).mean()  # over its solid angle
     left = (weights * legendre(directions[:, 2])).sum() * of_a_cone
     assert left == pytest.approx(DIFFUSE[degree**2], abs=0.01)
 

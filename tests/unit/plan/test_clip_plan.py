@@ -31,7 +31,9 @@ def clip() -> list:
 
 def planned(wish: LevelPolicy):
     stages = [STAGES[n]() for n in NAMES]
-    return plan_clip(stages, clip(), SCENE, wish, ERRORS, PRICES, lambda plans, work: 1.0 + work.high_s)
+    return plan_clip(
+        stages, clip(), SCENE, wish, ERRORS, PRICES, lambda plans, work: 1.0 + work.high_s
+    )
 
 
 def test_levels_are_fixed_between_cuts_and_follow_the_budget() -> None:
@@ -39,15 +41,32 @@ def test_levels_are_fixed_between_cuts_and_follow_the_budget() -> None:
     for budget in (1.2, 3, 6, 20, 200):
         made = planned(LevelPolicy(budget_s=budget))
         for shot in (0, 1):
-            used = {(s.stage, s.level) for p, f in zip(made.plans, clip(), strict=True) if f.shot == shot for s in p.steps}
-            assert len(used) == len({stage for stage, _ in used}), "one level of a stage in a shot: quality never pops"
-        assert {(s.stage, s.level) for p in made.plans for s in p.steps} == {(n, le) for (_, n), le in made.choice.levels.items()}
+            used = {
+                (s.stage, s.level)
+                for p, f in zip(made.plans, clip(), strict=True)
+                if f.shot == shot
+                for s in p.steps
+            }
+            assert len(used) == len({stage for stage, _ in used}), (
+                "one level of a stage in a shot: quality never pops"
+            )
+        assert {(s.stage, s.level) for p in made.plans for s in p.steps} == {
+            (n, le) for (_, n), le in made.choice.levels.items()
+        }
         seconds.append(sum(s.seconds for p in made.plans for s in p.steps))
         errors.append(made.choice.error)
-    assert seconds == sorted(seconds) and errors == sorted(errors, reverse=True) and len(set(errors)) >= 3
-    told = planned(LevelPolicy(budget_s=20)).explained(ERRORS, {n: STAGES[n]() for n in NAMES})
+    assert (
+        seconds == sorted(seconds)
+        and errors == sorted(errors, reverse=True)
+        and len(set(errors)) >= 3
+    )
+    told = planned(LevelPolicy(budget_s=20)).explained(
+        ERRORS, {n: STAGES[n]() for n in NAMES}
+    )
     assert all(r["first_frame"] in (0, 10) for r in told)
-    assert {r["error"] for r in told if r["stage"] == "composite"} == {0.0}, "one level, which is the best"
+    assert {r["error"] for r in told if r["stage"] == "composite"} == {0.0}, (
+        "one level, which is the best"
+    )
 
 
 def test_an_error_limit_holds_for_the_sum_over_the_stages() -> None:
@@ -55,12 +74,19 @@ def test_an_error_limit_holds_for_the_sum_over_the_stages() -> None:
         made = planned(LevelPolicy(max_error=limit))
         for shot in (0, 1):
             found = {n: le for (s, n), le in made.choice.levels.items() if s == shot}
-            assert sum(ERRORS.of(n, le, STAGES[n].levels[-1]) for n, le in found.items()) <= limit + 1e-9
+            assert (
+                sum(ERRORS.of(n, le, STAGES[n].levels[-1]) for n, le in found.items())
+                <= limit + 1e-9
+            )
 
 
 def test_a_named_quality_is_that_quality() -> None:
     made = planned(LevelPolicy("draft"))
-    assert all(s.level == level_named(STAGES[s.stage].levels, "draft") for p in made.plans for s in p.steps)
+    assert all(
+        s.level == level_named(STAGES[s.stage].levels, "draft")
+        for p in made.plans
+        for s in p.steps
+    )
     assert any(s.level == "draft" for p in made.plans for s in p.steps)
 
 
@@ -74,4 +100,10 @@ def test_light_is_new_once() -> None:
     found = list(new_terms(stages, [gone, lit, lit, dimmer, lit]))
     soft = replace(f, light=Light(lights=()))
     assert list(new_terms(stages, [soft])) == [{"new_lights"}], "no lamp, no shadow to make"
-    assert found == [frozenset(), {"new_directions", "new_lights"}, frozenset(), {"new_lights"}, frozenset()]
+    assert found == [
+        frozenset(),
+        {"new_directions", "new_lights"},
+        frozenset(),
+        {"new_lights"},
+        frozenset(),
+    ]

@@ -26,9 +26,20 @@ class Fake:
     levels = (LEVEL,)
     without_object = False
 
-    def __init__(self, name: str, reads: set[Layer], writes: set[Layer], rect: Rect, pad: int = 0, within: bool = False) -> None:
+    def __init__(
+        self,
+        name: str,
+        reads: set[Layer],
+        writes: set[Layer],
+        rect: Rect,
+        pad: int = 0,
+        within: bool = False,
+    ) -> None:
         self.name, self.reads, self.writes = name, frozenset(reads), frozenset(writes)
-        self._demand, self._pad = Demand(rect, "because" if not rect.empty else "circle 0.4 px < 1 px", within), pad
+        self._demand, self._pad = (
+            Demand(rect, "because" if not rect.empty else "circle 0.4 px < 1 px", within),
+            pad,
+        )
 
     def demand(self, *_: Any) -> Demand:
         return self._demand
@@ -44,14 +55,18 @@ def pipeline(dof_rect: Rect = EMPTY, raster_rect: Rect = BOX) -> list[Any]:
     return [
         Fake("raster", set(), {Layer.COVERAGE, Layer.DEPTH}, raster_rect),
         Fake("plain", {Layer.COVERAGE}, {Layer.VIRTUAL}, raster_rect),
-        Fake("composite", {Layer.VIRTUAL, Layer.COVERAGE}, {Layer.IMAGE}, FRAME, within=True),
+        Fake(
+            "composite", {Layer.VIRTUAL, Layer.COVERAGE}, {Layer.IMAGE}, FRAME, within=True
+        ),
         Fake("dof", {Layer.IMAGE, Layer.DEPTH}, {Layer.IMAGE}, dof_rect, pad=6),
     ]
 
 
 def plan(stages: list[Any], **kw: Any) -> Any:
     prices = Prices({f"{s.name}/{LEVEL}": Price({"mpx": 0.1}, 0.2) for s in stages})
-    return plan_frame(stages, {s.name: LEVEL for s in stages}, FACTS, SCENE, FRAME, prices=prices, **kw)
+    return plan_frame(
+        stages, {s.name: LEVEL for s in stages}, FACTS, SCENE, FRAME, prices=prices, **kw
+    )
 
 
 def seconds(plan: FramePlan) -> float:
@@ -61,7 +76,9 @@ def seconds(plan: FramePlan) -> float:
 def test_the_composite_covers_what_changes_and_no_more() -> None:
     p = plan(pipeline())
     assert [s.stage for s in p.steps] == ["raster", "plain", "composite"]
-    assert p.changed == BOX and p.rect == BOX and p.skipped[0].reason == "circle 0.4 px < 1 px"
+    assert (
+        p.changed == BOX and p.rect == BOX and p.skipped[0].reason == "circle 0.4 px < 1 px"
+    )
 
 
 def test_a_blur_grows_what_earlier_steps_deliver_but_not_what_they_may_change() -> None:
@@ -70,7 +87,9 @@ def test_a_blur_grows_what_earlier_steps_deliver_but_not_what_they_may_change() 
     assert by["dof"].out == BOX.union(Rect(80, 70, 120, 100)).clip(Rect(80, 70, 120, 100))
     assert by["dof"].need == Rect(74, 64, 126, 106)
     assert by["raster"].out == BOX, "rendering outside the model's box would be wasted"
-    assert p.changed == BOX.union(Rect(80, 70, 120, 100)) and p.rect.contains(by["dof"].need)
+    assert p.changed == BOX.union(Rect(80, 70, 120, 100)) and p.rect.contains(
+        by["dof"].need
+    )
 
 
 def test_nothing_virtual_means_no_work() -> None:
@@ -94,7 +113,9 @@ def test_forced_runs_everything_on_the_whole_frame_where_a_pose_is_known() -> No
     assert not absent.steps
 
 
-corner = st.tuples(st.integers(0, 159), st.integers(0, 119), st.integers(1, 80), st.integers(1, 60))
+corner = st.tuples(
+    st.integers(0, 159), st.integers(0, 119), st.integers(1, 80), st.integers(1, 60)
+)
 
 
 @settings(max_examples=60, deadline=None)
@@ -106,23 +127,42 @@ def test_every_step_gets_what_later_steps_need(a: tuple, b: tuple, pad: int) -> 
     p = plan(stages)
     by = {s.stage: s for s in p.steps}
     for s in p.steps:
-        assert FRAME.contains(s.need) and s.need.contains(s.out) and p.rect.contains(s.need) and not s.out.empty
+        assert (
+            FRAME.contains(s.need)
+            and s.need.contains(s.out)
+            and p.rect.contains(s.need)
+            and not s.out.empty
+        )
     if "dof" in by:
         assert by["composite"].out.contains(by["dof"].need.clip(ra))
     assert seconds(p) >= 0
     bigger = plan(pipeline(rb.pad(5).clip(FRAME), ra))
     stages[3]._pad = 6
-    assert seconds(bigger) >= seconds(plan(stages)) - 1e-12, "more demand never predicts less time"
+    assert seconds(bigger) >= seconds(plan(stages)) - 1e-12, (
+        "more demand never predicts less time"
+    )
 
 
 def test_reasons_that_differ_in_numbers_are_one_line() -> None:
-    out = group_reasons(["circle 0.2 px < 1 px", "marker not visible", "circle 0.6 px < 1 px", "circle 0.4 px < 1 px"])
+    out = group_reasons(
+        [
+            "circle 0.2 px < 1 px",
+            "marker not visible",
+            "circle 0.6 px < 1 px",
+            "circle 0.4 px < 1 px",
+        ]
+    )
     assert out == {"circle 0.2…0.6 px < 1 px": 3, "marker not visible": 1}
 
 
 def test_summary_counts_every_stage_frame() -> None:
     plans = [plan(pipeline()), plan(pipeline(raster_rect=EMPTY))]
-    rows = {r["name"]: r for r in summarise(plans, ["raster", "plain", "composite", "dof"], FRAME.area)}
+    rows = {
+        r["name"]: r
+        for r in summarise(plans, ["raster", "plain", "composite", "dof"], FRAME.area)
+    }
     assert all(r["frames_run"] + r["frames_skipped"] == 2 for r in rows.values())
     assert rows["raster"]["area_fraction"] == pytest.approx(BOX.area / FRAME.area)
-    assert rows["dof"]["frames_run"] == 0 and np.isclose(rows["plain"]["predicted_s"], 0.1 * BOX.area / 1e6)
+    assert rows["dof"]["frames_run"] == 0 and np.isclose(
+        rows["plain"]["predicted_s"], 0.1 * BOX.area / 1e6
+    )

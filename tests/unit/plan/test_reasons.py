@@ -1,4 +1,6 @@
-"""Every reason for which the code can leave a stage out is given in some scene, and the list of them is complete."""
+"""Every reason for which the code can leave a stage out is given in some scene, and the
+list of them is complete.
+"""
 
 from __future__ import annotations
 
@@ -36,10 +38,14 @@ def beside(s: Scene, x_m: float = 4.0) -> FrameFacts:
 
 def below(s: Scene) -> FrameFacts:
     """The camera is under the plane, looking up past the object."""
-    return facts(s, Pose(np.diag([1.0, 1.0, 1.0]), np.array([4.0, 0.0, 0.6]))).with_(model_box=EMPTY)
+    return facts(s, Pose(np.diag([1.0, 1.0, 1.0]), np.array([4.0, 0.0, 0.6]))).with_(
+        model_box=EMPTY
+    )
 
 
-def lit(f: FrameFacts, ambient: float, *lamps: tuple[float, float, float], strength: float = 0.6) -> FrameFacts:
+def lit(
+    f: FrameFacts, ambient: float, *lamps: tuple[float, float, float], strength: float = 0.6
+) -> FrameFacts:
     lights = tuple(DirectionalLight(d, (strength,) * 3, 4.0) for d in lamps)
     return f.with_(light=Light(ambient_rgb=(ambient,) * 3, lights=lights))
 
@@ -54,10 +60,16 @@ def tiny() -> Scene:
 
 def with_depth(f: FrameFacts, depth_m: float) -> FrameFacts:
     """All of the real scene at one depth."""
-    return f.with_(real_depth=RealDepth.of(0, 1.0, "", tile_ranges(np.full((240, 320), depth_m), (320, 240))))
+    return f.with_(
+        real_depth=RealDepth.of(
+            0, 1.0, "", tile_ranges(np.full((240, 320), depth_m), (320, 240))
+        )
+    )
 
 
-FAINT_LAMP = 0.8 * STAGES["lightmap"].faint  # of the plane's light; two of them show, one alone does not
+FAINT_LAMP = (
+    0.8 * STAGES["lightmap"].faint
+)  # of the plane's light; two of them show, one alone does not
 FOOTAGE = {"dof": {"lens": "footage", "scope": "virtual"}}
 UNKNOWN = LensFit(False, "3 edges of known distance")
 OUT_OF_FOCUS = {"dof": {"scope": "virtual", "focus": "5m", "fnumber": 1.4}}
@@ -99,7 +111,12 @@ def reason(name: str, s: Scene, f: FrameFacts, settings: dict) -> str | None:
     """Why the planner leaves the stage out in this frame, numbers as #."""
     lit = ("raster", "lightmap", "composite")
     deep = ("raster", "lightmap", "holdout", "hide", "composite")
-    effects = {"gi": (*lit[:2], "gi", "composite"), "dof": (*lit, "dof"), "holdout": deep, "hide": deep}.get(name, lit)
+    effects = {
+        "gi": (*lit[:2], "gi", "composite"),
+        "dof": (*lit, "dof"),
+        "holdout": deep,
+        "hide": deep,
+    }.get(name, lit)
     stages = [STAGES[n](STAGES[n].Params(**settings.get(n, {}))) for n in effects]
     levels = {st.name: level_named(st.levels, "standard") for st in stages}
     plan = plan_frame(stages, levels, f, s, s.camera.rect)
@@ -115,7 +132,9 @@ def test_the_reason_is_given(name: str, words: str) -> None:
 def test_what_nobody_reads_is_a_reason() -> None:
     stages = [STAGES[n]() for n in ("raster", "lightmap", "composite")]
     stages[1].writes = frozenset()  # a stage whose layers no later one asks for
-    plan = plan_frame(stages, {s.name: s.levels[0] for s in stages}, SEEN, SCENE, SCENE.camera.rect)
+    plan = plan_frame(
+        stages, {s.name: s.levels[0] for s in stages}, SEEN, SCENE, SCENE.camera.rect
+    )
     assert ("lightmap", UNREAD) in [(s.stage, s.reason) for s in plan.skipped]
 
 

@@ -33,11 +33,25 @@ def items(monkeypatch: pytest.MonkeyPatch) -> list[Item]:
     return found
 
 
-def test_a_page_holds_rows_pictures_and_error_maps(items: list[Item], tmp_path: Path) -> None:
+def test_a_page_holds_rows_pictures_and_error_maps(
+    items: list[Item], tmp_path: Path
+) -> None:
     items += [
         compared("s1", "figure 1", "a & b", "a & b"),
-        compared("s1", "table 1, apple", "9–13", 4.25, unit="fps", reason="another machine <here>"),
-        Figure("s1", "figure 1", "lights", {"before": GREY, "printed": GREY, "corrected": GREY + 8, "reference": GREY + 9}),
+        compared(
+            "s1",
+            "table 1, apple",
+            "9–13",
+            4.25,
+            unit="fps",
+            reason="another machine <here>",
+        ),
+        Figure(
+            "s1",
+            "figure 1",
+            "lights",
+            {"before": GREY, "printed": GREY, "corrected": GREY + 8, "reference": GREY + 9},
+        ),
         bars("s1", "table 1, apple", "Rates", "fps", ["apple"], {"printed": [(9, 13)]}),
     ]
     document = reproduce(["s1"], tmp_path / "new", Work(tmp_path))
@@ -46,13 +60,22 @@ def test_a_page_holds_rows_pictures_and_error_maps(items: list[Item], tmp_path: 
         "paper", "item", "printed", "paper_formula", "corrected", "unit", "verdict", "reason",
     }  # fmt: skip
     html = (tmp_path / "new" / "s1.html").read_text(encoding="utf-8")
-    assert "another machine &lt;here&gt;" in html and "Some &lt;One&gt; 2009" in html and "a &amp; b" in html
+    assert (
+        "another machine &lt;here&gt;" in html
+        and "Some &lt;One&gt; 2009" in html
+        and "a &amp; b" in html
+    )
     assert html.count("data:image/jpeg") == 6 and html.count("data:image/png") == 1
-    assert "printed: 9.00 grey levels from reference" in html and "corrected: 1.00 grey levels" in html
+    assert (
+        "printed: 9.00 grey levels from reference" in html
+        and "corrected: 1.00 grey levels" in html
+    )
     assert "<link" not in html and "src=" in html and "http" not in html
 
 
-def test_an_item_has_one_row_and_no_figure_is_without(items: list[Item], tmp_path: Path) -> None:
+def test_an_item_has_one_row_and_no_figure_is_without(
+    items: list[Item], tmp_path: Path
+) -> None:
     items.append(compared("s1", "figure 1", "a", "a"))
     assert items_of("s1", Work(tmp_path)) == items
     for wrong, words in (

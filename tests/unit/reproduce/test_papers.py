@@ -1,7 +1,9 @@
-"""The short form of every paper: its rows are complete, and their verdicts are those recorded in verdicts/.
+"""The short form of every paper: its rows are complete, and their verdicts are those
+recorded in verdicts/.
 
-`python -m tests.unit.reproduce.test_papers s1` records those of a paper anew; look at every one that changes. A verdict that
-depends on the machine (a rate, memory) is recorded as "measured"."""
+`python -m tests.unit.reproduce.test_papers s1` records those of a paper anew; look at every
+one that changes. A verdict that depends on the machine (a rate, memory) is recorded as
+"measured"."""
 
 from __future__ import annotations
 
@@ -22,11 +24,17 @@ MEASURED = "measured"
 
 
 def verdicts(paper: str, folder: Path) -> dict[str, str]:
-    return {i.item: i.verdict for i in items_of(paper, Work(folder, short=True)) if isinstance(i, Row)}
+    return {
+        i.item: i.verdict
+        for i in items_of(paper, Work(folder, short=True))
+        if isinstance(i, Row)
+    }
 
 
 def recorded(paper: str) -> dict[str, str]:
-    read: dict[str, str] = json.loads((RECORDED / f"{paper}.json").read_text(encoding="utf-8"))
+    read: dict[str, str] = json.loads(
+        (RECORDED / f"{paper}.json").read_text(encoding="utf-8")
+    )
     return read
 
 
@@ -34,7 +42,9 @@ def recorded(paper: str) -> dict[str, str]:
 def test_every_item_has_its_row_and_verdict(paper: str, tmp_path: Path) -> None:
     found, expected = verdicts(paper, tmp_path), recorded(paper)
     assert list(found) == list(expected)
-    assert {k: v for k, v in found.items() if expected[k] != MEASURED} == {k: v for k, v in expected.items() if v != MEASURED}
+    assert {k: v for k, v in found.items() if expected[k] != MEASURED} == {
+        k: v for k, v in expected.items() if v != MEASURED
+    }
 
 
 if __name__ == "__main__":
@@ -42,5 +52,10 @@ if __name__ == "__main__":
         with tempfile.TemporaryDirectory() as scratch:
             now = verdicts(name, Path(scratch))
         kept = recorded(name) if (RECORDED / f"{name}.json").exists() else {}
-        lines = {item: MEASURED if kept.get(item) == MEASURED else verdict for item, verdict in now.items()}
-        (RECORDED / f"{name}.json").write_text(json.dumps(lines, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        lines = {
+            item: MEASURED if kept.get(item) == MEASURED else verdict
+            for item, verdict in now.items()
+        }
+        (RECORDED / f"{name}.json").write_text(
+            json.dumps(lines, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+        )

@@ -3,11 +3,28 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.reproduce.rows import DIFFERS, HOLDS, UNDERIVED, Figure, Row, bars, compared, half_digit
+from arfx.reproduce.rows import (
+    DIFFERS,
+    HOLDS,
+    UNDERIVED,
+    Figure,
+    Row,
+    bars,
+    compared,
+    half_digit,
+)
 
 
 @pytest.mark.parametrize(
-    ("printed", "half"), [("58.7", 0.05), ("2.4413", 0.00005), ("60", 0.5), ("5.4e-3", 0.05e-3), ("1", 0.5), ("0.035", 0.0005)]
+    ("printed", "half"),
+    [
+        ("58.7", 0.05),
+        ("2.4413", 0.00005),
+        ("60", 0.5),
+        ("5.4e-3", 0.05e-3),
+        ("1", 0.5),
+        ("0.035", 0.0005),
+    ],
 )
 def test_digits_printed_give_the_tolerance(printed: str, half: float) -> None:
     assert half_digit(printed) == pytest.approx(half)
@@ -18,7 +35,12 @@ def test_a_verdict_follows_from_the_values() -> None:
     assert compared("s2", "a", "58.7", 58.7428, reason="of no use").reason == ""
     assert compared("s2", "a", "58.7", 58.7428, 54.1451, reason="why").verdict == DIFFERS
     assert compared("s2", "a", "58.7", 58.76, reason="why").verdict == DIFFERS
-    assert compared("s2", "a", "126.746", None, 120.38, reason="its inputs are not stated").verdict == UNDERIVED
+    assert (
+        compared(
+            "s2", "a", "126.746", None, 120.38, reason="its inputs are not stated"
+        ).verdict
+        == UNDERIVED
+    )
     assert compared("s2", "a", "14", 16.0, reason="why", tolerance=2).verdict == HOLDS
     assert compared("s2", "a", "left", "left", "left").verdict == HOLDS
     assert compared("s2", "a", "left", "left", "right", reason="why").verdict == DIFFERS
@@ -45,7 +67,14 @@ def test_pictures_that_are_compared_have_one_size() -> None:
 
 
 def test_bars_draw_ranges_and_leave_out_what_is_not_known() -> None:
-    plot = bars("s1", "table 1", "Rates", "fps", ["a", "b"], {"printed": [(9, 13), None], "here": [4.0, 5.0]})
+    plot = bars(
+        "s1",
+        "table 1",
+        "Rates",
+        "fps",
+        ["a", "b"],
+        {"printed": [(9, 13), None], "here": [4.0, 5.0]},
+    )
     first = plot.figure.axes[0].patches[0]
     assert (first.get_x(), first.get_width()) == (9, 4)
     assert [t.get_text() for t in plot.figure.axes[0].texts] == ["9–13", "4", "5"]

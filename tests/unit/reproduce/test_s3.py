@@ -19,7 +19,12 @@ def test_a_corner_cut_out_of_a_cell_is_not_convex() -> None:
     rect = Rect.of(80, 60)
     sites = eq1_sites(rect, 6, 8, 0)
     assert measure.convex_share(cones(sites, np.ones(48), rect, 6, 8)) == 1
-    assert measure.convex_share(cones(sites, np.where(np.arange(48) % 2, 1.0, 0.4), rect, 6, 8)) < 0.9
+    assert (
+        measure.convex_share(
+            cones(sites, np.where(np.arange(48) % 2, 1.0, 0.4), rect, 6, 8)
+        )
+        < 0.9
+    )
 
 
 def test_shares_of_labels_and_outlines_are_counted() -> None:
@@ -29,7 +34,9 @@ def test_shares_of_labels_and_outlines_are_counted() -> None:
     assert measure.nearest_share(sites, labels) == 1
     assert measure.farthest(sites, labels) <= np.hypot(8, 8)
     labels[:24] = labels.max()
-    assert measure.nearest_share(sites, labels) < 0.6 and measure.farthest(sites, labels) > 30
+    assert (
+        measure.nearest_share(sites, labels) < 0.6 and measure.farthest(sites, labels) > 30
+    )
     thing = np.zeros((20, 20), bool)
     thing[5:15, 5:15] = True
     border, edges = measure.outline(thing), np.zeros((20, 20), bool)

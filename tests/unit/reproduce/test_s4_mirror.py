@@ -35,9 +35,25 @@ position_m = [-0.2, 0, 0]
 def test_a_ray_meets_what_the_camera_sees() -> None:
     world = World(parse_scene(SCENE))
     moment, pose = world.at(0.0), world.camera_at(0, 0.0).inverse()
-    room = Room(moment.rects, moment.spheres, moment.lights, world.ambient, world.textures, world.table, np.full((2, 4, 3), 0.25))
+    room = Room(
+        moment.rects,
+        moment.spheres,
+        moment.lights,
+        world.ambient,
+        world.textures,
+        world.table,
+        np.full((2, 4, 3), 0.25),
+    )
     seen = Picture(world).radiance(0)
-    for x, y in ((33, 22), (20, 40), (50, 30)):  # the sphere, the plane before it, beside it
+    for x, y in (
+        (33, 22),
+        (20, 40),
+        (50, 30),
+    ):  # the sphere, the plane before it, beside it
         direction = pose.rotation @ world.camera.directions(np.array([[x, y]], float))[0]
-        assert radiance(room, pose.translation_m, direction) == pytest.approx(seen[y, x], rel=0.02), (x, y)
-    assert radiance(room, np.array([0.0, 0, 1]), np.array([0.1, 0.2, 3.0])) == pytest.approx([0.25] * 3), "the sky"
+        assert radiance(room, pose.translation_m, direction) == pytest.approx(
+            seen[y, x], rel=0.02
+        ), (x, y)
+    assert radiance(
+        room, np.array([0.0, 0, 1]), np.array([0.1, 0.2, 3.0])
+    ) == pytest.approx([0.25] * 3), "the sky"

@@ -42,7 +42,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Work, Clip]:
 
 def test_a_clip_is_made_once_for_each_scene(made: tuple[Work, Clip]) -> None:
     work, clip = made
-    assert work.clip(parse_scene(SCENE)).folder == clip.folder != work.clip(SCENE.replace("150mm", "140mm")).folder
+    assert (
+        work.clip(parse_scene(SCENE)).folder
+        == clip.folder
+        != work.clip(SCENE.replace("150mm", "140mm")).folder
+    )
     assert len(clip.frames()) == 3 and clip.frames()[0].shape == (96, 160, 3)
 
 
@@ -51,7 +55,10 @@ def test_a_job_runs_under_either_formula(made: tuple[Work, Clip]) -> None:
     printed, corrected = work.job(clip, "paper"), work.job(clip)
     assert work.config(clip, "paper").params["lightmap"].formula == "paper"
     pictures = [run.frames()[1] for run in (printed, corrected)]
-    assert pictures[0].shape == (96, 160, 3) and np.abs(pictures[0].astype(int) - pictures[1]).max() > 8
+    assert (
+        pictures[0].shape == (96, 160, 3)
+        and np.abs(pictures[0].astype(int) - pictures[1]).max() > 8
+    )
     assert work.job(clip, "paper") is printed
 
 
@@ -59,9 +66,12 @@ def test_a_frame_of_a_job_is_what_the_job_makes(made: tuple[Work, Clip]) -> None
     work, clip = made
     shot = work.shot(clip, 1)
     made_apart, changed = (
-        np.abs(shot.picture().astype(int) - other).mean() for other in (work.job(clip).frames()[1], clip.frames()[1])
+        np.abs(shot.picture().astype(int) - other).mean()
+        for other in (work.job(clip).frames()[1], clip.frames()[1])
     )
-    assert made_apart < changed / 3  # the job's output has its colour at half the resolution
+    assert (
+        made_apart < changed / 3
+    )  # the job's output has its colour at half the resolution
     assert shot.up_to("raster")[-1][0] == "raster" and shot.seconds("raster", 2) > 0
 
 

@@ -1,4 +1,6 @@
-"""A clip's analysis that is interrupted leaves the same bytes as one that is not, whatever the clip and what is left of it."""
+"""A clip's analysis that is interrupted leaves the same bytes as one that is not, whatever
+the clip and what is left of it.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +31,26 @@ def short_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def gap(path: Path) -> Path:
-    return write_clip(path / "gap.mov", FRAMES, absent=range(20, 24), codec="mjpeg", pixel_format="yuvj420p")  # of key frames
+    return write_clip(
+        path / "gap.mov",
+        FRAMES,
+        absent=range(20, 24),
+        codec="mjpeg",
+        pixel_format="yuvj420p",
+    )  # of key frames
 
 
 def cut_short(path: Path) -> Path:
-    """Between two frames: what is missing shows only when all frames from the first on are counted."""
-    whole = write_clip(path / "whole.mov", FRAMES, codec="mjpeg", pixel_format="yuvj420p", container={"movflags": "faststart"})
+    """Between two frames: what is missing shows only when all frames from the first on are
+    counted.
+    """
+    whole = write_clip(
+        path / "whole.mov",
+        FRAMES,
+        codec="mjpeg",
+        pixel_format="yuvj420p",
+        container={"movflags": "faststart"},
+    )
     with av.open(str(whole)) as c:
         ends = [p.pos for p in c.demux(video=0) if p.size]
     (path / "short.mov").write_bytes(whole.read_bytes()[: ends[-2]])
@@ -42,14 +58,20 @@ def cut_short(path: Path) -> Path:
 
 
 def begins_again(path: Path) -> Path:
-    """Times go back to the first one in the middle: they are repaired, each after the one before."""
+    """Times go back to the first one in the middle: they are repaired, each after the one
+    before.
+    """
     one = write_clip(path / "one.ts", FRAMES // 2).read_bytes()
-    two = write_clip(path / "two.ts", FRAMES // 2, container={"mpegts_flags": "initial_discontinuity"}).read_bytes()
+    two = write_clip(
+        path / "two.ts", FRAMES // 2, container={"mpegts_flags": "initial_discontinuity"}
+    ).read_bytes()
     (path / "twice.ts").write_bytes(one + two)
     return path / "twice.ts"
 
 
-def analysed(clip: Path, job: Path, stop: int | None = None, folds: frozenset[str] = frozenset()) -> AnalysisPass:
+def analysed(
+    clip: Path, job: Path, stop: int | None = None, folds: frozenset[str] = frozenset()
+) -> AnalysisPass:
     """Raises KeyboardInterrupt at frame `stop`."""
 
     def progress(phase: str, done: int, total: int | None) -> None:
@@ -58,7 +80,13 @@ def analysed(clip: Path, job: Path, stop: int | None = None, folds: frozenset[st
 
     job.mkdir(exist_ok=True)
     return analyse_clip(
-        probe(clip), AnalysisJob((MARKER,), clip_camera()), {"light", *folds}, (None, None), progress, JobFolder(job), "key"
+        probe(clip),
+        AnalysisJob((MARKER,), clip_camera()),
+        {"light", *folds},
+        (None, None),
+        progress,
+        JobFolder(job),
+        "key",
     )
 
 
@@ -73,14 +101,23 @@ ASKED: frozenset[str] = frozenset({"environment", "lens"})
 
 @pytest.mark.parametrize(
     ("make", "folds", "stops"),
-    [(gap, ASKED, (2, 3, 13, 23, 39)), (cut_short, frozenset(), (5, 21)), (begins_again, frozenset(), (2, 6))],
+    [
+        (gap, ASKED, (2, 3, 13, 23, 39)),
+        (cut_short, frozenset(), (5, 21)),
+        (begins_again, frozenset(), (2, 6)),
+    ],
     ids=lambda v: getattr(v, "__name__", ""),
 )
 def test_an_interrupted_analysis_leaves_the_same_bytes(
-    make: Callable[[Path], Path], folds: frozenset[str], stops: tuple[int, ...], tmp_path: Path
+    make: Callable[[Path], Path],
+    folds: frozenset[str],
+    stops: tuple[int, ...],
+    tmp_path: Path,
 ) -> None:
     clip = make(tmp_path)
-    whole = written(analysed(clip, tmp_path / "whole", None, folds), tmp_path / "whole.jsonl")
+    whole = written(
+        analysed(clip, tmp_path / "whole", None, folds), tmp_path / "whole.jsonl"
+    )
     assert len(whole[2]) > 0.9 * FRAMES and (make is cut_short) == (whole[4] is not None)
     for stop in stops:  # one job, interrupted again and again
         with pytest.raises(KeyboardInterrupt):
@@ -97,7 +134,13 @@ def test_a_stretch_of_anything_else_is_made_anew(tmp_path: Path) -> None:
     first = min(job.stretches.iterdir())
     good = first.read_bytes()
     assert codec.loads(good)["pts"] == whole[2][: len(codec.loads(good)["pts"])]
-    for data in (b"", good[:-1], good[:1000] + b"\xff" + good[1001:], good.replace(b"state 1", b"state 0"), codec.dumps([1])):
+    for data in (
+        b"",
+        good[:-1],
+        good[:1000] + b"\xff" + good[1001:],
+        good.replace(b"state 1", b"state 0"),
+        codec.dumps([1]),
+    ):
         first.write_bytes(data)
         assert written(analysed(clip, job.path), tmp_path / "again.jsonl") == whole
         assert first.read_bytes() == good

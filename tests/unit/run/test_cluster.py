@@ -1,4 +1,6 @@
-"""What is said on the command line of a cluster, where its workers look for files, and who gets which chunk."""
+"""What is said on the command line of a cluster, where its workers look for files, and who
+gets which chunk.
+"""
 
 from __future__ import annotations
 
@@ -33,13 +35,26 @@ def test_clusters_by_name(tmp_path: Path) -> None:
     assert ClusterSpec.parse("local") == ClusterSpec("local", workers=usable_cores())
     assert ClusterSpec.parse("local:3").workers == 3
     assert ClusterSpec.parse("tls://[::1]:8786").address == "tls://[::1]:8786"
-    (tmp_path / "slurm.toml").write_text('jobs = 3\ncores = 8\nprocesses = 4\nmemory = "8GB"\nqueue = "q"\n')
+    (tmp_path / "slurm.toml").write_text(
+        'jobs = 3\ncores = 8\nprocesses = 4\nmemory = "8GB"\nqueue = "q"\n'
+    )
     slurm = ClusterSpec.parse(f"slurm:{tmp_path / 'slurm.toml'}")
     assert slurm.workers == 24 and slurm.settings["queue"] == "q"
 
 
 @pytest.mark.parametrize(
-    "text", ["", "local:", "local:0", "local:-1", "tcp://host", "tcp://:1", "http://a:1", "slurm:", "tcp://a b:1"]
+    "text",
+    [
+        "",
+        "local:",
+        "local:0",
+        "local:-1",
+        "tcp://host",
+        "tcp://:1",
+        "http://a:1",
+        "slurm:",
+        "tcp://a b:1",
+    ],
 )
 def test_what_is_no_cluster(text: str) -> None:
     with pytest.raises(ConfigError, match="is no cluster"):
@@ -63,9 +78,14 @@ def test_settings_of_slurm_that_are_wrong(tmp_path: Path, text: str, message: st
 
 
 @pytest.mark.parametrize("missing", ["dask", "distributed"])
-def test_without_the_extra_it_is_said_what_to_install(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_it_is_said_what_to_install(
+    missing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(ConfigError, match=f"needs {missing}") as said, open_cluster(ClusterSpec.parse("local:1"), (), print):
+    with (
+        pytest.raises(ConfigError, match=f"needs {missing}") as said,
+        open_cluster(ClusterSpec.parse("local:1"), (), print),
+    ):
         pass
     assert "pip install 'arfx[cluster]'" in said.value.hint and said.value.exit_code == 2
 
@@ -81,11 +101,25 @@ def test_slurm_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_paths_are_mapped() -> None:
-    maps = [PathMap.parse(text) for text in ("/a=/x", "/a/b=s3://bucket/b", "/a/b=/y/", "/a/b/one file=http://h/f")]
-    assert places(Path("/a/b/c/d.mp4"), maps) == ("/y/c/d.mp4", "/x/b/c/d.mp4", "/a/b/c/d.mp4", "s3://bucket/b/c/d.mp4")
-    assert places(Path("/a/b/one file"), maps)[-2:] == ("http://h/f", "s3://bucket/b/one file")
+    maps = [
+        PathMap.parse(text)
+        for text in ("/a=/x", "/a/b=s3://bucket/b", "/a/b=/y/", "/a/b/one file=http://h/f")
+    ]
+    assert places(Path("/a/b/c/d.mp4"), maps) == (
+        "/y/c/d.mp4",
+        "/x/b/c/d.mp4",
+        "/a/b/c/d.mp4",
+        "s3://bucket/b/c/d.mp4",
+    )
+    assert places(Path("/a/b/one file"), maps)[-2:] == (
+        "http://h/f",
+        "s3://bucket/b/one file",
+    )
     assert places(Path("/ab"), maps) == ("/ab",)
-    assert PathMap.parse("/a=http://h/x").of(Path("/a/100% #1.mp4")) == "http://h/x/100%25%20%231.mp4"
+    assert (
+        PathMap.parse("/a=http://h/x").of(Path("/a/100% #1.mp4"))
+        == "http://h/x/100%25%20%231.mp4"
+    )
     assert PathMap.parse("b=/x").here == Path.cwd() / "b"
 
 
@@ -97,7 +131,12 @@ def test_what_maps_nothing(text: str) -> None:
 
 def of(*paths: Path, at: tuple[str, ...]) -> Bundle:
     parts = [
-        Part("" if p is paths[0] else p.relative_to(paths[0].parent).as_posix(), p.stat().st_size, file_digest(p)) for p in paths
+        Part(
+            "" if p is paths[0] else p.relative_to(paths[0].parent).as_posix(),
+            p.stat().st_size,
+            file_digest(p),
+        )
+        for p in paths
     ]
     return Bundle("model", "file", at, False, tuple(parts))
 
@@ -105,7 +144,10 @@ def of(*paths: Path, at: tuple[str, ...]) -> Bundle:
 @pytest.fixture
 def model(tmp_path: Path) -> tuple[Path, Path]:
     (tmp_path / "here" / "textures").mkdir(parents=True)
-    main, texture = tmp_path / "here" / "a model.obj", tmp_path / "here" / "textures" / "wood #1.png"
+    main, texture = (
+        tmp_path / "here" / "a model.obj",
+        tmp_path / "here" / "textures" / "wood #1.png",
+    )
     main.write_bytes(b"model")
     texture.write_bytes(b"wood")
     return main, texture
@@ -129,12 +171,18 @@ def served(tmp_path: Path) -> Iterator[tuple[str, list[str]]]:
 
 
 def test_a_file_is_fetched_once(
-    model: tuple[Path, Path], served: tuple[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    model: tuple[Path, Path],
+    served: tuple[str, list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With all that it refers to; what the cache holds is compared too."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     address, asked = served
-    bundle = of(*model, at=("/nowhere/a model.obj", PathMap(model[0].parent, address).of(model[0]) or ""))
+    bundle = of(
+        *model,
+        at=("/nowhere/a model.obj", PathMap(model[0].parent, address).of(model[0]) or ""),
+    )
     path = find(bundle)
     assert path.is_relative_to(tmp_path / "cache") and path.read_bytes() == b"model"
     assert (path.parent / "textures" / "wood #1.png").read_bytes() == b"wood"
@@ -142,18 +190,35 @@ def test_a_file_is_fetched_once(
     assert fetched and find(bundle) == path and len(asked) == fetched
     path.write_bytes(b"MODEL")  # damaged
     assert find(bundle).read_bytes() == b"model" and len(asked) > fetched
-    assert [p.name for p in (tmp_path / "cache" / "arfx" / "files").iterdir()] == [path.parent.name]
+    assert [p.name for p in (tmp_path / "cache" / "arfx" / "files").iterdir()] == [
+        path.parent.name
+    ]
 
 
 def test_other_content_is_another_file(
-    model: tuple[Path, Path], served: tuple[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    model: tuple[Path, Path],
+    served: tuple[str, list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    bundle = of(*model, at=(str(model[0]), f"{served[0]}/a%20model.obj", f"{served[0]}/none", "nothing://x"))
+    bundle = of(
+        *model,
+        at=(
+            str(model[0]),
+            f"{served[0]}/a%20model.obj",
+            f"{served[0]}/none",
+            "nothing://x",
+        ),
+    )
     assert find(bundle) == model[0]
     model[1].write_bytes(b"iron")
     with pytest.raises(
-        RenderError, match=r"wood #1.png has other content; what lies at http.* is another file; .*none cannot be fetched"
+        RenderError,
+        match=(
+            r"wood #1.png has other content; what lies at http.* is another file; .*none"
+            r" cannot be fetched"
+        ),
     ):
         find(bundle)
     model[1].write_bytes(b"wooden")
@@ -172,22 +237,51 @@ def test_a_worker_reads_on_where_it_can() -> None:
 def test_names_of_unfinished_files_are_arfxs_own() -> None:
     import re
 
-    assert re.fullmatch(_CHUNK, f"{process_name()}-140-000000-000029.0123456789abcdef.nut.part")
+    assert re.fullmatch(
+        _CHUNK, f"{process_name()}-140-000000-000029.0123456789abcdef.nut.part"
+    )
     assert not re.fullmatch(_CHUNK, "my-notes-000000-000029.0123456789abcdef.nut.part")
 
 
 def test_the_time_of_each_worker(tmp_path: Path) -> None:
     log = WorkLog(tmp_path / "timings.jsonl")
-    for key, name, first, last in (("a", "1", 0, 29), ("b", "2", 30, 59), ("c", "1", 60, 65)):
-        log.note(CHUNK, key, {"decode": 1.0}, stages={"raster": 2.0}, worker=name, host="h", first=first, last=last)
+    for key, name, first, last in (
+        ("a", "1", 0, 29),
+        ("b", "2", 30, 59),
+        ("c", "1", 60, 65),
+    ):
+        log.note(
+            CHUNK,
+            key,
+            {"decode": 1.0},
+            stages={"raster": 2.0},
+            worker=name,
+            host="h",
+            first=first,
+            last=last,
+        )
     log.note(CHUNK, "c", {"decode": 1.0}, worker=1, host="h", first=0, last=1)  # damaged
     for name in ("s", "made otherwise later"):
         log.note(STRETCH, name, {"analyse": 4.0}, worker="2", host="h", first=0, last=59)
     log.note(ANALYSIS, "facts", {"analyse": 4.5}, stretches=["s"])
     spent = log.spent("facts", "abc")
     assert spent.workers == (
-        {"name": "2", "host": "h", "stretches": 1, "chunks": 1, "frames": 30, "seconds": 7.0},
-        {"name": "1", "host": "h", "stretches": 0, "chunks": 2, "frames": 36, "seconds": 6.0},
+        {
+            "name": "2",
+            "host": "h",
+            "stretches": 1,
+            "chunks": 1,
+            "frames": 30,
+            "seconds": 7.0,
+        },
+        {
+            "name": "1",
+            "host": "h",
+            "stretches": 0,
+            "chunks": 2,
+            "frames": 36,
+            "seconds": 6.0,
+        },
     )
     assert spent.seconds["analyse"] == 4.5
     log.note(ANALYSIS, "facts", {"analyse": 5.0}, stretches=[["s"]])  # damaged
@@ -197,7 +291,9 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
 class FakeClient:
     """A cluster in which `happen` decides what becomes of each call. threads : address -> slots"""
 
-    def __init__(self, happen: Callable[[FakeClient, str, SimpleNamespace], None], **threads: int) -> None:
+    def __init__(
+        self, happen: Callable[[FakeClient, str, SimpleNamespace], None], **threads: int
+    ) -> None:
         self.happen, self.threads, self.status = happen, threads, "running"
         self.scheduler = SimpleNamespace(address="tcp://fake:1")
         self.calls: list[tuple[str, int]] = []
@@ -205,18 +301,30 @@ class FakeClient:
     def nthreads(self, callback_timeout: float) -> dict[str, int]:
         return dict(self.threads)
 
-    def subscribe_topic(self, _: str, handler: Callable[[tuple[float, dict[str, Any]]], None]) -> None:
+    def subscribe_topic(
+        self, _: str, handler: Callable[[tuple[float, dict[str, Any]]], None]
+    ) -> None:
         self.tell = handler
 
     def unsubscribe_topic(self, *_: Any) -> None: ...
 
-    def submit(self, function: Callable[..., Any], *arguments: Any, key: str, workers: list[str], **_: Any) -> SimpleNamespace:
+    def submit(
+        self,
+        function: Callable[..., Any],
+        *arguments: Any,
+        key: str,
+        workers: list[str],
+        **_: Any,
+    ) -> SimpleNamespace:
         future = SimpleNamespace(status="pending", value=None, key=key)
         future.done = lambda: future.status != "pending"
         future.result = future.exception = lambda timeout: future.value
         future.cancel = lambda force: None
         if function is crew.remote.examine:
-            future.status, future.value = "finished", {"name": f"{workers[0]}'s name", "host": "h", "refused": ""}
+            future.status, future.value = (
+                "finished",
+                {"name": f"{workers[0]}'s name", "host": "h", "refused": ""},
+            )
         else:
             self.calls.append((workers[0], arguments[1]))
             future.first, future.name = arguments[1], arguments[3]
@@ -230,9 +338,16 @@ def dispatched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[...,
     monkeypatch.setattr(crew, "LOOK_S", 0.0)
     monkeypatch.setattr(dispatch, "SLOW_S", 0.1)
     monkeypatch.setattr(dispatch, "LEAVE_S", 0.0)
-    tasks = [("", "", n, n + 29, str(tmp_path / f"{n:06d}-{n + 29:06d}.{'k' * 16}")) for n in range(0, 120, 30)]
+    tasks = [
+        ("", "", n, n + 29, str(tmp_path / f"{n:06d}-{n + 29:06d}.{'k' * 16}"))
+        for n in range(0, 120, 30)
+    ]
 
-    def run(client: FakeClient, suffix: str | None = ".nut", at: Callable[[int], object] = lambda first: None) -> list[int]:
+    def run(
+        client: FakeClient,
+        suffix: str | None = ".nut",
+        at: Callable[[int], object] = lambda first: None,
+    ) -> list[int]:
         crew_ = crew.Crew(client, {}, None, print)
         d = dispatch.Dispatch(client, crew_, tasks, "run", suffix, None, 3, None, print)
         return [at(r["first"]) or r["first"] for r in d.results(lambda done: None)]
@@ -249,7 +364,9 @@ def finish(client: FakeClient, future: SimpleNamespace, folder: Path) -> None:
     threading.Timer(0.01, client.tell, [(0.0, said)]).start()
 
 
-def test_a_chunk_that_kills_three_workers_is_named(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+def test_a_chunk_that_kills_three_workers_is_named(
+    dispatched: Callable[..., list[int]], tmp_path: Path
+) -> None:
     """However many workers there are, and though all others are fine."""
 
     def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
@@ -260,18 +377,28 @@ def test_a_chunk_that_kills_three_workers_is_named(dispatched: Callable[..., lis
             finish(client, future, tmp_path)
 
     client = FakeClient(happen, a=1, b=1)
-    with pytest.raises(RenderError, match=r"frames 60–89: workers were lost with this chunk 3 times \(.*name, .*name, .*name\)"):
+    with pytest.raises(
+        RenderError,
+        match=(
+            r"frames 60–89: workers were lost with this chunk 3 times \(.*name, .*name,"
+            r" .*name\)"
+        ),
+    ):
         dispatched(client)
     assert [first for _, first in client.calls].count(60) == 3
 
 
-def test_a_chunk_whose_worker_died_after_it_is_not_rendered_again(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+def test_a_chunk_whose_worker_died_after_it_is_not_rendered_again(
+    dispatched: Callable[..., list[int]], tmp_path: Path
+) -> None:
     from arfx.run.folder import content_digest
 
     def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
         if worker == "a":
             (tmp_path / "x").write_bytes(b"chunk")
-            (tmp_path / "x").rename(tmp_path / f"{future.name}.{content_digest(tmp_path / 'x')}.nut")
+            (tmp_path / "x").rename(
+                tmp_path / f"{future.name}.{content_digest(tmp_path / 'x')}.nut"
+            )
             del client.threads["a"]
         else:
             finish(client, future, tmp_path)
@@ -280,7 +407,9 @@ def test_a_chunk_whose_worker_died_after_it_is_not_rendered_again(dispatched: Ca
     assert sorted(dispatched(client)) == [0, 30, 60, 90] and len(client.calls) == 4
 
 
-def test_a_stretch_is_there_when_its_file_is(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+def test_a_stretch_is_there_when_its_file_is(
+    dispatched: Callable[..., list[int]], tmp_path: Path
+) -> None:
     def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
         (tmp_path / future.name).write_bytes(b"stretch")
         del client.threads[worker]  # before anybody heard of it
@@ -290,15 +419,21 @@ def test_a_stretch_is_there_when_its_file_is(dispatched: Callable[..., list[int]
     assert sorted(dispatched(client, None)) == [0, 30, 60, 90] and len(client.calls) == 4
 
 
-def test_a_worker_has_its_next_task_before_the_result_is_used(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+def test_a_worker_has_its_next_task_before_the_result_is_used(
+    dispatched: Callable[..., list[int]], tmp_path: Path
+) -> None:
     """Joining a stretch takes its time."""
-    client = FakeClient(lambda client, worker, future: finish(client, future, tmp_path), a=1)
+    client = FakeClient(
+        lambda client, worker, future: finish(client, future, tmp_path), a=1
+    )
     given = list[int]()
     dispatched(client, at=lambda first: given.append(len(client.calls)))
     assert given == [2, 3, 4, 4]
 
 
-def test_an_idle_worker_takes_over_from_a_straggler(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+def test_an_idle_worker_takes_over_from_a_straggler(
+    dispatched: Callable[..., list[int]], tmp_path: Path
+) -> None:
     def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
         if worker != "a":
             finish(client, future, tmp_path)
@@ -320,11 +455,15 @@ def test_a_lost_connection_is_said(dispatched: Callable[..., list[int]]) -> None
     def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
         client.status = "connecting"
 
-    with pytest.raises(RenderError, match="connection to the scheduler at tcp://fake:1 is lost"):
+    with pytest.raises(
+        RenderError, match="connection to the scheduler at tcp://fake:1 is lost"
+    ):
         dispatched(FakeClient(happen, a=1))
 
 
-@pytest.mark.parametrize(("state", "status"), [("cancelled", "running"), ("executing", "closing")])
+@pytest.mark.parametrize(
+    ("state", "status"), [("cancelled", "running"), ("executing", "closing")]
+)
 def test_a_worker_leaves_a_chunk_that_nobody_wants(
     state: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -343,7 +482,9 @@ def test_a_worker_leaves_a_chunk_that_nobody_wants(
     monkeypatch.setattr(remote, "_worker", lambda: worker)
     monkeypatch.setattr(remote, "render_chunk", render_chunk)
     monkeypatch.setattr(remote, "TELL_S", 0.0)
-    monkeypatch.setitem(remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ()))
+    monkeypatch.setitem(
+        remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ())
+    )
     with pytest.raises(remote.UnwantedError):
         remote.work("run", 0, 29, "name")
     assert events == [{"attempt": "token", "ended": True}]
@@ -352,11 +493,17 @@ def test_a_worker_leaves_a_chunk_that_nobody_wants(
     assert {"attempt": "token", "frames": 1000} in events
 
 
-def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dask sends what an error was raised from too, and gives up the error where that cannot be sent, as FFmpeg's cannot."""
+def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dask sends what an error was raised from too, and gives up the error where that
+    cannot be sent, as FFmpeg's cannot.
+    """
     from distributed.core import clean_exception, error_message
 
-    worker = SimpleNamespace(name="w", get_current_task=lambda: "token", log_event=lambda topic, said: None)
+    worker = SimpleNamespace(
+        name="w", get_current_task=lambda: "token", log_event=lambda topic, said: None
+    )
 
     def render_chunk(*arguments: Any, paths: Any) -> dict[str, Any]:
         try:
@@ -366,29 +513,43 @@ def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(tmp_path: Path,
 
     monkeypatch.setattr(remote, "_worker", lambda: worker)
     monkeypatch.setattr(remote, "render_chunk", render_chunk)
-    monkeypatch.setitem(remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ()))
+    monkeypatch.setitem(
+        remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ())
+    )
     with pytest.raises(RenderError, match="No space left on device") as raised:
         remote.work("run", 0, 29, "name")
     sent = error_message(raised.value)
     arrived = clean_exception(pickle.loads(sent["exception"].data))[1]
-    assert isinstance(arrived, RenderError) and arrived.message == raised.value.message and arrived.hint == "free space"
+    assert (
+        isinstance(arrived, RenderError)
+        and arrived.message == raised.value.message
+        and arrived.hint == "free space"
+    )
 
 
-def test_what_ends_a_stretch_says_the_same_from_a_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_ends_a_stretch_says_the_same_from_a_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where times of frames go back, the clip is analysed in one piece."""
-    worker = SimpleNamespace(name="w", get_current_task=lambda: "token", log_event=lambda topic, said: None)
+    worker = SimpleNamespace(
+        name="w", get_current_task=lambda: "token", log_event=lambda topic, said: None
+    )
 
     def analyse_stretch(*arguments: Any, paths: Any) -> dict[str, Any]:
         raise FrameTimesError("frame times go backwards")
 
     monkeypatch.setattr(remote, "_worker", lambda: worker)
     monkeypatch.setattr(remote, "analyse_stretch", analyse_stretch)
-    monkeypatch.setitem(remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), (), STRETCH))
+    monkeypatch.setitem(
+        remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), (), STRETCH)
+    )
     with pytest.raises(FrameTimesError, match=r"backwards \(on worker w"):
         remote.work("run", 0, 29, "name")
 
 
-def test_a_worker_that_is_closed_loses_its_chunk(dispatched: Callable[..., list[int]], tmp_path: Path) -> None:
+def test_a_worker_that_is_closed_loses_its_chunk(
+    dispatched: Callable[..., list[int]], tmp_path: Path
+) -> None:
     def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
         if worker == "a":
             future.status, future.value = "error", remote.UnwantedError()

@@ -1,4 +1,6 @@
-"""Kernels that a helper process compiles: kept, the same as compiled by numba alone, and nothing else is kept."""
+"""Kernels that a helper process compiles: kept, the same as compiled by numba alone, and
+nothing else is kept.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,16 @@ def whole(a, out):
     for i in range(len(a)):
         out[i] = part(room[i], 0.5) + room.sum()
 """
-ROWS = [["kernels_here", "whole", "(Array(float64, 1, 'C', False, aligned=True), Array(float64, 1, 'C', False, aligned=True))"]]
+ROWS = [
+    [
+        "kernels_here",
+        "whole",
+        (
+            "(Array(float64, 1, 'C', False, aligned=True), Array(float64, 1, 'C', False,"
+            " aligned=True))"
+        ),
+    ]
+]
 ROWS += [["kernels_here", "inner", "(float64, float64)"]]
 CALL = """
 import numpy as np
@@ -46,7 +57,14 @@ print(sum(kernels_here.inner.stats.cache_hits.values()))
 
 def run(code: str, folder: Path, **more: str) -> str:
     here = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
-    return subprocess.run([sys.executable, "-c", code], env=here, capture_output=True, text=True, check=True, **more).stdout
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env=here,
+        capture_output=True,
+        text=True,
+        check=True,
+        **more,
+    ).stdout
 
 
 def test_a_helper_keeps_what_it_is_asked_for_and_nothing_else(tmp_path: Path) -> None:
@@ -55,8 +73,13 @@ def test_a_helper_keeps_what_it_is_asked_for_and_nothing_else(tmp_path: Path) ->
     for file in (tmp_path / "__pycache__").iterdir():
         file.unlink()
     asked = "".join(json.dumps(row) + "\n" for row in ROWS)
-    assert run("from arfx.run.compiler import serve; serve()", tmp_path, input=asked) == "done\ndone\n"
-    kept = sorted(file.name.split("-")[0] for file in (tmp_path / "__pycache__").glob("*.nbi"))
+    assert (
+        run("from arfx.run.compiler import serve; serve()", tmp_path, input=asked)
+        == "done\ndone\n"
+    )
+    kept = sorted(
+        file.name.split("-")[0] for file in (tmp_path / "__pycache__").glob("*.nbi")
+    )
     assert kept == ["kernels_here.inner", "kernels_here.whole"]
     *same, hits_whole, hits_inner = run(CALL, tmp_path).split()
     assert " ".join(same) == alone
@@ -64,5 +87,7 @@ def test_a_helper_keeps_what_it_is_asked_for_and_nothing_else(tmp_path: Path) ->
 
 
 def test_it_was_tried_with_the_numba_that_is_used_here() -> None:
-    """If this fails: does the test above hold with the new one, and is it still quicker? Then compiler.TRIED is its version."""
+    """If this fails: does the test above hold with the new one, and is it still quicker?
+    Then compiler.TRIED is its version.
+    """
     assert numba.__version__.startswith(compiler.TRIED)

@@ -1,4 +1,6 @@
-"""A job folder that was damaged: --resume makes the damaged piece anew, or says in one message what is wrong."""
+"""A job folder that was damaged: --resume makes the damaged piece anew, or says in one
+message what is wrong.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,13 @@ def config(d: Path, out: Path, stages: tuple[str, ...] = ("lightmap",)):  # type
     }, parameters())  # fmt: skip
 
 
-def run(d: Path, out: Path, folder: Path, stop: Callable[[str, int], bool] = lambda *_: False, resume: bool = True) -> dict:
+def run(
+    d: Path,
+    out: Path,
+    folder: Path,
+    stop: Callable[[str, int], bool] = lambda *_: False,
+    resume: bool = True,
+) -> dict:
     def progress(phase: str, done: int, _: int | None) -> None:
         if stop(phase, done):
             raise KeyboardInterrupt
@@ -58,18 +66,34 @@ def no_plot(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A clip; `job`: its job stopped in the second chunk; `early`: stopped in the analysis; `finished`; `sha`: of the output."""
+    """A clip; `job`: its job stopped in the second chunk; `early`: stopped in the analysis;
+    `finished`; `sha`: of the output.
+    """
     d = tmp_path_factory.mktemp("damaged")
     write_clip(d / "clip.mp4", FRAMES)
     write_camera(d / "camera.yaml")
     write_model(d / "model.glb")
     run(d, d / "whole.mp4", d / "finished", resume=False)
     with pytest.raises(JobInterruptedError):
-        run(d, d / "out.mp4", d / "job", lambda phase, n: phase == "render" and n > CHUNK, resume=False)
+        run(
+            d,
+            d / "out.mp4",
+            d / "job",
+            lambda phase, n: phase == "render" and n > CHUNK,
+            resume=False,
+        )
     assert len(list((d / "job" / "chunks").glob("*.nut"))) == 1
     with pytest.raises(JobInterruptedError):
-        told = itertools.count()  # of all frames twice: when the last is analysed, and when they are joined
-        run(d, d / "out.mp4", d / "early", lambda phase, n: phase == "analyse" and n == FRAMES and next(told) > 0, resume=False)
+        told = (
+            itertools.count()
+        )  # of all frames twice: when the last is analysed, and when they are joined
+        run(
+            d,
+            d / "out.mp4",
+            d / "early",
+            lambda phase, n: phase == "analyse" and n == FRAMES and next(told) > 0,
+            resume=False,
+        )
     assert len(list((d / "early" / "stretches").iterdir())) == 1
     return d
 
@@ -99,9 +123,16 @@ FILES = [
 
 
 @pytest.mark.parametrize(
-    ("name", "way"), [*((name, "digit") for name in FILES), ("environment.maps", "cut"), *(("all", way) for way in WAYS)]
+    ("name", "way"),
+    [
+        *((name, "digit") for name in FILES),
+        ("environment.maps", "cut"),
+        *(("all", way) for way in WAYS),
+    ],
 )
-def test_a_damaged_piece_is_made_anew(done: Path, tmp_path: Path, name: str, way: str) -> None:
+def test_a_damaged_piece_is_made_anew(
+    done: Path, tmp_path: Path, name: str, way: str
+) -> None:
     job, out = tmp_path / "job", done / "out.mp4"
     shutil.copytree(done / "job", job)
     for each in FILES[:-1] if name == "all" else [name]:
@@ -112,8 +143,13 @@ def test_a_damaged_piece_is_made_anew(done: Path, tmp_path: Path, name: str, way
     out.unlink()
 
 
-def test_maps_of_the_surroundings_are_kept_beside_the_facts_and_made_anew(done: Path, tmp_path: Path) -> None:
-    given, job = config(done, tmp_path / "out.mp4", ("lightmap", "gi")), JobFolder(tmp_path / "job")
+def test_maps_of_the_surroundings_are_kept_beside_the_facts_and_made_anew(
+    done: Path, tmp_path: Path
+) -> None:
+    given, job = (
+        config(done, tmp_path / "out.mp4", ("lightmap", "gi")),
+        JobFolder(tmp_path / "job"),
+    )
     process(given, Options(job.path, notice=lambda _: None))
     maps = codec.loads(job.environment.read_bytes())
     seen = [f.seen_environment for f in read_facts(job.facts)]
@@ -125,7 +161,9 @@ def test_maps_of_the_surroundings_are_kept_beside_the_facts_and_made_anew(done: 
     assert (sha(tmp_path / "out.mp4"), job.environment.read_bytes()) == (first, kept)
 
 
-def test_a_folder_whose_job_file_lost_its_head_is_nobodys(done: Path, tmp_path: Path) -> None:
+def test_a_folder_whose_job_file_lost_its_head_is_nobodys(
+    done: Path, tmp_path: Path
+) -> None:
     shutil.copytree(done / "job", tmp_path / "job")
     (tmp_path / "job" / "job.toml").write_text("")
     with pytest.raises(ConfigError, match="not a job folder"):
@@ -157,15 +195,23 @@ def test_a_damaged_stretch_is_not_taken_up(done: Path, tmp_path: Path, way: str)
 
 @pytest.mark.usefixtures("no_plot")
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("name", ["report.json", "facts.jsonl", "frames.json", "inputs.json", "job.toml"])
-def test_the_report_of_a_damaged_job_is_a_report_or_a_message(done: Path, tmp_path: Path, name: str, way: str) -> None:
+@pytest.mark.parametrize(
+    "name", ["report.json", "facts.jsonl", "frames.json", "inputs.json", "job.toml"]
+)
+def test_the_report_of_a_damaged_job_is_a_report_or_a_message(
+    done: Path, tmp_path: Path, name: str, way: str
+) -> None:
     shutil.copytree(done / "finished", tmp_path / "job")
     path = tmp_path / "job" / name
     path.write_bytes(WAYS[way](path.read_bytes()))
     try:
         assert report_of_job(tmp_path / "job", tmp_path / "rep").exists()
     except ArfxError as e:
-        assert isinstance(e, InputError) and str(tmp_path / "job") in e.message and not (tmp_path / "rep").exists()
+        assert (
+            isinstance(e, InputError)
+            and str(tmp_path / "job") in e.message
+            and not (tmp_path / "rep").exists()
+        )
 
 
 @pytest.mark.usefixtures("no_plot")
@@ -173,7 +219,11 @@ def test_reports_whose_numbers_are_of_another_kind(done: Path, tmp_path: Path) -
     shutil.copytree(done / "finished", tmp_path / "job")
     path = tmp_path / "job" / "report.json"
     report = json.loads(path.read_text())
-    for section, wrong in zip(report, itertools.cycle(("three", None, {"lights": 3, "levels": 1}, [7], 3)), strict=False):
+    for section, wrong in zip(
+        report,
+        itertools.cycle(("three", None, {"lights": 3, "levels": 1}, [7], 3)),
+        strict=False,
+    ):
         path.write_text(json.dumps({**report, section: wrong}))
         try:
             report_of_job(tmp_path / "job", tmp_path / "rep")

@@ -24,13 +24,22 @@ def test_facts_say_which_map_and_what_is_in_it(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((60, 80), metres * 1000, np.uint16))
     maps = open_depth(tmp_path)
     frames = [facts(s, index=k) for k in range(4)]
-    out, told = with_depth(frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, False, quiet)
-    assert told["known"] and told["frames_with"] == 2 and told["frames_without"] == 2 and told["holes"] == pytest.approx(1 / 3)
+    out, told = with_depth(
+        frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, False, quiet
+    )
+    assert (
+        told["known"]
+        and told["frames_with"] == 2
+        and told["frames_without"] == 2
+        and told["holes"] == pytest.approx(1 / 3)
+    )
     second = out[1].real_depth
     assert second is not None and second.map == 1 and second.digest == maps.digest(1)
     assert second.dioptre_range == pytest.approx((0.5, 0.5), rel=2e-3)
     assert out[2].real_depth is None and out[3].real_depth is None
-    refused, told = with_depth(frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, True, quiet)
+    refused, told = with_depth(
+        frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, True, quiet
+    )
     assert not told["known"] and all(f.real_depth is None for f in refused)
 
 
@@ -38,6 +47,22 @@ def test_depth_that_holds_nothing_is_an_error(tmp_path: Path) -> None:
     s = scene()
     cv2.imwrite(str(tmp_path / "none.png"), np.zeros((60, 80), np.uint16))
     with pytest.raises(InputError, match="no valid pixel"):
-        with_depth([facts(s)], open_depth(tmp_path / "none.png"), [0], s.world_from_marker, s.camera, True, quiet)
+        with_depth(
+            [facts(s)],
+            open_depth(tmp_path / "none.png"),
+            [0],
+            s.world_from_marker,
+            s.camera,
+            True,
+            quiet,
+        )
     with pytest.raises(InputError, match="near the time of any frame"):
-        with_depth([facts(s)], open_depth(tmp_path / "none.png"), [None], s.world_from_marker, s.camera, True, quiet)
+        with_depth(
+            [facts(s)],
+            open_depth(tmp_path / "none.png"),
+            [None],
+            s.world_from_marker,
+            s.camera,
+            True,
+            quiet,
+        )

@@ -33,7 +33,9 @@ def tasks(folder: Path, count: int = 2) -> list[Task]:
     return [(str(folder), "key", k, k, "target") for k in range(count)]
 
 
-def tell(folder: str, key: str, first: int, last: int, target: str, tick: Callable[[], None]) -> dict[str, Any]:
+def tell(
+    folder: str, key: str, first: int, last: int, target: str, tick: Callable[[], None]
+) -> dict[str, Any]:
     """Who works here, and in what; not before both have a task."""
     tick()
     Path(folder, f"{os.getpid()}").touch()
@@ -41,10 +43,18 @@ def tell(folder: str, key: str, first: int, last: int, target: str, tick: Callab
         threading.Event().wait(0.01)
     variables = {name: os.environ.get(name) for name in executors.ONE_THREAD}
     opened = "arfx.stages.raster.gl_context" in sys.modules
-    return {"first": first, "pid": os.getpid(), "parent": os.getppid(), "variables": variables, "opened": opened}
+    return {
+        "first": first,
+        "pid": os.getpid(),
+        "parent": os.getppid(),
+        "variables": variables,
+        "opened": opened,
+    }
 
 
-def fail(folder: str, key: str, first: int, last: int, target: str, tick: Callable[[], None]) -> dict[str, Any]:
+def fail(
+    folder: str, key: str, first: int, last: int, target: str, tick: Callable[[], None]
+) -> dict[str, Any]:
     """The second fails when the first is at work; the first would go on for ever."""
     tick()
     Path(folder, f"{first}-{os.getpid()}").touch()
@@ -57,7 +67,9 @@ def fail(folder: str, key: str, first: int, last: int, target: str, tick: Callab
 
 
 def ended(pids: set[int]) -> bool:
-    psutil.wait_procs([psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=60)
+    psutil.wait_procs(
+        [psutil.Process(pid) for pid in pids if psutil.pid_exists(pid)], timeout=60
+    )
     return not any(psutil.pid_exists(pid) for pid in pids)
 
 
@@ -69,9 +81,15 @@ def test_the_same_processes_work_again_and_end_with_the_job(tmp_path: Path) -> N
         again = list(processes.run(tasks(tmp_path, 5), 2, told.append, tell))
         pids = {r["pid"] for r in results}
         assert sorted(r["first"] for r in again) == [0, 1, 2, 3, 4] and told[-1] <= 5
-        assert len(pids) == 2 and {r["pid"] for r in again} <= pids and all(map(psutil.pid_exists, pids))
+        assert (
+            len(pids) == 2
+            and {r["pid"] for r in again} <= pids
+            and all(map(psutil.pid_exists, pids))
+        )
     assert ended(pids)
-    assert not any(r["opened"] for r in results) and {v for r in results for v in r["variables"].values()} == {"1"}
+    assert not any(r["opened"] for r in results) and {
+        v for r in results for v in r["variables"].values()
+    } == {"1"}
     assert dict(os.environ) == before
     if sys.platform == "linux":
         (server,) = {r["parent"] for r in (*results, *again)}
@@ -79,10 +97,14 @@ def test_the_same_processes_work_again_and_end_with_the_job(tmp_path: Path) -> N
 
 
 def test_nothing_but_with_keeps_processes(tmp_path: Path) -> None:
-    assert ended({r["pid"] for r in Processes().run(tasks(tmp_path), 2, lambda _: None, tell)})
+    assert ended(
+        {r["pid"] for r in Processes().run(tasks(tmp_path), 2, lambda _: None, tell)}
+    )
 
 
-@pytest.mark.parametrize(("last", "message"), [(1, "a stage failed"), (2, "a worker process was killed")])
+@pytest.mark.parametrize(
+    ("last", "message"), [(1, "a stage failed"), (2, "a worker process was killed")]
+)
 def test_an_error_in_one_process_stops_all(tmp_path: Path, last: int, message: str) -> None:
     given = [(str(tmp_path), "key", k, last, "target") for k in range(2)]
     with Processes() as processes, pytest.raises(RenderError, match=message) as raised:
@@ -91,8 +113,12 @@ def test_an_error_in_one_process_stops_all(tmp_path: Path, last: int, message: s
     assert ended({int(path.name[2:]) for path in tmp_path.iterdir()})
 
 
-def test_an_error_beside_the_workers_stops_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Red where the generator is left to the collector of garbage: Python's end waited for workers with whole chunks to do."""
+def test_an_error_beside_the_workers_stops_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Red where the generator is left to the collector of garbage: Python's end waited for
+    workers with whole chunks to do.
+    """
     stopped = []
 
     def run(*_: Any, **__: Any) -> Iterator[dict[str, Any]]:
@@ -111,12 +137,18 @@ def test_an_error_beside_the_workers_stops_them(tmp_path: Path, monkeypatch: pyt
     )  # fmt: skip
     processes: Any = SimpleNamespace(run=run)
     with pytest.raises(OSError) as kept:  # holds the traceback, and with it the generator
-        job._render(planned, [Chunk(0, 1, "a"), Chunk(2, 3, "b")], Options(workers=2, processes=processes))
+        job._render(
+            planned,
+            [Chunk(0, 1, "a"), Chunk(2, 3, "b")],
+            Options(workers=2, processes=processes),
+        )
     assert stopped and kept
 
 
 def test_a_worker_looks_for_garbage_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Importing what a job needs makes 300,000 objects that stay: looking through them was a tenth of a worker's start."""
+    """Importing what a job needs makes 300,000 objects that stay: looking through them was
+    a tenth of a worker's start.
+    """
     monkeypatch.setattr(interrupt, "in_worker", lambda: None)
     before, threads = gc.get_threshold(), cv2.getNumThreads()
     try:

@@ -32,11 +32,16 @@ def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
     layers = FrameLayers(plate, Rect(10, 10, 40, 30))
     inner = Rect(15, 12, 20, 18)
     layers.put(Layer.COVERAGE, np.ones((6, 5), np.float32), inner, inner)
-    view = layers.view(frozenset({Layer.COVERAGE, Layer.SHADOW, Layer.IMAGE}), Rect(14, 11, 21, 19))
+    view = layers.view(
+        frozenset({Layer.COVERAGE, Layer.SHADOW, Layer.IMAGE}), Rect(14, 11, 21, 19)
+    )
     assert view[Layer.COVERAGE].sum() == 30 and view[Layer.COVERAGE][0].sum() == 0
     assert (view[Layer.SHADOW] == 1).all()
     layers.put(Layer.IMAGE, np.zeros((6, 5, 3), np.float32), inner, inner)
-    image, at = layers.view(frozenset({Layer.IMAGE}), layers.rect)[Layer.IMAGE], inner.slices_in(layers.rect)
+    image, at = (
+        layers.view(frozenset({Layer.IMAGE}), layers.rect)[Layer.IMAGE],
+        inner.slices_in(layers.rect),
+    )
     assert image[at].max() == 0
     untouched = image.copy()
     untouched[at] = plate[at]
@@ -48,11 +53,20 @@ def test_what_a_stage_wrote_of_image_lies_over_what_was_there() -> None:
     layers = FrameLayers(np.ones((30, 40, 3), np.float32), whole)
     layers.put(Layer.IMAGE, np.full((15, 15, 3), 3, np.float32), inner, inner)
     plate, left = layers.stored[Layer.PLATE], np.full((15, 20, 1), 0.5, np.float32)
-    light = Attenuated(plate, dark, left, np.float32(1), np.zeros(3, np.float32), lambda p, k, _, __, out: np.multiply(p, k, out))
+    light = Attenuated(
+        plate,
+        dark,
+        left,
+        np.float32(1),
+        np.zeros(3, np.float32),
+        lambda p, k, _, __, out: np.multiply(p, k, out),
+    )
     layers.put(Layer.IMAGE, Pixels(dark, rest=light), dark, dark)
     expected = np.ones((30, 40, 3), np.float32)
     expected[inner.slices], expected[dark.slices] = 3, 0.5
-    assert np.array_equal(layers.view(frozenset({Layer.IMAGE}), whole)[Layer.IMAGE], expected)
+    assert np.array_equal(
+        layers.view(frozenset({Layer.IMAGE}), whole)[Layer.IMAGE], expected
+    )
 
 
 class Bad(Stage):
@@ -67,8 +81,15 @@ class Bad(Stage):
 def test_a_value_that_is_not_finite_stops_with_stage_frame_and_pixel() -> None:
     rect = Rect(5, 6, 25, 26)
     plan = FramePlan(7, rect, rect, (Step("bad", "standard", rect, rect, "", 0.0),), ())
-    with pytest.raises(RenderError, match=r"'bad' made 1 pixels.*frame 7, first at x 9, y 9"):
-        run_frame(np.ones((20, 20, 3), np.float32), FACTS.with_(index=7), plan, ready_stages(plan, {"bad": Bad()}, SCENE))
+    with pytest.raises(
+        RenderError, match=r"'bad' made 1 pixels.*frame 7, first at x 9, y 9"
+    ):
+        run_frame(
+            np.ones((20, 20, 3), np.float32),
+            FACTS.with_(index=7),
+            plan,
+            ready_stages(plan, {"bad": Bad()}, SCENE),
+        )
 
 
 class Paint(Stage):
@@ -98,8 +119,13 @@ class Spot(Paint):
 
     def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
         made = super().run(view, prepared)
-        inner = np.pad(np.ones(tuple(n - 4 for n in made[Layer.COVERAGE].shape), np.float32), 2)
-        return {Layer.COVERAGE: inner, Layer.VIRTUAL: made[Layer.VIRTUAL] * inner[..., None]}
+        inner = np.pad(
+            np.ones(tuple(n - 4 for n in made[Layer.COVERAGE].shape), np.float32), 2
+        )
+        return {
+            Layer.COVERAGE: inner,
+            Layer.VIRTUAL: made[Layer.VIRTUAL] * inner[..., None],
+        }
 
 
 class Shade(Paint):
@@ -121,10 +147,14 @@ class Shade(Paint):
 
 @pytest.mark.parametrize("bias", [0.0, -0.02])
 def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
-    """Nothing but the object's own pixels is converted, and the picture is the one that whole conversion gives."""
+    """Nothing but the object's own pixels is converted, and the picture is the one that
+    whole conversion gives.
+    """
     stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite()}
     levels = {n: LEVEL for n in stages}
-    f = FACTS.with_(opacity=0.9, bias_rgb=(bias, bias, bias), model_box=Rect(42, 32, 58, 48))
+    f = FACTS.with_(
+        opacity=0.9, bias_rgb=(bias, bias, bias), model_box=Rect(42, 32, 58, 48)
+    )
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame("yuv420p", SCENE.camera.width, SCENE.camera.height, smooth=True)
     asked: list[Rect] = []
@@ -133,7 +163,9 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
         asked.append(rect)
         return picture.linear(rect)
 
-    found = run_frame(Pixels(plan.rect, rest=linear), f, plan, ready_stages(plan, stages, SCENE))
+    found = run_frame(
+        Pixels(plan.rect, rest=linear), f, plan, ready_stages(plan, stages, SCENE)
+    )
     assert plan.changed == Rect(20, 20, 90, 80)
     dimmed = samples(found.onto(picture))
     assert asked and all(Rect(40, 30, 60, 50).contains(r) for r in asked)
@@ -142,7 +174,9 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
         assert np.abs(a - b).max() <= 1
     assert np.abs(dimmed[0] - samples(picture)[0]).max() > 10
     for a, b in zip(dimmed, samples(found.onto(picture)), strict=True):
-        np.testing.assert_array_equal(a, b, err_msg="the same when IMAGE was asked for meanwhile")
+        np.testing.assert_array_equal(
+            a, b, err_msg="the same when IMAGE was asked for meanwhile"
+        )
 
 
 class Streak(Stage):
@@ -162,19 +196,32 @@ class Streak(Stage):
         now = view.layers
         made, rows = np.full((now.rect.height, now.rect.width, 3), np.nan, np.float32), []
         for y in range(20, 60):
-            rows.append(Rect(11 + y // 2, y, 57 + y // 3, y + 1).shift(now.rect.x0, now.rect.y0))
-            made[rows[-1].slices_in(now.rect)] = 1.3 * now.crop(rows[-1])[Layer.IMAGE] + np.float32(0.02)
+            rows.append(
+                Rect(11 + y // 2, y, 57 + y // 3, y + 1).shift(now.rect.x0, now.rect.y0)
+            )
+            made[rows[-1].slices_in(now.rect)] = 1.3 * now.crop(rows[-1])[
+                Layer.IMAGE
+            ] + np.float32(0.02)
         return {Layer.IMAGE: Pixels(now.rect, made, now.written[Layer.IMAGE], written=rows)}
 
 
 @pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv422p10le", "gbrp"])
-def test_a_stage_that_made_some_columns_gives_the_stored_samples_of_one_that_made_all(pixel_format: str) -> None:
-    stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite(), "streak": Streak()}
+def test_a_stage_that_made_some_columns_gives_the_stored_samples_of_one_that_made_all(
+    pixel_format: str,
+) -> None:
+    stages: dict[str, Any] = {
+        "paint": Spot(),
+        "shade": Shade(),
+        "composite": Composite(),
+        "streak": Streak(),
+    }
     levels = {n: LEVEL for n in stages}
     f = FACTS.with_(model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame(pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True)
-    found = run_frame(Pixels(plan.rect, rest=picture.linear), f, plan, ready_stages(plan, stages, SCENE))
+    found = run_frame(
+        Pixels(plan.rect, rest=picture.linear), f, plan, ready_stages(plan, stages, SCENE)
+    )
     out = samples(found.onto(picture))
     assert np.isfinite(found.image).all()
     whole = picture.edited(plan.changed, picture.linear(plan.changed), found.image)
@@ -191,15 +238,26 @@ def test_a_plate_is_converted_once() -> None:
         return np.full((rect.height, rect.width, 3), len(asked), np.float32)
 
     plate = Pixels(Rect(0, 0, 50, 40), rest=read)
-    assert plate(Rect(5, 5, 20, 20)).shape == (15, 15, 3) and plate(Rect(6, 6, 9, 9)).shape == (3, 3, 3)
+    assert plate(Rect(5, 5, 20, 20)).shape == (15, 15, 3) and plate(
+        Rect(6, 6, 9, 9)
+    ).shape == (3, 3, 3)
     assert asked == [Rect(5, 5, 20, 20)], "first what was asked for"
-    assert plate(Rect(0, 0, 30, 8)).shape == (8, 30, 3) and plate(Rect(40, 30, 50, 40)).shape == (10, 10, 3)
-    assert sum(r.area for r in asked) == 50 * 40 and plate.seconds > 0, "then bands, and nothing twice"
+    assert plate(Rect(0, 0, 30, 8)).shape == (8, 30, 3) and plate(
+        Rect(40, 30, 50, 40)
+    ).shape == (10, 10, 3)
+    assert sum(r.area for r in asked) == 50 * 40 and plate.seconds > 0, (
+        "then bands, and nothing twice"
+    )
     count = len(asked)
-    assert plate.over(plate.rect, [Rect(2, 2, 48, 38)]).shape == (40, 50, 3) and len(asked) == count
+    assert (
+        plate.over(plate.rect, [Rect(2, 2, 48, 38)]).shape == (40, 50, 3)
+        and len(asked) == count
+    )
     gone = weakref.ref(plate)
     del plate
-    assert gone() is None, "freed at once, not when Python next looks for cycles: it is as large as a picture"
+    assert gone() is None, (
+        "freed at once, not when Python next looks for cycles: it is as large as a picture"
+    )
 
 
 @pytest.mark.parametrize("opacity", [1.0, 0.25])
@@ -208,9 +266,13 @@ def test_composite_over_the_plate_with_opacity(opacity: float) -> None:
     levels = {n: LEVEL for n in stages}
     f = FACTS.with_(opacity=opacity, model_box=Rect(42, 32, 58, 48))
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
-    plate = np.random.default_rng(1).random((plan.rect.height, plan.rect.width, 3), dtype=np.float32)
+    plate = np.random.default_rng(1).random(
+        (plan.rect.height, plan.rect.width, 3), dtype=np.float32
+    )
     result = run_frame(plate, f, plan, ready_stages(plan, stages, SCENE))
-    np.testing.assert_allclose(result.image, plate + opacity * (np.float32([1, 0, 0]) - plate), atol=1e-6)
+    np.testing.assert_allclose(
+        result.image, plate + opacity * (np.float32([1, 0, 0]) - plate), atol=1e-6
+    )
     assert set(result.seconds) == {"paint", "composite"}
 
 
@@ -221,7 +283,11 @@ def test_composite_leaves_bare_pixels_bit_identical() -> None:
     plate = np.random.default_rng(2).random((40, 50, 3), dtype=np.float32)
     layers = layers_of(
         rect,
-        {Layer.PLATE: plate, Layer.IMAGE: plate, **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)}},
+        {
+            Layer.PLATE: plate,
+            Layer.IMAGE: plate,
+            **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)},
+        },
     )
     out = ReadyStage.of(Composite(), SCENE, LEVEL).run(layers, FACTS)[Layer.IMAGE](rect)
     assert np.array_equal(out, plate)
@@ -230,13 +296,21 @@ def test_composite_leaves_bare_pixels_bit_identical() -> None:
 def test_random_numbers_depend_on_seed_frame_and_stage_only() -> None:
     other = type("Other", (Bad,), {"name": "other"})
     layers, draws = Layers(Rect(3, 4, 9, 8)), []
-    for seed, index, stage in ((0, 1, Bad), (0, 1, other), (0, 2, Bad), (1, 1, Bad), (0, 1, Bad)):
+    for seed, index, stage in (
+        (0, 1, Bad),
+        (0, 1, other),
+        (0, 2, Bad),
+        (1, 1, Bad),
+        (0, 1, Bad),
+    ):
         ready = ReadyStage(stage(), replace(SCENE, seed=seed), LEVEL, None)
         draws.append(ready.view(layers, FACTS.with_(index=index)).noise().tobytes())
     assert draws[0] == draws[4] and len(set(draws)) == 4
 
 
-def test_what_a_stage_asks_of_a_frame_without_a_pose_is_an_error_that_names_the_frame() -> None:
+def test_what_a_stage_asks_of_a_frame_without_a_pose_is_an_error_that_names_the_frame() -> (
+    None
+):
     absent = FACTS.with_(camera_from_world=None, opacity=0.0, index=12, light=None)
     view = ReadyStage.of(Bad(), SCENE, LEVEL).view(Layers(Rect(0, 0, 8, 8)), absent)
     assert view.light is SCENE.light and view.rect == view.out

@@ -1,4 +1,6 @@
-"""What is compiled ahead: the list fits the code, only what is missing is compiled, and no failure of it stops a job."""
+"""What is compiled ahead: the list fits the code, only what is missing is compiled, and no
+failure of it stops a job.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,16 @@ import pytest
 
 from arfx.run import job, kernels
 from arfx.run.folder import JobFolder
-from arfx.run.kernels import DIMMING, JOB, SELDOM, SYNTH, Kernel, compile_ahead, listed_kernels, warn_if_unlisted
+from arfx.run.kernels import (
+    DIMMING,
+    JOB,
+    SELDOM,
+    SYNTH,
+    Kernel,
+    compile_ahead,
+    listed_kernels,
+    warn_if_unlisted,
+)
 from arfx.run.times import WorkLog
 from arfx.stages import STAGES
 from arfx_cli.console import Progress
@@ -36,12 +47,18 @@ def half(x):
 
 @pytest.fixture
 def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Kernel]:
-    """Two kernels in modules of their own, one of them for integers too, and a list that holds them."""
+    """Two kernels in modules of their own, one of them for integers too, and a list that
+    holds them.
+    """
     monkeypatch.syspath_prepend(tmp_path)
     names = [f"first_{tmp_path.name}", f"second_{tmp_path.name}"]
     for name in names:
         (tmp_path / f"{name}.py").write_text(MODULE)
-    rows = [[names[0], "double", "(float64,)", 9.0], [names[0], "double", "(int64,)", 9.0], [names[1], "half", "(float64,)", 9.0]]
+    rows = [
+        [names[0], "double", "(float64,)", 9.0],
+        [names[0], "double", "(int64,)", 9.0],
+        [names[1], "half", "(float64,)", 9.0],
+    ]
     (tmp_path / "list.json").write_text(json.dumps({"job": rows[:2], "gi": rows[2:]}))
     monkeypatch.setattr(kernels, "MANIFEST", tmp_path / "list.json")
     return listed_kernels()
@@ -64,19 +81,28 @@ def test_what_is_missing_is_compiled_and_told_once(
     assert len(told) == 4
 
 
-def test_only_the_parts_that_a_job_needs_are_compiled(two: list[Kernel], tmp_path: Path) -> None:
+def test_only_the_parts_that_a_job_needs_are_compiled(
+    two: list[Kernel], tmp_path: Path
+) -> None:
     assert compile_ahead(("gi",), lambda *a: None) == 1
     assert [k.is_cached for k in two] == [False, False, True]
 
 
-def test_a_helper_that_dies_or_knows_no_such_kernel_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_helper_that_dies_or_knows_no_such_kernel_ends_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     lost = [Kernel("arfx.no_such_module", "f", "(int64,)", 9.0)] * 2
     assert list(kernels._in_processes(deque([lost]), 1)) == lost
     monkeypatch.setattr(kernels.sys, "executable", "/bin/false")
-    assert list(kernels._in_processes(deque([[Kernel("arfx.run", "f", "(int64,)", 9.0)]]), 2)) == []
+    assert (
+        list(kernels._in_processes(deque([[Kernel("arfx.run", "f", "(int64,)", 9.0)]]), 2))
+        == []
+    )
 
 
-def test_helpers_end_with_their_job(two: list[Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_helpers_end_with_their_job(
+    two: list[Kernel], monkeypatch: pytest.MonkeyPatch
+) -> None:
     started: list[subprocess.Popen[str]] = []
     popen = subprocess.Popen
 
@@ -96,7 +122,9 @@ def test_helpers_end_with_their_job(two: list[Kernel], monkeypatch: pytest.Monke
     assert started and all(helper.poll() is not None for helper in started)
 
 
-def test_where_nothing_can_be_kept_one_notice_says_so(two: list[Kernel], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nothing_can_be_kept_one_notice_says_so(
+    two: list[Kernel], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(kernels.compiled, "cache_persists", lambda: False)
     notices: list[str] = []
     compile_ahead(("gi",), lambda *a: None, notices.append)
@@ -114,8 +142,12 @@ def test_what_is_not_in_the_list_is_told_once(two: list[Kernel]) -> None:
     assert len(notices) == 1 and "compiling" in notices[0]
 
 
-def test_what_the_list_has_for_few_jobs_is_told_too(two: list[Kernel], tmp_path: Path) -> None:
-    (tmp_path / "list.json").write_text(json.dumps({SELDOM: [[two[0].module, "double", "(float64,)", 9.0]]}))
+def test_what_the_list_has_for_few_jobs_is_told_too(
+    two: list[Kernel], tmp_path: Path
+) -> None:
+    (tmp_path / "list.json").write_text(
+        json.dumps({SELDOM: [[two[0].module, "double", "(float64,)", 9.0]]})
+    )
     notices: list[str] = []
     with warn_if_unlisted(notices.append):
         two[0].load()
@@ -123,12 +155,20 @@ def test_what_the_list_has_for_few_jobs_is_told_too(two: list[Kernel], tmp_path:
 
 
 def test_the_list_fits_the_code() -> None:
-    """Every function that it names is there, is kept on disk, and takes as many arguments as it says."""
+    """Every function that it names is there, is kept on disk, and takes as many arguments
+    as it says.
+    """
     document = json.loads(kernels.MANIFEST.read_text(encoding="utf-8"))
-    assert {SYNTH, JOB, "lightmap", *EFFECTS} <= document.keys() <= {SYNTH, JOB, DIMMING, SELDOM, *STAGES}
+    assert (
+        {SYNTH, JOB, "lightmap", *EFFECTS}
+        <= document.keys()
+        <= {SYNTH, JOB, DIMMING, SELDOM, *STAGES}
+    )
     for kernel in listed_kernels():
         function = kernel.function
-        assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, kernel
+        assert len(kernels._types(kernel.types)) == function.py_func.__code__.co_argcount, (
+            kernel
+        )
         assert kernel.is_cached in (True, False), kernel
 
 
@@ -143,16 +183,23 @@ class Both(NamedTuple):
 
 
 def test_types_are_read_as_they_are_written() -> None:
-    alike, mixed = Pair(np.zeros(2), np.zeros(2)), Pair(np.zeros(2), np.zeros((2, 2), np.uint8))
+    alike, mixed = (
+        Pair(np.zeros(2), np.zeros(2)),
+        Pair(np.zeros(2), np.zeros((2, 2), np.uint8)),
+    )
     for arguments in ((3,), (alike, True, np.float32(1)), (Both(mixed, 2), alike), ()):
         types = tuple(map(numba.typeof, arguments))
         text = kernels.signature(types)
         assert kernels._types(text) == types
-        assert not any(isinstance(a, Pair) for a in arguments) or f"{__name__}.Pair(" in text
+        assert (
+            not any(isinstance(a, Pair) for a in arguments) or f"{__name__}.Pair(" in text
+        )
 
 
 @pytest.mark.parametrize("started", [None, 3.0])
-def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch, started: float | None) -> None:
+def test_compiling_is_no_part_of_a_jobs_time(
+    monkeypatch: pytest.MonkeyPatch, started: float | None
+) -> None:
     clock = [5.0]
 
     def compile_for_a_minute(*_: object) -> None:
@@ -172,9 +219,13 @@ def test_compiling_is_no_part_of_a_jobs_time(monkeypatch: pytest.MonkeyPatch, st
     monkeypatch.setattr(job, "pipeline", lambda _: ())
     monkeypatch.setattr(job, "WorkLog", log)
     monkeypatch.setattr(job, "job_keys", stop)
-    config = SimpleNamespace(input=SimpleNamespace(clip="clip.mp4"), model=SimpleNamespace(file="model.glb"))
+    config = SimpleNamespace(
+        input=SimpleNamespace(clip="clip.mp4"), model=SimpleNamespace(file="model.glb")
+    )
     with pytest.raises(KeyboardInterrupt):
-        job.plan_job(SimpleNamespace(config=config), JobFolder(Path("job")), job.Options(), started)  # type: ignore[arg-type]
+        job.plan_job(
+            SimpleNamespace(config=config), JobFolder(Path("job")), job.Options(), started
+        )  # type: ignore[arg-type]
     since = 0 if started is None else 5.0 - started
     assert clock[0] - logs[0].began == since
     job._compile((DIMMING,), job.Options(), logs[0])

@@ -14,18 +14,29 @@ import pytest
 from arfx.errors import ConfigError, RenderError
 from arfx.run.lock import locked
 
-HOLD = "import sys, time; from pathlib import Path; from arfx.run.lock import locked\n" + (
-    "with locked(Path(sys.argv[1]), '-o'): print('held', flush=True); sys.stdin.read()"
+HOLD = (
+    "import sys, time; from pathlib import Path; from arfx.run.lock import locked\n"
+    + "with locked(Path(sys.argv[1]), '-o'): print('held', flush=True); sys.stdin.read()"
 )
 
 
 def test_a_folder_is_held_by_one_and_free_when_that_is_killed(tmp_path: Path) -> None:
     folder = tmp_path / "out.mp4.job"
-    p = subprocess.Popen([sys.executable, "-c", HOLD, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    p = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(folder)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     try:
         assert p.stdout is not None and p.stdout.readline() == "held\n"
         before = {f.name: f.read_bytes() for f in folder.iterdir()}
-        with pytest.raises(ConfigError, match=f"in use by process {p.pid} on .*, since .*: -c"), locked(folder, "-o"):
+        with (
+            pytest.raises(
+                ConfigError, match=f"in use by process {p.pid} on .*, since .*: -c"
+            ),
+            locked(folder, "-o"),
+        ):
             pass
         assert {f.name: f.read_bytes() for f in folder.iterdir()} == before
     finally:
@@ -38,7 +49,9 @@ def test_a_folder_is_held_by_one_and_free_when_that_is_killed(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("code", [None, errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
-def test_of_many_at_once_one_gets_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int | None) -> None:
+def test_of_many_at_once_one_gets_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int | None
+) -> None:
     """code : with which a disk says that it knows no locks"""
     if code is not None:
 

@@ -25,11 +25,15 @@ def test_a_process_counts_its_own_memory_alone() -> None:
     """Not that of the process that started it."""
     held = np.ones(50_000_000)  # 400 MB
     code = "from arfx.run.memory import peak_mb; print(peak_mb())"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert 5 < float(told.stdout) < held.nbytes / 2**20
 
 
-def test_a_system_without_a_record_tells_what_is_held_now(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_without_a_record_tells_what_is_held_now(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(memory, "_STATUS", Path("/no such file"))
     assert 10 < memory.peak_mb() < 1e6
     monkeypatch.setitem(sys.modules, "resource", None)
@@ -43,7 +47,9 @@ def test_a_system_without_a_record_tells_what_is_held_now(monkeypatch: pytest.Mo
     assert memory.peak_mb() == 0 and memory.free_mb() is None
 
 
-def test_a_container_s_limit_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_container_s_limit_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(memory, "_CONTAINER", tmp_path)
     free = memory.free_mb()
     assert free is not None and free > 3

@@ -14,7 +14,9 @@ from arfx.run.cluster.spec import ClusterSpec
 
 
 @pytest.mark.parametrize("says", [b"HTTP/1.0 200 OK\r\n\r\n", b""])
-def test_what_is_no_scheduler_or_silent_is_told_soon(says: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_scheduler_or_silent_is_told_soon(
+    says: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("distributed")
     assert start.CONNECT_S + start.CLOSE_S <= 10 and crew.SILENT_S + start.CLOSE_S <= 10
     monkeypatch.setattr(start, "CONNECT_S", 0.5)

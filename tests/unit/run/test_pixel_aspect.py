@@ -23,8 +23,12 @@ SHOWN = (384, 216)
 ASPECT = Fraction(4, 3)
 
 
-def squeezed(path: Path, width: int, aspect: Fraction, turned: bool = False) -> tuple[ClipInfo, np.ndarray]:
-    """One frame of a scene that is 384x216 when it is displayed, and the picture that is stored, upright."""
+def squeezed(
+    path: Path, width: int, aspect: Fraction, turned: bool = False
+) -> tuple[ClipInfo, np.ndarray]:
+    """One frame of a scene that is 384x216 when it is displayed, and the picture that is
+    stored, upright.
+    """
     image = picture(pose_at(0, 2), clip_camera(*SHOWN))
     image = cv2.resize(image, (width, SHOWN[1]), interpolation=cv2.INTER_AREA)
     stored = np.ascontiguousarray(np.rot90(image) if turned else image, np.uint8)
@@ -48,14 +52,20 @@ def opened(clip: Path, camera: Path | None) -> tuple[Camera, list[str]]:
 
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("calibrated", ["guess", "displayed", "stored"])
-def test_a_squeezed_clip_has_the_camera_of_the_square_one(tmp_path: Path, calibrated: str, turned: bool) -> None:
+def test_a_squeezed_clip_has_the_camera_of_the_square_one(
+    tmp_path: Path, calibrated: str, turned: bool
+) -> None:
     info, _ = squeezed(tmp_path / "a.mp4", 288, ASPECT, turned)
-    assert (info.width, info.height) == (288, 216) and info.pixel_aspect == pytest.approx(4 / 3)
+    assert (info.width, info.height) == (288, 216) and info.pixel_aspect == pytest.approx(
+        4 / 3
+    )
     square = Camera.guess(*SHOWN) if calibrated == "guess" else clip_camera(*SHOWN)
     wanted = square.scaled_to(288, 216, 4 / 3)
     file = None
     if calibrated != "guess":
-        file = write_camera(tmp_path / "c.yaml", square if calibrated == "displayed" else wanted)
+        file = write_camera(
+            tmp_path / "c.yaml", square if calibrated == "displayed" else wanted
+        )
     camera, notices = opened(info.path, file)
     np.testing.assert_allclose(camera.matrix, wanted.matrix, rtol=1e-6)
     assert camera.fy == pytest.approx(camera.fx * 4 / 3)
@@ -69,7 +79,9 @@ def test_the_marker_is_seen_in_the_same_directions_in_both(tmp_path: Path) -> No
         camera, _ = opened(info.path, file)
         (marker,) = MarkerDetector(["36h11"], 12.0).search(image[..., 1].copy())
         corners = pose_at(0, 2).apply(MARKER.corners_m)
-        np.testing.assert_allclose(camera.normalised(marker.quad_px), corners[:, :2] / corners[:, 2:], atol=0.012)  # 2 px
+        np.testing.assert_allclose(
+            camera.normalised(marker.quad_px), corners[:, :2] / corners[:, 2:], atol=0.012
+        )  # 2 px
 
 
 def test_a_calibration_of_another_shape_is_refused_still(tmp_path: Path) -> None:

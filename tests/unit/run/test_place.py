@@ -27,8 +27,12 @@ READ = [
     "clip.mp4", "camera.yaml", "map.toml", "poses.txt", "errors.json", "sky.hdr", "model.obj", "model.mtl", "wood.png",
     "job.toml", "depth/000000.png", "depth/000001.png", "poster.png",
 ]  # fmt: skip
-OBJ = "mtllib model.mtl\nusemtl wood\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n" + "".join(
-    f"f {a}/1 {b}/2 {c}/3\n" for a, b, c in ((1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4))
+OBJ = (
+    "mtllib model.mtl\nusemtl wood\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt"
+    " 0 1\n"
+    + "".join(
+        f"f {a}/1 {b}/2 {c}/3\n" for a, b, c in ((1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4))
+    )
 )
 
 
@@ -39,8 +43,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_clip(d / "clip.mp4", 2)
     write_camera(d / "camera.yaml")
     place = 'position = ["0m", "0m", "0m"]'
-    (d / "map.toml").write_text(f'[[marker]]\nspec = "{MARKER}"\n{place}\n[[marker]]\nspec = "poster.png"\n{place}\n')
-    cv2.imwrite(str(d / "poster.png"), np.random.default_rng(0).integers(0, 256, (200, 240, 3), np.uint8))
+    (d / "map.toml").write_text(
+        f'[[marker]]\nspec = "{MARKER}"\n{place}\n[[marker]]\nspec ='
+        f' "poster.png"\n{place}\n'
+    )
+    cv2.imwrite(
+        str(d / "poster.png"),
+        np.random.default_rng(0).integers(0, 256, (200, 240, 3), np.uint8),
+    )
     (d / "poses.txt").write_text("0 0 0 0 0 0 1\n" * 2)
     (d / "errors.json").write_text('{"errors": {}, "source": "a test"}')
     cv2.imwrite(str(d / "sky.hdr"), np.ones((8, 16, 3), np.float32))
@@ -69,7 +79,9 @@ def read(made: Path, tmp_path: Path) -> Iterator[Path]:
     yield d
     for name in READ:
         assert digest(d / name) == digest(made / name), f"{name} was changed"
-    assert sorted(p.relative_to(d).as_posix() for p in d.rglob("*") if p.is_file()) == sorted(READ)
+    assert sorted(
+        p.relative_to(d).as_posix() for p in d.rglob("*") if p.is_file()
+    ) == sorted(READ)
 
 
 def digest(path: Path) -> str:
@@ -77,15 +89,22 @@ def digest(path: Path) -> str:
 
 
 def inputs(read: Path, out: Path) -> Inputs:
-    return open_inputs(load(read / "job.toml", {"output": {"path": str(out)}}, parameters()))
+    return open_inputs(
+        load(read / "job.toml", {"output": {"path": str(out)}}, parameters())
+    )
 
 
-def places(read: Path, out: Path, job: Path | None = None, report: Path | None = None) -> Places:
+def places(
+    read: Path, out: Path, job: Path | None = None, report: Path | None = None
+) -> Places:
     return Places(inputs(read, out), job, report, overwrite=True)
 
 
 def snapshot(folder: Path) -> dict[str, object]:
-    return {p.relative_to(folder).as_posix(): (p.is_symlink(), p.is_file() and p.read_bytes()) for p in folder.rglob("*")}
+    return {
+        p.relative_to(folder).as_posix(): (p.is_symlink(), p.is_file() and p.read_bytes())
+        for p in folder.rglob("*")
+    }
 
 
 def refused(at: Places, root: Path, says: str) -> None:
@@ -106,13 +125,17 @@ def test_a_model_of_the_same_name_in_another_folder_is_another(
     for place in (tmp_path / "a", tmp_path / "b"):
         shutil.copytree(made, place)
         monkeypatch.chdir(place)
-        known = {path.resolve() for _, path in files_read(inputs(Path(), tmp_path / "o.mp4"))}
+        known = {
+            path.resolve() for _, path in files_read(inputs(Path(), tmp_path / "o.mp4"))
+        }
         assert (place / "wood.png").resolve() in known
 
 
 @pytest.mark.parametrize("name", READ)
 @pytest.mark.parametrize("link", [os.link, os.symlink], ids=["hard", "soft"])
-def test_no_written_file_is_an_input(read: Path, tmp_path: Path, name: str, link: Callable[[Path, Path], None]) -> None:
+def test_no_written_file_is_an_input(
+    read: Path, tmp_path: Path, name: str, link: Callable[[Path, Path], None]
+) -> None:
     places_of = {
         "out.mp4": lambda p: places(read, p),
         "frames/000004.png": lambda p: places(read, p.with_name("%06d.png")),
@@ -134,10 +157,18 @@ def test_no_written_file_is_an_input(read: Path, tmp_path: Path, name: str, link
 def test_outputs_onto_inputs_by_their_own_names(read: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mp4"
     refused(places(read, read / "clip.mp4"), tmp_path, "also an input \\(clip\\)")
-    refused(places(read, read / "depth" / "%06d.png"), tmp_path, "also an input \\(depth\\)")
-    refused(places(read, read / "depth" / "%06d.exr"), tmp_path, "also an input \\(depth\\)")
+    refused(
+        places(read, read / "depth" / "%06d.png"), tmp_path, "also an input \\(depth\\)"
+    )
+    refused(
+        places(read, read / "depth" / "%06d.exr"), tmp_path, "also an input \\(depth\\)"
+    )
     for job in (read, read / "depth", tmp_path, read / "clip.mp4"):
-        refused(places(read, out, job=job), tmp_path, "could be lost|is a file|lies in the job folder")
+        refused(
+            places(read, out, job=job),
+            tmp_path,
+            "could be lost|is a file|lies in the job folder",
+        )
     refused(places(read, out, report=read / "clip.mp4"), tmp_path, "is a file")
     with places(read, read / "other%d.png", report=read).held(resume=False):
         pass
@@ -180,15 +211,32 @@ def test_places_that_cannot_be_a_jobs(
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("where", ["job", "out.mp4.job"])
-def test_a_folder_that_is_no_jobs_is_left_alone(read: Path, tmp_path: Path, held: str, where: str) -> None:
+def test_a_folder_that_is_no_jobs_is_left_alone(
+    read: Path, tmp_path: Path, held: str, where: str
+) -> None:
     """Names as a job writes them, too: nothing there says that a job did."""
     (tmp_path / where / held).parent.mkdir(parents=True)
     (tmp_path / where / held).write_text("mine")
-    refused(places(read, tmp_path / "out.mp4", job=tmp_path / "job"), tmp_path, "not a job folder")
+    refused(
+        places(read, tmp_path / "out.mp4", job=tmp_path / "job"),
+        tmp_path,
+        "not a job folder",
+    )
 
 
-@pytest.mark.parametrize("held", ["notes.txt", "chunks/clip.mp4", "chunks/000000-000029.nut", "previews/a.bmp", "x/y.txt"])
-def test_what_is_in_a_jobs_folder_and_not_of_it_is_left_alone(read: Path, tmp_path: Path, held: str) -> None:
+@pytest.mark.parametrize(
+    "held",
+    [
+        "notes.txt",
+        "chunks/clip.mp4",
+        "chunks/000000-000029.nut",
+        "previews/a.bmp",
+        "x/y.txt",
+    ],
+)
+def test_what_is_in_a_jobs_folder_and_not_of_it_is_left_alone(
+    read: Path, tmp_path: Path, held: str
+) -> None:
     job = tmp_path / "job"
     (job / held).parent.mkdir(parents=True)
     (job / "job.toml").write_text(MARK)
@@ -225,7 +273,10 @@ def test_a_damaged_list_of_what_was_put_in_place_counts_as_none(tmp_path: Path) 
 
 def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
     job = JobFolder(tmp_path / "job")
-    images = f"chunks/12-34-000030-000059.{KEY}.part/000031.png", f"chunks/000000-000029.{KEY}.{KEY}/times.txt"
+    images = (
+        f"chunks/12-34-000030-000059.{KEY}.part/000031.png",
+        f"chunks/000000-000029.{KEY}.{KEY}/times.txt",
+    )
     for name in (
         "inputs.json", "facts.jsonl", "environment.maps", "report.json", f"chunks/000000-000029.{KEY}.{KEY}.nut", *images,
         "previews/000001.in.bmp", ".arfx-12-0a1b2c3d.part", "joined.part", "seal.json", "placed.json", "stretches.json",
@@ -243,19 +294,33 @@ def test_what_a_job_wrote_is_cleared_and_nothing_else(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "error", [NothingToDoError("no marker"), ConfigError("no price"), InputError("no depth"), RenderError("full")]
+    "error",
+    [
+        NothingToDoError("no marker"),
+        ConfigError("no price"),
+        InputError("no depth"),
+        RenderError("full"),
+    ],
 )
 @pytest.mark.parametrize("named", [False, True])
-def test_a_job_that_came_to_nothing_leaves_nothing(read: Path, tmp_path: Path, error: ArfxError, named: bool) -> None:
+def test_a_job_that_came_to_nothing_leaves_nothing(
+    read: Path, tmp_path: Path, error: ArfxError, named: bool
+) -> None:
     (tmp_path / "empty").mkdir()
-    at = places(read, tmp_path / "out.mp4", tmp_path / "empty" if named else None, tmp_path / "rep")
+    at = places(
+        read, tmp_path / "out.mp4", tmp_path / "empty" if named else None, tmp_path / "rep"
+    )
     with pytest.raises(type(error)), at.held(resume=False):
         (at.folder.path / "job.toml").write_text(MARK)
         at.folder.timings.write_text("{}")
         if not isinstance(error, RenderError):
-            (at.folder.stretches / f"000000-000124.{KEY}").write_text("leads to the same end")
+            (at.folder.stretches / f"000000-000124.{KEY}").write_text(
+                "leads to the same end"
+            )
         raise error
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "read"] and not list((tmp_path / "empty").iterdir())
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "read"] and not list(
+        (tmp_path / "empty").iterdir()
+    )
 
 
 def test_a_job_that_can_be_resumed_keeps_what_it_has(read: Path, tmp_path: Path) -> None:
@@ -279,7 +344,9 @@ def test_a_job_that_can_be_resumed_keeps_what_it_has(read: Path, tmp_path: Path)
 
 
 def test_two_jobs_never_share_a_place(read: Path, tmp_path: Path) -> None:
-    """One output, one job folder or one report for two of them: the second is told so, and touches nothing."""
+    """One output, one job folder or one report for two of them: the second is told so, and
+    touches nothing.
+    """
     out, other, job, report = (tmp_path / n for n in ("out.mp4", "other.mp4", "job", "rep"))
     with places(read, out, job, report).held(resume=False):
         JobFolder(job).job.write_text(MARK)
@@ -288,14 +355,19 @@ def test_two_jobs_never_share_a_place(read: Path, tmp_path: Path) -> None:
             places(read, other, tmp_path / "out.mp4.job"),
         ):  # fmt: skip
             refused(second, tmp_path, "in use by process")
-            with pytest.raises(ConfigError, match="in use by process"), second.held(resume=True):
+            with (
+                pytest.raises(ConfigError, match="in use by process"),
+                second.held(resume=True),
+            ):
                 pass
         with places(read, other).held(resume=False):
             pass
     assert not (tmp_path / "out.mp4.job").exists() and job.exists()
 
 
-def test_an_output_that_appears_meanwhile_is_not_replaced_unasked(read: Path, tmp_path: Path) -> None:
+def test_an_output_that_appears_meanwhile_is_not_replaced_unasked(
+    read: Path, tmp_path: Path
+) -> None:
     at = Places(inputs(read, tmp_path / "out.mp4"), None, None, overwrite=False)
     with pytest.raises(ConfigError, match="exists"), at.held(resume=False):
         (tmp_path / "out.mp4").write_text("somebody else's")
@@ -306,9 +378,13 @@ def test_reports_are_recognised(read: Path, tmp_path: Path) -> None:
     report = tmp_path / "rep"
     report.mkdir()
     (report / "report.html").write_text("<html>coverage of a test suite</html>")
-    refused(places(read, tmp_path / "out.mp4", report=report), tmp_path, "not written by arfx")
+    refused(
+        places(read, tmp_path / "out.mp4", report=report), tmp_path, "not written by arfx"
+    )
     (report / "report.html").write_text(PAGE_START + "…")
-    (report / "report.json").write_text(json.dumps({"input": {"path": "clip.mp4"}}, indent=1))
+    (report / "report.json").write_text(
+        json.dumps({"input": {"path": "clip.mp4"}}, indent=1)
+    )
     with places(read, tmp_path / "out.mp4", report=report).held(resume=False):
         pass
     with locked(report, "-o"):

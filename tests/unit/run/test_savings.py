@@ -1,5 +1,6 @@
-"""A plan touches a third of the pixels that forcing touches, for the same picture, where little is called for (proportions
-of scene 0050); and a budget is kept by the plan, which a resumed job reads back."""
+"""A plan touches a third of the pixels that forcing touches, for the same picture, where
+little is called for (proportions of scene 0050); and a budget is kept by the plan, which a
+resumed job reads back."""
 
 from __future__ import annotations
 
@@ -57,35 +58,53 @@ def options(folder: Path, **more: object) -> Options:
 def test_planned_is_forced_for_a_part_of_the_work(material: Path, tmp_path: Path) -> None:
     reports = {}
     for name, skip in (("planned", True), ("forced", False)):
-        reports[name] = process(job(material, tmp_path / f"{name}.mkv", skip=skip), options(tmp_path / name))
-    pixels = {name: sum(s["area_fraction"] * s["frames_run"] for s in r["stages"]) for name, r in reports.items()}
-    assert pixels["forced"] >= 3 * pixels["planned"], pixels  # stage-pixels: seconds are not told apart on a busy machine
+        reports[name] = process(
+            job(material, tmp_path / f"{name}.mkv", skip=skip), options(tmp_path / name)
+        )
+    pixels = {
+        name: sum(s["area_fraction"] * s["frames_run"] for s in r["stages"])
+        for name, r in reports.items()
+    }
+    assert pixels["forced"] >= 3 * pixels["planned"], (
+        pixels
+    )  # stage-pixels: seconds are not told apart on a busy machine
     dof = next(s for s in reports["planned"]["stages"] if s["name"] == "dof")
     assert 0 < dof["frames_run"] < SEEN and any("blur circle" in r for r in dof["reasons"])
     assert sum(dof["reasons"].values()) == FRAMES - dof["frames_run"]
     pictures = []
     for name in reports:
         with av.open(str(tmp_path / f"{name}.mkv")) as clip:
-            pictures.append([f.to_ndarray(format="rgb24").astype(int) for f in clip.decode(video=0)])
+            pictures.append(
+                [f.to_ndarray(format="rgb24").astype(int) for f in clip.decode(video=0)]
+            )
     assert max(np.abs(a - b).max() for a, b in zip(*pictures, strict=True)) <= 1
 
 
 def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
-    """1920x1080, where what a stage costs by itself no longer hides what it costs by the pixel; in focus and out of it. The
-    object covers 9,000 px, as it would at a hundredth of 1280x720."""
+    """1920x1080, where what a stage costs by itself no longer hides what it costs by the
+    pixel; in focus and out of it. The object covers 9,000 px, as it would at a hundredth of
+    1280x720."""
     at = bench_scene(1920, 1080, 0.0044, ball(40, 31))
     lamp = DirectionalLight((0.5, 0.3, 1.0), (0.6, 0.6, 0.5), 5.0)
     facts = at.facts.with_(light=Light(ambient_rgb=(0.4, 0.4, 0.4), lights=(lamp,)))
     spent = {True: 0.0, False: 0.0}
     for focus, runs in (("object", 3), ("1m", 4)):
-        dof = STAGES["dof"](replace(STAGES["dof"]().params, scope="virtual", fnumber=4.0, focus=focus))  # type: ignore[call-arg]
-        stages = {n: STAGES[n]() for n in ("raster", "lightmap", "composite")} | {"dof": dof}
+        dof = STAGES["dof"](
+            replace(STAGES["dof"]().params, scope="virtual", fnumber=4.0, focus=focus)
+        )  # type: ignore[call-arg]
+        stages = {n: STAGES[n]() for n in ("raster", "lightmap", "composite")} | {
+            "dof": dof
+        }
         levels = {n: level_named(s.levels, "standard") for n, s in stages.items()}
-        whole = plan_frame(list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip=False)
+        whole = plan_frame(
+            list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip=False
+        )
         ready = ready_stages(whole, stages, at.scene)
         pictures, times = {}, {True: [], False: []}
         for skip in [True, False] * 3:
-            plan = plan_frame(list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip)
+            plan = plan_frame(
+                list(stages.values()), levels, facts, at.scene, at.scene.camera.rect, skip
+            )
             assert len(plan.steps) == (runs if skip else 4)
             plate = at.plate[plan.rect.slices]
             start = time.process_time()
@@ -99,12 +118,18 @@ def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
     assert spent[False] >= 3 * spent[True], spent
 
 
-def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(material: Path, tmp_path: Path) -> None:
+def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(
+    material: Path, tmp_path: Path
+) -> None:
     folder = JobFolder(tmp_path / "job")
     folder.open(False)
     config = job(material, tmp_path / "out.mkv", budget="500s")
     first = plan_job(open_inputs(config), folder, options(folder.path))
-    assert first.plan.levels["by"] == "budget" and first.plan.predicted["wall"]["high_s"] <= 500 and first.plan.levels["met"]
+    assert (
+        first.plan.levels["by"] == "budget"
+        and first.plan.predicted["wall"]["high_s"] <= 500
+        and first.plan.levels["met"]
+    )
     levels = {(row["stage"], row["level"]) for row in first.plan.levels["chosen"]}
     assert ("raster", "reference") in levels, "there is time for the best"
     written = folder.plan.read_bytes()
@@ -117,22 +142,39 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(m
     JobFolder(hurried).open(False)
     told: list[str] = []
     poor = plan_job(
-        open_inputs(job(material, tmp_path / "o.mkv", budget="0.01s")), JobFolder(hurried), Options(hurried, notice=told.append)
+        open_inputs(job(material, tmp_path / "o.mkv", budget="0.01s")),
+        JobFolder(hurried),
+        Options(hurried, notice=told.append),
     )
     assert not poor.plan.levels["met"] and any("even the cheapest" in t for t in told)
-    seconds = [sum(s.seconds for p in plan.plan.frames for s in p.steps) for plan in (poor, first)]
+    seconds = [
+        sum(s.seconds for p in plan.plan.frames for s in p.steps) for plan in (poor, first)
+    ]
     assert seconds[0] < seconds[1]
 
 
-@pytest.mark.parametrize(("stage", "dimmed"), [("composite", [True, True]), ("dof", [False, True]), ("watercolor", [False])])
+@pytest.mark.parametrize(
+    ("stage", "dimmed"),
+    [("composite", [True, True]), ("dof", [False, True]), ("watercolor", [False])],
+)
 def test_what_dims_stored_samples_is_compiled_only_where_no_stage_reads_a_frames_shadow(
-    stage: str, dimmed: list[bool], material: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stage: str,
+    dimmed: list[bool],
+    material: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     compiled: list[set[str]] = []
-    monkeypatch.setattr("arfx.run.job.compile_ahead", lambda parts, *_: compiled.append(set(parts)))
+    monkeypatch.setattr(
+        "arfx.run.job.compile_ahead", lambda parts, *_: compiled.append(set(parts))
+    )
     folder = JobFolder(tmp_path / "job")
     folder.open(False)
-    plan_job(open_inputs(job(material, tmp_path / "o.mkv", stages=["lightmap", stage])), folder, options(folder.path))
+    plan_job(
+        open_inputs(job(material, tmp_path / "o.mkv", stages=["lightmap", stage])),
+        folder,
+        options(folder.path),
+    )
     assert compiled[0] >= {JOB, stage}
     assert [DIMMING in parts for parts in compiled] == dimmed, "ahead, and after the plan"
 
@@ -141,4 +183,8 @@ def test_two_ways_to_choose_levels_are_one_too_many(material: Path, tmp_path: Pa
     folder = JobFolder(tmp_path / "job")
     folder.open(False)
     with pytest.raises(ConfigError, match="both choose levels"):
-        plan_job(open_inputs(job(material, tmp_path / "o.mkv", budget="9s", max_error=1)), folder, options(folder.path))
+        plan_job(
+            open_inputs(job(material, tmp_path / "o.mkv", budget="9s", max_error=1)),
+            folder,
+            options(folder.path),
+        )

@@ -14,7 +14,9 @@ def loads(*seconds: float) -> list[Load]:
 def test_work_is_shared_as_far_as_chunks_allow() -> None:
     assert elapsed(loads(1, 1, 1, 1), 2) == (2.0, 0.0)
     assert elapsed(loads(1, 1, 1), 2)[0] == 2.0, "the third chunk has no counterpart"
-    assert elapsed(loads(3, 1, 1, 1), 2)[0] == 3.0, "who is through takes from the end of the other's stretch"
+    assert elapsed(loads(3, 1, 1, 1), 2)[0] == 3.0, (
+        "who is through takes from the end of the other's stretch"
+    )
     assert elapsed(loads(6, 0, 0, 0), 2)[0] == 6.0, "all the work in one chunk helps nobody"
     assert elapsed(loads(1, 2, 3), 1) == (6.0, 0.0)
     assert elapsed([], 2) == (0.0, 0.0)

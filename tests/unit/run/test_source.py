@@ -22,7 +22,11 @@ from tests.clips import write_clip
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_clip(tmp_path_factory.mktemp("source") / "clip.mp4", 24, pts=[2 * i + i % 2 for i in range(24)])
+    return write_clip(
+        tmp_path_factory.mktemp("source") / "clip.mp4",
+        24,
+        pts=[2 * i + i % 2 for i in range(24)],
+    )
 
 
 def test_a_source_gives_the_frames_of_the_job_and_skips_others(clip: Path) -> None:
@@ -35,7 +39,9 @@ def test_a_source_gives_the_frames_of_the_job_and_skips_others(clip: Path) -> No
     assert [f.pts for f in got if f is not None] == wanted[1:]
 
 
-def test_a_frame_that_is_not_there_is_told_and_nothing_after_it_is_given(clip: Path) -> None:
+def test_a_frame_that_is_not_there_is_told_and_nothing_after_it_is_given(
+    clip: Path,
+) -> None:
     info = probe(clip)
     with ClipReader(info) as reader:
         pts = [f.pts for f in reader.frames()]
@@ -52,7 +58,9 @@ def test_the_next_chunk_reads_on_and_any_other_starts_anew(clip: Path) -> None:
     first.next()
     assert source_at(info, pts, 1) is first
     other = source_at(info, pts, 10)
-    assert other is not first and (frame := other.next()) is not None and frame.pts == pts[10]
+    assert (
+        other is not first and (frame := other.next()) is not None and frame.pts == pts[10]
+    )
     assert source_at(info, list(pts), 11) is not other, "another job's source was taken"
     release()
 
@@ -80,7 +88,14 @@ def test_threads_render_every_chunk_once_in_stretches() -> None:
     order: dict[int, list[int]] = {}
     helped = threading.Event()
 
-    def render(folder: str, key: str, first: int, last: int, target: str, tick: executors.Callable[[], None]) -> dict:
+    def render(
+        folder: str,
+        key: str,
+        first: int,
+        last: int,
+        target: str,
+        tick: executors.Callable[[], None],
+    ) -> dict:
         order.setdefault(threading.get_ident(), []).append(first)
         if first == 0:
             assert helped.wait(100), "a thread that is through does not help"
@@ -100,7 +115,14 @@ def test_threads_render_every_chunk_once_in_stretches() -> None:
 def test_a_failing_chunk_stops_all_threads() -> None:
     ended: list[int] = []
 
-    def render(folder: str, key: str, first: int, last: int, target: str, tick: executors.Callable[[], None]) -> dict:
+    def render(
+        folder: str,
+        key: str,
+        first: int,
+        last: int,
+        target: str,
+        tick: executors.Callable[[], None],
+    ) -> dict:
         if first == 4:
             raise RenderError("no")
         until = time.monotonic() + 100
@@ -118,7 +140,9 @@ def test_a_failing_chunk_stops_all_threads() -> None:
 @pytest.mark.usefixtures("ctrl_c")
 def test_an_interrupt_that_a_library_swallows_still_ends_the_job(tmp_path: Path) -> None:
     with pytest.raises(JobInterruptedError), _interruptible(JobFolder(tmp_path)) as check:
-        with contextlib.suppress(KeyboardInterrupt):  # as compiled code does that clears errors
+        with contextlib.suppress(
+            KeyboardInterrupt
+        ):  # as compiled code does that clears errors
             signal.raise_signal(signal.SIGINT)
         check()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -1,4 +1,6 @@
-"""Pictures for the tests of stage dof: a textured real scene, a box on its marker, all layers of a frame."""
+"""Pictures for the tests of stage dof: a textured real scene, a box on its marker, all
+layers of a frame.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ class Shot:
 
 
 def texture(height: int, width: int, seed: int = 1, highlights: float = 0.0) -> np.ndarray:
-    """(h, w, 3) linear light: noise of several sizes with hard edges, as pictures have; few pixels of `highlights`."""
+    """(h, w, 3) linear light: noise of several sizes with hard edges, as pictures have; few
+    pixels of `highlights`.
+    """
     g = np.random.default_rng(seed)
     out = np.full((height, width, 3), 0.25)
     for sigma, share in ((1.0, 0.08), (3.0, 0.1), (9.0, 0.15)):
@@ -49,18 +53,33 @@ def texture(height: int, width: int, seed: int = 1, highlights: float = 0.0) -> 
 
 
 @cache
-def shot(kind: str = "plain", width: int = 320, height: int = 240, fit_m: float = 0.14, tilt_deg: float = 40.0) -> Shot:
-    """kind : plain, highlights (50 x white), bright (an object that is seen against a dark plate)"""
+def shot(
+    kind: str = "plain",
+    width: int = 320,
+    height: int = 240,
+    fit_m: float = 0.14,
+    tilt_deg: float = 40.0,
+) -> Shot:
+    """kind : plain, highlights (50 x white), bright (an object that is seen against a dark
+    plate)
+    """
     cam = camera(width, height, (0.05, -0.02, 0.001, 0.0005))
     colour = (0.9, 0.25, 0.1, 1.0) if kind != "bright" else (1.0, 1.0, 1.0, 1.0)
     s = scene(cam, box_model(material=Material(base_colour=colour)), fit_m)
-    return compose(s, facts(s, look_at(0.5, tilt_deg)), texture(height, width, highlights=50.0 if kind == "highlights" else 0.0))
+    return compose(
+        s,
+        facts(s, look_at(0.5, tilt_deg)),
+        texture(height, width, highlights=50.0 if kind == "highlights" else 0.0),
+    )
 
 
 def compose(s: Scene, f: FrameFacts, plate: np.ndarray) -> Shot:
     """Run the stages before dof on the whole frame."""
     stages = {name: STAGES[name]() for name in MAKING}
-    levels = {name: level_named(stages[name].levels, "high" if name == "raster" else "standard") for name in MAKING}
+    levels = {
+        name: level_named(stages[name].levels, "high" if name == "raster" else "standard")
+        for name in MAKING
+    }
     plan = plan_frame(list(stages.values()), levels, f, s, s.camera.rect, skip=False)
     made = run_frame(plate, f, plan, ready_stages(plan, stages, s))
     layers = made.layers.view(Dof.reads, s.camera.rect)
@@ -73,7 +92,9 @@ def blurred(
     """IMAGE (h, w, 3) of dof over the whole frame."""
     import time
 
-    ready = ReadyStage.of(made(made.Params(**params)), at.scene, level_named(made.levels, level))
+    ready = ReadyStage.of(
+        made(made.Params(**params)), at.scene, level_named(made.levels, level)
+    )
     start = time.perf_counter()
     out = ready.run(at.layers, at.facts)[Layer.IMAGE]
     if seconds is not None:

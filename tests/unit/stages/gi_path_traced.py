@@ -1,4 +1,6 @@
-"""The scenes of sample_scenes/0041-indirect-light/path-traced: an outside path tracer's pictures, and ours of the same."""
+"""The scenes of sample_scenes/0041-indirect-light/path-traced: an outside path tracer's
+pictures, and ours of the same.
+"""
 
 from __future__ import annotations
 
@@ -74,22 +76,43 @@ def traced(name: str) -> Traced:
     model = box_model(material=material)
     if told["shape"] == "ball":
         b = trimesh.creation.icosphere(subdivisions=5)
-        model = Model((Part(np.array(b.vertices), np.array(b.faces, np.int32), np.array(b.vertices), material),), up="z")
+        model = Model(
+            (
+                Part(
+                    np.array(b.vertices),
+                    np.array(b.faces, np.int32),
+                    np.array(b.vertices),
+                    material,
+                ),
+            ),
+            up="z",
+        )
     d = np.array(told["towards_lamp"]) / np.linalg.norm(told["towards_lamp"])
-    lit = Light(tuple(light["ambient"]), (DirectionalLight(tuple(d.tolist()), tuple(light["lamp"]), 0.5),))
+    lit = Light(
+        tuple(light["ambient"]),
+        (DirectionalLight(tuple(d.tolist()), tuple(light["lamp"]), 0.5),),
+    )
     scene = on_plane(model, lit, camera)
     albedo = np.array(document["planes"]["albedo"])
-    plate = np.broadcast_to((albedo * lit.radiance(np.array([0, 0, 1.0]))).astype(np.float32), (h, w, 3)).copy()
+    plate = np.broadcast_to(
+        (albedo * lit.radiance(np.array([0, 0, 1.0]))).astype(np.float32), (h, w, 3)
+    ).copy()
     if "wall_normal" in told:
         n = np.array(told["wall_normal"]) / np.linalg.norm(told["wall_normal"])
-        wall = Pose(np.stack([np.cross([0, 0, 1], n), [0, 0, 1], n], 1), np.array(told["wall_point"]))
+        wall = Pose(
+            np.stack([np.cross([0, 0, 1], n), [0, 0, 1], n], 1),
+            np.array(told["wall_point"]),
+        )
         changed = {"floor": Pose.identity(), "wall": wall}
-        scene = Scene(camera, model, scene.world_from_model, light=lit, world_from_marker=changed)
+        scene = Scene(
+            camera, model, scene.world_from_model, light=lit, world_from_marker=changed
+        )
         plate = read_linear(f"{name}-empty")
     return Traced(scene, facts(scene, pose), read_linear(name), plate)
 
 
-# Lightmap's `high` would cost more than all of gi, for a tenth of a grey level where gi does not run.
+# Lightmap's `high` would cost more than all of gi, for a tenth of a grey level where gi
+# does not run.
 BESIDE = {"raster": "high", "lightmap": "standard", "composite": "high"}
 
 
@@ -104,7 +127,10 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     """(picture (h, w, 3) linear, coverage (h, w)). level : of gi, or NO_GI"""
     t = traced(name)
     gi = level != NO_GI
-    stages = {"raster": Raster(RasterParams(backend="rays")), "lightmap": Lightmap(LightmapParams(ambient=not gi))}
+    stages = {
+        "raster": Raster(RasterParams(backend="rays")),
+        "lightmap": Lightmap(LightmapParams(ambient=not gi)),
+    }
     if gi:
         stages["gi"] = Gi(GiParams(samples=samples))  # type: ignore[assignment]
     stages["composite"] = STAGES["composite"]()
@@ -117,14 +143,17 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     made = run_frame(np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, ready)
     out = t.plate.copy()
     out[plan.changed.slices] = made.image
-    coverage = made.layers.view(frozenset({Layer.COVERAGE}), t.scene.camera.rect)[Layer.COVERAGE]
+    coverage = made.layers.view(frozenset({Layer.COVERAGE}), t.scene.camera.rect)[
+        Layer.COVERAGE
+    ]
     return out, coverage
 
 
 @cache
 def regions(name: str) -> dict[str, np.ndarray]:
-    """Masks by name. Left out: pixels that the object covers in part and those where the picture without indirect light has
-    an edge or a highlight, as those are the raster's and lightmap's, whose lamp has a size."""
+    """Masks by name. Left out: pixels that the object covers in part and those where the
+    picture without indirect light has an edge or a highlight, as those are the raster's and
+    lightmap's, whose lamp has a size."""
     t = traced(name)
     image, coverage = ours(name, NO_GI)
     shown = (255 * SRGB.encode(np.clip(image, 0, 1))).astype(np.float32)
@@ -150,5 +179,8 @@ def errors(name: str, level: str, samples: int = 64) -> dict[str, tuple[float, f
     out = {}
     for region, mask in regions(name).items():
         e = off[mask]
-        out[region] = (float(10 * np.log10(255**2 / max(float((e**2).mean()), 1e-9))), float(np.abs(e).mean()))
+        out[region] = (
+            float(10 * np.log10(255**2 / max(float((e**2).mean()), 1e-9))),
+            float(np.abs(e).mean()),
+        )
     return out

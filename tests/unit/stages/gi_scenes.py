@@ -35,13 +35,17 @@ EVEN = Light((1.0, 1.0, 1.0), ())
 NIGHT = Light((0.0, 0.0, 0.0), ())
 LAMP = Light((0.4, 0.4, 0.4), (DirectionalLight((0.5, 0.5, 0.7), (0.5, 0.5, 0.5), 8.0),))
 CAMERA = Camera(160, 120, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]))
-stage_module.TRANSPORTS_KEPT = 8  # tests come back to the same few models at other levels and heights
+stage_module.TRANSPORTS_KEPT = (
+    8  # tests come back to the same few models at other levels and heights
+)
 
 
 @cache
 def ball(material: Material, subdivisions: int = 3) -> Model:
     b = trimesh.creation.icosphere(subdivisions=subdivisions)
-    part = Part(np.array(b.vertices), np.array(b.faces, np.int32), np.array(b.vertices), material)
+    part = Part(
+        np.array(b.vertices), np.array(b.faces, np.int32), np.array(b.vertices), material
+    )
     return Model((part,), up="z", source="ball")
 
 
@@ -50,7 +54,9 @@ def box(material: Material) -> Model:
 
 
 def plain_plate(camera: Camera = CAMERA, rgb: Any = (0.5, 0.5, 0.5)) -> np.ndarray:
-    return np.broadcast_to(np.asarray(rgb, np.float32), (camera.height, camera.width, 3)).copy()
+    return np.broadcast_to(
+        np.asarray(rgb, np.float32), (camera.height, camera.width, 3)
+    ).copy()
 
 
 def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
@@ -59,7 +65,10 @@ def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
     rect, part = s.camera.rect, s.model.parts[0]
     layers = {name: neutral(name, rect) for name in Gi.reads if name is not Layer.PLATE}
     y, x = np.mgrid[0 : rect.height, 0 : rect.width]
-    d = s.camera.directions(np.stack([x, y], -1).astype(float)) @ f.camera_from_world.rotation
+    d = (
+        s.camera.directions(np.stack([x, y], -1).astype(float))
+        @ f.camera_from_world.rotation
+    )
     eye = f.camera_from_world.inverse().translation_m
     corners = s.model_points_m[part.faces].astype(np.float32)
     o = np.broadcast_to(eye, d.shape).reshape(-1, 3)
@@ -90,12 +99,22 @@ def run_gi(
     s: Scene, level: str = "standard", pose: Pose | None = None, plate: np.ndarray | None = None,
     params: GiParams | None = None, **changes: Any,
 ) -> dict[Layer, np.ndarray]:  # fmt: skip
-    """VIRTUAL (indirect light alone) and SHADOW (its ratio alone), with COVERAGE, over the whole picture."""
+    """VIRTUAL (indirect light alone) and SHADOW (its ratio alone), with COVERAGE, over the
+    whole picture.
+    """
     f = facts(s, pose or from_above()).with_(**changes)
-    layers = surface(s, f) | {Layer.PLATE: plain_plate(s.camera) if plate is None else plate}
+    layers = surface(s, f) | {
+        Layer.PLATE: plain_plate(s.camera) if plate is None else plate
+    }
     made = ready(s, level, params).run(layers_of(s.camera.rect, layers), f)
-    made = {name: Layers(s.camera.rect, {name: a})[name] if isinstance(a, Pixels) else a for name, a in made.items()}
-    return made | {Layer.COVERAGE: layers[Layer.COVERAGE], Layer.NORMAL: layers[Layer.NORMAL]}
+    made = {
+        name: Layers(s.camera.rect, {name: a})[name] if isinstance(a, Pixels) else a
+        for name, a in made.items()
+    }
+    return made | {
+        Layer.COVERAGE: layers[Layer.COVERAGE],
+        Layer.NORMAL: layers[Layer.NORMAL],
+    }
 
 
 def inner(coverage: np.ndarray) -> np.ndarray:

@@ -20,18 +20,24 @@ LENSES = {
     "barrel": (-0.27, 0.1, 0.001, -0.0015, -0.02),
     "rational": (0.3, -0.4, 0.0007, -0.0006, 0.02, 0.6, -0.5, 0.05),
 }
-PLAIN = Material(base_colour=(0.2, 0.4, 0.6, 1.0), metallic=0.25, roughness=0.5, double_sided=True)
+PLAIN = Material(
+    base_colour=(0.2, 0.4, 0.6, 1.0), metallic=0.25, roughness=0.5, double_sided=True
+)
 
 
 BOTH = [pytest.param("rays"), pytest.param("pyrender", marks=pytest.mark.opengl)]
 
 
 def camera(lens: str = "ideal", width: int = 320, height: int = 240) -> Camera:
-    k = np.array([[300.0, 0, 151.3], [0, 310.0, 131.8], [0, 0, 1]])  # the principal point well off the centre
+    k = np.array(
+        [[300.0, 0, 151.3], [0, 310.0, 131.8], [0, 0, 1]]
+    )  # the principal point well off the centre
     return Camera(width, height, k, np.array(LENSES[lens]))
 
 
-def quad(corners: np.ndarray, material: Material = PLAIN, uv: np.ndarray | None = None) -> Part:
+def quad(
+    corners: np.ndarray, material: Material = PLAIN, uv: np.ndarray | None = None
+) -> Part:
     """Four corners, counter-clockwise from the front."""
     c = np.asarray(corners, float)
     n = np.cross(c[1] - c[0], c[2] - c[0])
@@ -39,10 +45,20 @@ def quad(corners: np.ndarray, material: Material = PLAIN, uv: np.ndarray | None 
     return Part(c, np.array([[0, 1, 2], [0, 2, 3]], np.int32), normals, material, uv)
 
 
-def square(half: float, z: float = 0.0, material: Material = PLAIN, centre: tuple[float, float] = (0.0, 0.0)) -> Part:
+def square(
+    half: float,
+    z: float = 0.0,
+    material: Material = PLAIN,
+    centre: tuple[float, float] = (0.0, 0.0),
+) -> Part:
     """Facing +z, texture upright seen from there."""
     x, y = centre
-    corners = [[x - half, y - half, z], [x + half, y - half, z], [x + half, y + half, z], [x - half, y + half, z]]
+    corners = [
+        [x - half, y - half, z],
+        [x + half, y - half, z],
+        [x + half, y + half, z],
+        [x - half, y + half, z],
+    ]
     return quad(np.array(corners), material, np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]]))
 
 
@@ -58,8 +74,15 @@ def in_front(distance_m: float = 1.0, tilt_deg: float = 0.0, turn_deg: float = 0
 
 
 def render(
-    scene: Scene, pose: Pose, backend: str, level: str = "standard", samples: int = 0, rect: Rect | None = None
+    scene: Scene,
+    pose: Pose,
+    backend: str,
+    level: str = "standard",
+    samples: int = 0,
+    rect: Rect | None = None,
 ) -> dict[Layer, np.ndarray]:
-    ready = ReadyStage.of(Raster(RasterParams(backend, samples)), scene, level_named(Raster.levels, level))
+    ready = ReadyStage.of(
+        Raster(RasterParams(backend, samples)), scene, level_named(Raster.levels, level)
+    )
     f = facts(scene, pose).with_(model_box=scene.camera.rect)
     return dict(ready.run(Layers(rect or scene.camera.rect), f))

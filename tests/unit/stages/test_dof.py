@@ -1,4 +1,6 @@
-"""Stage dof, corrected formula: against the thin-lens reference, what must not change, and inputs at the edge."""
+"""Stage dof, corrected formula: against the thin-lens reference, what must not change, and
+inputs at the edge.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,21 @@ def flat(plate: np.ndarray, distance_m: float = 0.5) -> Shot:
     """A frontal plane of one blur radius, without an object. plate : (h, w, 3)"""
     at = shot(width=plate.shape[1], height=plate.shape[0])
     empty = np.zeros(plate.shape[:2], np.float32)
-    layers = {"plate": plate, "image": plate, "coverage": empty, "virtual": np.zeros_like(plate), "shadow": np.ones_like(plate)}
+    layers = {
+        "plate": plate,
+        "image": plate,
+        "coverage": empty,
+        "virtual": np.zeros_like(plate),
+        "shadow": np.ones_like(plate),
+    }
     bare = with_layers(at, **layers)
-    return Shot(at.scene, at.facts.with_(camera_from_world=look_at(distance_m, 0, 0), model_box=Rect(0, 0, 0, 0)), bare.layers)
+    return Shot(
+        at.scene,
+        at.facts.with_(
+            camera_from_world=look_at(distance_m, 0, 0), model_box=Rect(0, 0, 0, 0)
+        ),
+        bare.layers,
+    )
 
 
 def aperture_for(radius_px: float, distance_m: float = 0.5, focus_m: float = 2.0) -> float:
@@ -75,15 +89,29 @@ def test_a_part_is_as_in_the_whole_picture(level: str) -> None:
     at, params = shot("plain", 240, 180), {"aperture_px": 40.0, "focus": "object"}
     whole = blurred(at, level, **params)
     ready = ReadyStage.of(Dof(DofParams(**params)), at.scene, level)
-    for part in (Rect(100, 60, 160, 120), Rect(101, 61, 159, 119), Rect(0, 64, 240, 66), Rect(201, 140, 240, 180)):
-        need = ready.stage.needs(part, at.facts, at.scene, level).union(part).clip(at.layers.rect)
+    for part in (
+        Rect(100, 60, 160, 120),
+        Rect(101, 61, 159, 119),
+        Rect(0, 64, 240, 66),
+        Rect(201, 140, 240, 180),
+    ):
+        need = (
+            ready.stage.needs(part, at.facts, at.scene, level)
+            .union(part)
+            .clip(at.layers.rect)
+        )
         made = ready.run(at.layers.crop(need), at.facts, part)[Layer.IMAGE]
-        np.testing.assert_allclose(made(part), whole[part.slices], rtol=0, atol=1e-5, err_msg=str(part))
+        np.testing.assert_allclose(
+            made(part), whole[part.slices], rtol=0, atol=1e-5, err_msg=str(part)
+        )
 
 
 def test_a_draft_keeps_what_is_sharp_and_its_outline() -> None:
     """A sharp object before a blurred wall."""
-    at, params = shot("plain", 240, 180), {"aperture_px": 8.0, "focus": "object", "background_m": 50.0}
+    at, params = (
+        shot("plain", 240, 180),
+        {"aperture_px": 8.0, "focus": "object", "background_m": 50.0},
+    )
     draft, standard = (blurred(at, level, **params) for level in ("draft", "standard"))
     covered = at.layers[Layer.COVERAGE]
     inside = minimum_filter(covered, 5) >= 1
@@ -99,7 +127,9 @@ def test_a_draft_keeps_what_is_sharp_and_its_outline() -> None:
 def test_what_shows_through_an_object_that_fades_is_as_in_the_composite(level: str) -> None:
     """Its shadow too: the picture does not jump where the blur sets in."""
     at = shot("plain", 240, 180)
-    at = compose(at.scene, at.facts.with_(opacity=0.5), np.full((180, 240, 3), 0.6, np.float32))
+    at = compose(
+        at.scene, at.facts.with_(opacity=0.5), np.full((180, 240, 3), 0.6, np.float32)
+    )
     image = at.layers[Layer.IMAGE]
     out = blurred(at, level, aperture_px=8.0, focus="1m", scope="virtual")
     inside = minimum_filter(at.layers[Layer.COVERAGE], 9) >= 1
@@ -135,15 +165,36 @@ def test_blades_shape_the_highlight() -> None:
     plate[60, 80] = 100.0
     made = {}
     for level in ("standard", "reference"):
-        at = {"aperture_px": aperture_for(15.9), "focus": "2m", "blades": 5, "blade_turn_deg": 10.0}
+        at = {
+            "aperture_px": aperture_for(15.9),
+            "focus": "2m",
+            "blades": 5,
+            "blade_turn_deg": 10.0,
+        }
         made[level] = blurred(flat(plate), level, **at)[..., 0]
         corner = 15.9 * np.sqrt(2 * np.pi / (5 * np.sin(2 * np.pi / 5)))
-        for k in range(5):  # bright towards each corner, dark beyond the middle of each side
+        for k in range(
+            5
+        ):  # bright towards each corner, dark beyond the middle of each side
             a = np.radians(10 + 72 * k)
-            assert made[level][round(60 + 0.75 * corner * np.sin(a)), round(80 + 0.75 * corner * np.cos(a))] > 0.06
+            assert (
+                made[level][
+                    round(60 + 0.75 * corner * np.sin(a)),
+                    round(80 + 0.75 * corner * np.cos(a)),
+                ]
+                > 0.06
+            )
             a += np.radians(36)
-            assert made[level][round(60 + 1.05 * corner * np.sin(a)), round(80 + 1.05 * corner * np.cos(a))] < 0.03
-    assert np.abs(made["standard"] - made["reference"]).mean() < 0.04 * made["reference"].max()
+            assert (
+                made[level][
+                    round(60 + 1.05 * corner * np.sin(a)),
+                    round(80 + 1.05 * corner * np.cos(a)),
+                ]
+                < 0.03
+            )
+    assert (
+        np.abs(made["standard"] - made["reference"]).mean() < 0.04 * made["reference"].max()
+    )
 
 
 @pytest.mark.parametrize("fnumber", [1e12, 400.0, "inf"])
@@ -151,9 +202,15 @@ def test_a_closed_aperture_is_the_identity_bit_for_bit(fnumber: float | str) -> 
     at = shot()
     stage = Dof(DofParams(fnumber=fnumber))
     demand = stage.demand(at.facts, at.scene, at.scene.camera.rect)
-    assert demand.rect.empty and demand.reason.startswith("largest blur circle 0.") and demand.reason.endswith("px < 1 px")
+    assert (
+        demand.rect.empty
+        and demand.reason.startswith("largest blur circle 0.")
+        and demand.reason.endswith("px < 1 px")
+    )
     for level in LEVELS:
-        np.testing.assert_array_equal(blurred(at, level, fnumber=fnumber), at.layers[Layer.IMAGE])
+        np.testing.assert_array_equal(
+            blurred(at, level, fnumber=fnumber), at.layers[Layer.IMAGE]
+        )
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -162,7 +219,11 @@ def test_only_what_a_circle_reaches_changes(level: str) -> None:
     frame = at.scene.camera.rect
     params = {"aperture_px": 30.0, "focus": "52cm", "background_m": 0.52}
     demand = Dof(DofParams(**params)).demand(at.facts, at.scene, frame)  # type: ignore[arg-type]
-    assert not demand.rect.empty and demand.rect.area < 0.9 * frame.area and "blur circles up to" in demand.reason
+    assert (
+        not demand.rect.empty
+        and demand.rect.area < 0.9 * frame.area
+        and "blur circles up to" in demand.reason
+    )
     out, image = blurred(at, level, **params), at.layers[Layer.IMAGE]
     outside = np.ones(image.shape[:2], bool)
     outside[demand.rect.slices] = False
@@ -173,12 +234,16 @@ def test_only_what_a_circle_reaches_changes(level: str) -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("aperture_px", [50.0, 150.0])
-def test_the_objects_blur_ends_within_what_is_called_for(level: str, aperture_px: float) -> None:
+def test_the_objects_blur_ends_within_what_is_called_for(
+    level: str, aperture_px: float
+) -> None:
     """A white box before a black plate, to 1/8 of a code."""
     at = shot("bright", tilt_deg=0.0, fit_m=0.05)
     black = np.zeros((*at.layers[Layer.COVERAGE].shape, 3), np.float32)
     image = np.repeat(at.layers[Layer.COVERAGE][..., None], 3, 2)
-    at = with_layers(at, plate=black, image=image, virtual=image, shadow=np.ones_like(black))
+    at = with_layers(
+        at, plate=black, image=image, virtual=image, shadow=np.ones_like(black)
+    )
     params = {"aperture_px": aperture_px, "focus": "1.5m", "scope": "virtual"}
     asked = Dof(DofParams(**params)).demand(at.facts, at.scene, at.scene.camera.rect).rect  # type: ignore[arg-type]
     outside = np.ones(black.shape[:2], bool)
@@ -200,12 +265,17 @@ def test_a_crop_gives_the_same_bits(level: str) -> None:
     whole = laws.run(ready, at.layers, at.facts)[Layer.IMAGE]
     part = laws.run(ready, at.layers.crop(need), at.facts)[Layer.IMAGE]
     assert need.area < at.scene.camera.rect.area
-    np.testing.assert_allclose(part[out.slices_in(need)], whole[out.slices], rtol=0, atol=2e-6)
+    np.testing.assert_allclose(
+        part[out.slices_in(need)], whole[out.slices], rtol=0, atol=2e-6
+    )
 
 
 @pytest.mark.parametrize(
     "params",
-    [{"aperture_px": 40.0, "focus": "1.2m", "scope": "virtual"}, {"aperture_px": 40.0, "focus": "45cm", "background_m": 2.0}],
+    [
+        {"aperture_px": 40.0, "focus": "1.2m", "scope": "virtual"},
+        {"aperture_px": 40.0, "focus": "45cm", "background_m": 2.0},
+    ],
     ids=["sharp around the object", "blurred all over"],
 )
 def test_only_the_pixels_that_are_kept_are_made_with_the_same_bits(params: dict) -> None:
@@ -214,9 +284,13 @@ def test_only_the_pixels_that_are_kept_are_made_with_the_same_bits(params: dict)
     le = level_named(Dof.levels, "standard")
     out = Rect(101, 67, 230, 187)
     need = stage.needs(out, at.facts, at.scene, le).union(out)
-    made = ReadyStage.of(stage, at.scene, le).run(at.layers.crop(need), at.facts, out)[Layer.IMAGE]
+    made = ReadyStage.of(stage, at.scene, le).run(at.layers.crop(need), at.facts, out)[
+        Layer.IMAGE
+    ]
     assert isinstance(made, Pixels) and made.rect.contains(out)
-    assert all(out.y0 <= part.y0 and part.y1 <= out.y1 for part in made.written.rects), "no other rows"
+    assert all(out.y0 <= part.y0 and part.y1 <= out.y1 for part in made.written.rects), (
+        "no other rows"
+    )
     whole = blurred(at, "standard", **params)
     np.testing.assert_array_equal(made(out), whole[out.slices])
     assert np.abs(whole - at.layers[Layer.IMAGE])[out.slices].max() > 0.1
@@ -224,7 +298,10 @@ def test_only_the_pixels_that_are_kept_are_made_with_the_same_bits(params: dict)
 
 def test_a_blurred_object_before_a_sharp_plane() -> None:
     at = shot()
-    out, image = blurred(at, "standard", aperture_px=40.0, focus="object", scope="virtual"), at.layers[Layer.IMAGE]
+    out, image = (
+        blurred(at, "standard", aperture_px=40.0, focus="object", scope="virtual"),
+        at.layers[Layer.IMAGE],
+    )
     near = blurred(at, "standard", aperture_px=6.0, focus="3m", scope="virtual")
     box = at.facts.model_box
     far_off = np.ones(image.shape[:2], bool)
@@ -238,7 +315,9 @@ def test_a_blurred_object_before_a_sharp_plane() -> None:
     assert deep.any()
     dark = with_layers(at, plate=np.zeros_like(image))
     np.testing.assert_allclose(
-        blurred(dark, "standard", aperture_px=6.0, focus="3m", scope="virtual")[deep], near[deep], atol=1e-4
+        blurred(dark, "standard", aperture_px=6.0, focus="3m", scope="virtual")[deep],
+        near[deep],
+        atol=1e-4,
     )
 
 
@@ -305,26 +384,40 @@ def test_a_plane_that_is_exactly_in_focus_is_not_touched() -> None:
     at = flat(texture(120, 160))
     stage = Dof(DofParams(fnumber=0.5, focus="50cm"))
     assert "< 1 px" in stage.demand(at.facts, at.scene, at.scene.camera.rect).reason
-    np.testing.assert_array_equal(blurred(at, "standard", fnumber=0.5, focus="50cm"), at.layers[Layer.IMAGE])
+    np.testing.assert_array_equal(
+        blurred(at, "standard", fnumber=0.5, focus="50cm"), at.layers[Layer.IMAGE]
+    )
     at_infinity = blurred(at, "standard", fnumber=0.5, focus="inf")
-    assert np.isfinite(at_infinity).all() and np.abs(at_infinity - at.layers[Layer.IMAGE]).max() > 0.1
+    assert (
+        np.isfinite(at_infinity).all()
+        and np.abs(at_infinity - at.layers[Layer.IMAGE]).max() > 0.1
+    )
 
 
 def test_a_focus_within_the_focal_length_is_an_input_error() -> None:
     at = shot()
     with pytest.raises(InputError, match="cannot be focused at 40 mm"):
-        Dof(DofParams(focal_mm=50.0, focus="4cm")).demand(at.facts, at.scene, at.scene.camera.rect)
-    demand = Dof(DofParams(focal_mm=50.0, focus="50.0001mm")).demand(at.facts, at.scene, at.scene.camera.rect)
+        Dof(DofParams(focal_mm=50.0, focus="4cm")).demand(
+            at.facts, at.scene, at.scene.camera.rect
+        )
+    demand = Dof(DofParams(focal_mm=50.0, focus="50.0001mm")).demand(
+        at.facts, at.scene, at.scene.camera.rect
+    )
     assert not demand.rect.empty  # finite, bounded by a tenth of the width
 
 
-PULL_LIMIT = 0.06  # mean change of linear light from frame to frame of the pull below; measured .03
+PULL_LIMIT = (
+    0.06  # mean change of linear light from frame to frame of the pull below; measured .03
+)
 
 
 def test_a_focus_pull_through_the_object_does_not_pop() -> None:
     at = shot(width=240, height=180)
     focus = [1 / (1 / 0.38 + (1 / 0.65 - 1 / 0.38) * k / 9) for k in range(10)]
-    pull = [blurred(at, "standard", aperture_px=40.0 * f, focus=f"{100 * f:.6g}cm") for f in focus]
+    pull = [
+        blurred(at, "standard", aperture_px=40.0 * f, focus=f"{100 * f:.6g}cm")
+        for f in focus
+    ]
     steps = [float(np.abs(b - a).mean()) for a, b in pairwise(pull)]
     assert max(steps) < PULL_LIMIT
     assert max(steps) < 3 * np.median(steps)
@@ -332,10 +425,15 @@ def test_a_focus_pull_through_the_object_does_not_pop() -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_slowly_growing_circle_does_not_jump(level: str) -> None:
-    """Through the first hand-overs between resolutions: a hundredth of a pixel more changes next to nothing."""
+    """Through the first hand-overs between resolutions: a hundredth of a pixel more changes
+    next to nothing.
+    """
     plate = texture(120, 160)
     for radius in (0.5, 1.6, 2.2, 2.4, 3.2, 6.0, 8.0, 12.0, 14.0, 16.0, 18.0):
-        a, b = (blurred(flat(plate), level, aperture_px=aperture_for(radius + d), focus="2m") for d in (-0.05, 0.05))
+        a, b = (
+            blurred(flat(plate), level, aperture_px=aperture_for(radius + d), focus="2m")
+            for d in (-0.05, 0.05)
+        )
         assert np.abs(a - b).mean() < 0.004, radius
 
 
@@ -343,11 +441,18 @@ def test_opacity_opens_the_lens_without_a_step() -> None:
     at = shot()
     image = at.layers[Layer.IMAGE]
     faint = Shot(at.scene, at.facts.with_(opacity=0.02), at.layers)
-    assert Dof(DofParams(aperture_px=12.0)).demand(faint.facts, faint.scene, at.scene.camera.rect).rect.empty
+    assert (
+        Dof(DofParams(aperture_px=12.0))
+        .demand(faint.facts, faint.scene, at.scene.camera.rect)
+        .rect.empty
+    )
     half = Shot(at.scene, at.facts.with_(opacity=0.5), at.layers)
     away = np.ones(image.shape[:2], bool)
     away[at.facts.model_box.pad(30).clip(at.scene.camera.rect).slices] = False
-    change = [np.abs(blurred(s, "standard", aperture_px=12.0, focus="1m") - image)[away].mean() for s in (faint, half, at)]
+    change = [
+        np.abs(blurred(s, "standard", aperture_px=12.0, focus="1m") - image)[away].mean()
+        for s in (faint, half, at)
+    ]
     assert change[0] == 0.0 < change[1] < change[2]
 
 
@@ -355,7 +460,14 @@ def test_the_highlight_boost_adds_light_to_clipped_pixels_only() -> None:
     plate = np.full((120, 160, 3), 0.2, np.float32)
     plate[60, 80] = 1.0
     kept, more = (
-        blurred(flat(plate), "standard", aperture_px=aperture_for(6), focus="2m", highlight_boost=b) for b in (0.0, 9.0)
+        blurred(
+            flat(plate),
+            "standard",
+            aperture_px=aperture_for(6),
+            focus="2m",
+            highlight_boost=b,
+        )
+        for b in (0.0, 9.0)
     )
     added = (more - kept).sum(axis=(0, 1))
     np.testing.assert_allclose(added, 9.0, rtol=0.02)

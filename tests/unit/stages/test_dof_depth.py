@@ -21,10 +21,18 @@ def measured(depth: np.ndarray, plate: np.ndarray) -> Shot:
     """A real scene of that depth, m, without an object."""
     at = shot(width=SIZE[0], height=SIZE[1])
     none = np.zeros(depth.shape, np.float32)
-    layers = {"plate": plate, "image": plate, "coverage": none, "virtual": np.zeros_like(plate), "shadow": np.ones_like(plate)}
+    layers = {
+        "plate": plate,
+        "image": plate,
+        "coverage": none,
+        "virtual": np.zeros_like(plate),
+        "shadow": np.ones_like(plate),
+    }
     bare = with_layers(at, real_depth=depth.astype(np.float32), **layers)
     known = RealDepth.of(0, 1.0, "", tile_ranges(depth, SIZE))
-    return Shot(at.scene, at.facts.with_(model_box=Rect(0, 0, 0, 0), real_depth=known), bare.layers)
+    return Shot(
+        at.scene, at.facts.with_(model_box=Rect(0, 0, 0, 0), real_depth=known), bare.layers
+    )
 
 
 def two_walls(near_m: float, far_m: float) -> np.ndarray:
@@ -47,8 +55,13 @@ def test_tiles_hold_what_the_map_holds() -> None:
     tiles = RealDepth.from_json(known.to_json()).tiles
     assert tiles.dtype == np.float32 and np.array_equal(tiles, known.tiles)
     assert tiles.shape == (2, 3, 4)
-    assert tiles[0, 0, 0] <= 1 / depth[:64, :64].max() and tiles[1, 0, 0] >= 1 / depth[:64, :64].min()
-    assert tiles[1, 2, 3] >= 1 / depth[depth > 0].min(), "a tile with a hole may be filled from anywhere"
+    assert (
+        tiles[0, 0, 0] <= 1 / depth[:64, :64].max()
+        and tiles[1, 0, 0] >= 1 / depth[:64, :64].min()
+    )
+    assert tiles[1, 2, 3] >= 1 / depth[depth > 0].min(), (
+        "a tile with a hole may be filled from anywhere"
+    )
     with pytest.raises(ValueError, match="no pixel"):
         tile_ranges(np.zeros((4, 4)), SIZE)
 
@@ -58,7 +71,9 @@ def test_a_blurred_wall_does_not_flow_into_what_is_sharp_before_it(level: str) -
     at = measured(two_walls(1.0, 4.0), dark_far_bright_near())
     out = blurred(at, level, aperture_px=20.0, focus="1m")
     np.testing.assert_allclose(out[:, 100:150], 0.8, atol=1e-5)
-    np.testing.assert_allclose(out[20:-20, :99], 0.05, atol=1e-3)  # nor the bright one into it
+    np.testing.assert_allclose(
+        out[20:-20, :99], 0.05, atol=1e-3
+    )  # nor the bright one into it
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
@@ -66,7 +81,9 @@ def test_what_is_blurred_before_a_sharp_wall_has_no_hard_edge(level: str) -> Non
     at = measured(two_walls(1.0, 4.0), dark_far_bright_near())
     row = blurred(at, level, aperture_px=8.0, focus="4m")[90, :, 0]  # 12 px radius
     assert np.abs(np.diff(row[80:120])).max() < 0.12, "of a step of 0.75"
-    assert row[100] == pytest.approx(0.42, abs=0.08) and row[125] == pytest.approx(0.8, abs=0.01)
+    assert row[100] == pytest.approx(0.42, abs=0.08) and row[125] == pytest.approx(
+        0.8, abs=0.01
+    )
     assert row[84] == pytest.approx(0.05, abs=0.01)
 
 
@@ -90,7 +107,9 @@ def test_demand_is_what_the_depth_calls_for() -> None:
         return Dof(DofParams(**params)).demand(at.facts, at.scene, frame).rect  # type: ignore[arg-type]
 
     assert asked(aperture_px=0.2, focus="4m").empty and asked(fnumber=1e9).empty
-    assert asked(aperture_px=20.0, focus="4m") == Rect(64 - 25, 0, 192 + 25, 180)  # bound: a tenth of the width
+    assert asked(aperture_px=20.0, focus="4m") == Rect(
+        64 - 25, 0, 192 + 25, 180
+    )  # bound: a tenth of the width
     assert asked(aperture_px=20.0, focus="1m") == frame
 
 
@@ -103,10 +122,15 @@ def test_depths_that_are_none(value: float) -> None:
     for level in (*LEVELS, "reference"):
         out = blurred(hard, level, aperture_px=6.0, focus="1.5m")
         assert np.isfinite(out).all() and out.min() >= -1e-5 and out.max() <= 1.0
-    assert np.isfinite(blurred(hard, "standard", made=PrintedDof, aperture_px=6.0, focus="1.5m")).all()
+    assert np.isfinite(
+        blurred(hard, "standard", made=PrintedDof, aperture_px=6.0, focus="1.5m")
+    ).all()
 
 
 def test_the_printed_formula_reads_it() -> None:
     at = measured(two_walls(1.0, 4.0), texture(SIZE[1], SIZE[0]))
-    change = np.abs(blurred(at, "standard", made=PrintedDof, aperture_px=20.0, focus="1m") - at.layers[Layer.IMAGE]).max(-1)
+    change = np.abs(
+        blurred(at, "standard", made=PrintedDof, aperture_px=20.0, focus="1m")
+        - at.layers[Layer.IMAGE]
+    ).max(-1)
     assert change[:, 105:145].max() == 0 and change[:, :95].mean() > 0.01

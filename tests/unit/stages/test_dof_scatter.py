@@ -11,7 +11,12 @@ from arfx.stages.dof.scatter import Scatter
 STANDARD = LEVELS["standard"]
 
 
-def spread(light: np.ndarray, radius: np.ndarray, level: str = "standard", corner: tuple[int, int] = (0, 0)) -> np.ndarray:
+def spread(
+    light: np.ndarray,
+    radius: np.ndarray,
+    level: str = "standard",
+    corner: tuple[int, int] = (0, 0),
+) -> np.ndarray:
     made = Scatter(light, radius.astype(np.float32), corner, LEVELS[level], 0, 0.0)
     half = len(radius) // 2
     return np.concatenate([made.rows(0, half), made.rows(half, len(radius))])
@@ -26,9 +31,14 @@ def point(size: int = 129) -> np.ndarray:
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("radius", [2.0, 3.1, 4.7, 7.3, 11.0, 17.0])
 def test_its_variance_is_that_of_the_disc(level: str, radius: float) -> None:
-    """Averaging over cells and doubling the resolution included: the mean over places of a point in a cell."""
+    """Averaging over cells and doubling the resolution included: the mean over places of a
+    point in a cell.
+    """
     x = np.indices((129, 129))[1] - 64
-    spreads = [spread(point(), np.full((129, 129), radius), level, (k, 3 * k))[..., 0] for k in range(8)]
+    spreads = [
+        spread(point(), np.full((129, 129), radius), level, (k, 3 * k))[..., 0]
+        for k in range(8)
+    ]
     for out in spreads:
         assert out.sum() == pytest.approx(1.0, abs=1e-4)
     variance = np.mean([float((out * x**2).sum()) for out in spreads])
@@ -49,7 +59,9 @@ def test_nothing_jumps_when_the_radius_grows(level: str) -> None:
     g = np.random.default_rng(2)
     light = g.random((96, 96, 4), np.float32)
     for radius in np.geomspace(0.55, 30, 40):
-        a, b = (spread(light, np.full((96, 96), r), level) for r in (radius, radius * 1.001))
+        a, b = (
+            spread(light, np.full((96, 96), r), level) for r in (radius, radius * 1.001)
+        )
         assert np.abs(a - b).mean() < 2e-3, radius
 
 
@@ -58,4 +70,6 @@ def test_a_crop_gives_the_same() -> None:
     light, radius = g.random((160, 160, 4), np.float32), g.uniform(0, 6, (160, 160))
     whole = spread(light, radius)
     part = spread(light[33:130, 21:140], radius[33:130, 21:140], corner=(21, 33))
-    np.testing.assert_allclose(part[30:-30, 30:-30], whole[63:100, 51:110], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        part[30:-30, 30:-30], whole[63:100, 51:110], rtol=0, atol=1e-6
+    )

@@ -1,5 +1,5 @@
-"""Indirect light of the object and of the plane: white furnace, resolution, identity, hard cases, and errata
-(docs/methods/gi.md#errata)."""
+"""Indirect light of the object and of the plane: white furnace, resolution, identity, hard
+cases, and errata (docs/methods/gi.md#errata)."""
 
 from __future__ import annotations
 
@@ -48,11 +48,15 @@ from tests.unit.stages.gi_scenes import (
 LEVELS = ["draft", "standard"]
 
 
-def on(shape, material, light: Light = LAMP, height_m: float = 0.0, camera: Camera = CAMERA) -> Scene:  # type: ignore[no-untyped-def]
+def on(
+    shape, material, light: Light = LAMP, height_m: float = 0.0, camera: Camera = CAMERA
+) -> Scene:  # type: ignore[no-untyped-def]
     return on_plane(shape(material), light, camera, height_m)
 
 
-def ring(s: Scene, coverage: np.ndarray, low_m: float, high_m: float, pose: Pose | None = None) -> np.ndarray:
+def ring(
+    s: Scene, coverage: np.ndarray, low_m: float, high_m: float, pose: Pose | None = None
+) -> np.ndarray:
     g = ground_points(s, pose or from_above())
     away = np.hypot(g[..., 0], g[..., 1])
     return (coverage == 0) & (away > low_m) & (away < high_m)
@@ -61,7 +65,9 @@ def ring(s: Scene, coverage: np.ndarray, low_m: float, high_m: float, pose: Pose
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("shape", [ball, box])
 def test_white_furnace(level: str, shape) -> None:  # type: ignore[no-untyped-def]
-    """White object, white plane, even light of 1 from everywhere: nothing is to be seen, at every level."""
+    """White object, white plane, even light of 1 from everywhere: nothing is to be seen, at
+    every level.
+    """
     made = run_gi(on(shape, MATT_WHITE, EVEN), level, plate=plain_plate(rgb=(1, 1, 1)))
     light = made[Layer.VIRTUAL][inner(made[Layer.COVERAGE])]
     assert light.mean() == pytest.approx(1, abs=0.02)
@@ -76,9 +82,13 @@ def test_brightness_does_not_depend_on_the_resolution(shape) -> None:  # type: i
     s = on(shape, MATT_RED)
     a, b = run_gi(s, "draft"), run_gi(s, "standard")
     core = inner(a[Layer.COVERAGE])
-    assert a[Layer.VIRTUAL][core].mean() == pytest.approx(b[Layer.VIRTUAL][core].mean(), rel=0.03)
+    assert a[Layer.VIRTUAL][core].mean() == pytest.approx(
+        b[Layer.VIRTUAL][core].mean(), rel=0.03
+    )
     near = ring(s, a[Layer.COVERAGE], 0, 0.15)
-    assert (1 - a[Layer.SHADOW][near]).mean() == pytest.approx((1 - b[Layer.SHADOW][near]).mean(), abs=0.01)
+    assert (1 - a[Layer.SHADOW][near]).mean() == pytest.approx(
+        (1 - b[Layer.SHADOW][near]).mean(), abs=0.01
+    )
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
@@ -119,14 +129,19 @@ def test_the_plane_colours_the_object() -> None:
 
 @pytest.mark.parametrize("level", ["standard", "reference"])
 def test_a_mirror_shows_the_picture_on_the_plane(level: str) -> None:
-    """Left half of the plane red, right half blue: in the ball's lower half too, on the same side."""
+    """Left half of the plane red, right half blue: in the ball's lower half too, on the
+    same side.
+    """
     s, pose = on(ball, MIRROR), from_above(turn_deg=0)
     plate = plain_plate(rgb=(0.6, 0.05, 0.05))
     plate[:, CAMERA.width // 2 :] = (0.05, 0.05, 0.6)
     made = run_gi(s, level, pose, plate, GiParams(samples=8))
     low = inner(made[Layer.COVERAGE]) & (made[Layer.NORMAL][..., 2] < 0.05)
     x = np.arange(CAMERA.width)[None] + 0 * low
-    left, right = made[Layer.VIRTUAL][low & (x < 74)].mean(0), made[Layer.VIRTUAL][low & (x > 86)].mean(0)
+    left, right = (
+        made[Layer.VIRTUAL][low & (x < 74)].mean(0),
+        made[Layer.VIRTUAL][low & (x > 86)].mean(0),
+    )
     assert left[0] > 5 * left[2] and right[2] > 5 * right[0]
 
 
@@ -135,7 +150,10 @@ def test_an_emissive_object_lights_the_plane(level: str) -> None:
     s = on(ball, GLOWING)
     made = run_gi(s, level)
     near = ring(s, made[Layer.COVERAGE], 0, 0.12)
-    assert made[Layer.SHADOW][near].mean(0)[0] > 1.1 and made[Layer.SHADOW][near].mean(0)[2] < 1
+    assert (
+        made[Layer.SHADOW][near].mean(0)[0] > 1.1
+        and made[Layer.SHADOW][near].mean(0)[2] < 1
+    )
 
 
 @pytest.mark.parametrize("level", ["draft", "standard"])
@@ -157,10 +175,14 @@ def test_a_millimetre_makes_no_jump() -> None:
 @pytest.mark.parametrize("level", ["draft", "standard"])
 def test_camera_inside_and_an_object_that_fills_the_picture(level: str) -> None:
     s = on(box, MATT_RED)
-    inside = Pose(from_above().rotation, -from_above().rotation @ np.array([0.0, 0.01, 0.05]))
+    inside = Pose(
+        from_above().rotation, -from_above().rotation @ np.array([0.0, 0.01, 0.05])
+    )
     for pose in (inside, Pose(from_above(10).rotation, np.array([0, 0, 0.2]))):
         made = run_gi(s, level, pose)
-        assert np.isfinite(made[Layer.VIRTUAL]).all() and np.isfinite(made[Layer.SHADOW]).all()
+        assert (
+            np.isfinite(made[Layer.VIRTUAL]).all() and np.isfinite(made[Layer.SHADOW]).all()
+        )
 
 
 @pytest.mark.parametrize("level", [*LEVELS, "reference"])
@@ -171,7 +193,9 @@ def test_no_light_at_all(level: str) -> None:
 
 
 def test_an_object_out_of_sight_of_the_plane_changes_no_pixel() -> None:
-    """An empty delta is the identity, bit for bit: as high as the disc can reach, nothing is left to change."""
+    """An empty delta is the identity, bit for bit: as high as the disc can reach, nothing
+    is left to change.
+    """
     made = run_gi(on(ball, BLACK, height_m=4.0))
     assert (made[Layer.SHADOW] == 1).all() and not made[Layer.VIRTUAL].any()
     nothing = run_gi(on(box, MATT_RED), params=GiParams(strength=0.0))
@@ -190,10 +214,17 @@ def test_nothing_is_changed_beyond_the_disc() -> None:
 
 
 def test_a_picture_one_pixel_wide() -> None:
-    s = on(box, MATT_RED, camera=Camera(1, 120, np.array([[150.0, 0, 0], [0, 150, 60], [0, 0, 1]])))
+    s = on(
+        box,
+        MATT_RED,
+        camera=Camera(1, 120, np.array([[150.0, 0, 0], [0, 150, 60], [0, 0, 1]])),
+    )
     for level in ("draft", "standard", "reference"):
         made = run_gi(s, level, params=GiParams(samples=2))
-        assert made[Layer.SHADOW].shape == (120, 1, 3) and np.isfinite(made[Layer.VIRTUAL]).all()
+        assert (
+            made[Layer.SHADOW].shape == (120, 1, 3)
+            and np.isfinite(made[Layer.VIRTUAL]).all()
+        )
 
 
 def test_contact_is_where_the_object_stands() -> None:
@@ -207,18 +238,26 @@ def test_contact_is_where_the_object_stands() -> None:
     for away in (0.15, 0.2):
         at = ring(s, np.zeros_like(dark), away - 0.01, away + 0.01, pose)
         d2 = away**2 + 0.06**2
-        assert dark[at].mean() == pytest.approx(0.4 / (0.4 + 0.35) * 0.06**2 / d2 * 0.06 / np.sqrt(d2), rel=0.4)
+        assert dark[at].mean() == pytest.approx(
+            0.4 / (0.4 + 0.35) * 0.06**2 / d2 * 0.06 / np.sqrt(d2), rel=0.4
+        )
 
 
 def test_degenerate_parts() -> None:
     p = box_model(material=MATT_RED).parts[0]
-    sliver = Part(np.array([[0, 0, 0], [0, 0, 0], [0.5, 0, 0.0]]), np.array([[0, 1, 2]], np.int32), np.tile([0, 0, 1.0], (3, 1)))
+    sliver = Part(
+        np.array([[0, 0, 0], [0, 0, 0], [0.5, 0, 0.0]]),
+        np.array([[0, 1, 2]], np.int32),
+        np.tile([0, 0, 1.0], (3, 1)),
+    )
     made = run_gi(on_plane(Model((p, sliver), up="z"), LAMP, CAMERA))
     assert np.isfinite(made[Layer.VIRTUAL]).all() and np.isfinite(made[Layer.SHADOW]).all()
 
 
 def test_environment_of_the_facts_is_seen_from_the_right_side() -> None:
-    """A red wall on +x, in the world's axes: a white ball is redder there, a mirror shows it there."""
+    """A red wall on +x, in the world's axes: a white ball is redder there, a mirror shows
+    it there.
+    """
     cube = np.full((6, 8, 8, 3), 0.2)
     cube[0] = (2.0, 0.0, 0.0)
     s = on(ball, MATT_WHITE, Light((0.4, 0.4, 0.4), ()))
@@ -226,7 +265,9 @@ def test_environment_of_the_facts_is_seen_from_the_right_side() -> None:
     n, core = made[Layer.NORMAL], inner(made[Layer.COVERAGE])
     redness = made[Layer.VIRTUAL][..., 0] - made[Layer.VIRTUAL][..., 1]
     assert redness[core & (n[..., 0] > 0.5)].mean() > 0.15
-    assert redness[core & (n[..., 0] < -0.5)].mean() < -0.1  # scaled to the plane's light, which is grey
+    assert (
+        redness[core & (n[..., 0] < -0.5)].mean() < -0.1
+    )  # scaled to the plane's light, which is grey
     cube[5, 0, 0] = np.nan
     with pytest.raises(RenderError, match="environment"):
         run_gi(s, environment=CubeMap.of(cube))
@@ -244,7 +285,9 @@ def test_kept_light_is_used_again_and_another_is_not() -> None:
         out.append(ready.run(layers, f.with_(light=light))[Layer.VIRTUAL].array)  # type: ignore[union-attr]
     assert np.array_equal(out[0], out[3])
     assert np.abs(out[0] - out[2]).max() > 0.1
-    assert ready.memo.of_light.made == 3  # two fields, one environment: they differ by a factor
+    assert (
+        ready.memo.of_light.made == 3
+    )  # two fields, one environment: they differ by a factor
 
 
 def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:
@@ -262,18 +305,30 @@ def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [("lightmap",), ("lightmap", "gi")])
-@pytest.mark.parametrize(("metallic", "roughness"), [(0.0, 0.5), (1.0, 0.1), (1.0, 0.4), (1.0, 0.9)])
-def test_a_ball_in_an_even_white_room_shows_its_light_once(pipeline: tuple[str, ...], metallic: float, roughness: float) -> None:
+@pytest.mark.parametrize(
+    ("metallic", "roughness"), [(0.0, 0.5), (1.0, 0.1), (1.0, 0.4), (1.0, 0.9)]
+)
+def test_a_ball_in_an_even_white_room_shows_its_light_once(
+    pipeline: tuple[str, ...], metallic: float, roughness: float
+) -> None:
     """What lightmap mirrors of the surroundings in every job gi does not add again."""
-    white = Material(base_colour=(1.0, 1.0, 1.0, 1.0), metallic=metallic, roughness=roughness)
+    white = Material(
+        base_colour=(1.0, 1.0, 1.0, 1.0), metallic=metallic, roughness=roughness
+    )
     s = on(ball, white, EVEN)
     params = {name: STAGES[name].Params() for name in STAGES}
-    config = SimpleNamespace(pipeline=SimpleNamespace(stages=pipeline), input=SimpleNamespace(depth=None), params=params)
+    config = SimpleNamespace(
+        pipeline=SimpleNamespace(stages=pipeline),
+        input=SimpleNamespace(depth=None),
+        params=params,
+    )
     stages = make_stages(config)  # type: ignore[arg-type]
     levels = {name: level_named(stage.levels, "standard") for name, stage in stages.items()}
     plan = plan_frame(list(stages.values()), levels, facts(s, from_above()), s, CAMERA.rect)
     plate = plain_plate(rgb=(1, 1, 1))[plan.rect.slices]
-    layers = run_frame(plate, facts(s, from_above()), plan, ready_stages(plan, stages, s)).layers
+    layers = run_frame(
+        plate, facts(s, from_above()), plan, ready_stages(plan, stages, s)
+    ).layers
     made = layers.view(frozenset(layers.stored), plan.rect)
     assert ("gi" in stages) == ("gi" in pipeline)
     light = made[Layer.VIRTUAL][inner(made[Layer.COVERAGE])]
@@ -287,7 +342,9 @@ def test_settings_are_checked_and_the_demand_tells_why() -> None:
     s = on(box, MATT_RED)
     f = facts(s, from_above())
     assert "half a grey level within" in Gi().demand(f, s, CAMERA.rect).reason
-    below = f.with_(camera_from_world=Pose(np.eye(3), np.array([0, 0, 0.5])), model_box=Rect(0, 0, 0, 0))
+    below = f.with_(
+        camera_from_world=Pose(np.eye(3), np.array([0, 0, 0.5])), model_box=Rect(0, 0, 0, 0)
+    )
     assert "behind" in Gi().demand(below, s, CAMERA.rect).reason
     away = f.with_(light=NIGHT)
     assert "no indirect light" in Gi().demand(away, s, CAMERA.rect).reason

@@ -1,4 +1,6 @@
-"""Every level beside an outside path tracer's pictures (sample_scenes/0041-indirect-light/path-traced): PSNR and mean error."""
+"""Every level beside an outside path tracer's pictures
+(sample_scenes/0041-indirect-light/path-traced): PSNR and mean error.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,11 @@ def test_standard_halves_the_error_of_no_indirect_light(name: str) -> None:
     for region in REGIONS:
         psnr_db, grey = found[region]
         assert psnr_db >= 36, (region, psnr_db)
-        assert grey <= 0.5 * without(name)[region][1] + 0.01, (region, grey, without(name)[region])
+        assert grey <= 0.5 * without(name)[region][1] + 0.01, (
+            region,
+            grey,
+            without(name)[region],
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -43,12 +49,16 @@ def test_standard_is_near_at_the_contact(name: str) -> None:
 
 
 def test_planes_take_each_others_change() -> None:
-    """The floor's shadow is missing from the wall: twice the error where each plane is on its own."""
+    """The floor's shadow is missing from the wall: twice the error where each plane is on
+    its own.
+    """
     assert standard("box-in-a-corner")["plane"][1] < 0.35
 
 
 def test_a_lamps_shadow_in_a_corner_is_as_deep_as_the_wall_makes_it() -> None:
-    """45 dB where the soft light that is left in the shadow is taken as if no wall stood beside it."""
+    """45 dB where the soft light that is left in the shadow is taken as if no wall stood
+    beside it.
+    """
     assert standard("box-in-a-corner")["contact"][0] > 48
 
 
@@ -57,8 +67,13 @@ def test_a_mirror_shows_no_ring_at_the_horizon() -> None:
     assert standard("mirror-ball")["object"][1] < 0.9
 
 
-@pytest.mark.parametrize(("name", "samples"), [("coloured-box", 24), ("mirror-ball", 8), ("box-in-a-corner", 16)])
+@pytest.mark.parametrize(
+    ("name", "samples"), [("coloured-box", 24), ("mirror-ball", 8), ("box-in-a-corner", 16)]
+)
 def test_our_reference_agrees_with_the_outside_one(name: str, samples: int) -> None:
-    """Few samples: noise is part of the error. With 64 all four scenes are over 42 dB in every region."""
+    """Few samples: noise is part of the error.
+
+    With 64 all four scenes are over 42 dB in every region.
+    """
     for region, (psnr_db, _) in errors(name, "reference", samples).items():
         assert psnr_db >= 40, region

@@ -62,19 +62,25 @@ def by_rays() -> tuple[np.ndarray, np.ndarray]:
 def test_the_mirror_image_is_where_and_as_strong_as_rays_say(level: str) -> None:
     params = GiParams(plane_gloss=0.3)
     matt = replace(params, plane_gloss=0.0)
-    made, without = (run_gi(SCENE, level, POSE, params=p)[Layer.SHADOW] for p in (params, matt))
+    made, without = (
+        run_gi(SCENE, level, POSE, params=p)[Layer.SHADOW] for p in (params, matt)
+    )
     true, plain = by_rays()
     bare = run_gi(SCENE, level, POSE, params=matt)[Layer.COVERAGE] == 0
     image = mirror_image() & bare
     change, expected = made - without, true - plain
     assert expected[image][:, 1].mean() < -0.1, "red takes the place of grey"
     np.testing.assert_allclose(change[image].mean(0), expected[image].mean(0), atol=0.035)
-    assert np.abs(change[bare]).sum() < 1.35 * np.abs(change[image]).sum(), "next to nothing beside it"
+    assert np.abs(change[bare]).sum() < 1.35 * np.abs(change[image]).sum(), (
+        "next to nothing beside it"
+    )
 
 
 def test_a_matt_plane_mirrors_nothing_and_asks_for_nothing() -> None:
     f = facts(SCENE, POSE)
-    plain, shiny = (Gi(GiParams(plane_gloss=g)).demand(f, SCENE, CAMERA.rect) for g in (0.0, 0.04))
+    plain, shiny = (
+        Gi(GiParams(plane_gloss=g)).demand(f, SCENE, CAMERA.rect) for g in (0.0, 0.04)
+    )
     assert "mirrors" not in plain.reason and "mirrors 0.04 of the light" in shiny.reason
     assert shiny.rect.contains(plain.rect)
 
@@ -82,7 +88,11 @@ def test_a_matt_plane_mirrors_nothing_and_asks_for_nothing() -> None:
 @pytest.mark.parametrize("kind", [Gi, PrintedGi])
 def test_a_part_of_the_picture_is_as_the_whole(kind: type[Gi]) -> None:
     stage = kind(kind.Params(plane_gloss=0.5))
-    check_roi_law(ReadyStage.of(stage, SCENE, level_named(stage.levels, "draft")), facts(SCENE, POSE), 3)
+    check_roi_law(
+        ReadyStage.of(stage, SCENE, level_named(stage.levels, "draft")),
+        facts(SCENE, POSE),
+        3,
+    )
 
 
 def test_no_light_is_taken_that_is_not_there() -> None:
@@ -102,14 +112,22 @@ def depth_with_a_thing() -> np.ndarray:
 
 
 @pytest.mark.parametrize("level", ["standard", "reference"])
-def test_what_is_not_on_the_plane_is_left_alone(level: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_on_the_plane_is_left_alone(
+    level: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from tests.unit.stages import gi_scenes
 
     params = GiParams(plane_gloss=0.3, samples=4)
     plain = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)
     bare = gi_scenes.surface
-    monkeypatch.setattr(gi_scenes, "surface", lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth_with_a_thing()})
-    made = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)[Layer.SHADOW]
+    monkeypatch.setattr(
+        gi_scenes,
+        "surface",
+        lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth_with_a_thing()},
+    )
+    made = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)[
+        Layer.SHADOW
+    ]
     left = np.arange(CAMERA.width) < CAMERA.width // 2
     assert (made[:, left] == 1).all()
     np.testing.assert_allclose(made[:, ~left], plain[Layer.SHADOW][:, ~left], atol=0.02)
@@ -124,20 +142,42 @@ def test_a_thing_before_the_plane_is_no_picture_of_the_plane() -> None:
     whole = Rect.of(CAMERA.width, CAMERA.height)
     axes = planes.axes.astype(float)
     seen, known = picture_on_planes(
-        plate, whole, whole, CAMERA, POSE, places, axes, np.zeros(3, np.float32), depth_with_a_thing()
+        plate,
+        whole,
+        whole,
+        CAMERA,
+        POSE,
+        places,
+        axes,
+        np.zeros(3, np.float32),
+        depth_with_a_thing(),
     )
     assert known.sum() > 20 and seen[known > 0].max() < 5
-    _, all_of_it = picture_on_planes(plate, whole, whole, CAMERA, POSE, places, axes, np.zeros(3, np.float32))
+    _, all_of_it = picture_on_planes(
+        plate, whole, whole, CAMERA, POSE, places, axes, np.zeros(3, np.float32)
+    )
     assert known.sum() < 0.8 * all_of_it.sum()
 
 
 def test_measured_planes_are_real_planes_unless_they_are_the_anchors() -> None:
-    floor = RealPlane(Pose(np.eye(3), np.array([0.3, 0.1, 0.01])), (-1, -1, 1, 1), 4.0, 3.0, 900)
+    floor = RealPlane(
+        Pose(np.eye(3), np.array([0.3, 0.1, 0.01])), (-1, -1, 1, 1), 4.0, 3.0, 900
+    )
     wall = Pose(np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]), np.array([-0.2, 0, 0]))
     behind = Pose(wall.rotation, np.array([0.3, 0, 0]))
-    scene = replace(SCENE, real_planes=(floor, *(RealPlane(p, (-1, -1, 1, 1), 4.0, 3.0, 900) for p in (wall, behind))))
+    scene = replace(
+        SCENE,
+        real_planes=(
+            floor,
+            *(RealPlane(p, (-1, -1, 1, 1), 4.0, 3.0, 900) for p in (wall, behind)),
+        ),
+    )
     axes = planes_of(scene).axes
-    assert len(axes) == 2 and np.allclose(axes[1, 3], [1, 0, 0]) and np.allclose(axes[1, 0, 0], -0.2, atol=1e-6)
+    assert (
+        len(axes) == 2
+        and np.allclose(axes[1, 3], [1, 0, 0])
+        and np.allclose(axes[1, 0, 0], -0.2, atol=1e-6)
+    )
 
 
 @pytest.mark.parametrize("level", ["standard", "reference"])
@@ -147,11 +187,23 @@ def test_a_table_ends_for_what_mirrors_it(level: str) -> None:
     cube[5] = (0.0, 0.0, 2.0)  # below the table: blue
     mirror = Material(base_colour=(1.0, 1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     whole = on_plane(ball(mirror), EVEN, CAMERA)
-    table = RealPlane(Pose.identity(), (-1.0, -0.1, 1.0, 1.0), 2.0, 3.0, 900, 1, (False, True, False, False))
+    table = RealPlane(
+        Pose.identity(),
+        (-1.0, -0.1, 1.0, 1.0),
+        2.0,
+        3.0,
+        900,
+        1,
+        (False, True, False, False),
+    )
     blue = []
     for scene in (whole, replace(whole, real_planes=(table,))):
-        made = run_gi(scene, level, POSE, params=GiParams(samples=4), environment=CubeMap.of(cube))
+        made = run_gi(
+            scene, level, POSE, params=GiParams(samples=4), environment=CubeMap.of(cube)
+        )
         low = (made[Layer.COVERAGE] > 0) & (made[Layer.NORMAL][..., 2] < 0.2)
         blue.append(made[Layer.VIRTUAL][low][:, 2] - made[Layer.VIRTUAL][low][:, 0])
     assert (blue[0] < 0.2).all() and (blue[1] > 0.5).mean() > 0.02
-    np.testing.assert_allclose(planes_of(replace(whole, real_planes=(table,))).bounds[0, 1], -0.1, atol=1e-6)
+    np.testing.assert_allclose(
+        planes_of(replace(whole, real_planes=(table,))).bounds[0, 1], -0.1, atol=1e-6
+    )

@@ -1,4 +1,6 @@
-"""Level `reference`: what its paths bring, its lobes and its samples of the environment, each against a sum or a formula."""
+"""Level `reference`: what its paths bring, its lobes and its samples of the environment,
+each against a sum or a formula.
+"""
 
 from __future__ import annotations
 
@@ -48,23 +50,38 @@ def numbers(n: int) -> np.ndarray:
     return np.random.default_rng(0).random((n, 3))
 
 
-def material(n: int, roughness: float, albedo: float = 0.5, f0: float = 0.04, metal: float = 0.0) -> MaterialLobes:
+def material(
+    n: int, roughness: float, albedo: float = 0.5, f0: float = 0.04, metal: float = 0.0
+) -> MaterialLobes:
     up, column = np.tile([0, 0, 1.0], (n, 1)), np.ones((n, 1))
-    return MaterialLobes(up, np.tile(VIEW, (n, 1)), np.full((n, 3), albedo), metal * column, f0 * column, roughness * column)
+    return MaterialLobes(
+        up,
+        np.tile(VIEW, (n, 1)),
+        np.full((n, 3), albedo),
+        metal * column,
+        f0 * column,
+        roughness * column,
+    )
 
 
 def plane(n: int, x: float, all_around: bool) -> PlaneLobes:
     points = np.tile([x, 0, 0.0], (n, 1))
-    return PlaneLobes(points, np.tile([0, 0, 1.0], (n, 1)), np.array([0, 0, 1.2]), 1.0, all_around)
+    return PlaneLobes(
+        points, np.tile([0, 0, 1.0], (n, 1)), np.array([0, 0, 1.2]), 1.0, all_around
+    )
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.6, 1.0])
 @pytest.mark.parametrize("metal", [0.0, 1.0])
-def test_directions_have_the_density_that_is_told_and_keep_the_mean(roughness: float, metal: float) -> None:
+def test_directions_have_the_density_that_is_told_and_keep_the_mean(
+    roughness: float, metal: float
+) -> None:
     n = 200_000
     lobes = material(n, roughness, metal=metal)
     even = lobes.at(even_hemisphere(n))
-    assert 2 * np.pi * even.density.mean() <= 1.01, "some directions of the gloss do not leave the surface"
+    assert 2 * np.pi * even.density.mean() <= 1.01, (
+        "some directions of the gloss do not leave the surface"
+    )
     summed = 2 * np.pi * even.total.mean(0)
     weight = lobes.at(lobes.directions(numbers(n))).weight
     np.testing.assert_allclose(weight.mean(0), summed, rtol=0.02)
@@ -87,7 +104,9 @@ def test_rays_towards_a_ball_bring_its_form_factor(all_around: bool) -> None:
 
 @pytest.mark.parametrize("lobes", [material(20_000, 0.5), plane(20_000, 6.0, True)])
 def test_a_density_sums_to_one(lobes: Lobes) -> None:
-    assert 2 * np.pi * lobes.at(even_hemisphere(20_000)).density.mean() == pytest.approx(1, abs=0.02)
+    assert 2 * np.pi * lobes.at(even_hemisphere(20_000)).density.mean() == pytest.approx(
+        1, abs=0.02
+    )
 
 
 def lit_room() -> np.ndarray:
@@ -105,16 +124,25 @@ def test_samples_of_the_environment_are_taken_by_their_density() -> None:
     np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-12)
     radiance = environment.radiance(d, np.ones((len(d), 3)))[:, 0]
     texels, solid = face_directions(64), np.tile(solid_angles(64).ravel(), 6)
-    exact = environment.radiance(texels.reshape(-1, 3) @ turn, np.ones((solid.size, 3)))[:, 0] @ solid
-    assert (radiance / environment.density(d)[:, 0]).mean() == pytest.approx(exact, rel=0.01)
+    exact = (
+        environment.radiance(texels.reshape(-1, 3) @ turn, np.ones((solid.size, 3)))[:, 0]
+        @ solid
+    )
+    assert (radiance / environment.density(d)[:, 0]).mean() == pytest.approx(
+        exact, rel=0.01
+    )
     assert not Environment((np.ones((6, 4, 4, 3)),) * 2, turn).bright
 
 
 def test_what_nobody_saw_is_as_bright_as_the_ray_is_wide() -> None:
     """A mirror looks through between the lamps that a matt surface takes light from."""
-    environment = Environment((np.full((6, 4, 4, 3), 0.2), np.ones((6, 4, 4, 3))), np.eye(3))
+    environment = Environment(
+        (np.full((6, 4, 4, 3), 0.2), np.ones((6, 4, 4, 3))), np.eye(3)
+    )
     wide = np.tile([[0.0], [0.5], [1.0]], 3)
-    assert environment.radiance(normalise(np.ones((3, 3))), wide)[:, 0] == pytest.approx([0.2, 0.6, 1.0])
+    assert environment.radiance(normalise(np.ones((3, 3))), wide)[:, 0] == pytest.approx(
+        [0.2, 0.6, 1.0]
+    )
     widths = [float(material(1, r).width[0, 0]) for r in (0.0, 0.35, 1.0)]
     assert widths[0] == 0 and 0.2 < widths[1] < 0.9 and widths[2] == 1
 
@@ -127,15 +155,23 @@ def test_textures_are_read_where_rays_meet_them() -> None:
     white = RayScene(s)
     eye, down = np.array([[0.01, 0.02, 1.0]]), np.array([[0, 0, -1.0]])
     met = white.nearest(eye, down)
-    assert met.triangle[0] >= 0 and met.distance[0] == pytest.approx(1 - s.model_points_m[:, 2].max())
+    assert met.triangle[0] >= 0 and met.distance[0] == pytest.approx(
+        1 - s.model_points_m[:, 2].max()
+    )
     surface = white.surface(met, eye, down)
-    assert surface.normal[0] == pytest.approx([0, 0, 1]) and surface.albedo[0] == pytest.approx([1] * 3)
+    assert surface.normal[0] == pytest.approx([0, 0, 1]) and surface.albedo[
+        0
+    ] == pytest.approx([1] * 3)
     for u, expected in ((0.25, 0.0), (0.75, 1.0)):
         uv = np.tile([u, 0.25], (len(part.vertices), 1))
-        textured = Material(base_colour=(1, 1, 1, 1), specular=0.0, base_texture=Texture(base))
+        textured = Material(
+            base_colour=(1, 1, 1, 1), specular=0.0, base_texture=Texture(base)
+        )
         model = replace(s.model, parts=(replace(part, material=textured, uv=uv),))
         scene = on_plane(model, EVEN)
-        assert RayScene(scene).surface(met, eye, down).albedo[0] == pytest.approx([expected] * 3)
+        assert RayScene(scene).surface(met, eye, down).albedo[0] == pytest.approx(
+            [expected] * 3
+        )
 
 
 def test_what_lies_beyond_a_picture_repeats_ends_or_is_mirrored() -> None:
@@ -145,10 +181,15 @@ def test_what_lies_beyond_a_picture_repeats_ends_or_is_mirrored() -> None:
     assert wrapped(t, MIRROR).tolist() == [0.25, 0.25, 0.75, 0.25]
 
 
-@pytest.mark.parametrize("body", [MATT_WHITE, Material(base_colour=(1, 1, 1, 1), metallic=1.0, roughness=0.0)])
+@pytest.mark.parametrize(
+    "body", [MATT_WHITE, Material(base_colour=(1, 1, 1, 1), metallic=1.0, roughness=0.0)]
+)
 def test_white_furnace(body: Material) -> None:
     made = run_gi(
-        on_plane(ball(body), EVEN, CAMERA), "reference", plate=plain_plate(CAMERA, (1, 1, 1)), params=GiParams(samples=16)
+        on_plane(ball(body), EVEN, CAMERA),
+        "reference",
+        plate=plain_plate(CAMERA, (1, 1, 1)),
+        params=GiParams(samples=16),
     )
     inside = inner(made[Layer.COVERAGE])
     assert made[Layer.VIRTUAL][inside].mean() == pytest.approx(1, abs=0.01)
@@ -175,7 +216,10 @@ def test_a_bright_spot_of_the_environment_makes_no_specks(roughness: float) -> N
     for body in (metal, MATT_WHITE):
         s = on_plane(ball(body), DIM, CAMERA)
         around = CubeMap.of(lit_room())
-        made = [run_gi(s, "reference", params=GiParams(samples=n), environment=around) for n in (8, 9)]
+        made = [
+            run_gi(s, "reference", params=GiParams(samples=n), environment=around)
+            for n in (8, 9)
+        ]
         on = made[0][Layer.COVERAGE] > 0
         a, b = (m[Layer.VIRTUAL][on].max(-1) for m in made)
         # by chance alone 3 to 5 times the mean

@@ -38,13 +38,22 @@ def bowl(material: Material, thickness: float = 0.02) -> Model:
     profile = np.concatenate([rim[::-1], (1 - thickness) * (rim - [0, 1]) + [0, 1]])
     profile[[0, -1], 0] = 0
     mesh = trimesh.creation.revolve(profile, sections=96)
-    part = Part(np.array(mesh.vertices), np.array(mesh.faces, np.int32), np.array(mesh.vertex_normals), material)
+    part = Part(
+        np.array(mesh.vertices),
+        np.array(mesh.faces, np.int32),
+        np.array(mesh.vertex_normals),
+        material,
+    )
     return Model((part,), up="z", source="bowl")
 
 
 @pytest.mark.parametrize(("level", "most"), [("draft", 0.05), ("standard", 0.03)])
-def test_a_thin_bowl_is_as_bright_inside_as_a_half_ball_and_has_no_dark_dots(level: str, most: float) -> None:
-    """Each place of a ball's inside sees every other alike: f / (1 - albedo (1 - f)) of the sky, f = 1 / 2 of it open."""
+def test_a_thin_bowl_is_as_bright_inside_as_a_half_ball_and_has_no_dark_dots(
+    level: str, most: float
+) -> None:
+    """Each place of a ball's inside sees every other alike: f / (1 - albedo (1 - f)) of the
+    sky, f = 1 / 2 of it open.
+    """
     grey = Material(base_colour=(0.5, 0.5, 0.5, 1.0), specular=0.0, roughness=1.0)
     s, pose = on_plane(bowl(grey), EVEN, CAMERA), from_above(0, 0.35)
     made = run_gi(s, level, pose, plain_plate(rgb=(0, 0, 0)))
@@ -53,7 +62,9 @@ def test_a_thin_bowl_is_as_bright_inside_as_a_half_ball_and_has_no_dark_dots(lev
     light = made[Layer.VIRTUAL][inside][:, 0] / 0.5
     expected = 0.5 / (1 - 0.5 * 0.5)
     assert inside.sum() > 1000 and light.mean() == pytest.approx(expected, rel=most)
-    assert light.min() > (1 - 4 * most) * expected and light.max() < (1 + 4 * most) * expected
+    assert (
+        light.min() > (1 - 4 * most) * expected and light.max() < (1 + 4 * most) * expected
+    )
 
 
 @pytest.mark.parametrize("level", ["draft", "standard"])
@@ -67,11 +78,16 @@ def test_a_black_ball_takes_its_form_factor_from_the_plane(level: str) -> None:
         at = (made[Layer.COVERAGE] == 0) & (away > low) & (away < high)
         lost = 1 - made[Layer.SHADOW][..., 0][at]
         expected = RADIUS_M**3 / (away[at] ** 2 + RADIUS_M**2) ** 1.5
-        assert at.sum() > 20 and (lost - expected).mean() == pytest.approx(0, abs=0.012), (low, high)
+        assert at.sum() > 20 and (lost - expected).mean() == pytest.approx(0, abs=0.012), (
+            low,
+            high,
+        )
 
 
 def test_a_mirror_sends_on_what_it_mirrors_and_no_lamp_as_if_it_were_matt() -> None:
-    """Under an even sky and a lamp a matt white ball lights the plane on the lamp's side; a mirror cannot."""
+    """Under an even sky and a lamp a matt white ball lights the plane on the lamp's side; a
+    mirror cannot.
+    """
     mirror = Material(base_colour=(1.0, 1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     pose = from_above(60)
     plate = np.full((CAMERA.height, CAMERA.width, 3), 0.4, np.float32)
@@ -81,7 +97,11 @@ def test_a_mirror_sends_on_what_it_mirrors_and_no_lamp_as_if_it_were_matt() -> N
         made = run_gi(s, "standard", pose, plate)
         g = ground_points(s, pose)
         d = np.array(LAMP.lights[0].direction)[:2]
-        side = (g[..., :2] @ d / np.linalg.norm(d) > 0.03) & (np.hypot(g[..., 0], g[..., 1]) < 0.11) & (made[Layer.COVERAGE] == 0)
+        side = (
+            (g[..., :2] @ d / np.linalg.norm(d) > 0.03)
+            & (np.hypot(g[..., 0], g[..., 1]) < 0.11)
+            & (made[Layer.COVERAGE] == 0)
+        )
         lit[name] = made[Layer.SHADOW][side].mean()
     assert lit["matt"] > lit["mirror"] + 0.01
     assert 0.9 < lit["mirror"] < 1.02

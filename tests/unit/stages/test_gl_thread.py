@@ -30,7 +30,10 @@ def opengl_renderer(scene: Scene) -> Renderer:
 def test_all_work_is_done_by_one_thread_that_is_not_the_callers() -> None:
     with ThreadPoolExecutor(3) as pool:
         seen = list(pool.map(lambda _: on_gl_thread(threading.get_ident), range(12)))
-    assert len({*seen, on_gl_thread(threading.get_ident)}) == 1 and seen[0] != threading.get_ident()
+    assert (
+        len({*seen, on_gl_thread(threading.get_ident)}) == 1
+        and seen[0] != threading.get_ident()
+    )
 
 
 def test_what_the_work_raises_reaches_the_caller_and_the_thread_goes_on() -> None:
@@ -47,7 +50,11 @@ def test_ctrl_c_does_not_wait_for_the_work(ctrl_c: None) -> None:
 
     def work() -> bool:
         threads.append(threading.get_ident())
-        for _ in range(40):  # a signal that comes just before the main thread starts to wait is seen at the next one only
+        for _ in range(
+            40
+            # a signal that comes just before the main thread starts to wait is seen at the next
+            # one only
+        ):
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
             if caught.wait(0.5):
                 return True
@@ -75,13 +82,19 @@ def test_a_forked_process_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.opengl
 def test_a_renderer_serves_any_thread() -> None:
     scene = Scene(camera(), box_model(0.3), np.eye(4))
-    with ThreadPoolExecutor(1) as pool:  # as a job's warm-up does: made and dropped in a thread that ends
-        pool.submit(lambda: opengl_renderer(scene).render(scene.camera.rect, in_front())).result()
+    with ThreadPoolExecutor(
+        1
+    ) as pool:  # as a job's warm-up does: made and dropped in a thread that ends
+        pool.submit(
+            lambda: opengl_renderer(scene).render(scene.camera.rect, in_front())
+        ).result()
     renderer = opengl_renderer(scene)
     poses = [in_front(1.0 + 0.1 * k, 30, 10 * k) for k in range(8)]
     alone = [renderer.render(scene.camera.rect, pose) for pose in poses]
     with ThreadPoolExecutor(3) as pool:
-        together = list(pool.map(lambda pose: renderer.render(scene.camera.rect, pose), poses))
+        together = list(
+            pool.map(lambda pose: renderer.render(scene.camera.rect, pose), poses)
+        )
     for a, b in zip(alone, together, strict=True):
         assert all(np.array_equal(a[name], b[name]) for name in a)
 
@@ -96,7 +109,9 @@ def test_a_renderer_that_is_gone_leaves_nothing_in_the_driver() -> None:
     del renderer
     gc.collect()
     on_gl_thread(lambda: None)
-    assert drawing.buffer.framebuffer is None and not any(p._in_context() for p, *_ in drawing.primitives)
+    assert drawing.buffer.framebuffer is None and not any(
+        p._in_context() for p, *_ in drawing.primitives
+    )
 
 
 @pytest.mark.opengl
@@ -110,6 +125,8 @@ def test_what_the_driver_says_is_one_message() -> None:
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 12345)  # never made
 
     renderer.faces.drawing.buffer.bind = lambda *_: refused()  # type: ignore[method-assign]
-    with pytest.raises(RenderError, match=r"OpenGL failed: GLError.*1282.*glBindFramebuffer") as e:
+    with pytest.raises(
+        RenderError, match=r"OpenGL failed: GLError.*1282.*glBindFramebuffer"
+    ) as e:
         renderer.render(scene.camera.rect, in_front())
     assert "raster.backend=rays" in e.value.hint

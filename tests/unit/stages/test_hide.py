@@ -20,17 +20,26 @@ BAR = slice(150, 170)  # columns of a bright bar in the picture, before the obje
 
 
 def scene_with_bar(bar_m: float, off_px: int = 0) -> Shot:
-    """The object on its plane, a bar before it. off_px : by which the depth map has the bar beside where it is seen"""
+    """The object on its plane, a bar before it.
+
+    off_px : by which the depth map has the bar beside where it is seen
+    """
     at = shot(width=SIZE[0], height=SIZE[1])
     plate = np.full((SIZE[1], SIZE[0], 3), 0.1, np.float32)
     plate[:, BAR] = 0.7
     real = np.full((SIZE[1], SIZE[0]), 1.0, np.float32)
     real[:, BAR.start + off_px : BAR.stop + off_px] = bar_m
     known = RealDepth.of(0, 1.0, "", tile_ranges(real, SIZE))
-    return Shot(at.scene, at.facts.with_(real_depth=known), with_layers(at, plate=plate, real_depth=real).layers)
+    return Shot(
+        at.scene,
+        at.facts.with_(real_depth=known),
+        with_layers(at, plate=plate, real_depth=real).layers,
+    )
 
 
-def hidden(at: Shot, rect: Rect | None = None, **params: float) -> tuple[np.ndarray, np.ndarray]:
+def hidden(
+    at: Shot, rect: Rect | None = None, **params: float
+) -> tuple[np.ndarray, np.ndarray]:
     """COVERAGE and VIRTUAL of the frame, or of a part."""
     stage = Hide(HideParams(**params))
     layers = at.layers if rect is None else at.layers.crop(rect)
@@ -77,26 +86,40 @@ def test_the_edge_is_the_pictures_not_the_depth_maps() -> None:
     rows = (at.layers[Layer.COVERAGE][:, BAR.start - 8 : BAR.stop + 8] == 1).all(1)
     assert rows.sum() > 20
     profile = coverage[rows].mean(0)
-    assert profile[BAR.start - 2] > 0.6 > 0.4 > profile[BAR.start + 1], profile[BAR.start - 5 : BAR.start + 5]
-    assert profile[BAR.stop - 2] < 0.4 < 0.6 < profile[BAR.stop + 1], profile[BAR.stop - 5 : BAR.stop + 5]
-    assert ((coverage > 0.05) & (coverage < 0.95))[rows][:, BAR.start - 8 : BAR.stop + 8].any()
+    assert profile[BAR.start - 2] > 0.6 > 0.4 > profile[BAR.start + 1], profile[
+        BAR.start - 5 : BAR.start + 5
+    ]
+    assert profile[BAR.stop - 2] < 0.4 < 0.6 < profile[BAR.stop + 1], profile[
+        BAR.stop - 5 : BAR.stop + 5
+    ]
+    assert ((coverage > 0.05) & (coverage < 0.95))[rows][
+        :, BAR.start - 8 : BAR.stop + 8
+    ].any()
 
 
 def test_draft_keeps_the_edge_of_the_depth_map() -> None:
     at = scene_with_bar(0.2, off_px=2)
-    made = laws.run(ReadyStage.of(Hide(), at.scene, "draft"), at.layers, at.facts)[Layer.COVERAGE]
+    made = laws.run(ReadyStage.of(Hide(), at.scene, "draft"), at.layers, at.facts)[
+        Layer.COVERAGE
+    ]
     rows = (at.layers[Layer.COVERAGE][:, BAR.start - 8 : BAR.stop + 8] == 1).all(1)
     hidden_columns = np.flatnonzero(made[rows][0, BAR.start - 8 : BAR.stop + 8] == 0)
     assert hidden_columns.tolist() == list(range(10, 10 + BAR.stop - BAR.start))
-    assert Hide().needs(Rect(140, 90, 181, 131), at.facts, at.scene, "draft") == Rect(140, 90, 181, 131)
+    assert Hide().needs(Rect(140, 90, 181, 131), at.facts, at.scene, "draft") == Rect(
+        140, 90, 181, 131
+    )
 
 
 def test_the_objects_outline_stays_as_it_is() -> None:
-    """Where all of the object is nearer than a bar that begins at its edge, its edge pixels keep their bits."""
+    """Where all of the object is nearer than a bar that begins at its edge, its edge pixels
+    keep their bits.
+    """
     g = np.random.default_rng(0)
     mask, there = np.ones((40, 40), np.float32), np.zeros((40, 40), np.float32)
     there[10:30, 10:30] = 1
-    np.testing.assert_array_equal(refined(mask, there, g.random((40, 40, 3)).astype(np.float32), 3), mask)
+    np.testing.assert_array_equal(
+        refined(mask, there, g.random((40, 40, 3)).astype(np.float32), 3), mask
+    )
     mask[:, 20:] = 0
     made = refined(mask, there, np.repeat(mask[..., None], 3, -1), 3)
     assert made[10:30, 10:19].min() > 0.9 and made[10:30, 21:30].max() < 0.1
@@ -108,13 +131,17 @@ def test_a_part_gives_what_the_whole_gives() -> None:
     need = Hide().needs(out, at.facts, at.scene, "standard")
     assert need.area < at.scene.camera.rect.area
     for part, whole in zip(hidden(at, need), hidden(at), strict=True):
-        np.testing.assert_allclose(part[out.slices_in(need)], whole[out.slices], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(
+            part[out.slices_in(need)], whole[out.slices], rtol=0, atol=1e-5
+        )
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, -1.0])
 def test_depths_that_are_none_hide_nothing(value: float) -> None:
     at = scene_with_bar(0.2)
-    coverage, virtual = hidden(with_layers(at, real_depth=np.full((SIZE[1], SIZE[0]), value, np.float32)))
+    coverage, virtual = hidden(
+        with_layers(at, real_depth=np.full((SIZE[1], SIZE[0]), value, np.float32))
+    )
     np.testing.assert_array_equal(coverage, at.layers[Layer.COVERAGE])
     np.testing.assert_array_equal(virtual, at.layers[Layer.VIRTUAL])
 

@@ -27,12 +27,21 @@ def plane_m() -> np.ndarray:
     at = shot(width=SIZE[0], height=SIZE[1])
     pose = at.facts.camera_from_world
     assert pose is not None
-    dioptres = plane_dioptres(direction_grid(at.scene.camera), pose @ at.scene.world_from_anchor, at.scene.camera.rect)
+    dioptres = plane_dioptres(
+        direction_grid(at.scene.camera),
+        pose @ at.scene.world_from_anchor,
+        at.scene.camera.rect,
+    )
     return np.where(dioptres > 0, 1 / np.maximum(dioptres, 1e-6), np.inf)
 
 
-def with_thing(thing_m: float | np.ndarray, noise: float = 0.0, told: float = 0.0, off_px: int = 0) -> Shot:
-    """A shadow over the whole plane and a thing on it. told : the noise that the facts state;  off_px : of the map's edges"""
+def with_thing(
+    thing_m: float | np.ndarray, noise: float = 0.0, told: float = 0.0, off_px: int = 0
+) -> Shot:
+    """A shadow over the whole plane and a thing on it.
+
+    told : the noise that the facts state;  off_px : of the map's edges
+    """
     at = shot(width=SIZE[0], height=SIZE[1])
     plate = np.full((SIZE[1], SIZE[0], 3), (0.4, 0.3, 0.2), np.float32)
     plate[THING] = (0.1, 0.25, 0.4)
@@ -66,7 +75,9 @@ def test_what_is_nearer_or_farther_than_the_plane_keeps_its_light(thing_m: float
 
 
 def test_the_edge_is_the_pictures_not_the_depth_maps() -> None:
-    """Two pixels off, the step goes back to where the picture has it; the map's own edge is a slope."""
+    """Two pixels off, the step goes back to where the picture has it; the map's own edge is
+    a slope.
+    """
     step = np.diff(left(with_thing(0.3, off_px=2))[100:140].mean(0))
     edge, end = THING[1].start, THING[1].stop
     assert step[edge - 1] > 0.3 and step[end - 1] < -0.3
@@ -74,13 +85,17 @@ def test_the_edge_is_the_pictures_not_the_depth_maps() -> None:
 
 
 def test_the_depths_own_noise_is_no_thing() -> None:
-    """The plane keeps its shadow under the noise that the facts state; a thing twice as far off as that takes none."""
+    """The plane keeps its shadow under the noise that the facts state; a thing twice as far
+    off as that takes none.
+    """
     noisy = left(with_thing(0.2, noise=0.02, told=0.02))
     away = np.ones(noisy.shape, bool)
     away[76:164, 106:214] = False
     assert noisy[away].mean() == pytest.approx(DARK, abs=0.003) and noisy[away].max() < 0.6
     assert noisy[CLEAR].min() > 0.95
-    assert left(with_thing(0.2, noise=0.02, told=0.0))[away].mean() > DARK + 0.1, "stated as exact, it is full of holes"
+    assert left(with_thing(0.2, noise=0.02, told=0.0))[away].mean() > DARK + 0.1, (
+        "stated as exact, it is full of holes"
+    )
 
 
 def test_the_tolerance_is_soft() -> None:
@@ -93,7 +108,9 @@ def test_the_tolerance_is_soft() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, -1.0])
 def test_depths_that_are_none_change_nothing(value: float) -> None:
-    at = with_layers(with_thing(0.3), real_depth=np.full((SIZE[1], SIZE[0]), value, np.float32))
+    at = with_layers(
+        with_thing(0.3), real_depth=np.full((SIZE[1], SIZE[0]), value, np.float32)
+    )
     np.testing.assert_array_equal(left(at), np.float32(DARK))
 
 
@@ -102,14 +119,20 @@ def test_a_part_gives_what_the_whole_gives() -> None:
     stage, out = Holdout(), Rect(110, 85, 161, 131)
     need = stage.needs(out, at.facts, at.scene, "standard")
     assert need.area < at.scene.camera.rect.area / 4
-    np.testing.assert_allclose(left(at, need)[out.slices_in(need)], left(at)[out.slices], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(
+        left(at, need)[out.slices_in(need)], left(at)[out.slices], rtol=0, atol=1e-5
+    )
 
 
 def test_without_depth_no_job_has_it() -> None:
     assert "holdout" not in stages_with(["lightmap", "gi"])
-    assert "holdout" in stages_with(["lightmap"], inputs=["depth"]) and "holdout" in stages_with([], inputs=["depth"])
+    assert "holdout" in stages_with(
+        ["lightmap"], inputs=["depth"]
+    ) and "holdout" in stages_with([], inputs=["depth"])
     names = stages_with(["gi"], inputs=["depth"])
-    assert names.index("lightmap") < names.index("holdout") < names.index("gi"), "gi asks the depth itself"
+    assert names.index("lightmap") < names.index("holdout") < names.index("gi"), (
+        "gi asks the depth itself"
+    )
     at = shot(width=SIZE[0], height=SIZE[1])
     assert "not known" in Holdout().demand(at.facts, at.scene, at.scene.camera.rect).reason
     with pytest.raises(ConfigError, match=r"holdout\.tolerance"):

@@ -1,4 +1,6 @@
-"""Shading: the light's own radiance, the camera's bias, the object's shadow on itself; and what is not called for."""
+"""Shading: the light's own radiance, the camera's bias, the object's shadow on itself; and
+what is not called for.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,11 @@ from arfx.papers.s1_lightmap import PrintedLightmapParams
 from arfx.run.parameters import stage_of
 from arfx.stages import STAGES
 from arfx.stages.light.region import ShadowRegion
-from arfx.stages.light.soft_visibility import soft_visibility, visible_fraction, visible_fraction_by_rays
+from arfx.stages.light.soft_visibility import (
+    soft_visibility,
+    visible_fraction,
+    visible_fraction_by_rays,
+)
 from arfx.stages.lightmap import Lightmap, LightmapParams
 from tests.contract.stage_laws import run as run_law
 from tests.scenes import box_model, facts, layers_of
@@ -55,21 +61,34 @@ def surface(
     s: Scene, normals: np.ndarray, positions: np.ndarray, albedo: float = 0.87, coverage: float = 1.0,
     material: tuple[float, float, float] = (0.0, 0.9, 0.0),
 ) -> Layers:  # fmt: skip
-    """Layers of the whole picture with these normals and positions (h, w, 3): matt unless the material says otherwise."""
+    """Layers of the whole picture with these normals and positions (h, w, 3): matt unless
+    the material says otherwise.
+    """
     arrays = {name: neutral(name, s.camera.rect) for name in Lightmap.reads}
     arrays[Layer.COVERAGE] = np.full_like(arrays[Layer.COVERAGE], coverage)
-    for name, values in ((Layer.NORMAL, normals), (Layer.POSITION, positions)):  # as a job makes them: C order
+    for name, values in (
+        (Layer.NORMAL, normals),
+        (Layer.POSITION, positions),
+    ):  # as a job makes them: C order
         arrays[name] = np.ascontiguousarray(values, np.float32)
     arrays[Layer.ALBEDO] = np.full_like(arrays[Layer.ALBEDO], albedo)
     arrays[Layer.MATERIAL][..., :3] = material
     return layers_of(s.camera.rect, arrays)
 
 
-def shaded(s: Scene, layers: Layers, params: LightmapParams = BARE, level: str = "standard", **changes: object) -> np.ndarray:
+def shaded(
+    s: Scene,
+    layers: Layers,
+    params: LightmapParams = BARE,
+    level: str = "standard",
+    **changes: object,
+) -> np.ndarray:
     """VIRTUAL. The plane's shadow, which is not looked at, is left out."""
     stage = stage_of("lightmap", replace(params, shadow_strength=0.0))
     ready = ReadyStage.of(stage, s, level_named(stage.levels, level))
-    return run_stage(s, layers=layers, ready=ready, model_box=s.camera.rect, **changes)[Layer.VIRTUAL]
+    return run_stage(s, layers=layers, ready=ready, model_box=s.camera.rect, **changes)[
+        Layer.VIRTUAL
+    ]
 
 
 def any_normals(s: Scene) -> np.ndarray:
@@ -83,22 +102,36 @@ def far(s: Scene) -> np.ndarray:
     return np.broadcast_to([0.0, 0.0, 0.3], (s.camera.height, s.camera.width, 3))
 
 
-@pytest.mark.parametrize("light", [Light(lights=TWO), Light(lights=TWO, soft=SOFT), Light((0.3, 0.2, 0.1), ())])
+@pytest.mark.parametrize(
+    "light", [Light(lights=TWO), Light(lights=TWO, soft=SOFT), Light((0.3, 0.2, 0.1), ())]
+)
 @pytest.mark.parametrize("params", [BARE, PRINTED])
-def test_a_matt_surface_shows_the_radiance_of_the_light_and_the_bias(light: Light, params: LightmapParams) -> None:
+def test_a_matt_surface_shows_the_radiance_of_the_light_and_the_bias(
+    light: Light, params: LightmapParams
+) -> None:
     s, bias = on_plane(box_model(), light), (0.02, 0.01, 0.03)
     n = any_normals(s)
     made = shaded(s, surface(s, n, far(s), coverage=0.25), params, bias_rgb=bias)
-    np.testing.assert_allclose(made, 0.25 * (0.87 * light.radiance(n) + np.array(bias)), atol=2e-6)
+    np.testing.assert_allclose(
+        made, 0.25 * (0.87 * light.radiance(n) + np.array(bias)), atol=2e-6
+    )
 
 
 @pytest.mark.parametrize("exposure", [0.3, 1.0, 1.7])
 def test_virtual_paper_matches_the_paper_beside_it(exposure: float) -> None:
-    """What a camera with gain and bias shows of the marker's white, and what the stage makes of a virtual patch of it."""
+    """What a camera with gain and bias shows of the marker's white, and what the stage
+    makes of a virtual patch of it.
+    """
     light = Light((0.2, 0.2, 0.25), TWO, "marker").scaled(np.array([exposure] * 3))
     s, bias = on_plane(box_model(), DARK), (0.03, 0.02, 0.01)
     up = np.broadcast_to([0.0, 0.0, 1.0], (s.camera.height, s.camera.width, 3))
-    made = shaded(s, surface(s, up, far(s)), LightmapParams(self_shadow=0.0), light=light, bias_rgb=bias)
+    made = shaded(
+        s,
+        surface(s, up, far(s)),
+        LightmapParams(self_shadow=0.0),
+        light=light,
+        bias_rgb=bias,
+    )
     marker = np.array(bias) + 0.87 * light.radiance(np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(made, np.broadcast_to(marker, made.shape), atol=2e-6)
 
@@ -112,7 +145,9 @@ def test_light_under_the_horizon_reaches_the_object_only_if_the_plane_lets_it() 
     # half a disc over the horizon is half the light
     s = on_plane(box_model(), lamp(0, 0, 10.0, ambient=0.0))
     facing = np.broadcast_to([1.0, 0, 0], down.shape)
-    assert shaded(s, surface(s, facing, far(s)), LightmapParams(self_shadow=0.0)) == pytest.approx(0.87 * 0.25, rel=1e-3)
+    assert shaded(
+        s, surface(s, facing, far(s)), LightmapParams(self_shadow=0.0)
+    ) == pytest.approx(0.87 * 0.25, rel=1e-3)
 
 
 def test_a_highlight_lies_where_the_half_vector_meets_the_normal() -> None:
@@ -127,7 +162,9 @@ def test_a_highlight_lies_where_the_half_vector_meets_the_normal() -> None:
 
 
 def stacked() -> Model:
-    """A cube on the plane and a table of four times its footprint at its foot: the cube shades the table's top."""
+    """A cube on the plane and a table of four times its footprint at its foot: the cube
+    shades the table's top.
+    """
     cube, slab = box_model().parts[0], box_model().parts[0]
     low = slab.vertices * [4.0, 4.0, 0.2] - [0, 0, 0.6]
     return Model((cube, replace(slab, vertices=low)), up="z", source="cube on a table")
@@ -137,16 +174,22 @@ def stacked() -> Model:
 def test_shadow_on_itself_against_true_rays(level: str, most: float) -> None:
     """The table's top around the cube; the light of 12 degrees leaves a wide penumbra there."""
     light = lamp(30, 40, 12.0, ambient=0.0)
-    s = on_plane(stacked(), light, Camera(50, 50, np.array([[50.0, 0, 25], [0, 50, 25], [0, 0, 1]])))  # a pixel for each place
+    s = on_plane(
+        stacked(), light, Camera(50, 50, np.array([[50.0, 0, 25], [0, 50, 25], [0, 0, 1]]))
+    )  # a pixel for each place
     side = s.world_from_model[0, 0]  # of the cube, metres
     top = 0.2 * side
-    y, x = np.mgrid[-1:1:240j, -1:1:320j].reshape(2, -1) * 1.6 * side  # the table reaches 2 sides from its middle
+    y, x = (
+        np.mgrid[-1:1:240j, -1:1:320j].reshape(2, -1) * 1.6 * side
+    )  # the table reaches 2 sides from its middle
     beside = np.flatnonzero(np.maximum(np.abs(x), np.abs(y)) > 0.53 * side)
     pick = np.random.default_rng(0).choice(beside, 2500, replace=False)
     at = np.stack([x[pick], y[pick], np.full(2500, top)], -1)
     up = np.broadcast_to([0.0, 0.0, 1.0], (50, 50, 3))
     layers = surface(s, up, at.reshape(50, 50, 3))
-    made = shaded(s, layers, LightmapParams(), level)[..., 0].ravel() / (0.87 * 0.5 * np.sin(np.radians(40)))
+    made = shaded(s, layers, LightmapParams(), level)[..., 0].ravel() / (
+        0.87 * 0.5 * np.sin(np.radians(40))
+    )
     # the closed form's cube is 2 RADIUS_M wide and stands on z = 0
     points = (at - [0, 0, top]) * (2 * RADIUS_M / side)
     rays = disc_samples(light.lights[0].unit, 12.0, 16)
@@ -165,7 +208,10 @@ def test_soft_light_that_the_object_hides_from_itself_against_true_rays() -> Non
     x, y = (np.random.default_rng(0).random((2, 2000)) * 2 - 1) * 1.2 * side
     beside = np.maximum(np.abs(x), np.abs(y)) > 0.55 * side
     at = np.stack([x, y, np.full(2000, 0.2 * side)], -1)[beside][None]
-    up, covered = np.broadcast_to(np.array([0.0, 0.0, 1.0]), at.shape).astype(np.float32), np.ones(at.shape[:2], np.float32)
+    up, covered = (
+        np.broadcast_to(np.array([0.0, 0.0, 1.0]), at.shape).astype(np.float32),
+        np.ones(at.shape[:2], np.float32),
+    )
     sky, region = hemisphere_samples(30), ShadowRegion(s)
     hidden = hides_box((at[0] - [0, 0, 0.2 * side]) * (2 * RADIUS_M / side), sky)
     for shape in ((0.0, 0.0, 0.0), (0.7, 0.0, 0.3)):
@@ -173,29 +219,51 @@ def test_soft_light_that_the_object_hides_from_itself_against_true_rays() -> Non
         truth = 1 - hidden @ light / light.sum()
         surface_, place = (covered, up, at.astype(np.float32)), (Pose.identity(), shape)
         kept = soft_visibility(s, region.rays, region.soft)
-        standard = np.abs(visible_fraction(surface_, kept, kept.under(shape), *place)[0] - truth).mean()
+        standard = np.abs(
+            visible_fraction(surface_, kept, kept.under(shape), *place)[0] - truth
+        ).mean()
         traced = visible_fraction_by_rays(surface_, region.rays, region.soft, *place)[0]
         reference = np.abs(traced - truth).mean()
-        assert truth.min() < 0.65 and reference < 0.006 < standard < 0.02, (standard, reference)
+        assert truth.min() < 0.65 and reference < 0.006 < standard < 0.02, (
+            standard,
+            reference,
+        )
 
 
 def test_what_is_near_its_own_shadow_on_the_plane_is_dark() -> None:
-    s = on_plane(ball_model(3), one_sided((0.0, 0.0, 0.0)), Camera(50, 50, np.array([[50.0, 0, 25], [0, 50, 25], [0, 0, 1]])))
+    s = on_plane(
+        ball_model(3),
+        one_sided((0.0, 0.0, 0.0)),
+        Camera(50, 50, np.array([[50.0, 0, 25], [0, 50, 25], [0, 0, 1]])),
+    )
     n = any_normals(s)
     layers = surface(s, n, RADIUS_M * n + [0, 0, RADIUS_M])
-    left = [shaded(s, layers, replace(LightmapParams(), self_shadow=k))[..., 0] / (0.87 * 0.4) for k in (1.0, 0.5, 0.0)]
-    assert np.abs(left[2] - 1).max() < 1e-3 and np.abs(left[1] - (1 + left[0]) / 2).max() < 1e-3
+    left = [
+        shaded(s, layers, replace(LightmapParams(), self_shadow=k))[..., 0] / (0.87 * 0.4)
+        for k in (1.0, 0.5, 0.0)
+    ]
+    assert (
+        np.abs(left[2] - 1).max() < 1e-3
+        and np.abs(left[1] - (1 + left[0]) / 2).max() < 1e-3
+    )
     height = n[..., 2]
     assert left[0][height > 0.3].min() > 0.93 and left[0][height < -0.9].max() < 0.5
-    assert left[0][height < -0.97].mean() < 0.25 < left[0][(height > -0.4) & (height < -0.2)].mean()
+    assert (
+        left[0][height < -0.97].mean()
+        < 0.25
+        < left[0][(height > -0.4) & (height < -0.2)].mean()
+    )
 
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("light", [(0, 60, 2.0), (130, 20, 15.0)])
 def test_no_acne_on_a_ball(level: str, light: tuple[float, float, float]) -> None:
-    camera = Camera(160, 120, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]))  # 19,200 places on the ball
+    camera = Camera(
+        160, 120, np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]])
+    )  # 19,200 places on the ball
     s = on_plane(ball_model(3), lamp(*light, ambient=0.0), camera)
-    # the facets of the model lie under the sphere of their normals: places on the facets, normals of the sphere
+    # the facets of the model lie under the sphere of their normals: places on the facets,
+    # normals of the sphere
     part = s.model.parts[0]
     g = np.random.default_rng(0)
     f = part.faces[g.integers(0, len(part.faces), s.camera.height * s.camera.width)]
@@ -216,17 +284,29 @@ def test_no_acne_on_a_ball(level: str, light: tuple[float, float, float]) -> Non
     ("light", "params", "says"),
     [
         (DARK, LightmapParams(), "at most 0.0 % of the plane's light"),
-        (lamp(0, 45, 5.0), LightmapParams(shadow_strength=0.0), "at most 0.0 % of the plane's light"),
+        (
+            lamp(0, 45, 5.0),
+            LightmapParams(shadow_strength=0.0),
+            "at most 0.0 % of the plane's light",
+        ),
         (lamp(0, 45, 5.0), LightmapParams(shadow_strength=0.015), "at most 1."),
-        (lamp(0, -30, 5.0, ambient=0.0), LightmapParams(), "at most 0.0 % of the plane's light"),
+        (
+            lamp(0, -30, 5.0, ambient=0.0),
+            LightmapParams(),
+            "at most 0.0 % of the plane's light",
+        ),
     ],
 )
-def test_no_shadow_is_asked_for_below_the_threshold(light: Light, params: LightmapParams, says: str) -> None:
+def test_no_shadow_is_asked_for_below_the_threshold(
+    light: Light, params: LightmapParams, says: str
+) -> None:
     s = on_plane(box_model(), light)
     f = facts(s, from_above())
     demand = Lightmap(params).demand(f, s, s.camera.rect)
     assert says in demand.reason and "model lit" in demand.reason
-    assert demand.rect == f.model_box.pad(2).clip(s.camera.rect), "the model is lit, nothing more"
+    assert demand.rect == f.model_box.pad(2).clip(s.camera.rect), (
+        "the model is lit, nothing more"
+    )
     gone = Lightmap(params).demand(f.with_(model_box=EMPTY), s, s.camera.rect)
     assert gone.rect.empty and says in gone.reason and "out of view" in gone.reason
     assert (run_stage(s, params=params, pose=from_above())[Layer.SHADOW] == 1).all()
@@ -244,7 +324,9 @@ def test_a_shadow_out_of_view_and_a_plane_from_behind_ask_for_nothing() -> None:
     assert (run_stage(s, pose=behind)[Layer.SHADOW] == 1).all()
 
 
-@pytest.mark.parametrize("light", [lamp(0, 35, 5.0), lamp(140, 12, 20.0), lamp(250, 80, 2.0)])
+@pytest.mark.parametrize(
+    "light", [lamp(0, 35, 5.0), lamp(140, 12, 20.0), lamp(250, 80, 2.0)]
+)
 def test_outside_the_demand_nothing_changes(light: Light) -> None:
     s = on_plane(ball_model(3), light)
     rect = Lightmap().demand(facts(s, from_above()), s, s.camera.rect).rect
@@ -252,10 +334,17 @@ def test_outside_the_demand_nothing_changes(light: Light) -> None:
     outside[rect.slices] = False
     made = run_stage(s)
     # what the rectangle leaves out is less than half a grey level
-    assert made[Layer.SHADOW][outside].min() > 1 - 0.0044 and (made[Layer.VIRTUAL] == 0).all()
-    plate = np.random.default_rng(0).random((s.camera.height, s.camera.width, 3), np.float32)
+    assert (
+        made[Layer.SHADOW][outside].min() > 1 - 0.0044 and (made[Layer.VIRTUAL] == 0).all()
+    )
+    plate = np.random.default_rng(0).random(
+        (s.camera.height, s.camera.width, 3), np.float32
+    )
     none = {name: neutral(name, s.camera.rect) for name in (Layer.VIRTUAL, Layer.COVERAGE)}
-    layers = layers_of(s.camera.rect, {**none, Layer.PLATE: plate, Layer.IMAGE: plate, Layer.SHADOW: made[Layer.SHADOW]})
+    layers = layers_of(
+        s.camera.rect,
+        {**none, Layer.PLATE: plate, Layer.IMAGE: plate, Layer.SHADOW: made[Layer.SHADOW]},
+    )
     composite = STAGES["composite"]()
     f = facts(s).with_(bias_rgb=(0.1, 0.05, 0.02))
     image = run_law(ReadyStage.of(composite, s, "standard"), layers, f)[Layer.IMAGE]
@@ -273,7 +362,9 @@ def test_no_light_makes_anything_that_is_not_finite(level: str) -> None:
         DirectionalLight((1e-200, 0, 1e-200), (1, 1, 1), -4.0),
     ]  # fmt: skip
     s = on_plane(box_model(), DARK)
-    layers = surface(s, any_normals(s), far(s) * 0, material=(0.5, 0.0, 1.0)).crop(Rect(100, 80, 140, 110))
+    layers = surface(s, any_normals(s), far(s) * 0, material=(0.5, 0.0, 1.0)).crop(
+        Rect(100, 80, 140, 110)
+    )
     at = ReadyStage.of(Lightmap(), s, level)
     for light in odd:
         f = facts(s, from_above()).with_(light=Light((0.0, 0.0, 0.0), (light,)))

@@ -1,4 +1,6 @@
-"""What the object mirrors: the filtered cube, its share of the surroundings, and coats over the base."""
+"""What the object mirrors: the filtered cube, its share of the surroundings, and coats over
+the base.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ SIDE = 48
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def ball(albedo: float, metallic: float, roughness: float, specular: float = 0.5) -> tuple[Surface, np.ndarray]:
+def ball(
+    albedo: float, metallic: float, roughness: float, specular: float = 0.5
+) -> tuple[Surface, np.ndarray]:
     """(a ball seen from far above, (h, w) where it is)."""
     y, x = (np.mgrid[:SIDE, :SIDE] + 0.5) / SIDE * 2 - 1
     z = np.sqrt(np.clip(1 - x * x - y * y, 0, None))
@@ -58,11 +62,15 @@ def in_even_light(surface: Surface, light: Lights) -> np.ndarray:
 
 
 @numba.njit
-def looked_up(environment: Environment, directions: np.ndarray, roughness: float) -> np.ndarray:
+def looked_up(
+    environment: Environment, directions: np.ndarray, roughness: float
+) -> np.ndarray:
     out = np.empty((len(directions), 3), np.float32)
     for i in range(len(directions)):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        out[i, 0], out[i, 1], out[i, 2] = radiance(environment, x, y, z, np.float32(roughness))
+        out[i, 0], out[i, 1], out[i, 2] = radiance(
+            environment, x, y, z, np.float32(roughness)
+        )
     return out
 
 
@@ -97,7 +105,9 @@ def test_between_levels_a_lobe_is_as_wide_as_its_roughness_asks() -> None:
     d = face_directions(64)
     edge = environment_of(prefiltered((d[..., :1] > 0) * np.ones(3)), np.eye(3))
     degrees = np.linspace(-30, 30, 601)
-    across = np.stack([np.sin(np.radians(degrees)), np.cos(np.radians(degrees)), 0 * degrees], -1).astype(F32)
+    across = np.stack(
+        [np.sin(np.radians(degrees)), np.cos(np.radians(degrees)), 0 * degrees], -1
+    ).astype(F32)
     seen = {r: looked_up(edge, across, r)[:, 0] for r in (0.0, 0.1, 0.2)}
     blur = {r: np.abs(seen[r] - seen[0.0]).sum() for r in (0.1, 0.2)}
     assert 0.15 < blur[0.1] / blur[0.2] < 0.35
@@ -106,12 +116,16 @@ def test_between_levels_a_lobe_is_as_wide_as_its_roughness_asks() -> None:
 def test_no_seam_between_faces_nor_step_between_levels() -> None:
     g = np.random.default_rng(1)
     environment = environment_of(prefiltered(g.random((6, 16, 16, 3))), np.eye(3))
-    across = np.stack([np.ones(400), np.full(400, 0.3), np.linspace(0.9, 1.1, 400)], -1).astype(F32)
+    across = np.stack(
+        [np.ones(400), np.full(400, 0.3), np.linspace(0.9, 1.1, 400)], -1
+    ).astype(F32)
     for roughness in (0.0, 0.3):
         steps = np.abs(np.diff(looked_up(environment, across, roughness), axis=0))
         assert steps.max() < 0.02
     one = across[:1]
-    by_roughness = np.array([looked_up(environment, one, r)[0] for r in np.linspace(0, 1, 300)])
+    by_roughness = np.array(
+        [looked_up(environment, one, r)[0] for r in np.linspace(0, 1, 300)]
+    )
     assert np.abs(np.diff(by_roughness, axis=0)).max() < 0.02
 
 
@@ -150,7 +164,9 @@ def test_what_hides_soft_light_hides_what_is_mirrored_and_no_lamp() -> None:
     np.testing.assert_allclose(lit[0][on] - open_[on], lit[1][on] - hidden[on], atol=1e-5)
 
 
-def surrounded(light: Light, cube: np.ndarray | None, seen: np.ndarray | None = None) -> Environment:
+def surrounded(
+    light: Light, cube: np.ndarray | None, seen: np.ndarray | None = None
+) -> Environment:
     """seen : (6, 64, 64, 4)"""
     s: Scene = replace(small_scene(model=box_model()), light=light)
     f = facts(s)
@@ -165,14 +181,18 @@ def surrounded(light: Light, cube: np.ndarray | None, seen: np.ndarray | None = 
 def on_plane(environment: Environment) -> np.ndarray:
     """(3,) radiance of a white surface on the plane."""
     d = directions(40_000)
-    return np.asarray(4 * (looked_up(environment, d, 0.0) * np.clip(d @ UP, 0, None)[:, None]).mean(0))
+    return np.asarray(
+        4 * (looked_up(environment, d, 0.0) * np.clip(d @ UP, 0, None)[:, None]).mean(0)
+    )
 
 
 LAMP = DirectionalLight((0.0, 0.6, 0.8), (3.0, 3.0, 3.0), 3.0)
 
 
 @pytest.mark.parametrize("cube", [None, np.full((6, 6, 6, 3), 0.4), np.zeros((6, 6, 6, 3))])
-def test_the_surroundings_are_as_bright_as_the_light_without_its_lamps(cube: np.ndarray | None) -> None:
+def test_the_surroundings_are_as_bright_as_the_light_without_its_lamps(
+    cube: np.ndarray | None,
+) -> None:
     light = Light((0.5, 0.4, 0.3), (LAMP,))
     without = surrounded(replace(light, lights=()), cube)
     np.testing.assert_array_equal(surrounded(light, cube).texels, without.texels)
@@ -188,7 +208,9 @@ def test_a_mirror_shows_what_the_clip_saw_and_a_guess_as_bright() -> None:
     np.testing.assert_allclose(there, 0.8 * 0.5, rtol=0.02)
     np.testing.assert_allclose(elsewhere, 0.8 * 0.5, rtol=0.05)
     matt = looked_up(environment, np.array([[0, 0, 1]], F32), 1.0)
-    assert (matt > elsewhere).all(), "what is missing of the light comes from lamps between which a mirror looks through"
+    assert (matt > elsewhere).all(), (
+        "what is missing of the light comes from lamps between which a mirror looks through"
+    )
 
 
 def test_a_guess_begins_with_the_plane_at_its_horizon() -> None:
@@ -196,7 +218,9 @@ def test_a_guess_begins_with_the_plane_at_its_horizon() -> None:
     d = face_directions(8)
     guess = np.where(d[..., :1] > 0, 0.9, 0.2) * np.ones(3)
     environment = surrounded(Light((0.5, 0.5, 0.5), ()), guess)
-    below, above = looked_up(environment, np.array([[0.9, 0, -0.4], [0.9, 0, 0.9]], F32), 0.0)
+    below, above = looked_up(
+        environment, np.array([[0.9, 0, -0.4], [0.9, 0, 0.9]], F32), 0.0
+    )
     np.testing.assert_allclose(below, 0.2, rtol=1e-3)
     assert above[0] > 0.4
 

@@ -1,4 +1,6 @@
-"""The hulls that shadows and boxes are found by: exact where it has few corners, never the square of the points."""
+"""The hulls that shadows and boxes are found by: exact where it has few corners, never the
+square of the points.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,12 @@ def arc(angle: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("hull_of", "angle"), [(visibility._outline, 0.05), (visibility._outline, 2 * np.pi), (_outline, 2 * np.pi)]
+    ("hull_of", "angle"),
+    [(visibility._outline, 0.05), (visibility._outline, 2 * np.pi), (_outline, 2 * np.pi)],
 )
-def test_a_hull_of_20000_points_on_a_circle_takes_no_time(hull_of: Callable[[np.ndarray], np.ndarray], angle: float) -> None:
+def test_a_hull_of_20000_points_on_a_circle_takes_no_time(
+    hull_of: Callable[[np.ndarray], np.ndarray], angle: float
+) -> None:
     began = time.process_time()
     points = arc(angle)
     outline = hull_of(points)
@@ -34,9 +39,13 @@ def test_a_hull_of_20000_points_on_a_circle_takes_no_time(hull_of: Callable[[np.
 
 def test_a_hull_of_few_corners_is_exact() -> None:
     inside = np.random.default_rng(1).random((5000, 3))
-    np.testing.assert_array_equal(np.unique(_outline(np.concatenate([inside, CUBE])), axis=0), np.unique(CUBE, axis=0))
+    np.testing.assert_array_equal(
+        np.unique(_outline(np.concatenate([inside, CUBE])), axis=0), np.unique(CUBE, axis=0)
+    )
     few = inside[:30]
-    assert {tuple(p) for p in _outline(few)} == {tuple(p) for p in few[ConvexHull(few).vertices]}
+    assert {tuple(p) for p in _outline(few)} == {
+        tuple(p) for p in few[ConvexHull(few).vertices]
+    }
 
 
 def test_flat_points_are_kept_or_stood_for() -> None:

@@ -1,4 +1,6 @@
-"""The table of stages takes in those of other distributions, in their places, and says what is wrong with one."""
+"""The table of stages takes in those of other distributions, in their places, and says what
+is wrong with one.
+"""
 
 from __future__ import annotations
 
@@ -42,14 +44,25 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     """Puts a distribution on the path whose module holds a stage."""
     monkeypatch.syspath_prepend(tmp_path)
 
-    def run(dist: str, name: str, after: str = "", reads: str = "IMAGE", source: str = STAGE, cls: str = "Effect") -> Path:
+    def run(
+        dist: str,
+        name: str,
+        after: str = "",
+        reads: str = "IMAGE",
+        source: str = STAGE,
+        cls: str = "Effect",
+    ) -> Path:
         module = tmp_path / f"{dist.replace('-', '_')}_of_{name}.py"
         monkeypatch.delitem(sys.modules, module.stem, raising=False)
         module.write_text(source.format(name=name, after=after, reads=reads))
         info = tmp_path / f"{dist.replace('-', '_')}-1.2.dist-info"
         info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {dist}\nVersion: 1.2\n")
-        (info / "entry_points.txt").write_text(f"[arfx.stages]\n{name} = {module.stem}:{cls}\n")
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {dist}\nVersion: 1.2\n"
+        )
+        (info / "entry_points.txt").write_text(
+            f"[arfx.stages]\n{name} = {module.stem}:{cls}\n"
+        )
         return module
 
     return run
@@ -61,7 +74,10 @@ def test_each_is_put_in_its_place(install: Install) -> None:
     install("three", "tint", reads="COVERAGE")
     module = install("four", "last")
     table = Table(BUILT_IN)
-    assert list(table) == ["raster", "tint", "mist", "haze", "composite", "dof", "last"] and len(table) == 7
+    assert (
+        list(table) == ["raster", "tint", "mist", "haze", "composite", "dof", "last"]
+        and len(table) == 7
+    )
     assert "haze" in table and "fog" not in table and table["tint"].name == "tint"
     assert table.source("last") == (module, "1.2")
 
@@ -79,7 +95,9 @@ def test_source_and_version_tell_one_state_of_it_from_another(install: Install) 
 def test_a_name_is_taken_once(install: Install) -> None:
     install("one", "mist")
     install("two", "mist")
-    with pytest.raises(ConfigError, match=r"'mist' is in (one|two) 1\.2 and in (two|one) 1\.2"):
+    with pytest.raises(
+        ConfigError, match=r"'mist' is in (one|two) 1\.2 and in (two|one) 1\.2"
+    ):
         list(Table(BUILT_IN))
 
 
@@ -92,14 +110,25 @@ def test_a_built_in_name_is_taken(install: Install) -> None:
 @pytest.mark.parametrize(
     ("what", "said"),
     [
-        ({"source": "import a_module_that_is_not_there"}, r"'mist' of one 1\.2 cannot be loaded: ModuleNotFoundError"),
-        ({"source": "class Effect: pass"}, r"one_of_mist:Effect of one 1\.2 is not a Stage named 'mist'"),
-        ({"source": "raise SystemExit(0)"}, r"'mist' of one 1\.2 cannot be loaded: SystemExit: 0"),
+        (
+            {"source": "import a_module_that_is_not_there"},
+            r"'mist' of one 1\.2 cannot be loaded: ModuleNotFoundError",
+        ),
+        (
+            {"source": "class Effect: pass"},
+            r"one_of_mist:Effect of one 1\.2 is not a Stage named 'mist'",
+        ),
+        (
+            {"source": "raise SystemExit(0)"},
+            r"'mist' of one 1\.2 cannot be loaded: SystemExit: 0",
+        ),
         ({"cls": "Other"}, r"'mist' of one 1\.2 cannot be loaded: AttributeError"),
         ({"after": "fog"}, r"'mist' of one 1\.2 is to run after 'fog', which there is not"),
     ],
 )
-def test_what_is_wrong_with_one_is_said_in_one_message(install: Install, what: dict[str, str], said: str) -> None:
+def test_what_is_wrong_with_one_is_said_in_one_message(
+    install: Install, what: dict[str, str], said: str
+) -> None:
     install("one", "mist", **what)
     table = Table(BUILT_IN)
     with pytest.raises(ConfigError, match=said):
@@ -108,7 +137,9 @@ def test_what_is_wrong_with_one_is_said_in_one_message(install: Install, what: d
     assert list(table.broken) == ["mist"]
 
 
-def test_prints_of_a_plug_in_that_is_loaded_are_no_results(install: Install, capsys: pytest.CaptureFixture[str]) -> None:
+def test_prints_of_a_plug_in_that_is_loaded_are_no_results(
+    install: Install, capsys: pytest.CaptureFixture[str]
+) -> None:
     install("one", "mist", source="print('hello')\n" + STAGE)
     assert "mist" in list(Table(BUILT_IN))
     assert capsys.readouterr() == ("", "hello\n")
@@ -129,12 +160,20 @@ class Plug(Stage):
     ("result", "said"),
     [
         (SystemExit(0), r"'plug' of one 1\.2 fails in frame 7: SystemExit: 0"),
-        (ZeroDivisionError("by 0"), r"'plug' of one 1\.2 fails in frame 7: ZeroDivisionError: by 0"),
-        ({"imaeg": None}, r"'plug' of one 1\.2 fails in frame 7: .*layer 'imaeg'; it writes image"),
+        (
+            ZeroDivisionError("by 0"),
+            r"'plug' of one 1\.2 fails in frame 7: ZeroDivisionError: by 0",
+        ),
+        (
+            {"imaeg": None},
+            r"'plug' of one 1\.2 fails in frame 7: .*layer 'imaeg'; it writes image",
+        ),
         (None, r"'plug' of one 1\.2 fails in frame 7: AttributeError"),
     ],
 )
-def test_what_a_plug_in_raises_or_returns_wrong_names_it_and_the_frame(result: Any, said: str) -> None:
+def test_what_a_plug_in_raises_or_returns_wrong_names_it_and_the_frame(
+    result: Any, said: str
+) -> None:
     stage, rect = Plug(), Rect(0, 0, 4, 4)
     stage.result = result
     scene, facts = SimpleNamespace(seed=0), SimpleNamespace(index=7)

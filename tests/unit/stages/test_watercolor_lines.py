@@ -1,4 +1,6 @@
-"""Lines, toon shading and pigment: the printed numbers, what was corrected, and how much still flickers."""
+"""Lines, toon shading and pigment: the printed numbers, what was corrected, and how much
+still flickers.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ from arfx.core.light import DirectionalLight, Light
 from arfx.core.rect import Rect
 from arfx.papers.s3_watercolor import eq4_edges
 from arfx.stages.watercolor.labels import STILL, Wobble
-from arfx.stages.watercolor.lines import add_object_edges, measure_edges, object_edges, trace_lines, yuv_matrix
+from arfx.stages.watercolor.lines import (
+    add_object_edges,
+    measure_edges,
+    object_edges,
+    trace_lines,
+    yuv_matrix,
+)
 from arfx.stages.watercolor.pigment import paper_grain, wobble_tile
 from arfx.stages.watercolor.sites import STEPS, still_field
 from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, flat_tones, toon_light
@@ -52,8 +60,13 @@ def test_a_line_is_as_wide_as_asked_and_faint_steps_have_none() -> None:
         line = line_strength(step_picture(0.4), 0.02, 0.06, asked, 2.0)
         up = cv2.resize(line, (80, 40), interpolation=cv2.INTER_LINEAR)
         widths.append(float(up[20].sum()))
-        assert up[20].max() > 0.75 and abs(float((up[20] * np.arange(80)).sum() / up[20].sum()) - 39.5) < 1
-    assert 1.5 < widths[0] < 3.5 and 3 < widths[1] < 5  # the picture of half the size cannot draw finer
+        assert (
+            up[20].max() > 0.75
+            and abs(float((up[20] * np.arange(80)).sum() / up[20].sum()) - 39.5) < 1
+        )
+    assert (
+        1.5 < widths[0] < 3.5 and 3 < widths[1] < 5
+    )  # the picture of half the size cannot draw finer
     assert line_strength(step_picture(0.01), 0.02, 0.06, 2, 2).max() == 0
 
 
@@ -67,7 +80,9 @@ def test_a_weak_line_lives_where_it_joins_a_strong_one() -> None:
 
 
 def flips(strengths: list[np.ndarray]) -> float:
-    """Share of line pixels (over a half in either frame) that change by more than a half from frame to frame."""
+    """Share of line pixels (over a half in either frame) that change by more than a half
+    from frame to frame.
+    """
     changed = lines = 0
     for a, b in itertools.pairwise(strengths):
         changed += int((np.abs(a - b) > 0.5).sum())
@@ -76,13 +91,18 @@ def flips(strengths: list[np.ndarray]) -> float:
 
 
 def test_lines_hold_still_in_noise_where_printed_edges_flip() -> None:
-    """Noise of 2/255 on steps of every contrast: the printed threshold flips, ours at most in 2 % of its pixels."""
+    """Noise of 2/255 on steps of every contrast: the printed threshold flips, ours at most
+    in 2 % of its pixels.
+    """
     g = np.random.default_rng(0)
     base = np.full((120, 160, 3), 0.45)
     for k, contrast in enumerate(np.linspace(0.03, 0.3, 10)):
         base[:, 16 * k + 8 :] += contrast * (1 if k % 2 else -1)
     base = cv2.GaussianBlur(np.clip(base, 0.02, 0.98), (0, 0), 0.8)
-    frames = [np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1).astype(np.float32) for _ in range(6)]
+    frames = [
+        np.clip(base + g.normal(0, 2 / 255, base.shape), 0, 1).astype(np.float32)
+        for _ in range(6)
+    ]
     ours = flips([line_strength(f**2, 0.02, 0.06, 2, 2) for f in frames])
     printed = flips([(eq4_edges(f, 0.5, 0.5) > 0.04).astype(float) for f in frames])
     assert ours <= 0.02 < 0.1 < printed
@@ -110,10 +130,14 @@ def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases
 def tones(ramp: float) -> np.ndarray:
     n = 2001
     angle = np.linspace(0, np.pi, n)
-    normal = np.stack([np.sin(angle), np.zeros(n), np.cos(angle)], -1)[None].astype(np.float32)
+    normal = np.stack([np.sin(angle), np.zeros(n), np.cos(angle)], -1)[None].astype(
+        np.float32
+    )
     albedo = np.full((1, n, 3), 0.5, np.float32)
     one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
-    of = Tones.of((np.array([0, 0, 1.0]), np.ones(3)), np.zeros(3), (0.5, 0.2), (1, 0.4, 0.1), ramp)
+    of = Tones.of(
+        (np.array([0, 0, 1.0]), np.ones(3)), np.zeros(3), (0.5, 0.2), (1, 0.4, 0.1), ramp
+    )
     made = flat_tones(ObjectLayers(*map(packed, (one, normal, albedo, none))), of)
     return made[0, :, 0]
 
@@ -124,12 +148,18 @@ def test_toon_has_three_tones_of_the_printed_factors() -> None:
     np.testing.assert_allclose(hard[(c > 0.2 + 1e-5) & (c < 0.5 - 1e-5)], 0.2, rtol=1e-5)
     np.testing.assert_allclose(hard[c < 0.2 - 1e-5], 0.05, rtol=1e-4)
     assert len(np.unique(hard.round(5))) == 3
-    assert np.abs(np.diff(soft)).max() < 0.02 and np.abs(soft - hard)[np.abs(c - 0.5) > 0.04].max() < 0.16
+    assert (
+        np.abs(np.diff(soft)).max() < 0.02
+        and np.abs(soft - hard)[np.abs(c - 0.5) > 0.04].max() < 0.16
+    )
 
 
 def test_toon_light_is_the_strongest_of_the_clip() -> None:
     up = np.array([0.0, 0, 1])
-    lights = (DirectionalLight((1, 0, 0), (0.2, 0.2, 0.2)), DirectionalLight((0, 1, 0), (0.5, 0.4, 0.3)))
+    lights = (
+        DirectionalLight((1, 0, 0), (0.2, 0.2, 0.2)),
+        DirectionalLight((0, 1, 0), (0.5, 0.4, 0.3)),
+    )
     direction, radiance = toon_light(Light((0.1, 0.1, 0.1), lights), up)
     np.testing.assert_allclose(direction, [0, 1, 0])
     np.testing.assert_allclose(radiance, [0.6, 0.5, 0.4])
@@ -144,8 +174,8 @@ def test_paper_and_wobble_repeat_without_a_seam_and_keep_to_their_bounds() -> No
 
 
 def test_borders_stray_with_the_things_between_pixels_too() -> None:
-    """What a place is displaced by differs from what the thing there was displaced by before by less than a twelfth of a pixel;
-    moved by whole pixels, by up to a seventh."""
+    """What a place is displaced by differs from what the thing there was displaced by
+    before by less than a twelfth of a pixel; moved by whole pixels, by up to a seventh."""
     wobbles, nodes = Wobbles(1, 1.5), still_field(200, 160, 8, 32)
 
     def seen(wobble: Wobble) -> np.ndarray:
@@ -163,6 +193,13 @@ def test_borders_stray_with_the_things_between_pixels_too() -> None:
     near = replace(pose, translation_m=pose.translation_m + np.array([0.05, 0, 0]))
     (x, y), (x2, y2) = (cam.project(p.translation_m[None])[0] for p in (pose, near))
     one, other = (wobbles.of_object(cam, p, np.zeros(3)) for p in (pose, near))
-    assert abs(other.x - one.x - (x - x2)) < 1.3 and abs(other.y - one.y - (y - y2)) < 1.3 and abs(x - x2) > 5
+    assert (
+        abs(other.x - one.x - (x - x2)) < 1.3
+        and abs(other.y - one.y - (y - y2)) < 1.3
+        and abs(x - x2) > 5
+    )
     behind = replace(pose, translation_m=-pose.translation_m)
-    assert (wobbles.of_object(cam, behind, np.zeros(3)).x, Wobbles(1, 0.0).at(5.5, 1)) == (0, STILL)
+    assert (wobbles.of_object(cam, behind, np.zeros(3)).x, Wobbles(1, 0.0).at(5.5, 1)) == (
+        0,
+        STILL,
+    )

@@ -13,7 +13,11 @@ NO_NOISE = {"read": 0, "shot": 0}
 
 
 def little_scene(
-    width: int = 64, height: int = 48, frames: int = 1, path: dict[str, Any] | None = None, **parts: Any
+    width: int = 64,
+    height: int = 48,
+    frames: int = 1,
+    path: dict[str, Any] | None = None,
+    **parts: Any,
 ) -> SceneFile:
     """A noise-free scene; `path` is the camera's in its only shot."""
     tree: dict[str, Any] = {

@@ -1,4 +1,6 @@
-"""Pixels against OpenCV's projection, flow against the pictures themselves, axes against each other."""
+"""Pixels against OpenCV's projection, flow against the pictures themselves, axes against
+each other.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,13 @@ from arfx.synth.world import World, look_at
 FRONTAL = 'kind = "static"\nposition_m = [0, 0, 1.0]\ntarget_m = [0, 0, 0]'
 
 
-def scene(body: str, width: int = 80, height: int = 60, frames: int = 3, path: str = FRONTAL) -> SceneFile:
-    return parse_scene(f"[clip]\nwidth = {width}\nheight = {height}\n[[shot]]\nframes = {frames}\n[shot.path]\n{path}\n{body}")
+def scene(
+    body: str, width: int = 80, height: int = 60, frames: int = 3, path: str = FRONTAL
+) -> SceneFile:
+    return parse_scene(
+        f"[clip]\nwidth = {width}\nheight = {height}\n[[shot]]\nframes ="
+        f" {frames}\n[shot.path]\n{path}\n{body}"
+    )
 
 
 LENSES = {
@@ -45,10 +52,15 @@ def test_every_surface_point_projects_onto_its_own_pixel_by_opencv(lens: str) ->
     picture = Picture(world)
     depth, owner = picture.surfaces(0)
     y, x = np.nonzero(owner)
-    points = np.concatenate([picture.rays(0, 0)[y, x], np.ones((len(x), 1))], -1) * depth[y, x, None]
+    points = (
+        np.concatenate([picture.rays(0, 0)[y, x], np.ones((len(x), 1))], -1)
+        * depth[y, x, None]
+    )
     c = world.camera
     if c.model == "fisheye":
-        pixels = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), c.matrix, c.distortion)[0][:, 0]
+        pixels = cv2.fisheye.projectPoints(
+            points[:, None], np.zeros(3), np.zeros(3), c.matrix, c.distortion
+        )[0][:, 0]
     else:
         d = c.distortion if c.distortion.size else np.zeros(4)
         pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), c.matrix, d)[0][:, 0]
@@ -61,9 +73,17 @@ def test_every_surface_point_projects_onto_its_own_pixel_by_opencv(lens: str) ->
 
 
 def test_flow_carries_one_frame_onto_the_next() -> None:
-    """Photometric check, independent of the flow's own formula: sample frame 1 where flow says, compare with frame 0."""
-    path = 'kind = "dolly"\nposition_m = [-0.05, -0.5, 0.7]\nend_m = [0.05, -0.5, 0.66]\ntarget_m = [0, 0, 0]'
-    body = "[lens]\ndistortion = [-0.15, 0.03, 0, 0]\n[light]\nlamps = []\n" + TABLE.split("[[box]]")[0]
+    """Photometric check, independent of the flow's own formula: sample frame 1 where flow
+    says, compare with frame 0.
+    """
+    path = (
+        'kind = "dolly"\nposition_m = [-0.05, -0.5, 0.7]\nend_m = [0.05, -0.5,'
+        " 0.66]\ntarget_m = [0, 0, 0]"
+    )
+    body = (
+        "[lens]\ndistortion = [-0.15, 0.03, 0, 0]\n[light]\nlamps = []\n"
+        + TABLE.split("[[box]]")[0]
+    )
     world = World(scene(body, 160, 120, 4, path))
     picture = Picture(world)
     depth, owner = picture.surfaces(1)
@@ -88,15 +108,26 @@ motion = { kind = "keys", keys = [{ time_s = 0, position_m = [-0.2, 0, 0] }, { t
     picture = Picture(world)
     depth, owner = picture.surfaces(0)
     flow = picture.flow(0, depth, owner)
-    per_frame = (world.poses(1 / 24)[0].translation_m - world.poses(0.0)[0].translation_m)[0] * world.camera.fx / 0.95
+    per_frame = (
+        (world.poses(1 / 24)[0].translation_m - world.poses(0.0)[0].translation_m)[0]
+        * world.camera.fx
+        / 0.95
+    )
     assert per_frame > 0.05
-    np.testing.assert_allclose(flow[owner == 1], np.broadcast_to([per_frame, 0], (int((owner == 1).sum()), 2)), atol=1e-6)
+    np.testing.assert_allclose(
+        flow[owner == 1],
+        np.broadcast_to([per_frame, 0], (int((owner == 1).sum()), 2)),
+        atol=1e-6,
+    )
     assert np.isnan(flow[owner == 0]).all()
 
 
 def test_a_marker_seen_from_behind_or_out_of_the_picture_is_not_visible() -> None:
     marker = '\n[[marker]]\nspec = "36h11:3:200mm"\n'
-    for path in (FRONTAL.replace("1.0]", "-1.0]"), 'kind = "static"\nposition_m = [0, 0, 1]\ntarget_m = [5, 0, 1]'):
+    for path in (
+        FRONTAL.replace("1.0]", "-1.0]"),
+        'kind = "static"\nposition_m = [0, 0, 1]\ntarget_m = [5, 0, 1]',
+    ):
         world = World(scene(marker, path=path))
         assert frame_truth(world, 0).markers["36h11:3"].visible == 0
 
@@ -108,8 +139,12 @@ def test_lights_of_the_truth_agree_in_all_frames_of_reference() -> None:
     truth = frame_truth(world, 0)
     lamp = truth.lights[0]
     e, a = np.radians(40), np.radians(30)
-    np.testing.assert_allclose(lamp["room"], [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], atol=1e-12)
-    in_camera = truth.markers["36h11:3"].camera_from_marker.rotation @ lamp["marker"]["36h11:3"]
+    np.testing.assert_allclose(
+        lamp["room"], [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], atol=1e-12
+    )
+    in_camera = (
+        truth.markers["36h11:3"].camera_from_marker.rotation @ lamp["marker"]["36h11:3"]
+    )
     np.testing.assert_allclose(in_camera, lamp["camera"], atol=1e-12)
 
 
@@ -136,4 +171,6 @@ attached_to = "36h11:3"
 """
     world = World(scene(body, path=FRONTAL))
     np.testing.assert_allclose(world.poses(0.0)[0].translation_m, [0.3, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(world.poses(world.duration_s)[0].translation_m, [0.1, 0.2, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        world.poses(world.duration_s)[0].translation_m, [0.1, 0.2, 0], atol=1e-12
+    )

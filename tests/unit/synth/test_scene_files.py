@@ -10,7 +10,13 @@ import pytest
 from arfx.errors import ConfigError, InputError
 from arfx.synth.description import load_scene, parse_scene
 from arfx.synth.shapes import SHAPES, write_model
-from arfx.synth.world import World, camera_from_room, look_at, room_from_object, smooth_noise
+from arfx.synth.world import (
+    World,
+    camera_from_room,
+    look_at,
+    room_from_object,
+    smooth_noise,
+)
 
 SAMPLES = sorted((Path(__file__).parents[3] / "sample_scenes").glob("*/scene.toml"))
 
@@ -20,7 +26,9 @@ def test_every_sample_scene_reads_and_is_small_enough() -> None:
     for path in SAMPLES:
         scene = load_scene(path)
         assert scene.configured and scene.description and scene.frames <= 60
-        assert scene.clip.width * scene.clip.height * scene.frames <= 18e6  # tracing takes about a second a million pixels
+        assert (
+            scene.clip.width * scene.clip.height * scene.frames <= 18e6
+        )  # tracing takes about a second a million pixels
 
 
 @pytest.mark.parametrize(
@@ -33,7 +41,10 @@ def test_every_sample_scene_reads_and_is_small_enough() -> None:
         ("[[box]]\nattached_to = 'nobody'\n", "names nothing"),
         ("[hidden]\ntransfer = 'rec2020'\n", "transfer"),
         ("[clip]\nfile = '../clip.mp4'\n", r"s\.toml:2: clip\.file"),
-        ("[[box]]\nmotion.keys = [{ time_s = 1 }, { time_s = 1 }]\n", "times of keys must increase: 1 s stands behind 1 s"),
+        (
+            "[[box]]\nmotion.keys = [{ time_s = 1 }, { time_s = 1 }]\n",
+            "times of keys must increase: 1 s stands behind 1 s",
+        ),
         ("[clip\n", "not TOML"),
     ],
 )
@@ -65,13 +76,14 @@ def test_look_at_keeps_the_room_upright() -> None:
     target = pose.apply(np.array([0.1, 0.1, 0.0]))
     assert np.allclose(target[:2], 0) and target[2] > 0
     up = pose.rotation @ [0, 0, 1]
-    assert up[0] == pytest.approx(0, abs=1e-12) and up[1] < 0, "the room's z points up in the picture (y down)"
+    assert up[0] == pytest.approx(0, abs=1e-12) and up[1] < 0, (
+        "the room's z points up in the picture (y down)"
+    )
     assert np.linalg.det(pose.rotation) == pytest.approx(1)
 
 
 def test_paths_run_from_their_start_to_their_end_and_through_their_keys() -> None:
-    scene = parse_scene(
-        """
+    scene = parse_scene("""
         [[shot]]
         path = { kind = "orbit", target_m = [0.1, 0, 0], radius_m = "50cm", azimuth_deg = [-90, 0], elevation_deg = [30, 60] }
         [[shot]]
@@ -80,20 +92,35 @@ def test_paths_run_from_their_start_to_their_end_and_through_their_keys() -> Non
         motion = { kind = "keys", keys = [
           { time_s = 0, position_m = [0, 0, 0] }, { time_s = 1, position_m = [1, 0, 0] },
           { time_s = 2, position_m = [1, 3, 0] } ] }
-        """
-    )
+        """)
     orbit, dolly = scene.shot[0].path, scene.shot[1].path
     first, last = (camera_from_room(orbit, t, 4.0, 0, "") for t in (0.0, 4.0))
-    assert np.allclose(first.inverse().translation_m, [0.1, -0.5 * np.cos(np.radians(30)), 0.25])
-    assert np.allclose(last.inverse().translation_m, [0.1 + 0.25, 0, 0.5 * np.sin(np.radians(60))])
+    assert np.allclose(
+        first.inverse().translation_m, [0.1, -0.5 * np.cos(np.radians(30)), 0.25]
+    )
+    assert np.allclose(
+        last.inverse().translation_m, [0.1 + 0.25, 0, 0.5 * np.sin(np.radians(60))]
+    )
     end = camera_from_room(dolly, 2.0, 2.0, 0, "")
-    assert np.allclose(end.inverse().translation_m, [0, -2, 1]) and np.allclose(end.apply(np.array([1, 0, 0]))[:2], 0)
+    assert np.allclose(end.inverse().translation_m, [0, -2, 1]) and np.allclose(
+        end.apply(np.array([1, 0, 0]))[:2], 0
+    )
     box = scene.box[0]
-    for t, at in ((-1, [0, 0, 0]), (0, [0, 0, 0]), (1, [1, 0, 0]), (2, [1, 3, 0]), (9, [1, 3, 0])):
+    for t, at in (
+        (-1, [0, 0, 0]),
+        (0, [0, 0, 0]),
+        (1, [1, 0, 0]),
+        (2, [1, 3, 0]),
+        (9, [1, 3, 0]),
+    ):
         assert np.allclose(room_from_object(box, t, 9.0, 0, "").translation_m, at)
-    before, after = (room_from_object(box, 1 + dt, 9.0, 0, "").translation_m for dt in (-1e-4, 1e-4))
+    before, after = (
+        room_from_object(box, 1 + dt, 9.0, 0, "").translation_m for dt in (-1e-4, 1e-4)
+    )
     now = room_from_object(box, 1, 9.0, 0, "").translation_m
-    assert np.allclose((now - before) / 1e-4, (after - now) / 1e-4, atol=1e-2), "no jerk at a key"
+    assert np.allclose((now - before) / 1e-4, (after - now) / 1e-4, atol=1e-2), (
+        "no jerk at a key"
+    )
 
 
 def test_tremor_has_the_stated_rms_and_is_smooth() -> None:
@@ -102,7 +129,9 @@ def test_tremor_has_the_stated_rms_and_is_smooth() -> None:
     assert np.abs(np.diff(values, axis=0)).max() < 0.01 * 2 * np.pi * 4 * 1.6 * np.sqrt(12)
 
 
-@pytest.mark.parametrize(("name", "faces"), [("icosphere2", 320), ("icosphere4", 5120), ("block", 12)])
+@pytest.mark.parametrize(
+    ("name", "faces"), [("icosphere2", 320), ("icosphere4", 5120), ("block", 12)]
+)
 def test_a_shape_has_exactly_its_faces(tmp_path: Path, name: str, faces: int) -> None:
     assert write_model(name, tmp_path / "m.glb") == faces
 
@@ -112,10 +141,17 @@ def test_the_robot_is_read_back_by_trimesh(tmp_path: Path) -> None:
 
     faces = write_model("robot", tmp_path / "m.glb")
     scene = trimesh.load(tmp_path / "m.glb")
-    assert faces == sum(len(g.faces) for g in scene.geometry.values()) and 2000 <= faces <= 9000
+    assert (
+        faces == sum(len(g.faces) for g in scene.geometry.values())
+        and 2000 <= faces <= 9000
+    )
     low, high = scene.bounds
-    assert low[1] == pytest.approx(0, abs=0.02) and high[1] > 1, "it stands on its base, y up"
-    assert any(g.visual.material.baseColorTexture is not None for g in scene.geometry.values())
+    assert low[1] == pytest.approx(0, abs=0.02) and high[1] > 1, (
+        "it stands on its base, y up"
+    )
+    assert any(
+        g.visual.material.baseColorTexture is not None for g in scene.geometry.values()
+    )
     with pytest.raises(ConfigError, match="no shape 'teapot'") as e:
         write_model("teapot", tmp_path / "t.glb")
     assert all(s in str(e.value) for s in SHAPES)

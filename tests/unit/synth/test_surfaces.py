@@ -20,16 +20,26 @@ from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 def test_prints_of_every_family_are_read_by_opencv(family: str) -> None:
     number = FAMILIES[family] // 2
     picture, _ = sheet_albedo(MarkerSpec(family, number, 0.1), 2.0, 0.0, 1.0)
-    big = cv2.resize((picture[..., 0] * 255).astype(np.uint8), None, fx=5, fy=5, interpolation=cv2.INTER_NEAREST)
+    big = cv2.resize(
+        (picture[..., 0] * 255).astype(np.uint8),
+        None,
+        fx=5,
+        fy=5,
+        interpolation=cv2.INTER_NEAREST,
+    )
     if family == "ORIGINAL" or family.startswith("MIP"):
         name = f"DICT_ARUCO_{family}"
     else:
         name = f"DICT_APRILTAG_{family}" if "h" in family else f"DICT_{family}"
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)))
+    detector = cv2.aruco.ArucoDetector(
+        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    )
     corners, ids, _ = detector.detectMarkers(big)
     assert ids is not None and ids.ravel().tolist() == [number]
     cells = marker_cells(MarkerSpec(family, number, 0.1)).shape[0]
-    np.testing.assert_allclose(corners[0][0][0], 2 * 20 - 0.5, atol=1.5)  # first corner: top left, two cells in
+    np.testing.assert_allclose(
+        corners[0][0][0], 2 * 20 - 0.5, atol=1.5
+    )  # first corner: top left, two cells in
     assert big.shape[0] == (cells + 4) * 20
 
 
@@ -60,7 +70,9 @@ def test_textures_depend_on_their_seed_only_and_have_detail(kind: str) -> None:
 def test_picture_texture_is_decoded_and_its_absence_is_said(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "p.png"), np.full((2, 2, 3), (10, 100, 200), np.uint8))
     got = texture_albedo(Texture(kind="image", file=Path("p.png")), (1, 1), 0, tmp_path)
-    np.testing.assert_allclose(got[0, 0], SRGB.decode(np.array([200, 100, 10]) / 255), rtol=1e-5)
+    np.testing.assert_allclose(
+        got[0, 0], SRGB.decode(np.array([200, 100, 10]) / 255), rtol=1e-5
+    )
     with pytest.raises(InputError, match=r"none\.png"):
         texture_albedo(Texture(kind="image", file=Path("none.png")), (1, 1), 0, tmp_path)
     with pytest.raises(InputError, match="names no file"):
@@ -70,7 +82,9 @@ def test_picture_texture_is_decoded_and_its_absence_is_said(tmp_path: Path) -> N
 def test_edge_of_a_print_is_its_exact_area() -> None:
     """A frontal print: each pixel is the mean of ink and paper by the area that each covers."""
     marker = {"spec": "4X4_50:0:200mm", "margin_cells": 1.0, "ink": 0.1, "paper": 0.9}
-    world, picture = picture_of(little_scene(120, 90, path=from_above(), marker=[marker]), samples=4)
+    world, picture = picture_of(
+        little_scene(120, 90, path=from_above(), marker=[marker]), samples=4
+    )
     seen = picture.radiance(0)[..., 0]
     half_px = 0.1 * world.camera.fx  # of the black square
     left, top = world.camera.cx - half_px, world.camera.cy - half_px
@@ -80,4 +94,6 @@ def test_edge_of_a_print_is_its_exact_area() -> None:
     assert seen[row, column] == pytest.approx(0.9 * covered + 0.1 * (1 - covered), abs=1e-6)
     line = int(np.floor(top + 0.5))
     covered = top + 0.5 - line
-    assert seen[line, round(world.camera.cx - half_px * 0.8)] == pytest.approx(0.9 * covered + 0.1 * (1 - covered), abs=1e-6)
+    assert seen[line, round(world.camera.cx - half_px * 0.8)] == pytest.approx(
+        0.9 * covered + 0.1 * (1 - covered), abs=1e-6
+    )

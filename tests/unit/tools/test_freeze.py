@@ -1,4 +1,6 @@
-"""tools/freeze.py: two equal states have no difference, and each kind of change is found and listed."""
+"""tools/freeze.py: two equal states have no difference, and each kind of change is found
+and listed.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,25 @@ import pytest
 from tools.freeze import compare, read_expected
 from tools.freeze_compare import compare_jobs
 
-FACTS = {"index": 0, "camera_from_world": [0.1, 0.2, 0.3, 0.0, 0.0, 0.5], "light": {"ambient_rgb": [0.4, 0.5, 0.6]}}
-PLAN = {"index": 0, "changed": [8, 8, 24, 24], "steps": [{"stage": "raster", "level": "standard", "reason": "in view"}]}
+FACTS = {
+    "index": 0,
+    "camera_from_world": [0.1, 0.2, 0.3, 0.0, 0.0, 0.5],
+    "light": {"ambient_rgb": [0.4, 0.5, 0.6]},
+}
+PLAN = {
+    "index": 0,
+    "changed": [8, 8, 24, 24],
+    "steps": [{"stage": "raster", "level": "standard", "reason": "in view"}],
+}
 STAGE = {"name": "raster", "predicted_s": 1.0, "measured_s": 2.0}
 TIMES = (0, 40, 80)
 
 
-def write_clip(path: Path, change: Callable[[int, np.ndarray], None] | None = None, times: tuple[int, ...] = TIMES) -> Path:
+def write_clip(
+    path: Path,
+    change: Callable[[int, np.ndarray], None] | None = None,
+    times: tuple[int, ...] = TIMES,
+) -> Path:
     with av.open(str(path), "w") as out:
         stream = out.add_stream("ffv1", rate=25)
         stream.width, stream.height, stream.pix_fmt = 32, 32, "gray"
@@ -44,13 +58,24 @@ def render(number: int, picture: np.ndarray) -> None:
 
 def write_job(folder: Path, source: Path, **changes: Any) -> Path:
     folder.mkdir(parents=True)
-    report = {"input": {"path": str(source), "rotation": 0}, "stages": [STAGE], "timing": {"wall_s": 1.0}}
+    report = {
+        "input": {"path": str(source), "rotation": 0},
+        "stages": [STAGE],
+        "timing": {"wall_s": 1.0},
+    }
     texts = {"call.json": {"exit": 0, "output": "a line\n"}, "report.json": report}
-    for name, document in {**texts, **{k: v for k, v in changes.items() if k.endswith(".json")}}.items():
+    for name, document in {
+        **texts,
+        **{k: v for k, v in changes.items() if k.endswith(".json")},
+    }.items():
         (folder / name).write_text(json.dumps(document))
     (folder / "facts.jsonl").write_text(json.dumps(changes.get("facts", FACTS)))
-    (folder / "plan.jsonl").write_text("\n".join(json.dumps(changes.get("plan", PLAN)) for _ in TIMES))
-    write_clip(folder / "out.mkv", changes.get("picture", render), changes.get("times", TIMES))
+    (folder / "plan.jsonl").write_text(
+        "\n".join(json.dumps(changes.get("plan", PLAN)) for _ in TIMES)
+    )
+    write_clip(
+        folder / "out.mkv", changes.get("picture", render), changes.get("times", TIMES)
+    )
     return folder
 
 
@@ -74,8 +99,12 @@ def inside(number: int, picture: np.ndarray) -> None:
 
 
 CHANGES = {
-    "facts[*].camera_from_world[*]": {"facts": changed(FACTS, 0.100002, "camera_from_world", 0)},
-    "facts[*].light.ambient_rgb[*]": {"facts": changed(FACTS, 0.401, "light", "ambient_rgb", 0)},
+    "facts[*].camera_from_world[*]": {
+        "facts": changed(FACTS, 0.100002, "camera_from_world", 0)
+    },
+    "facts[*].light.ambient_rgb[*]": {
+        "facts": changed(FACTS, 0.401, "light", "ambient_rgb", 0)
+    },
     "plan[*].steps[*].reason": {"plan": changed(PLAN, "near", "steps", 0, "reason")},
     "plan[*].steps[*].level": {"plan": changed(PLAN, "draft", "steps", 0, "level")},
     "plan[*].changed[*]": {"plan": changed(PLAN, 25, "changed", 2)},
@@ -102,16 +131,27 @@ def test_equal_states_and_what_may_vary(tmp_path: Path) -> None:
     assert compare_jobs(old, write_job(tmp_path / "same", source)) == []
     report = json.loads((old / "report.json").read_text())
     later = changed(report, [{**STAGE, "predicted_s": 1.02, "measured_s": 9.0}], "stages")
-    assert compare_jobs(old, write_job(tmp_path / "later", source, **{"report.json": later})) == []
+    assert (
+        compare_jobs(old, write_job(tmp_path / "later", source, **{"report.json": later}))
+        == []
+    )
     dearer = changed(report, [{**STAGE, "predicted_s": 1.05}], "stages")
-    found = compare_jobs(old, write_job(tmp_path / "dearer", source, **{"report.json": dearer}))
+    found = compare_jobs(
+        old, write_job(tmp_path / "dearer", source, **{"report.json": dearer})
+    )
     assert [d.where for d in found] == ["report.stages[*].predicted_s"]
 
 
-def test_expected_changes_need_a_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_expected_changes_need_a_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     source = write_clip(tmp_path / "source.mkv")
     write_job(tmp_path / "a" / "job", source)
-    write_job(tmp_path / "b" / "job", source, facts=changed(FACTS, 0.401, "light", "ambient_rgb", 0))
+    write_job(
+        tmp_path / "b" / "job",
+        source,
+        facts=changed(FACTS, 0.401, "light", "ambient_rgb", 0),
+    )
     rules = tmp_path / "expected.txt"
     rules.write_text("# of this change\njob | facts*light* | the lamp is brighter\n")
     assert compare(tmp_path / "a", tmp_path / "b", None) == 1

@@ -18,7 +18,9 @@ from arfx.core.pose import Pose
 
 UP = np.array([0.0, 0.0, 1.0])
 DESK = np.array([0.30, 0.26, 0.22])
-CAMERA = Camera(150, 200, np.array([[140.0, 0, 74.5], [0, 140, 99.5], [0, 0, 1]]))  # a phone held upright
+CAMERA = Camera(
+    150, 200, np.array([[140.0, 0, 74.5], [0, 140, 99.5], [0, 0, 1]])
+)  # a phone held upright
 
 Radiance = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -35,15 +37,32 @@ def walls(half_m: float, top_m: float = 1.8, tint: float = 1.0) -> Radiance:
 
     def radiance(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         high, low = np.array([half_m, half_m, top_m]), np.array([-half_m, -half_m, 0])
-        away = np.where(directions > 0, high - origins, origins - low) / np.maximum(np.abs(directions), 1e-12)
+        away = np.where(directions > 0, high - origins, origins - low) / np.maximum(
+            np.abs(directions), 1e-12
+        )
         side = np.argmin(np.nan_to_num(away, nan=1e9), -1)
         at = origins + np.take_along_axis(away, side[..., None], -1) * directions
-        number = 2 * side + (np.take_along_axis(directions, side[..., None], -1)[..., 0] < 0)
+        number = 2 * side + (
+            np.take_along_axis(directions, side[..., None], -1)[..., 0] < 0
+        )
         along = np.where(side == 0, at[..., 1], at[..., 0])
-        stripes = np.sin(2 * np.pi * along / (0.8 * half_m)) * np.sin(2 * np.pi * at[..., 2] / (0.9 * half_m))
-        colours = np.array([[0.7, 0.3, 0.2], [0.2, 0.5, 0.3], [0.25, 0.3, 0.6], [0.6, 0.55, 0.2], [0.42, 0.42, 0.4], DESK])
+        stripes = np.sin(2 * np.pi * along / (0.8 * half_m)) * np.sin(
+            2 * np.pi * at[..., 2] / (0.9 * half_m)
+        )
+        colours = np.array(
+            [
+                [0.7, 0.3, 0.2],
+                [0.2, 0.5, 0.3],
+                [0.25, 0.3, 0.6],
+                [0.6, 0.55, 0.2],
+                [0.42, 0.42, 0.4],
+                DESK,
+            ]
+        )
         plain = (side == 2)[..., None]
-        return np.asarray(colours[number] * np.where(plain, 1, (1 + 0.6 * stripes[..., None]) * tint))
+        return np.asarray(
+            colours[number] * np.where(plain, 1, (1 + 0.6 * stripes[..., None]) * tint)
+        )
 
     return radiance
 
@@ -51,7 +70,9 @@ def walls(half_m: float, top_m: float = 1.8, tint: float = 1.0) -> Radiance:
 def sky(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Far away over an endless desk: clouds."""
     d = normalise(directions)
-    clouds = 0.5 + 0.5 * np.sin(4 * d[..., :1] + 2) * np.sin(5 * d[..., 1:2]) * np.cos(3 * d[..., 2:])
+    clouds = 0.5 + 0.5 * np.sin(4 * d[..., :1] + 2) * np.sin(5 * d[..., 1:2]) * np.cos(
+        3 * d[..., 2:]
+    )
     return np.where(d[..., 2:] < 0, DESK, 0.15 + clouds * np.array([0.55, 0.6, 0.75]))
 
 
@@ -76,7 +97,9 @@ class Clip:
         """camera_from_world"""
         a = np.radians(np.interp(k, (0, self.frames - 1), self.azimuth_deg))
         e = np.radians(self.elevation_deg)
-        eye = self.distance_m * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        eye = self.distance_m * np.array(
+            [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]
+        )
         forward = normalise(np.array([0, 0, self.looks_at_m]) - eye)
         right = normalise(np.cross(forward, UP))
         turn = np.stack([right, np.cross(forward, right), forward])
@@ -86,18 +109,33 @@ class Clip:
         y, x = np.mgrid[0 : camera.height, 0 : camera.width]
         pose = self.pose(k)
         directions = camera.directions(np.stack([x, y], -1).astype(float)) @ pose.rotation
-        return np.asarray(self.shown(k)(np.broadcast_to(pose.inverse().translation_m, directions.shape), directions), np.float32)
+        return np.asarray(
+            self.shown(k)(
+                np.broadcast_to(pose.inverse().translation_m, directions.shape), directions
+            ),
+            np.float32,
+        )
 
     def light(self, k: int) -> Light:
         d = face_directions(32)
-        return Light(triple(irradiance(self.shown(k)(np.broadcast_to(UP * 1e-3, d.shape), d), UP)), ())
+        return Light(
+            triple(irradiance(self.shown(k)(np.broadcast_to(UP * 1e-3, d.shape), d), UP)),
+            (),
+        )
 
     @cached_property
     def facts(self) -> list[FrameFacts]:
         times = np.linspace(0, self.seconds, self.frames)
         lights = {id(self.shown(k)): self.light(k) for k in (0, self.frames - 1)}
         return [
-            FrameFacts(k, t, status=MEASURED, camera_from_world=self.pose(k), opacity=1.0, light=lights[id(self.shown(k))])
+            FrameFacts(
+                k,
+                t,
+                status=MEASURED,
+                camera_from_world=self.pose(k),
+                opacity=1.0,
+                light=lights[id(self.shown(k))],
+            )
             for k, t in enumerate(times.tolist())
         ]
 
@@ -105,7 +143,10 @@ class Clip:
     def looks(self) -> list[Look]:
         step = max(1, round(0.5 * (self.frames - 1) / self.seconds))
         small = CAMERA.scaled_to(75, 100)
-        return [Look(k, self.picture(k, small).astype(np.float16)) for k in range(0, self.frames, step)]
+        return [
+            Look(k, self.picture(k, small).astype(np.float16))
+            for k in range(0, self.frames, step)
+        ]
 
     def at_rest(self) -> Clip:
         return replace(self, azimuth_deg=(self.azimuth_deg[0],) * 2)

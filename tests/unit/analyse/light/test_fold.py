@@ -1,4 +1,6 @@
-"""The ladder of cues: what is claimed, assumed and refused, and that every frame is as bright as its marker shows."""
+"""The ladder of cues: what is claimed, assumed and refused, and that every frame is as
+bright as its marker shows.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ from arfx.errors import ConfigError
 from tests.clips import clip_camera
 
 KEY, MARKER = "36h11:3", MarkerSpec("36h11", 3, 0.1)
-LAMP = normalise(np.array([-0.6, -0.5, -0.6]))  # camera axes: left, above, behind the camera
+LAMP = normalise(
+    np.array([-0.6, -0.5, -0.6])
+)  # camera axes: left, above, behind the camera
 AMBIENT, DIRECT = np.array([0.22, 0.23, 0.26]), np.array([0.6, 0.56, 0.5])
 
 
@@ -53,34 +57,62 @@ class Clip:
         rng, meter, facts = np.random.default_rng(3), Meter(), []
         for k in range(self.frames):
             a = np.pi * k / self.frames
-            turn = rotation_from_euler_deg(180 + self.tilt_deg * np.sin(2 * a + 0.4), self.tilt_deg * np.cos(a), 0)
+            turn = rotation_from_euler_deg(
+                180 + self.tilt_deg * np.sin(2 * a + 0.4), self.tilt_deg * np.cos(a), 0
+            )
             pose = Pose(turn, np.array([0.0, 0, 0.5]))
             status = self.status.get(k, MEASURED)
-            facts.append(FrameFacts(k, k / 25, 0, status, None if status == ABSENT else pose, pose, opacity=1.0))
+            facts.append(
+                FrameFacts(
+                    k,
+                    k / 25,
+                    0,
+                    status,
+                    None if status == ABSENT else pose,
+                    pose,
+                    opacity=1.0,
+                )
+            )
             if status != MEASURED:
                 continue
             n = turn[:, 2] if self.static == "camera" else np.array([0.0, 0, 1])
             lamp = self.lamp if self.static == "camera" else np.array([0.3, 0.4, 0.86])
-            light = (self.gain[k] if self.gain else 1.0) * (AMBIENT + DIRECT * max(float(n @ lamp), 0.0))
+            light = (self.gain[k] if self.gain else 1.0) * (
+                AMBIENT + DIRECT * max(float(n @ lamp), 0.0)
+            )
             mean = np.where(WHITE[:, None], 0.88, 0.05) * light + self.bias
             noise = 0.002 * mean + 1e-4
-            patches = Patches(mean + noise * rng.normal(size=mean.shape), noise**2, np.full(8, 50), np.zeros(8))
+            patches = Patches(
+                mean + noise * rng.normal(size=mean.shape),
+                noise**2,
+                np.full(8, 50),
+                np.zeros(8),
+            )
             meter.readings.append((k, KEY, patches))
             if k % 10 == 0:
                 cube = np.full((6, 6, 6, 3), 0.2)
                 cube[0] = 0.9  # bright to the right
                 meter.samples.append(EnvironmentSample(k, cube, np.full(3, 0.3)))
-        return Analysis(tuple(facts), {KEY: Pose.identity()}, self.static, anchor=MARKER), meter
+        return (
+            Analysis(tuple(facts), {KEY: Pose.identity()}, self.static, anchor=MARKER),
+            meter,
+        )
 
     def exact(self, k: int, facts: FrameFacts, normal_world: np.ndarray) -> np.ndarray:
         assert facts.camera_from_world is not None
         n = facts.camera_from_world.rotation @ normal_world
-        return (self.gain[k] if self.gain else 1.0) * (AMBIENT + DIRECT * max(float(n @ self.lamp), 0.0))
+        return (self.gain[k] if self.gain else 1.0) * (
+            AMBIENT + DIRECT * max(float(n @ self.lamp), 0.0)
+        )
 
 
-def run(clip: Clip, params: LightParams | None = None, panorama: np.ndarray | None = None) -> Analysis:
+def run(
+    clip: Clip, params: LightParams | None = None, panorama: np.ndarray | None = None
+) -> Analysis:
     analysis, meter = clip.made()
-    return with_light(analysis, meter.readings, meter.samples, params or LightParams(), panorama)
+    return with_light(
+        analysis, meter.readings, meter.samples, params or LightParams(), panorama
+    )
 
 
 UP = np.array([0.0, 0, 1])
@@ -90,9 +122,17 @@ def test_a_marker_turned_by_hand_tells_the_direction_in_every_frame() -> None:
     clip = Clip(bias=0.03)
     done = run(clip)
     report = done.summary["light"]
-    assert report["verdict"] == "measured" and report["frame"] == "camera" and report["rank"] == 4
+    assert (
+        report["verdict"] == "measured"
+        and report["frame"] == "camera"
+        and report["rank"] == 4
+    )
     for k, f in enumerate(done.facts):
-        assert f.light is not None and f.camera_from_world is not None and len(f.light.lights) == 1
+        assert (
+            f.light is not None
+            and f.camera_from_world is not None
+            and len(f.light.lights) == 1
+        )
         towards = f.camera_from_world.rotation.T @ LAMP  # world axes
         assert np.degrees(angle_between(f.light.lights[0].unit, towards)) < 1.5
         assert f.light.radiance(UP) == pytest.approx(clip.exact(k, f, UP), rel=0.02)
@@ -104,17 +144,27 @@ def test_a_marker_turned_by_hand_tells_the_direction_in_every_frame() -> None:
 def test_a_bias_that_may_be_none_is_not_added_to_what_is_drawn() -> None:
     done = run(Clip(frames=20, bias=0.001))
     low, high = np.array(done.summary["light"]["bias_ci95"]).T
-    assert (low < 0).all() and (high > 0.001).all() and all(f.bias_rgb == (0, 0, 0) for f in done.facts)
+    assert (
+        (low < 0).all()
+        and (high > 0.001).all()
+        and all(f.bias_rgb == (0, 0, 0) for f in done.facts)
+    )
 
 
 def test_a_tint_that_one_channel_shows_by_chance_is_no_haze() -> None:
     def used(*intervals: tuple[float, float]) -> list[float]:
         bias = np.array([(low + high) / 2 for low, high in intervals])
-        found = SimpleNamespace(bias=bias, bias_95=np.array(intervals), determined=np.ones(3, bool))
+        found = SimpleNamespace(
+            bias=bias, bias_95=np.array(intervals), determined=np.ones(3, bool)
+        )
         return list(_certain_bias(found))  # type: ignore[arg-type]
 
     none = (-0.02, 0.02)
-    assert used((0.001, 0.021), none, none) == [0, 0, 0]  # of three at 95 %, one leaves out 0 every seventh time
+    assert used((0.001, 0.021), none, none) == [
+        0,
+        0,
+        0,
+    ]  # of three at 95 %, one leaves out 0 every seventh time
     assert used((0.004, 0.024), none, none) == [0.014, 0, 0]
     assert used((-0.024, -0.004), (0.01, 0.03), none) == [-0.014, 0.02, 0]
 
@@ -122,8 +172,16 @@ def test_a_tint_that_one_channel_shows_by_chance_is_no_haze() -> None:
 def test_a_marker_at_rest_tells_no_direction_but_brightness_and_colour() -> None:
     done = run(Clip(static="marker"))
     report = done.summary["light"]
-    assert report["verdict"] == "refused" and report["source"] == "environment" and report["frame"] == "marker"
-    assert "one normal" in report["reason"] and "surroundings" in report["reason"] and report["normals_seen"] == 1
+    assert (
+        report["verdict"] == "refused"
+        and report["source"] == "environment"
+        and report["frame"] == "marker"
+    )
+    assert (
+        "one normal" in report["reason"]
+        and "surroundings" in report["reason"]
+        and report["normals_seen"] == 1
+    )
     assert any("--light" in notice for notice in done.notices)
     expected = AMBIENT + DIRECT * (np.array([0.3, 0.4, 0.86]) @ UP)
     for f in done.facts:
@@ -134,15 +192,21 @@ def test_a_marker_at_rest_tells_no_direction_but_brightness_and_colour() -> None
 def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
     analysis, meter = Clip().made()
     for k, key, patches in meter.readings[10:15]:
-        patches.mean[[0, 2, 4, 6]] = 0.4 * (patches.mean[[0, 2, 4, 6]] - 0.004) + 0.004  # the left half
+        patches.mean[[0, 2, 4, 6]] = (
+            0.4 * (patches.mean[[0, 2, 4, 6]] - 0.004) + 0.004
+        )  # the left half
         assert key == KEY and k in range(10, 15)
     done = with_light(analysis, meter.readings, meter.samples, LightParams())
-    assert done.summary["light"]["verdict"] == "measured" and done.summary["light"]["frames_with_real_shadow"] == 5
+    assert (
+        done.summary["light"]["verdict"] == "measured"
+        and done.summary["light"]["frames_with_real_shadow"] == 5
+    )
     shadow = done.facts[12].plane_shadow
     assert (
         shadow is not None
         and shadow.box_m == (-0.05, -0.05, 0.05, 0.05)
-        and np.array(shadow.ratio) == pytest.approx(np.array([[0.4, 1], [0.4, 1]]), abs=0.02)
+        and np.array(shadow.ratio)
+        == pytest.approx(np.array([[0.4, 1], [0.4, 1]]), abs=0.02)
     )
     assert done.facts[20].plane_shadow is None
 
@@ -150,8 +214,13 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
 def test_nothing_that_rests_means_no_direction() -> None:
     clip = Clip()
     analysis, meter = clip.made()
-    moving = with_light(replace(analysis, static="both"), meter.readings, meter.samples, LightParams())
-    assert moving.summary["light"]["verdict"] == "refused" and "both move" in moving.summary["light"]["reason"]
+    moving = with_light(
+        replace(analysis, static="both"), meter.readings, meter.samples, LightParams()
+    )
+    assert (
+        moving.summary["light"]["verdict"] == "refused"
+        and "both move" in moving.summary["light"]["reason"]
+    )
 
 
 def test_exposure_that_jumps_is_followed_at_once_and_not_smeared() -> None:
@@ -169,7 +238,9 @@ def test_bridged_frames_have_the_light_between_and_absent_ones_none() -> None:
     done = run(clip)
     assert done.facts[59].light is None
     f = done.facts[20]
-    assert f.light is not None and f.light.radiance(UP) == pytest.approx(clip.exact(20, f, UP), rel=0.03)
+    assert f.light is not None and f.light.radiance(UP) == pytest.approx(
+        clip.exact(20, f, UP), rel=0.03
+    )
 
 
 def test_a_given_direction_is_assumed_and_as_bright_as_the_marker() -> None:
@@ -179,45 +250,68 @@ def test_a_given_direction_is_assumed_and_as_bright_as_the_marker() -> None:
     light = done.facts[10].light
     assert light is not None
     assert light.lights[0].unit == pytest.approx([0, np.cos(np.radians(30)), 0.5])
-    assert light.radiance(UP) == pytest.approx(AMBIENT + DIRECT * (np.array([0.3, 0.4, 0.86]) @ UP), rel=0.01)
+    assert light.radiance(UP) == pytest.approx(
+        AMBIENT + DIRECT * (np.array([0.3, 0.4, 0.86]) @ UP), rel=0.01
+    )
 
 
 def test_a_given_direction_rests_in_the_room_of_a_camera_at_rest() -> None:
     done = run(Clip(), LightParams(given=(0.0, 40.0)))
     first, later = done.facts[0], done.facts[20]
-    towards = [f.camera_from_world.rotation @ f.light.lights[0].unit for f in (first, later)]  # type: ignore[union-attr]
+    towards = [
+        f.camera_from_world.rotation @ f.light.lights[0].unit for f in (first, later)
+    ]  # type: ignore[union-attr]
     assert towards[0] == pytest.approx(towards[1]) and first.light != later.light
-    assert first.light.lights[0].unit == pytest.approx([np.cos(np.radians(40)), 0, np.sin(np.radians(40))])  # type: ignore[union-attr]
+    assert first.light.lights[0].unit == pytest.approx(
+        [np.cos(np.radians(40)), 0, np.sin(np.radians(40))]
+    )  # type: ignore[union-attr]
 
 
 def test_a_stated_colour_is_kept_and_the_rest_is_ambient() -> None:
     done = run(Clip(static="marker"), LightParams(given=(0.0, 90.0, 0.3, 0.2, 0.1)))
     light = done.facts[5].light
-    assert light is not None and light.lights[0].rgb == pytest.approx((0.3, 0.2, 0.1), rel=0.02)
-    assert light.radiance(UP) == pytest.approx(AMBIENT + DIRECT * (np.array([0.3, 0.4, 0.86]) @ UP), rel=0.01)
+    assert light is not None and light.lights[0].rgb == pytest.approx(
+        (0.3, 0.2, 0.1), rel=0.02
+    )
+    assert light.radiance(UP) == pytest.approx(
+        AMBIENT + DIRECT * (np.array([0.3, 0.4, 0.86]) @ UP), rel=0.01
+    )
 
 
 def test_a_panorama_gives_its_lamp_and_its_sky() -> None:
     dome = np.full((64, 128, 3), 0.2)
-    dome[14:18, 30:34] = 60.0  # elevation 45 degrees, azimuth 90: 32 of 128 columns from the left is +y
+    dome[14:18, 30:34] = (
+        60.0  # elevation 45 degrees, azimuth 90: 32 of 128 columns from the left is +y
+    )
     done = run(Clip(static="marker"), LightParams(), dome)
     light = done.facts[0].light
-    assert light is not None and light.source == "environment file" and len(light.lights) == 1
+    assert (
+        light is not None and light.source == "environment file" and len(light.lights) == 1
+    )
     assert np.degrees(angle_between(light.lights[0].unit, np.array([0, 1, 1.0]))) < 2
-    assert light.radiance(UP) == pytest.approx(AMBIENT + DIRECT * (np.array([0.3, 0.4, 0.86]) @ UP), rel=0.01)
+    assert light.radiance(UP) == pytest.approx(
+        AMBIENT + DIRECT * (np.array([0.3, 0.4, 0.86]) @ UP), rel=0.01
+    )
 
 
 def test_no_reading_at_all_still_gives_a_light() -> None:
     analysis, _ = Clip(frames=5).made()
     done = with_light(analysis, (), (), LightParams())
     report = done.summary["light"]
-    assert report["verdict"] == "refused" and report["source"] == "ambient" and done.facts[0].light is not None
+    assert (
+        report["verdict"] == "refused"
+        and report["source"] == "ambient"
+        and done.facts[0].light is not None
+    )
     json.dumps(report, allow_nan=False)
 
 
 def test_a_black_clip_is_finite() -> None:
     analysis, meter = Clip(frames=8).made()
-    black = [(k, key, Patches(p.mean * 0, p.variance, p.count, p.clipped + 1)) for k, key, p in meter.readings]
+    black = [
+        (k, key, Patches(p.mean * 0, p.variance, p.count, p.clipped + 1))
+        for k, key, p in meter.readings
+    ]
     meter.readings = black
     done = with_light(analysis, meter.readings, meter.samples, LightParams())
     for f in done.facts:
@@ -239,7 +333,9 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
         def reduced(self, width: int) -> np.ndarray:
             return self.linear(self.rect)
 
-    seen = [Detection(KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False)]
+    seen = [
+        Detection(KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False)
+    ]
     markers: Any = SimpleNamespace(detections=seen)
     whole = LightOfMarkers(AnalysisJob((MARKER,), clip_camera()), markers, markers)
     for k in range(6):
@@ -261,6 +357,12 @@ def test_settings_out_of_bounds_are_named(changes: dict, says: str) -> None:
 
 
 def test_light_on_the_command_line() -> None:
-    assert parse_light("45,60") == [45, 60] and parse_light("45, 60, 1, .9, .8") == [45, 60, 1, 0.9, 0.8]
+    assert parse_light("45,60") == [45, 60] and parse_light("45, 60, 1, .9, .8") == [
+        45,
+        60,
+        1,
+        0.9,
+        0.8,
+    ]
     with pytest.raises(ConfigError, match="AZ,EL"):
         parse_light("45")

@@ -1,4 +1,6 @@
-"""The light map: the weights of docs/methods/light.md#numbers, constant and stepping light, what is not finite."""
+"""The light map: the weights of docs/methods/light.md#numbers, constant and stepping light,
+what is not finite.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,16 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import OUTLIER, STEADY, STEP, UNKNOWN, Observation, add, changes, wait
+from arfx.analyse.light.light_map import (
+    OUTLIER,
+    STEADY,
+    STEP,
+    UNKNOWN,
+    Observation,
+    add,
+    changes,
+    wait,
+)
 from arfx.papers.s1_light import LightMap as PrintedMap
 from arfx.papers.s1_light import eq8_weight, usable
 
@@ -18,13 +29,28 @@ UP = np.array([[0.0, 0, 1]])
 class LightMap:
     def __init__(self) -> None:
         self.sphere = icosphere(3)
-        self.value, self.variance = np.zeros((len(self.sphere.vertices), 3)), np.full((len(self.sphere.vertices), 3), UNKNOWN)
+        self.value, self.variance = (
+            np.zeros((len(self.sphere.vertices), 3)),
+            np.full((len(self.sphere.vertices), 3), UNKNOWN),
+        )
 
     def wait(self, seconds: float) -> None:
         wait(self.value, self.variance, float(seconds), 0.05, False)
 
-    def add(self, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray) -> None:
-        add(self.sphere.vertices, self.value, self.variance, normals, irradiance, variance, 0, len(normals), 0.2)
+    def add(
+        self, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray
+    ) -> None:
+        add(
+            self.sphere.vertices,
+            self.value,
+            self.variance,
+            normals,
+            irradiance,
+            variance,
+            0,
+            len(normals),
+            0.2,
+        )
 
 
 def weight(cosine: np.ndarray, blur_rad: float) -> np.ndarray:
@@ -35,19 +61,32 @@ def weight(cosine: np.ndarray, blur_rad: float) -> np.ndarray:
     return np.asarray(np.where(variance[:, 0] < UNKNOWN, 1 / variance[:, 0], 0))
 
 
-def shot(t: float, value: float | np.ndarray, normals: np.ndarray = UP, deviation: float = 1e-3) -> Observation:
+def shot(
+    t: float, value: float | np.ndarray, normals: np.ndarray = UP, deviation: float = 1e-3
+) -> Observation:
     n = np.asarray(normals, float)
-    return Observation(t, n, np.broadcast_to(np.asarray(value, float), (len(n), 3)).copy(), np.full((len(n), 3), deviation**2))
+    return Observation(
+        t,
+        n,
+        np.broadcast_to(np.asarray(value, float), (len(n), 3)).copy(),
+        np.full((len(n), 3), deviation**2),
+    )
 
 
 def clip(values: list[float], noise: float = 0.0, fps: float = 30.0) -> list[Observation]:
     rng = np.random.default_rng(0)
-    return [shot(i / fps, v + noise * rng.normal(size=(1, 3)), deviation=max(noise, 1e-3)) for i, v in enumerate(values)]
+    return [
+        shot(i / fps, v + noise * rng.normal(size=(1, 3)), deviation=max(noise, 1e-3))
+        for i, v in enumerate(values)
+    ]
 
 
 @pytest.mark.parametrize(
     ("f", "table"),
-    [(eq8_weight, [1, 0.8040, 0.3359, 0.1129, 0.0127, 0.0014]), (weight, [1, 0.9962, 0.9092, 0.6833, 0.2180, 0.0325])],
+    [
+        (eq8_weight, [1, 0.8040, 0.3359, 0.1129, 0.0127, 0.0014]),
+        (weight, [1, 0.9962, 0.9092, 0.6833, 0.2180, 0.0325]),
+    ],
 )
 def test_weights_are_those_of_the_table(f: Callable, table: list[float]) -> None:
     angles = np.radians([0, 1, 5, 10, 20, 30])
@@ -67,13 +106,20 @@ def test_constant_light_stays_constant_for_1000_updates() -> None:
         light.add(UP, np.full((1, 3), 0.7), np.full((1, 3), 1e-6))
         printed.add(UP[0], np.full(3, 0.7))
         if i % 100 in (0, 99):
-            here = np.array([light.value[light.sphere.nearest(UP[0])], printed.M[printed.n[:, 2].argmax()]])
+            here = np.array(
+                [
+                    light.value[light.sphere.nearest(UP[0])],
+                    printed.M[printed.n[:, 2].argmax()],
+                ]
+            )
             first = here if i == 0 else first
             assert np.abs(here / first - 1).max() < 1e-6
     assert np.abs(light.value[light.variance[:, 0] < UNKNOWN] / 0.7 - 1).max() < 1e-6
     assert (changes(clip([0.7] * 1000)) == STEADY).all()
     near = printed.n[:, 2] > np.cos(np.radians(10))
-    assert near.sum() > 9 and np.abs(printed.M[near] / 0.7 - 1).max() < 1e-6  # it starts at black, and has long filled up
+    assert (
+        near.sum() > 9 and np.abs(printed.M[near] / 0.7 - 1).max() < 1e-6
+    )  # it starts at black, and has long filled up
 
 
 def test_the_paper_replaces_and_the_correction_averages() -> None:
@@ -102,7 +148,9 @@ def test_what_was_not_seen_is_unknown_and_what_was_is_less_certain_later() -> No
 
 
 def test_an_observation_does_not_bind_other_normals_beyond_what_it_can_tell() -> None:
-    """1,000 observations of one normal: 20 degrees off the light may differ by x sin(20) / sqrt 3, however often it is seen."""
+    """1,000 observations of one normal: 20 degrees off the light may differ by x sin(20) /
+    sqrt 3, however often it is seen.
+    """
     light = LightMap()
     for _ in range(1000):
         light.add(UP, np.ones((1, 3)), np.full((1, 3), 1e-6))
@@ -110,15 +158,17 @@ def test_an_observation_does_not_bind_other_normals_beyond_what_it_can_tell() ->
     assert 0.1 < float(np.sqrt(light.variance[light.sphere.nearest(off)].max())) < 0.5
 
 
-@pytest.mark.parametrize("where", ["normal", "value", "variance", "negative variance", "no normal"])
+@pytest.mark.parametrize(
+    "where", ["normal", "value", "variance", "negative variance", "no normal"]
+)
 def test_what_is_not_finite_is_left_out(where: str) -> None:
     light = LightMap()
     light.add(UP, np.full((1, 3), 0.5), np.full((1, 3), 1e-6))
     value, variance = light.value.copy(), light.variance.copy()
     n, x, v = UP.copy(), np.full((1, 3), 0.9), np.full((1, 3), 1e-6)
-    {"normal": n, "value": x, "variance": v, "negative variance": v, "no normal": n}[where][0, 1] = (
-        -1.0 if where == "negative variance" else 0.0 if where == "no normal" else np.nan
-    )
+    {"normal": n, "value": x, "variance": v, "negative variance": v, "no normal": n}[where][
+        0, 1
+    ] = -1.0 if where == "negative variance" else 0.0 if where == "no normal" else np.nan
     if where == "no normal":
         n[:] = 0
     light.add(n, x, v)
@@ -147,7 +197,9 @@ def test_light_switched_off_and_on_is_cut_at_its_frames(low: float, high: float)
     truth = np.array([high] * 20 + [low] * 25 + [high] * 17)
     seen = clip(truth.tolist(), 0.003)
     kinds = changes(seen)
-    assert np.flatnonzero(kinds == STEP).tolist() == [20, 45] and not (kinds == OUTLIER).any()
+    assert (
+        np.flatnonzero(kinds == STEP).tolist() == [20, 45] and not (kinds == OUTLIER).any()
+    )
 
 
 def test_one_frame_that_disagrees_is_left_out() -> None:

@@ -1,4 +1,6 @@
-"""Brightness of every frame beside one light that rests, and what speaks against light that rests."""
+"""Brightness of every frame beside one light that rests, and what speaks against light that
+rests.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,15 @@ import pytest
 from arfx.analyse.light import over_time
 from arfx.analyse.light.fit import FittedLight, LightFit
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
-from arfx.analyse.light.over_time import SHARED, Span, drift, fit_over_time, gains, jumps, matched
+from arfx.analyse.light.over_time import (
+    SHARED,
+    Span,
+    drift,
+    fit_over_time,
+    gains,
+    jumps,
+    matched,
+)
 from arfx.analyse.light.static_frame import span_report, used_spans
 from arfx.core.light import harmonics
 from arfx.core.numerics import normalise
@@ -27,7 +37,9 @@ def turned(frames: int = FRAMES) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], -1)
 
 
-def board(gain: np.ndarray, tilts: np.ndarray = TILTS, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def board(
+    gain: np.ndarray, tilts: np.ndarray = TILTS, noise: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(times (k,), normals (k, 3), irradiance (k, 3)) of several tilted markers in every frame."""
     n = (turned() @ tilts.T).transpose(0, 2, 1).reshape(-1, 3)
     light = (0.2 + 0.6 * np.clip(n @ LAMP, 0, None)) * np.repeat(gain, len(tilts))
@@ -39,12 +51,20 @@ def test_the_gain_of_every_frame_is_found_where_frames_show_several_normals() ->
     gain = 1 + 0.4 * np.sin(2 * np.pi * 1.3 * TIMES)
     found = gains(*board(gain))
     assert found is not None
-    assert np.abs(found / np.median(found) - np.repeat(gain, 3) / np.median(gain)).max() < 0.03
+    assert (
+        np.abs(found / np.median(found) - np.repeat(gain, 3) / np.median(gain)).max() < 0.03
+    )
     noisy = gains(*board(gain, noise=0.005))
-    assert noisy is not None and np.abs(noisy / np.median(noisy) - np.repeat(gain, 3) / np.median(gain)).max() < 0.06
+    assert (
+        noisy is not None
+        and np.abs(noisy / np.median(noisy) - np.repeat(gain, 3) / np.median(gain)).max()
+        < 0.06
+    )
 
 
-@pytest.mark.parametrize("tilts", [TILTS[:1], normalise(np.array([[0, 0, 1.0], [0.1, 0, 1]]))])
+@pytest.mark.parametrize(
+    "tilts", [TILTS[:1], normalise(np.array([[0, 0, 1.0], [0.1, 0, 1]]))]
+)
 def test_no_gain_is_claimed_where_a_frame_shows_one_normal(tilts: np.ndarray) -> None:
     assert gains(*board(1 + 0.4 * np.sin(9 * TIMES), tilts)) is None
 
@@ -67,14 +87,18 @@ def test_light_that_rests_does_not_drift_and_light_that_changes_does() -> None:
     """Of one normal at several times; noise of single frames is little in a quarter of a second."""
     n = np.repeat(TILTS, 60, 0)
     times = np.tile(np.arange(60) / 25, 3)
-    light = (harmonics(n) @ np.array([1.5, 0, 0.5, 0.2, 0, 0, 0, 0, 0]))[:, None] * np.ones(3)
+    light = (harmonics(n) @ np.array([1.5, 0, 0.5, 0.2, 0, 0, 0, 0, 0]))[:, None] * np.ones(
+        3
+    )
     noise = 1 + 0.01 * np.random.default_rng(1).normal(size=(180, 1))
     assert drift(times, n, light) < 1e-9 and drift(times, n, light * noise) < 0.006
     wave = 1 + 0.1 * np.sin(2 * np.pi * 0.5 * times)[:, None]
     assert 0.03 < drift(times, n, light * wave) < 0.12
     step = np.where(times < 1.2, 1.0, 0.6)
     assert drift(times, n, light * step[:, None]) > 0.1
-    assert drift(times, n, light * step[:, None], (times < 1.2).astype(int)) < 1e-9  # each on its own side
+    assert (
+        drift(times, n, light * step[:, None], (times < 1.2).astype(int)) < 1e-9
+    )  # each on its own side
     assert drift(times, n, 0 * light) == 0.0
 
 
@@ -86,17 +110,31 @@ def test_one_normal_seen_once_says_nothing_of_drift() -> None:
 def told(
     off_deg: float, tilts: np.ndarray, monkeypatch: pytest.MonkeyPatch, params: Params = Params(),  # noqa: B008 - frozen
 ) -> tuple[str, LightFit]:  # fmt: skip
-    """(account, fit) of a clip whose brightness wanders, where fits of its first and its second half stand off_deg to either
-    side of the whole's. The fits are made up: this is about what is made of them."""
+    """(account, fit) of a clip whose brightness wanders, where fits of its first and its
+    second half stand off_deg to either side of the whole's. The fits are made up: this is
+    about what is made of them."""
 
     def made_up(n: np.ndarray, E: np.ndarray, *args: object, **_: object) -> LightFit:
         late = (E.mean(1) > 1.5).mean()
         turn = np.radians(off_deg * (1 if late == 1 else -1 if late == 0 else 0))
-        light = FittedLight(np.array([np.sin(turn), 0.0, np.cos(turn)]), np.ones((9, 3)), 1.0)
-        error = 0.02 if args[1] is None else 0.001  # one light for all explains less than one for each window
+        light = FittedLight(
+            np.array([np.sin(turn), 0.0, np.cos(turn)]), np.ones((9, 3)), 1.0
+        )
+        error = (
+            0.02 if args[1] is None else 0.001
+        )  # one light for all explains less than one for each window
         if args[1] is None and len(n) < 100 * len(tilts):
-            return LightFit(REFUSED, "too little of the clip", np.ones((1, 3)), np.ones((1, 3)))
-        return LightFit(MEASURED, "made up", np.ones((9, 3)), np.ones((9, 3)), (light,), model_error=error)
+            return LightFit(
+                REFUSED, "too little of the clip", np.ones((1, 3)), np.ones((1, 3))
+            )
+        return LightFit(
+            MEASURED,
+            "made up",
+            np.ones((9, 3)),
+            np.ones((9, 3)),
+            (light,),
+            model_error=error,
+        )
 
     monkeypatch.setattr(over_time, "fit", made_up)
     monkeypatch.setattr(over_time, "jumps", lambda *_: [])
@@ -107,20 +145,38 @@ def told(
     return account, spans[0].fit
 
 
-def test_halves_of_a_light_that_wanders_before_one_normal_have_to_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within 3 degrees: brightness that changes bends a direction by some, and no cone knows of it."""
+def test_halves_of_a_light_that_wanders_before_one_normal_have_to_agree(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Within 3 degrees: brightness that changes bends a direction by some, and no cone
+    knows of it.
+    """
     account, found = told(2.0, TILTS[:1], monkeypatch)
-    assert account == SHARED and found.verdict == MEASURED and found.lights[0].confidence_deg == pytest.approx(2.0)
+    assert (
+        account == SHARED
+        and found.verdict == MEASURED
+        and found.lights[0].confidence_deg == pytest.approx(2.0)
+    )
     _, found = told(4.0, TILTS[:1], monkeypatch)
-    assert found.verdict == LIKELY and found.lights[0].confidence_deg == pytest.approx(8.0) and "4 degrees" in found.reason
+    assert (
+        found.verdict == LIKELY
+        and found.lights[0].confidence_deg == pytest.approx(8.0)
+        and "4 degrees" in found.reason
+    )
     assert told(4.0, TILTS[:1], monkeypatch, Params(likely=False))[1].verdict == REFUSED
     _, found = told(20.0, TILTS[:1], monkeypatch)
     assert found.verdict == REFUSED and not found.lights and "no two parts" in found.reason
 
 
-def test_halves_may_differ_more_where_frames_show_several_normals(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_halves_may_differ_more_where_frames_show_several_normals(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     account, found = told(4.0, TILTS, monkeypatch)
-    assert account == SHARED and found.verdict == MEASURED and found.lights[0].confidence_deg == pytest.approx(4.0)
+    assert (
+        account == SHARED
+        and found.verdict == MEASURED
+        and found.lights[0].confidence_deg == pytest.approx(4.0)
+    )
     assert told(20.0, TILTS, monkeypatch)[1].verdict == REFUSED
 
 
@@ -132,14 +188,18 @@ def test_a_jump_of_one_normals_light_is_found_and_its_turning_is_not() -> None:
     assert jumps(times, np.repeat(noisy[:, None], 3, 1)) == []
     dimmed = np.where(np.arange(72) < 40, noisy, 0.8 * noisy)
     assert jumps(times, np.repeat(dimmed[:, None], 3, 1)) == [pytest.approx(39.5 / 12)]
-    assert jumps(np.repeat(times, 2), np.repeat(dimmed, 2)[:, None] * np.ones(3)) == []  # several prints in each frame
+    assert (
+        jumps(np.repeat(times, 2), np.repeat(dimmed, 2)[:, None] * np.ones(3)) == []
+    )  # several prints in each frame
     noisy[40] *= 0.8
     assert jumps(times, np.repeat(noisy[:, None], 3, 1)) == []  # one frame disagrees
 
 
 def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees() -> None:
     def span(start_s: float, direction: np.ndarray | None) -> Span:
-        lights = () if direction is None else (FittedLight(direction, np.ones((1, 3)), 1.0),)
+        lights = (
+            () if direction is None else (FittedLight(direction, np.ones((1, 3)), 1.0),)
+        )
         verdict, rgb = (REFUSED if direction is None else MEASURED), np.ones((1, 3))
         return Span(start_s, start_s + 1, LightFit(verdict, "why", rgb, rgb, lights), 0)
 
@@ -148,6 +208,12 @@ def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees
     spans = [span(k, lamp) for k, lamp in enumerate(lamps)]
     used = used_spans(spans)
     assert used.tolist() == [-1, 1, 1, 4, 4, -1, 6, -1]
-    told = span_report(spans[2], bool(used[2] >= 0)), span_report(spans[5], bool(used[5] >= 0)), span_report(spans[1], True)
-    assert [t["verdict"] for t in told] == ["refused", "refused", "measured"] and [len(t["lights"]) for t in told] == [0, 0, 1]
+    told = (
+        span_report(spans[2], bool(used[2] >= 0)),
+        span_report(spans[5], bool(used[5] >= 0)),
+        span_report(spans[1], True),
+    )
+    assert [t["verdict"] for t in told] == ["refused", "refused", "measured"] and [
+        len(t["lights"]) for t in told
+    ] == [0, 0, 1]
     assert "before and after" in told[0]["reason"] and "soft light" in told[1]["reason"]

@@ -1,4 +1,6 @@
-"""A print of known picture as a light meter: which of its cells are read, as what, and the light and bias that they tell."""
+"""A print of known picture as a light meter: which of its cells are read, as what, and the
+light and bias that they tell.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ def seen_under(light: np.ndarray, scale: bool = True) -> Patches:
 def test_every_quarter_has_bright_and_dark_cells() -> None:
     meter = pattern_meter(PRINTED, INK, PAPER)
     half = len(meter.cells) // 2
-    quarters = [meter.cells[r : r + half, c : c + half] for r in (0, half) for c in (0, half)]
+    quarters = [
+        meter.cells[r : r + half, c : c + half] for r in (0, half) for c in (0, half)
+    ]
     assert all((q == 1).sum() == (q == 0).sum() == 8 for q in quarters)
     assert meter.albedo is not None and meter.albedo.shape == (8, 3)
     assert (meter.albedo[4:].mean(-1) > 2 * meter.albedo[:4].mean(-1)).all()
@@ -80,10 +84,15 @@ def test_light_and_bias_come_out_of_its_patches(formula: str) -> None:
 
 def test_the_map_is_blurred_as_the_print_is() -> None:
     meters = [pattern_meter(PRINTED, INK, PAPER, soft) for soft in SOFT]
-    assert meter_for(meters, 1000.0, 0.7) is meters[0] and meter_for(meters, 80.0, 0.7) is meters[2]
+    assert (
+        meter_for(meters, 1000.0, 0.7) is meters[0]
+        and meter_for(meters, 80.0, 0.7) is meters[2]
+    )
     assert meter_for(meters[:1], 80.0, 0.7) is meters[0], "a marker has one"
     w, h = 88, 60
-    small = cv2.GaussianBlur(cv2.resize(ALBEDO, (w, h), interpolation=cv2.INTER_AREA), (0, 0), 0.7)
+    small = cv2.GaussianBlur(
+        cv2.resize(ALBEDO, (w, h), interpolation=cv2.INTER_AREA), (0, 0), 0.7
+    )
     quad = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
     off = []
     for meter in (meters[0], meter_for(meters, (w + h) / 2, 0.7)):
@@ -108,7 +117,9 @@ def test_quarters_of_other_albedos_are_no_shadow() -> None:
     plain = quadrant_radiance(p.mean, p.count, BIAS)
     assert np.ptp(plain) > 2 * np.ptp(light) * plain.mean() / light.mean()
     dim = np.where(np.arange(8)[:, None] == 4, 0.1, p.albedo)
-    assert np.isnan(quadrant_radiance(p.mean, p.count, BIAS, dim)[0]), "a dark quarter tells nothing"
+    assert np.isnan(quadrant_radiance(p.mean, p.count, BIAS, dim)[0]), (
+        "a dark quarter tells nothing"
+    )
 
 
 class Picture:
@@ -127,8 +138,12 @@ class Picture:
 
 
 @pytest.mark.parametrize("formula", ["corrected", "paper"])
-def test_the_whole_analysis_reads_the_light_from_a_print(formula: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A light whose brightness changes, above a print that turns: each frame's brightness and the camera's bias."""
+def test_the_whole_analysis_reads_the_light_from_a_print(
+    formula: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A light whose brightness changes, above a print that turns: each frame's brightness
+    and the camera's bias.
+    """
     kinds, params = {}, LightParams()
     if formula == "paper":
         kinds = {"light": FORMULAS["paper"]["light"]}
@@ -143,9 +158,22 @@ def test_the_whole_analysis_reads_the_light_from_a_print(formula: str, monkeypat
 
     monkeypatch.setattr(light_fold, "_readings", readings)
     job = AnalysisJob((PRINT,), CAM, light=params, kinds=kinds, prints={PRINT.key: PRINTED})
-    analyser, back = Analyser(job, {"light"}), np.repeat(0.5 * background(320, 240)[..., None], 3, 2)
+    analyser, back = (
+        Analyser(job, {"light"}),
+        np.repeat(0.5 * background(320, 240)[..., None], 3, 2),
+    )
     for k, light in enumerate(LIGHTS):
-        view = hung(CAM, ALBEDO, PRINT.corners_m, tilted([0.4 - 0.1 * k, 0.2, 0], [0, 0, 0.4]), back) * light + BIAS
+        view = (
+            hung(
+                CAM,
+                ALBEDO,
+                PRINT.corners_m,
+                tilted([0.4 - 0.1 * k, 0.2, 0], [0, 0, 0.4]),
+                back,
+            )
+            * light
+            + BIAS
+        )
         luma = (255 * np.clip(view.mean(-1), 0, 1) ** (1 / 2.2)).astype(np.uint8)
         analyser.step(AnalysisFrame(k, k / 25, luma, Picture(view)))
     clip = analyser.finish()

@@ -1,4 +1,6 @@
-"""Bias and light out of patches: the numbers of docs/methods/light.md#numbers, both formulas, and what cannot be solved."""
+"""Bias and light out of patches: the numbers of docs/methods/light.md#numbers, both
+formulas, and what cannot be solved.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,16 @@ import numpy as np
 import pytest
 
 from arfx.analyse.light.patches import WHITE, comparable
-from arfx.analyse.light.photometry import DEGENERATE, INK, MEASURED, PAPER, UNKNOWN_VARIANCE, Photometry, Tolerances, solve
+from arfx.analyse.light.photometry import (
+    DEGENERATE,
+    INK,
+    MEASURED,
+    PAPER,
+    UNKNOWN_VARIANCE,
+    Photometry,
+    Tolerances,
+    solve,
+)
 from arfx.papers.s1_gain import eq6_smallest_vector, gain_and_bias
 
 RHO = np.where(WHITE, PAPER, INK)
@@ -34,11 +45,16 @@ def finite(p: Photometry) -> bool:
     return all(np.isfinite(a).all() for a in arrays) and np.isfinite(p.clipped)
 
 
-@pytest.mark.parametrize(("albedos", "nullity"), [([0.5], 2), ([0.5, 0.5, 0.5], 2), ([0.05, 0.88], 1), ([0.05, 0.88, 0.5], 1)])
+@pytest.mark.parametrize(
+    ("albedos", "nullity"),
+    [([0.5], 2), ([0.5, 0.5, 0.5], 2), ([0.05, 0.88], 1), ([0.05, 0.88, 0.5], 1)],
+)
 @pytest.mark.parametrize("frames", [1, 2, 30])
 @pytest.mark.parametrize("constant", [True, False])
 @pytest.mark.parametrize("dense", [0, 100])
-def test_nullity_of_the_papers_system(albedos: list[float], nullity: int, frames: int, constant: bool, dense: int) -> None:
+def test_nullity_of_the_papers_system(
+    albedos: list[float], nullity: int, frames: int, constant: bool, dense: int
+) -> None:
     rho = np.array(albedos)
     y = np.full(frames, 120.0) if constant else np.linspace(60, 200, frames)
     assert eq6_smallest_vector(y[:, None] * rho + 12, rho, dense).nullity == nullity
@@ -58,7 +74,9 @@ def test_bias_without_noise_is_exact_in_both_formulas(scale: float) -> None:
     assert np.abs(printed.bias * 255 / scale - 12).min() > 1
 
 
-def test_the_papers_vector_is_biased_by_noise_and_by_the_units_and_least_squares_is_not() -> None:
+def test_the_papers_vector_is_biased_by_noise_and_by_the_units_and_least_squares_is_not() -> (
+    None
+):
     rho = np.linspace(0.45, 0.55, 8)
     found: dict[str, list[float]] = {"255": [], "1": []}
     for seed in range(120):
@@ -90,11 +108,19 @@ def test_the_interval_of_the_bias_holds_the_truth(noise: float) -> None:
 
 
 def test_the_inks_tolerance_is_in_the_interval() -> None:
-    """Light that rests cannot tell the ink from the bias: the interval is as wide as what is known of inks."""
-    grey, _ = clip(rho=np.where(WHITE, 0.87, 0.044), noise=1e-4, low=0.6, high=0.6)  # other print than assumed
-    p = solve(grey, np.full(grey.shape, 1e-8), WHITE, tolerances=Tolerances(transfer=0, steps=0))
+    """Light that rests cannot tell the ink from the bias: the interval is as wide as what
+    is known of inks.
+    """
+    grey, _ = clip(
+        rho=np.where(WHITE, 0.87, 0.044), noise=1e-4, low=0.6, high=0.6
+    )  # other print than assumed
+    p = solve(
+        grey, np.full(grey.shape, 1e-8), WHITE, tolerances=Tolerances(transfer=0, steps=0)
+    )
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
-    assert np.abs(p.bias - 0.02).max() > 1e-3 and 0.01 < np.ptp(p.bias_95, axis=1).max() < 0.04
+    assert (
+        np.abs(p.bias - 0.02).max() > 1e-3 and 0.01 < np.ptp(p.bias_95, axis=1).max() < 0.04
+    )
     exact = solve(grey, np.full(grey.shape, 1e-8), WHITE, tolerances=EXACT)
     assert not ((exact.bias_95[:, 0] < 0.02) & (exact.bias_95[:, 1] > 0.02)).all()
 
@@ -102,8 +128,15 @@ def test_the_inks_tolerance_is_in_the_interval() -> None:
 def test_another_ink_is_in_the_interval_where_the_light_changes_too() -> None:
     for known in (True, False):
         grey, _ = clip(rho=np.where(WHITE, PAPER, 0.067), noise=5e-4)
-        p = solve(grey, np.full(grey.shape, 2.5e-7) if known else None, WHITE, tolerances=Tolerances(transfer=0, steps=0))
-        assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all() and np.ptp(p.bias_95, axis=1).max() < 0.02
+        p = solve(
+            grey,
+            np.full(grey.shape, 2.5e-7) if known else None,
+            WHITE,
+            tolerances=Tolerances(transfer=0, steps=0),
+        )
+        assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all() and np.ptp(
+            p.bias_95, axis=1
+        ).max() < 0.02
 
 
 def test_a_curve_of_another_exponent_is_in_the_interval() -> None:
@@ -111,15 +144,30 @@ def test_a_curve_of_another_exponent_is_in_the_interval() -> None:
         grey, _ = clip(rho=np.where(WHITE, 0.85, 0.06), noise=2e-4)
         p = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE)
         assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all(), exponent
-        narrow = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE, tolerances=Tolerances(transfer=0, steps=0))
+        narrow = solve(
+            np.abs(grey) ** exponent,
+            np.full(grey.shape, 1e-7),
+            WHITE,
+            tolerances=Tolerances(transfer=0, steps=0),
+        )
         assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).any()
 
 
 def test_a_codecs_steps_are_in_the_interval() -> None:
     grey, _ = clip(noise=2e-4)
-    off = grey + np.array([-0.0012, 0.0, 0.0012]) * ~WHITE[:, None]  # chroma off by half a step in every dark cell
-    p = solve(off, np.full(grey.shape, 4e-8), WHITE, tolerances=Tolerances(ink_sigma=0, transfer=0))
-    assert np.abs(p.bias - 0.02).max() > 1e-3 and ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
+    off = (
+        grey + np.array([-0.0012, 0.0, 0.0012]) * ~WHITE[:, None]
+    )  # chroma off by half a step in every dark cell
+    p = solve(
+        off,
+        np.full(grey.shape, 4e-8),
+        WHITE,
+        tolerances=Tolerances(ink_sigma=0, transfer=0),
+    )
+    assert (
+        np.abs(p.bias - 0.02).max() > 1e-3
+        and ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
+    )
     narrow = solve(off, np.full(grey.shape, 4e-8), WHITE, tolerances=EXACT)
     assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).all()
 
@@ -128,8 +176,14 @@ def test_the_ink_is_found_where_the_light_changes_and_refused_where_it_does_not(
     grey, y = clip(rho=np.where(WHITE, PAPER, 0.11), noise=0.0005)
     p = solve(grey, np.full(grey.shape, 0.0005**2), WHITE, albedos="unknown")
     assert p.verdict == MEASURED
-    assert np.abs(p.ink - 0.11).max() < 2e-3 and np.abs(p.bias - 0.02).max() < 1e-3 and np.abs(p.y - y).max() < 5e-3
-    assert np.abs(solve(grey, None, WHITE, tolerances=EXACT).bias - 0.02).min() > 0.01  # with the usual ink assumed
+    assert (
+        np.abs(p.ink - 0.11).max() < 2e-3
+        and np.abs(p.bias - 0.02).max() < 1e-3
+        and np.abs(p.y - y).max() < 5e-3
+    )
+    assert (
+        np.abs(solve(grey, None, WHITE, tolerances=EXACT).bias - 0.02).min() > 0.01
+    )  # with the usual ink assumed
     flat = np.repeat(grey[:1], 30, 0) + np.random.default_rng(1).normal(0, 1e-5, (30, 8, 3))
     constant = solve(flat, np.full(flat.shape, 1e-10), WHITE, albedos="unknown")
     assert constant.verdict == DEGENERATE and not constant.bias.any() and finite(constant)
@@ -142,11 +196,18 @@ def test_normalised_albedos_give_ratios_of_light_whatever_the_print() -> None:
     p = solve(grey, None, WHITE, albedos="normalised")
     ratio = p.y / y
     assert p.verdict == MEASURED and np.abs(ratio / ratio[0, 0] - 1).max() < 1e-9
-    known = solve(grey, None, WHITE, tolerances=EXACT).y / y  # the wrong albedos are in the ratios
+    known = (
+        solve(grey, None, WHITE, tolerances=EXACT).y / y
+    )  # the wrong albedos are in the ratios
     assert np.abs(known / known[0, 0] - 1).max() > 0.1
     grey[3, WHITE], grey[4, 0] = np.nan, np.inf
     grey[5, 5] += 0.4  # one highlight among four
-    p = solve(grey + np.random.default_rng(0).normal(0, 1e-3, grey.shape), np.full(grey.shape, 1e-6), WHITE, albedos="normalised")
+    p = solve(
+        grey + np.random.default_rng(0).normal(0, 1e-3, grey.shape),
+        np.full(grey.shape, 1e-6),
+        WHITE,
+        albedos="normalised",
+    )
     ratio = np.delete(p.y / y, 3, 0) / (0.58 / 0.83)
     assert not p.seen[3] and finite(p) and np.abs(ratio - 1).max() < 0.03
     with pytest.raises(ValueError, match="guessed"):
@@ -156,11 +217,15 @@ def test_normalised_albedos_give_ratios_of_light_whatever_the_print() -> None:
 DEGENERATES = {
     "one albedo": lambda g: np.where(WHITE[None, :, None], g, np.nan),
     "ink alone": lambda g: np.where(WHITE[None, :, None], np.nan, g),
-    "single frame with one patch": lambda g: np.where((np.arange(8) == 5)[None, :, None], g[:1], np.nan),
+    "single frame with one patch": lambda g: np.where(
+        (np.arange(8) == 5)[None, :, None], g[:1], np.nan
+    ),
     "all clipped": lambda g: np.full_like(g, np.nan),
     "black": lambda g: np.zeros_like(g),
     "no frames": lambda g: g[:0],
-    "no contrast": lambda g: np.full_like(g, 0.3) + np.random.default_rng(0).normal(0, 0.1, g.shape),
+    "no contrast": lambda g: (
+        np.full_like(g, 0.3) + np.random.default_rng(0).normal(0, 0.1, g.shape)
+    ),
     "dark brighter": lambda g: g[:, ::-1],
     "infinite": lambda g: np.full_like(g, np.inf),
 }
@@ -169,20 +234,37 @@ DEGENERATES = {
 @pytest.mark.parametrize("case", DEGENERATES)
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("formula", ["corrected", "paper"])
-def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(case: str, known: bool, formula: str) -> None:
+def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(
+    case: str, known: bool, formula: str
+) -> None:
     grey, y = clip(noise=0.001)
     broken = DEGENERATES[case](grey)
-    variance = np.full(broken.shape, 1e-6 if case != "no contrast" else 1e-2) if known else None
-    p = solve(broken, variance, WHITE) if formula == "corrected" else gain_and_bias(broken, WHITE)
+    variance = (
+        np.full(broken.shape, 1e-6 if case != "no contrast" else 1e-2) if known else None
+    )
+    p = (
+        solve(broken, variance, WHITE)
+        if formula == "corrected"
+        else gain_and_bias(broken, WHITE)
+    )
     assert finite(p)
-    if formula == "paper" and case in ("black", "no contrast", "dark brighter", "no frames"):
+    if formula == "paper" and case in (
+        "black",
+        "no contrast",
+        "dark brighter",
+        "no frames",
+    ):
         return  # the paper solves anything; what it says is its own affair
     assert p.verdict == DEGENERATE and not p.bias.any() and not p.determined.any()
     assert "bias 0 assumed" in p.reason
     if case == "one albedo":  # the light comes from the bright patches alone
         assert np.abs(p.y - (y + 0.02 / PAPER)).max() < 0.01
         if formula == "corrected":
-            assert "one albedo" in p.reason and (p.rank == p.unknowns - 1).all() and (p.condition >= 1e12).all()
+            assert (
+                "one albedo" in p.reason
+                and (p.rank == p.unknowns - 1).all()
+                and (p.condition >= 1e12).all()
+            )
 
 
 @pytest.mark.parametrize("difference", [1e-3, 1e-4, 0.0])
@@ -214,8 +296,16 @@ def test_one_channel_that_is_clipped_does_not_take_the_others_along() -> None:
     grey, y = clip(noise=0.0005)
     grey[:, WHITE, 0] = np.nan
     p = solve(grey, np.full(grey.shape, 0.0005**2), WHITE)
-    assert p.verdict == DEGENERATE and p.determined.tolist() == [False, True, True] and p.reason.startswith("R:")
-    assert p.bias[0] == 0 and np.abs(p.bias[1:] - 0.02).max() < 1e-3 and np.abs(p.y[:, 1:] - y[:, 1:]).max() < 5e-3
+    assert (
+        p.verdict == DEGENERATE
+        and p.determined.tolist() == [False, True, True]
+        and p.reason.startswith("R:")
+    )
+    assert (
+        p.bias[0] == 0
+        and np.abs(p.bias[1:] - 0.02).max() < 1e-3
+        and np.abs(p.y[:, 1:] - y[:, 1:]).max() < 5e-3
+    )
 
 
 def test_highlights_on_some_patches_do_little() -> None:
@@ -223,14 +313,21 @@ def test_highlights_on_some_patches_do_little() -> None:
     rng = np.random.default_rng(0)
     hit = (rng.uniform(size=grey.shape[:2]) < 0.12)[..., None]
     p = solve(grey + 0.3 * hit, np.full(grey.shape, 1e-6), WHITE)
-    plain = [np.polyfit(np.repeat(y[:, c], 4), (grey + 0.3 * hit)[:, ~WHITE, c].ravel(), 1)[1] for c in range(3)]
-    assert np.abs(p.bias - 0.02).max() < 4e-3 and np.abs(np.array(plain) - 0.02).max() > 0.02
+    plain = [
+        np.polyfit(np.repeat(y[:, c], 4), (grey + 0.3 * hit)[:, ~WHITE, c].ravel(), 1)[1]
+        for c in range(3)
+    ]
+    assert (
+        np.abs(p.bias - 0.02).max() < 4e-3 and np.abs(np.array(plain) - 0.02).max() > 0.02
+    )
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
 
 
 def test_shares_of_clipped_samples_are_reported() -> None:
     grey, _ = clip()
-    assert solve(grey, None, WHITE, clipped=np.full((40, 8), 0.05)).clipped == pytest.approx(0.05)
+    assert solve(
+        grey, None, WHITE, clipped=np.full((40, 8), 0.05)
+    ).clipped == pytest.approx(0.05)
     with pytest.raises(ValueError, match="albedo"):
         solve(grey)
 
@@ -239,8 +336,12 @@ def test_the_large_system_of_the_paper_gives_what_the_dense_one_gives() -> None:
     grey, _ = clip(frames=60, noise=0.002)
     grey[4, 2] = np.nan
     a, b = (eq6_smallest_vector(grey[..., 0], RHO, dense) for dense in (100, 10))
-    assert b.bias == pytest.approx(a.bias, abs=1e-8) and b.smallest == pytest.approx(a.smallest, rel=1e-6)
-    assert np.abs(a.y - b.y).max() < 1e-7 and a.nullity == b.nullity == 0 and a.rank == b.rank
+    assert b.bias == pytest.approx(a.bias, abs=1e-8) and b.smallest == pytest.approx(
+        a.smallest, rel=1e-6
+    )
+    assert (
+        np.abs(a.y - b.y).max() < 1e-7 and a.nullity == b.nullity == 0 and a.rank == b.rank
+    )
     exact = eq6_smallest_vector(clip(frames=60)[0][..., 0], RHO, 10)
     assert exact.nullity == 1 and exact.bias == pytest.approx(0.02, abs=1e-6)
     with pytest.raises(ValueError, match="no finite"):
@@ -255,7 +356,11 @@ def test_time_is_linear_in_frames(formula: str) -> None:
         best = np.inf
         for _ in range(3):
             start = time.perf_counter()
-            p = solve(grey, variance, WHITE) if formula == "corrected" else gain_and_bias(grey, WHITE)
+            p = (
+                solve(grey, variance, WHITE)
+                if formula == "corrected"
+                else gain_and_bias(grey, WHITE)
+            )
             best = min(best, time.perf_counter() - start)
         assert np.abs(p.bias - 0.02).max() < 1e-3
         return best
@@ -263,8 +368,12 @@ def test_time_is_linear_in_frames(formula: str) -> None:
     assert seconds(10_000) < 25 * seconds(1000)  # quadratic: 100 times
 
 
-@pytest.mark.parametrize(("overexposed", "kept", "of_ink"), [(0, 30, False), (3, 27, False), (12, 30, True)])
-def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(overexposed: int, kept: int, of_ink: bool) -> None:
+@pytest.mark.parametrize(
+    ("overexposed", "kept", "of_ink"), [(0, 30, False), (3, 27, False), (12, 30, True)]
+)
+def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(
+    overexposed: int, kept: int, of_ink: bool
+) -> None:
     """The ink is .06 in truth: read from it, all light is 1.2 times as much, but of one scale."""
     grey, y = clip(30, rho=np.where(WHITE, PAPER, 0.06), bias=0.0, noise=1e-5)
     clipped = np.zeros(grey.shape[:2])

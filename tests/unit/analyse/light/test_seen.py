@@ -1,4 +1,6 @@
-"""What a clip saw of its surroundings: a mirror ball shows the room, without seam or flicker; what was not seen is guessed."""
+"""What a clip saw of its surroundings: a mirror ball shows the room, without seam or
+flicker; what was not seen is guessed.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,19 @@ from arfx.errors import RenderError
 from arfx.stages.gi.health import seam_ratio
 from arfx.stages.light.surroundings import frame_surroundings, seen_map
 from tests.unit.analyse.light.seen_rooms import CAMERA, UP, Clip, irradiance, sky, walls
-from tests.unit.stages.gi_scenes import MIRROR, ball, facts, inner, on_plane, run_gi, surface
+from tests.unit.stages.gi_scenes import (
+    MIRROR,
+    ball,
+    facts,
+    inner,
+    on_plane,
+    run_gi,
+    surface,
+)
 
-QUAD = np.array([[30.0, 70], [45, 70], [45, 85], [30, 85]])  # on the desk, in the looks' pixels
+QUAD = np.array(
+    [[30.0, 70], [45, 70], [45, 85], [30, 85]]
+)  # on the desk, in the looks' pixels
 ROUND = Clip(walls(2.0), (-170, 170))
 CLIPS = {
     "round a room": ROUND,
@@ -35,8 +47,13 @@ CLIPS = {
 }
 
 
-def analysed(clip: Clip, still_camera: bool = False) -> tuple[tuple[FrameFacts, ...], dict[str, np.ndarray]]:
-    samples = [environment_sample(look.frame, look.picture.astype(float), QUAD) for look in clip.looks]
+def analysed(
+    clip: Clip, still_camera: bool = False
+) -> tuple[tuple[FrameFacts, ...], dict[str, np.ndarray]]:
+    samples = [
+        environment_sample(look.frame, look.picture.astype(float), QUAD)
+        for look in clip.looks
+    ]
     guessed = with_environment(clip.facts, samples, still_camera, None, np.eye(3))
     return with_seen(guessed, clip.looks, CAMERA, still_camera, np.zeros(3), UP)
 
@@ -64,7 +81,10 @@ def traced(clip: Clip, f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]
     """((n, 3) radiance of the mirror ball's inner pixels, whether they are)."""
     layers = surface(s, f)
     core = inner(layers[Layer.COVERAGE])
-    at, normal = layers[Layer.POSITION][core].astype(float), layers[Layer.NORMAL][core].astype(float)
+    at, normal = (
+        layers[Layer.POSITION][core].astype(float),
+        layers[Layer.NORMAL][core].astype(float),
+    )
     towards = at - f.pose.inverse().translation_m
     away = towards - 2 * (towards * normal).sum(1, keepdims=True) * normal
     return clip.shown(f.index)(at, away), core
@@ -72,15 +92,33 @@ def traced(clip: Clip, f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]
 
 @pytest.mark.parametrize("name", CLIPS)
 def test_a_mirror_ball_shows_the_room(name: str) -> None:
-    """Mean absolute error of linear radiance over the ball against rays in the true room: half of the guess's, or less."""
+    """Mean absolute error of linear radiance over the ball against rays in the true room:
+    half of the guess's, or less.
+    """
     clip = CLIPS[name]
     found, maps = analysed(clip)
     f = found[18]
     x, y = CAMERA.project(f.pose.apply(np.array([0, 0, 0.06])))
-    near = Camera(110, 110, np.array([[560.0, 0, 54.5 - 4 * (x - CAMERA.cx)], [0, 560, 54.5 - 4 * (y - CAMERA.cy)], [0, 0, 1]]))
+    near = Camera(
+        110,
+        110,
+        np.array(
+            [
+                [560.0, 0, 54.5 - 4 * (x - CAMERA.cx)],
+                [0, 560, 54.5 - 4 * (y - CAMERA.cy)],
+                [0, 0, 1],
+            ]
+        ),
+    )
     s = replace(on_plane(ball(MIRROR, 4), Light(), near), environment_maps=maps)
-    assert f.environment is not None and all(m.shape == (6, 64, 64, 4) for m in maps.values())
-    given = {"plate": clip.picture(18, near), "light": f.light, "environment": f.environment}
+    assert f.environment is not None and all(
+        m.shape == (6, 64, 64, 4) for m in maps.values()
+    )
+    given = {
+        "plate": clip.picture(18, near),
+        "light": f.light,
+        "environment": f.environment,
+    }
     error = []
     for seen_environment in (None, f.seen_environment):
         made = run_gi(s, "standard", f.pose, seen_environment=seen_environment, **given)
@@ -89,10 +127,16 @@ def test_a_mirror_ball_shows_the_room(name: str) -> None:
     assert error[1] < 0.5 * error[0], error
 
 
-@pytest.mark.parametrize(("name", "radius_m"), [("round a room", 2.0), ("round a hall", 5.0), ("under a sky", np.inf)])
+@pytest.mark.parametrize(
+    ("name", "radius_m"),
+    [("round a room", 2.0), ("round a hall", 5.0), ("under a sky", np.inf)],
+)
 def test_the_rooms_distance_is_where_the_pictures_agree(name: str, radius_m: float) -> None:
     clip = CLIPS[name]
-    posed = [seen._Posed.of(look, clip.facts[look.frame], CAMERA, False, np.zeros(3)) for look in clip.looks]
+    posed = [
+        seen._Posed.of(look, clip.facts[look.frame], CAMERA, False, np.zeros(3))
+        for look in clip.looks
+    ]
     assert seen._inverse_radius(posed, UP) == pytest.approx(1 / radius_m, rel=0.35)
 
 
@@ -110,10 +154,14 @@ def test_a_grey_room_is_grey_without_a_seam() -> None:
 
 def test_faces_join_across_their_edges() -> None:
     d = face_directions(16)
-    smooth = np.stack([1 + d[..., 0], 1 + d[..., 1] * d[..., 2], 1 - d[..., 2], d[..., 0] ** 2], -1)
+    smooth = np.stack(
+        [1 + d[..., 0], 1 + d[..., 1] * d[..., 2], 1 - d[..., 2], d[..., 0] ** 2], -1
+    )
     np.testing.assert_array_equal(bordered(smooth)[:, 1:-1, 1:-1], smooth)
     fine, e = resampled(smooth, 64), face_directions(64)
-    want = np.stack([1 + e[..., 0], 1 + e[..., 1] * e[..., 2], 1 - e[..., 2], e[..., 0] ** 2], -1)
+    want = np.stack(
+        [1 + e[..., 0], 1 + e[..., 1] * e[..., 2], 1 - e[..., 2], e[..., 0] ** 2], -1
+    )
     np.testing.assert_allclose(fine, want, atol=0.012)
     assert seam_ratio(fine[:, ::2, ::2]) < 1.5
     many = np.random.default_rng(1).normal(size=(500, 3))
@@ -124,7 +172,9 @@ def test_what_was_seen_is_known_and_the_rest_is_the_guess() -> None:
     clip = Clip(walls(1.4), (-90, -80))
     found, maps = analysed(clip)
     rgba = seen_now(found[20], scene(maps))
-    ahead, behind, above = look_up(rgba, np.array([[0.08, 1, 0.3], [0, -1, 0.3], [0, 0, 1.0]]))[:, 3]
+    ahead, behind, above = look_up(
+        rgba, np.array([[0.08, 1, 0.3], [0, -1, 0.3], [0, 0, 1.0]])
+    )[:, 3]
     assert ahead == pytest.approx(1, abs=1e-3) and behind < 0.02 and above < 0.5
     assert (rgba[..., 3].ravel() <= 1).all() and np.ptp(rgba[..., 3]) > 0.97
 
@@ -149,7 +199,10 @@ def test_a_still_room_does_not_flicker() -> None:
     memo = Memo()
     shown = [frame_surroundings(f, s, f.light, memo).cubes()[0] for f in found]  # type: ignore[arg-type]
     step = np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(shown)])
-    alone = [with_seen([*clip.facts], [look], CAMERA, False, np.zeros(3), UP) for look in looks[6:8]]
+    alone = [
+        with_seen([*clip.facts], [look], CAMERA, False, np.zeros(3), UP)
+        for look in looks[6:8]
+    ]
     a, b = (seen_now(f[0], scene(m))[..., :3] for f, m in alone)
     each_alone = np.abs((b - a) * clip.facts[0].light.mean_radiance).mean()  # type: ignore[union-attr]
     assert step < 0.1 * each_alone and step < 1e-3
@@ -159,7 +212,9 @@ def test_a_still_room_does_not_flicker() -> None:
 def test_a_lamp_that_is_a_light_is_not_seen_twice() -> None:
     def lit(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         d = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-        return np.where(d @ lamp[:, None] > np.cos(np.radians(4)), 1.0, sky(origins, directions))
+        return np.where(
+            d @ lamp[:, None] > np.cos(np.radians(4)), 1.0, sky(origins, directions)
+        )
 
     lamp = np.array([0.1, 0.95, 0.29])
     lamp /= np.linalg.norm(lamp)
@@ -167,7 +222,9 @@ def test_a_lamp_that_is_a_light_is_not_seen_twice() -> None:
     found, maps = analysed(clip)
     at = np.array([lamp])
     assert look_up(seen_now(found[20], scene(maps)), at)[0, :3].max() > 1.5
-    light = replace(clip.facts[0].light, lights=(DirectionalLight(tuple(lamp), (0.0, 0.0, 0.0)),))  # type: ignore[type-var]
+    light = replace(
+        clip.facts[0].light, lights=(DirectionalLight(tuple(lamp), (0.0, 0.0, 0.0)),)
+    )  # type: ignore[type-var]
     known = [f.with_(light=light) for f in clip.facts]
     found, maps = with_seen(known, clip.looks, CAMERA, False, np.zeros(3), UP)
     assert look_up(seen_now(found[20], scene(maps)), at)[0, :3].max() < 1.2
@@ -177,7 +234,12 @@ def test_before_a_still_camera_the_map_rests_in_the_cameras_axes() -> None:
     clip = ROUND.at_rest()
     turn = rotation_from_euler_deg(0, 0, 70)
     moved = [
-        f.with_(camera_from_world=replace(f.pose, rotation=f.pose.rotation @ turn)) if f.index > 20 else f for f in clip.facts
+        (
+            f.with_(camera_from_world=replace(f.pose, rotation=f.pose.rotation @ turn))
+            if f.index > 20
+            else f
+        )
+        for f in clip.facts
     ]
     found, maps = with_seen(moved, clip.looks, CAMERA, True, np.zeros(3), UP)
     before, after = (seen_now(found[k], scene(maps)) for k in (20, 21))
@@ -185,7 +247,9 @@ def test_before_a_still_camera_the_map_rests_in_the_cameras_axes() -> None:
     for k, rgba in ((20, before), (21, after)):
         world = found[k].pose.rotation.T @ ahead
         np.testing.assert_allclose(
-            look_up(rgba, world[None])[0], look_up(before, (found[20].pose.rotation.T @ ahead)[None])[0], atol=0.06
+            look_up(rgba, world[None])[0],
+            look_up(before, (found[20].pose.rotation.T @ ahead)[None])[0],
+            atol=0.06,
         )
 
 
@@ -206,16 +270,31 @@ def test_a_given_panorama_is_known_everywhere() -> None:
 
 def test_frames_without_a_pose_have_none_and_a_missing_map_is_said() -> None:
     lost = [f if f.index % 2 else f.with_(camera_from_world=None) for f in ROUND.facts]
-    found, maps = with_seen(lost, [Look(1, ROUND.looks[0].picture)], CAMERA, False, np.zeros(3), UP)
-    assert found[0].seen_environment is None and found[1].seen_environment is not None and len(maps) == 1
+    found, maps = with_seen(
+        lost, [Look(1, ROUND.looks[0].picture)], CAMERA, False, np.zeros(3), UP
+    )
+    assert (
+        found[0].seen_environment is None
+        and found[1].seen_environment is not None
+        and len(maps) == 1
+    )
     with pytest.raises(RenderError, match="is not among the job's"):
         seen_now(found[1], scene({}))
     assert with_seen(lost, [], CAMERA, False, np.zeros(3), UP)[1] == {}
-    assert FrameFacts.from_json(found[1].to_json()).seen_environment == found[1].seen_environment
+    assert (
+        FrameFacts.from_json(found[1].to_json()).seen_environment
+        == found[1].seen_environment
+    )
 
 
 def test_a_fisheye_lens_sees_what_it_sees() -> None:
-    wide = Camera(120, 120, np.array([[60.0, 0, 59.5], [0, 60, 59.5], [0, 0, 1]]), np.zeros(4), "fisheye")
+    wide = Camera(
+        120,
+        120,
+        np.array([[60.0, 0, 59.5], [0, 60, 59.5], [0, 0, 1]]),
+        np.zeros(4),
+        "fisheye",
+    )
     clip = CLIPS["under a sky"].at_rest()
     looks = [Look(k, clip.picture(k, wide).astype(np.float16)) for k in (0, 20)]
     found, maps = with_seen(clip.facts, looks, wide, False, np.zeros(3), UP)

@@ -1,8 +1,9 @@
-"""From patches to lights over many scenes with truth: how far off, how often measured, and never sure where it cannot be.
+"""From patches to lights over many scenes with truth: how far off, how often measured, and
+never sure where it cannot be.
 
-Patches are what a camera would give: 8 bits, noise of 2/255, a wrong transfer function, albedos other than the assumed,
-any gain and bias, some of it clipped, a highlight. ARFX_SWEEP=200 runs that many scenes of each kind.
-"""
+Patches are what a camera would give: 8 bits, noise of 2/255, a wrong transfer function,
+albedos other than the assumed, any gain and bias, some of it clipped, a highlight.
+ARFX_SWEEP=200 runs that many scenes of each kind."""
 
 from __future__ import annotations
 
@@ -42,11 +43,25 @@ class Tally:
 
     def told(self) -> str:
         known = f"plain {self.plain_measured} of {self.plain}"
-        out = [f"measured {len(self.direction_deg)} of {self.scenes}, false {len(self.false)}, {known}"]
-        for name in ("direction_deg", "cone_deg", "irradiance", "bias_grey", "bias_half_grey", "bias_held", "paper_bias_grey"):
+        out = [
+            f"measured {len(self.direction_deg)} of {self.scenes}, false {len(self.false)},"
+            f" {known}"
+        ]
+        for name in (
+            "direction_deg",
+            "cone_deg",
+            "irradiance",
+            "bias_grey",
+            "bias_half_grey",
+            "bias_held",
+            "paper_bias_grey",
+        ):
             v = getattr(self, name)
             if v:
-                out.append(f"{name} median {np.median(v):.3g}, 90th percentile {np.percentile(v, 90):.3g}")
+                out.append(
+                    f"{name} median {np.median(v):.3g}, 90th percentile"
+                    f" {np.percentile(v, 90):.3g}"
+                )
         return "; ".join([*out, *sorted(set(self.refused)), *self.false])
 
 
@@ -68,18 +83,24 @@ def photographed(
     gloss: bool = False,
     exact: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """(mean, variance (t, 8, 3), clipped (t, 8)) of the patches under light (t, 3), as photometry.measure makes them, bias."""
+    """(mean, variance (t, 8, 3), clipped (t, 8)) of the patches under light (t, 3), as
+    photometry.measure makes them, bias.
+    """
     ink, paper = rng.uniform(0.03, 0.07), rng.uniform(0.8, 0.92)
     if exact:
         ink, paper = INK, PAPER
     rho = np.where(WHITE, paper, ink)
-    exact = np.repeat((rho[None, :, None] * light[:, None] + bias)[..., None, :], SAMPLES, -2)  # (t, 8, s, 3)
+    exact = np.repeat(
+        (rho[None, :, None] * light[:, None] + bias)[..., None, :], SAMPLES, -2
+    )  # (t, 8, s, 3)
     if gloss:  # one quarter of the marker in a third of the frames
         exact[: len(light) // 3, 4] += 0.3
     if clip_share:
         longer = 1 / np.quantile(exact[:, WHITE], 1 - clip_share)
         exact, bias = exact * longer, bias * longer
-    grey = np.round(np.clip(encode(exact**gamma) + rng.normal(0, 2 / 255, exact.shape), 0, 1) * 255)
+    grey = np.round(
+        np.clip(encode(exact**gamma) + rng.normal(0, 2 / 255, exact.shape), 0, 1) * 255
+    )
     fine = ((grey > 0) & (grey < 255)).all(-1)
     value, w = decode(grey / 255), fine[..., None]
     count = np.maximum(fine.sum(-1), 1)[..., None]
@@ -107,8 +128,12 @@ def by_hand(rng: np.random.Generator, most_deg: float) -> np.ndarray:
     return normalise(np.stack([np.tan(a), np.tan(b), np.ones(FRAMES)], -1))
 
 
-def scene(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
-    """(times (k,), normals (k, 3), irradiance (k, 3), lamps (m, 3), arguments of `photographed`)."""
+def scene(
+    kind: str, seed: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
+    """(times (k,), normals (k, 3), irradiance (k, 3), lamps (m, 3), arguments of
+    `photographed`).
+    """
     rng = np.random.default_rng([seed, *kind.encode()])
     normals = by_hand(rng, rng.uniform(40, 62))
     if kind.startswith("board") or kind == "three at rest":
@@ -126,7 +151,10 @@ def scene(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
         normals = normalise(np.array([0.0, 0, 1]) + 1e-6 * rng.normal(size=(FRAMES, 3)))
     times = np.resize(TIMES, len(normals))
     d = direction(rng, 15, 75)
-    ambient, lamp = rng.uniform(0.1, 0.35) * rng.uniform(0.8, 1, 3), rng.uniform(0.4, 0.6) * rng.uniform(0.8, 1, 3)
+    ambient, lamp = (
+        rng.uniform(0.1, 0.35) * rng.uniform(0.8, 1, 3),
+        rng.uniform(0.4, 0.6) * rng.uniform(0.8, 1, 3),
+    )
     c = np.clip(normals @ d, 0, None)
     if kind == "even light":
         c, ambient = np.zeros(len(c)), ambient + 0.3
@@ -135,7 +163,10 @@ def scene(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
         c = np.clip(normals @ d, 0, None)
     if kind == "two lights":
         u = normalise(np.cross(d, direction(rng, 0, 90)))
-        c = sum(0.5 * np.clip(normals @ (np.cos(a) * d + np.sin(a) * u), 0, None) for a in np.radians([-30, 30]))
+        c = sum(
+            0.5 * np.clip(normals @ (np.cos(a) * d + np.sin(a) * u), 0, None)
+            for a in np.radians([-30, 30])
+        )
         lamps = np.stack([np.cos(a) * d + np.sin(a) * u for a in np.radians([-30, 30])])
     if kind == "light that swings":
         swing = np.radians(50) * np.sin(2 * np.pi * 0.3 * times + rng.uniform(0, 6))
@@ -155,13 +186,23 @@ def scene(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
         E = E * np.where(off, 0.45, 1)[:, None]
     if kind == "one of two switched":
         other = direction(rng, 15, 75)
-        E, lamps = E + 0.4 * np.clip(normals @ other, 0, None)[:, None] * ~off[:, None], np.stack([d, other])
+        E, lamps = (
+            E + 0.4 * np.clip(normals @ other, 0, None)[:, None] * ~off[:, None],
+            np.stack([d, other]),
+        )
     if "pumps" in kind:
         E = E * (0.75 + 0.25 * np.sin(2 * np.pi * 0.4 * times))[:, None]
-    noise = {"bias": rng.uniform(0.003, 0.03), "gamma": rng.uniform(0.94, 1.06), "exact": "own model" in kind}
+    noise = {
+        "bias": rng.uniform(0.003, 0.03),
+        "gamma": rng.uniform(0.94, 1.06),
+        "exact": "own model" in kind,
+    }
     noise["breaks"] = breaks
     noise["gamma"] = 1.0 if noise["exact"] else noise["gamma"]
-    noise |= {"clip_share": {"clipped 5 %": 0.05, "clipped 60 %": 0.6}.get(kind, 0.0), "gloss": kind == "highlight"}
+    noise |= {
+        "clip_share": {"clipped 5 %": 0.05, "clipped 60 %": 0.6}.get(kind, 0.0),
+        "gloss": kind == "highlight",
+    }
     return times, normals, E, lamps, noise
 
 
@@ -171,7 +212,10 @@ def off_deg(f: LightFit, lamps: np.ndarray) -> float:
 
 
 def one_lamp_is_plain(normals: np.ndarray, lamps: np.ndarray) -> bool:
-    """Whether a tenth of the normals turn 10 degrees away from it. Where all face a lamp, any number of lamps looks alike."""
+    """Whether a tenth of the normals turn 10 degrees away from it.
+
+    Where all face a lamp, any number of lamps looks alike.
+    """
     return bool(np.mean(normals @ lamps[0] < -np.sin(np.radians(10))) > 0.1)
 
 
@@ -180,31 +224,51 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
     for seed in range(scenes):
         times, normals, E, lamps, noise = scene(kind, seed)
         breaks = noise.pop("breaks")
-        mean, variance, clipped, bias = photographed(E, np.random.default_rng(seed), **noise)
+        mean, variance, clipped, bias = photographed(
+            E, np.random.default_rng(seed), **noise
+        )
         p = solve(mean, variance, WHITE, None, clipped)
         assert np.isfinite(p.y).all() and np.isfinite(p.bias).all()
         y, own, on = comparable(p, mean, variance, WHITE, clipped)
         seen = p.seen
-        alone = None if y is p.y and on is p.seen else LightReading(y[seen], own[seen], on[seen])
+        alone = (
+            None
+            if y is p.y and on is p.seen
+            else LightReading(y[seen], own[seen], on[seen])
+        )
         every = LightReading(p.y[seen], p.var_y_own[seen], on[seen])
         _, spans, _ = fit_temporal_model(times[seen], normals[seen], every, alone, breaks)
         out.scenes += 1
         low, high = p.bias_95.T
         out.bias_held.append(float(np.mean((low <= bias) & (bias <= high))))
         level = 0.05 * np.median(E)
-        out.bias_half_grey.append(float((encode(level + high) - encode(level + low)).max() * 255 / 2))
+        out.bias_half_grey.append(
+            float((encode(level + high) - encode(level + low)).max() * 255 / 2)
+        )
         best = max(spans, key=lambda s: (len(s.fit.lights), s.stop_s - s.start_s)).fit
         plain = one_lamp_is_plain(normals, lamps)
         out.plain += plain
         out.plain_measured += plain and best.verdict == MEASURED
         for f in {id(s.fit): s.fit for s in spans}.values():
-            assert np.isfinite(f.ambient_rgb).all() and np.isfinite(f.seen_rgb).all() and np.isfinite(f.condition)
-            assert all(np.isfinite([*li.direction, *li.rgb.ravel(), li.confidence_deg]).all() for li in f.lights)
+            assert (
+                np.isfinite(f.ambient_rgb).all()
+                and np.isfinite(f.seen_rgb).all()
+                and np.isfinite(f.condition)
+            )
+            assert all(
+                np.isfinite([*li.direction, *li.rgb.ravel(), li.confidence_deg]).all()
+                for li in f.lights
+            )
             if not f.claimed or not f.lights:  # none in the dark
                 continue
             off = off_deg(f, lamps)
-            if (not known and f.verdict == MEASURED) or off > 2 * f.lights[0].confidence_deg:
-                out.false.append(f"scene {seed}: off {off:.3g}, cone {f.lights[0].confidence_deg:.3g}, {f.reason}")
+            if (not known and f.verdict == MEASURED) or off > 2 * f.lights[
+                0
+            ].confidence_deg:
+                out.false.append(
+                    f"scene {seed}: off {off:.3g}, cone {f.lights[0].confidence_deg:.3g},"
+                    f" {f.reason}"
+                )
         if best.verdict != MEASURED:
             out.refused.append(f"scene {seed} refused: {best.reason}")
             continue
@@ -213,14 +277,35 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
         if len(spans) == 1 and noise["clip_share"] == 0 and "pumps" not in kind:
             model = best.irradiance(normals)
             scale = (model * E).sum() / (E * E).sum()  # gain and albedo
-            out.irradiance.append(float(np.sqrt(((model / scale - E) ** 2).mean()) / E.mean()))
+            out.irradiance.append(
+                float(np.sqrt(((model / scale - E) ** 2).mean()) / E.mean())
+            )
             level = np.median(E)
-            for p2, to in ((p, out.bias_grey), (gain_and_bias(mean[::3], WHITE), out.paper_bias_grey)):
-                to.append(float(np.abs(encode(0.05 * level + p2.bias) - encode(0.05 * level + bias)).max() * 255))
+            for p2, to in (
+                (p, out.bias_grey),
+                (gain_and_bias(mean[::3], WHITE), out.paper_bias_grey),
+            ):
+                to.append(
+                    float(
+                        np.abs(
+                            encode(0.05 * level + p2.bias) - encode(0.05 * level + bias)
+                        ).max()
+                        * 255
+                    )
+                )
     return out
 
 
-KNOWN = ("hand", "hand, own model", "board", "clipped 5 %", "clipped 60 %", "highlight", "board pumps", "lamp switched")
+KNOWN = (
+    "hand",
+    "hand, own model",
+    "board",
+    "clipped 5 %",
+    "clipped 60 %",
+    "highlight",
+    "board pumps",
+    "lamp switched",
+)
 UNKNOWN = (
     "one normal", "normals 1e-6 rad apart", "even light", "three at rest", "lit from behind", "light that swings", "dark",
     "exposure pumps",
@@ -231,7 +316,9 @@ UNKNOWN = (
 def test_what_can_be_known_is_measured_well(kind: str) -> None:
     got = run(kind, True, max(1, SCENES // (4 if "board" in kind else 1)))
     assert not got.false, got.told()
-    assert np.median(got.direction_deg) <= 2 and np.percentile(got.direction_deg, 90) <= 5, got.told()
+    assert (
+        np.median(got.direction_deg) <= 2 and np.percentile(got.direction_deg, 90) <= 5
+    ), got.told()
     assert got.plain_measured >= 0.9 * got.plain, got.told()
     if got.irradiance:
         assert np.median(got.irradiance) <= 0.02, got.told()
@@ -251,4 +338,6 @@ def test_what_cannot_be_known_is_refused(kind: str) -> None:
 def test_hard_ones_are_right_or_refused(kind: str) -> None:
     """Two lights 60 degrees apart: one of the two, never their middle."""
     got = run(kind, True, max(SCENES // 4, 1))
-    assert not got.false and (not got.direction_deg or np.max(got.direction_deg) < 10), got.told()
+    assert not got.false and (not got.direction_deg or np.max(got.direction_deg) < 10), (
+        got.told()
+    )

@@ -1,4 +1,6 @@
-"""Prints that are known by their picture: found, followed, their corners beside the exact ones, and absent where they are."""
+"""Prints that are known by their picture: found, followed, their corners beside the exact
+ones, and absent where they are.
+"""
 
 from __future__ import annotations
 
@@ -36,24 +38,45 @@ def place(k: int, tilt: float = 0.5, away_m: float = 0.45) -> Pose:
     return tilted([tilt, 0.02 * k, 0.03 * k], [0.01 * k - 0.03, 0.01, away_m])
 
 
-def frame(pose: Pose | None, cam: Camera = CAM, blur_px: float = 0.6, noise: float = 1.5, seed: int = 0) -> np.ndarray:
+def frame(
+    pose: Pose | None,
+    cam: Camera = CAM,
+    blur_px: float = 0.6,
+    noise: float = 1.5,
+    seed: int = 0,
+) -> np.ndarray:
     view = BACK if pose is None else hung(cam, GREY, PRINT.corners_m, pose, BACK)
     return picture(cam, [], 0.8 * view, noise, blur_px, seed)
 
 
-def tracked(known: PatternPicture, frames: list[np.ndarray], cam: Camera = CAM) -> list[Detection | None]:
+def tracked(
+    known: PatternPicture, frames: list[np.ndarray], cam: Camera = CAM
+) -> list[Detection | None]:
     tracker = PatternTracker([known], AnalyseParams())
-    return [next(iter(tracker.step(k / 25, luma, cam)[0]), None) for k, luma in enumerate(frames)]
+    return [
+        next(iter(tracker.step(k / 25, luma, cam)[0]), None)
+        for k, luma in enumerate(frames)
+    ]
 
 
-def errors_px(seen: list[Detection | None], poses: list[Pose], cam: Camera = CAM) -> np.ndarray:
+def errors_px(
+    seen: list[Detection | None], poses: list[Pose], cam: Camera = CAM
+) -> np.ndarray:
     """(n, 4, 2); fails where one is missing."""
     assert all(seen), [s is not None for s in seen]
-    return np.array([s.corners_px - cam.project(p.apply(PRINT.corners_m)) for s, p in zip(seen, poses, strict=True) if s])
+    return np.array(
+        [
+            s.corners_px - cam.project(p.apply(PRINT.corners_m))
+            for s, p in zip(seen, poses, strict=True)
+            if s
+        ]
+    )
 
 
 @pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.001, -0.002)])
-def test_corners_follow_a_known_path(known: PatternPicture, distortion: tuple[float, ...]) -> None:
+def test_corners_follow_a_known_path(
+    known: PatternPicture, distortion: tuple[float, ...]
+) -> None:
     cam = camera(320, 240, 330.0, distortion)
     poses = [place(k) for k in range(4)]
     seen = tracked(known, [frame(p, cam, seed=k) for k, p in enumerate(poses)], cam)
@@ -65,21 +88,34 @@ def test_corners_follow_a_known_path(known: PatternPicture, distortion: tuple[fl
 
 @pytest.mark.parametrize(
     ("case", "tilt", "away_m", "blur_px", "limit_px"),
-    [("60 degrees", 1.05, 0.45, 0.6, 0.2), ("60 px", 0.4, 1.1, 0.6, 0.3), ("blurred", 0.5, 0.45, 2.5, 0.8)],
+    [
+        ("60 degrees", 1.05, 0.45, 0.6, 0.2),
+        ("60 px", 0.4, 1.1, 0.6, 0.3),
+        ("blurred", 0.5, 0.45, 2.5, 0.8),
+    ],
 )
 def test_hard_views_are_found_from_nothing(
-    known: PatternPicture, case: str, tilt: float, away_m: float, blur_px: float, limit_px: float
+    known: PatternPicture,
+    case: str,
+    tilt: float,
+    away_m: float,
+    blur_px: float,
+    limit_px: float,
 ) -> None:
     seen = tracked(known, [frame(place(2, tilt, away_m), blur_px=blur_px)])
     assert np.sqrt((errors_px(seen, [place(2, tilt, away_m)]) ** 2).mean()) < limit_px
 
 
-def test_what_blurs_or_hides_the_print_widens_its_sigma_until_it_is_gone(known: PatternPicture) -> None:
+def test_what_blurs_or_hides_the_print_widens_its_sigma_until_it_is_gone(
+    known: PatternPicture,
+) -> None:
     pose = place(0)
     sharp, soft = frame(pose), frame(pose, blur_px=3.0)
     half = sharp.copy()
     quad = CAM.project(pose.apply(PRINT.corners_m))
-    left = np.array([quad[0], 0.6 * quad[0] + 0.4 * quad[1], 0.6 * quad[3] + 0.4 * quad[2], quad[3]])
+    left = np.array(
+        [quad[0], 0.6 * quad[0] + 0.4 * quad[1], 0.6 * quad[3] + 0.4 * quad[2], quad[3]]
+    )
     cv2.fillConvexPoly(half, left.round().astype(np.int32), (90,))
     seen = tracked(known, [sharp, half, soft])
     error = np.sqrt((errors_px(seen, [pose] * 3) ** 2).mean((1, 2)))
@@ -91,14 +127,28 @@ def test_what_blurs_or_hides_the_print_widens_its_sigma_until_it_is_gone(known: 
 
 
 def test_the_print_comes_back_after_a_loss(known: PatternPicture) -> None:
-    frames = [frame(place(k)) for k in range(2)] + [frame(None)] * 2 + [frame(tilted([0.3, -0.3, 1.2], [0.04, -0.02, 0.5]))] * 2
-    assert [s is not None for s in tracked(known, frames)] == [True, True, False, False, True, True]
+    frames = (
+        [frame(place(k)) for k in range(2)]
+        + [frame(None)] * 2
+        + [frame(tilted([0.3, -0.3, 1.2], [0.04, -0.02, 0.5]))] * 2
+    )
+    assert [s is not None for s in tracked(known, frames)] == [
+        True,
+        True,
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
 def test_other_pictures_are_not_taken_for_it(known: PatternPicture) -> None:
     other = hung(CAM, poster(seed=9).mean(-1), PRINT.corners_m, place(1), BACK)
     mirrored = hung(CAM, GREY[:, ::-1].copy(), PRINT.corners_m, place(1), BACK)
-    assert tracked(known, [picture(CAM, [], 0.8 * view) for view in (other, mirrored)]) == [None, None]
+    assert tracked(known, [picture(CAM, [], 0.8 * view) for view in (other, mirrored)]) == [
+        None,
+        None,
+    ]
 
 
 def test_a_quad_of_the_back_or_without_extent_is_no_print() -> None:
@@ -130,13 +180,17 @@ def test_a_rectangle_has_a_pose_as_a_marker_has() -> None:
 def test_a_print_that_is_never_seen_is_said() -> None:
     analyser = Analyser(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
     analyser.step(AnalysisFrame(0, 0.0, frame(None)))
-    with pytest.raises(NothingToDoError, match=r"no configured marker \(poster.png\) in 1 frames"):
+    with pytest.raises(
+        NothingToDoError, match=r"no configured marker \(poster.png\) in 1 frames"
+    ):
         analyser.finish()
 
 
 def test_a_print_that_looks_the_same_turned_is_refused_and_no_other() -> None:
     grey = coded_luma(poster(300, 200), INK, PAPER)
-    card = np.where(np.arange(len(grey))[:, None] < len(grey) / 2, grey, grey[::-1, ::-1]).astype(np.uint8)
+    card = np.where(
+        np.arange(len(grey))[:, None] < len(grey) / 2, grey, grey[::-1, ::-1]
+    ).astype(np.uint8)
     scanned = np.pad(card, ((3, 9), (8, 2)), constant_values=240)
     marked = card.copy()
     marked[20:45, 20:45] = 255
@@ -144,8 +198,14 @@ def test_a_print_that_looks_the_same_turned_is_refused_and_no_other() -> None:
     four = np.mean([np.rot90(square, k) for k in range(4)], 0).astype(np.uint8)
     logo = np.pad(four, ((0, 0), (60, 60)), constant_values=240)
     for same in (card, scanned, marked, four, logo):
-        with pytest.raises(ConfigError, match="looks the same when it is turned by 180 degrees"):
+        with pytest.raises(
+            ConfigError, match="looks the same when it is turned by 180 degrees"
+        ):
             check_turned("card", same)
     half = np.where(np.arange(300) < 150, grey, card).astype(np.uint8)
-    for told in (grey, half, np.concatenate([square, square[:, ::-1]], 1)):  # the last one is its own mirror image
+    for told in (
+        grey,
+        half,
+        np.concatenate([square, square[:, ::-1]], 1),
+    ):  # the last one is its own mirror image
         check_turned("poster", told)

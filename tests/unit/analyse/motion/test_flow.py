@@ -1,4 +1,6 @@
-"""Background motion and the field of sites: true motion is followed, rest is rest, a cut begins anew."""
+"""Background motion and the field of sites: true motion is followed, rest is rest, a cut
+begins anew.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,13 @@ import numpy as np
 import pytest
 
 from arfx.analyse.motion.advection import determinants, relaxed, with_advection
-from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_positions, refined
+from arfx.analyse.motion.flow import (
+    GRID_PX,
+    BackgroundMotion,
+    MotionStep,
+    node_positions,
+    refined,
+)
 from arfx.core.facts import ABSENT, MEASURED, FrameFacts
 from arfx.core.pose import Pose
 from arfx.stages.watercolor import field as reader
@@ -25,7 +33,9 @@ W, H = 320, 240
 def texture(seed: int = 0) -> np.ndarray:
     """(700, 700) uint8 blotches of several sizes."""
     g = np.random.default_rng(seed)
-    t = sum(cv2.GaussianBlur(g.standard_normal((700, 700)), (0, 0), s) * s for s in (2, 5, 12))
+    t = sum(
+        cv2.GaussianBlur(g.standard_normal((700, 700)), (0, 0), s) * s for s in (2, 5, 12)
+    )
     made = np.clip(128 + 45 * t / t.std(), 0, 255).astype(np.uint8)
     made.setflags(write=False)
     return made
@@ -34,8 +44,12 @@ def texture(seed: int = 0) -> np.ndarray:
 def view(world: np.ndarray, world_from_px: np.ndarray, seed: int) -> np.ndarray:
     """A frame with noise of 2 grey levels. world_from_px : (2, 3)"""
     m = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    frame = cv2.warpAffine(world, world_from_px, (W, H), flags=m, borderMode=cv2.BORDER_REFLECT).astype(float)
-    return np.clip(frame + np.random.default_rng(seed).normal(0, 2, frame.shape), 0, 255).astype(np.uint8)
+    frame = cv2.warpAffine(
+        world, world_from_px, (W, H), flags=m, borderMode=cv2.BORDER_REFLECT
+    ).astype(float)
+    return np.clip(
+        frame + np.random.default_rng(seed).normal(0, 2, frame.shape), 0, 255
+    ).astype(np.uint8)
 
 
 def pan(t: int) -> np.ndarray:
@@ -49,7 +63,9 @@ def zoom(t: int) -> np.ndarray:
 
 def roll(t: int) -> np.ndarray:
     c, s = np.cos(0.02 * t), np.sin(0.02 * t)
-    return np.array([[c, -s, 350 - c * W / 2 + s * H / 2], [s, c, 350 - s * W / 2 - c * H / 2]])
+    return np.array(
+        [[c, -s, 350 - c * W / 2 + s * H / 2], [s, c, 350 - s * W / 2 - c * H / 2]]
+    )
 
 
 def still(t: int) -> np.ndarray:
@@ -81,7 +97,9 @@ def facts_of(motion: BackgroundMotion, n: int, **shots: int) -> tuple[FrameFacts
 
 @pytest.mark.parametrize("path", [pan, zoom, roll])
 def test_the_field_follows_true_motion(path: Callable[[int], np.ndarray]) -> None:
-    """After a dozen frames a place in the picture still knows where it was in the first, to .3 px."""
+    """After a dozen frames a place in the picture still knows where it was in the first, to
+    .3 px.
+    """
     n = 13
     facts = facts_of(followed(path, n), n)
     u, v = field_of(facts[-1])
@@ -94,14 +112,18 @@ def test_the_field_follows_true_motion(path: Callable[[int], np.ndarray]) -> Non
 
 
 def test_the_nodes_are_laid_on_the_reference_to_hundredths_of_a_pixel() -> None:
-    """From .2 px off; brighter or darker does not matter, nor does what is not trusted, and where nothing is seen they stay."""
+    """From .2 px off; brighter or darker does not matter, nor does what is not trusted, and
+    where nothing is seen they stay.
+    """
     h, w, move = 120, 160, np.array([1.25, -0.75])
     g = np.random.default_rng(0)
     world = cv2.GaussianBlur(g.standard_normal((4 * h + 200, 4 * w + 200)), (0, 0), 8) * 8
 
     def seen(at: np.ndarray) -> np.ndarray:
         x, y = np.round(4 * (at + 20)).astype(int)
-        frame = cv2.resize(world[y : y + 4 * h, x : x + 4 * w], (w, h), interpolation=cv2.INTER_AREA)
+        frame = cv2.resize(
+            world[y : y + 4 * h, x : x + 4 * w], (w, h), interpolation=cv2.INTER_AREA
+        )
         return np.clip(128 + 55 * frame + g.normal(0, 1, (h, w)), 0, 255).astype(np.uint8)
 
     reference, small = seen(np.zeros(2)), seen(move)
@@ -149,7 +171,9 @@ def test_a_cut_begins_anew_whether_or_not_the_flow_noticed() -> None:
         assert np.abs(u[cut + 1] - u[cut]).max() < 20
 
 
-@pytest.mark.parametrize("frame", [np.zeros((H, W), np.uint8), np.full((H, W), 255, np.uint8)])
+@pytest.mark.parametrize(
+    "frame", [np.zeros((H, W), np.uint8), np.full((H, W), 255, np.uint8)]
+)
 def test_flat_frames_do_not_move(frame: np.ndarray) -> None:
     assert len(folded([frame] * 3 + [frame ^ 1]).steps) == 1
 
@@ -161,7 +185,9 @@ def test_any_size(size: tuple[int, int]) -> None:
     for k in range(3):
         motion.step(k, g.integers(0, 256, size).astype(np.uint8))
     frames = [FrameFacts(k, k / 30) for k in range(3)]
-    for f in with_advection(frames, motion.steps, camera(size[1], size[0]), Pose.identity(), 0.0):
+    for f in with_advection(
+        frames, motion.steps, camera(size[1], size[0]), Pose.identity(), 0.0
+    ):
         assert np.isfinite(field_of(f)).all()
 
 
@@ -171,7 +197,9 @@ def test_noise_and_torn_motion_never_fold_the_field() -> None:
     frames = []
     for t in range(10):
         frame = view(world, pan(t), t)
-        frame[:, W // 2 :] = view(world, pan(-3 * t), t)[:, W // 2 :]  # the right half goes the other way, fast
+        frame[:, W // 2 :] = view(world, pan(-3 * t), t)[
+            :, W // 2 :
+        ]  # the right half goes the other way, fast
         frames.append(frame)
     frames += [g.integers(0, 256, (H, W)).astype(np.uint8) for _ in range(3)]
     for f in facts_of(folded(frames), len(frames)):
@@ -191,10 +219,16 @@ def test_near_the_marker_the_pose_is_believed() -> None:
     """A blank picture shows no motion; the poses do, and the sites on the plane go with it."""
     nodes = node_positions(W, H)[0].shape
     even = np.zeros(nodes, np.uint8)
-    steps = [MotionStep(0, None, True, even), MotionStep(1, np.zeros((*nodes, 2), np.float32), False, even)]
+    steps = [
+        MotionStep(0, None, True, even),
+        MotionStep(1, np.zeros((*nodes, 2), np.float32), False, even),
+    ]
     s = scene(camera(W, H))
     poses = [look_at(0.5, 40, 20), look_at(0.5, 40, 26)]
-    given = [FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1.0) for k, p in enumerate(poses)]
+    given = [
+        FrameFacts(k, k / 30, status=MEASURED, camera_from_world=p, opacity=1.0)
+        for k, p in enumerate(poses)
+    ]
     facts = with_advection(given, steps, s.camera, s.world_from_anchor, 0.15)
     where, pose = reader.frame_field(facts[1], s, 8.0, 0.0)
     assert pose == poses[1]
@@ -206,7 +240,12 @@ def test_near_the_marker_the_pose_is_believed() -> None:
         node = np.array([where.x0 + GRID_PX * i, where.y0 + GRID_PX * j])
         jac = np.array([[where.u[j, i + 1] - where.u[j, i], where.u[j + 1, i] - where.u[j, i]],
                         [where.v[j, i + 1] - where.v[j, i], where.v[j + 1, i] - where.v[j, i]]]) / GRID_PX  # fmt: skip
-        assert np.linalg.norm(np.array([where.u[j, i], where.v[j, i]]) + jac @ (place - node) - was) < 1.5
+        assert (
+            np.linalg.norm(
+                np.array([where.u[j, i], where.v[j, i]]) + jac @ (place - node) - was
+            )
+            < 1.5
+        )
         assert np.linalg.norm(place - was) > 2.5
 
 
@@ -227,7 +266,9 @@ def fields_of(f: FrameFacts, way: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("path", [pan, zoom, roll])
-def test_both_ways_follow_true_motion_and_begin_unbent_at_either_end(path: Callable[[int], np.ndarray]) -> None:
+def test_both_ways_follow_true_motion_and_begin_unbent_at_either_end(
+    path: Callable[[int], np.ndarray],
+) -> None:
     n = 13
     facts = facts_of(followed(path, n), n)
     shares = [f.advection.share for f in facts]
@@ -239,14 +280,22 @@ def test_both_ways_follow_true_motion_and_begin_unbent_at_either_end(path: Calla
         np.testing.assert_allclose([np.ptp(u - gx), np.ptp(v - gy)], 0, atol=1e-6)
         for t in (0, n // 2, n - 1):
             now, first = (np.vstack([path(k), [0, 0, 1]]) for k in (t, start))
-            true = np.linalg.inv(first) @ now @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+            true = (
+                np.linalg.inv(first)
+                @ now
+                @ np.stack([gx.ravel(), gy.ravel(), np.ones(gx.size)])
+            )
             at_t = fields_of(facts[t], way)
-            missed = np.hypot(at_t[0].ravel() - (u - gx)[0, 0] - true[0], at_t[1].ravel() - true[1])
+            missed = np.hypot(
+                at_t[0].ravel() - (u - gx)[0, 0] - true[0], at_t[1].ravel() - true[1]
+            )
             assert np.median(missed[inside]) < 0.8 and missed[inside].max() < 2.5
 
 
 def test_a_clip_run_backwards_gives_the_same_patterns_in_turn() -> None:
-    """What is forward in one is backward in the other, with the same shares: no direction is favoured."""
+    """What is forward in one is backward in the other, with the same shares: no direction
+    is favoured.
+    """
     world = texture()
     frames = [view(world, zoom(t), t) for t in range(10)]
     one, other = facts_of(folded(frames), 10), facts_of(folded(frames[::-1]), 10)
@@ -259,7 +308,9 @@ def test_a_clip_run_backwards_gives_the_same_patterns_in_turn() -> None:
         assert np.median(apart) < 3 and apart.max() < 9
 
 
-def test_long_shots_begin_anew_in_one_pattern_and_cuts_in_another(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_shots_begin_anew_in_one_pattern_and_cuts_in_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("arfx.analyse.motion.advection.PERIOD", 4)
     world = texture()
     facts = facts_of(folded([view(world, pan(4 * t), t) for t in range(18)]), 18, cut=14)
@@ -275,20 +326,36 @@ def test_long_shots_begin_anew_in_one_pattern_and_cuts_in_another(monkeypatch: p
 
 
 def test_detail_goes_with_the_things_and_holds_still() -> None:
-    """A patch of texture on an even ground in a noisy pan: cells are finer on it, coarser beside it, and the wanted sizes at a
-    place of the ground hardly change from frame to frame."""
+    """A patch of texture on an even ground in a noisy pan: cells are finer on it, coarser
+    beside it, and the wanted sizes at a place of the ground hardly change from frame to
+    frame."""
     world = np.full((700, 700), 120, np.uint8)
     world[210:330, 260:330] = texture(3)[210:330, 260:330] // 2 + 40
     world[210:330:12, 260:330] = 230
     motion = folded([view(world, pan(t), t) for t in range(16)])
-    facts = with_advection([FrameFacts(t, t / 30) for t in range(16)], motion.steps, camera(W, H), Pose.identity(), 0.0)
+    facts = with_advection(
+        [FrameFacts(t, t / 30) for t in range(16)],
+        motion.steps,
+        camera(W, H),
+        Pose.identity(),
+        0.0,
+    )
     s, on, off = scene(camera(W, H)), [], []
     for t, f in enumerate(facts):
         field, _ = reader.frame_field(f, s, 8.0, 0.0)
         assert (field.size >= 8 * 2**-0.91).all() and (field.size <= 8 * 2**0.31).all()
-        x, y = (295 - 150 - 2.5 * t - field.x0) / GRID_PX, (270 - 150 + t - field.y0) / GRID_PX
+        x, y = (
+            (295 - 150 - 2.5 * t - field.x0) / GRID_PX,
+            (270 - 150 + t - field.y0) / GRID_PX,
+        )
         grid = field.size.astype(np.float32)
-        on.append(float(cv2.remap(grid, np.float32([[x]]), np.float32([[y]]), cv2.INTER_LINEAR)[0, 0]))
+        on.append(
+            float(
+                cv2.remap(grid, np.float32([[x]]), np.float32([[y]]), cv2.INTER_LINEAR)[
+                    0, 0
+                ]
+            )
+        )
         off.append(float(field.size[-2, 4]))
     assert max(on) < 0.8 * 8 < 8 < min(off)
     assert np.abs(np.diff(np.log2(on))).max() < 0.08

@@ -9,7 +9,9 @@ import pytest
 from arfx.analyse.pose.at_rest import RestCheck
 
 GROUND = cv2.resize(
-    np.random.default_rng(0).integers(40, 210, (70, 100)).astype(np.uint8), (800, 560), interpolation=cv2.INTER_CUBIC
+    np.random.default_rng(0).integers(40, 210, (70, 100)).astype(np.uint8),
+    (800, 560),
+    interpolation=cv2.INTER_CUBIC,
 )
 
 

@@ -50,11 +50,17 @@ def dense(measured: np.ndarray, pull: np.ndarray, before: np.ndarray, after: np.
         g[s] += pull[k]
     for k in range(N - 1):
         j = np.zeros((DIM, N * DIM))
-        j[:, k * DIM : (k + 1) * DIM], j[:, (k + 1) * DIM : (k + 2) * DIM] = before[k], after[k]
+        j[:, k * DIM : (k + 1) * DIM], j[:, (k + 1) * DIM : (k + 2) * DIM] = (
+            before[k],
+            after[k],
+        )
         w = np.linalg.inv(noise(density[k], DT[k], shake[k]))
         a += j.T @ w @ j
         g -= j.T @ w @ offset[k]
-        log += 0.5 * np.linalg.slogdet(after[k].T @ w @ after[k])[1] - 0.5 * offset[k] @ w @ offset[k]
+        log += (
+            0.5 * np.linalg.slogdet(after[k].T @ w @ after[k])[1]
+            - 0.5 * offset[k] @ w @ offset[k]
+        )
     cov = np.linalg.inv(a)
     mean = cov @ g
     return mean.reshape(N, DIM), cov, log + 0.5 * g @ mean - 0.5 * np.linalg.slogdet(a)[1]
@@ -80,26 +86,46 @@ def test_extreme_noise_stays_regular(q: float) -> None:
     n = 300
     dt = np.full(n - 1, 1 / 30)
     i = np.arange(6)
-    before, after = np.tile(-np.eye(DIM), (n - 1, 1, 1)), np.tile(np.eye(DIM), (n - 1, 1, 1))
+    before, after = (
+        np.tile(-np.eye(DIM), (n - 1, 1, 1)),
+        np.tile(np.eye(DIM), (n - 1, 1, 1)),
+    )
     before[:, i, i + 6] = -dt[:, None]
-    links = link(before, after, np.zeros((n - 1, DIM)), dt, np.tile(np.eye(6), (n - 1, 1, 1)))
+    links = link(
+        before, after, np.zeros((n - 1, DIM)), dt, np.tile(np.eye(6), (n - 1, 1, 1))
+    )
     measured = np.tile(np.diag([1e2, 1e4, 1e6, 1e9, 1e9, 1e6]), (n, 1, 1))
     value = np.random.default_rng(0).normal(0, 1, (n, 6)) / np.sqrt(np.diag(measured[0]))
-    mean, cov = smooth_chain(measured, np.einsum("nij,nj->ni", measured, value), links, np.full((n - 1, 7), q))
+    mean, cov = smooth_chain(
+        measured, np.einsum("nij,nj->ni", measured, value), links, np.full((n - 1, 7), q)
+    )
     assert np.isfinite(mean).all() and (np.linalg.eigvalsh(cov[:, :6, :6]) > 0).all()
     spread = np.sqrt(np.einsum("nii->ni", cov)[:, :6])
     assert (np.abs(mean[:, :6]) < 6 * spread + 1e-9).all()
-    assert (spread <= 1 / np.sqrt(np.diag(measured[0])) * 1.0001).all()  # never worse than a frame alone
+    assert (
+        spread <= 1 / np.sqrt(np.diag(measured[0])) * 1.0001
+    ).all()  # never worse than a frame alone
 
 
 def test_axes_that_are_all_but_bound_together_stay_regular() -> None:
-    """A camera turned wildly about itself, and nothing else moves: turn and place are one, to nine digits and more."""
+    """A camera turned wildly about itself, and nothing else moves: turn and place are one,
+    to nine digits and more.
+    """
     n, density = 150, np.array([1e-12] * 6 + [1e4])
     dt, i = np.full(n - 1, 1 / 30), np.arange(6)
-    before, after = np.tile(-np.eye(DIM), (n - 1, 1, 1)), np.tile(np.eye(DIM), (n - 1, 1, 1))
+    before, after = (
+        np.tile(-np.eye(DIM), (n - 1, 1, 1)),
+        np.tile(np.eye(DIM), (n - 1, 1, 1)),
+    )
     before[:, i, i + 6] = -dt[:, None]
     together = np.array([[1, 0], [0, 1], [0, 0], [0, 1.1], [-1.1, 0], [0.1, -0.2]])
-    links = link(before, after, np.zeros((n - 1, DIM)), dt, np.tile(together @ together.T + 1e-8 * np.eye(6), (n - 1, 1, 1)))
+    links = link(
+        before,
+        after,
+        np.zeros((n - 1, DIM)),
+        dt,
+        np.tile(together @ together.T + 1e-8 * np.eye(6), (n - 1, 1, 1)),
+    )
     size = np.array([1e2, 1e2, 1e3, 1e5, 1e5, 1e3])  # 1 / standard deviation
     rng = np.random.default_rng(1)
     pan = np.cumsum(rng.normal(0, 0.2, (n, 2)), 0)
@@ -109,9 +135,13 @@ def test_axes_that_are_all_but_bound_together_stay_regular() -> None:
     assert (np.linalg.eigvalsh(cov[:, :6, :6] * np.outer(size, size)) > 0).all()
     error = (mean[:, :6] - pan @ together.T) * size
     assert (np.abs(error) < 6).all()
-    assert np.sqrt((error[:, :2] ** 2).mean()) < 0.3  # a turn is known from the place, not from its own measurement alone
+    assert (
+        np.sqrt((error[:, :2] ** 2).mean()) < 0.3
+    )  # a turn is known from the place, not from its own measurement alone
     best = evidence(measured, value * size**2, links, np.tile(density, (1, n - 1, 1)))[0]
-    assert best < 0.5 * (value**2 * size**2).sum()  # no likelihood exceeds that of a perfect fit
+    assert (
+        best < 0.5 * (value**2 * size**2).sum()
+    )  # no likelihood exceeds that of a perfect fit
 
 
 def test_two_short_links_are_one_long_link() -> None:
@@ -120,10 +150,18 @@ def test_two_short_links_are_one_long_link() -> None:
         i = np.arange(6)
         before, after = np.tile(-np.eye(DIM), (n, 1, 1)), np.tile(np.eye(DIM), (n, 1, 1))
         before[:, i, i + 6] = -np.array(dt)[:, None]
-        links = link(before, after, np.zeros((n, DIM)), np.array(dt), np.tile(np.ones((6, 6)), (n, 1, 1)))
+        links = link(
+            before,
+            after,
+            np.zeros((n, DIM)),
+            np.array(dt),
+            np.tile(np.ones((6, 6)), (n, 1, 1)),
+        )
         seen = np.zeros((n + 1, 6, 6))
         seen[0] = np.eye(6) * 1e6
-        return smooth_chain(seen, np.zeros((n + 1, 6)), links, np.tile([1.0, 2, 3, 4, 5, 6, 0.5], (n, 1)))[1][-1]
+        return smooth_chain(
+            seen, np.zeros((n + 1, 6)), links, np.tile([1.0, 2, 3, 4, 5, 6, 0.5], (n, 1))
+        )[1][-1]
 
     np.testing.assert_allclose(last([0.02, 0.05]), last([0.07]), rtol=1e-9)
 

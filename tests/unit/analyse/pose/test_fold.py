@@ -12,7 +12,12 @@ import pytest
 
 from arfx.analyse.markers.detect import Detection, Record
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.pose.at_rest import BackgroundFlow, FlowSample, decide_static, epipolar_distance
+from arfx.analyse.pose.at_rest import (
+    BackgroundFlow,
+    FlowSample,
+    decide_static,
+    epipolar_distance,
+)
 from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.visibility import (
@@ -42,7 +47,10 @@ LAYOUT = {
 }
 N = 60
 T = np.arange(N) / 30
-ORBIT = [tilted([0.4 * np.sin(a), 0.4 * np.cos(a), 0.1 * a], [-0.1 + 0.05 * a, 0.05, 1.4]) for a in T * 3]
+ORBIT = [
+    tilted([0.4 * np.sin(a), 0.4 * np.cos(a), 0.1 * a], [-0.1 + 0.05 * a, 0.05, 1.4])
+    for a in T * 3
+]
 PARAMS = AnalyseParams(static="camera")
 
 
@@ -57,7 +65,10 @@ def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
         assert np.linalg.norm(got.translation_m - truth.translation_m) < 2e-3
         assert np.degrees(rotation_angle_rad(got, truth)) < 0.5
     assert a.summary["frames_measured"] == N and a.summary["map"]["condition"] < 1e9
-    off = [np.linalg.norm(f.camera_from_world.translation_m - p.translation_m) for f, p in zip(a.facts, ORBIT, strict=True)]  # type: ignore[union-attr]
+    off = [
+        np.linalg.norm(f.camera_from_world.translation_m - p.translation_m)
+        for f, p in zip(a.facts, ORBIT, strict=True)
+    ]  # type: ignore[union-attr]
     assert max(off) < 0.01  # also while the world's own marker is out of sight
 
 
@@ -71,7 +82,12 @@ def test_marker_never_seen_with_others_is_left_out_and_named() -> None:
 def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
     rec = records(CAM, ORBIT, T, LAYOUT, 0.05)
     wrong = rec[20].detections[2]
-    seen = (*rec[20].detections[:2], Detection(wrong.key, wrong.corners_px + np.array([90, -60]), wrong.sigma_px, 0.8, False))
+    seen = (
+        *rec[20].detections[:2],
+        Detection(
+            wrong.key, wrong.corners_px + np.array([90, -60]), wrong.sigma_px, 0.8, False
+        ),
+    )
     rec[20] = Record(20, rec[20].time_s, seen, (), False, (0.0, 0.0))
     a = solve(rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, [])
     assert a.summary["map"]["given"] and a.summary["dropped"] == 1
@@ -82,31 +98,55 @@ def test_a_camera_that_does_not_fit_the_clip_is_a_notice() -> None:
     near = [replace(pose, translation_m=np.array([0, 0, 0.3])) for pose in ORBIT]
     rec = records(CAM, near, T, {A: LAYOUT[A]}, 0.1)
     squashed = replace(CAM, matrix=np.diag([1, 1.4, 1]) @ CAM.matrix)
-    told = [[n for n in solve(rec, [A], c, PARAMS, None, []).notices if "calibration" in n] for c in (CAM, squashed)]
+    told = [
+        [n for n in solve(rec, [A], c, PARAMS, None, []).notices if "calibration" in n]
+        for c in (CAM, squashed)
+    ]
     assert told[0] == [] and len(told[1]) == 1
 
 
 def test_what_corners_are_misplaced_by_is_not_averaged_away() -> None:
-    """A hand over a side moves the corners of many frames alike; beside these it may lie there untold, in gaps as well."""
+    """A hand over a side moves the corners of many frames alike; beside these it may lie
+    there untold, in gaps as well.
+    """
 
     def stated_mm(first: int, last: int) -> np.ndarray:
-        rec = records(CAM, [ORBIT[0]] * N, T, {A: LAYOUT[A]}, 0.05, visible=lambda k, m: k not in (30, 31))
+        rec = records(
+            CAM,
+            [ORBIT[0]] * N,
+            T,
+            {A: LAYOUT[A]},
+            0.05,
+            visible=lambda k, m: k not in (30, 31),
+        )
         for k in {*range(first, last)} - {30, 31}:
-            rec[k] = replace(rec[k], detections=(replace(rec[k].detections[0], misplaced_px=0.4),))
+            rec[k] = replace(
+                rec[k], detections=(replace(rec[k].detections[0], misplaced_px=0.4),)
+            )
         facts = solve(rec, [A], CAM, PARAMS, None, []).facts
         return np.array([1e3 * np.sqrt(np.trace(f.pose_covariance[3:, 3:])) for f in facts])  # type: ignore[index]
 
     clear, some, many = stated_mm(0, 0), stated_mm(29, 33), stated_mm(20, 40)
-    assert (many[20:40] > 0.8 * some[29]).all(), "twenty frames that are off alike say no more than a few"
+    assert (many[20:40] > 0.8 * some[29]).all(), (
+        "twenty frames that are off alike say no more than a few"
+    )
     assert (many[[30, 31]] > 10 * clear[[30, 31]]).all(), "nor does a bridged one"
     assert (
-        many[19] > 3 * clear[19] and np.allclose(many[:10], clear[:10], rtol=0.1) and np.allclose(many[50:], clear[50:], rtol=0.1)
+        many[19] > 3 * clear[19]
+        and np.allclose(many[:10], clear[:10], rtol=0.1)
+        and np.allclose(many[50:], clear[50:], rtol=0.1)
     )
 
 
 def test_path_is_the_cheapest_of_all() -> None:
     rng = np.random.default_rng(5)
-    poses = [[tilted(rng.normal(0, 0.4, 3), [0, 0, 1 + 0.1 * rng.normal()]) for _ in range(2 + k % 2)] for k in range(6)]
+    poses = [
+        [
+            tilted(rng.normal(0, 0.4, 3), [0, 0, 1 + 0.1 * rng.normal()])
+            for _ in range(2 + k % 2)
+        ]
+        for k in range(6)
+    ]
     costs = [list(rng.uniform(0, 30, len(p))) for p in poses]
     times = np.cumsum(rng.uniform(0.01, 0.1, 6)).tolist()
 
@@ -114,7 +154,9 @@ def test_path_is_the_cheapest_of_all() -> None:
         total = sum(costs[k][i] for k, i in enumerate(path))
         for k in range(5):
             a, b = poses[k][path[k]], poses[k + 1][path[k + 1]]
-            arrays = (v[None] for v in (a.rotation, a.translation_m, b.rotation, b.translation_m))
+            arrays = (
+                v[None] for v in (a.rotation, a.translation_m, b.rotation, b.translation_m)
+            )
             total += move_costs(*arrays, times[k + 1] - times[k])[0]
         return float(total)
 
@@ -129,12 +171,16 @@ def test_path_stays_in_one_valley_against_small_misfits() -> None:
     costs = [[1.0, float(rng.choice([0.2, 1.5]))] for _ in range(20)]
     costs[0] = [0.0, 60.0]
     assert choose_path([[this, other]] * 20, costs, T[:20].tolist()) == [0] * 20
-    costs[1:] = [[1.0, 1.5]] * 9 + [[60.0, 0.0]] * 10  # a real change, with evidence, is followed
+    costs[1:] = [[1.0, 1.5]] * 9 + [
+        [60.0, 0.0]
+    ] * 10  # a real change, with evidence, is followed
     assert choose_path([[this, other]] * 20, costs, T[:20].tolist()) == [0] * 10 + [1] * 10
 
 
 def test_cut_is_found_flash_and_pan_are_not() -> None:
-    one, two = (np.clip(background(320, 180, s) * 255, 0, 255).astype(np.uint8) for s in (1, 2))
+    one, two = (
+        np.clip(background(320, 180, s) * 255, 0, 255).astype(np.uint8) for s in (1, 2)
+    )
     shift = [np.roll(one, 2 * k, 1) for k in range(10)]
     flash = np.clip(shift[4].astype(int) * 2 + 40, 0, 255).astype(np.uint8)
     white = np.full_like(one, 255)
@@ -142,7 +188,9 @@ def test_cut_is_found_flash_and_pan_are_not() -> None:
     def cuts(clip: list[np.ndarray], followed: bool = False) -> list[int]:
         signal = ShotDetector()
         values = [signal.step(f) for f in clip]
-        return find_cuts([v[0] for v in values], [v[1] for v in values], [followed] * len(clip))
+        return find_cuts(
+            [v[0] for v in values], [v[1] for v in values], [followed] * len(clip)
+        )
 
     assert cuts([*shift, *[two] * 5]) == [10]
     assert cuts([*shift, *[two] * 5], followed=True) == []
@@ -154,14 +202,33 @@ def test_cut_is_found_flash_and_pan_are_not() -> None:
 
 def test_the_midst_of_a_quick_move_is_no_cut() -> None:
     # as measured: a camera swung about, in a second
-    before = [0.0, 0.48, 0.44, 0.2, 0.1, 0.4, 0.55, 0.57, 0.44, 0.17, 0.04, 0.03, 0.04, 0.12]
+    before = [
+        0.0,
+        0.48,
+        0.44,
+        0.2,
+        0.1,
+        0.4,
+        0.55,
+        0.57,
+        0.44,
+        0.17,
+        0.04,
+        0.03,
+        0.04,
+        0.12,
+    ]
     last = [0.0, 0.0, 0.73, 0.58, 0.3, 0.52, 0.68, 0.74, 0.77, 0.69, 0.29, 0.09, 0.09, 0.23]
     assert find_cuts(before, last, [False] * len(before)) == []
     before[7], last[8] = 1.0, 1.0  # the same with a cut in it
     before[6] = before[8] = 0.3
     assert find_cuts(before, last, [False] * len(before)) == [7]
     still = [0.0, *[0.01] * 12]
-    assert find_cuts([*still[:5], 0.9, 0.8, *still[7:]], [*still[:5], 0.9, 0.7, 0.8, *still[8:]], [False] * 13) == [5, 6]
+    assert find_cuts(
+        [*still[:5], 0.9, 0.8, *still[7:]],
+        [*still[:5], 0.9, 0.7, 0.8, *still[8:]],
+        [False] * 13,
+    ) == [5, 6]
 
 
 def test_a_flicker_is_no_presence() -> None:
@@ -171,7 +238,9 @@ def test_a_flicker_is_no_presence() -> None:
     every = visible_intervals(measured, shot, np.arange(40) / 10, 0.3)
     assert without_flickers(every, measured, shot) == [(0, 1), (25, 28), (39, 40)]
     shot[12:] = 1  # now it begins a shot: what came before is unknown
-    assert (12, 14) in without_flickers(visible_intervals(measured, shot, np.arange(40) / 10, 0.3), measured, shot)
+    assert (12, 14) in without_flickers(
+        visible_intervals(measured, shot, np.arange(40) / 10, 0.3), measured, shot
+    )
 
 
 def test_presence_and_fades() -> None:
@@ -191,21 +260,39 @@ def static_clip(kind: str) -> tuple[str, dict[str, float]]:
     """A textured wall and a marker before it; kind says what stands still."""
     wall, wall_m = background(900, 700, 3) * 255, 1.25 if kind == "marker, orbited" else 2.0
     poses, flow = {}, BackgroundFlow()
-    h0 = np.array([[900 / 2.4, 0, 450], [0, 900 / 2.4, 350], [0, 0, 1.0]])  # metres on the wall to texture px
+    h0 = np.array(
+        [[900 / 2.4, 0, 450], [0, 900 / 2.4, 350], [0, 0, 1.0]]
+    )  # metres on the wall to texture px
     for k in range(40):
         a = k / 30
-        turn = rotation_from_rotvec(np.array([0.05 * np.sin(2 * a), 0.08 * np.sin(3 * a), 0.02 * a]))
+        turn = rotation_from_rotvec(
+            np.array([0.05 * np.sin(2 * a), 0.08 * np.sin(3 * a), 0.02 * a])
+        )
         moving = Pose(turn, np.array([0.1 * np.sin(2 * a), 0.05 * a, 0.05 * np.sin(a)]))
         camera_from_room = Pose.identity() if kind == "camera" else moving
         if kind == "marker, orbited":  # by 7 degrees in a third of a second, .14 m aside
             turn = rotation_from_rotvec(np.array([0.0, 0.36 * (a - 0.6), 0.0]))
-            camera_from_room = Pose(turn, np.array([0, 0, 1.2]) - turn @ np.array([0, 0, 1.2]))
+            camera_from_room = Pose(
+                turn, np.array([0, 0, 1.2]) - turn @ np.array([0, 0, 1.2])
+            )
         room_from_marker = tilted([0.3, 0.1, 0], [0.1, 0.05, 1.2])
         if not kind.startswith("marker"):
-            room_from_marker = tilted([0.3 + 0.5 * np.sin(4 * a), 0.1, 0], [0.1 + 0.2 * np.sin(5 * a), 0.05, 1.2])
+            room_from_marker = tilted(
+                [0.3 + 0.5 * np.sin(4 * a), 0.1, 0], [0.1 + 0.2 * np.sin(5 * a), 0.05, 1.2]
+            )
         poses[k] = camera_from_room @ room_from_marker
-        plane = np.column_stack([camera_from_room.rotation[:, :2], camera_from_room.apply(np.array([0, 0, wall_m]))])
-        image = cv2.warpPerspective(wall, CAM.matrix @ plane @ np.linalg.inv(h0), (640, 480), borderMode=cv2.BORDER_REFLECT)
+        plane = np.column_stack(
+            [
+                camera_from_room.rotation[:, :2],
+                camera_from_room.apply(np.array([0, 0, wall_m])),
+            ]
+        )
+        image = cv2.warpPerspective(
+            wall,
+            CAM.matrix @ plane @ np.linalg.inv(h0),
+            (640, 480),
+            borderMode=cv2.BORDER_REFLECT,
+        )
         flow.step(k, a, np.clip(image, 0, 255).astype(np.uint8), [], True)
     assert flow.samples
     return decide_static(flow.samples, poses, CAM)
@@ -220,11 +307,26 @@ def test_static_is_told_from_the_background(kind: str) -> None:
 def test_epipolar_distance_is_zero_on_points_of_a_rigid_world() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.3, -0.3, 1.5], [0.3, 0.3, 6], (50, 3))
-    move = Pose(rotation_from_rotvec(np.array([0.03, -0.02, 0.1])), np.array([0.08, 0.01, 0.02]))
+    move = Pose(
+        rotation_from_rotvec(np.array([0.03, -0.02, 0.1])), np.array([0.08, 0.01, 0.02])
+    )
     a, b = CAM.project(points), CAM.project(move.apply(points))
-    assert 800 * epipolar_distance(CAM.normalised(a), CAM.normalised(b), move, 0.5).max() < 1e-6
-    assert 800 * np.median(epipolar_distance(CAM.normalised(a), CAM.normalised(b + np.array([0, 12])), move, 0.5)) > 5
-    assert np.isinf(epipolar_distance(np.full((1, 2), np.nan), np.zeros((1, 2)), move, 0.5)).all()
+    assert (
+        800 * epipolar_distance(CAM.normalised(a), CAM.normalised(b), move, 0.5).max()
+        < 1e-6
+    )
+    assert (
+        800
+        * np.median(
+            epipolar_distance(
+                CAM.normalised(a), CAM.normalised(b + np.array([0, 12])), move, 0.5
+            )
+        )
+        > 5
+    )
+    assert np.isinf(
+        epipolar_distance(np.full((1, 2), np.nan), np.zeros((1, 2)), move, 0.5)
+    ).all()
 
 
 def test_a_slow_drift_is_no_rest() -> None:
@@ -241,13 +343,17 @@ def test_no_background_means_both() -> None:
 
 def test_model_box_covers_the_model_and_only_that() -> None:
     s = scene()
-    inside = FrameFacts(0, 0.0, camera_from_world=tilted([0, 0, 0], [0, 0, 4.0]), opacity=1.0)
+    inside = FrameFacts(
+        0, 0.0, camera_from_world=tilted([0, 0, 0], [0, 0, 4.0]), opacity=1.0
+    )
     behind = inside.with_(camera_from_world=tilted([0, 0, 0], [0, 0, -4.0]))
     aside = inside.with_(camera_from_world=tilted([0, 0, 0], [40, 0, 4.0]))
     boxes = with_model([inside, behind, aside, inside.with_(camera_from_world=None)], s)
     px = s.camera.project(inside.camera_from_world.apply(s.model_points_m))  # type: ignore[union-attr]
     box = boxes[0].model_box
-    assert box.x0 <= max(px[:, 0].min(), 0) and box.x1 >= min(px[:, 0].max(), s.camera.width - 1)
+    assert box.x0 <= max(px[:, 0].min(), 0) and box.x1 >= min(
+        px[:, 0].max(), s.camera.width - 1
+    )
     assert box.x0 >= px[:, 0].min() - 3 and box.x1 <= px[:, 0].max() + 4
     z = inside.camera_from_world.apply(s.model_points_m)[:, 2]  # type: ignore[union-attr]
     assert boxes[0].depth_range_m == (pytest.approx(z.min()), pytest.approx(z.max()))
@@ -258,10 +364,18 @@ def test_jitter_is_the_second_difference_and_skips_breaks() -> None:
     place = [tilted([0, 0, 0], [x, 0, 1.0]) for x in (0, 0.01, 0.04, 0.05, 0.06)]
     facts = [FrameFacts(k, k / 30, 0, "measured", p, p) for k, p in enumerate(place)]
     rec = records(CAM, place, T[:5], {A: Pose.identity()}, 0.0)
-    facts = [f.with_(markers=solve(rec, [A], CAM, PARAMS, None, []).facts[k].markers) for k, f in enumerate(facts)]
+    facts = [
+        f.with_(markers=solve(rec, [A], CAM, PARAMS, None, []).facts[k].markers)
+        for k, f in enumerate(facts)
+    ]
     moved, relative = jitter_px(facts, np.zeros((1, 3)), CAM, raw=True)
-    assert np.isnan(moved[[0, -1]]).all() and np.isfinite(moved[1:-1]).all(), "the ends have no second difference"
-    assert np.median(moved[1:-1]) == pytest.approx(0.02 * 800) and np.median(relative[1:-1]) < 1e-6
+    assert np.isnan(moved[[0, -1]]).all() and np.isfinite(moved[1:-1]).all(), (
+        "the ends have no second difference"
+    )
+    assert (
+        np.median(moved[1:-1]) == pytest.approx(0.02 * 800)
+        and np.median(relative[1:-1]) < 1e-6
+    )
     broken = [f.with_(shot=int(k > 1)) for k, f in enumerate(facts)]
     assert np.isfinite(jitter_px(broken, np.zeros((1, 3)), CAM, raw=True)[0]).sum() == 1
 
@@ -273,7 +387,9 @@ def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
     for f, g in zip(a.facts, read_facts(path), strict=True):
         for name in ("index", "time_s", "status", "opacity", "reprojection_px"):
             assert getattr(f, name) == getattr(g, name)
-        np.testing.assert_allclose(f.camera_from_world.matrix, g.camera_from_world.matrix, atol=1e-14)  # type: ignore[union-attr]
+        np.testing.assert_allclose(
+            f.camera_from_world.matrix, g.camera_from_world.matrix, atol=1e-14
+        )  # type: ignore[union-attr]
     assert not list(tmp_path.glob("*.part"))
     rows = path.read_text().splitlines()
     path.write_text("\n".join(rows[:-3]))

@@ -1,4 +1,6 @@
-"""Whole-clip poses against the truth: no flips, no lag, rock-steady at rest, nothing across a cut."""
+"""Whole-clip poses against the truth: no flips, no lag, rock-steady at rest, nothing across
+a cut.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +34,21 @@ def analysed(rec: Sequence[Record], cam: Camera = CAM, **params: float) -> Analy
     return solve(rec, [M], cam, AnalyseParams(static="camera", **params), None, [])  # type: ignore[arg-type]
 
 
-def pose_errors(facts: Sequence[FrameFacts], truth: Sequence[Pose], raw: bool) -> tuple[np.ndarray, np.ndarray]:
+def pose_errors(
+    facts: Sequence[FrameFacts], truth: Sequence[Pose], raw: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Degrees and millimetres per frame."""
     got = [f.raw_camera_from_world if raw else f.camera_from_world for f in facts]
-    deg = [np.degrees(rotation_angle_rad(p, q)) for p, q in zip(got, truth, strict=True) if p is not None]
-    mm = [1e3 * np.linalg.norm(p.translation_m - q.translation_m) for p, q in zip(got, truth, strict=True) if p is not None]
+    deg = [
+        np.degrees(rotation_angle_rad(p, q))
+        for p, q in zip(got, truth, strict=True)
+        if p is not None
+    ]
+    mm = [
+        1e3 * np.linalg.norm(p.translation_m - q.translation_m)
+        for p, q in zip(got, truth, strict=True)
+        if p is not None
+    ]
     return np.array(deg), np.array(mm)
 
 
@@ -72,39 +84,66 @@ def test_moving_markers_come_out_truer_than_single_frames_and_in_time(name: str)
     assert rms(deg) < rms(deg_raw) and rms(mm) < rms(mm_raw)
     point = np.array([0.05, 0.05, 0.1])
     want = np.array([p.apply(point) for p in truth])
-    got = np.array([f.camera_from_world.apply(point) for f in facts if f.camera_from_world is not None])
+    got = np.array(
+        [f.camera_from_world.apply(point) for f in facts if f.camera_from_world is not None]
+    )
     speed = np.gradient(want, axis=0)
     lag_frames = -((got - want) * speed).sum() / (speed**2).sum()
     assert abs(lag_frames) < 0.1
-    assert (np.abs(got - want).max(0) < 0.02 * np.ptp(want, axis=0).max()).all()  # peaks are not cut off
+    assert (
+        np.abs(got - want).max(0) < 0.02 * np.ptp(want, axis=0).max()
+    ).all()  # peaks are not cut off
 
 
 def shaken(seed: int) -> list[Pose]:
-    """A camera that a hand turns about itself before a marker at rest, as sums of sines around 4 Hz, .2 degrees."""
+    """A camera that a hand turns about itself before a marker at rest, as sums of sines
+    around 4 Hz, .2 degrees.
+    """
     rng = np.random.default_rng(seed)
-    rate, phase = 8 * np.pi * rng.uniform(0.4, 1.6, (2, 6)), rng.uniform(0, 2 * np.pi, (2, 6))
+    rate, phase = (
+        8 * np.pi * rng.uniform(0.4, 1.6, (2, 6)),
+        rng.uniform(0, 2 * np.pi, (2, 6)),
+    )
     turn = [np.radians(0.2) * np.sin(rate * t + phase).sum(1) / np.sqrt(3) for t in T]
-    return [Pose.from_rotvec(np.append(v, 0), np.zeros(3)) @ tilted([0.5, 0.2, 0], [0.1, 0.05, away(80)]) for v in turn]
+    return [
+        Pose.from_rotvec(np.append(v, 0), np.zeros(3))
+        @ tilted([0.5, 0.2, 0], [0.1, 0.05, away(80)])
+        for v in turn
+    ]
 
 
 @pytest.mark.parametrize("noise_px", [0.03, 0.15])
 def test_a_hands_shake_is_told_from_where_the_marker_is(noise_px: float) -> None:
-    """Its tilt tells turning ten times worse: smoothed on its own it keeps three quarters of the single frames' error."""
+    """Its tilt tells turning ten times worse: smoothed on its own it keeps three quarters
+    of the single frames' error.
+    """
     errors = []
     for seed in range(3):
         truth = shaken(seed)
         a = analysed(records(CAM, truth, T, {M: Pose.identity()}, noise_px, seed))
         errors.append([rms(pose_errors(a.facts, truth, raw)[0]) for raw in (True, False)])
-        assert a.summary["motion_noise"][0][SHAKE] > 10 * a.summary["motion_noise"][0][SIDEWAYS]
+        assert (
+            a.summary["motion_noise"][0][SHAKE]
+            > 10 * a.summary["motion_noise"][0][SIDEWAYS]
+        )
     single, smoothed = np.median(errors, axis=0)
     assert smoothed < 0.5 * single
 
 
 def test_a_marker_that_is_carried_is_no_shake() -> None:
-    truth = [tilted([0.5, 0.2, 0], [0.1 + 0.02 * np.sin(9 * t), 0.05 + 0.02 * np.cos(7 * t), away(80)]) for t in T]
+    truth = [
+        tilted(
+            [0.5, 0.2, 0],
+            [0.1 + 0.02 * np.sin(9 * t), 0.05 + 0.02 * np.cos(7 * t), away(80)],
+        )
+        for t in T
+    ]
     a = analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.05))
     assert a.summary["motion_noise"][0][SHAKE] == pytest.approx(LEAST)
-    assert rms(pose_errors(a.facts, truth, raw=False)[0]) < rms(pose_errors(a.facts, truth, raw=True)[0]) / 4
+    assert (
+        rms(pose_errors(a.facts, truth, raw=False)[0])
+        < rms(pose_errors(a.facts, truth, raw=True)[0]) / 4
+    )
 
 
 def test_shake_is_the_camera_turned_about_itself() -> None:
@@ -115,10 +154,21 @@ def test_shake_is_the_camera_turned_about_itself() -> None:
 
     def axes(p: Pose) -> np.ndarray:
         turn = (p @ pose.inverse()).rotvec
-        return np.concatenate([turn, _position(p.rotation[None], p.translation_m[None], centre)[1][0]])
+        return np.concatenate(
+            [turn, _position(p.rotation[None], p.translation_m[None], centre)[1][0]]
+        )
 
     step = 1e-5
-    moved = np.stack([axes(Pose.from_rotvec(step * e, np.zeros(3)) @ pose) - axes(pose) for e in np.eye(3)[:2]], -1) / step
+    moved = (
+        np.stack(
+            [
+                axes(Pose.from_rotvec(step * e, np.zeros(3)) @ pose) - axes(pose)
+                for e in np.eye(3)[:2]
+            ],
+            -1,
+        )
+        / step
+    )
     place = _position(pose.rotation[None], pose.translation_m[None], centre)[1]
     np.testing.assert_allclose(_shake(place)[0], moved @ moved.T, atol=1e-4)
 
@@ -137,22 +187,38 @@ def test_rest_is_smoothed_as_rest_in_a_clip_that_also_moves() -> None:
 def test_links_between_turned_frames_are_the_derivative() -> None:
     from arfx.analyse.pose.smooth import _apply_step, _links
 
-    poses = [tilted([0.2, 0.1, 0], [0.1, 0, 1.0]), tilted([0.45, -0.1, 0.2], [0.15, 0.05, 1.1])]
-    rotation, translation = np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])
+    poses = [
+        tilted([0.2, 0.1, 0], [0.1, 0, 1.0]),
+        tilted([0.45, -0.1, 0.2], [0.15, 0.05, 1.1]),
+    ]
+    rotation, translation = (
+        np.stack([p.rotation for p in poses]),
+        np.stack([p.translation_m for p in poses]),
+    )
     centre, dt = np.array([0.02, 0.01, 0.0]), np.array([0.04])
     rng = np.random.default_rng(0)
     step = rng.normal(0, 1e-4, (2, 6))
 
     def shift(r: np.ndarray, t: np.ndarray) -> np.ndarray:
         here = _links(r, t, centre, dt)
-        return -(np.linalg.inv(here.gate[0]) @ here.shift[0])[:6]  # Log of the turn and the change of place
+        return -(np.linalg.inv(here.gate[0]) @ here.shift[0])[
+            :6
+        ]  # Log of the turn and the change of place
 
     before = _links(rotation, translation, centre, dt)
     after_inverse = np.linalg.inv(before.gate[0])
     back = -after_inverse @ before.move[0]
-    predicted = shift(rotation, translation) + after_inverse[:6, :6] @ step[1] + back[:6, :6] @ step[0]
-    error = np.abs(shift(*_apply_step(rotation, translation, step, centre)) - predicted).max()
-    assert error < 0.02 * np.abs(step).max()  # the series is cut after the first order in the turn, here .4 rad
+    predicted = (
+        shift(rotation, translation)
+        + after_inverse[:6, :6] @ step[1]
+        + back[:6, :6] @ step[0]
+    )
+    error = np.abs(
+        shift(*_apply_step(rotation, translation, step, centre)) - predicted
+    ).max()
+    assert (
+        error < 0.02 * np.abs(step).max()
+    )  # the series is cut after the first order in the turn, here .4 rad
 
 
 @pytest.mark.parametrize("noise_px", [0.05, 0.3])
@@ -172,7 +238,12 @@ def test_marker_at_rest_stands_still(noise_px: float) -> None:
 def test_frontal_40_px_marker_never_flips(tilt: float) -> None:
     truth = [tilted([tilt, tilt / 3, 0], [0.1, 0.05, away(40)])] * N
     a = analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.3))
-    best = [np.degrees(rotation_angle_rad(f.markers[0].hypotheses[0].camera_from_marker, truth[0])) for f in a.facts]
+    best = [
+        np.degrees(
+            rotation_angle_rad(f.markers[0].hypotheses[0].camera_from_marker, truth[0])
+        )
+        for f in a.facts
+    ]
     assert sum(b > 10 for b in best) > N / 10  # the clip is as hard as it is meant to be
     deg, _ = pose_errors(a.facts, truth, raw=False)
     assert deg.max() < 5.0
@@ -183,21 +254,29 @@ def test_covariance_tells_the_error() -> None:
     truth = MOVING["swing"]
     squares = []
     for seed in range(3):
-        for f, p in zip(analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.1, seed)).facts, truth, strict=True):
+        for f, p in zip(
+            analysed(records(CAM, truth, T, {M: Pose.identity()}, 0.1, seed)).facts,
+            truth,
+            strict=True,
+        ):
             assert f.camera_from_world is not None and f.pose_covariance is not None
             error = f.camera_from_world @ p.inverse()
             e = np.concatenate([error.rotvec, error.translation_m])
             scale = 1 / np.sqrt(np.diag(f.pose_covariance))
             c = f.pose_covariance * scale[:, None] * scale
             squares.append(float((e * scale) @ np.linalg.solve(c, e * scale)))
-    assert 2.0 < np.median(squares) < 12.0  # chi squared with six degrees of freedom has median 5.3
+    assert (
+        2.0 < np.median(squares) < 12.0
+    )  # chi squared with six degrees of freedom has median 5.3
 
 
 def test_cut_is_not_smoothed_over_and_times_may_be_uneven() -> None:
     rng = np.random.default_rng(4)
     times = np.cumsum(rng.uniform(0.01, 0.06, N))
     truth = [tilted([0.5, 0, 0.3 * t], [0.1 * t - 0.1, 0, away(80)]) for t in times[:50]]
-    truth += [tilted([-0.4, 0.2, 1.0], [0.05, 0.1 * np.sin(t), away(60)]) for t in times[50:]]
+    truth += [
+        tilted([-0.4, 0.2, 1.0], [0.05, 0.1 * np.sin(t), away(60)]) for t in times[50:]
+    ]
     rec = records(CAM, truth, times, {M: Pose.identity()}, 0.05)
     for k, dissimilarity in ((50, (1.0, 1.0)), (51, (0.0, 1.0))):
         rec[k] = Record(k, rec[k].time_s, rec[k].detections, (), False, dissimilarity)
@@ -214,24 +293,43 @@ def test_gaps_are_bridged_longer_ones_fade_and_strength_zero_changes_nothing() -
     rec = records(CAM, truth, T, {M: Pose.identity()}, 0.05)
     a = analysed(rec)
     status = [f.status for f in a.facts]
-    assert status[29:37] == ["measured", *["interpolated"] * 6, "measured"] and set(status[60:85]) == {"absent"}
-    bridged = [np.degrees(rotation_angle_rad(a.facts[k].camera_from_world, MOVING["swing"][k])) for k in range(30, 36)]  # type: ignore[arg-type]
+    assert status[29:37] == ["measured", *["interpolated"] * 6, "measured"] and set(
+        status[60:85]
+    ) == {"absent"}
+    bridged = [
+        np.degrees(rotation_angle_rad(a.facts[k].camera_from_world, MOVING["swing"][k]))
+        for k in range(30, 36)
+    ]  # type: ignore[arg-type]
     assert max(bridged) < 4.0
     opacity = np.array([f.opacity for f in a.facts])
-    assert (opacity[:54] == 1).all() and (np.diff(opacity[54:61]) < 0).all() and (np.diff(opacity[84:91]) > 0).all()
-    assert opacity[90:].min() == 1 and all(f.camera_from_world is None for f in a.facts[60:85])
+    assert (
+        (opacity[:54] == 1).all()
+        and (np.diff(opacity[54:61]) < 0).all()
+        and (np.diff(opacity[84:91]) > 0).all()
+    )
+    assert opacity[90:].min() == 1 and all(
+        f.camera_from_world is None for f in a.facts[60:85]
+    )
     plain = analysed(rec, smoothing=0.0).facts
-    assert all(f.camera_from_world == f.raw_camera_from_world for f in plain if f.status == "measured")
+    assert all(
+        f.camera_from_world == f.raw_camera_from_world
+        for f in plain
+        if f.status == "measured"
+    )
 
 
 @pytest.mark.filterwarnings("error")
 def test_almost_no_smoothing_is_silent() -> None:
     rec = records(CAM, list(MOVING["swing"])[:8], T[:8], {M: Pose.identity()}, 0.05)
-    assert all(f.camera_from_world is not None for f in analysed(rec, smoothing=1e-320).facts)
+    assert all(
+        f.camera_from_world is not None for f in analysed(rec, smoothing=1e-320).facts
+    )
 
 
 @pytest.mark.parametrize("gap_s", [30.0, 1e3, 1e7])
-def test_gaps_of_minutes_and_months_between_frames_leave_poses_as_true(gap_s: float) -> None:
+def test_gaps_of_minutes_and_months_between_frames_leave_poses_as_true(
+    gap_s: float,
+) -> None:
     times = T.copy()
     for k in range(1, N, 7):
         times[k:] += gap_s
@@ -239,4 +337,8 @@ def test_gaps_of_minutes_and_months_between_frames_leave_poses_as_true(gap_s: fl
     got = analysed(records(CAM, truth, times, {M: Pose.identity()}, 0.2))
     turn, shift = pose_errors(got.facts, truth, raw=False)
     before_turn, before_shift = pose_errors(got.facts, truth, raw=True)
-    assert len(turn) == N and rms(turn) < 1.2 * rms(before_turn) and rms(shift) < 1.2 * rms(before_shift)
+    assert (
+        len(turn) == N
+        and rms(turn) < 1.2 * rms(before_turn)
+        and rms(shift) < 1.2 * rms(before_shift)
+    )
