@@ -139,8 +139,8 @@ def cli() -> None:
 
     \b
     Example:
-      arfx process clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb
-      --fit 15cm -o out.mp4
+      arfx process clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb \\
+        --fit 15cm -o out.mp4
     """
 
 

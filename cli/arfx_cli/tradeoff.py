@@ -43,9 +43,8 @@ def command(frames: int, as_json: bool, **given: Any) -> None:
 
     \b
     Example:
-      arfx tradeoff clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb
-      --fit 15cm \\
-        --pipeline lightmap,dof --report costs"""
+      arfx tradeoff clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb \\
+        --fit 15cm --pipeline lightmap,dof --report costs"""
     import json
 
     from arfx.core.guard import Guard
