@@ -26,15 +26,17 @@ from arfx.run.frame import FrameLayers
 from arfx.stages import STAGES
 from arfx.stages.gi import Gi
 from arfx.stages.light.planes import SHOWS
-from arfx.stages.lightmap import Lightmap, LightmapParams
+from arfx.stages.lightmap import Lightmap
 from arfx.stages.raster import Raster
 
 
 def layers_of(at: BenchScene) -> Layers:
     """What gi reads, over all that it needs."""
+    lit = Lightmap()
+    lit.soft = False
     stages: list[Any] = [
         Raster(),
-        Lightmap(LightmapParams(ambient=False)),
+        lit,
         Gi(),
         STAGES["composite"](),
     ]
@@ -45,11 +47,11 @@ def layers_of(at: BenchScene) -> Layers:
     for s in stages[:2]:
         step = steps[s.name]
         made = ReadyStage.of(s, at.scene, levels[s.name]).run(
-            layers.view(s.reads, step.need), at.facts
+            layers.view(step.need), at.facts
         )
         for layer, array in made.items():
             layers.put(layer, array, step.need, step.out)
-    return layers.view(Gi.reads, steps["gi"].need)
+    return layers.view(steps["gi"].need)
 
 
 def affected(before: Layers, made: Any, size: tuple[int, int]) -> float:

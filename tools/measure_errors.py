@@ -143,6 +143,7 @@ def measure_clip(
     from arfx.errors import NothingToDoError
     from arfx.papers import PAPER
     from arfx.run.worker import keep_memory
+    from arfx.stages import ALWAYS
 
     keep_memory()
     job = planned(name, folder)
@@ -150,7 +151,7 @@ def measure_clip(
         return "a printed formula, left out"
     file = folder / f"{name}.json"
     rows = json.loads(file.read_text()) if file.is_file() else {}
-    usual = [n for n, s in job.stages.items() if s.always]
+    usual = [n for n in job.stages if n in ALWAYS]
     for effects in (usual, *([n] for n in job.stages if n not in usual)):
         wanted = [
             n for n in effects if len(job.stages[n].levels) > 1 and n in (stages or effects)
@@ -214,7 +215,7 @@ def planned(name: str, folder: Path) -> Job:
     from arfx.run.inputs import open_inputs
     from arfx.run.job import Options, plan_job
     from arfx.run.parameters import parameters
-    from arfx.stages import STAGES
+    from arfx.stages import ALWAYS, STAGES
     from arfx.synth.clip import make_clip
     from arfx.synth.description import DepthInput, load_scene
 
@@ -236,7 +237,7 @@ def planned(name: str, folder: Path) -> Job:
             make_clip(scene, made, folder_of_scene, overwrite=True, truth_pictures=False)
     own = {} if files is None else tomllib.loads(files.read_text(encoding="utf-8"))
     more["pipeline"] = {
-        "stages": [n for n, s in STAGES.items() if not s.always],
+        "stages": [n for n in STAGES if n not in ALWAYS],
         "quality": "standard",
     }
     if "dof" not in own:

@@ -10,6 +10,7 @@ GONE: Mapping[tuple[str, str], str] = {
         "lightmap",
         "faint",
     ): "a shadow that takes less than 2 % of the plane's light is not drawn",
+    ("lightmap", "ambient"): "a job with gi gives that light itself: leave it out",
     ("gi", "plane_roughness"): "it is .1; `plane_gloss` sets how much the plane mirrors",
     ("dof", "plane_extent_m"): "the plane is endless; `background_m` says where it ends",
     ("dof", "max_radius_px"): "the radius is at most a tenth of the picture's width",

@@ -100,7 +100,7 @@ UNWRITTEN = Pixels(EMPTY)
 class Layers:
     """Layers seen over one rectangle, read-only: each as it was written, neutral where
     nothing has written it.
-    written : every name that may be read -> what was written of it
+    written : what stages wrote so far
     A layer's neutral pixels are made when it is asked for, so cropping first costs nothing
     for what is cut off."""
 
@@ -108,10 +108,9 @@ class Layers:
     written: Mapping[Layer, Pixels] = field(default_factory=dict)
 
     def __getitem__(self, name: Layer) -> np.ndarray:
-        """(h, w, ...) over `rect`. Raises KeyError for a layer that is not among `written`,
-        and for PLATE and IMAGE where they do not cover `rect`, as they have no neutral
-        value."""
-        pixels = self.written[name]
+        """(h, w, ...) over `rect`. Raises KeyError for PLATE and IMAGE where they do not
+        cover `rect`, as they have no neutral value."""
+        pixels = self.written.get(name, UNWRITTEN)
         where, array = pixels.part, pixels.array
         if pixels.rest is not None and pixels.rect.contains(self.rect):
             seen = pixels(self.rect).view()
@@ -127,7 +126,7 @@ class Layers:
 
     def extent(self, name: Layer) -> Rect:
         """Pixels of `rect` outside which the layer is neutral."""
-        return self.written[name].written.bounds.clip(self.rect)
+        return self.written.get(name, UNWRITTEN).written.bounds.clip(self.rect)
 
     def crop(self, rect: Rect) -> Layers:
         """The part inside `rect`, which must lie in this rectangle."""

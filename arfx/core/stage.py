@@ -26,14 +26,17 @@ LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
 @dataclass(frozen=True, slots=True)
 class Demand:
     """What a stage would change in a frame.
-    rect : pixels it may change, empty = it does not run;  reason : in units
-    within_earlier : it can only change pixels in which an earlier stage of the frame writes
-    (the composite)
+    rect : pixels it may change, empty = it does not run, None = those that an earlier
+    stage of the frame may change;  reason : in units
     """
 
-    rect: Rect
+    rect: Rect | None
     reason: str
-    within_earlier: bool = False
+
+    @property
+    def nothing(self) -> bool:
+        """Whether the stage does not run."""
+        return self.rect is not None and self.rect.empty
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,59 +121,32 @@ class NoParams:
 
 
 class Stage:
-    """One effect. Required: name, reads, writes, run. The rest has a default that fits an
-    effect on the object's own pixels. One instance per job, made from `params` (what the
-    user meant). `prepare` once per clip, worker and level; `run` is pure."""
+    """One effect. Required: name, run. The rest has a default that fits an effect on the
+    object's own pixels. One instance per job, made from `params` (what the user meant).
+    `prepare` once per clip, worker and level; `run` is pure."""
 
     name: ClassVar[str]
-    reads: ClassVar[frozenset[Layer]]
-    writes: ClassVar[frozenset[Layer]]
+    # frozen dataclass; its docstring is the documentation of its fields
+    Params: ClassVar[type] = NoParams
+    # some of LEVELS, cheapest first
+    levels: ClassVar[tuple[str, ...]] = ("standard",)
 
-    Params: ClassVar[type] = (
-        NoParams  # frozen dataclass; its docstring is the documentation of its fields
-    )
-    levels: ClassVar[tuple[str, ...]] = ("standard",)  # some of LEVELS, cheapest first
-
-    always: ClassVar[bool] = (
-        False  # part of every job; else of those that name it, or set something of it
-    )
-    requires: ClassVar[frozenset[str]] = (
-        frozenset()
-    )  # inputs ("depth") without which it is left out
-    overrides: ClassVar[
-        Mapping[str, Mapping[str, Any]]
-    ] = {}  # settings of other stages that it sets: stage, setting, value
-    after: ClassVar[
-        str
-        # of a plug-in: the stage that it runs behind; "" = the last one that writes what it
-        # reads
-    ] = ""
-
-    facts: frozenset[str] = frozenset(
-        {"pose"}
-    )  # parts of the analysis that it reads, by name
-    padding_px: int = 0  # input pixels that it takes around each output pixel
-    terms: ClassVar[tuple[str, ...]] = (
-        "frames",
-        "mpx",
-        "object_mpx",
-    )  # its price is linear in these (core/cost.py)
-    distribution: ClassVar[str] = (
-        ""  # of a plug-in, with its version: set when it is loaded
-    )
-    without_object: ClassVar[bool] = (
-        False  # it also runs in frames in which the object is not visible
-    )
+    # parts of the analysis that it reads, by name; "depth" : measured depth, where there is one
+    facts: frozenset[str] = frozenset({"pose"})
+    # input pixels that it takes around each output pixel
+    padding_px: int = 0
+    # its price is linear in these (core/cost.py)
+    terms: ClassVar[tuple[str, ...]] = ("frames", "mpx", "object_mpx")
+    # of a plug-in, with its version: set when it is loaded
+    distribution: ClassVar[str] = ""
+    # it also runs in frames in which the object is not visible
+    without_object: ClassVar[bool] = False
 
     def __init__(self, params: Any = None) -> None:
         self.params: Any = self.Params() if params is None else params
 
     def __init_subclass__(cls) -> None:
-        missing = [
-            name
-            for name in ("name", "reads", "writes", "run")
-            if getattr(cls, name, None) in (None, Stage.run)
-        ]
+        missing = [n for n in ("name", "run") if getattr(cls, n, None) in (None, Stage.run)]
         if missing:
             raise TypeError(f"stage {cls.__qualname__} lacks {', '.join(missing)}")
 
@@ -209,7 +185,8 @@ class Stage:
         return ()
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
-        """What it writes, over the rectangle of the view. prepared : what `prepare` returned"""
+        """What it writes, over the rectangle of the view: a plug-in IMAGE, the renderer's parts
+        layers that later ones read. prepared : what `prepare` returned"""
         raise NotImplementedError
 
 

@@ -29,7 +29,7 @@ from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, StageRun, c
 from arfx.plan.errors import Errors, shipped_errors
 from arfx.plan.planner import plan_frame, terms_of
 from arfx.run.worker import keep_memory
-from arfx.stages import STAGES
+from arfx.stages import ON_DEPTH, STAGES
 
 MIN_RUNS, MAX_RUNS, BUDGET_S = 3, 25, 1.5
 SLOW_S = 3.0  # a run that takes longer is not made again for the median
@@ -156,7 +156,7 @@ def make_cells(
     Stages that require measured depth are timed on the same scene with a depth map."""
     instances: dict[str, Stage] = {name: stages[name]() for name in stages}
     wanted = {stage} if stage is not None else set(instances)
-    on_depth = {name for name in wanted if "depth" in instances[name].requires}
+    on_depth = wanted & ON_DEPTH
     scenes = (
         [(at, wanted - on_depth), (at.with_depth(), on_depth)]
         if on_depth

@@ -24,7 +24,6 @@ from scipy.optimize import nnls
 from arfx.core.cost import UNCALIBRATED, Price, Prices, prices_file, shipped_prices
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
 from arfx.core.stage import Stage
@@ -33,7 +32,7 @@ from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
 from arfx.run.folder import write
 from arfx.run.job import MOST_THREADS, worker_count
-from arfx.stages import STAGES
+from arfx.stages import ON_DEPTH, STAGES
 
 # Width, height, fraction of the picture under the object, (longitudes, latitudes): 720 to
 # 24,000 triangles; its shape, and whether depth was measured. Small ones come early: they
@@ -175,11 +174,8 @@ def calibrate(
     for key, runs in timed.items():
         name = key.removeprefix("prepare ").split("/")[0]
         of = stages.get(name, Stage)  # encoding and the like: the usual terms
-        depth_terms = (
-            ("depth_mpx",)
-            if Layer.REAL_DEPTH in getattr(of, "reads", ()) and "depth" not in of.requires
-            else ()
-        )
+        deep = "depth" in of.facts and name not in ON_DEPTH
+        depth_terms = ("depth_mpx",) if deep else ()
         prices[key] = fit(
             runs,
             (

@@ -22,6 +22,7 @@ from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
 from arfx.run.frame import FrameLayers
+from arfx.stages import RENDERER
 
 NEAR_PX = 16
 MOST_KEPT = 40
@@ -69,9 +70,7 @@ class StageRun:
 
     def __call__(self, out: Rect, facts: FrameFacts | None = None) -> Mapping[Layer, Any]:
         """What it makes of `out`. facts : others than the frame's"""
-        return self.at.run(
-            self.layers.view(self.at.stage.reads, self.need(out)), facts or self.facts, out
-        )
+        return self.at.run(self.layers.view(self.need(out)), facts or self.facts, out)
 
     def rerun(self, out: Rect, facts: FrameFacts | None = None) -> None:
         """For timing: forgets first what an earlier run kept for this frame."""
@@ -107,9 +106,7 @@ class FrameRenderer:
         """(h, w, 3) uint8 sRGB of the window after these steps."""
         if chain not in self.images:
             layers = self.after(chain)
-            self.images[chain] = _srgb8(
-                layers.view(frozenset({Layer.IMAGE}), self.window)[Layer.IMAGE]
-            )
+            self.images[chain] = _srgb8(layers.view(self.window)[Layer.IMAGE])
         return self.images[chain]
 
     def original(self) -> np.ndarray:
@@ -118,9 +115,7 @@ class FrameRenderer:
 
     def coverage(self, chain: Chain) -> np.ndarray:
         """(h, w) of the window."""
-        return np.asarray(
-            self.after(chain).view(frozenset({Layer.COVERAGE}), self.window)[Layer.COVERAGE]
-        )
+        return np.asarray(self.after(chain).view(self.window)[Layer.COVERAGE])
 
     def after(self, chain: Chain) -> FrameLayers:
         """The frame after these steps; those before the last are looked up, or made and kept."""
@@ -155,11 +150,9 @@ class FrameRenderer:
             part = want.clip(planned[later])
             if not part.empty:
                 need = s.needs(part, self.facts, scene, s.levels[-1])
-                # a stage that does not read the composited picture takes the real frame
-                # alone from far away
-                want = want.union(
-                    need if Layer.IMAGE in s.reads else need.clip(part.pad(NEAR_PX))
-                )
+                # the renderer takes the real frame alone from far away
+                near = need.clip(part.pad(NEAR_PX)) if later in RENDERER else need
+                want = want.union(near)
         return planned[name].clip(want)
 
 

@@ -21,7 +21,6 @@ import cv2
 import numpy as np
 
 from arfx.core.cost import Prediction, Prices, measured, sum_independent
-from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, level_named
@@ -42,6 +41,7 @@ from arfx.plan.planner import new_terms
 from arfx.run.parameters import stages_of, under_other_formula
 from arfx.run.planned import Job
 from arfx.run.source import real_depth_layer
+from arfx.stages import ALWAYS
 
 REFERENCE_S, LEAST_PX = 60.0, 600
 # of a picture: comparing whole ones of 1080p took twice as long as the references
@@ -126,7 +126,7 @@ class _Work:
             return self.times.of_chain(levels.items())
         part = self.part(levels)
         changed = [
-            n for n in levels if part.prepared.stages[n].params != self.stages[n].params
+            n for n in levels if vars(part.prepared.stages[n]) != vars(self.stages[n])
         ]
         wanted = frozenset(
             (n, levels[n]) for n in changed if part.times.of((n, levels[n])) is None
@@ -286,9 +286,7 @@ def _open_renderers(
         job.inputs.depth,
     )
     deep = maps is not None and any(
-        Layer.REAL_DEPTH in work.stages[s.stage].reads
-        for i in wanted
-        for s in plans[i].steps
+        "depth" in work.stages[s.stage].facts for i in wanted for s in plans[i].steps
     )
     with ClipReader(job.inputs.info, careful=job.analysed.careful) as reader:
         for frame in reader.frames(min(pts), max(pts)):
@@ -380,7 +378,7 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
         )
         for level in stage.levels
     ]
-    if not stage.always:
+    if name not in ALWAYS:
         rows.insert(
             0,
             Row(

@@ -108,7 +108,7 @@ class PrintedLightmap(Lightmap):
             if len(light.soft)
             else np.broadcast_to(light.ambient, n.shape)
         )
-        received, highlight = even * self.params.ambient, np.zeros(n.shape)
+        received, highlight = even * self.soft, np.zeros(n.shape)
         for k, visible in zip(reaching, visibility, strict=True):
             d, arrives = (
                 light.towards[k],
@@ -121,7 +121,7 @@ class PrintedLightmap(Lightmap):
             cube, map_from_world = light_map_
             M = np.maximum(look_up(cube, n @ map_from_world.T), 0)
             unhidden = even + np.maximum(n @ light.towards.T, 0) @ light.rgb
-            received = M * divide(received, unhidden, where_zero=float(self.params.ambient))
+            received = M * divide(received, unhidden, where_zero=float(self.soft))
         I_v = rho_v * received + mirrored * highlight
         virtual = np.zeros(surface.normal.shape, np.float32)
         virtual[covered] = surface.coverage[covered][:, None] * (

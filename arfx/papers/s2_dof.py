@@ -261,7 +261,7 @@ class PrintedDof(Dof):
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         """Where anything is blurred, every pixel that is not exactly in the focus changes."""
         asked = super().demand(facts, scene, frame)
-        if asked.rect.empty:
+        if asked.nothing:
             return asked
         return Demand(
             frame if self.params.scope == "all" else object_box(facts, frame, 0.0),
@@ -282,10 +282,8 @@ class PrintedDof(Dof):
     def run(self, view: View, prepared: np.ndarray) -> Mapping[Layer, Any]:
         facts, now = view.facts, view.layers
         image = now[Layer.IMAGE]
-        if (
-            not facts.present
-            or super().demand(facts, view.scene, view.scene.camera.rect).rect.empty
-        ):
+        asked = super().demand(facts, view.scene, view.scene.camera.rect)
+        if asked.nothing or not facts.present:
             return {Layer.IMAGE: image.copy()}
         dioptre, a = self.depth_and_blur(now, facts, view.scene, prepared)
         coded = _by_rows(SRGB.encode, image)

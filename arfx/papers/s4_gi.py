@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -110,26 +110,9 @@ class Surfels:
 
 class PrintedGi(Stage):
     name = "gi"
-    reads = frozenset(
-        {
-            Layer.PLATE,
-            Layer.COVERAGE,
-            Layer.NORMAL,
-            Layer.POSITION,
-            Layer.ALBEDO,
-            Layer.MATERIAL,
-            Layer.VIRTUAL,
-            Layer.SHADOW,
-            Layer.REAL_DEPTH,
-        }
-    )
-    writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
-    facts = frozenset({"pose", "light"})
+    facts = frozenset({"pose", "light", "depth"})
     Params = PrintedGiParams
     terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
-    overrides: ClassVar = {
-        "lightmap": {"ambient": False}
-    }  # all light without a direction is here
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model, mesh = facts.raster_box.clip(frame), self._mesh_rect(facts, scene, frame)

@@ -1,26 +1,19 @@
 """Decide what one frame needs: which stages, at which level, on which pixels. Pure; touches
-no pixel.
-
-1. demand: each stage says what it would change, or why it does not run; where the object is
-   not visible, only those that can
-2. unread: walking backwards from the image, a stage that writes nothing anyone reads is dropped
-3. rectangles: the same walk carries one growing rectangle of wanted pixels"""
+no pixel. Each stage says what it would change, or why it does not run, and what it reads for
+that; where the object is not visible, only those that can run are asked."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-from functools import reduce
 
 from arfx.core.cost import Prices
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Skip, Step
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, blamed
 
 ABSENT = "marker not visible"
-UNREAD = "nobody reads what it writes"
 FORCED = "forced (no skipping)"
 NOTHING_BEFORE = "nothing before it changes a pixel"
 NO_PRICES = Prices()
@@ -42,49 +35,25 @@ def plan_frame(
     skip : False forces every stage onto the whole frame wherever a pose is known
     prices, new : what work costs here, and the terms (`new_terms`) of light that was not met before
     """
-    chosen: list[tuple[Stage, Demand]] = []
-    skipped: list[Skip] = []
+    read = changed = EMPTY
+    steps = list[Step]()
+    skipped = list[Skip]()
     for stage in stages:
         demand = _demand(stage, facts, scene, frame, skip)
-        if demand.rect.empty:
-            skipped.append(Skip(stage.name, demand.reason))
-        else:
-            chosen.append((stage, demand))
-    live, want, read, written = {Layer.IMAGE}, _changed(chosen), EMPTY, EMPTY
-    steps: list[Step] = []
-    for at in range(len(chosen) - 1, -1, -1):
-        stage, demand = chosen[at]
-        if not stage.writes & live:
-            skipped.append(Skip(stage.name, UNREAD))
-            continue
-        out = want.clip(_changed(chosen[:at]) if demand.within_earlier else demand.rect)
+        out = changed if demand.rect is None else demand.rect
         if out.empty:
-            skipped.append(Skip(stage.name, NOTHING_BEFORE))
+            reason = NOTHING_BEFORE if demand.rect is None else demand.reason
+            skipped.append(Skip(stage.name, reason))
             continue
         level = levels[stage.name]
         need = stage.needs(out, facts, scene, level).union(out).clip(frame)
         cost = prices.predict(f"{stage.name}/{level}", terms_of(need, facts, scene, new))
-        seconds, between = (
-            (None, None) if cost is None else (cost.seconds, (cost.low_s, cost.high_s))
-        )
+        seconds, between = None, None
+        if cost is not None:
+            seconds, between = cost.seconds, (cost.low_s, cost.high_s)
         steps.append(Step(stage.name, level, out, need, demand.reason, seconds, between))
-        read = read.union(need)
-        want = want.union(need)
-        live |= stage.reads
-        if Layer.IMAGE in stage.writes:
-            written = written.union(out)
-    if not any(Layer.IMAGE in s.writes for s, _ in chosen):
-        return FramePlan(facts.index, EMPTY, EMPTY, (), tuple(skipped))
-    return FramePlan(facts.index, read, written, tuple(reversed(steps)), tuple(skipped))
-
-
-def _changed(chosen: Sequence[tuple[Stage, Demand]]) -> Rect:
-    """What the stages change by themselves."""
-    return reduce(
-        Rect.union,
-        (demand.rect for _, demand in chosen if not demand.within_earlier),
-        EMPTY,
-    )
+        read, changed = read.union(need), changed.union(out)
+    return FramePlan(facts.index, read, changed, tuple(steps), tuple(skipped))
 
 
 def _demand(
@@ -92,13 +61,10 @@ def _demand(
 ) -> Demand:
     if not (facts.present or stage.without_object):
         return Demand(EMPTY, ABSENT)
+    if facts.present and not skip:
+        return Demand(frame, FORCED)
     with blamed(stage, f"when frame {facts.index} is planned"):
-        demand = stage.demand(facts, scene, frame)
-    return (
-        demand
-        if skip or not facts.present
-        else Demand(frame, FORCED, demand.within_earlier)
-    )
+        return stage.demand(facts, scene, frame)
 
 
 def terms_of(

@@ -161,7 +161,7 @@ def _steps(
     stage = shot.renderer.prepared.stages["dof"]
     assert isinstance(stage, PrintedDof)
     run, scene = shot.renderer.run(shot.chain), shot.job.scene
-    now = run.layers.view(stage.reads, scene.camera.rect)
+    now = run.layers.view(scene.camera.rect)
     dioptre, a = stage.depth_and_blur(
         now, shot.renderer.facts, scene, stage.prepare(scene, "standard")
     )

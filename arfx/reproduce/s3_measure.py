@@ -20,7 +20,6 @@ from arfx.core.stage import ReadyStage
 from arfx.papers import s3_watercolor as paper
 from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
 from arfx.reproduce.s3_scene import CELL_PX, Shown, cells_of, corrected, printed
-from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.field import RealDioptre, frame_field, nearness_factor
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import measure_edges, trace_lines
@@ -151,8 +150,7 @@ def pan_errors(
 def _painted(ready: ReadyStage, linear: np.ndarray, facts: FrameFacts) -> np.ndarray:
     """(h, w, 3) square roots of a picture without an object, painted."""
     rect = Rect.of(linear.shape[1], linear.shape[0])
-    written = {name: Pixels(Rect(0, 0, 0, 0)) for name in Watercolor.reads}
-    layers = Layers(rect, {**written, Layer.IMAGE: Pixels(rect, linear.astype(np.float32))})
+    layers = Layers(rect, {Layer.IMAGE: Pixels(rect, linear.astype(np.float32))})
     return np.sqrt(np.asarray(ready.run(layers, facts)[Layer.IMAGE]))
 
 

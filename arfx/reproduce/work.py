@@ -102,11 +102,7 @@ class Shot:
         return self.renderer.image(self.chain)
 
     def layer(self, name: Layer) -> np.ndarray:
-        return np.asarray(
-            self.renderer.after(self.chain).view(frozenset({name}), self.renderer.window)[
-                name
-            ]
-        )
+        return np.asarray(self.renderer.after(self.chain).view(self.renderer.window)[name])
 
     def up_to(self, stage: str) -> Chain:
         names = [name for name, _ in self.chain]

@@ -21,7 +21,8 @@ from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.errors import ConfigError
 from arfx.plan.errors import shipped_errors
 from arfx.run.parameters import parameters
-from arfx.stages import STAGES
+from arfx.stages import ALWAYS, ON_DEPTH, STAGES
+from arfx.stages.raster.record import EXTRA_OUTPUTS, OUTPUTS
 
 _WORDS = {
     bool: "true or false",
@@ -33,6 +34,14 @@ _WORDS = {
     PatternSpec: "pattern",
 }
 
+# Layers that the renderer's parts make; an effect behind them makes the picture.
+WRITES = {
+    "raster": sorted((*OUTPUTS, *EXTRA_OUTPUTS)),
+    "lightmap": ["shadow", "virtual"],
+    "holdout": ["shadow"],
+    "gi": ["shadow", "virtual"],
+    "hide": ["coverage", "virtual"],
+}
 _INTRO = """# Stages and settings
 
 Made by `arfx stages all`. In a job file a setting stands in the table of its section; on the
@@ -104,12 +113,10 @@ def _stage(name: str) -> dict[str, Any]:
     return {
         "name": name,
         "about": inspect.cleandoc(about),
-        "always": stage.always,
-        "requires": sorted(stage.requires),
-        "reads": sorted(stage.reads),
-        "writes": sorted(stage.writes),
+        "always": name in ALWAYS,
+        "requires": ["depth"] if name in ON_DEPTH else [],
         "facts": sorted(stage.facts),
-        "overrides": {other: dict(changes) for other, changes in stage.overrides.items()},
+        "writes": WRITES.get(name, ["image"]),
         "levels": levels,
         "prices": prices.source,
         "settings": _of_formulas(parameters()[name]),
@@ -231,12 +238,7 @@ def text(d: dict[str, Any], prices: bool = True) -> str:
         )
         lines += [
             f"- {key.capitalize()}: {', '.join(d[key]) or 'nothing'}"
-            for key in ("reads", "writes", "facts")
-        ]
-        lines += [
-            f"- Takes over: `{o}.{k} = {json.dumps(v)}`"
-            for o, changes in d["overrides"].items()
-            for k, v in changes.items()
+            for key in ("writes", "facts")
         ]
         lines += [f"- Level `{e['level']}`: {_of_level(e, prices)}" for e in d["levels"]]
         if prices:

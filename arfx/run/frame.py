@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import UNWRITTEN, Layer, Layers
+from arfx.core.layers import Layer, Layers
 from arfx.core.pixels import Attenuated, Pixels, Region
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
@@ -39,9 +39,9 @@ class FrameLayers:
         )
         self.plate, self.stored = plate, {Layer.PLATE: plate, Layer.IMAGE: plate}
 
-    def view(self, names: frozenset[Layer], rect: Rect) -> Layers:
+    def view(self, rect: Rect) -> Layers:
         """Read-only layers over `rect`."""
-        return Layers(rect, {name: self.stored.get(name, UNWRITTEN) for name in names})
+        return Layers(rect, dict(self.stored))
 
     def put(
         self, name: Layer, output: np.ndarray | Pixels, need: Rect, out: Rect
@@ -63,7 +63,7 @@ class FrameLayers:
             self.stored[name] = new
         else:
             whole = before.part.union(out)
-            merged = self.view(frozenset({name}), whole)[name].copy()
+            merged = self.view(whole)[name].copy()
             merged[out.slices_in(whole)] = Layers(out, {name: new})[name]
             self.stored[name] = Pixels(whole, merged)
         return new
@@ -80,7 +80,7 @@ class FrameResult:
     @property
     def image(self) -> np.ndarray:
         """(h, w, 3) linear over `rect`."""
-        return self.layers.view(frozenset({Layer.IMAGE}), self.rect)[Layer.IMAGE]
+        return self.layers.view(self.rect)[Layer.IMAGE]
 
     def onto(self, frame: Frame) -> Frame:
         """The frame with what is new written into its planes.
@@ -140,8 +140,7 @@ def run_frame(
     measured
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not
-    finite; with the distribution, what a plug-in raises, and a layer that it does not say
-    it writes."""
+    finite; with the distribution, what a plug-in raises, and a layer beside IMAGE."""
     layers = FrameLayers(plate, plan.rect)
     if real_depth_m is not None:
         layers.put(Layer.REAL_DEPTH, real_depth_m, plan.rect, plan.rect)
@@ -155,14 +154,12 @@ def run_frame(
     for step in plan.steps:
         at = ready[step.stage]
         stage, start = at.stage, own_time()
-        seen = layers.view(stage.reads, step.need)
+        seen = layers.view(step.need)
         with blamed(stage, f"in frame {facts.index}"):
-            for name, output in stage.run(
-                at.view(seen, facts, step.out), at.prepared
-            ).items():
-                if name not in stage.writes:
-                    writes = ", ".join(sorted(stage.writes))
-                    raise ValueError(f"it returns a layer {name!r}; it writes {writes}")
+            made = stage.run(at.view(seen, facts, step.out), at.prepared)
+            for name, output in made.items():
+                if stage.distribution and name != Layer.IMAGE:
+                    raise ValueError(f"it returns a layer {name!r}; it writes image")
                 layer = Layer(name)
                 new = layers.put(layer, output, step.need, step.out)
                 if layer is not Layer.DEPTH:  # infinite where nothing is

@@ -17,7 +17,6 @@ from arfx.config.sections import JobConfig, frozen, to_toml
 from arfx.core import codec, interrupt
 from arfx.core.cost import load_prices
 from arfx.core.facts import read_facts, write_facts
-from arfx.core.layers import Layer
 from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
@@ -47,7 +46,7 @@ from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
 from arfx.run.worker import keep_memory
-from arfx.stages import STAGES
+from arfx.stages import RENDERER
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 SHORT_JOB_PX = 150_000_000
@@ -236,8 +235,7 @@ def _compile(parts: Sequence[str], options: Options, log: WorkLog) -> None:
 
 def _written_once(stages: Iterable[str]) -> bool:
     """Whether no stage reads the plane under its shadow, which then dims the stored samples."""
-    writers = [STAGES[name] for name in stages if Layer.IMAGE in STAGES[name].writes]
-    return len(writers) == 1 and Layer.SHADOW in writers[0].reads
+    return RENDERER.issuperset(stages)
 
 
 def _size(

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Any
 
 from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.config.load import suggestion
 from arfx.config.sections import JobConfig
-from arfx.core.layers import Layer
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
 from arfx.papers import CORRECTED, FORMULAS
-from arfx.stages import STAGES, stages_with
+from arfx.stages import ALWAYS, ON_DEPTH, STAGES, stages_with
 
 
 def parameters() -> Mapping[str, Mapping[str, type]]:
@@ -66,7 +65,7 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
 
     Raises ConfigError for unknown or misordered effects.
     """
-    inputs = {"depth"} if config.input.depth is not None else set()
+    deep = config.input.depth is not None
     if config.pipeline.stages == "auto":
         params = config.params  # defaults are of the same formula: that alone is no setting
         asked = [
@@ -74,30 +73,27 @@ def pipeline(config: JobConfig) -> tuple[str, ...]:
             for n in STAGES
             if n in params
             and params[n] != type(params[n])()
-            and STAGES[n].requires <= inputs
+            and (deep or n not in ON_DEPTH)
         ]
     else:
         asked = list(config.pipeline.stages)
     for name in asked:
         if name not in STAGES:
-            effects = [n for n in STAGES if not STAGES[n].always]
+            effects = [n for n in STAGES if n not in ALWAYS]
             raise ConfigError(
                 f"there is no effect {name!r}; effects in this version:"
                 f" {', '.join(effects)}",
                 suggestion(name, list(STAGES)),
             )
-        if lacking := STAGES[name].requires - inputs:
-            raise ConfigError(
-                f"{name} needs {', '.join(lacking)}",
-                f"give --{next(iter(lacking))}, or leave {name} out",
-            )
+        if name in ON_DEPTH and not deep:
+            raise ConfigError(f"{name} needs depth", f"give --depth, or leave {name} out")
     ordered = [name for name in STAGES if name in asked]
     if asked != ordered:
         raise ConfigError(
             f"effects run in the order {','.join(ordered)}, not {','.join(asked)}",
             "write them in that order, once each",
         )
-    return stages_with(asked, inputs)
+    return stages_with(asked, deep)
 
 
 def make_stages(config: JobConfig) -> dict[str, Stage]:
@@ -107,11 +103,10 @@ def make_stages(config: JobConfig) -> dict[str, Stage]:
 
 def stages_of(params: Mapping[str, Any], names: Collection[str]) -> dict[str, Stage]:
     """One instance of each of these stages, with these settings."""
-    settings = dict(params)
-    for effect in names:
-        for name, changes in STAGES[effect].overrides.items():
-            settings[name] = replace(settings[name], **changes)
-    return {name: stage_of(name, settings[name]) for name in names}
+    stages: dict[str, Any] = {name: stage_of(name, params[name]) for name in names}
+    if "gi" in names and "lightmap" in names:
+        stages["lightmap"].soft = False  # gi gives all light without a direction
+    return stages
 
 
 def with_machine_settings(config: JobConfig) -> JobConfig:
@@ -144,12 +139,7 @@ def fold_classes(config: JobConfig) -> dict[str, Any]:
 def required_folds(config: JobConfig) -> frozenset[str]:
     """What the job needs of the analysis, by name: what its stages read, and what every job has."""
     stages = make_stages(config).values()
-    deep = {"depth"} if config.input.depth is not None else set()
-    deep |= (
-        {"planes"}
-        if deep and any(Layer.REAL_DEPTH in stage.reads for stage in stages)
-        else set()
-    )
-    return frozenset(
-        {"pose", "light", "object"}.union(deep, *(stage.facts for stage in stages))
-    )
+    wanted = {"pose", "light", "object"}.union(*(stage.facts for stage in stages))
+    if config.input.depth is None:
+        return frozenset(wanted - {"depth"})
+    return frozenset(wanted | {"depth", "planes"})

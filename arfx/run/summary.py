@@ -15,7 +15,7 @@ import numpy as np
 from arfx.analyse.folds import FOLDS
 from arfx.analyse.pose.visibility import jitter_px, with_model
 from arfx.core.facts import ABSENT, FrameFacts
-from arfx.core.layers import Layer, Layers
+from arfx.core.layers import Layers
 from arfx.core.plan import levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, JobView, Stage
@@ -230,4 +230,4 @@ def picture(
         return None
     plate = np.ones((plan.rect.height, plan.rect.width, 3), np.float32)
     layers = run_frame(plate, facts, plan, ready_stages(plan, stages, scene)).layers
-    return layers.view(frozenset(Layer), plan.rect)
+    return layers.view(plan.rect)

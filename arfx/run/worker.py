@@ -23,7 +23,6 @@ from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
 from arfx.core.pixels import Pixels
 from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
@@ -265,7 +264,7 @@ def _frame(
     plate = Pixels(plan.rect, rest=frame.linear)
     depth = None
     if context.depth is not None and any(
-        Layer.REAL_DEPTH in context.stages[s.stage].reads for s in plan.steps
+        "depth" in context.stages[s.stage].facts for s in plan.steps
     ):
         start = time.perf_counter()
         depth = real_depth_layer(

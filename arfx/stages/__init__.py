@@ -46,22 +46,18 @@ class Classes(Mapping[str, Any]):
 
 
 class Table(Classes):
-    """Stages in running order.
+    """Stages in running order: arfx's own, then those of other distributions by name.
 
     Raises ConfigError, with the distribution, for a plug-in whose name is taken, and when
-    one is looked up that cannot be loaded or placed: jobs that do not name it are done
-    without it."""
+    one is looked up that cannot be loaded: jobs that do not name it are done without it."""
 
     def __getitem__(self, name: str) -> Any:
         if name in self._paths:
             return super().__getitem__(name)
-        point = self.plugins[name]
-        if name in self.broken:
-            raise self.broken[name]
-        return self._loaded(name, point)
+        return _loaded(name, self.plugins[name])
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._order)
+        return iter([*self._paths, *(n for n in self.plugins if n not in self.broken)])
 
     @cached_property
     def plugins(self) -> Mapping[str, EntryPoint]:
@@ -69,19 +65,27 @@ class Table(Classes):
         from importlib.metadata import entry_points
 
         entries: dict[str, EntryPoint] = {}
-        for point in entry_points(group=GROUP):
+        for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
             if point.name in self._paths or point.name in entries:
-                first = (
-                    _distribution(entries[point.name])
-                    if point.name in entries
-                    else "arfx itself"
-                )
+                taken = entries.get(point.name)
+                first = "arfx itself" if taken is None else _distribution(taken)
                 raise ConfigError(
                     f"stage {point.name!r} is in {first} and in {_distribution(point)}",
                     "uninstall one of them",
                 )
             entries[point.name] = point
         return entries
+
+    @cached_property
+    def broken(self) -> Mapping[str, ConfigError]:
+        """Plug-ins that cannot be loaded, with what is wrong."""
+        wrong: dict[str, ConfigError] = {}
+        for name, point in self.plugins.items():
+            try:
+                _loaded(name, point)
+            except ConfigError as e:
+                wrong[name] = e
+        return wrong
 
     def source(self, name: str) -> tuple[Path, str]:
         """The module, or the folder of the outermost package, that a plug-in comes from,
@@ -92,71 +96,27 @@ class Table(Classes):
             path = path.parent
         return path, "" if dist is None else dist.version
 
-    @property
-    def broken(self) -> Mapping[str, ConfigError]:
-        """Plug-ins that cannot be loaded or placed, with what is wrong."""
-        return self._placed[1]
 
-    @property
-    def _order(self) -> tuple[str, ...]:
-        return self._placed[0]
+def _loaded(name: str, point: EntryPoint) -> Any:
+    """The class of a plug-in."""
+    from arfx.core.stage import Stage
 
-    @cached_property
-    def _placed(self) -> tuple[tuple[str, ...], Mapping[str, ConfigError]]:
-        order, waiting, broken = list(self._paths), [], {}
-        loaded: dict[str, Any] = {}
-        for name, point in sorted(self.plugins.items()):
-            try:
-                loaded[name] = self._loaded(name, point)
-                waiting.append(name)
-            except ConfigError as e:
-                broken[name] = e
-        while waiting:
-            ready = [n for n in waiting if not loaded[n].after or loaded[n].after in order]
-            if not ready:
-                name = waiting.pop(0)
-                after = loaded[name].after
-                broken[name] = ConfigError(
-                    f"stage {name!r} of {_distribution(self.plugins[name])} is to run after"
-                    f" {after!r}, which there is not",
-                    f"one of {', '.join(order)}",
-                )
-                continue
-            name = ready[0]
-            waiting.remove(name)
-            stage = loaded[name]
-            known = {
-                n: loaded[n] if n in loaded else Classes.__getitem__(self, n) for n in order
-            }
-            before = (
-                [stage.after]
-                if stage.after
-                else [n for n in order if known[n].writes & stage.reads]
-            )
-            order.insert(order.index(before[-1]) + 1 if before else 0, name)
-        return tuple(order), broken
-
-    def _loaded(self, name: str, point: EntryPoint) -> Any:
-        from arfx.core.stage import Stage
-
-        try:
-            with contextlib.redirect_stdout(sys.stderr):  # standard output is for results
-                stage = point.load()
-        except (Exception, SystemExit) as e:  # whatever another's module raises
-            raise ConfigError(
-                f"stage {name!r} of {_distribution(point)} cannot be loaded:"
-                f" {type(e).__name__}: {e}",
-                "uninstall it, or install a version that fits this arfx",
-            ) from e
-        if not (
-            isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name
-        ):
-            raise ConfigError(
-                f"{point.value} of {_distribution(point)} is not a Stage named {name!r}",
-                "uninstall it",
-            )
-        stage.distribution = _distribution(point)
-        return stage
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # standard output is for results
+            stage = point.load()
+    except (Exception, SystemExit) as e:  # whatever another's module raises
+        raise ConfigError(
+            f"stage {name!r} of {_distribution(point)} cannot be loaded:"
+            f" {type(e).__name__}: {e}",
+            "uninstall it, or install a version that fits this arfx",
+        ) from e
+    if not (isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name):
+        raise ConfigError(
+            f"{point.value} of {_distribution(point)} is not a Stage named {name!r}",
+            "uninstall it",
+        )
+    stage.distribution = _distribution(point)
+    return stage
 
 
 def _distribution(point: EntryPoint) -> str:
@@ -180,16 +140,17 @@ STAGES = Table(
         "watercolor": "arfx.stages.watercolor.Watercolor",
     }
 )
+# Parts of the renderer: they make the composite; what comes after them works on the picture.
+RENDERER = frozenset({"raster", "lightmap", "holdout", "gi", "hide", "composite"})
+# Parts of every job, and those of them that need measured depth.
+ALWAYS = RENDERER - {"gi"}
+ON_DEPTH = frozenset({"holdout", "hide"})
 
 
-def stages_with(effects: Collection[str], inputs: Collection[str] = ()) -> tuple[str, ...]:
+def stages_with(effects: Collection[str], depth: bool = False) -> tuple[str, ...]:
     """Names of the stages of a job with these effects, in running order.
 
-    inputs : that the job has and a stage may require
+    depth : whether the job has measured depth
     """
-    inputs = set(inputs)
-    return tuple(
-        name
-        for name, stage in STAGES.items()
-        if (stage.always or name in effects) and stage.requires <= inputs
-    )
+    wanted = ALWAYS | set(effects)
+    return tuple(n for n in STAGES if n in wanted and (depth or n not in ON_DEPTH))

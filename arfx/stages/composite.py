@@ -28,14 +28,9 @@ from arfx.core.stage import Demand, Stage, View
 
 class Composite(Stage):
     name = "composite"
-    reads = frozenset(
-        {Layer.PLATE, Layer.IMAGE, Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW}
-    )
-    writes = frozenset({Layer.IMAGE})
-    always = True
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
-        return Demand(frame, "something virtual is in view", within_earlier=True)
+        return Demand(None, "something virtual is in view")
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
         """The object's box; the shadow beside it is worked out only where a later stage

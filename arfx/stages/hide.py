@@ -48,13 +48,9 @@ class HideParams:
 
 class Hide(Stage):
     name = "hide"
-    reads = frozenset(
-        {Layer.PLATE, Layer.VIRTUAL, Layer.COVERAGE, Layer.DEPTH, Layer.REAL_DEPTH}
-    )
-    writes = frozenset({Layer.VIRTUAL, Layer.COVERAGE})
+    facts = frozenset({"pose", "depth"})
     levels = ("draft", "standard")
     Params = HideParams
-    always, requires = True, frozenset({"depth"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         depth = facts.real_depth

@@ -52,18 +52,14 @@ class HoldoutParams:
 
 class Holdout(Stage):
     name = "holdout"
-    reads = frozenset({Layer.PLATE, Layer.SHADOW, Layer.REAL_DEPTH})
-    writes = frozenset({Layer.SHADOW})
+    facts = frozenset({"pose", "depth"})
     levels = ("draft", "standard")
     Params = HoldoutParams
-    always, requires = True, frozenset({"depth"})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if facts.real_depth is None:
             return Demand(EMPTY, "the real scene's depth is not known")
-        return Demand(
-            frame, "measured depth shows which pixels are the plane", within_earlier=True
-        )
+        return Demand(None, "measured depth shows which pixels are the plane")
 
     def needs(self, out: Rect, facts: FrameFacts, scene: Scene, level: str) -> Rect:
         return out if level == "draft" else out.pad(reach_px(scene)).clip(scene.camera.rect)

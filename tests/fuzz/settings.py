@@ -8,7 +8,7 @@ from pathlib import Path
 
 from arfx.config.sections import JobConfig
 from arfx.run.parameters import parameters
-from arfx.stages import STAGES
+from arfx.stages import ALWAYS, STAGES
 from tests.fuzz.case import NUMBERS, REFUSED, WORDS, Build, Case, process
 
 COSTLY = ("gi",)  # a stage that takes seconds: in few cases
@@ -68,9 +68,7 @@ def any_case(rng: random.Random, folder: Path, material: Path) -> Case:
         for section, key in chosen
     ]
     effect = chosen[0][0]
-    pipeline = (
-        f"lightmap,{effect}" if effect in STAGES and not STAGES[effect].always else None
-    )
+    pipeline = f"lightmap,{effect}" if effect in STAGES and effect not in ALWAYS else None
     case = setting(*given, pipeline=pipeline)(rng, folder, material)
     if chosen[0][0] in ("holdout", "hide"):
         import shutil

@@ -70,7 +70,7 @@ def rendered(scene: OutsideScene, folder: Path) -> tuple[Scene, FrameFacts, Laye
     plan = plan_frame(list(stages.values()), chosen, facts, s, s.camera.rect)
     plate = np.full((plan.rect.height, plan.rect.width, 3), scenes.PLANE_ALBEDO, np.float32)
     result = run_frame(plate, facts, plan, ready_stages(plan, stages, s))
-    return s, facts, result.layers.view(frozenset(result.layers.stored), plan.rect)
+    return s, facts, result.layers.view(plan.rect)
 
 
 def outside(name: str) -> np.ndarray:

@@ -35,25 +35,14 @@ from arfx.stages.dof.planes import Real, direction_grid, real_scene
 
 class Dof(Stage):
     name = "dof"
-    reads = frozenset(
-        {
-            Layer.PLATE,
-            Layer.IMAGE,
-            Layer.VIRTUAL,
-            Layer.COVERAGE,
-            Layer.DEPTH,
-            Layer.SHADOW,
-            Layer.REAL_DEPTH,
-        }
-    )
-    writes = frozenset({Layer.IMAGE})
+    facts = frozenset({"pose", "depth"})
     levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "reference")
     Params = DofParams
 
     def __init__(self, params: DofParams | None = None) -> None:
         super().__init__(params)
         if self.params.lens == "footage":
-            self.facts = frozenset({"pose", "lens"})
+            self.facts = self.facts | {"lens"}
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         if unknown := unknown_lens(self.params, facts):

@@ -119,28 +119,10 @@ class LitScene:
 
 class Gi(Stage):
     name = "gi"
-    reads = frozenset(
-        {
-            Layer.PLATE,
-            Layer.COVERAGE,
-            Layer.NORMAL,
-            Layer.POSITION,
-            Layer.ALBEDO,
-            Layer.MATERIAL,
-            Layer.EMISSIVE,
-            Layer.VIRTUAL,
-            Layer.SHADOW,
-            Layer.REAL_DEPTH,
-        }
-    )
-    writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
     levels: ClassVar[tuple[str, ...]] = ("draft", "standard", "reference")
-    facts = frozenset({"pose", "light", "environment"})
+    facts = frozenset({"pose", "light", "environment", "depth"})
     Params = GiParams
     terms = ("frames", "mpx", "object_mpx", "lamps", "new_lights")
-    overrides: ClassVar = {
-        "lightmap": {"ambient": False}
-    }  # gi gives all light without a direction
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         model = facts.raster_box.clip(frame)

@@ -76,16 +76,12 @@ class LightmapParams:
     """formula : corrected, or paper: Tan, Chen, Sun 2009 as printed
     shadow_strength : strength of the shadow on the plane: 0 = none, 1 = as computed
     self_shadow : strength of the object's shadow on itself: 0 = none, 1 = as computed
-    plane_blocks : light from below the marker's plane does not reach the object
-    ambient : include light without a direction; a job with gi turns this off, because gi
-    computes that light itself
-    """
+    plane_blocks : light from below the marker's plane does not reach the object"""
 
     formula: str = field(default="corrected", init=False)
     shadow_strength: float = 1.0
     self_shadow: float = 1.0
     plane_blocks: bool = True
-    ambient: bool = True
 
     def __post_init__(self) -> None:
         require_within("lightmap", self, shadow_strength=(0, 1), self_shadow=(0, 1))
@@ -107,20 +103,7 @@ class Prepared:
 
 class Lightmap(Stage):
     name = "lightmap"
-    reads = frozenset(
-        {
-            Layer.COVERAGE,
-            Layer.NORMAL,
-            Layer.POSITION,
-            Layer.ALBEDO,
-            Layer.MATERIAL,
-            Layer.EMISSIVE,
-            Layer.OCCLUSION,
-            Layer.COAT,
-            Layer.SHEEN,
-        }
-    )
-    writes = frozenset({Layer.VIRTUAL, Layer.SHADOW})
+    soft = True  # it gives the light without a direction: in a job with gi, that does
     levels: ClassVar[tuple[str, ...]] = ("standard", "reference")
     facts = frozenset({"pose", "light", "environment"})
     Params = LightmapParams
@@ -128,7 +111,6 @@ class Lightmap(Stage):
     # A shadow that takes less than this share of the plane's light is not drawn; up to 3
     # times that it fades out.
     faint: ClassVar[float] = 0.02
-    always = True
     terms = ("frames", "mpx", "object_mpx", "lamps", "lamp_mpx", "new_directions")
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
@@ -252,7 +234,7 @@ class Lightmap(Stage):
 
     @property
     def _soft_occluded(self) -> bool:
-        return self.params.ambient and self.params.self_shadow > 0 and not self.hard
+        return self.soft and self.params.self_shadow > 0 and not self.hard
 
     def shaded(
         self,
@@ -272,7 +254,7 @@ class Lightmap(Stage):
         widths = highlight_width(light.sizes_deg[reaching])
         towards = light.towards[reaching].astype(f32)
         lights = Lights(towards, rgb, widths, visibility, soft_visibility)
-        soft_share = f32(self.params.ambient)
+        soft_share = f32(self.soft)
         soft = soft_share * harmonic_terms(light.soft, light.ambient)
         environment = frame_environment(
             view.facts, view.scene, view.light, view.memo.of_light
@@ -299,7 +281,7 @@ class Lightmap(Stage):
         ):
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
         soft = self._soft_textures(view, prepared, light)
-        ambient = np.float32(self.params.ambient) * light.ambient_fraction
+        ambient = np.float32(self.soft) * light.ambient_fraction
         lamps: list[PlaneTexture] = []
         weights = [ambient] * len(soft)
         for beam, fraction in zip(light.beams, light.direct_fractions, strict=True):

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError, require_within
 from arfx.stages.raster.backends import BACKENDS, choose_backend
-from arfx.stages.raster.record import EXTRA_OUTPUTS, OUTPUTS
 
 if TYPE_CHECKING:
     from arfx.stages.raster.renderer import Renderer
@@ -53,11 +52,8 @@ class RasterParams:
 
 class Raster(Stage):
     name = "raster"
-    reads: ClassVar[frozenset[Layer]] = frozenset()
-    writes = frozenset((*OUTPUTS, *EXTRA_OUTPUTS))
     levels = ("draft", "standard", "reference")
     Params = RasterParams
-    always = True
     terms = ("frames", "mpx", "object_mpx", "mfaces")
 
     @classmethod

@@ -95,10 +95,8 @@ class Prepared:
 
 class Watercolor(Stage):
     name = "watercolor"
-    reads = frozenset({Layer.IMAGE, *_VIRTUAL, Layer.REAL_DEPTH})
-    writes = frozenset({Layer.IMAGE})
     levels: ClassVar[tuple[str, ...]] = tuple(ACCURACY)
-    facts = frozenset({"flow", "light"})
+    facts = frozenset({"flow", "light", "depth"})
     Params: ClassVar[type] = WatercolorParams
     without_object = True
 

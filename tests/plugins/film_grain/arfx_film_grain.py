@@ -49,8 +49,6 @@ class FilmGrainParams:
 
 class FilmGrain(Stage):
     name = "film_grain"
-    reads = frozenset({Layer.IMAGE})
-    writes = frozenset({Layer.IMAGE})
     Params = FilmGrainParams
     without_object = True
 

@@ -21,8 +21,6 @@ class Sleeper(Stage):
     """A stage whose levels take known times."""
 
     name = "sleeper"
-    reads = frozenset({Layer.IMAGE})
-    writes = frozenset({Layer.IMAGE})
     levels = ("draft", "standard", "reference")
 
     def demand(self, facts: Any, scene: Any, frame: Any) -> Demand:

@@ -161,11 +161,7 @@ def tiny_frame(stages: Mapping[str, Stage]) -> FrameRenderer:
 class Deep(Stage):
     """Shows the real depth, 255 grey levels a metre."""
 
-    name, reads, writes = (
-        "deep",
-        frozenset({Layer.IMAGE, Layer.REAL_DEPTH}),
-        frozenset({Layer.IMAGE}),
-    )
+    name, facts = "deep", frozenset({"pose", "depth"})
 
     def run(self, view: View, prepared: None) -> dict[Layer, np.ndarray]:
         depth = view[Layer.REAL_DEPTH]

@@ -25,7 +25,7 @@ class Slow(Stage):
     unevenly so; cheap elsewhere.
     """
 
-    name, reads, writes = "slow", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE})
+    name = "slow"
     levels = ("draft", "reference")
 
     def __init__(self, box: Rect, seed: int, reads: bool = False) -> None:

@@ -58,10 +58,10 @@ def test_the_papers_formula_shades_by_its_light_map() -> None:
         made, 0.87 * of_map, atol=6e-3
     )  # float16 and texels of 4 degrees
     # without the even light, what is left is the lights' share of M
-    lamps, dim = light.radiance(n) - light.soft_radiance(n), replace(PRINTED, ambient=False)
+    lamps = light.radiance(n) - light.soft_radiance(n)
     share = lamps / light.radiance(n)
     np.testing.assert_allclose(
-        shaded(s, surface(s, n, far(s)), dim, light_map=found),
+        shaded(s, surface(s, n, far(s)), PRINTED, soft=False, light_map=found),
         0.87 * of_map * share,
         atol=6e-3,
     )

@@ -11,7 +11,7 @@ import pytest
 
 from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, Layers
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
@@ -44,12 +44,7 @@ def seen(
 ) -> tuple[PrintedWatercolor, View]:
     """A grey frame of SCENE; more : layers by name."""
     rect, stage = SCENE.camera.rect, PrintedWatercolor(params or PrintedWatercolorParams())
-    made: dict[Layer, Any] = {
-        name: neutral(name, rect)
-        for name in PrintedWatercolor.reads
-        if name is not Layer.IMAGE
-    }
-    made[Layer.IMAGE] = np.full((120, 160, 3), 0.5, np.float32)
+    made: dict[Layer, Any] = {Layer.IMAGE: np.full((120, 160, 3), 0.5, np.float32)}
     layers: Layers = layers_of(
         rect, {**made, **{Layer(k): v.astype(np.float32) for k, v in more.items()}}
     )

@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arfx.core.cost import Price, Prices
-from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.stage import Demand
 from arfx.plan.explain import group_reasons, summarise
-from arfx.plan.planner import FORCED, UNREAD, plan_frame
+from arfx.plan.planner import FORCED, plan_frame
 from tests.scenes import facts, scene
 
 SCENE = scene()
@@ -26,20 +25,10 @@ class Fake:
     levels = (LEVEL,)
     without_object = False
 
-    def __init__(
-        self,
-        name: str,
-        reads: set[Layer],
-        writes: set[Layer],
-        rect: Rect,
-        pad: int = 0,
-        within: bool = False,
-    ) -> None:
-        self.name, self.reads, self.writes = name, frozenset(reads), frozenset(writes)
-        self._demand, self._pad = (
-            Demand(rect, "because" if not rect.empty else "circle 0.4 px < 1 px", within),
-            pad,
-        )
+    def __init__(self, name: str, rect: Rect | None, pad: int = 0) -> None:
+        empty = rect is not None and rect.empty
+        self.name, self._pad = name, pad
+        self._demand = Demand(rect, "circle 0.4 px < 1 px" if empty else "because")
 
     def demand(self, *_: Any) -> Demand:
         return self._demand
@@ -53,12 +42,10 @@ BOX = Rect(40, 30, 90, 80)
 
 def pipeline(dof_rect: Rect = EMPTY, raster_rect: Rect = BOX) -> list[Any]:
     return [
-        Fake("raster", set(), {Layer.COVERAGE, Layer.DEPTH}, raster_rect),
-        Fake("plain", {Layer.COVERAGE}, {Layer.VIRTUAL}, raster_rect),
-        Fake(
-            "composite", {Layer.VIRTUAL, Layer.COVERAGE}, {Layer.IMAGE}, FRAME, within=True
-        ),
-        Fake("dof", {Layer.IMAGE, Layer.DEPTH}, {Layer.IMAGE}, dof_rect, pad=6),
+        Fake("raster", raster_rect),
+        Fake("plain", raster_rect),
+        Fake("composite", None),
+        Fake("dof", dof_rect, pad=6),
     ]
 
 
@@ -96,12 +83,6 @@ def test_nothing_virtual_means_no_work() -> None:
     p = plan(pipeline(raster_rect=EMPTY))
     assert not p.steps and p.rect.empty and p.changed.empty
     assert {s.stage for s in p.skipped} >= {"raster", "plain", "composite"}
-
-
-def test_what_nobody_reads_is_dropped() -> None:
-    stages = [*pipeline(), Fake("numbered", {Layer.DEPTH}, {Layer.OBJECT_ID}, FRAME)]
-    p = plan(stages)
-    assert ("numbered", UNREAD) in [(s.stage, s.reason) for s in p.skipped]
 
 
 def test_forced_runs_everything_on_the_whole_frame_where_a_pose_is_known() -> None:

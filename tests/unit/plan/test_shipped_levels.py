@@ -17,7 +17,7 @@ from arfx.core.stage import level_named
 from arfx.measure.bench_scene import bench_scene
 from arfx.plan.errors import errors_of_clip, shipped_errors
 from arfx.plan.planner import plan_frame
-from arfx.stages import STAGES
+from arfx.stages import ON_DEPTH, STAGES
 
 BETWEEN_LEVELS = {
     name: stage.levels for name, stage in STAGES.items() if len(stage.levels) > 1
@@ -38,7 +38,7 @@ def shipped_table() -> dict[str, Any]:
 def seconds(stage: str, level: str) -> float:
     """Of a frame of the benchmark's standard scene, by the shipped prices."""
     at = bench_scene(1280, 720)
-    if "depth" in STAGES[stage].requires:
+    if stage in ON_DEPTH:
         at = at.with_depth()
     stages = [s() for s in STAGES.values()]
     levels = {

@@ -32,14 +32,12 @@ def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
     layers = FrameLayers(plate, Rect(10, 10, 40, 30))
     inner = Rect(15, 12, 20, 18)
     layers.put(Layer.COVERAGE, np.ones((6, 5), np.float32), inner, inner)
-    view = layers.view(
-        frozenset({Layer.COVERAGE, Layer.SHADOW, Layer.IMAGE}), Rect(14, 11, 21, 19)
-    )
+    view = layers.view(Rect(14, 11, 21, 19))
     assert view[Layer.COVERAGE].sum() == 30 and view[Layer.COVERAGE][0].sum() == 0
     assert (view[Layer.SHADOW] == 1).all()
     layers.put(Layer.IMAGE, np.zeros((6, 5, 3), np.float32), inner, inner)
     image, at = (
-        layers.view(frozenset({Layer.IMAGE}), layers.rect)[Layer.IMAGE],
+        layers.view(layers.rect)[Layer.IMAGE],
         inner.slices_in(layers.rect),
     )
     assert image[at].max() == 0
@@ -64,13 +62,11 @@ def test_what_a_stage_wrote_of_image_lies_over_what_was_there() -> None:
     layers.put(Layer.IMAGE, Pixels(dark, rest=light), dark, dark)
     expected = np.ones((30, 40, 3), np.float32)
     expected[inner.slices], expected[dark.slices] = 3, 0.5
-    assert np.array_equal(
-        layers.view(frozenset({Layer.IMAGE}), whole)[Layer.IMAGE], expected
-    )
+    assert np.array_equal(layers.view(whole)[Layer.IMAGE], expected)
 
 
 class Bad(Stage):
-    name, reads, writes = "bad", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE})
+    name = "bad"
 
     def run(self, view: Any, prepared: Any) -> dict[Layer, np.ndarray]:
         out = view[Layer.IMAGE].copy()
@@ -95,8 +91,7 @@ def test_a_value_that_is_not_finite_stops_with_stage_frame_and_pixel() -> None:
 class Paint(Stage):
     """Covers a fixed rectangle with red."""
 
-    name, reads = "paint", frozenset()
-    writes = frozenset({Layer.COVERAGE, Layer.VIRTUAL})
+    name = "paint"
 
     def demand(self, f: Any, s: Any, frame: Rect) -> Any:
         from arfx.core.stage import Demand
@@ -132,7 +127,6 @@ class Shade(Paint):
     """A shadow around the red."""
 
     name = "shade"
-    writes = frozenset({Layer.SHADOW})
 
     def demand(self, f: Any, s: Any, frame: Rect) -> Any:
         from arfx.core.stage import Demand
@@ -182,7 +176,7 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
 class Streak(Stage):
     """Brightens some columns of each row of IMAGE, and says which."""
 
-    name, reads, writes = "streak", frozenset({Layer.IMAGE}), frozenset({Layer.IMAGE})
+    name = "streak"
 
     def demand(self, f: Any, s: Any, frame: Rect) -> Any:
         from arfx.core.stage import Demand

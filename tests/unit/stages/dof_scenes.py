@@ -82,7 +82,7 @@ def compose(s: Scene, f: FrameFacts, plate: np.ndarray) -> Shot:
     }
     plan = plan_frame(list(stages.values()), levels, f, s, s.camera.rect, skip=False)
     made = run_frame(plate, f, plan, ready_stages(plan, stages, s))
-    layers = made.layers.view(Dof.reads, s.camera.rect)
+    layers = made.layers.view(s.camera.rect)
     return Shot(s, f, layers)
 
 

@@ -26,7 +26,7 @@ from arfx.plan.planner import plan_frame
 from arfx.run.frame import run_frame
 from arfx.stages import STAGES
 from arfx.stages.gi import Gi, GiParams
-from arfx.stages.lightmap import Lightmap, LightmapParams
+from arfx.stages.lightmap import Lightmap
 from arfx.stages.raster import Raster, RasterParams
 from tests.scenes import box_model, facts
 from tests.unit.stages.lightmap_scenes import ground_points, on_plane
@@ -129,8 +129,9 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     gi = level != NO_GI
     stages = {
         "raster": Raster(RasterParams(backend="rays")),
-        "lightmap": Lightmap(LightmapParams(ambient=not gi)),
+        "lightmap": Lightmap(),
     }
+    stages["lightmap"].soft = not gi  # type: ignore[attr-defined]
     if gi:
         stages["gi"] = Gi(GiParams(samples=samples))  # type: ignore[assignment]
     stages["composite"] = STAGES["composite"]()
@@ -143,9 +144,7 @@ def ours(name: str, level: str, samples: int = 64) -> tuple[np.ndarray, np.ndarr
     made = run_frame(np.ascontiguousarray(t.plate[plan.rect.slices]), t.facts, plan, ready)
     out = t.plate.copy()
     out[plan.changed.slices] = made.image
-    coverage = made.layers.view(frozenset({Layer.COVERAGE}), t.scene.camera.rect)[
-        Layer.COVERAGE
-    ]
+    coverage = made.layers.view(t.scene.camera.rect)[Layer.COVERAGE]
     return out, coverage
 
 

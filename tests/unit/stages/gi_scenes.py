@@ -18,11 +18,11 @@ from arfx.core.pose import Pose
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
 from arfx.run.parameters import stage_of
-from arfx.stages.gi import Gi, GiParams
+from arfx.stages.gi import GiParams
 from arfx.stages.gi import stage as stage_module
 from arfx.stages.triangles import Triangles
 from tests.scenes import box_model, facts, layers_of
-from tests.unit.stages.lightmap_scenes import from_above, ground_points, on_plane
+from tests.unit.stages.lightmap_scenes import MADE, from_above, ground_points, on_plane
 
 __all__ = ["box_model", "from_above", "ground_points", "on_plane"]
 
@@ -63,7 +63,7 @@ def surface(s: Scene, f: FrameFacts) -> dict[Layer, np.ndarray]:
     """What raster writes, by trimesh's own ray caster: nearest hits at pixel centres."""
     assert f.camera_from_world is not None
     rect, part = s.camera.rect, s.model.parts[0]
-    layers = {name: neutral(name, rect) for name in Gi.reads if name is not Layer.PLATE}
+    layers = {name: neutral(name, rect) for name in MADE}
     y, x = np.mgrid[0 : rect.height, 0 : rect.width]
     d = (
         s.camera.directions(np.stack([x, y], -1).astype(float))

@@ -12,7 +12,7 @@ import trimesh
 
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, Layers
 from arfx.core.light import DIFFUSE, DirectionalLight, Light
 from arfx.core.model import Material, Model, Part
 from arfx.core.pixels import Pixels
@@ -20,10 +20,11 @@ from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
 from arfx.run.parameters import stage_of
-from arfx.stages.lightmap import Lightmap, LightmapParams
-from tests.scenes import box_model, facts, layers_of
+from arfx.stages.lightmap import LightmapParams
+from tests.scenes import box_model, facts
 
 RADIUS_M = 0.06
+MADE = frozenset(Layer) - {Layer.PLATE, Layer.IMAGE}
 DARK = Light((0.0, 0.0, 0.0), ())
 
 
@@ -106,9 +107,7 @@ def run_stage(
         stage.faint = faint
     f: FrameFacts = facts(s, pose or from_above()).with_(**changes)
     if layers is None:
-        layers = layers_of(
-            s.camera.rect, {name: neutral(name, s.camera.rect) for name in Lightmap.reads}
-        )
+        layers = Layers(s.camera.rect)
     made = (ready or ReadyStage.of(stage, s, level_named(stage.levels, level))).run(
         layers, f
     )

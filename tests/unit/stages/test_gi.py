@@ -297,9 +297,9 @@ def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:
         params={name: STAGES[name].Params() for name in STAGES},
     )  # fmt: skip
     stages = make_stages(config)  # type: ignore[arg-type]
-    assert stages["lightmap"].params.ambient is False
+    assert stages["lightmap"].soft is False  # type: ignore[attr-defined]
     config.pipeline.stages = ("lightmap",)
-    assert make_stages(config)["lightmap"].params.ambient is True  # type: ignore[arg-type]
+    assert make_stages(config)["lightmap"].soft is True  # type: ignore[arg-type, attr-defined]
     config.pipeline.stages = "auto"
     assert "gi" not in make_stages(config)  # type: ignore[arg-type]
 
@@ -329,7 +329,7 @@ def test_a_ball_in_an_even_white_room_shows_its_light_once(
     layers = run_frame(
         plate, facts(s, from_above()), plan, ready_stages(plan, stages, s)
     ).layers
-    made = layers.view(frozenset(layers.stored), plan.rect)
+    made = layers.view(plan.rect)
     assert ("gi" in stages) == ("gi" in pipeline)
     light = made[Layer.VIRTUAL][inner(made[Layer.COVERAGE])]
     assert len(light) > 500 and light.mean() == pytest.approx(1, abs=0.02)

@@ -126,10 +126,10 @@ def test_a_part_gives_what_the_whole_gives() -> None:
 
 def test_without_depth_no_job_has_it() -> None:
     assert "holdout" not in stages_with(["lightmap", "gi"])
-    assert "holdout" in stages_with(
-        ["lightmap"], inputs=["depth"]
-    ) and "holdout" in stages_with([], inputs=["depth"])
-    names = stages_with(["gi"], inputs=["depth"])
+    assert "holdout" in stages_with(["lightmap"], depth=True) and "holdout" in stages_with(
+        [], depth=True
+    )
+    names = stages_with(["gi"], depth=True)
     assert names.index("lightmap") < names.index("holdout") < names.index("gi"), (
         "gi asks the depth itself"
     )

@@ -168,7 +168,7 @@ def test_half_the_light_makes_146_of_200() -> None:
         0.5, abs=0.012
     )  # a box half a metre up takes 0.6 % of the sky
     composite = ReadyStage.of(STAGES["composite"](), s, "standard")
-    layers = random_layers(s.camera.rect, 0, composite.stage.reads)
+    layers = random_layers(s.camera.rect, 0)
     ones = np.ones_like(shadow)
     plate = (SRGB.decode(np.array(200 / 255)) * ones).astype(np.float32)
     layers = layers_of(

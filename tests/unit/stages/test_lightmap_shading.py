@@ -5,6 +5,7 @@ what is not called for.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from tests.contract.stage_laws import run as run_law
 from tests.scenes import box_model, facts, layers_of
 from tests.unit.stages.lightmap_scenes import (
     DARK,
+    MADE,
     RADIUS_M,
     ball_model,
     disc_samples,
@@ -64,7 +66,7 @@ def surface(
     """Layers of the whole picture with these normals and positions (h, w, 3): matt unless
     the material says otherwise.
     """
-    arrays = {name: neutral(name, s.camera.rect) for name in Lightmap.reads}
+    arrays = {name: neutral(name, s.camera.rect) for name in MADE}
     arrays[Layer.COVERAGE] = np.full_like(arrays[Layer.COVERAGE], coverage)
     for name, values in (
         (Layer.NORMAL, normals),
@@ -81,10 +83,15 @@ def shaded(
     layers: Layers,
     params: LightmapParams = BARE,
     level: str = "standard",
+    soft: bool = True,
     **changes: object,
 ) -> np.ndarray:
-    """VIRTUAL. The plane's shadow, which is not looked at, is left out."""
-    stage = stage_of("lightmap", replace(params, shadow_strength=0.0))
+    """VIRTUAL. The plane's shadow, which is not looked at, is left out.
+
+    soft : as of the stage
+    """
+    stage: Any = stage_of("lightmap", replace(params, shadow_strength=0.0))
+    stage.soft = soft
     ready = ReadyStage.of(stage, s, level_named(stage.levels, level))
     return run_stage(s, layers=layers, ready=ready, model_box=s.camera.rect, **changes)[
         Layer.VIRTUAL

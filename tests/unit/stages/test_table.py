@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, Stage, View
@@ -30,8 +29,7 @@ from arfx.core.layers import Layer
 from arfx.core.stage import Stage
 
 class Effect(Stage):
-    name, after = "{name}", "{after}"
-    reads, writes = frozenset({{Layer.{reads}}}), frozenset({{Layer.IMAGE}})
+    name = "{name}"
 
     def run(self, view, prepared):
         return {{}}
@@ -47,14 +45,12 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     def run(
         dist: str,
         name: str,
-        after: str = "",
-        reads: str = "IMAGE",
         source: str = STAGE,
         cls: str = "Effect",
     ) -> Path:
         module = tmp_path / f"{dist.replace('-', '_')}_of_{name}.py"
         monkeypatch.delitem(sys.modules, module.stem, raising=False)
-        module.write_text(source.format(name=name, after=after, reads=reads))
+        module.write_text(source.format(name=name))
         info = tmp_path / f"{dist.replace('-', '_')}-1.2.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(
@@ -68,18 +64,13 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     return run
 
 
-def test_each_is_put_in_its_place(install: Install) -> None:
-    install("one", "mist", after="raster")
-    install("two", "haze", after="mist")
-    install("three", "tint", reads="COVERAGE")
-    module = install("four", "last")
+def test_they_come_last_by_name(install: Install) -> None:
+    install("one", "mist")
+    module = install("two", "haze")
     table = Table(BUILT_IN)
-    assert (
-        list(table) == ["raster", "tint", "mist", "haze", "composite", "dof", "last"]
-        and len(table) == 7
-    )
-    assert "haze" in table and "fog" not in table and table["tint"].name == "tint"
-    assert table.source("last") == (module, "1.2")
+    assert list(table) == [*BUILT_IN, "haze", "mist"] and len(table) == 5
+    assert "haze" in table and "fog" not in table and table["mist"].name == "mist"
+    assert table.source("haze") == (module, "1.2")
 
 
 def test_source_and_version_tell_one_state_of_it_from_another(install: Install) -> None:
@@ -123,7 +114,6 @@ def test_a_built_in_name_is_taken(install: Install) -> None:
             r"'mist' of one 1\.2 cannot be loaded: SystemExit: 0",
         ),
         ({"cls": "Other"}, r"'mist' of one 1\.2 cannot be loaded: AttributeError"),
-        ({"after": "fog"}, r"'mist' of one 1\.2 is to run after 'fog', which there is not"),
     ],
 )
 def test_what_is_wrong_with_one_is_said_in_one_message(
@@ -147,7 +137,6 @@ def test_prints_of_a_plug_in_that_is_loaded_are_no_results(
 
 class Plug(Stage):
     name, distribution = "plug", "one 1.2"
-    reads = writes = frozenset({Layer.IMAGE})
     result: Any = SystemExit(0)
 
     def run(self, view: View, prepared: Any) -> Any:

@@ -18,7 +18,7 @@ from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.core.advection import AdvectionField, pack_detail, pack_positions
 from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral
+from arfx.core.layers import Layer, Layers
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.pose import Pose
 from arfx.core.real_depth import TYPICAL_NOISE, RealDepth, tile_ranges
@@ -55,13 +55,9 @@ def surfaces_made_once() -> Iterator[None]:
 
 def layers(image: np.ndarray, rect: Rect | None = None, **more: np.ndarray) -> Layers:
     rect = rect or Rect.of(image.shape[1], image.shape[0])
-    made = {
-        name: neutral(name, rect) for name in Watercolor.reads if name is not Layer.IMAGE
-    }
     return layers_of(
         rect,
         {
-            **made,
             Layer.IMAGE: image.astype(np.float32),
             **{Layer(k): v for k, v in more.items()},
         },
