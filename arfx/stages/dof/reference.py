@@ -55,7 +55,7 @@ def render(
     elif params.scope == "all":
         directions = _directions(scene.camera, now.rect)
         blurred = _planes(sharp, directions, real, coc, params, scene.camera)
-    on_plane = params.scope == "all" and not real.finite_planes
+    endless = real.base is not None and not real.finite_planes
     fraction, colour = seen_object(
         now,
         facts,
@@ -65,7 +65,7 @@ def render(
         prepared,
         sharp,
         blurred,
-        real if on_plane else None,
+        real if params.scope == "all" and endless else None,
     )
     opacity = float(facts.opacity)
     return (blurred + opacity * (colour - blurred * fraction[..., None])).astype(np.float32)

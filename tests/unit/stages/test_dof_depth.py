@@ -99,6 +99,18 @@ def test_levels_agree_with_the_reference(focus: str) -> None:
         assert -10 * np.log10((error**2).mean()) > least, level
 
 
+def test_an_object_before_measured_depth() -> None:
+    at, wall = shot(width=SIZE[0], height=SIZE[1]), np.full((SIZE[1], SIZE[0]), 3.0)
+    known = RealDepth.of(0, 1.0, "", tile_ranges(wall, SIZE))
+    before = with_layers(at, real_depth=wall.astype(np.float32)).layers
+    at = Shot(at.scene, at.facts.with_(real_depth=known), before)
+    standard, reference = (
+        blurred(at, level, aperture_px=12.0, focus="2m")
+        for level in ("standard", "reference")
+    )
+    assert np.abs(standard - reference).mean() < 0.004
+
+
 def test_demand_is_what_the_depth_calls_for() -> None:
     at = measured(two_walls(1.0, 4.0), dark_far_bright_near())
     frame = at.scene.camera.rect
