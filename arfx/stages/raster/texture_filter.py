@@ -24,6 +24,19 @@ def _wrapped(t, mode):  # pragma: no cover - compiled
     return abs(t - _F(2) * np.floor(_F(0.5) * t + _F(0.5)))
 
 
+@numba.njit(inline="always")
+def _between(texels, p, q, share):  # pragma: no cover - compiled
+    """Four channels between texels p and q."""
+    p0, p1, p2, p3 = _F(texels[p, 0]), _F(texels[p, 1]), _F(texels[p, 2]), _F(texels[p, 3])
+    q0, q1, q2, q3 = _F(texels[q, 0]), _F(texels[q, 1]), _F(texels[q, 2]), _F(texels[q, 3])
+    return (
+        p0 + share * (q0 - p0),
+        p1 + share * (q1 - p1),
+        p2 + share * (q2 - p2),
+        p3 + share * (q3 - p3),
+    )
+
+
 @line_kernel(error_model="numpy", fastmath=ROUNDED)
 def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover - compiled
     """Four channels of texture t, 0..1: mean over a parallelogram.
@@ -58,31 +71,33 @@ def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover -
     row_u, row_v = down[0] / _F(m), down[1] / _F(m)
     first_u = place[0] - _F(0.5) * (across[0] - step_u + down[0] - row_u)
     first_v = place[1] - _F(0.5) * (across[1] - step_v + down[1] - row_v)
+    nearest = table[t, textures.NEAREST] != 0 and level == 0
     t0, t1, t2, t3 = _F(0), _F(0), _F(0), _F(0)
     for j in range(m):
         for i in range(n):
-            u = _wrapped(first_u + _F(i) * step_u + _F(j) * row_u, wrap_u)
-            v = _wrapped(first_v + _F(i) * step_v + _F(j) * row_v, wrap_v)
+            u = first_u + _F(i) * step_u + _F(j) * row_u
+            v = first_v + _F(i) * step_v + _F(j) * row_v
+            if u < _F(0) or u >= _F(1):
+                u = _wrapped(u, wrap_u)
+            if v < _F(0) or v >= _F(1):
+                v = _wrapped(v, wrap_v)
             x, y = u * _F(w) - _F(0.5), v * _F(h) - _F(0.5)
             left, top = np.floor(x), np.floor(y)
             fx, fy = x - left, y - top
-            if table[t, textures.NEAREST] and level == 0:
+            if nearest:
                 fx, fy = _F(fx >= _F(0.5)), _F(fy >= _F(0.5))
             x0, y0 = np.int32(left), np.int32(top)
             x1, y1 = np.int32(x0 + least), np.int32(y0 + least)
             x0, x1 = x0 if x0 >= 0 else before_u, x1 if x1 < w else w - least - before_u
             y0, y1 = y0 if y0 >= 0 else before_v, y1 if y1 < h else h - least - before_v
-            b, c, d = fx * (_F(1) - fy), (_F(1) - fx) * fy, fx * fy
-            a = _F(1) - b - c - d
-            p, q = np.uintp(start + y0 * w + x0), np.uintp(start + y0 * w + x1)
-            r, s = np.uintp(start + y1 * w + x0), np.uintp(start + y1 * w + x1)
-            t0 += a * _F(texels[p, 0]) + b * _F(texels[q, 0])
-            t0 += c * _F(texels[r, 0]) + d * _F(texels[s, 0])
-            t1 += a * _F(texels[p, 1]) + b * _F(texels[q, 1])
-            t1 += c * _F(texels[r, 1]) + d * _F(texels[s, 1])
-            t2 += a * _F(texels[p, 2]) + b * _F(texels[q, 2])
-            t2 += c * _F(texels[r, 2]) + d * _F(texels[s, 2])
-            t3 += a * _F(texels[p, 3]) + b * _F(texels[q, 3])
-            t3 += c * _F(texels[r, 3]) + d * _F(texels[s, 3])
+            upper, lower = start + y0 * w, start + y1 * w
+            p, q = np.uintp(upper + x0), np.uintp(upper + x1)
+            r, s = np.uintp(lower + x0), np.uintp(lower + x1)
+            c0, c1, c2, c3 = _between(texels, p, q, fx)
+            d0, d1, d2, d3 = _between(texels, r, s, fx)
+            t0 += c0 + fy * (d0 - c0)
+            t1 += c1 + fy * (d1 - c1)
+            t2 += c2 + fy * (d2 - c2)
+            t3 += c3 + fy * (d3 - c3)
     share = _F(1 / textures.FULL) / _F(n * m)
     return t0 * share, t1 * share, t2 * share, t3 * share
