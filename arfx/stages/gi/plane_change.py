@@ -166,14 +166,14 @@ def shown_planes(
     fronts = np.array([(pose @ anchor_from_camera).translation_m[2] > 0 for pose in poses])
     dioptres[~fronts] = -1
     nearest = dioptres.argmax(0)
-    shares = [(nearest == k) & (dioptres[k] > 0) for k in range(len(poses))]
-    if not real.size:
-        return [share.astype(np.float32) for share in shares]
-    agree = [on_plane(real, d, SAME_DEPTH) for d in dioptres]
-    return [
-        np.where(share, a, 0).astype(np.float32)
-        for share, a in zip(shares, agree, strict=True)
-    ]
+    agree = np.ones_like(dioptres)
+    if real.size:  # planes end: depth says which of them a pixel shows
+        known = np.isfinite(real) & (real > 0)
+        off = np.abs(np.where(known, real, 0) * dioptres - 1)
+        nearest = np.where(known, off.argmin(0), nearest)
+        agree = np.stack([on_plane(real, d, SAME_DEPTH) for d in dioptres])
+    shown = [(nearest == k) & (dioptres[k] > 0) for k in range(len(poses))]
+    return [np.where(s, a, 0).astype(np.float32) for s, a in zip(shown, agree, strict=True)]
 
 
 def visible_radius_m(light: Indirect, planes: Planes, positions: np.ndarray) -> float:
