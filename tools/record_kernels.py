@@ -22,7 +22,7 @@ from typing import Any
 
 import pytest
 
-from arfx.run.kernels import DIMMING, SELDOM
+from arfx.run.kernels import SELDOM
 from arfx.stages import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -123,8 +123,6 @@ def run_all() -> dict[str, list[list[Any]]]:
 
 def part_of(module: str) -> str:
     """The part that a module's kernels belong to, most often a stage; "" if to none."""
-    if module == "arfx.media.dimming":
-        return DIMMING
     package, _, rest = module.partition(".stages.")
     name = rest.partition(".")[0]
     return name if package == "arfx" and name in STAGES else ""

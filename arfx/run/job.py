@@ -6,7 +6,7 @@ import contextlib
 import json
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,6 @@ from arfx.config.sections import JobConfig, frozen, to_toml
 from arfx.core import codec, interrupt
 from arfx.core.cost import load_prices
 from arfx.core.facts import read_facts, write_facts
-from arfx.core.layers import Layer
 from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
@@ -33,9 +32,9 @@ from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster, open_cluster
 from arfx.run.executors import Processes, Results, Task, run_serial, run_threads
-from arfx.run.folder import MARK, JobFolder, Lines, digest, disk_error, pick_previews, write
+from arfx.run.folder import MARK, JobFolder, Lines, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
-from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlisted
+from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
 from arfx.run.keys import job_keys
 from arfx.run.model_size import check_size
 from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
@@ -47,7 +46,6 @@ from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
 from arfx.run.worker import keep_memory
-from arfx.stages import STAGES
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 SHORT_JOB_PX = 150_000_000
@@ -162,10 +160,12 @@ def plan_job(
 ) -> Job:
     """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
-    names = pipeline(config)
-    parts = (JOB, *names, *[DIMMING] * _written_once(names))
+    parts = (JOB, *pipeline(config))
     log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
-    _compile(parts, options, log)
+    before = time.perf_counter()
+    compile_ahead(parts, options.progress, options.notice)
+    # as if the work had begun later: other jobs are spared it
+    log.began += time.perf_counter() - before
     analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
@@ -182,6 +182,7 @@ def plan_job(
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
+        folder.clear("chunks/")  # another plan may choose other levels
         with loading(parts if options.workers in (None, 1) else (JOB,)):
             _analyse(inputs, folder, analysis_key, options, log, cluster)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
@@ -204,8 +205,6 @@ def plan_job(
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = Lines(folder.plan, FramePlan.from_line)[:]
-    if any(_written_once(step.stage for step in p.steps) for p in plans):
-        _compile((DIMMING,), options, log)
     plan = JobPlan(
         plans, document["levels"], document["predicted"], time.perf_counter() - start
     )
@@ -222,22 +221,6 @@ def plan_job(
         plan,
         log,
     )
-
-
-def _compile(parts: Sequence[str], options: Options, log: WorkLog) -> None:
-    """Compile what is missing.
-
-    The work began as if that had taken no time: later jobs are spared it.
-    """
-    before = time.perf_counter()
-    compile_ahead(parts, options.progress, options.notice)
-    log.began += time.perf_counter() - before
-
-
-def _written_once(stages: Iterable[str]) -> bool:
-    """Whether no stage reads the plane under its shadow, which then dims the stored samples."""
-    writers = [STAGES[name] for name in stages if Layer.IMAGE in STAGES[name].writes]
-    return len(writers) == 1 and Layer.SHADOW in writers[0].reads
 
 
 def _size(
@@ -391,22 +374,7 @@ def _without_opencv_threads(results: Results) -> Results:
 
 
 def _chunks(job: Job) -> list[Chunk]:
-    """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and
-    plan of its frames.
-    """
-    facts, plans = Lines(job.folder.facts, str, header=1), Lines(job.folder.plan, str)
-    world = {k: p.to_json() for k, p in job.analysed.world_from_marker.items()}
-
-    def key(first: int, last: int) -> str:
-        part = slice(max(first - 1, 0), last + 1)  # a stage may look at the frame before
-        return digest(
-            job.key,
-            [facts[part], plans[part], job.analysed.pts[part]],
-            world,
-            job.analysed.static,
-        )
-
-    return [Chunk(first, last, key(first, last)) for first, last in borders(len(job.facts))]
+    return [Chunk(first, last, job.key) for first, last in borders(len(job.facts))]
 
 
 def _render(
@@ -416,7 +384,7 @@ def _render(
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
     files = {c.first: c.find(folder.chunks, suffix) for c in chunks}
     todo = [c for c in chunks if files[c.first] is None]
-    keys, total = {c.first: c.key for c in todo}, len(job.facts)
+    names, total = {c.first: c.name for c in todo}, len(job.facts)
     tasks: list[Task] = [
         (str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name))
         for c in todo
@@ -449,7 +417,7 @@ def _render(
             if (
                 "seconds" in result
             ):  # not of a chunk that was there already, though nobody had heard of it
-                job.log.note(CHUNK, keys[result["first"]], **result)
+                job.log.note(CHUNK, names[result["first"]], **result)
     progress(sum(c.frames for c in todo))
     return [path for path in files.values() if path is not None]
 

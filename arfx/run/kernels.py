@@ -31,11 +31,10 @@ from arfx.core.parallel import ONE_THREAD
 
 COMPILE = "compile"  # the phase that progress is reported for
 MANIFEST = Path(__file__).with_suffix(".json")
-# Parts of the list; the others are named by the stage that brings them. DIMMING: frames
-# whose shadow no stage reads
+# Parts of the list; the others are named by the stage that brings them
 # SELDOM: what few jobs call, of 10 bits for instance; no job asks for it, the tests' start
 # and wheels take all
-JOB, SYNTH, DIMMING, SELDOM = "job", "synth", "dimming", "seldom"
+JOB, SYNTH, SELDOM = "job", "synth", "seldom"
 PROCESS_S = 4.0  # of compiling, for each process: it takes one or two seconds to start
 Progress = Callable[[str, int, int | None], None]
 Notice = Callable[[str], None]

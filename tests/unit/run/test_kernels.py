@@ -18,7 +18,6 @@ import pytest
 from arfx.run import job, kernels
 from arfx.run.folder import JobFolder
 from arfx.run.kernels import (
-    DIMMING,
     JOB,
     SELDOM,
     SYNTH,
@@ -162,7 +161,7 @@ def test_the_list_fits_the_code() -> None:
     assert (
         {SYNTH, JOB, "lightmap", *EFFECTS}
         <= document.keys()
-        <= {SYNTH, JOB, DIMMING, SELDOM, *STAGES}
+        <= {SYNTH, JOB, SELDOM, *STAGES}
     )
     for kernel in listed_kernels():
         function = kernel.function
@@ -228,8 +227,6 @@ def test_compiling_is_no_part_of_a_jobs_time(
         )  # type: ignore[arg-type]
     since = 0 if started is None else 5.0 - started
     assert clock[0] - logs[0].began == since
-    job._compile((DIMMING,), job.Options(), logs[0])
-    assert clock[0] - logs[0].began == since, "after the plan too"
 
 
 def test_what_is_compiled_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:
