@@ -8,7 +8,6 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +26,11 @@ from arfx.media.join import join_chunks
 from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
-from arfx.run.analysis import Run, analyse_clip, in_order
+from arfx.run.analysis import Run, analyse_clip
 from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster, open_cluster
-from arfx.run.executors import Processes, Results, Task, run_serial, run_threads
+from arfx.run.executors import Processes, Results, Task, Work, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, Lines, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
@@ -45,7 +44,7 @@ from arfx.run.schedule import Chunk, borders
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
-from arfx.run.worker import keep_memory
+from arfx.run.worker import keep_memory, render_chunk
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 SHORT_JOB_PX = 150_000_000
@@ -286,9 +285,19 @@ def _analyse(
         inputs.prints,
     )
     span = (config.input.start, config.input.end)
-    run = _in_parallel(inputs.camera.rect.area, options)
+
+    def run_here(
+        tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
+    ) -> Results:
+        here = options  # a cluster's workers are not
+        if options.workers is not None:
+            here = replace(options, workers=min(options.workers, usable_cores()))
+        pixels = frames * inputs.camera.rect.area
+        return _results(analyse_stretch, tasks, count, pixels, progress, here)
+
+    run: Run = run_here
     if cluster is not None:
-        run = cluster.analysing(inputs, folder, analysis_key, run)
+        run = cluster.analysing(inputs, folder, analysis_key, run_here)
     done = analyse_clip(
         inputs.info,
         job,
@@ -343,22 +352,20 @@ def _analyse(
     log.note(ANALYSIS, analysis_key, done.seconds, done.walls, stretches=done.stretches)
 
 
-def _in_parallel(area_px: int, options: Options) -> Run:
-    """How stretches are analysed by as many workers as chunks are rendered by."""
-
-    def run(
-        tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
-    ) -> Results:
-        workers, threads = worker_count(frames * area_px, options.workers)
-        workers = min(workers, usable_cores())  # a cluster's are not here
-        if min(workers, count) <= 1:
-            return in_order(tasks, count, frames, progress)
-        parallel = run_threads if threads else options.processes.run
-        return _without_opencv_threads(
-            parallel([*tasks], workers, progress, analyse_stretch)
-        )
-
-    return run
+def _results(
+    work: Work,
+    tasks: Iterator[Task],
+    count: int,
+    pixels: int,
+    progress: Callable[[int], None],
+    options: Options,
+) -> Results:
+    """Of the tasks, `count` at most, by this machine's workers. pixels : of all frames"""
+    workers, threads = worker_count(pixels, options.workers)
+    if min(workers, count) <= 1:
+        return run_serial(tasks, progress, work)
+    parallel = run_threads if threads else options.processes.run
+    return _without_opencv_threads(parallel([*tasks], workers, progress, work))
 
 
 def _without_opencv_threads(results: Results) -> Results:
@@ -394,24 +401,13 @@ def _render(
         options.progress("render", total - sum(c.frames for c in todo) + done, total)
 
     progress(0)
-    workers, threads = (
-        worker_count(total * job.scene.camera.rect.area, options.workers)
-        if tasks
-        else (0, False)
+    pixels = total * job.scene.camera.rect.area
+    results = (
+        _results(render_chunk, iter(tasks), len(tasks), pixels, progress, options)
+        if cluster is None
+        else cluster.render(tasks, progress, job)
     )
-    run: Callable[..., Results]
-    if cluster is not None:
-        run = partial(cluster.render, job=job)
-    else:
-        several = min(workers, len(tasks)) > 1
-        run = (
-            partial(run_threads if threads else options.processes.run, workers=workers)
-            if several
-            else run_serial
-        )
-    with contextlib.closing(
-        run(tasks, progress=progress)
-    ) as results:  # an error here too stops the workers
+    with contextlib.closing(results):  # an error here too stops the workers
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]
             if (

@@ -30,7 +30,7 @@ from arfx.run.executors import Task
 from arfx.run.folder import JobFolder, content_digest
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job
-from arfx.run.lock import HOLDER, locked
+from arfx.run.lock import locked
 from arfx.run.parameters import parameters
 from arfx.run.planned import Job
 from tests.cli.conftest import FRAMES, Material, Run, at_a_moment
@@ -202,14 +202,14 @@ def test_other_mount_points_are_mapped(
 
 @pytest.mark.usefixtures("mapped_only")
 def test_a_copy_of_the_job_folder_is_not_the_job_folder(
-    running: Farm, planned: Job, tmp_path: Path
+    running: Farm, planned: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    copy = Path(shutil.copytree(planned.folder.path, tmp_path / "job"))
-    (copy / HOLDER).write_text("{}")
-    maps = f"{planned.folder.path}={copy}"
+    monkeypatch.setattr(dispatch, "ARRIVE_S", 0.5)
+    planned.folder.clear("chunks/")
+    maps = f"{planned.folder.path}={shutil.copytree(planned.folder.path, tmp_path / 'job')}"
     with (
         connected(running, maps) as (_, cluster),
-        pytest.raises(RenderError, match="is not the job folder, but a copy"),
+        pytest.raises(RenderError, match=r"a worker has written .*, and it is not in"),
     ):
         rendered(planned, cluster)
 

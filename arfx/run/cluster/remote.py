@@ -6,7 +6,6 @@ times. It tells how far it is by events, and leaves a chunk that nobody wants an
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 import socket
@@ -26,10 +25,8 @@ from arfx.run.cluster.paths import is_url
 from arfx.run.cluster.store import Store
 from arfx.run.executors import Work
 from arfx.run.folder import JobFolder, content_digest
-from arfx.run.lock import HOLDER
 from arfx.run.schedule import find_chunk
 from arfx.run.stretches import analyse_stretch, listed
-from arfx.run.times import CHUNK
 from arfx.run.worker import Paths, render_chunk
 
 TELL_S = 0.5  # between two events of a chunk or stretch
@@ -40,18 +37,15 @@ class JobReference:
     """What a worker has to know of a run of a job.
 
     run : names it, the topic of its events and the resource of workers that may work
-    key : of the job, or of its analysis;  work : CHUNK or STRETCH;  suffix : of the chunks'
-    files, None = stretches
-    folders : places of the job folder (`paths.places`), and of a store, if there is one;
-    holder : digest of its lock's file
+    key : of the job, or of its analysis;  suffix : of the chunks' files, None = stretches
+    are wanted
+    folders : places of the job folder (`paths.places`), and of a store, if there is one
     """
 
     run: str
     key: str
-    work: str
     suffix: str | None
     folders: tuple[str, ...]
-    holder: str
     bundles: tuple[Bundle, ...]
 
 
@@ -119,37 +113,20 @@ def _place(job: JobReference) -> str:
 
 
 def _folder(job: JobReference, paths: Paths) -> _Placed:
-    reasons = []
+    reasons, rendering = [], job.suffix is not None
     for there in job.folders:
+        store, folder = None, JobFolder(Path(there))
         if is_url(there):
-            scratch = Path(tempfile.mkdtemp(prefix="arfx-", dir=_worker().local_directory))
-            folder = Store(there).get_job(scratch, job.work)
-            if _holds(folder, job):
-                return _Placed(job, folder, paths, Store(there))
-            reasons.append(f"{there} holds another job")
+            store = Store(there)
+            scratch = tempfile.mkdtemp(prefix="arfx-", dir=_worker().local_directory)
+            folder = store.get_job(Path(scratch), rendering)
+        if not folder.path.is_dir():
+            reasons.append(f"job folder {there}: no such folder")
+        elif folder.sealed(job.key) if rendering else listed(folder, job.key):
+            return _Placed(job, folder, paths, store)
         else:
-            folder = JobFolder(Path(there))
-            if not folder.path.is_dir():
-                reasons.append(f"job folder {there}: no such folder")
-            elif not _holds(folder, job) or job.holder != holder(folder):
-                reasons.append(f"{there} is not the job folder, but a copy or another one")
-            else:
-                return _Placed(job, folder, paths)
+            reasons.append(f"{there} holds another job")
     raise RenderError("; ".join(reasons))
-
-
-def _holds(folder: JobFolder, job: JobReference) -> bool:
-    """Whether what the work needs is there, of this job."""
-    return folder.sealed(job.key) if job.work == CHUNK else listed(folder, job.key)
-
-
-def holder(folder: JobFolder) -> str:
-    """Tells the folder that a job has locked from copies of it; "" where the disk was too
-    full for that.
-    """
-    with contextlib.suppress(OSError):
-        return content_digest(folder.path / HOLDER)
-    return ""
 
 
 class UnwantedError(Exception):

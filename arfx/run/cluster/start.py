@@ -23,7 +23,7 @@ from arfx.run.cluster.crew import Crew
 from arfx.run.cluster.dispatch import Dispatch
 from arfx.run.cluster.files import bundles
 from arfx.run.cluster.paths import PathMap, is_url, places
-from arfx.run.cluster.remote import JobReference, holder
+from arfx.run.cluster.remote import JobReference
 from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
 from arfx.run.cluster.store import Store
 from arfx.run.executors import Results, Task
@@ -31,11 +31,9 @@ from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
 from arfx.run.planned import Job
-from arfx.run.times import CHUNK, STRETCH
 from arfx.stages import STAGES
 
 CONNECT_S, CLOSE_S = 7, 3
-_NOISY = ("distributed", "dask_jobqueue", "tornado", "asyncio")
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
     "distributed.worker.profile.enabled": (
@@ -71,7 +69,7 @@ class Cluster:
     ) -> Results:
         """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
         suffix = chunk_suffix(job.inputs.output)
-        with self._placed(job.inputs, job.folder, job.key, CHUNK, suffix) as placed:
+        with self._placed(job.inputs, job.folder, job.key, suffix) as placed:
             yield from self._results(tasks, progress, job.inputs, *placed)
 
     def analysing(self, inputs: Inputs, folder: JobFolder, key: str, here: Run) -> Run:
@@ -87,7 +85,7 @@ class Cluster:
             if count <= 1:
                 yield from here(tasks, count, frames, progress)
                 return
-            with self._placed(inputs, folder, key, STRETCH) as placed:
+            with self._placed(inputs, folder, key, None) as placed:
                 crew = self._crew(inputs, placed[0], lambda _: None)
                 crew.gathered(lambda: progress(0))
                 if why := crew.refusal():
@@ -102,7 +100,7 @@ class Cluster:
         self, inputs: Inputs, job: JobReference, notice: Callable[[str], None]
     ) -> Crew:
         plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
-        return Crew(self._client, environment(plugins, job.work == STRETCH), job, notice)
+        return Crew(self._client, environment(plugins, job.suffix is None), job, notice)
 
     def _results(
         self,
@@ -124,8 +122,7 @@ class Cluster:
         inputs: Inputs,
         folder: JobFolder,
         key: str,
-        work: str,
-        suffix: str | None = None,
+        suffix: str | None,
     ) -> Iterator[tuple[JobReference, Store | None]]:
         """Where workers find a job, and the store if there is one: with the job's files in
         it, emptied when the body is done.
@@ -136,12 +133,15 @@ class Cluster:
             None,
         )
         if store is not None:
-            store.put_job(folder, work)
+            store.put_job(folder, suffix is not None)
         seen = tuple(there for there in folders if not is_url(there)) + (
             (store.url,) if store is not None else ()
         )
-        run, files = f"arfx-{uuid.uuid4().hex}", bundles(inputs, self._maps, work)
-        yield JobReference(run, key, work, suffix, seen, holder(folder), files), store
+        run, files = (
+            f"arfx-{uuid.uuid4().hex}",
+            bundles(inputs, self._maps, suffix is not None),
+        )
+        yield JobReference(run, key, suffix, seen, files), store
         if store is not None:
             store.take_previews(folder.previews)
             store.remove()
@@ -272,25 +272,14 @@ def _close(opened: Any) -> None:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """What goes wrong is said once, in arfx's own words.
-
-    Some of Dask's loggers have levels of their own.
-    """
-    loggers = [
-        logging.getLogger(name)
-        for name in [*logging.root.manager.loggerDict]
-        if name.partition(".")[0] in _NOISY
-    ]
-    before = [logger.level for logger in loggers]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for logger in loggers:
-            logger.setLevel(logging.CRITICAL)
-        try:
+    """What goes wrong is said once, in arfx's own words."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings(action="ignore"):
             yield
-        finally:
-            for logger, level in zip(loggers, before, strict=True):
-                logger.setLevel(level)
+    finally:
+        logging.disable(before)
 
 
 def planned_workers(spec: ClusterSpec | None) -> int | None:

@@ -13,7 +13,6 @@ from pathlib import Path, PurePosixPath
 from arfx.errors import RenderError
 from arfx.run.cluster.files import FAILURES, file_system, said
 from arfx.run.folder import JobFolder, content_digest
-from arfx.run.times import CHUNK
 from arfx.run.worker import process_name
 
 
@@ -23,15 +22,15 @@ class Store:
 
     url: str
 
-    def put_job(self, folder: JobFolder, work: str) -> None:
-        """What workers read of a job folder. Raises RenderError."""
-        for path in folder.worker_files(work == CHUNK):
+    def put_job(self, folder: JobFolder, rendering: bool) -> None:
+        """What workers read of a job folder to render, else to analyse. Raises RenderError."""
+        for path in folder.worker_files(rendering):
             self.put(path, path.name)
 
-    def get_job(self, folder: Path, work: str) -> JobFolder:
+    def get_job(self, folder: Path, rendering: bool) -> JobFolder:
         """The same in `folder`, which exists. Raises RenderError."""
         job = JobFolder(folder)
-        for path in job.worker_files(work == CHUNK):
+        for path in job.worker_files(rendering):
             self._get(path.name, path)
         job.open(resume=True)
         return job

@@ -280,9 +280,7 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
 
 
 def reference(work: str = CHUNK) -> remote.JobReference:
-    return remote.JobReference(
-        "run", "key", work, ".nut" if work == CHUNK else None, (), "", ()
-    )
+    return remote.JobReference("run", "key", ".nut" if work == CHUNK else None, (), ())
 
 
 def test_a_worker_leaves_a_chunk_that_nobody_wants(
