@@ -26,8 +26,7 @@ from arfx.core import compiled
 from arfx.run import kernels
 assert compiled.target_cpu(), "this processor cannot run what the wheel is to hold: " + compiled.TARGET
 wanted = [kernel for kernel in kernels.listed_kernels() if kernel.module.startswith(sys.argv[1])]
-with kernels.compiling(wanted, (), lambda phase, done, total: print(f"compiled {done} of {total}", flush=True)):
-    pass
+kernels.compile_missing(wanted, lambda phase, done, total: print(f"compiled {done} of {total}", flush=True))
 assert wanted and all(kernel.is_cached for kernel in wanted), "not all was compiled"
 """
 

@@ -4,8 +4,6 @@ and processor seconds of each.
     measure_executors.py                           the whole job, four ways
     measure_executors.py --analysis                its analysis by two threads and two
     processes, against one worker
-    measure_executors.py --simulate JOB_FOLDER     what 1 to 64 workers would take, from the
-    recorded times of a job
 
 Take the machine for it: times of a machine that does other things say little.
 """
@@ -28,9 +26,7 @@ from pathlib import Path
 from bench_job import FPS, arfx_command, camera, make_clip, write_model
 
 from arfx.media.cameras import save_camera
-from arfx.run.schedule import Load, elapsed
 
-WORKERS = (1, 2, 16, 64)
 JOBS = {
     "one worker": ["--workers", "1"], "threads, one per core": [], "2 processes": ["--workers", "2"],
     "Dask, 2 workers of this machine": ["--executor", "local:2"],
@@ -147,64 +143,6 @@ def one_analysis(
     main.main(command)
 
 
-def simulate(folder: Path, repeated: int) -> None:
-    """Amdahl's bound, and the chunks and stretches as the workers would take them, from the
-    job's own times.
-
-    repeated : the clip so many times on end; what is done in order takes so many times as
-    long (measure_growth.py)
-    """
-    report = json.loads((folder / "report.json").read_text())
-    rows = [
-        json.loads(line) for line in (folder / "timings.jsonl").read_text().splitlines()
-    ]
-    loads = {
-        work: [
-            Load(
-                r["first"],
-                r["last"],
-                sum(r["seconds"].values()) + sum(r.get("stages", {}).values()),
-            )
-            for r in sorted(
-                (r for r in rows if r["work"] == work and "first" in r),
-                key=lambda r: r["first"],
-            )
-        ]
-        for work in ("stretch", "chunk")
-    }
-    shared_s = {work: sum(load.seconds for load in every) for work, every in loads.items()}
-    analysis_s = next(r for r in rows if r["work"] == "analysis")["seconds"]
-    joined_s = report["timing"]["encode_s"] - sum(
-        r["seconds"]["encode"] for r in rows if r["work"] == "chunk"
-    )
-    serial_s = (
-        sum(analysis_s.values())
-        - shared_s["stretch"]
-        + report["timing"]["plan_s"]
-        + joined_s
-    )
-    loads = {work: every * repeated for work, every in loads.items()}
-    serial_s, shared_s = (
-        serial_s * repeated,
-        {work: s * repeated for work, s in shared_s.items()},
-    )
-    total_s = serial_s + sum(shared_s.values())
-    print(
-        f"{report['input']['frames'] * repeated} frames: stretches"
-        f" {shared_s['stretch']:.1f} s, chunks {shared_s['chunk']:.1f} s, in order"
-        f" {serial_s:.1f} s ({serial_s / total_s:.1%})"
-    )
-    print(f"{'workers':>8}{'Amdahl':>9}{'simulated':>11}{'stretches by 2':>16}{'by 1':>7}")
-    for workers in WORKERS:
-        chunks_s = elapsed(loads["chunk"], workers)[0]
-        row = [total_s / (serial_s + sum(shared_s.values()) / workers)]
-        for others in (workers, min(workers, 2), 1):
-            row.append(
-                total_s / (serial_s + elapsed(loads["stretch"], others)[0] + chunks_s)
-            )
-        print(f"{workers:8}{row[0]:9.1f}{row[1]:11.1f}{row[2]:16.1f}{row[3]:7.1f}")
-
-
 def main() -> None:
     if sys.argv[1:2] == ["--one"]:
         workers, threads, decoders = map(int, sys.argv[2:5])
@@ -220,20 +158,7 @@ def main() -> None:
     p.add_argument(
         "--keep", type=Path, help="job folder of the job by one worker, to be kept"
     )
-    p.add_argument(
-        "--simulate", type=Path, metavar="JOB_FOLDER", help="of a job by one worker"
-    )
-    p.add_argument(
-        "--repeated",
-        type=int,
-        default=100,
-        help="simulate its clip so many times on end too",
-    )
     given = p.parse_args()
-    if given.simulate:
-        for repeated in (1, given.repeated):
-            simulate(given.simulate, repeated)
-        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         clip = make_clip(folder / "clip.mp4", given.frames, given.frames - 10 * FPS)

@@ -17,17 +17,18 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from arfx.run.kernels import DIMMING, SELDOM
 from arfx.stages import STAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ROOT / "arfx" / "run" / "kernels.json"
 
+SELDOM = "seldom"  # what few jobs call, of 10 bits for instance
 # part of the list -> the arguments of the job that brings what none before it has; a
 # stage's own kernels are its own part
 JOBS = {
@@ -45,13 +46,32 @@ JOBS = {
 SELDOM_S = 0.2  # what takes less is compiled where it is called
 
 
+def signature(types: Iterable[Any]) -> str:
+    """Types of arguments as numba writes them, a named tuple's class with its module:
+    "(int64, arfx.x.Pair(int64, int64))".
+    """
+    from numba.core.types.containers import BaseNamedTuple, Tuple
+
+    def one(kind: Any) -> str:
+        if isinstance(
+            kind, Tuple
+        ):  # numba writes it in a form that its constructor does not read
+            return f"({', '.join(map(one, kind.types))},)"
+        if not issubclass(type(kind), BaseNamedTuple):
+            return repr(kind)
+        made_by = kind.instance_class
+        return f"{made_by.__module__}.{made_by.__qualname__}({', '.join(map(one, kind.types))})"
+
+    parts = [one(kind) for kind in types]
+    return f"({', '.join(parts)}{',' * (len(parts) == 1)})"
+
+
 def record(file: Path, arguments: list[str]) -> None:
     """In the process of one job: run it, and write (module, name, types, seconds) of what
     was called.
     """
     from numba.core.dispatcher import Dispatcher
 
-    from arfx.run.kernels import signature
     from arfx_cli.main import main
 
     called: dict[tuple[str, str, str], float] = {}
@@ -123,8 +143,6 @@ def run_all() -> dict[str, list[list[Any]]]:
 
 def part_of(module: str) -> str:
     """The part that a module's kernels belong to, most often a stage; "" if to none."""
-    if module == "arfx.media.dimming":
-        return DIMMING
     package, _, rest = module.partition(".stages.")
     name = rest.partition(".")[0]
     return name if package == "arfx" and name in STAGES else ""

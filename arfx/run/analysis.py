@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -126,11 +127,8 @@ class _Pass:
         self.analyser = Analyser(job, wanted)
         self.pts, self.keys = list[int](), list[int]()
         self.before, self.ended, self.truncated = stretches.before, False, None
-        self.seconds, self.walls, self.names = (
-            dict[str, float](),
-            dict[str, float](),
-            list[str](),
-        )
+        self.seconds: Any = Counter()
+        self.walls, self.names = dict[str, float](), list[str]()
         self._progress, self._shown = progress, 0
         self._next, self._lost = (
             0,
@@ -171,9 +169,8 @@ class _Pass:
                 tasks(), len(waiting), frames, lambda n: self._tell(made_before + n)
             )
             for result in stack.enter_context(contextlib.closing(results)):
-                if (
-                    "seconds" in result
-                ):  # not of one that was there already, though nobody had heard of it
+                # not of one that was there already, though nobody had heard of it
+                if "seconds" in result:
                     self._note(result["file"], result)
                 self._ready.add(result["first"])
                 self._join_ready()
@@ -194,7 +191,7 @@ class _Pass:
         analysis = self.analyser.finish(
             Analysis(frame_span=(times, self.before, self.ended and not truncated))
         )
-        self._spent({"analyse": time.perf_counter() - start})
+        self.seconds.update({"analyse": time.perf_counter() - start})
         self._progress("analyse", len(self.pts), len(self.pts))
         return AnalysisPass(
             analysis,
@@ -235,11 +232,11 @@ class _Pass:
             self._next += 1
             self.names.append(name)
             if row := self._rows.get(name):
-                self._spent(row["seconds"])
+                self.seconds.update(row["seconds"])
                 for process, wall_s in row["walls"].items():
                     if process != self.log.process:
                         self.walls[process] = max(self.walls.get(process, 0.0), wall_s)
-            self._spent({"analyse": time.perf_counter() - start - own_s})
+            self.seconds.update({"analyse": time.perf_counter() - start - own_s})
 
     def _analyser_of(self, found: dict[str, Any]) -> Analyser:
         later = Analyser(self.context.job, self.context.wanted)
@@ -285,10 +282,6 @@ class _Pass:
     def _note(self, name: str, result: Mapping[str, Any]) -> None:
         self.log.note(STRETCH, name, **result)
         self._rows[name] = {"seconds": result["seconds"], "walls": {}}
-
-    def _spent(self, seconds: Mapping[str, float]) -> None:
-        for name, s in seconds.items():
-            self.seconds[name] = self.seconds.get(name, 0.0) + s
 
     def _tick(self) -> None:
         self._tell(self._shown + 1)

@@ -25,8 +25,8 @@ from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, process
 from arfx.run.keys import job_keys
-from arfx.run.outputs_made import Made, OutputsMade, place
-from arfx.run.place import default_folder
+from arfx.run.outputs_made import Made, OutputsMade
+from arfx.run.place import default_folder, place
 
 Row = dict[str, Any]
 Started = Callable[[int, BatchJob], None]

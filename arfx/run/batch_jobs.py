@@ -22,9 +22,9 @@ from arfx.media.codecs import CLIP_SUFFIXES
 from arfx.media.output import OutputSettings, check_format, names_sequence
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import check_complete, job_model
-from arfx.run.outputs_made import OutputsMade, files_of, place
+from arfx.run.outputs_made import OutputsMade, files_of
 from arfx.run.parameters import make_stages, parameters
-from arfx.run.place import default_folder, files_named
+from arfx.run.place import default_folder, files_named, place
 from arfx.run.predict import level_policy
 
 Loader = Callable[[Sequence[JobFile]], JobConfig]

@@ -1,5 +1,5 @@
-"""A process that compiles kernels ahead (kernels.py): numba, made to do only what the kept
-code needs.
+"""Kernels compiled ahead, in processes of their own (kernels.py): numba, made to do only
+what the kept code needs.
 
 numba by itself makes machine code, two more entry points and a cache file of every function
 that a kernel calls, although that function is linked into the kernel once more, and works
@@ -9,36 +9,13 @@ code is never called."""
 
 from __future__ import annotations
 
-import contextlib
-import gc
-import json
-import os
-import sys
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 TRIED = (  # version of numba whose inner parts are these; another one compiles in its own way
     "0.68."
 )
-
-
-def serve() -> None:
-    """Compile the functions named on standard input, a line each, and answer each with a line."""
-    import numba
-
-    from arfx.run.kernels import Kernel
-
-    gc.set_threshold(50_000, 20, 100)  # compiling makes many objects and little garbage
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what libraries print is no answer
-    if numba.__version__.startswith(TRIED):
-        compile_kernels_only()
-    for line in sys.stdin:
-        with contextlib.suppress(Exception):  # raised again where it is called
-            module, name, types = json.loads(line)
-            Kernel(module, name, types, 0.0).load()
-        answers.write("done\n")
-        answers.flush()
 
 
 def _inferred_once(infer: Callable[..., Any]) -> Callable[..., Any]:
@@ -63,8 +40,13 @@ def _inferred_once(infer: Callable[..., Any]) -> Callable[..., Any]:
     return infer_once
 
 
+@cache
 def compile_kernels_only() -> None:
     """Change numba in this process: what is compiled from now on can be kept, not called."""
+    import numba
+
+    if not numba.__version__.startswith(TRIED):
+        return
     from numba import _dynfunc  # type: ignore[attr-defined]
     from numba.core import transforms
     from numba.core.caching import NullCache

@@ -25,18 +25,16 @@ from arfx.core.parallel import ONE_THREAD
 from arfx.errors import RenderError
 from arfx.run.schedule import steal, work_queues
 from arfx.run.source import release
-from arfx.run.worker import render_chunk
 
-# one chunk's or stretch's arguments: folder, key, first, last, target
-Task = tuple[str, str, int, int, str]
-Work = Callable[
-    ..., dict[str, Any]
-]  # work(*task, tick, alone=False): a function of a module; tick() after every frame
+# arguments of a work; of a chunk and a stretch: folder, key, first, last, target
+Task = tuple[Any, ...]
+# work(*task, tick, alone=False): a function of a module; tick() after every frame
+Work = Callable[..., dict[str, Any]]
 Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
 
 
 def run_serial(
-    tasks: Iterable[Task], progress: Callable[[int], None], work: Work = render_chunk
+    tasks: Iterable[Task], progress: Callable[[int], None], work: Work
 ) -> Results:
     """Work in this process, in order. progress : called with the number of frames done."""
     done = 0
@@ -61,7 +59,7 @@ def run_threads(
     tasks: Sequence[Task],
     workers: int,
     progress: Callable[[int], None],
-    work: Work = render_chunk,
+    work: Work,
 ) -> Results:
     """Work in `workers` threads of this process, in any order.
 
@@ -91,13 +89,13 @@ def _in_threads(
             raise _StoppedError
         done = max(done, next(ticks))
 
-    def next_task(own: deque[Task]) -> Task | None:
-        with choosing:
-            return steal(own, queues)
-
     def run(own: deque[Task], work: Work) -> None:
         try:
-            while (task := next_task(own)) is not None:
+            while True:
+                with choosing:
+                    task = steal(own, queues)
+                if task is None:
+                    return
                 results.put(work(*task, tick))
         finally:
             release()
@@ -107,7 +105,7 @@ def _in_threads(
         running = {
             pool.submit(run, own, work) for own, work in zip(queues, crew, strict=False)
         }
-        while running:
+        while running or not results.empty():
             ready, running = futures.wait(
                 running, timeout=0.2, return_when=futures.FIRST_COMPLETED
             )
@@ -116,8 +114,6 @@ def _in_threads(
                 yield results.get()
             for future in ready:
                 future.result()
-        while not results.empty():
-            yield results.get()
     except BaseException:
         stopped = True
         stop()
@@ -238,7 +234,7 @@ class Processes:
         tasks: Sequence[Task],
         workers: int,
         progress: Callable[[int], None],
-        work: Work = render_chunk,
+        work: Work,
     ) -> Results:
         """Work in `workers` processes, in any order.
 

@@ -51,35 +51,31 @@ _SEALED = (
 _SOURCE = (".py", ".vert", ".frag")
 
 
+def _inside(name: str) -> Any:
+    return property(lambda self: self.path / name)
+
+
 @dataclass(frozen=True)
 class JobFolder:
     path: Path
 
-    job = property(lambda self: self.path / "job.toml")
-    inputs = property(lambda self: self.path / "inputs.json")
-    frames = property(lambda self: self.path / "frames.json")
-    facts = property(lambda self: self.path / "facts.jsonl")
-    environment = property(
-        lambda self: self.path / "environment.maps"
-    )  # those that the facts name
-    plan = property(lambda self: self.path / "plan.jsonl")
-    plan_summary = property(lambda self: self.path / "plan_summary.json")
-    chunks = property(lambda self: self.path / "chunks")
-    timings = property(lambda self: self.path / "timings.jsonl")
-    previews = property(lambda self: self.path / "previews")
-    report = property(lambda self: self.path / "report.json")
-    stretch_list = property(
-        lambda self: self.path / "stretches.json"
-    )  # where the analysis cuts the clip
-    stretches = property(
-        lambda self: self.path / "stretches"
-    )  # what each was found to hold
-    joined = property(
-        lambda self: self.path / "joined.part"
-    )  # the output, until it is whole
-    placed = property(
-        lambda self: self.path / "placed.json"
-    )  # fingerprints of its files, from just before it is put in place
+    job = _inside("job.toml")
+    inputs = _inside("inputs.json")
+    frames = _inside("frames.json")
+    facts = _inside("facts.jsonl")
+    environment = _inside("environment.maps")  # those that the facts name
+    plan = _inside("plan.jsonl")
+    plan_summary = _inside("plan_summary.json")
+    chunks = _inside("chunks")
+    timings = _inside("timings.jsonl")
+    previews = _inside("previews")
+    report = _inside("report.json")
+    stretch_list = _inside("stretches.json")  # where the analysis cuts the clip
+    stretches = _inside("stretches")  # what each was found to hold
+    joined = _inside("joined.part")  # the output, until it is whole
+    # fingerprints of the output's files, from just before it is put in place
+    placed = _inside("placed.json")
+    _seal = _inside("seal.json")
 
     def files(self) -> Iterator[Path]:
         """All that arfx wrote into it."""
@@ -188,8 +184,6 @@ class JobFolder:
             )
         except (OSError, ValueError, TypeError, OverflowError, RecursionError):
             return frozenset()
-
-    _seal = property(lambda self: self.path / "seal.json")
 
     def _digests(self) -> dict[str, str]:
         return {name: content_digest(self.path / name) for name in _SEALED}

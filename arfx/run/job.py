@@ -6,9 +6,8 @@ import contextlib
 import json
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +26,14 @@ from arfx.media.join import join_chunks
 from arfx.media.output import check_times
 from arfx.media.writer import chunk_suffix
 from arfx.plan.errors import errors_of_clip, shipped_errors
-from arfx.run.analysis import Run, analyse_clip, in_order
+from arfx.run.analysis import Run, analyse_clip
 from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster, open_cluster
-from arfx.run.executors import Processes, Results, Task, run_serial, run_threads
-from arfx.run.folder import MARK, JobFolder, Lines, digest, disk_error, pick_previews, write
+from arfx.run.executors import Processes, Results, Task, Work, run_serial, run_threads
+from arfx.run.folder import MARK, JobFolder, Lines, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
-from arfx.run.kernels import DIMMING, JOB, compile_ahead, loading, warn_if_unlisted
+from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
 from arfx.run.keys import job_keys
 from arfx.run.model_size import check_size
 from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
@@ -45,8 +44,7 @@ from arfx.run.schedule import Chunk, borders
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
-from arfx.run.worker import keep_memory
-from arfx.stages import RENDERER
+from arfx.run.worker import keep_memory, render_chunk
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 SHORT_JOB_PX = 150_000_000
@@ -161,10 +159,12 @@ def plan_job(
 ) -> Job:
     """Analyse (or resume that) and plan. started : perf_counter when the work began; None = now"""
     config = inputs.config
-    names = pipeline(config)
-    parts = (JOB, *names, *[DIMMING] * _written_once(names))
+    parts = (JOB, *pipeline(config))
     log = WorkLog(folder.timings, time.perf_counter() if started is None else started)
-    _compile(parts, options, log)
+    before = time.perf_counter()
+    compile_ahead(parts, options.progress, options.notice)
+    # as if the work had begun later: other jobs are spared it
+    log.began += time.perf_counter() - before
     analysis_key, job_key = job_keys(inputs)
     stages, prices = make_stages(config), load_prices()
     policy = level_policy(config, stages, prices)
@@ -181,6 +181,7 @@ def plan_job(
     fresh = not folder.sealed(job_key)
     if fresh:
         folder.unseal()
+        folder.clear("chunks/")  # another plan may choose other levels
         with loading(parts if options.workers in (None, 1) else (JOB,)):
             _analyse(inputs, folder, analysis_key, options, log, cluster)
     analysed, facts = ClipAnalysis.read(folder), list(read_facts(folder.facts))
@@ -203,8 +204,6 @@ def plan_job(
         folder.seal(job_key)
     document = json.loads(folder.plan_summary.read_text(encoding="utf-8"))
     plans = Lines(folder.plan, FramePlan.from_line)[:]
-    if any(_written_once(step.stage for step in p.steps) for p in plans):
-        _compile((DIMMING,), options, log)
     plan = JobPlan(
         plans, document["levels"], document["predicted"], time.perf_counter() - start
     )
@@ -221,21 +220,6 @@ def plan_job(
         plan,
         log,
     )
-
-
-def _compile(parts: Sequence[str], options: Options, log: WorkLog) -> None:
-    """Compile what is missing.
-
-    The work began as if that had taken no time: later jobs are spared it.
-    """
-    before = time.perf_counter()
-    compile_ahead(parts, options.progress, options.notice)
-    log.began += time.perf_counter() - before
-
-
-def _written_once(stages: Iterable[str]) -> bool:
-    """Whether no stage reads the plane under its shadow, which then dims the stored samples."""
-    return RENDERER.issuperset(stages)
 
 
 def _size(
@@ -301,9 +285,19 @@ def _analyse(
         inputs.prints,
     )
     span = (config.input.start, config.input.end)
-    run = _in_parallel(inputs.camera.rect.area, options)
+
+    def run_here(
+        tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
+    ) -> Results:
+        here = options  # a cluster's workers are not
+        if options.workers is not None:
+            here = replace(options, workers=min(options.workers, usable_cores()))
+        pixels = frames * inputs.camera.rect.area
+        return _results(analyse_stretch, tasks, count, pixels, progress, here)
+
+    run: Run = run_here
     if cluster is not None:
-        run = cluster.analysing(inputs, folder, analysis_key, run)
+        run = cluster.analysing(inputs, folder, analysis_key, run_here)
     done = analyse_clip(
         inputs.info,
         job,
@@ -358,22 +352,20 @@ def _analyse(
     log.note(ANALYSIS, analysis_key, done.seconds, done.walls, stretches=done.stretches)
 
 
-def _in_parallel(area_px: int, options: Options) -> Run:
-    """How stretches are analysed by as many workers as chunks are rendered by."""
-
-    def run(
-        tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
-    ) -> Results:
-        workers, threads = worker_count(frames * area_px, options.workers)
-        workers = min(workers, usable_cores())  # a cluster's are not here
-        if min(workers, count) <= 1:
-            return in_order(tasks, count, frames, progress)
-        parallel = run_threads if threads else options.processes.run
-        return _without_opencv_threads(
-            parallel([*tasks], workers, progress, analyse_stretch)
-        )
-
-    return run
+def _results(
+    work: Work,
+    tasks: Iterator[Task],
+    count: int,
+    pixels: int,
+    progress: Callable[[int], None],
+    options: Options,
+) -> Results:
+    """Of the tasks, `count` at most, by this machine's workers. pixels : of all frames"""
+    workers, threads = worker_count(pixels, options.workers)
+    if min(workers, count) <= 1:
+        return run_serial(tasks, progress, work)
+    parallel = run_threads if threads else options.processes.run
+    return _without_opencv_threads(parallel([*tasks], workers, progress, work))
 
 
 def _without_opencv_threads(results: Results) -> Results:
@@ -389,22 +381,7 @@ def _without_opencv_threads(results: Results) -> Results:
 
 
 def _chunks(job: Job) -> list[Chunk]:
-    """Every chunk's key covers all that its pixels depend on: code, clip, job, facts and
-    plan of its frames.
-    """
-    facts, plans = Lines(job.folder.facts, str, header=1), Lines(job.folder.plan, str)
-    world = {k: p.to_json() for k, p in job.analysed.world_from_marker.items()}
-
-    def key(first: int, last: int) -> str:
-        part = slice(max(first - 1, 0), last + 1)  # a stage may look at the frame before
-        return digest(
-            job.key,
-            [facts[part], plans[part], job.analysed.pts[part]],
-            world,
-            job.analysed.static,
-        )
-
-    return [Chunk(first, last, key(first, last)) for first, last in borders(len(job.facts))]
+    return [Chunk(first, last, job.key) for first, last in borders(len(job.facts))]
 
 
 def _render(
@@ -414,7 +391,7 @@ def _render(
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
     files = {c.first: c.find(folder.chunks, suffix) for c in chunks}
     todo = [c for c in chunks if files[c.first] is None]
-    keys, total = {c.first: c.key for c in todo}, len(job.facts)
+    names, total = {c.first: c.name for c in todo}, len(job.facts)
     tasks: list[Task] = [
         (str(folder.path), job.key, c.first, c.last, str(folder.chunks / c.name))
         for c in todo
@@ -424,30 +401,19 @@ def _render(
         options.progress("render", total - sum(c.frames for c in todo) + done, total)
 
     progress(0)
-    workers, threads = (
-        worker_count(total * job.scene.camera.rect.area, options.workers)
-        if tasks
-        else (0, False)
+    pixels = total * job.scene.camera.rect.area
+    results = (
+        _results(render_chunk, iter(tasks), len(tasks), pixels, progress, options)
+        if cluster is None
+        else cluster.render(tasks, progress, job)
     )
-    run: Callable[..., Results]
-    if cluster is not None:
-        run = partial(cluster.render, job=job)
-    else:
-        several = min(workers, len(tasks)) > 1
-        run = (
-            partial(run_threads if threads else options.processes.run, workers=workers)
-            if several
-            else run_serial
-        )
-    with contextlib.closing(
-        run(tasks, progress=progress)
-    ) as results:  # an error here too stops the workers
+    with contextlib.closing(results):  # an error here too stops the workers
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]
             if (
                 "seconds" in result
             ):  # not of a chunk that was there already, though nobody had heard of it
-                job.log.note(CHUNK, keys[result["first"]], **result)
+                job.log.note(CHUNK, names[result["first"]], **result)
     progress(sum(c.frames for c in todo))
     return [path for path in files.values() if path is not None]
 

@@ -15,7 +15,7 @@ from arfx.core.guard import TIMES, fingerprint
 from arfx.errors import ConfigError
 from arfx.media.output import image_names, names_sequence
 from arfx.run.folder import append_line, digest, disk_error, read_lines
-from arfx.run.place import default_folder
+from arfx.run.place import place
 
 NAME = ".arfx-batch.jsonl"
 
@@ -90,12 +90,6 @@ class OutputsMade:
                 )
                 out[str(row["output"])] = made
         return out
-
-
-def place(output: Path) -> Path:
-    """The file, or the folder of images, that an output is. Raises ConfigError."""
-    folder = default_folder(output)
-    return folder.with_name(folder.name.removesuffix(".job"))
 
 
 def files_of(output: Path) -> list[Path]:

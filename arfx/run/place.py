@@ -25,16 +25,22 @@ PAGE_START = (
 REPORT_FILES = {"report.json": b'{\n "input": {', "report.html": PAGE_START.encode()}
 
 
-def default_folder(output: Path) -> Path:
-    """Where a job lives while it runs, beside its output: out.mp4 -> out.mp4.job,
-    frames/%06d.png -> frames.job
-    """
+def place(output: Path) -> Path:
+    """The file, or the folder of images, that an output is. Raises ConfigError."""
     beside = output.absolute().parent if names_sequence(output) else output
     if not beside.name:
         raise ConfigError(
             f"images cannot be written into {beside} itself",
             "name a folder in it: frames/%06d.png",
         )
+    return beside
+
+
+def default_folder(output: Path) -> Path:
+    """Where a job lives while it runs, beside its output: out.mp4 -> out.mp4.job,
+    frames/%06d.png -> frames.job
+    """
+    beside = place(output)
     return beside.with_name(f"{beside.name}.job")
 
 

@@ -27,7 +27,7 @@ from arfx.plan.clip import LevelPolicy, plan_clip
 from arfx.plan.errors import Errors
 from arfx.plan.explain import without_price
 from arfx.plan.levels import sum_correlated
-from arfx.run.schedule import Load, borders, elapsed
+from arfx.run.schedule import borders, elapsed, lead_frames
 
 DECODE_SPREAD = (
     0.25  # decoding again beside the rendering, against decoding beside the analysis
@@ -152,22 +152,18 @@ def _shared(
         s / max(size.frames, 1) for s in (size.decode_s, size.decode_s + edit_s, encode_s)
     )
     both: Callable[[float, float], float] = max if size.workers == 1 else operator.add
+    chunks = borders(size.frames)
+    leads = [decode_s * n for n in lead_frames(chunks, size.workers, size.keys)]
     loads = [
-        Load(
-            a,
-            b,
-            both(
-                render_s * (b - a + 1) + scale * sum(planned[a : b + 1]),
-                write_s * (b - a + 1),
-            ),
+        lead
+        + both(
+            render_s * (b - a + 1) + scale * sum(planned[a : b + 1]), write_s * (b - a + 1)
         )
-        for a, b in borders(size.frames)
+        for (a, b), lead in zip(chunks, leads, strict=True)
     ]
-    wall_s, lead_s = elapsed(
-        loads, size.workers, size.keys, decode_s, 1.0 if size.processes else prices.alone
-    )
-    total_s = size.decode_s + edit_s + encode_s + scale * sum(planned) + lead_s
-    return (wall_s / total_s if total_s > 0 else 1.0 / size.workers), lead_s
+    wall_s = elapsed(loads, size.workers, 1.0 if size.processes else prices.alone)
+    total_s = size.decode_s + edit_s + encode_s + scale * sum(planned) + sum(leads)
+    return (wall_s / total_s if total_s > 0 else 1.0 / size.workers), sum(leads)
 
 
 def prepare(

@@ -7,10 +7,10 @@ from the key frame before."""
 from __future__ import annotations
 
 import contextlib
-import itertools
+import heapq
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -24,7 +24,7 @@ SHORTEST, LONGEST, WANTED = 30, 120, 8
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Frames first … last, inclusive; key : digest of everything that its pixels depend on."""
+    """Frames first … last, inclusive; key : of the job."""
 
     first: int
     last: int
@@ -79,78 +79,29 @@ def steal(own: deque[T], queues: Sequence[deque[T]]) -> T | None:
     return own.popleft() if own else longest.pop()
 
 
-def next_chunk(waiting: Sequence[int], own: int, others: Collection[int]) -> int:
-    """The number of the chunk that a worker is to take of those that wait, which are in
-    order and at least one.
+def lead_frames(
+    chunks: Sequence[tuple[int, int]], workers: int, keys: Sequence[int]
+) -> list[int]:
+    """Frames that are decoded only to get to where each chunk begins: a worker's first one.
 
-    own, others : the numbers that it, and that others would read on to. It reads on; else
-    it begins the longest run of chunks, where another will come to its beginning in its
-    middle."""
-    if own in waiting:
-        return own
-    runs = [
-        [chunk for _, chunk in run]
-        for _, run in itertools.groupby(enumerate(waiting), lambda pair: pair[1] - pair[0])
-    ]
-    longest = max(runs, key=len)
-    return longest[len(longest) // 2] if longest[0] in others else longest[0]
-
-
-@dataclass(frozen=True)
-class Load:
-    """first, last : frames of a chunk;  seconds : of its work, while all workers are busy"""
-
-    first: int
-    last: int
-    seconds: float
-
-
-@dataclass
-class _Worker:
-    queue: deque[Load]
-    left_s: float = 0.0
-    next_frame: int = 0
-
-
-def elapsed(
-    loads: Sequence[Load],
-    workers: int,
-    keys: Sequence[int] = (),
-    decode_s: float = 0.0,
-    alone: float = 1.0,
-) -> tuple[float, float]:
-    """(seconds until the last worker is through, seconds of decoding that no frame of its
-    own chunk needs).
-
-    keys : frames that decoding can begin at;  decode_s : of a frame
-    alone : time of one worker that is alone, as a fraction of its time beside others that are busy
+    chunks : as of `borders`;  keys : frames that decoding can begin at
     """
-    workers = max(min(workers, len(loads)), 1)
-    queues = work_queues(loads, workers) or [deque()]
-    crew = [_Worker(queues[min(k, len(queues) - 1)]) for k in range(workers)]
-    now = lead = 0.0
-    while True:
-        for w in crew:
-            while w.left_s <= 0 and (load := steal(w.queue, queues)) is not None:
-                before = bisect_right(keys, load.first)
-                key = keys[before - 1] if before else 0
-                extra = 0.0 if load.first == w.next_frame else decode_s * (load.first - key)
-                w.left_s, w.next_frame, lead = (
-                    load.seconds + extra,
-                    load.last + 1,
-                    lead + extra,
-                )
-        busy = [w for w in crew if w.left_s > 0]
-        if not busy:
-            return now, lead
-        # beside all others a worker takes its own time, alone the fraction `alone` of it;
-        # linear between these
-        slowness = (
-            1.0
-            if len(busy) >= max(workers, 2)
-            else alone + (1 - alone) * (len(busy) - 1) / max(workers - 1, 1)
-        )
-        step = min(w.left_s for w in busy)
-        now += step * slowness
-        for w in busy:
-            w.left_s = w.left_s - step if w.left_s - step >= 1e-12 else 0.0
+    begun = {queue[0] for queue in work_queues(chunks, workers)}
+    before = [keys[k - 1] if (k := bisect_right(keys, a)) else 0 for a, _ in chunks]
+    return [
+        chunk[0] - key if chunk in begun else 0
+        for chunk, key in zip(chunks, before, strict=True)
+    ]
+
+
+def elapsed(seconds: Sequence[float], workers: int, alone: float = 1.0) -> float:
+    """Seconds until the last worker is through with chunks that take so long each, while
+    all are busy.
+
+    alone : time of one worker that is alone, as a fraction of its time beside others
+    """
+    ends = [0.0] * max(min(workers, len(seconds)), 1)
+    for s in sorted(seconds, reverse=True):
+        heapq.heapreplace(ends, ends[0] + s)
+    busy = min(ends) if len(ends) > 1 else 0.0
+    return busy + (max(ends) - busy) * alone

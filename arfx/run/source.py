@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from arfx.errors import InputError
 from arfx.media.clip import ClipInfo
 from arfx.media.depth_maps import DepthMaps, fill_holes
 from arfx.media.frames import ClipReader, Frame
-from arfx.run.background_io import Prefetch
+from arfx.run.background_io import ahead
 
 
 class Source:
@@ -77,7 +77,7 @@ class StretchFrames:
     """Iterator over a clip's frames from a time on (None = from its start, whatever the
     times are), in order.
 
-    alone : decoding gets threads of its own, and runs ahead
+    alone : decoding gets threads of its own, and runs ahead;  seconds : of decoding so far
     frontier : where the last stretch ended: the next frame is the first at or after that time
     """
 
@@ -89,7 +89,7 @@ class StretchFrames:
         careful: bool = False,
         seeks: bool = True,
     ) -> None:
-        self.info, self.alone, self.frontier, self._seconds = info, alone, first_pts, 0.0
+        self.info, self.alone, self.frontier, self.seconds = info, alone, first_pts, 0.0
         self.reader = ClipReader(
             info,
             0 if alone else 1,
@@ -97,10 +97,16 @@ class StretchFrames:
             strict=not careful and (first_pts is None or not alone),
             seeks=seeks,
         )
-        frames = self.reader.frames(first_pts)
-        self._ahead = Prefetch(frames) if alone else None
-        self._frames: Iterator[Frame] = frames if self._ahead is None else self._ahead
+        frames = self._timed(self.reader.frames(first_pts))
+        self._frames = ahead(frames) if alone else frames
         self._back: Frame | None = None
+
+    def _timed(self, frames: Iterator[Frame]) -> Generator[Frame]:
+        start = time.perf_counter()
+        for frame in frames:
+            self.seconds += time.perf_counter() - start
+            yield frame
+            start = time.perf_counter()
 
     def __iter__(self) -> StretchFrames:
         return self
@@ -109,27 +115,15 @@ class StretchFrames:
         if self._back is not None:
             frame, self._back = self._back, None
             return frame
-        start, self.frontier = (
-            time.perf_counter(),
-            None,
-        )  # a stretch that is left in its middle is not gone on with
-        try:
-            return next(self._frames)
-        finally:
-            self._seconds += time.perf_counter() - start
-
-    @property
-    def seconds(self) -> float:
-        """Of decoding so far."""
-        return self._seconds if self._ahead is None else self._ahead.seconds
+        self.frontier = None  # a stretch that is left in its middle is not gone on with
+        return next(self._frames)
 
     def put_back(self, frame: Frame, frontier: int) -> None:
         """It belongs to the next stretch, which begins at that time."""
         self._back, self.frontier = frame, frontier
 
     def close(self) -> None:
-        if self._ahead is not None:
-            self._ahead.__exit__()
+        self._frames.close()
         self.reader.close()
 
 

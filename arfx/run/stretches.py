@@ -111,8 +111,8 @@ def cut(span: Span, times: FrameTimes | None) -> Stretches:
     """
     if times is None or times.irregular:
         return whole(span)
-    first = next((k for k, t in enumerate(times.pts) if not span.before(t)), len(times.pts))
-    stop = next((k for k, t in enumerate(times.pts) if span.behind(t)), len(times.pts))
+    first = sum(map(span.before, times.pts))
+    stop = len(times.pts) - sum(map(span.behind, times.pts))
     if first >= stop:
         raise span.nothing()
     borders = [first]

@@ -44,7 +44,7 @@ def build_report(job: Job, chunks: Sequence[Chunk], join_s: float) -> dict[str, 
     uneven = bool(len(steps) and steps.max() - steps.min() > 0.1 * np.median(steps))
     last_s = float(np.median(steps)) if len(pts) > 1 else 1.0 / (info.fps or 25.0)
     seconds = float(pts[-1] - pts[0]) + last_s
-    spent = job.log.spent(job.analysis_key, [c.key for c in chunks])
+    spent = job.log.spent(job.analysis_key, [c.name for c in chunks])
     rows = summarise(job.plan.frames, job.stages, job.inputs.camera.rect.area)
     for row in rows:
         row["measured_s"] = spent.stages.get(row["name"], 0.0)
@@ -120,7 +120,7 @@ def _timing(
         "peak_rss_mb": spent.peak_rss_mb,
         "resumed": spent.processes > 1,
         "processes": spent.processes,
-        "frames_untimed": sum(c.frames for c in chunks if c.key in spent.untimed),
+        "frames_untimed": sum(c.frames for c in chunks if c.name in spent.untimed),
     }
 
 

@@ -1,35 +1,47 @@
 """What each piece of a job's work took, recorded in timings.jsonl when it is done: a
 resumed job reports the time of all of it.
-
-A row is {"work": "analysis" | "stretch" | "chunk", "key", "seconds", "walls", "rss_mb", …}.
-key : of what was made, so that the
-time of work that is not in the output is left out;  walls : process of the job -> how long
-it had run by then, seconds.
 """
 
 from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from arfx.run.folder import append_line, read_lines
 from arfx.run.memory import peak_mb
 
-ANALYSIS, STRETCH, CHUNK = (
-    "analysis",
-    "stretch",
-    "chunk",
-)  # the analysis: with all of its stretches
-_WHO = {
-    "worker": str,
-    "host": str,
-    "first": int,
-    "last": int,
-}  # of a chunk's row, and of a stretch's
+ANALYSIS, STRETCH, CHUNK = "analysis", "stretch", "chunk"
+
+
+class _Row(BaseModel):
+    """A line of timings.jsonl.
+
+    work : ANALYSIS (with all of its stretches), STRETCH or CHUNK;  key : of what was made,
+    so that the time of work that is not in the output is left out
+    walls : process of the job -> how long it had run by then, seconds
+    worker, host, first, last : of a chunk and of a stretch;  stretches : keys of an
+    analysis's"""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+    work: str
+    key: str
+    rss_mb: float
+    seconds: dict[str, float]
+    walls: dict[str, float]
+    stages: dict[str, float] = {}
+    worker: str = ""
+    host: str = ""
+    first: int = 0
+    last: int = 0
+    stretches: list[str] = []
 
 
 @dataclass(frozen=True)
@@ -66,7 +78,12 @@ class WorkLog:
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Every row, in order; what is damaged is skipped."""
-        return filter(_valid, read_lines(self.path))
+        for row in read_lines(self.path):
+            try:
+                _Row.model_validate(row)
+            except ValidationError:
+                continue
+            yield row
 
     def walls(self, earlier: Mapping[str, float]) -> dict[str, float]:
         """With this process's own.
@@ -105,13 +122,12 @@ class WorkLog:
         wanted = [(ANALYSIS, analysis), *((CHUNK, key) for key in chunks)]
         used = [last[w] for w in wanted if w in last]
         stretches = last.get((ANALYSIS, analysis), {}).get("stretches", ())
-        seconds: dict[str, float] = {}
-        stages: dict[str, float] = {}
+        seconds: Any = Counter()
+        stages: Any = Counter()
         walls = self.walls({})
         for row in used:
-            for total, part in ((seconds, row["seconds"]), (stages, row.get("stages", {}))):
-                for name, s in part.items():
-                    total[name] = total.get(name, 0.0) + s
+            seconds.update(row["seconds"])
+            stages.update(row.get("stages", {}))
             for process, s in row["walls"].items():
                 walls[process] = max(walls.get(process, 0.0), s)
         return TimeSpent(
@@ -131,48 +147,18 @@ class WorkLog:
 def _workers(rows: Iterable[Mapping[str, Any]]) -> tuple[dict[str, Any], ...]:
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows:
-        if "worker" in row:
-            name, host = row["worker"], row["host"]
-            none = {
-                "name": name,
-                "host": host,
-                "stretches": 0,
-                "chunks": 0,
-                "frames": 0,
-                "seconds": 0.0,
-            }
-            worker = found.setdefault((name, host), none)
-            if row["work"] == STRETCH:
-                worker["stretches"] += 1
-            else:
-                worker["chunks"] += 1
-                worker["frames"] += row["last"] - row["first"] + 1
-            worker["seconds"] += sum(row["seconds"].values()) + sum(
-                row.get("stages", {}).values()
-            )
-    return tuple(found.values())
-
-
-def _valid(row: dict[str, Any]) -> bool:
-    def numbers(values: Any) -> bool:
-        return isinstance(values, dict) and all(
-            isinstance(v, (int, float)) and abs(v) < 1e15 for v in values.values()
+        if not {"worker", "host", "first", "last"} <= row.keys():
+            continue
+        who = {"name": row["worker"], "host": row["host"]}
+        worker = found.setdefault(
+            (row["worker"], row["host"]),
+            who | {"stretches": 0, "chunks": 0, "frames": 0, "seconds": 0.0},
         )
-
-    texts = all(isinstance(row.get(name), str) for name in ("work", "key"))
-    tables = all(numbers(row.get(name)) for name in ("seconds", "walls")) and numbers(
-        row.get("stages", {})
-    )
-    who = "worker" not in row or all(
-        isinstance(row.get(name), kind) for name, kind in _WHO.items()
-    )
-    names = row.get("stretches", [])
-    texts = (
-        texts and isinstance(names, list) and all(isinstance(name, str) for name in names)
-    )
-    return (
-        texts
-        and tables
-        and who
-        and numbers({name: row.get(name, 0) for name in ("rss_mb", "first", "last")})
-    )
+        if row["work"] == STRETCH:
+            worker["stretches"] += 1
+        else:
+            worker["chunks"] += 1
+            worker["frames"] += row["last"] - row["first"] + 1
+        worker["seconds"] += sum(row["seconds"].values())
+        worker["seconds"] += sum(row.get("stages", {}).values())
+    return tuple(found.values())

@@ -33,7 +33,7 @@ from arfx.media.depth_maps import DepthMaps
 from arfx.media.frame import Frame
 from arfx.media.output import OutputPlan
 from arfx.media.writer import ChunkWriter, chunk_suffix, remove_output
-from arfx.run.background_io import WriteBehind
+from arfx.run.background_io import behind
 from arfx.run.folder import JobFolder, Lines, content_digest, disk_error, save_preview
 from arfx.run.frame import run_frame
 from arfx.run.inputs import job_depth, job_model
@@ -194,7 +194,7 @@ def render_chunk(
             context.info, context.pts, first, 0 if alone else 1, context.careful
         )
         with ChunkWriter(context.output, context.info, aside) as writer:
-            with WriteBehind(encode) if alone else nullcontext() as later:
+            with behind(encode) if alone else nullcontext(encode) as put:
                 for index in range(first, last + 1):
                     start = time.perf_counter()
                     frame = source.next()
@@ -211,7 +211,7 @@ def render_chunk(
                     )
                     if index in context.previews:
                         save_preview(context.folder.previews, index, frame, out)
-                    (encode if later is None else later.put)(out)
+                    put(out)
                     tick()
             start = time.perf_counter()
         seconds["encode"] += time.perf_counter() - start

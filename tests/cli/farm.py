@@ -1,5 +1,5 @@
 """A Dask cluster of its own for tests, as somebody else's that runs already: `python
-farm.py WORKERS` prints its address.
+farm.py WORKERS ALLOWED_FAILURES` prints its address.
 
 It ends when its standard input does."""
 
@@ -20,8 +20,8 @@ class Farm:
 
 
 @contextlib.contextmanager
-def farm(workers: int) -> Iterator[Farm]:
-    command = [sys.executable, str(Path(__file__)), str(workers)]
+def farm(workers: int, allowed_failures: int = 3) -> Iterator[Farm]:
+    command = [sys.executable, str(Path(__file__)), str(workers), str(allowed_failures)]
     with subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
@@ -43,7 +43,12 @@ def main() -> None:
 
     # Tests kill workers: a new one is forked from a server that has imported what it needs,
     # which takes others seconds.
-    dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"})
+    dask.config.set(
+        {
+            "distributed.worker.multiprocessing-method": "forkserver",
+            "distributed.scheduler.allowed-failures": int(sys.argv[2]),
+        }
+    )
     get_mp_context().set_forkserver_preload(
         ["arfx.run.preload", "arfx.run.cluster.remote", "distributed.nanny"]
     )

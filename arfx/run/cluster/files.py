@@ -21,7 +21,6 @@ from arfx.run.cluster.spec import library
 from arfx.run.folder import digest, file_digest
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
-from arfx.run.times import CHUNK, STRETCH
 from arfx.run.worker import process_name
 
 FAILURES = (
@@ -60,13 +59,13 @@ class Bundle:
 
 
 def bundles(
-    inputs: Inputs, maps: Sequence[PathMap], work: str = CHUNK
+    inputs: Inputs, maps: Sequence[PathMap], rendering: bool = True
 ) -> tuple[Bundle, ...]:
     """Of all files that a worker reads beside the job folder. Raises OSError."""
     config = inputs.config
     assert config.input.clip is not None and config.model.file is not None
     found = [_bundle("input", "clip", config.input.clip, (), maps)]
-    if work == STRETCH:
+    if not rendering:
         return tuple(found)
     found.append(_bundle("model", "file", config.model.file, inputs.model.files, maps))
     if inputs.depth is not None and config.input.depth is not None:

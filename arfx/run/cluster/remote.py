@@ -2,18 +2,16 @@
 stretches and renders chunks.
 
 What it is sent are places, digests and numbers of frames; what it returns are names and
-times. It tells how far it is by events, and leaves a chunk of which nobody wants the result
-any more."""
+times. It tells how far it is by events, and leaves a chunk that nobody wants any more."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 import socket
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,10 +23,10 @@ from arfx.run.cluster.agreement import PROCESSOR, STAGE, differences, environmen
 from arfx.run.cluster.files import Bundle, find
 from arfx.run.cluster.paths import is_url
 from arfx.run.cluster.store import Store
+from arfx.run.executors import Work
 from arfx.run.folder import JobFolder, content_digest
-from arfx.run.lock import HOLDER
+from arfx.run.schedule import find_chunk
 from arfx.run.stretches import analyse_stretch, listed
-from arfx.run.times import CHUNK, STRETCH
 from arfx.run.worker import Paths, render_chunk
 
 TELL_S = 0.5  # between two events of a chunk or stretch
@@ -38,17 +36,16 @@ TELL_S = 0.5  # between two events of a chunk or stretch
 class JobReference:
     """What a worker has to know of a run of a job.
 
-    run : names it, and the topic of its events;  key : of the job, or of its analysis;
-    work : CHUNK or STRETCH
-    folders : places of the job folder (`paths.places`), and of a store, if there is one;
-    holder : digest of its lock's file
+    run : names it, the topic of its events and the resource of workers that may work
+    key : of the job, or of its analysis;  suffix : of the chunks' files, None = stretches
+    are wanted
+    folders : places of the job folder (`paths.places`), and of a store, if there is one
     """
 
     run: str
     key: str
-    work: str
+    suffix: str | None
     folders: tuple[str, ...]
-    holder: str
     bundles: tuple[Bundle, ...]
 
 
@@ -56,13 +53,12 @@ class JobReference:
 class _Placed:
     """A job as this worker sees it.
 
-    store : where its chunks go; the folder is a copy then, to be removed
+    store : where its files go; the folder is a copy then, to be removed
     """
 
-    key: str
+    job: JobReference
     folder: JobFolder
     paths: Paths
-    work: str = CHUNK
     store: Store | None = None
 
 
@@ -70,22 +66,34 @@ _MOST = 8  # jobs that a worker keeps in mind
 _placed: dict[str, _Placed] = {}  # by run
 
 
-def examine(here: Mapping[str, str], job: JobReference | None) -> dict[str, str]:
-    """{name, host, refused}.
-
-    refused : why this worker can do nothing for a process with the environment `here`, "" =
-    it can.
+def examine(here: Mapping[str, str], job: JobReference | None) -> tuple[str, str]:
+    """(name and host of this worker, why it can do nothing for a process with the
+    environment `here`, "" = it can: then it gets tasks of the job).
     """
     import cv2
+    from distributed.utils import sync
 
     cv2.setNumThreads(1)
     for variable, one in ONE_THREAD.items():
         os.environ.setdefault(variable, one)
     plugins = tuple(name.removeprefix(STAGE) for name in here if name.startswith(STAGE))
     refused = ", ".join(differences(here, environment(plugins, PROCESSOR in here)))
+    worker = _worker()
     if job is not None and not refused:
         refused = _place(job)
-    return {"name": str(_worker().name), "host": socket.gethostname(), "refused": refused}
+        if not refused:
+            sync(worker.loop, _offer, worker, job.run)
+    return f"{worker.name} ({socket.gethostname()})", refused
+
+
+async def _offer(worker: Any, run: str) -> None:
+    """Have the scheduler give tasks of a run to this worker: it gives those that wait for
+    a worker to one that it sees wake."""
+    from distributed.core import Status
+
+    await worker.set_resources(**{run: worker.state.nthreads})
+    worker.status = Status.paused
+    worker.status = Status.running
 
 
 def _place(job: JobReference) -> str:
@@ -105,52 +113,35 @@ def _place(job: JobReference) -> str:
 
 
 def _folder(job: JobReference, paths: Paths) -> _Placed:
-    reasons = []
+    reasons, rendering = [], job.suffix is not None
     for there in job.folders:
+        store, folder = None, JobFolder(Path(there))
         if is_url(there):
-            scratch = Path(tempfile.mkdtemp(prefix="arfx-", dir=_worker().local_directory))
-            folder = Store(there).get_job(scratch, job.work)
-            if _holds(folder, job):
-                return _Placed(job.key, folder, paths, job.work, Store(there))
-            reasons.append(f"{there} holds another job")
+            store = Store(there)
+            scratch = tempfile.mkdtemp(prefix="arfx-", dir=_worker().local_directory)
+            folder = store.get_job(Path(scratch), rendering)
+        if not folder.path.is_dir():
+            reasons.append(f"job folder {there}: no such folder")
+        elif folder.sealed(job.key) if rendering else listed(folder, job.key):
+            return _Placed(job, folder, paths, store)
         else:
-            folder = JobFolder(Path(there))
-            if not folder.path.is_dir():
-                reasons.append(f"job folder {there}: no such folder")
-            elif not _holds(folder, job) or job.holder != holder(folder):
-                reasons.append(f"{there} is not the job folder, but a copy or another one")
-            else:
-                return _Placed(job.key, folder, paths, job.work)
+            reasons.append(f"{there} holds another job")
     raise RenderError("; ".join(reasons))
-
-
-def _holds(folder: JobFolder, job: JobReference) -> bool:
-    """Whether what the work needs is there, of this job."""
-    return folder.sealed(job.key) if job.work == CHUNK else listed(folder, job.key)
-
-
-def holder(folder: JobFolder) -> str:
-    """Tells the folder that a job has locked from copies of it; "" where the disk was too
-    full for that.
-    """
-    with contextlib.suppress(OSError):
-        return content_digest(folder.path / HOLDER)
-    return ""
 
 
 class UnwantedError(Exception):
     """Raised to leave a chunk or stretch."""
 
 
-def work(run: str, first: int, last: int, name: str) -> None:
-    """Do a task of the job that was placed here, as `render_chunk` or `analyse_stretch`
-    does; its file goes into the job folder.
+def work(run: str, tasks: Sequence[tuple[int, int, str]]) -> list[dict[str, Any]]:
+    """Do tasks (first and last frame, name of the file) of the job that was placed here,
+    as `render_chunk` or `analyse_stretch` does, but for those whose files are there."""
+    return [_work(_placed[run], *task) for task in tasks]
 
-    The result is an event too: the scheduler has it then, while what a call returns would
-    have to be asked of this worker."""
-    worker = _worker()
-    token, placed = worker.get_current_task(), _placed[run]
-    done, told = 0, time.monotonic()
+
+def _work(placed: _Placed, first: int, last: int, name: str) -> dict[str, Any]:
+    worker, job, folder = _worker(), placed.job, placed.folder
+    token, done, told = worker.get_current_task(), 0, time.monotonic()
 
     def tick() -> None:
         nonlocal done, told
@@ -158,43 +149,32 @@ def work(run: str, first: int, last: int, name: str) -> None:
         if time.monotonic() - told > TELL_S:
             told = time.monotonic()
             task = worker.state.tasks.get(token)
-            if task is None or task.state == "cancelled" or worker.status.name != "running":
+            if task is None or task.state == "cancelled":
                 raise UnwantedError
-            worker.log_event(run, {"attempt": token, "frames": done})
+            worker.log_event(job.run, {"first": first, "frames": done})
 
-    folder, failed = placed.folder, None
+    do: Work = render_chunk
+    target = folder.chunks / name
+    if job.suffix is None:
+        do, target = analyse_stretch, folder.stretches / name
+        made = target if target.exists() else None
+    else:
+        made = find_chunk(folder.chunks, name, job.suffix)
+    if made is not None and placed.store is None:  # by a worker that was lost after that
+        return {"file": made.name, "first": first, "last": last}
     try:
-        do, files = (
-            (analyse_stretch, folder.stretches)
-            if placed.work == STRETCH
-            else (render_chunk, folder.chunks)
-        )
         result = do(
-            str(folder.path),
-            placed.key,
-            first,
-            last,
-            str(files / name),
-            tick,
-            paths=placed.paths,
+            str(folder.path), job.key, first, last, str(target), tick, paths=placed.paths
         )
         if placed.store is not None:
-            _hand_over(placed.store, folder, files / result["file"], result)
+            _hand_over(placed.store, folder, target.with_name(result["file"]), result)
+        return {**result, "worker": str(worker.name)}
     except ArfxError as e:
         failed = type(e)(
             f"{e.message} (on worker {worker.name}, {socket.gethostname()})", e.hint
         )
-    finally:
-        worker.log_event(run, {"attempt": token, "ended": True})
-    if (
-        failed is not None
-        # raised here, it has no context: Dask would send that too, and FFmpeg's errors cannot
-        # be sent
-    ):
-        raise failed
-    worker.log_event(
-        run, {"attempt": token, "result": {**result, "worker": str(worker.name)}}
-    )
+    # raised here, it has no context: Dask would send that too, and FFmpeg's errors cannot be
+    raise failed
 
 
 def _hand_over(store: Store, folder: JobFolder, file: Path, result: dict[str, Any]) -> None:

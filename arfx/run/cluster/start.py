@@ -10,7 +10,6 @@ import shutil
 import tempfile
 import uuid
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -18,13 +17,13 @@ from arfx.core import interrupt
 from arfx.core.parallel import ONE_THREAD
 from arfx.errors import ConfigError
 from arfx.media.writer import chunk_suffix
-from arfx.run.analysis import Run, in_order
+from arfx.run.analysis import Run
 from arfx.run.cluster.agreement import environment
 from arfx.run.cluster.crew import Crew
 from arfx.run.cluster.dispatch import Dispatch
 from arfx.run.cluster.files import bundles
 from arfx.run.cluster.paths import PathMap, is_url, places
-from arfx.run.cluster.remote import JobReference, holder
+from arfx.run.cluster.remote import JobReference
 from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
 from arfx.run.cluster.store import Store
 from arfx.run.executors import Results, Task
@@ -32,17 +31,14 @@ from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
 from arfx.run.planned import Job
-from arfx.run.times import CHUNK, STRETCH
 from arfx.stages import STAGES
 
 CONNECT_S, CLOSE_S = 7, 3
-_NOISY = ("distributed", "dask_jobqueue", "tornado", "asyncio")
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
     "distributed.worker.profile.enabled": (
         False
     ),  # it looks at every thread a hundred times a second
-    "distributed.scheduler.allowed-failures": 1_000_000,  # `Dispatch` counts them
 }
 
 
@@ -57,43 +53,30 @@ class Cluster:
         client: Any,
         spec: ClusterSpec,
         maps: Sequence[PathMap],
-        most_lost: int,
         notice: Callable[[str], None],
         own: Callable[[], bool] | None = None,
     ) -> None:
-        self._client, self._spec, self._maps, self._most_lost, self._notice = (
-            client,
-            spec,
-            maps,
-            most_lost,
-            notice,
-        )
-        self._own = own
+        self._client, self._maps, self._notice, self._own = client, maps, notice, own
         self.workers = spec.workers
-        if (
-            spec.kind == ADDRESS
-        ):  # it is said before any work if none of its workers can be used
-            self.workers = (
-                sum(m.slots for m in Crew(client, environment(), None, notice).compared())
-                or 1
-            )
+        if spec.kind == ADDRESS:
+            crew = Crew(client, environment(), None, notice)
+            crew.gathered()
+            crew.check()  # before any work, if none of its workers can be used
+            self.workers = crew.slots or 1
 
     def render(
         self, tasks: Sequence[Task], progress: Callable[[int], None], job: Job
     ) -> Results:
         """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
-        with self._placed(job.inputs, job.folder, job.key, CHUNK) as (reference, store):
-            crew = self._crew(job.inputs, reference, self._notice)
-            yield from self._by_workers(
-                tasks, progress, crew, reference, chunk_suffix(job.inputs.output), store
-            )
+        suffix = chunk_suffix(job.inputs.output)
+        with self._placed(job.inputs, job.folder, job.key, suffix) as placed:
+            yield from self._results(tasks, progress, job.inputs, *placed)
 
     def analysing(self, inputs: Inputs, folder: JobFolder, key: str, here: Run) -> Run:
-        """Has the stretches of a job analysed. This process does that itself while no
-        worker is there, one after the other.
+        """Has the stretches of a job analysed.
 
-        Those with another processor may not: with one that libraries choose other code for,
-        facts differ in their last digits.
+        Workers with another processor may not: with one that libraries choose other code
+        for, facts differ in their last digits.
         key : of the analysis;  here : how this machine does it where all are refused"""
 
         def run(
@@ -102,38 +85,14 @@ class Cluster:
             if count <= 1:
                 yield from here(tasks, count, frames, progress)
                 return
-            waiting, done = deque(tasks), 0
-            with self._placed(inputs, folder, key, STRETCH) as (reference, store):
-                crew = self._crew(
-                    inputs, reference, lambda _: None
-                )  # what is wrong with a worker is told when it is to render
-
-                def ours() -> Iterator[Task]:
-                    while waiting and not (
-                        crew.anyone(lambda: progress(done)) or crew.refusal()
-                    ):
-                        yield waiting.popleft()
-
-                with contextlib.closing(
-                    in_order(ours(), count, frames, progress)
-                ) as results:
-                    for result in results:
-                        done += result["last"] - result["first"] + 1
-                        yield result
-
-                def more(n: int) -> None:
-                    progress(done + n)
-
-                if waiting and (why := crew.refusal()):
+            with self._placed(inputs, folder, key, None) as placed:
+                crew = self._crew(inputs, placed[0], lambda _: None)
+                crew.gathered(lambda: progress(0))
+                if why := crew.refusal():
                     self._notice(f"this machine analyses the clip alone: {why}")
-                    with contextlib.closing(
-                        here(iter(waiting), len(waiting), frames, more)
-                    ) as results:
-                        yield from results
-                elif waiting:
-                    yield from self._by_workers(
-                        [*waiting], more, crew, reference, None, store
-                    )
+                    yield from here(tasks, count, frames, progress)
+                else:
+                    yield from self._results([*tasks], progress, inputs, *placed, crew)
 
         return run
 
@@ -141,34 +100,29 @@ class Cluster:
         self, inputs: Inputs, job: JobReference, notice: Callable[[str], None]
     ) -> Crew:
         plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
-        return Crew(self._client, environment(plugins, job.work == STRETCH), job, notice)
+        return Crew(self._client, environment(plugins, job.suffix is None), job, notice)
 
-    def _by_workers(
+    def _results(
         self,
         tasks: Sequence[Task],
         progress: Callable[[int], None],
-        crew: Crew,
+        inputs: Inputs,
         job: JobReference,
-        suffix: str | None,
         store: Store | None,
+        crew: Crew | None = None,
     ) -> Results:
-        dispatch = Dispatch(
-            self._client,
-            crew,
-            tasks,
-            job.run,
-            suffix,
-            store,
-            self._most_lost,
-            self._own,
-            self._notice,
-        )
-        with contextlib.closing(dispatch.results(progress)) as results:
+        crew = crew or self._crew(inputs, job, self._notice)
+        dispatch = Dispatch(self._client, crew, job, store, self._own, self._notice)
+        with contextlib.closing(dispatch.results(tasks, progress, self.workers)) as results:
             yield from results
 
     @contextlib.contextmanager
     def _placed(
-        self, inputs: Inputs, folder: JobFolder, key: str, work: str
+        self,
+        inputs: Inputs,
+        folder: JobFolder,
+        key: str,
+        suffix: str | None,
     ) -> Iterator[tuple[JobReference, Store | None]]:
         """Where workers find a job, and the store if there is one: with the job's files in
         it, emptied when the body is done.
@@ -179,17 +133,15 @@ class Cluster:
             None,
         )
         if store is not None:
-            store.put_job(folder, work)
+            store.put_job(folder, suffix is not None)
         seen = tuple(there for there in folders if not is_url(there)) + (
             (store.url,) if store is not None else ()
         )
-        files = bundles(inputs, self._maps, work)
-        yield (
-            JobReference(
-                f"arfx-{uuid.uuid4().hex}", key, work, seen, holder(folder), files
-            ),
-            store,
+        run, files = (
+            f"arfx-{uuid.uuid4().hex}",
+            bundles(inputs, self._maps, suffix is not None),
         )
+        yield JobReference(run, key, suffix, seen, files), store
         if store is not None:
             store.take_previews(folder.previews)
             store.remove()
@@ -208,7 +160,6 @@ def open_cluster(
         yield None
         return
     dask, distributed = library("dask"), library("distributed")
-    most_lost = int(dask.config.get("distributed.scheduler.allowed-failures"))
     with contextlib.ExitStack() as stack:
         stack.enter_context(_silence())
         stack.enter_context(dask.config.set(_SETTINGS))
@@ -241,7 +192,7 @@ def open_cluster(
         if spec.kind == ADDRESS and client.dashboard_link:
             notice(f"dashboard: {client.dashboard_link}")
         own = (lambda: _is_running(cluster)) if spec.kind == LOCAL else None
-        yield Cluster(client, spec, maps, most_lost, notice, own)
+        yield Cluster(client, spec, maps, notice, own)
 
 
 async def _greet(address: str) -> None:
@@ -302,7 +253,7 @@ def _start_slurm(spec: ClusterSpec, scratch: str) -> Any:
             )
         except (ValueError, TypeError, OSError) as e:
             raise ConfigError(
-                f"Slurm's settings: {e}", "docs/limits.md lists them"
+                f"Slurm's settings: {str(e)[:200]}", "docs/limits.md lists them"
             ) from None
         cluster.scale(jobs=spec.settings["jobs"])
     return cluster
@@ -321,25 +272,14 @@ def _close(opened: Any) -> None:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    """What goes wrong is said once, in arfx's own words.
-
-    Some of Dask's loggers have levels of their own.
-    """
-    loggers = [
-        logging.getLogger(name)
-        for name in [*logging.root.manager.loggerDict]
-        if name.partition(".")[0] in _NOISY
-    ]
-    before = [logger.level for logger in loggers]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for logger in loggers:
-            logger.setLevel(logging.CRITICAL)
-        try:
+    """What goes wrong is said once, in arfx's own words."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings(action="ignore"):
             yield
-        finally:
-            for logger, level in zip(loggers, before, strict=True):
-                logger.setLevel(level)
+    finally:
+        logging.disable(before)
 
 
 def planned_workers(spec: ClusterSpec | None) -> int | None:

@@ -13,7 +13,6 @@ from pathlib import Path, PurePosixPath
 from arfx.errors import RenderError
 from arfx.run.cluster.files import FAILURES, file_system, said
 from arfx.run.folder import JobFolder, content_digest
-from arfx.run.times import CHUNK
 from arfx.run.worker import process_name
 
 
@@ -23,15 +22,15 @@ class Store:
 
     url: str
 
-    def put_job(self, folder: JobFolder, work: str) -> None:
-        """What workers read of a job folder. Raises RenderError."""
-        for path in folder.worker_files(work == CHUNK):
+    def put_job(self, folder: JobFolder, rendering: bool) -> None:
+        """What workers read of a job folder to render, else to analyse. Raises RenderError."""
+        for path in folder.worker_files(rendering):
             self.put(path, path.name)
 
-    def get_job(self, folder: Path, work: str) -> JobFolder:
+    def get_job(self, folder: Path, rendering: bool) -> JobFolder:
         """The same in `folder`, which exists. Raises RenderError."""
         job = JobFolder(folder)
-        for path in job.worker_files(work == CHUNK):
+        for path in job.worker_files(rendering):
             self._get(path.name, path)
         job.open(resume=True)
         return job
@@ -64,37 +63,27 @@ class Store:
         kind = (folder.stretches if suffix is None else folder.chunks).name
         try:
             fs, root = file_system(self.url)
-            listed = (
-                [p for p in fs.find(f"{root}/{kind}") if f"/{kind}/{name}." in p]
-                if fs.exists(f"{root}/{kind}")
-                else []
-            )
+            there = f"{root}/{kind}"
+            listed = fs.ls(there, detail=False) if fs.exists(there) else []
+            for file in sorted(PurePosixPath(path).name for path in listed):
+                if not file.startswith(f"{name}."):
+                    continue
+                aside = folder.chunks / f"{process_name()}-0-{file}"
+                fs.get(f"{there}/{file}", str(aside), recursive=True)
+                fs.rm(f"{there}/{file}", recursive=True)
+                if file == f"{name}.{content_digest(aside)}{suffix or ''}":
+                    return aside.replace(
+                        folder.path / kind / (name if suffix is None else file)
+                    )
         except FAILURES as e:
             raise RenderError(f"cannot read {self.url}: {said(e)}") from None
-        for file in sorted({p.partition(f"/{kind}/")[2].partition("/")[0] for p in listed}):
-            aside = folder.chunks / f"{process_name()}-0-{file}"
-            for path in listed:
-                inside = PurePosixPath(path.partition(f"/{kind}/")[2])
-                if inside.parts[0] == file:
-                    target = aside.joinpath(*inside.parts[1:])
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    self._get(f"{kind}/{inside}", target)
-            fs.rm(f"{root}/{kind}/{file}", recursive=True)
-            if file == f"{name}.{content_digest(aside)}{suffix or ''}":
-                return aside.replace(
-                    folder.path / kind / (name if suffix is None else file)
-                )
         return None
 
     def take_previews(self, previews: Path) -> None:
-        """All that are there. Raises RenderError."""
+        """All that are there."""
         with contextlib.suppress(*FAILURES):
             fs, root = file_system(self.url)
-            for path in fs.find(f"{root}/previews"):
-                self._get(
-                    f"previews/{PurePosixPath(path).name}",
-                    previews / PurePosixPath(path).name,
-                )
+            fs.get(f"{root}/previews/", f"{previews}/", recursive=True)
 
     def remove(self) -> None:
         """As far as that is possible."""

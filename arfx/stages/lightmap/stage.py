@@ -36,7 +36,7 @@ from arfx.stages.light.plane_shadow import (
     plane_shadow_texture,
     within_surface,
 )
-from arfx.stages.light.region import UNEVEN, ShadowRegion, shadow_region
+from arfx.stages.light.region import ShadowRegion, shadow_region
 from arfx.stages.light.soft_visibility import (
     SoftVisibility,
     soft_visibility,
@@ -46,6 +46,7 @@ from arfx.stages.light.soft_visibility import (
 from arfx.stages.light.split_sum import split_sum
 from arfx.stages.light.surroundings import frame_environment
 from arfx.stages.lightmap.coats import add_clear_coat, add_sheen
+from arfx.stages.lightmap.reach import darkest, plane_rect, unevenness
 from arfx.stages.lightmap.self_shadow import (
     SELF_LEVELS,
     depth_map,
@@ -59,7 +60,7 @@ from arfx.stages.lightmap.shading import (
     highlight_width,
     shade,
 )
-from arfx.stages.viewing import direction_grid, seen_rect
+from arfx.stages.viewing import direction_grid
 
 _BEAM_STEP = np.radians(
     0.02
@@ -277,7 +278,7 @@ class Lightmap(Stage):
         strength = self.params.shadow_strength * prepared.region.caster.opacity
         if (
             anchor_from_camera.translation_m[2] <= 0
-            or strength * _darkest(light, scene) <= self._shows_from
+            or strength * darkest(light, scene) <= self._shows_from
         ):
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
         soft = self._soft_textures(view, prepared, light)
@@ -333,8 +334,7 @@ class Lightmap(Stage):
         eye = scene.world_from_anchor.inverse().apply(facts.pose.inverse().translation_m)
         if eye[2] <= 0:
             return EMPTY, "no shadow: plane seen from behind"
-        darkest = _darkest(light, scene)
-        most = self.params.shadow_strength * region.caster.opacity * darkest
+        most = self.params.shadow_strength * region.caster.opacity * darkest(light, scene)
         share = 100 * most
         if most <= least:
             return (
@@ -347,7 +347,7 @@ class Lightmap(Stage):
             for beam, fraction in zip(light.beams, fractions, strict=True)
             if fraction > self.faint and beam.direction[2] > 0
         )
-        soft = float(light.ambient_fraction.max()) * _unevenness(light)
+        soft = float(light.ambient_fraction.max()) * unevenness(light)
         steps = max(
             np.ceil(soft * _SOFT_STEPS), 1
         )  # so that frames of a like light share an outline
@@ -361,13 +361,11 @@ class Lightmap(Stage):
                     " light"
                 ),
             )
-        rect = _plane_rect(outline, facts, scene).clip(frame)
+        rect = plane_rect(outline, facts, scene).clip(frame)
         if scene.surface_m is not None:
             x0, y0, x1, y1 = scene.surface_m
             rect = rect.clip(
-                _plane_rect(
-                    np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene
-                )
+                plane_rect(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), facts, scene)
             )
         return (
             rect,
@@ -390,29 +388,3 @@ class Lightmap(Stage):
             self.hard,
             self.params.plane_blocks,
         )
-
-
-def _plane_rect(points_m: np.ndarray, facts: FrameFacts, scene: Scene) -> Rect:
-    """Pixels that hold points (n, 2) of the anchor's plane; the whole frame where some are
-    not before the camera.
-    """
-    points = np.column_stack([points_m, np.zeros(len(points_m))])
-    return seen_rect(
-        scene.camera, facts.pose.apply(scene.world_from_anchor.apply(points)), 1.0
-    )
-
-
-def _darkest(light: FrameLight, scene: Scene) -> float:
-    """The largest share of the plane's light, 0..1, that the object can take: every
-    directional light, and of the ambient one what it hides where it hides most."""
-    hidden = min(shadow_region(scene).hidden * _unevenness(light), 1.0)
-    return float((light.ambient_fraction * hidden + light.direct_fractions.sum(0)).max())
-
-
-def _unevenness(light: FrameLight) -> float:
-    """How many times as bright as its mean over the plane's hemisphere the soft light is at
-    most, as far as pictures hold it.
-    """
-    return min(
-        (1 + float(np.linalg.norm(light.shape))) / (1 + 2 / 3 * light.shape[2]), UNEVEN
-    )

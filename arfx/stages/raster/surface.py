@@ -1,6 +1,5 @@
-"""What rays meet: colour, normal and material of the model's surface, summed up for each pixel.
-
-One loop serves pixel centres, samples along edges and layers behind transparent ones."""
+"""What rays meet: colour, normal and material of the surface, summed up for each pixel; one loop
+for pixel centres, samples along edges and layers behind transparent ones."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg, var-annotated, arg-type, assignment"
 from __future__ import annotations

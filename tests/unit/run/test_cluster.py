@@ -9,7 +9,7 @@ import http.server
 import pickle
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,15 +18,14 @@ import av
 import pytest
 
 from arfx.core.machine import usable_cores
-from arfx.errors import ArfxError, ConfigError, InputError, RenderError
+from arfx.errors import ConfigError, InputError, RenderError
 from arfx.media.frames import FrameTimesError
-from arfx.run.cluster import crew, dispatch, remote
+from arfx.run.cluster import remote
 from arfx.run.cluster.files import Bundle, Part, find
 from arfx.run.cluster.paths import PathMap, places
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import open_cluster
 from arfx.run.folder import _CHUNK, JobFolder, file_digest
-from arfx.run.schedule import next_chunk
 from arfx.run.times import ANALYSIS, CHUNK, STRETCH, WorkLog
 from arfx.run.worker import process_name
 
@@ -65,8 +64,7 @@ def test_what_is_no_cluster(text: str) -> None:
     ("text", "message"),
     [
         ("cores = 1", "memory is not said"), ('cores = "1"\nmemory = "1GB"', "cores is '1'"), ("cores = true", "cores is True"),
-        ("core = 1", "no setting 'core'"), ("cores = [", "not valid TOML"),
-        ('worker_extra_args = "x"', "worker_extra_args is 'x'"),
+        ("cores = 1\nprocesses = 0", "processes is 0"), ("cores = [", "not valid TOML"),
     ],
 )  # fmt: skip
 def test_settings_of_slurm_that_are_wrong(tmp_path: Path, text: str, message: str) -> None:
@@ -227,13 +225,6 @@ def test_other_content_is_another_file(
     assert not [*(tmp_path / "cache" / "arfx" / "files").iterdir()]
 
 
-def test_a_worker_reads_on_where_it_can() -> None:
-    assert next_chunk([0, 1, 2, 3], -1, {-1}) == 0
-    assert next_chunk([1, 2, 3, 4, 5, 6, 7], -1, {1}) == 4, "another comes to 1"
-    assert next_chunk([1, 5, 6], 5, {1}) == 5
-    assert next_chunk([3], 9, {3}) == 3
-
-
 def test_names_of_unfinished_files_are_arfxs_own() -> None:
     import re
 
@@ -288,189 +279,17 @@ def test_the_time_of_each_worker(tmp_path: Path) -> None:
     assert log.spent("facts", "abc").seconds["analyse"] == 4.5
 
 
-class FakeClient:
-    """A cluster in which `happen` decides what becomes of each call. threads : address -> slots"""
-
-    def __init__(
-        self, happen: Callable[[FakeClient, str, SimpleNamespace], None], **threads: int
-    ) -> None:
-        self.happen, self.threads, self.status = happen, threads, "running"
-        self.scheduler = SimpleNamespace(address="tcp://fake:1")
-        self.calls: list[tuple[str, int]] = []
-
-    def nthreads(self, callback_timeout: float) -> dict[str, int]:
-        return dict(self.threads)
-
-    def subscribe_topic(
-        self, _: str, handler: Callable[[tuple[float, dict[str, Any]]], None]
-    ) -> None:
-        self.tell = handler
-
-    def unsubscribe_topic(self, *_: Any) -> None: ...
-
-    def submit(
-        self,
-        function: Callable[..., Any],
-        *arguments: Any,
-        key: str,
-        workers: list[str],
-        **_: Any,
-    ) -> SimpleNamespace:
-        future = SimpleNamespace(status="pending", value=None, key=key)
-        future.done = lambda: future.status != "pending"
-        future.result = future.exception = lambda timeout: future.value
-        future.cancel = lambda force: None
-        if function is crew.remote.examine:
-            future.status, future.value = (
-                "finished",
-                {"name": f"{workers[0]}'s name", "host": "h", "refused": ""},
-            )
-        else:
-            self.calls.append((workers[0], arguments[1]))
-            future.first, future.name = arguments[1], arguments[3]
-            self.happen(self, workers[0], future)
-        return future
+def reference(work: str = CHUNK) -> remote.JobReference:
+    return remote.JobReference("run", "key", ".nut" if work == CHUNK else None, (), ())
 
 
-@pytest.fixture
-def dispatched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[int]]:
-    """First frames of the results of four tasks by a FakeClient. at : called with each"""
-    monkeypatch.setattr(crew, "LOOK_S", 0.0)
-    monkeypatch.setattr(dispatch, "SLOW_S", 0.1)
-    monkeypatch.setattr(dispatch, "LEAVE_S", 0.0)
-    tasks = [
-        ("", "", n, n + 29, str(tmp_path / f"{n:06d}-{n + 29:06d}.{'k' * 16}"))
-        for n in range(0, 120, 30)
-    ]
-
-    def run(
-        client: FakeClient,
-        suffix: str | None = ".nut",
-        at: Callable[[int], object] = lambda first: None,
-    ) -> list[int]:
-        crew_ = crew.Crew(client, {}, None, print)
-        d = dispatch.Dispatch(client, crew_, tasks, "run", suffix, None, 3, None, print)
-        return [at(r["first"]) or r["first"] for r in d.results(lambda done: None)]
-
-    return run
-
-
-def finish(client: FakeClient, future: SimpleNamespace, folder: Path) -> None:
-    """As a worker that has written its file. Its event is heard soon."""
-    file = f"{future.name}.{'c' * 16}.nut"
-    (folder / file).write_bytes(b"")
-    future.status = "finished"
-    said = {"attempt": future.key, "result": {"file": file, "first": future.first}}
-    threading.Timer(0.01, client.tell, [(0.0, said)]).start()
-
-
-def test_a_chunk_that_kills_three_workers_is_named(
-    dispatched: Callable[..., list[int]], tmp_path: Path
-) -> None:
-    """However many workers there are, and though all others are fine."""
-
-    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
-        if future.first == 60:
-            del client.threads[worker]
-            client.threads[f"{worker}+"] = 1  # started again by its nanny
-        else:
-            finish(client, future, tmp_path)
-
-    client = FakeClient(happen, a=1, b=1)
-    with pytest.raises(
-        RenderError,
-        match=(
-            r"frames 60–89: workers were lost with this chunk 3 times \(.*name, .*name,"
-            r" .*name\)"
-        ),
-    ):
-        dispatched(client)
-    assert [first for _, first in client.calls].count(60) == 3
-
-
-def test_a_chunk_whose_worker_died_after_it_is_not_rendered_again(
-    dispatched: Callable[..., list[int]], tmp_path: Path
-) -> None:
-    from arfx.run.folder import content_digest
-
-    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
-        if worker == "a":
-            (tmp_path / "x").write_bytes(b"chunk")
-            (tmp_path / "x").rename(
-                tmp_path / f"{future.name}.{content_digest(tmp_path / 'x')}.nut"
-            )
-            del client.threads["a"]
-        else:
-            finish(client, future, tmp_path)
-
-    client = FakeClient(happen, a=1, b=1)
-    assert sorted(dispatched(client)) == [0, 30, 60, 90] and len(client.calls) == 4
-
-
-def test_a_stretch_is_there_when_its_file_is(
-    dispatched: Callable[..., list[int]], tmp_path: Path
-) -> None:
-    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
-        (tmp_path / future.name).write_bytes(b"stretch")
-        del client.threads[worker]  # before anybody heard of it
-        client.threads[f"{worker}+"] = 1
-
-    client = FakeClient(happen, a=1)
-    assert sorted(dispatched(client, None)) == [0, 30, 60, 90] and len(client.calls) == 4
-
-
-def test_a_worker_has_its_next_task_before_the_result_is_used(
-    dispatched: Callable[..., list[int]], tmp_path: Path
-) -> None:
-    """Joining a stretch takes its time."""
-    client = FakeClient(
-        lambda client, worker, future: finish(client, future, tmp_path), a=1
-    )
-    given = list[int]()
-    dispatched(client, at=lambda first: given.append(len(client.calls)))
-    assert given == [2, 3, 4, 4]
-
-
-def test_an_idle_worker_takes_over_from_a_straggler(
-    dispatched: Callable[..., list[int]], tmp_path: Path
-) -> None:
-    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
-        if worker != "a":
-            finish(client, future, tmp_path)
-
-    client = FakeClient(happen, a=1, b=1)
-    assert sorted(dispatched(client)) == [0, 30, 60, 90]
-    assert [worker for worker, first in client.calls if first == 0] == ["a", "b"]
-
-
-def test_what_a_worker_raises_ends_the_job(dispatched: Callable[..., list[int]]) -> None:
-    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
-        future.status, future.value = "error", RenderError("the disk is full")
-
-    with pytest.raises(ArfxError, match="the disk is full"):
-        dispatched(FakeClient(happen, a=1))
-
-
-def test_a_lost_connection_is_said(dispatched: Callable[..., list[int]]) -> None:
-    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
-        client.status = "connecting"
-
-    with pytest.raises(
-        RenderError, match="connection to the scheduler at tcp://fake:1 is lost"
-    ):
-        dispatched(FakeClient(happen, a=1))
-
-
-@pytest.mark.parametrize(
-    ("state", "status"), [("cancelled", "running"), ("executing", "closing")]
-)
 def test_a_worker_leaves_a_chunk_that_nobody_wants(
-    state: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also when the client was killed: Dask cancels its tasks then."""
     events: list[dict[str, Any]] = []
     worker = SimpleNamespace(
-        name="w", state=SimpleNamespace(tasks={"token": SimpleNamespace(state=state)}), status=SimpleNamespace(name=status),
+        name="w", state=SimpleNamespace(tasks={"token": SimpleNamespace(state="cancelled")}),
         get_current_task=lambda: "token", log_event=lambda topic, said: events.append(said),
     )  # fmt: skip
 
@@ -483,14 +302,14 @@ def test_a_worker_leaves_a_chunk_that_nobody_wants(
     monkeypatch.setattr(remote, "render_chunk", render_chunk)
     monkeypatch.setattr(remote, "TELL_S", 0.0)
     monkeypatch.setitem(
-        remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ())
+        remote._placed, "run", remote._Placed(reference(), JobFolder(tmp_path), ())
     )
     with pytest.raises(remote.UnwantedError):
-        remote.work("run", 0, 29, "name")
-    assert events == [{"attempt": "token", "ended": True}]
-    worker.state.tasks["token"].state, worker.status.name = "executing", "running"
-    remote.work("run", 0, 29, "name")
-    assert {"attempt": "token", "frames": 1000} in events
+        remote.work("run", [(0, 29, "name")])
+    assert not events
+    worker.state.tasks["token"].state = "executing"
+    remote.work("run", [(0, 29, "name")])
+    assert {"first": 0, "frames": 1000} in events
 
 
 def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
@@ -514,10 +333,10 @@ def test_a_full_disk_on_a_worker_ends_the_job_with_its_own_error(
     monkeypatch.setattr(remote, "_worker", lambda: worker)
     monkeypatch.setattr(remote, "render_chunk", render_chunk)
     monkeypatch.setitem(
-        remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), ())
+        remote._placed, "run", remote._Placed(reference(), JobFolder(tmp_path), ())
     )
     with pytest.raises(RenderError, match="No space left on device") as raised:
-        remote.work("run", 0, 29, "name")
+        remote.work("run", [(0, 29, "name")])
     sent = error_message(raised.value)
     arrived = clean_exception(pickle.loads(sent["exception"].data))[1]
     assert (
@@ -541,20 +360,7 @@ def test_what_ends_a_stretch_says_the_same_from_a_worker(
     monkeypatch.setattr(remote, "_worker", lambda: worker)
     monkeypatch.setattr(remote, "analyse_stretch", analyse_stretch)
     monkeypatch.setitem(
-        remote._placed, "run", remote._Placed("key", JobFolder(tmp_path), (), STRETCH)
+        remote._placed, "run", remote._Placed(reference(STRETCH), JobFolder(tmp_path), ())
     )
     with pytest.raises(FrameTimesError, match=r"backwards \(on worker w"):
-        remote.work("run", 0, 29, "name")
-
-
-def test_a_worker_that_is_closed_loses_its_chunk(
-    dispatched: Callable[..., list[int]], tmp_path: Path
-) -> None:
-    def happen(client: FakeClient, worker: str, future: SimpleNamespace) -> None:
-        if worker == "a":
-            future.status, future.value = "error", remote.UnwantedError()
-            del client.threads["a"]
-        else:
-            finish(client, future, tmp_path)
-
-    assert sorted(dispatched(FakeClient(happen, a=1, b=1))) == [0, 30, 60, 90]
+        remote.work("run", [(0, 29, "name")])

@@ -5,8 +5,6 @@ failure of it stops a job.
 from __future__ import annotations
 
 import json
-import subprocess
-from collections import deque
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -18,9 +16,7 @@ import pytest
 from arfx.run import job, kernels
 from arfx.run.folder import JobFolder
 from arfx.run.kernels import (
-    DIMMING,
     JOB,
-    SELDOM,
     SYNTH,
     Kernel,
     compile_ahead,
@@ -31,6 +27,7 @@ from arfx.run.times import WorkLog
 from arfx.stages import STAGES
 from arfx_cli.console import Progress
 from arfx_cli.demo import EFFECTS
+from tools.record_kernels import SELDOM, signature
 
 MODULE = """
 import numba
@@ -75,10 +72,10 @@ def test_what_is_missing_is_compiled_and_told_once(
     monkeypatch.setattr(kernels, "usable_cores", lambda: cores)
     told: list[tuple[str, int, int | None]] = []
     assert compile_ahead(("job", "gi"), lambda *a: told.append(a)) == 3
-    assert told == [("compile", k, 3) for k in range(4)]
+    assert told[0] == ("compile", 0, 3) and told[-1] == ("compile", 3, 3)
     assert compiled_files(tmp_path) == 3
-    assert compile_ahead(None, lambda *a: told.append(a)) == 0
-    assert len(told) == 4
+    told.clear()
+    assert compile_ahead(None, lambda *a: told.append(a)) == 0 and not told
 
 
 def test_only_the_parts_that_a_job_needs_are_compiled(
@@ -88,38 +85,12 @@ def test_only_the_parts_that_a_job_needs_are_compiled(
     assert [k.is_cached for k in two] == [False, False, True]
 
 
-def test_a_helper_that_dies_or_knows_no_such_kernel_ends_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    lost = [Kernel("arfx.no_such_module", "f", "(int64,)", 9.0)] * 2
-    assert list(kernels._in_processes(deque([lost]), 1)) == lost
-    monkeypatch.setattr(kernels.sys, "executable", "/bin/false")
-    assert (
-        list(kernels._in_processes(deque([[Kernel("arfx.run", "f", "(int64,)", 9.0)]]), 2))
-        == []
+def test_a_kernel_that_is_not_there_ends_nothing() -> None:
+    told = []
+    kernels._compile(
+        [Kernel("arfx.no_such_module", "f", "(int64,)", 9.0)] * 2, lambda: told.append(1)
     )
-
-
-def test_helpers_end_with_their_job(
-    two: list[Kernel], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started: list[subprocess.Popen[str]] = []
-    popen = subprocess.Popen
-
-    def start(*a: object, **k: object) -> subprocess.Popen[str]:
-        started.append(popen(*a, **k))  # type: ignore[call-overload]
-        return started[-1]
-
-    monkeypatch.setattr(kernels.subprocess, "Popen", start)
-    monkeypatch.setattr(kernels, "usable_cores", lambda: 2)
-
-    def interrupted(phase: str, done: int, total: int | None) -> None:
-        if done:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        compile_ahead(None, interrupted)
-    assert started and all(helper.poll() is not None for helper in started)
+    assert len(told) == 2
 
 
 def test_where_nothing_can_be_kept_one_notice_says_so(
@@ -131,27 +102,19 @@ def test_where_nothing_can_be_kept_one_notice_says_so(
     assert len(notices) == 1 and "NUMBA_CACHE_DIR" in notices[0]
 
 
-def test_what_is_not_in_the_list_is_told_once(two: list[Kernel]) -> None:
+def test_what_is_not_compiled_ahead_is_told_once(
+    two: list[Kernel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernels, "usable_cores", lambda: 1)
     notices: list[str] = []
     with warn_if_unlisted(notices.append):
+        compile_ahead(("job",), lambda *a: None)
         two[0].load()
         assert notices == []
         for number in (1, 1.5 + 1j, True):
             two[0].function(number)
     two[2].function(3)
     assert len(notices) == 1 and "compiling" in notices[0]
-
-
-def test_what_the_list_has_for_few_jobs_is_told_too(
-    two: list[Kernel], tmp_path: Path
-) -> None:
-    (tmp_path / "list.json").write_text(
-        json.dumps({SELDOM: [[two[0].module, "double", "(float64,)", 9.0]]})
-    )
-    notices: list[str] = []
-    with warn_if_unlisted(notices.append):
-        two[0].load()
-    assert len(notices) == 1
 
 
 def test_the_list_fits_the_code() -> None:
@@ -162,7 +125,7 @@ def test_the_list_fits_the_code() -> None:
     assert (
         {SYNTH, JOB, "lightmap", *EFFECTS}
         <= document.keys()
-        <= {SYNTH, JOB, DIMMING, SELDOM, *STAGES}
+        <= {SYNTH, JOB, SELDOM, *STAGES}
     )
     for kernel in listed_kernels():
         function = kernel.function
@@ -189,7 +152,7 @@ def test_types_are_read_as_they_are_written() -> None:
     )
     for arguments in ((3,), (alike, True, np.float32(1)), (Both(mixed, 2), alike), ()):
         types = tuple(map(numba.typeof, arguments))
-        text = kernels.signature(types)
+        text = signature(types)
         assert kernels._types(text) == types
         assert (
             not any(isinstance(a, Pair) for a in arguments) or f"{__name__}.Pair(" in text
@@ -228,8 +191,6 @@ def test_compiling_is_no_part_of_a_jobs_time(
         )  # type: ignore[arg-type]
     since = 0 if started is None else 5.0 - started
     assert clock[0] - logs[0].began == since
-    job._compile((DIMMING,), job.Options(), logs[0])
-    assert clock[0] - logs[0].began == since, "after the plan too"
 
 
 def test_what_is_compiled_is_told_in_words(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from arfx.errors import ConfigError
-from arfx.run.outputs_made import NAME, OutputsMade, place
+from arfx.run.outputs_made import NAME, OutputsMade
+from arfx.run.place import place
 
 
 def test_an_output_counts_as_it_was_made(tmp_path: Path) -> None:

@@ -23,7 +23,6 @@ from arfx.run.folder import JobFolder, Lines
 from arfx.run.frame import ready_stages, run_frame
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
-from arfx.run.kernels import DIMMING, JOB
 from arfx.run.parameters import parameters
 from arfx.stages import STAGES
 from tests.clips import MARKER, write_camera, write_clip, write_model
@@ -151,32 +150,6 @@ def test_a_budget_is_planned_on_its_upper_end_and_a_resumed_job_keeps_its_plan(
         sum(s.seconds for p in plan.plan.frames for s in p.steps) for plan in (poor, first)
     ]
     assert seconds[0] < seconds[1]
-
-
-@pytest.mark.parametrize(
-    ("stage", "dimmed"),
-    [("composite", [True, True]), ("dof", [False, True]), ("watercolor", [False])],
-)
-def test_what_dims_stored_samples_is_compiled_only_where_no_stage_reads_a_frames_shadow(
-    stage: str,
-    dimmed: list[bool],
-    material: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    compiled: list[set[str]] = []
-    monkeypatch.setattr(
-        "arfx.run.job.compile_ahead", lambda parts, *_: compiled.append(set(parts))
-    )
-    folder = JobFolder(tmp_path / "job")
-    folder.open(False)
-    plan_job(
-        open_inputs(job(material, tmp_path / "o.mkv", stages=["lightmap", stage])),
-        folder,
-        options(folder.path),
-    )
-    assert compiled[0] >= {JOB, stage}
-    assert [DIMMING in parts for parts in compiled] == dimmed, "ahead, and after the plan"
 
 
 def test_two_ways_to_choose_levels_are_one_too_many(material: Path, tmp_path: Path) -> None:
