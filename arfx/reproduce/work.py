@@ -27,7 +27,6 @@ from arfx.measure.steps import Chain, FrameRenderer, PreparedStages
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.models import write_model
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
@@ -39,6 +38,9 @@ from arfx.synth.description import SceneFile, parse_scene
 
 Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
 Progress = Callable[[str, int, int | None], None]
+# GLB, y up, about one unit wide: teapot, apple and aeroplane of table 1 of Tan, Chen, Sun 2009;
+# teapot, cube and rabbit of figure 5 of Jia, Tang 2013; what shows indirect light, and blur
+MODELS = Path(__file__).with_name("models")
 # of a timed job: rendered before, so that imports, compiled code and first contacts are not
 # counted
 WARM_FRAMES = 2
@@ -151,13 +153,10 @@ class Work:
         return Clip(self.folder / name, read)
 
     def model(self, name: str) -> str:
-        """Path of one of arfx.reproduce.models, for settings: {"model": {"file":
+        """Path of one of the models beside this module, for settings: {"model": {"file":
         work.model("cube"), "fit": "12cm"}}
         """
-        path = self.folder / f"{name}.glb"
-        if not path.exists():
-            write_model(name, path)
-        return str(path)
+        return str(MODELS / f"{name}.glb")
 
     def config(
         self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
