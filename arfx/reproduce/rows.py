@@ -262,6 +262,30 @@ def bars(
     return Plot(paper, item, title, drawing)
 
 
+def curves(
+    paper: str,
+    item: str,
+    title: str,
+    labels: tuple[str, str],
+    x: np.ndarray,
+    series: Mapping[str, np.ndarray],
+) -> Plot:
+    """A plot of values over x, a colour for each series, from that of the printed method on.
+
+    labels : of the axes"""
+    from matplotlib.figure import Figure as Drawing
+
+    drawing = Drawing(figsize=(7.6, 3.2), layout="constrained")
+    axis = drawing.subplots()
+    for (name, values), colour in zip(series.items(), COLOURS[1:], strict=False):
+        axis.plot(x, values, label=name, color=colour)
+    axis.set_xlabel(labels[0], fontsize=8)
+    axis.set_ylabel(labels[1], fontsize=8)
+    axis.set_ylim(0)
+    axis.legend(frameon=False, labelcolor=INK, fontsize=8)
+    return Plot(paper, item, title, drawing)
+
+
 INK = "#7d8590"  # readable on white and on nearly black
 COLOURS = (
     "#8b949e",

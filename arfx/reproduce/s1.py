@@ -18,11 +18,11 @@ from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import angle_between, divide
 from arfx.measure.difference import level_difference
+from arfx.media.models import load_model
 from arfx.papers import CORRECTED, PAPER
 from arfx.papers.s1_light import PrintedLightParams, hemisphere, upright
 from arfx.papers.s1_lightmap import printed_map
 from arfx.reproduce import s1_equations
-from arfx.reproduce.models import write_model
 from arfx.reproduce.rows import (
     BEFORE,
     DIFFERS,
@@ -300,7 +300,7 @@ def table_1(work: Work) -> Iterator[Item]:
     rates: dict[str, list[Any]] = {"printed": [], "printed method": [], "corrected": []}
     memory: dict[str, list[Any]] = {name: [] for name in rates}
     for name, (faces, (low, high), size_mb) in TABLE_1.items():
-        count = write_model(name, work.folder / f"{name}.glb")
+        count = load_model(work.model(name)).face_count
         yield compared("s1", f"table 1, {name}, faces", str(faces), count, count)
         timed = [
             work.timed(clip, formula, model_file(work, name))

@@ -28,8 +28,7 @@ from arfx.papers.s1_light import (
     lights_of,
 )
 from arfx.papers.s1_lightmap import phong
-from arfx.reproduce.rows import COLOURS, DIFFERS, Item, Plot, Row, both, compared, shown
-from arfx.reproduce.rows import INK as LINE
+from arfx.reproduce.rows import DIFFERS, Item, Row, both, compared, curves, shown
 from arfx.reproduce.work import Work
 from arfx.stages.composite import shade
 
@@ -414,25 +413,19 @@ def equation_8() -> Iterator[Item]:
         why,
         "%",
     )
-    yield weights_plot("equation (8), weight at 10 degrees")
-
-
-def weights_plot(item: str) -> Plot:
-    from matplotlib.figure import Figure as Drawing
-
-    drawing = Drawing(figsize=(7.6, 3), layout="constrained")
-    axis, angle_deg = drawing.subplots(), np.linspace(0, 40, 161)
-    for label, weight, colour in (
-        ("printed", printed_weight, COLOURS[1]),
-        ("corrected", corrected_weight, COLOURS[2]),
-    ):
-        axis.plot(
-            angle_deg, weight(np.cos(np.radians(angle_deg))), label=label, color=colour
-        )
-    axis.set_xlabel("angle between a normal and the one that was seen, degrees", fontsize=8)
-    axis.set_ylabel(f"weight, s = {S_RAD} rad", fontsize=8)
-    axis.legend(frameon=False, labelcolor=LINE, fontsize=8)
-    return Plot("s1", item, "weight of a reading over the angle to its normal", drawing)
+    angles_deg = np.linspace(0, 40, 161)
+    cosines = np.cos(np.radians(angles_deg))
+    yield curves(
+        "s1",
+        "equation (8), weight at 10 degrees",
+        "weight of a reading over the angle to its normal",
+        (
+            "angle between a normal and the one that was seen, degrees",
+            f"weight, s = {S_RAD} rad",
+        ),
+        angles_deg,
+        {"printed": printed_weight(cosines), "corrected": corrected_weight(cosines)},
+    )
 
 
 def lit(n: np.ndarray, lamps: np.ndarray, ambient: float) -> np.ndarray:

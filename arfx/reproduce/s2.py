@@ -35,12 +35,11 @@ from arfx.reproduce import s2_figures, s2_rates
 from arfx.reproduce.rows import (
     COLOURS,
     DIFFERS,
-    INK,
     UNDERIVED,
     Item,
-    Plot,
     Row,
     compared,
+    curves,
     shown,
 )
 from arfx.reproduce.work import Work
@@ -289,39 +288,21 @@ def _example() -> Iterator[Item]:
         f"{apart:.0e} mm apart from them",
         apart < 1e-9,
     )
-    yield _curves(
-        distance, circle, (printed.front_mm, printed.back_mm), (true.front_mm, true.back_mm)
-    )
-
-
-def _curves(
-    distance: np.ndarray,
-    circle: np.ndarray,
-    printed: tuple[float, float],
-    true: tuple[float, float],
-) -> Plot:
-    """Figure 3 as numbers: the circle over the distance, and the limits of both formulas."""
-    from matplotlib.figure import Figure
-
-    drawing = Figure(figsize=(7.6, 3.2), layout="constrained")
-    axis = drawing.subplots()
-    axis.plot(distance, circle, color=INK, label="circle (3), mm")
-    axis.axhline(C, color=COLOURS[0], ls=":", label="permitted .035 mm")
-    for (a, b), colour, name in (
-        (printed, COLOURS[1], "(4), (5)"),
-        (true, COLOURS[2], "corrected"),
-    ):
-        for k, d in enumerate((L - a, L + b)):
-            axis.axvline(d, color=colour, lw=1.2, label=name if k == 0 else None)
-    axis.set_xlabel("distance, mm", fontsize=8)
-    axis.set_ylim(0)
-    axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot(
+    plot = curves(
         "s2",
         "figure 3",
         "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm",
-        drawing,
+        ("distance, mm; dotted: limits by (4) and (5), and corrected", "mm"),
+        distance,
+        {"circle (3)": circle, "permitted": np.full_like(distance, C)},
     )
+    for (front_mm, back_mm), colour in (
+        ((printed.front_mm, printed.back_mm), COLOURS[2]),
+        ((true.front_mm, true.back_mm), COLOURS[3]),
+    ):
+        for limit_mm in (L - front_mm, L + back_mm):
+            plot.figure.axes[0].axvline(limit_mm, color=colour, ls=":")
+    yield plot
 
 
 def _blur_factor() -> Iterator[Item]:

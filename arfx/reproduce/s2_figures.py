@@ -52,7 +52,7 @@ Pictures = Mapping[str, np.ndarray]  # by formula
 def rows(work: Work) -> Iterator[Item]:
     scene = desk(work)
     clip, photo = work.clip(scene), photograph(work, scene)
-    shot = desk_shot(work, clip, ball_model(work.folder))
+    shot = desk_shot(work, clip, ball_model(work))
     before = shot.renderer.image(shot.up_to("composite"))
     after = {
         PAPER: shot.picture(),
@@ -87,7 +87,7 @@ def rows(work: Work) -> Iterator[Item]:
     bare = work.clip(
         scene.model_copy(update={"depth": DepthInput(), "samples": 1})
     )  # no real thing stands before the model
-    room = desk_shot(work, bare, room_model(work.folder))
+    room = desk_shot(work, bare, room_model(work))
     yield Figure(
         "s2",
         "section 4, all-virtual scene",

@@ -20,7 +20,7 @@ HERE = (
 
 def rows(work: Work) -> Iterator[Item]:
     clip = work.clip(moving_desk(work))
-    models = {"augmented": ball_model(work.folder), "all virtual": room_model(work.folder)}
+    models = {"augmented": ball_model(work), "all virtual": room_model(work)}
     timed: dict[tuple[str, str], Timed] = {}
     for mode, model in models.items():
         for formula in (PAPER, CORRECTED):

@@ -6,14 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from arfx.measure.steps import PreparedStages
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.models import Colour, coloured
 from arfx.reproduce.work import Clip, Settings, Shot, Work
 from arfx.run.parameters import parameters, stage_of
 from arfx.synth.description import SceneFile, Sphere, parse_scene
@@ -138,55 +136,20 @@ def under(shot: Shot, formula: str, **dof: Any) -> Shot:
     )
 
 
-def ball_model(folder: Path) -> Mapping[str, Any]:
+def ball_model(work: Work) -> Mapping[str, Any]:
     """The section `model` of a blue ball."""
-    return _written(
-        folder / "ball.glb", [_ball((0.0, 0.0, BALL_M), BALL_M, BLUE)], 2 * BALL_M
-    )
+    return {"file": work.model("blue-ball"), "fit": f"{2 * BALL_M}m"}
 
 
-def room_model(folder: Path) -> Mapping[str, Any]:
+def room_model(work: Work) -> Mapping[str, Any]:
     """The section of a model that fills the picture: desk, wall, both balls, all of them
     virtual.
     """
-    import trimesh
-
-    floor, wall = (
-        trimesh.creation.box((3.0, 1.1, 0.01)),
-        trimesh.creation.box((3.0, 0.01, 1.5)),
-    )
-    floor.apply_translation((0, 0.15, -0.005))
-    wall.apply_translation((0, 0.695, 0.74))
-    flat = [
-        coloured(
-            m.vertices[m.faces].reshape(-1, 3),
-            np.arange(3 * len(m.faces)).reshape(-1, 3),
-            c,
-        )
-        for m, c in ((floor, (0.5, 0.3, 0.16)), (wall, (0.1, 0.1, 0.12)))
-    ]
-    balls = [
-        _ball((-0.13, 0.08, 0.04), 0.04, (0.75, 0.2, 0.04)),
-        _ball((0.0, 0.0, BALL_M), BALL_M, BLUE),
-    ]
     return {
-        **_written(folder / "room.glb", [*flat, *balls], 3.0),
+        "file": work.model("desk-with-balls"),
+        "fit": "3m",
         "offset": ["0m", "0.15m", "-0.01m"],
     }
-
-
-def _ball(centre: tuple[float, float, float], radius: float, colour: Colour) -> Any:
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=radius)
-    return coloured(ball.vertices + np.array(centre), ball.faces, colour, roughness=1.0)
-
-
-def _written(path: Path, meshes: list[Any], extent_m: float) -> Mapping[str, Any]:
-    import trimesh
-
-    path.write_bytes(trimesh.Scene(meshes).export(file_type="glb"))
-    return {"file": str(path), "fit": f"{extent_m}m"}
 
 
 def moving_desk(work: Work) -> SceneFile:

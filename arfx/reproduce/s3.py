@@ -16,16 +16,14 @@ from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
 from arfx.reproduce.rows import (
     BEFORE,
-    COLOURS,
     CORRECTED,
     DIFFERS,
-    INK,
     PRINTED,
     Figure,
     Item,
-    Plot,
     Row,
     compared,
+    curves,
     shown,
 )
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, picture, printed
@@ -202,7 +200,14 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     ratios = float(by_cones[-1] / by_cones[0]), float(by_density[-1] / by_density[0])
     yield stated(item, "nearer is finer", ratios, False, why, unit)
-    yield _areas(item, depth, by_cones, by_density)
+    yield curves(
+        "s3",
+        item,
+        "cells on a plane",
+        ("depth of the plane, m", "mean area of a cell, px"),
+        depth,
+        {PRINTED: by_cones, CORRECTED: by_density},
+    )
     buffer, labels = measure.printed_cells(frame)
     share = measure.convex_share(labels)
     why = (
@@ -227,25 +232,6 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
         "in proportion to its value",
         "depth ^ nearer_finer",
     )
-
-
-def _areas(
-    item: str, depth: np.ndarray, by_cones: np.ndarray, by_density: np.ndarray
-) -> Plot:
-    from matplotlib.figure import Figure as Drawing
-
-    drawing = Drawing(figsize=(7.6, 3.2), layout="constrained")
-    axis = drawing.subplots()
-    for values, name, colour in (
-        (by_cones, PRINTED, COLOURS[1]),
-        (by_density, CORRECTED, COLOURS[2]),
-    ):
-        axis.plot(depth, values, "o-", label=name, color=colour)
-    axis.set(
-        xlabel="depth of the plane, m", ylabel="mean area of a cell, px", ylim=(0, None)
-    )
-    axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot("s3", item, "cells on a plane", drawing)
 
 
 def toon_rows(frame: Shown) -> Iterator[Item]:

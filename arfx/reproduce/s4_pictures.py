@@ -46,7 +46,7 @@ from arfx.reproduce.work import Shot, Work, shot_of
 
 def pictures(work: Work) -> Iterator[Item]:
     red, mirror, matte = (
-        work.scaled("red teapot", "red cube"),
+        work.scaled("red-teapot", "red-cube"),
         work.scaled("mirror", "cube"),
         {"plane_gloss": 0.0},
     )
@@ -99,14 +99,14 @@ def on_the_plane(work: Work) -> Iterator[Row]:
     of the pixels around the cube.
     """
     changes = {}
-    for model in ("black cube", "red cube"):
+    for model in ("black-cube", "red-cube"):
         given = settings(work, model, "8cm", FLAT_LAMP, plane_gloss=0.0)
         for formula in (PAPER_FORMULA, CORRECTED_FORMULA):
             shot = work.shot(flat_scene(work), 1, settings=under(work, formula, given))
             changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
             changes[model, formula] = changed[ring(shot.layer(Layer.COVERAGE))].mean(0)
     printed, corrected = (
-        float(changes["red cube", f] @ [1, -1, 0])
+        float(changes["red-cube", f] @ [1, -1, 0])
         for f in (PAPER_FORMULA, CORRECTED_FORMULA)
     )
     yield said(
@@ -120,7 +120,7 @@ def on_the_plane(work: Work) -> Iterator[Row]:
         "red less green, linear light",
     )
     printed, corrected = (
-        float(changes["black cube", f].mean()) for f in (PAPER_FORMULA, CORRECTED_FORMULA)
+        float(changes["black-cube", f].mean()) for f in (PAPER_FORMULA, CORRECTED_FORMULA)
     )
     yield said(
         "step 2, delta volume: what a black cube takes from the plane",
@@ -187,7 +187,7 @@ def beside_reference(
 
 def rates(work: Work) -> Iterator[Item]:
     """Whole jobs with a teapot."""
-    given = settings(work, work.scaled("red teapot", "red cube"), "13cm", LAMP)
+    given = settings(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
     timed = {
         f: work.timed(room(work), settings=under(work, f, given))
         for f in (PAPER_FORMULA, CORRECTED_FORMULA)

@@ -28,7 +28,7 @@ N = 16  # voxels a side of a small volume
 
 
 def volumes(work: Work) -> Iterator[Item]:
-    given = settings(work, "red cube", "8cm", FLAT_LAMP)
+    given = settings(work, "red-cube", "8cm", FLAT_LAMP)
     yield from light(work.planned(flat_scene(work), settings=given).scene)
     yield from filtering()
     yield from memory(work)
@@ -183,7 +183,7 @@ def filtering() -> Iterator[Row]:
 def memory(work: Work) -> Iterator[Item]:
     """Of all volumes of a teapot and the plane under it, beside arrays."""
     scene = work.planned(
-        flat_scene(work), settings=settings(work, "red teapot", "12cm", FLAT_LAMP)
+        flat_scene(work), settings=settings(work, "red-teapot", "12cm", FLAT_LAMP)
     ).scene
     mesh, sides = step1_mesh(scene, ALBEDO), (64, 128, 256)
     both = real_and_virtual(scene, mesh)
@@ -213,7 +213,7 @@ def memory(work: Work) -> Iterator[Item]:
 
 def empty(work: Work) -> Row:
     """An object that is out of the light's and the camera's way: high over both."""
-    given = settings(work, "red cube", "8cm", FLAT_LAMP)
+    given = settings(work, "red-cube", "8cm", FLAT_LAMP)
     given["model"] = {**given["model"], "offset": ["0m", "0m", "3m"]}
     changed = []
     for formula in (PAPER_FORMULA, CORRECTED_FORMULA):

@@ -27,7 +27,6 @@ from arfx.measure.steps import Chain, FrameRenderer, PreparedStages
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.models import write_model
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
@@ -39,6 +38,9 @@ from arfx.synth.description import SceneFile, parse_scene
 
 Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
 Progress = Callable[[str, int, int | None], None]
+# GLB, y up, about one unit wide: teapot, apple and aeroplane of table 1 of Tan, Chen, Sun 2009;
+# teapot, cube and rabbit of figure 5 of Jia, Tang 2013; what shows indirect light, and blur
+MODELS = Path(__file__).with_name("models")
 # of a timed job: rendered before, so that imports, compiled code and first contacts are not
 # counted
 WARM_FRAMES = 2
@@ -60,17 +62,6 @@ class Clip:
 
     def frames(self) -> list[np.ndarray]:
         return frames_of(self.file)
-
-
-@dataclass(frozen=True)
-class JobRun:
-    """A job that was run to its end. report : report.json;  output : lossless"""
-
-    report: dict[str, Any]
-    output: Path
-
-    def frames(self) -> list[np.ndarray]:
-        return frames_of(self.output)
 
 
 class Timed(NamedTuple):
@@ -133,63 +124,34 @@ class Work:
         """A size or count, by how much is wanted."""
         return short if self.short else full
 
-    def clip(self, scene: str | SceneFile, truth_pictures: bool = False) -> Clip:
+    def clip(self, scene: str | SceneFile) -> Clip:
         """The clip of a scene, as TOML text (arfx/synth/description.py) or read.
 
         The same scene is made once.
         """
         read = parse_scene(scene, "scene") if isinstance(scene, str) else scene
-        name = f"clip-{_digest(read.model_dump_json(), truth_pictures)}"
+        name = f"clip-{_digest(read.model_dump_json())}"
         if not (self.folder / name).exists():
-            make_clip(
-                read, self.folder / name, None, self._checked, truth_pictures=truth_pictures
-            )
+            make_clip(read, self.folder / name, None, self._checked, truth_pictures=False)
         return Clip(self.folder / name, read)
 
     def model(self, name: str) -> str:
-        """Path of one of arfx.reproduce.models, for settings: {"model": {"file":
+        """Path of one of the models beside this module, for settings: {"model": {"file":
         work.model("cube"), "fit": "12cm"}}
         """
-        path = self.folder / f"{name}.glb"
-        if not path.exists():
-            write_model(name, path)
-        return str(path)
-
-    def config(
-        self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
-    ) -> JobConfig:
-        """The clip's job with every section under `formula`.
-
-        settings : further ones; {"model": {"file": …}} for another model
-        """
-        return _config(clip.folder, formula, settings or {}, self.folder / "out.mkv")
-
-    def job(
-        self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
-    ) -> JobRun:
-        """The whole job, run; the same is run once. The output is lossless."""
-        key = self._key("job", clip, formula, settings)
-        if key not in self._made:
-            output = self.folder / f"{key}.mkv"
-            report = process(
-                _config(clip.folder, formula, settings or {}, output), self._options()
-            )
-            interrupt.resume()
-            self._made[key] = JobRun(report, output)
-        made: JobRun = self._made[key]
-        return made
+        return str(MODELS / f"{name}.glb")
 
     def planned(
         self, clip: Clip, formula: str = CORRECTED, settings: Settings | None = None
     ) -> Job:
         """The job analysed and planned, nothing rendered."""
-        key = self._key("plan", clip, formula, settings)
+        key = f"plan-{_digest(str(clip.folder), formula, settings or {})}"
         if key not in self._made:
             folder = JobFolder(self.folder / key)
             folder.open(resume=False)
-            self._made[key] = plan_job(
-                open_inputs(self.config(clip, formula, settings)), folder, self._options()
-            )
+            config = _config(clip.folder, formula, settings or {}, self.folder / "out.mkv")
+            options = Options(overwrite=True, progress=self.progress, notice=self.notice)
+            self._made[key] = plan_job(open_inputs(config), folder, options)
         job: Job = self._made[key]
         return job
 
@@ -246,12 +208,6 @@ class Work:
     def _checked(self, phase: str, done: int, total: int | None) -> None:
         interrupt.check()
         self.progress(phase, done, total)
-
-    def _options(self) -> Options:
-        return Options(overwrite=True, progress=self.progress, notice=self.notice)
-
-    def _key(self, kind: str, clip: Clip, formula: str, settings: Settings | None) -> str:
-        return f"{kind}-{_digest(str(clip.folder), formula, settings or {})}"
 
 
 def frames_of(path: Path) -> list[np.ndarray]:

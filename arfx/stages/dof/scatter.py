@@ -91,8 +91,9 @@ class Scatter:
         turn_deg: float,
     ) -> None:
         self.height, self.width = radius.shape
-        radii = accuracy.radii(float(radius.max()))
-        levels = [accuracy.level(r) for r in radii]
+        largest = float(radius.max())
+        radii = accuracy.radii(largest) if largest > SHARP_PX else [SHARP_PX]
+        levels = [0, *(accuracy.level(r) for r in radii[1:])]  # the first is not spread
         unit = 1 << levels[-1]
         self.above, self.left = corner[1] % unit, corner[0] % unit
         light = _padded(light, self.above, 0, self.left, 0)

@@ -50,29 +50,16 @@ def test_a_clip_is_made_once_for_each_scene(made: tuple[Work, Clip]) -> None:
     assert len(clip.frames()) == 3 and clip.frames()[0].shape == (96, 160, 3)
 
 
-def test_a_job_runs_under_either_formula(made: tuple[Work, Clip]) -> None:
+def test_a_frame_is_rendered_under_either_formula(made: tuple[Work, Clip]) -> None:
     work, clip = made
-    printed, corrected = work.job(clip, "paper"), work.job(clip)
-    assert work.config(clip, "paper").params["lightmap"].formula == "paper"
-    pictures = [run.frames()[1] for run in (printed, corrected)]
-    assert (
-        pictures[0].shape == (96, 160, 3)
-        and np.abs(pictures[0].astype(int) - pictures[1]).max() > 8
-    )
-    assert work.job(clip, "paper") is printed
-
-
-def test_a_frame_of_a_job_is_what_the_job_makes(made: tuple[Work, Clip]) -> None:
-    work, clip = made
-    shot = work.shot(clip, 1)
-    made_apart, changed = (
-        np.abs(shot.picture().astype(int) - other).mean()
-        for other in (work.job(clip).frames()[1], clip.frames()[1])
-    )
-    assert (
-        made_apart < changed / 3
-    )  # the job's output has its colour at half the resolution
-    assert shot.up_to("raster")[-1][0] == "raster" and shot.seconds("raster", 2) > 0
+    printed, corrected = work.shot(clip, 1, "paper"), work.shot(clip, 1)
+    assert printed.job.stages["lightmap"].params.formula == "paper"
+    pictures = [shot.picture() for shot in (printed, corrected)]
+    assert pictures[0].shape == (96, 160, 3)
+    assert np.abs(pictures[0].astype(int) - pictures[1]).max() > 8
+    assert work.planned(clip, "paper") is printed.job
+    assert corrected.up_to("raster")[-1][0] == "raster"
+    assert corrected.seconds("raster", 2) > 0
 
 
 def test_what_runs_apart_has_a_process_of_its_own(made: tuple[Work, Clip]) -> None:
