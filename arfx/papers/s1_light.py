@@ -277,10 +277,10 @@ class PrintedLight(LightOfMarkers):
             _: np.ndarray,
             clipped: np.ndarray,
             rho: np.ndarray,
-            p: LightParams,
+            _unused: LightParams,
         ) -> tuple[Photometry, None]:
             if (
-                p.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()
+                params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()
             ):  # one kind of print, without colour
                 rho = brightness(grey)
             return (
