@@ -17,17 +17,7 @@ STATIC = ("auto", "camera", "marker")
 class AnalyseParams:
     """How a clip is analysed.
 
-    search_interval_s : while a marker is missing, the whole frame is searched at full
-    resolution at least this often
-    loss_search_frames : after a marker is lost, the whole frame is searched at full
-    resolution for this many frames
-    reduced_search_every : while some markers are tracked and others are missing, the
-    reduced image is searched every n-th frame
-    reduced_px : largest number of pixels of the reduced image; smaller frames are always
-    searched whole
-    min_side_px : smallest side of a marker that is looked for
     max_gap_s : a marker missing for at most this long is bridged; for longer, the object is absent
-    fade_frames : frames over which the object fades in and out around an absence; 0 = at once
     smoothing : factor on the time scale of smoothing: 0 = none, 1 = as the clip's own
     motion suggests, larger = smoother
     static : which of camera and marker stands still: auto (decided from the background),
@@ -38,13 +28,7 @@ class AnalyseParams:
         sRGB unless the first edges are symmetric in coded values, as after sharpening in the camera
     """
 
-    search_interval_s: float = 1.0
-    loss_search_frames: int = 5
-    reduced_search_every: int = 3
-    reduced_px: int = 240_000
-    min_side_px: float = 9.0
     max_gap_s: float = 0.5
-    fade_frames: int = 5
     smoothing: float = 1.0
     static: str = "auto"
     detect_inverted: bool = True
@@ -56,13 +40,7 @@ class AnalyseParams:
         require_within(
             "analyse",
             self,
-            search_interval_s=(1e-6, 1e6),
-            loss_search_frames=(0, 1e6),
-            reduced_search_every=(1, 1e6),
-            reduced_px=(1000, 1e9),
-            min_side_px=(1e-3, 8192),
             max_gap_s=(0, 1e6),
-            fade_frames=(0, 1e6),
             smoothing=(0, 1000),
         )
 
@@ -81,23 +59,12 @@ class LightParams:
     environment : HDR picture of the surroundings, equirectangular: its top is the anchor
     marker's z, its middle column is x
     ink : linear albedo of a print's dark cells;  paper : linear albedo of a print's bright cells
-    albedos : known (ink and paper hold), normalised (light from each frame's own contrast)
-    or unknown (ink is estimated);
-        as printed: known, or brightness, the default there (each patch as bright as in the
-        first picture of the print)
     most_lights : most directional lights that are looked for, 0 to 2; 1 if there is only
-    one lamp. This and the next four
-        settings have no effect with formula = "paper"
+    one lamp. This and the next have no effect with formula = "paper"
     claims : likely (the simplest light that explains what was seen is used, its shadow as
     soft as it is uncertain) or measured
-        (only a light that nothing else explains as well)
-    limit_deg : widest confidence cone with which a direction counts as measured
-    drift_per_s : relative change of the light that is expected in one second
-    window_s : longest interval over which changing light is treated as constant
-    map_level : resolution of the light map, 2 to 5 (16, 8, 4, 2 degrees between directions)
-    map_blur_rad : s of the light map's update (8)"""
+        (only a light that nothing else explains as well)"""
 
-    ALBEDOS: ClassVar[tuple[str, ...]] = ("known", "normalised", "unknown")
     CLAIMS: ClassVar[tuple[str, ...]] = ("likely", "measured")
 
     formula: str = field(default="corrected", init=False)
@@ -106,22 +73,10 @@ class LightParams:
     environment: Path | None = None
     ink: float = 0.05
     paper: float = 0.88
-    albedos: str = "known"
     most_lights: int = 2
     claims: str = "likely"
-    limit_deg: float = 15.0
-    drift_per_s: float = 0.05
-    window_s: float = 2.0
-    map_level: int = 3
-    map_blur_rad: float = 0.2
 
     def __post_init__(self) -> None:
-        if self.albedos not in self.ALBEDOS:
-            raise ConfigError(
-                f"light.albedos {self.albedos!r} is unknown with formula ="
-                f' "{self.formula}"',
-                f"one of {', '.join(self.ALBEDOS)}",
-            )
         if self.claims not in self.CLAIMS:
             raise ConfigError(
                 f"light.claims {self.claims!r} is unknown",
@@ -158,12 +113,7 @@ class LightParams:
             "light",
             self,
             most_lights=(0, 2),
-            map_level=(2, 5),
             size_deg=(0, 90),
-            limit_deg=(1, 90),
-            map_blur_rad=(0.01, 3),
-            window_s=(0.1, 1e6),
-            drift_per_s=(0, 100),
         )
 
 

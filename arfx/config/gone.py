@@ -5,7 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 _PRINTED = 'it belongs to watercolor.formula = "paper"; the corrected edges take {0}'
+_SEARCH = "prints are looked for as their size and motion ask: leave it out"
+_LIGHT_MAP = 'it belongs to light.formula = "paper": leave it out'
 GONE: Mapping[tuple[str, str], str] = {
+    ("analyse", "search_interval_s"): _SEARCH,
+    ("analyse", "loss_search_frames"): _SEARCH,
+    ("analyse", "reduced_search_every"): _SEARCH,
+    ("analyse", "reduced_px"): _SEARCH,
+    ("analyse", "min_side_px"): "prints are found from 9 px on: leave it out",
+    ("analyse", "fade_frames"): "the object fades over 5 frames: leave it out",
+    ("light", "albedos"): "`light.ink` and `light.paper` say what a print reflects",
+    (
+        "light",
+        "limit_deg",
+    ): "it is 15; `light.claims` sets whether likely lights are used",
+    ("light", "drift_per_s"): "it is .05: leave it out",
+    ("light", "window_s"): "it is 2 s: leave it out",
+    ("light", "map_level"): _LIGHT_MAP,
+    ("light", "map_blur_rad"): _LIGHT_MAP,
     (
         "lightmap",
         "faint",

@@ -23,9 +23,6 @@ class AdvectionField(Document):
     first;  shape : rows, columns
 
     nodes : positions, of `pack_positions`, carried since the shot began
-    forward, backward : the same of two patterns that begin undistorted at the ends of an
-    interval, "" = none
-    share : weight of the second of them in this frame
     detail : how much there is to see around each node, of `pack_detail`, "" = not known
     pose : camera_from_world of the frame for which the set was made"""
 
@@ -36,13 +33,10 @@ class AdvectionField(Document):
     nodes: str
     detail: str = ""
     pose: Pose | None = None
-    forward: str = ""
-    backward: str = ""
-    share: float = 0.0
 
-    def places(self, way: str = "nodes") -> tuple[np.ndarray, np.ndarray]:
-        """(u, v) (rows, columns) float64 px. way : nodes, forward or backward"""
-        steps = np.frombuffer(_unpack(getattr(self, way)), "<i4").reshape(2, *self.shape)
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """(u, v) (rows, columns) float64 px."""
+        steps = np.frombuffer(_unpack(self.nodes), "<i4").reshape(2, *self.shape)
         u, v = np.cumsum(steps.astype(np.int64), axis=2) / STEPS_PER_PX
         return u, v
 

@@ -38,7 +38,7 @@ from arfx.analyse.params import LightParams
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import arccos, divide, normalise
-from arfx.errors import require_within
+from arfx.errors import ConfigError, require_within
 from arfx.papers.s1_gain import brightness, gain_and_bias
 
 CUBE = {
@@ -52,15 +52,16 @@ BRIGHTNESS = "brightness"
 UNUSED = (
     "most_lights",
     "claims",
-    "limit_deg",
-    "drift_per_s",
-    "window_s",
 )  # the paper knows nothing of them
 
 
 @dataclass(frozen=True)
 class PrintedLightParams(LightParams):
-    """peak : a light stands where the map is at least this share of its largest value (I_c of (9))
+    """albedos : known (ink and paper hold), or brightness (each patch as bright as in the first
+    picture of the print)
+    map_level : resolution of the light map, 2 to 5 (16, 8, 4, 2 degrees between directions)
+    map_blur_rad : s of the light map's update (8)
+    peak : a light stands where the map is at least this share of its largest value (I_c of (9))
     least_light : I_c as a value, in place of the share: in units of the first picture's
     light, or with known albedos of the
         radiance of a white surface; 0 = the share
@@ -71,6 +72,8 @@ class PrintedLightParams(LightParams):
 
     formula: str = field(default="paper", init=False)
     albedos: str = BRIGHTNESS
+    map_level: int = 3
+    map_blur_rad: float = 0.2
     peak: float = 0.8
     least_light: float = 0.0
     peak_apart_deg: float = 30.0
@@ -78,8 +81,19 @@ class PrintedLightParams(LightParams):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.albedos not in self.ALBEDOS:
+            raise ConfigError(
+                f"light.albedos {self.albedos!r} is unknown",
+                f"one of {', '.join(self.ALBEDOS)}",
+            )
         require_within(
-            "light", self, peak=(0, 1), least_light=(0, 1e6), peak_apart_deg=(1, 180)
+            "light",
+            self,
+            peak=(0, 1),
+            least_light=(0, 1e6),
+            peak_apart_deg=(1, 180),
+            map_level=(2, 5),
+            map_blur_rad=(0.01, 3),
         )
 
     @property
@@ -263,10 +277,10 @@ class PrintedLight(LightOfMarkers):
             _: np.ndarray,
             clipped: np.ndarray,
             rho: np.ndarray,
-            p: LightParams,
+            _unused: LightParams,
         ) -> tuple[Photometry, None]:
             if (
-                p.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()
+                params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()
             ):  # one kind of print, without colour
                 rho = brightness(grey)
             return (

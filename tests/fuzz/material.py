@@ -74,7 +74,7 @@ OTHERS = {
     "job.toml": '[input]\nclip = "clip.mp4"\ncamera = "camera.yaml"\ntransfer = "srgb"\nstart = "0s"\n\n[[marker]]\n'
     'spec = "36h11:3:100mm"\n\n[model]\nfile = "model.glb"\nfit = "8cm"\nrotate = [0, 0, 90]\noffset = ["0cm", "0cm", "1cm"]\n\n'
     '[pipeline]\nstages = ["lightmap"]\nquality = "draft"\nseed = 1\n\n[output]\npath = "out.mp4"\ncodec = "h264"\ncrf = 20\n\n'
-    '[analyse]\nsmoothing = 1.0\nmax_gap_s = 0.5\n\n[light]\nlimit_deg = 20.0\n\n[lightmap]\nshadow_strength = 1.0\n\n'
+    '[analyse]\nsmoothing = 1.0\nmax_gap_s = 0.5\n\n[light]\nsize_deg = 5.0\n\n[lightmap]\nshadow_strength = 1.0\n\n'
     '[raster]\nbackend = "rays"\nsamples = 4\n',
 }  # fmt: skip
 

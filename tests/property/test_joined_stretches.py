@@ -26,6 +26,7 @@ import arfx.analyse
 import arfx.run
 from arfx.analyse.fold import PLANE, Analysis, AnalysisFrame, AnalysisJob, Fold, Stateful
 from arfx.analyse.folds import FOLDS, ON_PLANE, Analyser
+from arfx.analyse.markers import pattern_tracker, tracker
 from arfx.analyse.motion import flow
 from arfx.analyse.params import AnalyseParams
 from arfx.core import codec
@@ -112,11 +113,20 @@ CUTS = (
 Made = dict[str, Analyser]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def quick_search() -> Iterator[None]:
+    """Frames small enough for the tests are reduced, and prints lost and found, as in large ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (tracker, pattern_tracker):
+            patch.setattr(module, "REDUCED_PX", 50_000)
+            patch.setattr(module, "SEARCH_INTERVAL_S", 0.6)
+            patch.setattr(module, "LOSS_SEARCH_FRAMES", 2)
+        yield
+
+
 def made(transfer: str = "auto") -> Made:
     """What a job folds over its frames, with everything that can be asked for."""
-    params = AnalyseParams(
-        reduced_px=50_000, search_interval_s=0.6, loss_search_frames=2, transfer=transfer
-    )
+    params = AnalyseParams(transfer=transfer)
     double, length_s = CAM.scaled_to(960, 540), FRAMES * STEP_S
     return {
         "markers": Analyser(

@@ -309,9 +309,7 @@ def solve_patches(
     params: LightParams,
 ) -> tuple[Photometry, LightReading | None]:
     """Bias and light out of patches, and another reading of them where prints are overexposed."""
-    photometry = photometry_of(
-        intensity, variance, None, albedo, clipped, params.albedos, tolerances=Tolerances()
-    )
+    photometry = photometry_of(intensity, variance, None, albedo, clipped, Tolerances())
     y, own, fit = patches.comparable(
         photometry, intensity, variance, patches.WHITE, clipped, albedo
     )

@@ -99,20 +99,10 @@ def icosphere(level: int) -> Icosphere:
     """
     if level not in LEVELS:
         raise ValueError(f"icosphere level {level} is not one of 0 to {LEVELS[-1]}")
-    g = (1 + 5**0.5) / 2
-    vertices = np.array(
-        [
-            [-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0], [0, -1, g], [0, 1, g],
-            [0, -1, -g], [0, 1, -g], [g, 0, -1], [g, 0, 1], [-g, 0, -1], [-g, 0, 1],
-        ]
-    )  # fmt: skip
-    faces = np.array(
-        [
-            [0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6], [7, 1, 8],
-            [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1],
-        ]
-    )  # fmt: skip
-    vertices = normalise(vertices.astype(float))
+    from trimesh.creation import icosahedron
+
+    solid = icosahedron()
+    vertices, faces = normalise(np.array(solid.vertices)), np.array(solid.faces)
     for _ in range(level):
         edges = np.sort(
             np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1

@@ -30,6 +30,9 @@ STEP_SIGMA, STEP_LEAST = (
     0.03,
 )  # deviations, and relative difference, from which an observation contradicts the map
 STEADY, STEP, OUTLIER = 0, 1, 2
+LEVEL = 3  # of the map's icosphere: 8 degrees between directions
+BLUR_RAD = 0.2  # s of the update (8)
+DRIFT_PER_S = 0.05  # relative change of the light that is expected in one second
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,21 +48,15 @@ class Observation:
     variance: np.ndarray
 
 
-def changes(
-    seen: Sequence[Observation],
-    level: int = 3,
-    blur_rad: float = 0.2,
-    drift_per_s: float = 0.05,
-) -> np.ndarray:
+def changes(seen: Sequence[Observation]) -> np.ndarray:
     """(t,) per frame STEADY, STEP (the light changed just before it) or OUTLIER (it
     disagrees alone, and is to be left out).
 
     A frame that contradicts the map of those before it begins a step if the next one with
-    observations contradicts that map too, to the same side; the last frame is believed.
-    level, blur_rad, drift_per_s : as in LightParams"""
+    observations contradicts that map too, to the same side; the last frame is believed."""
     if not len(seen):
         return np.zeros(0, int)
-    sphere = icosphere(level)
+    sphere = icosphere(LEVEL)
     n, x, v = (
         np.concatenate([np.asarray(a, float).reshape(-1, 3) for a in column])
         for column in zip(
@@ -71,7 +68,7 @@ def changes(
     corners = sphere.faces[np.maximum(face, 0)]
     times = np.array([o.time_s for o in seen], float)
     return _changes(
-        sphere.vertices, corners, weights, times, starts, n, x, v, blur_rad, drift_per_s
+        sphere.vertices, corners, weights, times, starts, n, x, v, BLUR_RAD, DRIFT_PER_S
     )
 
 

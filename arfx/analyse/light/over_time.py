@@ -42,6 +42,7 @@ _MOST_DRIFT = (
 )
 _CELL_LEVEL = 4  # 4 degrees: within, normals count as one
 _WINDOW_S = 0.25
+LONGEST_WINDOW_S = 2.0  # changing light is treated as constant for so long at most
 _LEAST_PIECE = 8  # observations of a segment whose light can be asked for
 _JUMP_SIGMA, _LEAST_JUMP = (
     8.0,
@@ -69,7 +70,6 @@ def fit_over_time(
     irradiance: np.ndarray,
     variance: np.ndarray | None = None,
     breaks_s: Sequence[float] = (),
-    window_s: float = 2.0,
     params: Params = Params(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span]]:
     """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from
@@ -78,7 +78,7 @@ def fit_over_time(
     times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3)
     as in fit.fit
     breaks_s : times at which the light steps (light_map.changes); no span crosses one
-    window_s : length of a window, at most. Observations without a finite time are left out.
+    Observations without a finite time are left out.
     """
     times = np.asarray(times_s, float).ravel()
     n, E = (
@@ -159,7 +159,7 @@ def fit_over_time(
     ]
     segments, windows = (
         window_edges(start, stop, breaks_s, np.inf),
-        window_edges(start, stop, breaks_s, window_s),
+        window_edges(start, stop, breaks_s, LONGEST_WINDOW_S),
     )
     # the account whose refusal says most: the first that explains what was seen
     best_refusal = constant
@@ -230,7 +230,7 @@ def fit_over_time(
         if ok:
             spans.append(Span(a, b, found, 0))
             continue
-        for c, d in pairwise(window_edges(a, b, (), window_s)):
+        for c, d in pairwise(window_edges(a, b, (), LONGEST_WINDOW_S)):
             inside = between(c, d)
             middle = min(
                 max(int(np.searchsorted(times, (c + d) / 2, side="right")), inside.start),

@@ -90,30 +90,20 @@ def solve(
     white: np.ndarray | None = None,
     albedo: np.ndarray | None = None,
     clipped: np.ndarray | None = None,
-    albedos: str = "known",
-    ink: float = INK,
-    paper: float = PAPER,
     tolerances: Tolerances | None = None,
 ) -> Photometry:
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None =
     equal and unknown
     white : (p,) bool, or albedo : (p,), (t, p) or (t, p, 3) in its place;  clipped : (t, p)
     shares, for the report
-    albedos : "known" (ink, paper); "normalised" (light from each frame's own difference of
-    paper and ink, so that its
-        ratios are right whatever the ink and the bias are; noisier; the bias still takes
-        the ink's albedo); "unknown" (the ink's albedo is solved per channel beside b, which
-        takes light that changes)
     tolerances : go into bias_95; None = the usual ones, with `albedo` given none
     Raises ValueError for wrong shapes."""
     value = np.asarray(intensity, float)
     frames, patches, _ = value.shape
-    if albedos not in ("known", "normalised", "unknown"):
-        raise ValueError(f"albedos {albedos!r} is not known, normalised or unknown")
     if albedo is None:
         if white is None or np.shape(white) != (patches,):
             raise ValueError("white (p,) or albedo is needed")
-        albedo, tolerances = np.where(white, paper, ink), tolerances or Tolerances()
+        albedo, tolerances = np.where(white, PAPER, INK), tolerances or Tolerances()
     ink_sigma, transfer, steps = tolerances or Tolerances(0.0, 0.0, 0.0)
     every = of_channels(albedo, value.shape)
     weight, known_noise, ignored = weights(value, variance, every)
@@ -130,12 +120,7 @@ def solve(
             if rho.size
             else np.zeros(rho.shape, bool)
         )
-        if albedos == "normalised":
-            part = solve_normalised(grey, w, rho, dark, known_noise, ink_sigma)
-        else:
-            part = solve_robust(
-                grey, w, rho, dark, known_noise, albedos == "unknown", ink_sigma
-            )
+        part = solve_robust(grey, w, rho, dark, known_noise, ink_sigma)
         if part["determined"] and transfer > 0:
             # the interval is moved to what the bias is under other exponents of the camera's curve
             sparse, found = slice(None, None, max(1, frames // ENOUGH)), []
@@ -144,15 +129,7 @@ def solve(
                 few_w = w[sparse] / (exponent * size ** (exponent - 1)) ** 2
                 bent = np.sign(few) * np.abs(few) ** exponent
                 found.append(
-                    solve_channel(
-                        bent,
-                        few_w,
-                        rho[sparse],
-                        dark[sparse],
-                        known_noise,
-                        albedos == "unknown",
-                        0.0,
-                    )
+                    solve_channel(bent, few_w, rho[sparse], dark[sparse], known_noise, 0.0)
                 )
             off = [
                 f["bias"] - found[0]["bias"]
@@ -238,25 +215,24 @@ def solve_robust(
     rho: np.ndarray,
     dark: np.ndarray,
     known: bool,
-    find_ink: bool,
     ink_sigma: float,
 ) -> dict:
     """Shared bias. grey, w0, rho : (t, p) values, inverse variances (0 = not usable),
     albedos;  dark : (t, p) bool, ink
 
-    known : the variances are;  find_ink : nothing is known of the ink's albedo
+    known : the variances are
     ink_sigma : deviation of the ink's albedo from that in rho, 0 = exact. The solution
     takes the stated ink; the interval
         holds what an ink with this prior, solved for beside the bias, makes of the bias
         too. (Gloss and glare bend dark cells as another ink would, so that one found is no
         better an answer than the stated one.)
     """
-    part = solve_channel(grey, w0, rho, dark, known, find_ink, 0.0)
-    if find_ink or ink_sigma == 0 or not part["determined"]:
+    part = solve_channel(grey, w0, rho, dark, known, 0.0)
+    if ink_sigma == 0 or not part["determined"]:
         return part
     sparse = slice(None, None, max(1, len(grey) // ENOUGH))
     other = solve_channel(
-        grey[sparse], w0[sparse], rho[sparse], dark[sparse], known, False, ink_sigma
+        grey[sparse], w0[sparse], rho[sparse], dark[sparse], known, ink_sigma
     )
     (low, high), bright = part["bias_95"], float(np.median(part["y"][part["seen"]]))
     if other["determined"] and other["ink"] != part["ink"]:
@@ -290,15 +266,14 @@ def solve_channel(
     rho: np.ndarray,
     dark: np.ndarray,
     known: bool,
-    find_ink: bool,
     ink_sigma: float,
 ) -> dict:
     """As `solve_robust`. ink_sigma : above 0 the ink is an unknown with this prior"""
     seen = (w0 > 0).any(1)
     count = int((w0 > 0).sum())
     both = bool((w0[dark] > 0).any() and (w0[~dark] > 0).any())
-    free_ink, known_ink = find_ink and both, not find_ink and both and ink_sigma > 0
-    unknowns = int(seen.sum()) + 1 + free_ink
+    one_ink = both and ink_sigma > 0
+    unknowns = int(seen.sum()) + 1
     spare = count - unknowns
     if not count:
         return fallback(
@@ -310,7 +285,6 @@ def solve_channel(
             1e12,
         )
     w, scale = w0.copy(), 1.0
-    one_ink = free_ink or known_ink
     k = stated = float(rho[dark].mean()) if both else 0.0
     b, joint = 0.0, None
     for i in range(_PASSES):
@@ -326,7 +300,7 @@ def solve_channel(
                 w0,
                 rho,
                 "all usable patches have one albedo",
-                unknowns - 1 - free_ink,
+                unknowns - 1,
                 1e12,
             )
         before = b
@@ -334,15 +308,9 @@ def solve_channel(
         y = y0 - lean * b
         # for an ink that is known about, its first pass is one without it: the noise's
         # scale makes the prior's weight
-        if free_ink or (known_ink and i):
-            prior = (scale / ink_sigma) ** 2 if known_ink else 0.0
+        if one_ink and i:
+            prior = (scale / ink_sigma) ** 2
             joint = _ink_step(grey, w, r, dark, inverse, b, y, prior, stated - k)
-            if joint is None and free_ink:
-                why = (
-                    "albedos unknown and the light constant: bias and ink cannot be"
-                    " separated"
-                )
-                return fallback(grey, w0, rho, why, unknowns - 1, 1e12)
             if joint is not None:
                 b, k = b + joint[0], k + joint[1]
                 r = np.where(dark, rho + (k - stated), rho)
@@ -430,50 +398,6 @@ def _quantile(spare: float) -> float:
     from scipy.special import stdtrit
 
     return float(stdtrit(spare, 0.975)) if spare > 0 else 1.96
-
-
-def solve_normalised(
-    grey: np.ndarray,
-    w0: np.ndarray,
-    rho: np.ndarray,
-    dark: np.ndarray,
-    known: bool,
-    ink_sigma: float,
-) -> dict:
-    """Light of each frame from its own difference of bright and dark patches; the bias is
-    what the dark ones have beside.
-
-    Arguments as for `solve_robust`. Frames with patches of one kind alone are not seen."""
-    shared = solve_robust(grey, w0, rho, dark, known, False, ink_sigma)
-    if not shared["determined"]:
-        return shared
-    w = (
-        w0 / max(shared["misfit"] ** 2, 1e-300)
-        if not known or shared["misfit"] > 1
-        else w0.copy()
-    )
-    residual = np.where(w0 > 0, grey - rho * shared["y"][:, None] - shared["bias"], np.nan)
-    sums = []
-    for kind in (~dark, dark):  # Huber about the median of the kind in its frame
-        part = np.where(kind & (w > 0), residual, np.nan)
-        sparse = np.isfinite(part).any(1)
-        middle = np.zeros(len(part))
-        middle[sparse] = np.nanmedian(part[sparse], 1)
-        z = np.abs(np.where(np.isfinite(part), part - middle[:, None], 0)) * np.sqrt(w)
-        v = np.where(kind, w, 0) * np.minimum(1, divide(2 * _HUBER, z, where_zero=1.0))
-        sums.append(
-            (
-                v.sum(1),
-                divide((v * grey).sum(1), v.sum(1)),
-                divide((v * rho).sum(1), v.sum(1)),
-            )
-        )
-    (wb, bright, rb), (wd, black, rd) = sums
-    seen = (wb > 0) & (wd > 0)
-    apart = np.where(seen, rb - rd, 1.0)
-    y = np.where(seen, (bright - black) / apart, 0.0)
-    own = np.where(seen, divide(divide(1, wb) + divide(1, wd), apart**2), UNKNOWN_VARIANCE)
-    return shared | {"y": y, "var_y_own": own, "seen": seen}
 
 
 def _ink_step(

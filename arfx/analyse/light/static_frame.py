@@ -20,7 +20,7 @@ from arfx.analyse.light.fit import best_verdict
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import kalman_pass
+from arfx.analyse.light.light_map import DRIFT_PER_S, kalman_pass
 from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
@@ -213,9 +213,7 @@ class StaticFrameLight:
                 self.lit, pairwise([*first.tolist(), len(mine)]), strict=True
             )
         ]
-        self.kinds = light_map.changes(
-            self.observations, params.map_level, params.map_blur_rad, params.drift_per_s
-        )
+        self.kinds = light_map.changes(self.observations)
 
     def from_markers(
         self, rests: bool, samples: Sequence[EnvironmentSample]
@@ -237,16 +235,13 @@ class StaticFrameLight:
         ]
         times = np.array([self.facts[k].time_s for k in self.numbers])
         everything = LightReading(self.y, self.variance, np.ones(len(times), bool))
-        fit_params = FitParams(
-            self.params.most_lights, self.params.limit_deg, self.params.claims == LIKELY
-        )
+        fit_params = FitParams(self.params.most_lights, likely=self.params.claims == LIKELY)
         model, spans, better = fit_temporal_model(
             times,
             self.normals,
             everything,
             self.alone,
             breaks,
-            self.params.window_s,
             fit_params,
         )
         if better is not None:
@@ -397,7 +392,7 @@ class StaticFrameLight:
         stepped = (self.kinds == light_map.STEP) | np.append(False, jumps)
         variance[(self.kinds == light_map.OUTLIER) & ~stepped] = UNKNOWN
         factors = np.clip(
-            smoothed(at, factors, variance, stepped, self.params.drift_per_s),
+            smoothed(at, factors, variance, stepped),
             LEAST_FACTOR,
             MOST_FACTOR,
         )
@@ -446,14 +441,13 @@ def fit_temporal_model(
     reading: LightReading,
     alone: LightReading | None,
     breaks_s: Sequence[float],
-    window_s: float = 2.0,
     params: FitParams = FitParams(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span], LightReading | None]:
     """(account, spans, the readings that tell it if not the first): `alone` where it says
     more than all cells.
     """
     account, spans = fit_over_time(
-        times_s, normals, reading.y, reading.variance, breaks_s, window_s, params
+        times_s, normals, reading.y, reading.variance, breaks_s, params
     )
     verdict = best_verdict(s.fit for s in spans)
     if alone is None or not alone.fit.any() or verdict == MEASURED:
@@ -465,7 +459,6 @@ def fit_temporal_model(
         alone.y[on],
         alone.variance[on],
         breaks_s,
-        window_s,
         params,
     )
     better = best_verdict(s.fit for s in other)
@@ -479,24 +472,22 @@ def smoothed(
     value: np.ndarray,
     variance: np.ndarray,
     step: np.ndarray,
-    drift_per_s: float,
 ) -> np.ndarray:
     """(n, 3) values of a random walk seen with noise, from all of the past and the future
     (Kalman filters from both ends).
 
     time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk
-    begins anew there
-    drift_per_s : its relative standard deviation over one second"""
+    begins anew there"""
     order = np.arange(len(value))
     m0, v0, m1, v1 = (np.zeros(value.shape) for _ in range(4))
-    kalman_pass(time_s, value, variance, step, order, drift_per_s, m0, v0)
+    kalman_pass(time_s, value, variance, step, order, DRIFT_PER_S, m0, v0)
     kalman_pass(
         time_s,
         value,
         variance,
         np.append(step[1:], False),
         order[::-1].copy(),
-        drift_per_s,
+        DRIFT_PER_S,
         m1,
         v1,
     )

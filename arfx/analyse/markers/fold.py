@@ -61,7 +61,7 @@ class Markers(Fold):
         ]
         self._tracker, self._patterns = (
             Tracker([m.key for m in self._coded], job.params),
-            PatternTracker(prints, job.params),
+            PatternTracker(prints),
         )
         self._refiner = EdgeRefiner(job.params.transfer)
         self._cut, self._survey = ShotDetector(), DictionaryScan()

@@ -23,7 +23,12 @@ from arfx.analyse.markers.pattern import (
     homography_of,
     unit_corners,
 )
-from arfx.analyse.params import AnalyseParams
+from arfx.analyse.markers.tracker import (
+    LOSS_SEARCH_FRAMES,
+    REDUCED_PX,
+    REDUCED_SEARCH_EVERY,
+    SEARCH_INTERVAL_S,
+)
 from arfx.core.camera import Camera
 from arfx.core.codec import serialisable
 
@@ -56,18 +61,17 @@ class PatternTracker(Stateful):
     resolution
     """
 
-    given = frozenset({"_pictures", "_params"})
+    given = frozenset({"_pictures"})
 
-    def __init__(self, pictures: Sequence[PatternPicture], params: AnalyseParams) -> None:
+    def __init__(self, pictures: Sequence[PatternPicture]) -> None:
         self._pictures = tuple(pictures)
-        self._params = params
         self.tracks: dict[str, PatternTrack] = {}
         self.frames = 0
         self.last_whole_s = -math.inf
 
     def anew(self) -> PatternTracker:
         """One that has seen nothing."""
-        return PatternTracker(self._pictures, self._params)
+        return PatternTracker(self._pictures)
 
     def led_on(self, other: PatternTracker, time_s: float) -> bool:
         """Whether `other` has just seen every print that is followed here, where it was
@@ -99,18 +103,13 @@ class PatternTracker(Stateful):
                 ):
                     found[picture.name] = seen
         missing = [p for p in self._pictures if p.name not in found]
-        whole = (
-            bool(missing) and time_s - self.last_whole_s >= self._params.search_interval_s
-        )
+        whole = bool(missing) and time_s - self.last_whole_s >= SEARCH_INTERVAL_S
         lost = any(
-            p.name in self.tracks
-            and self.tracks[p.name].missing < self._params.loss_search_frames
+            p.name in self.tracks and self.tracks[p.name].missing < LOSS_SEARCH_FRAMES
             for p in missing
         )
-        if missing and (
-            whole or lost or self.frames % self._params.reduced_search_every == 0
-        ):
-            features = frame_features(luma, WHOLE_PX if whole else self._params.reduced_px)
+        if missing and (whole or lost or self.frames % REDUCED_SEARCH_EVERY == 0):
+            features = frame_features(luma, WHOLE_PX if whole else REDUCED_PX)
             self.last_whole_s = time_s if whole else self.last_whole_s
             for picture in missing:
                 about = picture.find(features, camera)
@@ -130,7 +129,7 @@ class PatternTracker(Stateful):
         if seen is None:
             if track is not None:
                 track.missing += 1
-                if time_s - track.time_s > self._params.search_interval_s:
+                if time_s - track.time_s > SEARCH_INTERVAL_S:
                     del self.tracks[key]
             return
         ideal, speed = unit_corners(seen.ideal_from_unit), np.zeros((4, 2))

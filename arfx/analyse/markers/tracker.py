@@ -23,6 +23,13 @@ from arfx.analyse.params import AnalyseParams
 from arfx.core.codec import serialisable
 from arfx.core.rect import Rect
 
+# while a marker is missing, the whole frame is searched at full resolution at least this often
+SEARCH_INTERVAL_S = 1.0
+LOSS_SEARCH_FRAMES = 5  # after a loss, so many frames are searched whole at full resolution
+# while some markers are tracked and others are missing, the reduced image is searched every
+# n-th frame
+REDUCED_SEARCH_EVERY = 3
+REDUCED_PX = 240_000  # of the reduced image; smaller frames are always searched whole
 SHRINK = (
     0.4  # a tracked marker is no smaller than this share of what it was in the last frame
 )
@@ -96,7 +103,7 @@ class Tracker(Stateful):
             False,
         )  # known of the last frame, and of the one to come
         families = [k.rsplit(":", 1)[0] for k in keys]
-        self.detector = MarkerDetector(families, params.min_side_px, params.detect_inverted)
+        self.detector = MarkerDetector(families, inverted=params.detect_inverted)
 
     def anew(self) -> Tracker:
         """One that has seen nothing."""
@@ -128,7 +135,7 @@ class Tracker(Stateful):
         """
         height, width = luma.shape
         frame = Rect.of(width, height)
-        factor = max(1, math.ceil(math.sqrt(frame.area / self.params.reduced_px)))
+        factor = max(1, math.ceil(math.sqrt(frame.area / REDUCED_PX)))
         every: list[Candidate] = []
         whole = False
         followed = list(self.tracks.values())
@@ -150,17 +157,14 @@ class Tracker(Stateful):
         missing = [k for k in self.keys if k not in {c.key for c in every}]
         newly_lost = any(t.missing == 0 for k, t in self.tracks.items() if k in missing)
         nothing_here, self.nothing_here = self.nothing_here, False
-        self.lost_frames = (
-            self.params.loss_search_frames if newly_lost else self.lost_frames
-        )
-        due = time_s - self.last_whole_s >= self.params.search_interval_s
+        self.lost_frames = LOSS_SEARCH_FRAMES if newly_lost else self.lost_frames
+        due = time_s - self.last_whole_s >= SEARCH_INTERVAL_S
         if missing and (factor == 1 or due or newly_lost or self.lost_frames > 0):
             every, whole = self.detector.search(luma), True
             self.last_whole_s = time_s
             self.lost_frames = max(0, self.lost_frames - 1)
         elif missing and (
-            len(missing) == len(self.keys)
-            or self.frames % self.params.reduced_search_every == 0
+            len(missing) == len(self.keys) or self.frames % REDUCED_SEARCH_EVERY == 0
         ):
             ahead = (
                 following
@@ -210,7 +214,7 @@ class Tracker(Stateful):
             if not seen:
                 if track is not None:
                     track.missing += 1
-                    if time_s - track.time_s > self.params.search_interval_s:
+                    if time_s - track.time_s > SEARCH_INTERVAL_S:
                         del self.tracks[key]
                 continue
             speed, expected = (

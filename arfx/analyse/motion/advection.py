@@ -2,16 +2,12 @@
 markers through the known poses.
 
 field(new epoch, node) = field(key frame, where the node lay then). A cut starts a new
-field, elsewhere. A second texture starts undeformed at the end of each stretch and is
-carried back (`forward_and_backward`): whoever paints both, fading from one to the other,
-sees one that is little deformed. The fade goes by epochs, not by time.
+field, elsewhere.
 Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -29,9 +25,6 @@ _NEW_DETAIL = 0.1
 _RELAX = 0.02  # fraction of the field's bend that is taken out per epoch
 _LEAST_DET = 0.15  # of the field's own mean: triangles smaller than that are about to fold
 _NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
-PERIOD = 90  # epochs
-_APART_PX = 5003.0  # the pattern of the other end of a stretch comes from that far away
-_ROUNDS = 6  # of the search for where a node came to lie
 AROUND = (
     2.4  # sizes of the marker: within this, its pose gives the motion better than the flow
 )
@@ -88,7 +81,7 @@ def with_advection(
     key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
     detail, last_back = np.zeros(gx.shape), np.zeros((*gx.shape, 2))
     fields: list[AdvectionField] = []
-    epochs, of_frame = [], []
+    of_frame = []
     for f in facts:
         step = by_index.get(f.index)
         cut = last is not None and f.shot != last.shot
@@ -156,29 +149,8 @@ def with_advection(
                     f.camera_from_world,
                 )
             )
-            kept = (
-                back
-                if back is not None or step is None or step.back is None
-                else step.back.astype(float)
-            )
-            epochs.append(
-                EpochStep(
-                    kept, (step is not None and step.key) or kept is None, back is None
-                )
-            )
         last = f
-        of_frame.append(len(epochs) - 1)
-    fields = [
-        replace(
-            m,
-            share=round(share, 4),
-            forward=pack_positions(*forward),
-            backward=pack_positions(*backward),
-        )
-        for m, (forward, backward, share) in zip(
-            fields, forward_and_backward(epochs, gx, gy), strict=True
-        )
-    ]
+        of_frame.append(len(fields) - 1)
     return tuple(f.with_(advection=fields[k]) for f, k in zip(facts, of_frame, strict=True))
 
 
@@ -274,103 +246,3 @@ def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         u[1:, 1:] - u[:-1, 1:]
     )
     return a / GRID_PX**2, b / GRID_PX**2
-
-
-@dataclass(frozen=True, eq=False)
-class EpochStep:
-    """One epoch. back (gh, gw, 2) px : what its nodes must be moved by to lie where they
-    lay in the key frame before it;
-    None : it has none, or lies as that
-    key : the next ones are relative to this frame;  starts_shot : it is the first of its shot
-    """
-
-    back: np.ndarray | None
-    key: bool
-    starts_shot: bool
-
-
-def forward_and_backward(
-    epochs: Sequence[EpochStep], gx: np.ndarray, gy: np.ndarray
-) -> list[tuple[Field, Field, float]]:
-    """Of every epoch the two patterns at its nodes, and the share of the second, 0..1."""
-    out: list[tuple[Field, Field, float]] = []
-    ends: list[int] = []  # first epoch of each stretch
-    for k, s in enumerate(epochs):
-        if not ends or s.starts_shot or (s.key and k - ends[-1] >= PERIOD):
-            ends.append(k)
-    number = -1
-    for a, b in pairwise([*ends, len(epochs)]):
-        number += (
-            2 if epochs[a].starts_shot else 1
-        )  # nothing of the old pattern is seen in a new shot
-        # the next stretch of a shot goes on from this one's end: they share that epoch, and
-        # its pattern
-        last = b if b < len(epochs) and not epochs[b].starts_shot else b - 1
-        patterns = [(gx + _APART_PX * (number + k), gy) for k in (1, 2)]
-        forward = _advect_forward(epochs, a, last, patterns[0], gx, gy)
-        backward = _advect_backward(epochs, a, last, patterns[1], gx, gy)
-        out += [(forward[k], backward[k], k / max(last - a, 1)) for k in range(b - a)]
-    return out
-
-
-def _at_epoch(key: Field, step: EpochStep, gx: np.ndarray, gy: np.ndarray) -> Field:
-    """The field at an epoch's nodes, from that at the nodes of its key frame."""
-    if step.back is None:
-        return key
-    x, y = gx + step.back[..., 0], gy + step.back[..., 1]
-    return _at(key, x, y, gx, gy)
-
-
-def _at_key(own: Field, step: EpochStep, gx: np.ndarray, gy: np.ndarray) -> Field:
-    """The field at the nodes of an epoch's key frame, from that at the epoch's: a node came
-    to lie where place + back = node.
-    """
-    if step.back is None:
-        return own
-    x, y = gx, gy
-    for _ in range(_ROUNDS):
-        x, y = (
-            gx - _sampled(step.back[..., 0], x, y, gx, gy),
-            gy - _sampled(step.back[..., 1], x, y, gx, gy),
-        )
-    return _at(own, x, y, gx, gy)
-
-
-def _advect_forward(
-    epochs: Sequence[EpochStep],
-    a: int,
-    b: int,
-    pattern: Field,
-    gx: np.ndarray,
-    gy: np.ndarray,
-) -> list[Field]:
-    """Of the epochs a ... b, unbent at a."""
-    out = [pattern]
-    key = pattern if epochs[a].key else _at_key(pattern, epochs[a], gx, gy)
-    for step in epochs[a + 1 : b + 1]:
-        out.append(relaxed(*_at_epoch(key, step, gx, gy)))
-        key = out[-1] if step.key else key
-    return out
-
-
-def _advect_backward(
-    epochs: Sequence[EpochStep],
-    a: int,
-    b: int,
-    pattern: Field,
-    gx: np.ndarray,
-    gy: np.ndarray,
-) -> list[Field]:
-    """Of the epochs a ... b, unbent at b."""
-    out = [pattern]
-    key = _at_key(pattern, epochs[b], gx, gy)
-    for k in range(b - 1, a - 1, -1):
-        step = epochs[k]
-        if (
-            step.key
-        ):  # what follows is relative to it: the field at the key frame is its own
-            out.append(relaxed(*key))
-            key = _at_key(out[-1], step, gx, gy)
-        else:
-            out.append(relaxed(*_at_epoch(key, step, gx, gy)))
-    return out[::-1]

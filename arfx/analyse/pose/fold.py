@@ -320,7 +320,7 @@ def solve(
             f"{len(every) - len(present)} sightings of only one or two frames are not shown"
         )
     status = frame_statuses(path.measured, present)
-    opacity = opacities(present, shot, params.fade_frames)
+    opacity = opacities(present, shot)
     rotation, translation = _filled(path, present, times)
     covariance = np.zeros((len(records), 6, 6))
     density = []

@@ -14,16 +14,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from arfx.analyse.pose import kernels
-from arfx.analyse.pose.kernels import HUBER_SIGMA
 from arfx.core.camera import Camera
 from arfx.core.facts import Hypothesis
 from arfx.core.numerics import EPS_DEPTH_M, divide, normalise
-from arfx.core.parallel import parallel_rows
 from arfx.core.pose import Pose, rotation_from_rotvec, skew
 
 # two minima closer than this are one (a frontal marker): below any tilt noise seen
 _SAME_RAD = 5e-3
+HUBER_SIGMA = 3.0  # residuals beyond it count linearly
+_CONVERGED = 1e-9  # change of the cost, relative to 1 + cost
 
 
 @dataclass(frozen=True)
@@ -107,29 +106,35 @@ def refine_poses(
     """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation,
     cost (n,)).
     """
-    rotation, translation = (
-        np.array(rotation, float, order="C"),
-        np.array(translation, float, order="C"),
-    )
-    cost = np.empty(len(rotation))
-    points, ideal, scale, weight = (
-        np.array(v, float, order="C") for v in vars(seen).values()
-    )
-
-    def refine(a: int, b: int) -> None:
-        of = slice(a, b)
-        kernels.refine(
-            rotation[of],
-            translation[of],
-            points[of],
-            ideal[of],
-            scale[of],
-            weight[of],
-            iterations,
-            cost[of],
+    rotation, translation = np.array(rotation, float), np.array(translation, float)
+    cost, _ = huber_cost(residuals(rotation, translation, seen), seen.weight)
+    damping, settled = np.full(len(cost), 1e-4), np.zeros(len(cost), int)
+    at = np.flatnonzero(np.isfinite(cost))
+    for _ in range(iterations):
+        part, pose = seen.take(at), (rotation[at], translation[at])
+        missed, j = residuals(*pose, part), jacobian(*pose, part)
+        factor = huber_cost(missed, part.weight)[1]
+        weighted = j * (part.weight * factor)[..., None, None]
+        normal = np.einsum("npki,npkj->nij", weighted, j)
+        diagonal = np.einsum("nii->ni", normal)
+        diagonal += diagonal * damping[at, None] + 1e-12
+        step = np.linalg.solve(
+            normal, np.einsum("npki,npk->ni", -weighted, missed)[..., None]
         )
-
-    parallel_rows(refine, len(cost))
+        turned, moved = apply_step(*pose, step[..., 0])
+        now, _ = huber_cost(residuals(turned, moved, part), part.weight)
+        # settled twice in a row: a refused step may by chance cost the same as the place it
+        # came from
+        still = np.abs(cost[at] - now) < _CONVERGED * (1 + cost[at])
+        settled[at] = np.where(still, settled[at] + 1, 0)
+        better = now < cost[at]
+        damping[at] = np.clip(damping[at] * np.where(better, 0.2, 10.0), 1e-9, 1e6)
+        taken = at[better]
+        rotation[taken], translation[taken] = turned[better], moved[better]
+        cost[taken] = now[better]
+        at = at[settled[at] < 2]
+        if not len(at):
+            break
     return rotation, translation, cost
 
 

@@ -21,6 +21,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 
 MIN_FRAMES = 3
+FADE_FRAMES = 5  # over which the object fades in and out around an absence
 THUMBNAIL = (32, 18)
 # 1 - correlation of thumbnails; hand-held clips stay below .1, unrelated pictures lie
 # around 1
@@ -79,9 +80,7 @@ def frame_statuses(measured: np.ndarray, present: Sequence[tuple[int, int]]) -> 
     return out
 
 
-def opacities(
-    present: Sequence[tuple[int, int]], shot: np.ndarray, fade_frames: int
-) -> np.ndarray:
+def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray) -> np.ndarray:
     """(n,) 0..1: 1 inside a stretch, ramping over its first and last frames where an
     absence follows in the same shot.
 
@@ -93,9 +92,9 @@ def opacities(
         k = np.arange(first, end)
         out[k] = 1
         if first > 0 and shot[first - 1] == shot[first]:
-            out[k] = np.minimum(out[k], (k - first + 1) / (fade_frames + 1))
+            out[k] = np.minimum(out[k], (k - first + 1) / (FADE_FRAMES + 1))
         if end < n and shot[end] == shot[end - 1]:
-            out[k] = np.minimum(out[k], (end - k) / (fade_frames + 1))
+            out[k] = np.minimum(out[k], (end - k) / (FADE_FRAMES + 1))
     return out
 
 

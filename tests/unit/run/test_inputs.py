@@ -137,7 +137,7 @@ def test_the_middle_of_the_base_stands_on_the_marker_whichever_axis_is_up(
     np.testing.assert_allclose((world.min(0) + world.max(0))[:2] / 2, [0.01, 0], atol=1e-12)
 
 
-@pytest.mark.parametrize("key", ["smoothing", "max_gap_s", "search_interval_s"])
+@pytest.mark.parametrize("key", ["smoothing", "max_gap_s"])
 @pytest.mark.parametrize("value", ["inf", "nan", "1e300", "-1"])
 def test_analysis_numbers_are_refused_before_the_analysis(
     tmp_path: Path, key: str, value: str

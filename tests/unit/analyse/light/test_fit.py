@@ -185,7 +185,7 @@ def test_amplitudes_are_never_negative() -> None:
 
 def clip(n: np.ndarray, light: np.ndarray, breaks_s: list[float]) -> tuple[str, list]:
     times = np.arange(len(n)) / 25
-    return fit_over_time(times, n, light, np.full(light.shape, 1e-6), breaks_s, 2.0, EXACT)
+    return fit_over_time(times, n, light, np.full(light.shape, 1e-6), breaks_s, EXACT)
 
 
 def turned(count: int) -> np.ndarray:

@@ -172,48 +172,6 @@ def test_a_codecs_steps_are_in_the_interval() -> None:
     assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).all()
 
 
-def test_the_ink_is_found_where_the_light_changes_and_refused_where_it_does_not() -> None:
-    grey, y = clip(rho=np.where(WHITE, PAPER, 0.11), noise=0.0005)
-    p = solve(grey, np.full(grey.shape, 0.0005**2), WHITE, albedos="unknown")
-    assert p.verdict == MEASURED
-    assert (
-        np.abs(p.ink - 0.11).max() < 2e-3
-        and np.abs(p.bias - 0.02).max() < 1e-3
-        and np.abs(p.y - y).max() < 5e-3
-    )
-    assert (
-        np.abs(solve(grey, None, WHITE, tolerances=EXACT).bias - 0.02).min() > 0.01
-    )  # with the usual ink assumed
-    flat = np.repeat(grey[:1], 30, 0) + np.random.default_rng(1).normal(0, 1e-5, (30, 8, 3))
-    constant = solve(flat, np.full(flat.shape, 1e-10), WHITE, albedos="unknown")
-    assert constant.verdict == DEGENERATE and not constant.bias.any() and finite(constant)
-    exact = solve(np.repeat(clip(1)[0], 30, 0), None, WHITE, albedos="unknown")
-    assert exact.verdict == DEGENERATE and "constant" in exact.reason
-
-
-def test_normalised_albedos_give_ratios_of_light_whatever_the_print() -> None:
-    grey, y = clip(rho=np.where(WHITE, 0.7, 0.12), bias=0.03)
-    p = solve(grey, None, WHITE, albedos="normalised")
-    ratio = p.y / y
-    assert p.verdict == MEASURED and np.abs(ratio / ratio[0, 0] - 1).max() < 1e-9
-    known = (
-        solve(grey, None, WHITE, tolerances=EXACT).y / y
-    )  # the wrong albedos are in the ratios
-    assert np.abs(known / known[0, 0] - 1).max() > 0.1
-    grey[3, WHITE], grey[4, 0] = np.nan, np.inf
-    grey[5, 5] += 0.4  # one highlight among four
-    p = solve(
-        grey + np.random.default_rng(0).normal(0, 1e-3, grey.shape),
-        np.full(grey.shape, 1e-6),
-        WHITE,
-        albedos="normalised",
-    )
-    ratio = np.delete(p.y / y, 3, 0) / (0.58 / 0.83)
-    assert not p.seen[3] and finite(p) and np.abs(ratio - 1).max() < 0.03
-    with pytest.raises(ValueError, match="guessed"):
-        solve(grey, None, WHITE, albedos="guessed")
-
-
 DEGENERATES = {
     "one albedo": lambda g: np.where(WHITE[None, :, None], g, np.nan),
     "ink alone": lambda g: np.where(WHITE[None, :, None], np.nan, g),

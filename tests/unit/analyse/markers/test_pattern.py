@@ -15,7 +15,6 @@ from arfx.analyse.folds import Analyser, AnalysisFrame
 from arfx.analyse.markers.detect import Detection
 from arfx.analyse.markers.pattern import PatternPicture, check_turned, coded_luma, plausible
 from arfx.analyse.markers.pattern_tracker import PatternTracker
-from arfx.analyse.params import AnalyseParams
 from arfx.core.camera import Camera
 from arfx.core.marker import PatternSpec
 from arfx.core.pose import Pose, rotation_angle_rad
@@ -52,7 +51,7 @@ def frame(
 def tracked(
     known: PatternPicture, frames: list[np.ndarray], cam: Camera = CAM
 ) -> list[Detection | None]:
-    tracker = PatternTracker([known], AnalyseParams())
+    tracker = PatternTracker([known])
     return [
         next(iter(tracker.step(k / 25, luma, cam)[0]), None)
         for k, luma in enumerate(frames)

@@ -11,7 +11,7 @@ from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.markers.fold import Markers
-from arfx.analyse.markers.tracker import Found, Tracker
+from arfx.analyse.markers.tracker import LOSS_SEARCH_FRAMES, Found, Tracker
 from arfx.analyse.params import AnalyseParams
 from arfx.core import codec
 from arfx.core.camera import Camera
@@ -124,7 +124,7 @@ def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_i
         == [s for s, _ in every]
         == [k < 2 or k >= 22 for k in range(27)]
     )
-    gone = slice(2 + AnalyseParams().loss_search_frames, 21)
+    gone = slice(2 + LOSS_SEARCH_FRAMES, 21)
     assert all(px > 0 for _, px in every[gone])
     assert sum(px for _, px in ahead[gone]) < 0.7 * sum(px for _, px in every[gone])
     for stop in (12, 13):  # a checkpoint at either of the two frames

@@ -251,9 +251,9 @@ def test_presence_and_fades() -> None:
     assert visible_intervals(measured, shot, times, 0.6) == [(0, 12)]
     shot[3:] = 1
     assert visible_intervals(measured, shot, times, 0.6) == [(0, 2), (3, 12)]
-    o = opacities([(0, 4), (8, 12)], np.zeros(12, int), 2)
-    np.testing.assert_allclose(o, [1, 1, 2 / 3, 1 / 3, 0, 0, 0, 0, 1 / 3, 2 / 3, 1, 1])
-    assert (opacities([(0, 2), (3, 12)], shot, 2)[3:] == 1).all()
+    o = opacities([(0, 4), (8, 12)], np.zeros(12, int))
+    np.testing.assert_allclose(o * 6, [4, 3, 2, 1, 0, 0, 0, 0, 1, 2, 3, 4])
+    assert (opacities([(0, 2), (3, 12)], shot)[3:] == 1).all()
 
 
 def static_clip(kind: str) -> tuple[str, dict[str, float]]:
