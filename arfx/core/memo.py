@@ -6,10 +6,13 @@ from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from arfx.core.model import Model
+
+if TYPE_CHECKING:
+    from arfx.core.scene import Scene
 
 
 class Memo:
@@ -45,14 +48,14 @@ class Memo:
             self._kinds.clear()
 
 
-_OF_MODEL: WeakKeyDictionary[Model, Memo] = WeakKeyDictionary()
+_OF_OWNER: WeakKeyDictionary[Model | Scene, Memo] = WeakKeyDictionary()
 
 
-def memo_of(model: Model) -> Memo:
+def memo_of(owner: Model | Scene) -> Memo:
     """What is made of a model alone and of how it stands: found again by planner, renderer
-    and later jobs of this process, which have scenes of their own. It is gone with the
-    model, to which it must not refer."""
-    return _OF_MODEL.setdefault(model, Memo())
+    and later jobs of this process, which have scenes of their own. Of a scene: what its
+    stages share. It is gone with its owner, to which it must not refer."""
+    return _OF_OWNER.setdefault(owner, Memo())
 
 
 @dataclass(frozen=True, eq=False)

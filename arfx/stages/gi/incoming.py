@@ -12,7 +12,6 @@ from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, look_up
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
-from arfx.core.memo import Memo
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -91,17 +90,17 @@ def incoming_light(
     mean = _plane_mean(
         picture, known, positions, planes, scene, 0.4 * light.radiance(turn[:, 2])
     )
-    environment = frame_environment(facts, scene, light, view.memo.of_light)
+    environment = frame_environment(facts, scene, light)
     cube_from_anchor = (environment.turn @ turn).astype(np.float32)
     environment = environment._replace(turn=cube_from_anchor)
     return IncomingLight(planes, filled(picture, known, mean), mean, environment)
 
 
-def sky_radiance(facts: FrameFacts, scene: Scene, light: Light, memo: Memo) -> np.ndarray:
+def sky_radiance(facts: FrameFacts, scene: Scene, light: Light) -> np.ndarray:
     """(6 SKY^2, 3) of the surroundings as matt surfaces see them, the anchor's axes, as
     `sky_texels` numbers them.
     """
-    around = frame_surroundings(facts, scene, light, memo)
+    around = frame_surroundings(facts, scene, light)
     cube = around.cubes()[1].astype(np.float32)
     coarse = [cv2.resize(face, (SKY, SKY), interpolation=cv2.INTER_AREA) for face in cube]
     cube_from_anchor = around.axes @ scene.world_from_anchor.rotation

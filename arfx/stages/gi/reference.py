@@ -57,7 +57,7 @@ def trace_frame(
     mirror : pixels that can mirror the object"""
     scene, rect = view.scene, view.rect
     rays = RayScene(scene)
-    known = frame_surroundings(view.facts, scene, view.light, view.memo.of_light)
+    known = frame_surroundings(view.facts, scene, view.light)
     cube_from_anchor = known.axes @ scene.world_from_anchor.rotation
     around = Surroundings(
         view.layers,

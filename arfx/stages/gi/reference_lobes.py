@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from arfx.core.numerics import divide, normalise
+from arfx.core.sampling import frame_about
 from arfx.stages.gi.gloss import gloss_weights
 
 SMOOTHEST = 0.02  # roughness: what is smoother is as good as a mirror
@@ -63,12 +64,7 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def frames(normals: np.ndarray) -> np.ndarray:
     """(k, 3, 3) whose rows are two tangents and the unit normals (k, 3)."""
-    x, y = np.eye(3)[:2]
-    steep = np.abs(normals[:, :1]) > 0.9
-    aside = np.where(steep, y, x)
-    u = normalise(np.cross(aside, normals))
-    v = np.cross(normals, u)
-    return np.stack([u, v, normals], 1)
+    return np.stack([*frame_about(normals), normals], 1)
 
 
 def to_frame(frame: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -13,12 +13,13 @@ from arfx.core.colour import SRGB
 from arfx.core.cube import look_up
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
-from arfx.core.model import CLAMP, MIRROR, Texture
+from arfx.core.model import Texture
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.light.planes import ENDLESS, Planes
+from arfx.stages.light.surfels import texels_at
 from arfx.stages.triangles import Triangles, model_triangles
 
 UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show
@@ -130,24 +131,6 @@ class RayScene:
         roughness, metal = shine[:, :1], shine[:, 1:]
         f0 = 0.08 * specular * (1 - metal)
         return Surface(position, normalise(normal), albedo, emission, metal, f0, roughness)
-
-
-def texels_at(texture: Texture, places: np.ndarray) -> np.ndarray:
-    """(n, 4) uint8 nearest texels at places (n, 2) on a texture's picture."""
-    size = np.array(texture.picture.shape[1::-1])
-    along_u, along_v = places.T
-    u, v = wrapped(along_u, texture.wrap[0]), wrapped(along_v, texture.wrap[1])
-    column, row = np.minimum(np.stack([u, v], -1) * size, size - 1).astype(int).T
-    return np.asarray(texture.picture[row, column])
-
-
-def wrapped(t: np.ndarray, wrap: str) -> np.ndarray:
-    """(n,) 0..1 where a picture is read that is laid at t (n,)."""
-    if wrap == CLAMP:
-        return np.clip(t, 0, 1)
-    if wrap == MIRROR:
-        return 1 - np.abs(1 - t % 2)
-    return t % 1
 
 
 class Surroundings:

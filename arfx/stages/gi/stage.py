@@ -202,7 +202,7 @@ class Gi(Stage):
 
     def _lit(self, view: View, prepared: Prepared, incoming: IncomingLight) -> LitScene:
         """Kept by light, environment and mean of the planes."""
-        scene, memo = view.scene, view.memo.of_light
+        scene = view.scene
         known = in_steps(view.facts, view.light)
         light = scene.light_of(known)
         around = known.seen_environment, known.environment
@@ -210,7 +210,7 @@ class Gi(Stage):
 
         def make() -> LitScene:
             transport, planes = prepared.transport, prepared.planes
-            sky = sky_radiance(known, scene, light, memo)
+            sky = sky_radiance(known, scene, light)
             places = len(transport.texels)
             picture = np.broadcast_to(incoming.mean, (places, 3))
             indirect = transport.solve(scene, light, picture, sky)
@@ -220,7 +220,7 @@ class Gi(Stage):
             sent = transport.grid.nodes(indirect.sent)
             return LitScene(indirect, changes, radius_m, sent, incoming.mean)
 
-        kept: LitScene = memo.get(key, make)
+        kept: LitScene = view.memo.of_light.get(key, make)
         return kept
 
     def _virtual(

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.model import Part, Texture
+from arfx.core.model import CLAMP, MIRROR, Part, Texture
 from arfx.core.numerics import normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.sampling import GOLDEN_RAD, frame_about, hemisphere, r2
@@ -242,8 +242,23 @@ def _texture(
     places = None if texture is None else part.uv_on(texture)
     if texture is None or places is None:
         return np.ones((len(corners), 3))
-    uv = (places[corners] * share[..., None]).sum(1) % 1
-    height, width = texture.picture.shape[:2]
-    column = np.minimum((uv[:, 0] * width).astype(int), width - 1)
-    row = np.minimum((uv[:, 1] * height).astype(int), height - 1)
-    return np.asarray(SRGB.decode(texture.picture[row, column, :3] / 255))
+    uv = (places[corners] * share[..., None]).sum(1)
+    return np.asarray(SRGB.decode(texels_at(texture, uv)[:, :3] / 255))
+
+
+def texels_at(texture: Texture, places: np.ndarray) -> np.ndarray:
+    """(n, 4) uint8 nearest texels at places (n, 2) on a texture's picture."""
+    size = np.array(texture.picture.shape[1::-1])
+    along_u, along_v = places.T
+    u, v = wrapped(along_u, texture.wrap[0]), wrapped(along_v, texture.wrap[1])
+    column, row = np.minimum(np.stack([u, v], -1) * size, size - 1).astype(int).T
+    return np.asarray(texture.picture[row, column])
+
+
+def wrapped(t: np.ndarray, wrap: str) -> np.ndarray:
+    """(n,) 0..1 where a picture is read that is laid at t (n,)."""
+    if wrap == CLAMP:
+        return np.clip(t, 0, 1)
+    if wrap == MIRROR:
+        return 1 - np.abs(1 - t % 2)
+    return t % 1

@@ -27,7 +27,7 @@ from arfx.core.cube import (
 )
 from arfx.core.facts import FrameFacts
 from arfx.core.light import Light, harmonics
-from arfx.core.memo import Memo
+from arfx.core.memo import memo_of
 from arfx.core.numerics import divide, smoothstep
 from arfx.core.scene import Scene
 from arfx.errors import RenderError
@@ -112,17 +112,14 @@ class FrameSurroundings:
         return narrow, wide
 
 
-def frame_environment(
-    facts: FrameFacts, scene: Scene, light: Light, memo: Memo
-) -> Environment:
+def frame_environment(facts: FrameFacts, scene: Scene, light: Light) -> Environment:
     """What the frame's object mirrors. As `frame_surroundings`."""
-    return frame_surroundings(facts, scene, light, memo).environment()
+    return frame_surroundings(facts, scene, light).environment()
 
 
-def frame_surroundings(
-    facts: FrameFacts, scene: Scene, light: Light, memo: Memo
-) -> FrameSurroundings:
-    """The best that is known around the frame's object. memo : keeps what is filtered
+def frame_surroundings(facts: FrameFacts, scene: Scene, light: Light) -> FrameSurroundings:
+    """The best that is known around the frame's object. What is filtered is kept with the
+    scene, for all stages.
 
     Raises RenderError for radiance that is not finite and >= 0, and for a map that is missing.
     """
@@ -146,6 +143,7 @@ def frame_surroundings(
             else (guess.data, guess.size, plane is None)
         )
         key = name, own, cube_up.tobytes()
+        memo = memo_of(scene)
         found: SurroundingParts = memo.get(key, partial(parts, name), "surroundings", _KEPT)
         return found
 

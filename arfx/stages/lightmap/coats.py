@@ -23,8 +23,10 @@ from arfx.stages.lightmap.shading import (
     Lights,
     Surface,
     ggx_reflection,
+    half_vector,
     mirrored_share,
     soft_radiance,
+    towards_eye,
 )
 
 _FAST = {"contract", "nsz", "arcp"}
@@ -96,7 +98,7 @@ def add_sheen(
             cover = surface.coverage[y, x]
             if not (cover > zero and most > zero):
                 continue
-            nx, ny, nz, vx, vy, vz = _towards_eye(surface, eye, y, x)
+            nx, ny, nz, vx, vy, vz = towards_eye(surface, eye, y, x)
             n_v = max(nx * vx + ny * vy + nz * vz, np.float32(1e-3))
             rough = max(sheen[y, x, 3], np.float32(_LEAST_SHEEN))
             reflected = sheen_reflected(rough, n_v)
@@ -141,14 +143,14 @@ def add_clear_coat(
 
     coat (h, w, 2) : how much, roughness;  the others : of `shade`
     """
-    zero, half, one, two = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
+    zero, one, two = np.float32(0), np.float32(1), np.float32(2)
     light = np.empty(3, np.float32)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
             amount, cover = coat[y, x, 0], surface.coverage[y, x]
             if not (cover > zero and amount > zero):
                 continue
-            nx, ny, nz, vx, vy, vz = _towards_eye(surface, eye, y, x)
+            nx, ny, nz, vx, vy, vz = towards_eye(surface, eye, y, x)
             facing = nx * vx + ny * vy + nz * vz
             n_v = max(facing, np.float32(1e-3))
             rough = max(coat[y, x, 1], np.float32(SMOOTHEST))
@@ -173,10 +175,8 @@ def add_clear_coat(
                 )
                 n_l = nx * tx + ny * ty + nz * tz
                 if n_l > zero:
-                    # of the half-vector, which is as far from eye as from lamp
-                    v_h = np.sqrt(max(half * (one + vx * tx + vy * ty + vz * tz), _TINY))
-                    n_h = min(half * (facing + n_l) / v_h, one)
-                    away = one - min(v_h, one)
+                    v_l = vx * tx + vy * ty + vz * tz
+                    n_h, away = half_vector(facing, n_l, v_l)
                     fresnel = _F0 + (one - _F0) * away * away * away * away * away
                     lobe = ggx_reflection(alpha2, alpha2 + lights.widths[k], n_h, n_v, n_l)
                     lobe *= amount * fresnel * lights.visibility[k, y, x]
@@ -185,20 +185,3 @@ def add_clear_coat(
             for c in range(3):
                 base = (one - reflected) * (out[y, x, c] - cover * bias[c])
                 out[y, x, c] = base + cover * (light[c] + bias[c])
-
-
-@line_kernel(fastmath=_FAST)
-def _towards_eye(surface: Surface, eye, y, x):  # pragma: no cover - compiled
-    """Normal of a pixel, and the unit direction to the eye."""
-    normal, position = surface.normal, surface.position
-    vx, vy = eye[0] - position[y, x, 0], eye[1] - position[y, x, 1]
-    vz = eye[2] - position[y, x, 2]
-    scale = np.float32(1) / np.sqrt(max(vx * vx + vy * vy + vz * vz, _TINY))
-    return (
-        normal[y, x, 0],
-        normal[y, x, 1],
-        normal[y, x, 2],
-        vx * scale,
-        vy * scale,
-        vz * scale,
-    )

@@ -124,6 +124,32 @@ def reflected_shares(table, metal, roughness, specular, n_v):  # pragma: no cove
     return (one - metal) * (one - coat), coat, direct, grazing, lost
 
 
+@line_kernel(fastmath=_FAST, inline="always")
+def towards_eye(surface: Surface, eye, y, x):  # pragma: no cover - compiled
+    """Normal of a pixel, and the unit direction to the eye."""
+    normal, position = surface.normal, surface.position
+    vx, vy = eye[0] - position[y, x, 0], eye[1] - position[y, x, 1]
+    vz = eye[2] - position[y, x, 2]
+    scale = np.float32(1) / np.sqrt(max(vx * vx + vy * vy + vz * vz, _TINY))
+    return (
+        normal[y, x, 0],
+        normal[y, x, 1],
+        normal[y, x, 2],
+        vx * scale,
+        vy * scale,
+        vz * scale,
+    )
+
+
+@line_kernel(fastmath=_FAST, inline="always")
+def half_vector(n_v, n_l, v_l):  # pragma: no cover - compiled
+    """(its cosine to the normal, 1 less its cosine to eye and lamp), from cosines of the
+    normal, the eye and the lamp to each other."""
+    half, one = np.float32(0.5), np.float32(1)
+    v_h = np.sqrt(max(half * (one + v_l), _TINY))
+    return min(max(half * (n_v + n_l) / v_h, np.float32(0)), one), one - min(v_h, one)
+
+
 def shade(
     surface: Surface,
     eye: np.ndarray,
@@ -155,7 +181,7 @@ def _shade(
     table,
     bias,
 ):  # pragma: no cover - compiled
-    coverage, normal, position, albedo, material, emissive = surface
+    coverage, _, _, albedo, material, emissive = surface
     towards, rgb, widths, visibility, soft_visibility = lights
     zero, one, two = np.float32(0), np.float32(1), np.float32(2)
     for y in range(coverage.shape[0]):
@@ -163,12 +189,7 @@ def _shade(
             cover = coverage[y, x]
             if not cover > zero:
                 continue
-            nx, ny, nz = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
-            vx = eye[0] - position[y, x, 0]
-            vy = eye[1] - position[y, x, 1]
-            vz = eye[2] - position[y, x, 2]
-            scale = one / np.sqrt(max(vx * vx + vy * vy + vz * vz, _TINY))
-            vx, vy, vz = vx * scale, vy * scale, vz * scale
+            nx, ny, nz, vx, vy, vz = towards_eye(surface, eye, y, x)
             facing = nx * vx + ny * vy + nz * vz
             n_v = max(facing, np.float32(1e-3))
             metal, rough, specular = material[y, x, 0], material[y, x, 1], material[y, x, 2]
@@ -208,10 +229,7 @@ def _shade(
                 arrives = visibility[k, y, x]
                 if n_l <= zero or arrives <= zero:
                     continue
-                hx, hy, hz = lx + vx, ly + vy, lz + vz
-                scale = one / np.sqrt(max(hx * hx + hy * hy + hz * hz, _TINY))
-                n_h = min(max((nx * hx + ny * hy + nz * hz) * scale, zero), one)
-                away = one - min(max((vx * hx + vy * hy + vz * hz) * scale, zero), one)
+                n_h, away = half_vector(facing, n_l, vx * lx + vy * ly + vz * lz)
                 fresnel = edge * away * away * away * away * away
                 lobe = ggx_reflection(alpha2, alpha2 + widths[k], n_h, n_v, n_l)
                 diffuse = matt * n_l

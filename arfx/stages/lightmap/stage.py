@@ -257,9 +257,7 @@ class Lightmap(Stage):
         lights = Lights(towards, rgb, widths, visibility, soft_visibility)
         soft_share = f32(self.soft)
         soft = soft_share * harmonic_terms(light.soft, light.ambient)
-        environment = frame_environment(
-            view.facts, view.scene, view.light, view.memo.of_light
-        )
+        environment = frame_environment(view.facts, view.scene, view.light)
         eye = view.pose.inverse().translation_m.astype(f32)
         bias = np.array(view.facts.bias_rgb, f32)
         mirrored = environment, soft_share, split_sum()

@@ -17,8 +17,9 @@ from arfx.core.model import CLAMP, MIRROR, REPEAT, Material, Texture
 from arfx.core.numerics import normalise
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.reference_lobes import Lobes, MaterialLobes, PlaneLobes
-from arfx.stages.gi.reference_scene import RayScene, wrapped
+from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.gi.reference_sky import Environment
+from arfx.stages.light.surfels import wrapped
 from tests.unit.stages.gi_scenes import (
     BLACK,
     EVEN,

@@ -13,7 +13,7 @@ import pytest
 from arfx.core.cube import CubeMap, SeenEnvironment, face_directions, solid_angles
 from arfx.core.layers import packed
 from arfx.core.light import DirectionalLight, Light
-from arfx.core.memo import Memo
+from arfx.core.memo import memo_of
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.errors import RenderError
@@ -175,7 +175,7 @@ def surrounded(
     if seen is not None:
         s = replace(s, environment_maps={"a": seen.astype(np.float16)})
         f = f.with_(seen_environment=SeenEnvironment(("a", "a"), 0.0))
-    return frame_environment(f, s, light, Memo())
+    return frame_environment(f, s, light)
 
 
 def on_plane(environment: Environment) -> np.ndarray:
@@ -226,15 +226,15 @@ def test_a_guess_begins_with_the_plane_at_its_horizon() -> None:
 
 
 def test_a_camera_at_rest_keeps_what_was_filtered_while_the_world_turns() -> None:
-    s, memo, light = small_scene(model=box_model()), Memo(), Light((0.5, 0.5, 0.5), ())
+    s, light = small_scene(model=box_model()), Light((0.5, 0.5, 0.5), ())
     room = np.random.default_rng(0).random((6, 6, 6, 3))
     for degrees in (0.0, 0.5, 1.0):
         turn = rotation_from_euler_deg(0, 0, degrees)
         guess = CubeMap.of(room, turn, np.array([0.2, 0.2, 0.2]))
         f = facts(s, Pose(turn, np.array([0, 0, 0.5]))).with_(environment=guess)
-        environment = frame_environment(f, s, light, memo)
+        environment = frame_environment(f, s, light)
         np.testing.assert_allclose(environment.turn, turn, atol=1e-6)
-    assert memo.made == 1
+    assert memo_of(s).made == 1
 
 
 def test_surroundings_that_are_no_radiance_are_refused() -> None:

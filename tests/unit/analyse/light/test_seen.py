@@ -18,7 +18,6 @@ from arfx.core.cube import bordered, face_directions, look_up, resampled
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light
-from arfx.core.memo import Memo
 from arfx.core.pose import rotation_from_euler_deg
 from arfx.core.scene import Scene
 from arfx.errors import RenderError
@@ -74,7 +73,7 @@ def seen_now(f: FrameFacts, s: Scene) -> np.ndarray:
 def cubes(f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Radiance as a mirror sees it, and as a matt surface does."""
     assert f.light is not None
-    return frame_surroundings(f, s, f.light, Memo()).cubes()
+    return frame_surroundings(f, s, f.light).cubes()
 
 
 def traced(clip: Clip, f: FrameFacts, s: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -196,8 +195,7 @@ def test_a_still_room_does_not_flicker() -> None:
              for look in clip.looks]  # fmt: skip
     found, maps = with_seen(analysed(clip)[0], looks, CAMERA, False, np.zeros(3), UP)
     s = scene(maps)
-    memo = Memo()
-    shown = [frame_surroundings(f, s, f.light, memo).cubes()[0] for f in found]  # type: ignore[arg-type]
+    shown = [frame_surroundings(f, s, f.light).cubes()[0] for f in found]  # type: ignore[arg-type]
     step = np.mean([np.abs(b - a).mean() for a, b in itertools.pairwise(shown)])
     alone = [
         with_seen([*clip.facts], [look], CAMERA, False, np.zeros(3), UP)
