@@ -149,7 +149,10 @@ class World:
             texture_albedo(p.texture, (max(w, d), max(h, d)), seed, folder), smooth=True
         )
         x, y, z = np.eye(3)
-        rows = [_rect([0, 0, s * h], x, y, w / 2, d / 2, tex, number) for s in (0, 1)]
+        rows = [
+            _rect([0, 0, 0], x, -y, w / 2, d / 2, tex, number),
+            _rect([0, 0, h], x, y, w / 2, d / 2, tex, number),
+        ]
         rows += [
             _rect([s * w / 2, 0, h / 2], s * y, z, d / 2, h / 2, tex, number)
             for s in (-1, 1)
@@ -244,16 +247,16 @@ def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarra
 def _summed_areas(
     pictures: list[tuple[np.ndarray, float]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    rows, tables, offset = [], [], 0
+    rows, tables, first = [], [], 0
     for picture, smallest in pictures:
         h, w = picture.shape[:2]
         sums = np.zeros((h + 1, w + 1, 3))
         sums[1:, 1:] = np.broadcast_to(picture, (h, w, 3)).astype(float).cumsum(0).cumsum(1)
-        rows.append([offset, w, h, smallest])
-        tables.append(sums.ravel())
-        offset += sums.size
-    return np.array(rows, float).reshape(-1, 4), (
-        np.concatenate(tables) if tables else np.zeros(1)
+        rows.append([first, w, h, smallest])
+        tables.append(sums.reshape(-1, 3))
+        first += len(tables[-1])
+    return np.reshape(rows, (-1, 4)).astype(float), np.concatenate(
+        [*tables, np.zeros((1, 3))]
     )
 
 
