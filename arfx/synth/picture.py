@@ -91,8 +91,11 @@ class Picture:
             kernel = cv2.getGaussianKernel(
                 2 * int(np.ceil(4 * sigma)) + 1, sigma, cv2.CV_64F
             )
-            out = cv2.sepFilter2D(out, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE)
-        return np.asarray(out)
+            blurred = cv2.sepFilter2D(
+                out, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE
+            )
+            return np.asarray(blurred, np.float64)
+        return out
 
     def _sample(
         self,
