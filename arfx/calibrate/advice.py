@@ -7,6 +7,7 @@ Source of the projection uncertainty: mrcal's documentation, "Projection uncerta
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -178,18 +179,20 @@ def next_picture(fitted: Fit, known: Uncertainty, spec: BoardSpec) -> str:
     noise = max(known.sigma_px, 0.05)
     normal = sum(j.T @ j for j in information(fitted))
     where = projection_jacobian(fitted)
-    best, best_score = "", float("inf")
+    best, best_score = (
+        (
+            f"hold the board so that it fills {NEXT_FRACTION:.0%} of the picture's width,"
+            f" tilted by {NEXT_TILT_DEG:.0f}°"
+        ),
+        float("inf"),
+    )
     for text, view, rvec, tvec in _candidates(fitted, spec):
         j = without_pose(*jacobians(view, rvec, tvec, fitted.camera, fitted.model))
         covariance = noise**2 * np.linalg.pinv(normal + j.T @ j, hermitian=True)
         score = float(np.einsum("np,pq,nq->", where, covariance, where))
         if score < best_score:
             best, best_score = text, score
-    return (
-        best
-        or f"hold the board so that it fills {NEXT_FRACTION:.0%} of the picture's width,"
-        f" tilted by {NEXT_TILT_DEG:.0f}°"
-    )
+    return best
 
 
 def _candidates(
@@ -202,54 +205,33 @@ def _candidates(
         * float(np.ptp(spec.corners_m[:, 0] - spec.corners_m[:, 0].mean()))
         / (NEXT_FRACTION * camera.width)
     )
-    a = np.radians(NEXT_TILT_DEG)
+    a, tilted = np.radians(NEXT_TILT_DEG), f"tilted by about {NEXT_TILT_DEG:.0f}° with its"
     tilts = {
         "facing the camera": (0.0, 0.0),
-        "its right edge nearer": (0.0, a),
-        "its left edge nearer": (0.0, -a),
-        "its upper edge nearer": (a, 0.0),
-        "its lower edge nearer": (-a, 0.0),
+        f"{tilted} right edge nearer": (0.0, a),
+        f"{tilted} left edge nearer": (0.0, -a),
+        f"{tilted} upper edge nearer": (a, 0.0),
+        f"{tilted} lower edge nearer": (-a, 0.0),
     }
-    columns = {"left": 0.27, "": 0.5, "right": 0.73}
-    rows = {"upper": 0.3, "": 0.5, "lower": 0.7}
-    for down, y in rows.items():
-        for across, x in columns.items():
-            ray = camera.directions(
-                np.array([x * (camera.width - 1), y * (camera.height - 1)])
-            )
-            for how, tilt in tilts.items():
-                rvec = np.array([*tilt, 0.0])
-                turn = cv2.Rodrigues(rvec)[0]
-                tvec = ray * distance - turn @ spec.corners_m.mean(
-                    0
-                )  # about the board's middle
-                points = camera.project(spec.corners_m @ turn.T + tvec)
-                if not (
-                    (points > 0).all() and (points < [camera.width, camera.height]).all()
-                ):  # nor where a point is NaN
-                    continue
-                place = (
-                    " ".join(w for w in (down, across or ("middle" if down else "")) if w)
-                    or "middle"
-                )
-                tilted = (
-                    how
-                    if "facing" in how
-                    else f"tilted by about {NEXT_TILT_DEG:.0f}° with {how}"
-                )
-                text = (
-                    f"hold the board in the {place} of the picture, about"
-                    f" {NEXT_FRACTION:.0%} of its width, {tilted}"
-                )
-                view = View(
-                    "",
-                    (camera.width, camera.height),
-                    np.arange(len(points)),
-                    spec.corners_m,
-                    points,
-                    "",
-                )
-                out.append((text, view, rvec, tvec))
+    columns = {"left": 0.27, "middle": 0.5, "right": 0.73}
+    rows = {"upper ": 0.3, "": 0.5, "lower ": 0.7}
+    size = camera.width, camera.height
+    for (down, y), (across, x), (how, tilt) in itertools.product(
+        rows.items(), columns.items(), tilts.items()
+    ):
+        ray = camera.directions(np.multiply([x, y], np.subtract(size, 1)))
+        rvec = np.array([*tilt, 0.0])
+        turn = cv2.Rodrigues(rvec)[0]
+        tvec = ray * distance - turn @ spec.corners_m.mean(0)  # about the board's middle
+        points = camera.project(spec.corners_m @ turn.T + tvec)
+        if not ((points > 0) & (points < size)).all():  # nor where a point is NaN
+            continue
+        text = (
+            f"hold the board in the {down}{across} of the picture, about"
+            f" {NEXT_FRACTION:.0%} of its width, {how}"
+        )
+        view = View("", size, np.arange(len(points)), spec.corners_m, points, "")
+        out.append((text, view, rvec, tvec))
     return out
 
 

@@ -4,6 +4,7 @@ people.
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,11 @@ def document(result: Calibration) -> dict[str, Any]:
 
     Lengths in px unless named otherwise; `camera_matrix` 3x3 nested.
     """
-    fitted, names = result.fitted, result.fitted.model.parameters
-    camera = fitted.camera
+    fitted, camera = result.fitted, result.fitted.camera
+
+    def by_name(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(fitted.model.parameters, values.tolist(), strict=True))
+
     return {
         "verdict": result.verdict.word,
         "reasons": list(result.verdict.reasons),
@@ -30,19 +34,11 @@ def document(result: Calibration) -> dict[str, Any]:
         "camera_matrix": camera.matrix.tolist(),
         "distortion_coefficients": camera.distortion.tolist(),
         "lens_model": fitted.model.name,
-        "standard_deviations": dict(
-            zip(names, result.standard_deviations.tolist(), strict=True)
-        ),
+        "standard_deviations": by_name(result.standard_deviations),
         "standard_deviation_parts": {
-            "independent_corners": dict(
-                zip(names, result.known.independent.tolist(), strict=True)
-            ),
-            "between_views_jackknife": dict(
-                zip(names, result.known.jackknife.tolist(), strict=True)
-            ),
-            "between_corner_finders": dict(
-                zip(names, result.finder_sd.tolist(), strict=True)
-            ),
+            "independent_corners": by_name(result.known.independent),
+            "between_views_jackknife": by_name(result.known.jackknife),
+            "between_corner_finders": by_name(result.finder_sd),
         },
         "reprojection_rms_px": fitted.rms_px,
         "held_out_rms_px": result.chosen.held_out_rms_px,
@@ -79,8 +75,8 @@ def document(result: Calibration) -> dict[str, Any]:
             "used": len(fitted.views),
             "without_board": list(result.found.empty),
             "other_boards": list(result.found.instead),
-            "copies": [{"name": c.name, "reason": c.reason} for c in result.copies],
-            "rejected": [{"name": r.name, "reason": r.reason} for r in result.rejected],
+            "copies": [asdict(view) for view in result.copies],
+            "rejected": [asdict(view) for view in result.rejected],
             "upside_down": list(result.upside_down),
         },
         "views": [

@@ -357,13 +357,7 @@ def one_to_one(camera: Camera) -> bool:
     does not fold inside.
     """
     w, h = camera.width, camera.height
-    x, y = np.linspace(0, w - 1, 25), np.linspace(0, h - 1, 25)
-    border = np.concatenate(
-        [
-            np.stack([x, x * 0], -1),
-            np.stack([x, x * 0 + h - 1], -1),
-            np.stack([y * 0, y], -1),
-            np.stack([y * 0 + w - 1, y], -1),
-        ]
-    )
+    x, y = np.meshgrid(np.linspace(0, w - 1, 25), np.linspace(0, h - 1, 25))
+    grid = np.stack([x, y], -1)
+    border = np.concatenate([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
     return bool(np.isfinite(camera.normalised(border)).all())

@@ -22,7 +22,6 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     clip, whose axes are the marker's.
     """
     at, world = shot.renderer.facts.index, World(clip.scene)
-    moment = world.at(float(world.frame_times_s[at]))
     low, high = shot.job.scene.model_corners_m.min(0), shot.job.scene.model_corners_m.max(0)
     ball = [
         *(low + high) / 2,
@@ -33,16 +32,8 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     sky = np.tile(
         np.asarray(world.ambient, float), (2, 4, 1)
     )  # whatever light of the room comes from no lamp
-    spheres = np.vstack([moment.spheres, np.array([ball])])
-    room = Room(
-        moment.rects,
-        spheres,
-        moment.lights,
-        world.ambient,
-        world.textures,
-        world.table,
-        sky,
-    )
+    room = world.at(float(world.frame_times_s[at])).room
+    room = room._replace(spheres=np.vstack([room.spheres, [ball]]), sky=sky)
     covered = shot.layer(Layer.COVERAGE) > 0.5
     normal, position = (
         shot.layer(name)[covered].astype(float) for name in (Layer.NORMAL, Layer.POSITION)
@@ -56,7 +47,7 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
         ]
     )
     unit = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
-    for lamp in moment.lights:
+    for lamp in room.lights:
         cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size
         light[unit @ lamp[:3] > cosine] += lamp[3:6] / (2 * (1 - cosine))
     out = picture.copy()

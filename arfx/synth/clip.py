@@ -195,8 +195,8 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             unoccluded(
                 np.ascontiguousarray(points),
                 room_from_camera.translation_m,
-                moment.rects,
-                moment.spheres,
+                moment.room.rects,
+                moment.room.spheres,
                 seen,
             )
             seen &= inside
@@ -215,7 +215,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             "rgb": row[3:6].tolist(),
             "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
         }
-        for row in ([] if scene.light.environment else moment.lights)
+        for row in ([] if scene.light.environment else moment.room.lights)
     ]
     return FrameTruth(
         n,

@@ -12,6 +12,7 @@ import numpy as np
 
 from arfx.core.colour import Transfer
 from arfx.core.machine import usable_cores
+from arfx.core.pose import Pose
 from arfx.synth.description import SceneFile
 from arfx.synth.tracer import Lens, Room, Samples, probe, render_rows
 from arfx.synth.world import World
@@ -56,16 +57,10 @@ class Picture:
         Where neither a surface nor a shadow ends and nothing moves or blurs, one sample of
         a whole pixel stands for all."""
         world, scene = self.world, self.world.scene
-        shape, n, time_s = (
-            (world.camera.height, world.camera.width),
-            self.side,
-            float(self.world.frame_times_s[frame]),
-        )
-        out, met, chosen = (
-            np.zeros((*shape, 3)),
-            np.zeros(shape, np.uint16),
-            np.ones(shape, bool),
-        )
+        shape, n = (world.camera.height, world.camera.width), self.side
+        time_s = float(world.frame_times_s[frame])
+        out, met = np.zeros((*shape, 3)), np.zeros(shape, np.uint16)
+        chosen = np.ones(shape, bool)
         if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
             self._sample(
                 frame,
@@ -96,12 +91,10 @@ class Picture:
             kernel = cv2.getGaussianKernel(
                 2 * int(np.ceil(4 * sigma)) + 1, sigma, cv2.CV_64F
             )
-            return np.asarray(
-                cv2.sepFilter2D(
-                    out, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_REPLICATE
-                ),
-                np.float64,
+            blurred = cv2.sepFilter2D(
+                out, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE
             )
+            return np.asarray(blurred, np.float64)
         return out
 
     def _sample(
@@ -117,25 +110,15 @@ class Picture:
         rows, lens = world.camera.height, world.scene.lens
         roll = world.scene.hidden.rolling_shutter_s
         bands = [(y, min(y + _BAND_ROWS, rows)) for y in range(0, rows, _BAND_ROWS)]
-        shared = (
-            None if roll else (world.at(time_s), world.camera_at(frame, time_s).inverse())
-        )
+
+        def state(when: float) -> tuple[Room, Pose]:
+            return world.at(when).room, world.camera_at(frame, when).inverse()
+
+        shared = None if roll else state(time_s)
 
         def one(band: tuple[int, int]) -> None:
             when = time_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
-            moment, pose = shared or (
-                world.at(when),
-                world.camera_at(frame, when).inverse(),
-            )
-            room = Room(
-                moment.rects,
-                moment.spheres,
-                moment.lights,
-                world.ambient,
-                world.textures,
-                world.table,
-                world.sky,
-            )
+            room, pose = shared or state(when)
             seen = Lens(
                 rays,
                 np.ascontiguousarray(pose.rotation),
@@ -152,15 +135,18 @@ class Picture:
         the frame's own time; 0 = nothing.
         """
         time_s = float(self.world.frame_times_s[frame])
-        moment, pose = self.world.at(time_s), self.world.camera_at(frame, time_s).inverse()
+        room, pose = (
+            self.world.at(time_s).room,
+            self.world.camera_at(frame, time_s).inverse(),
+        )
         rays = self.rays(0.0, 0.0)
         depth, owner = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], np.uint8)
         probe(
             rays,
             np.ascontiguousarray(pose.rotation),
             pose.translation_m,
-            moment.rects,
-            moment.spheres,
+            room.rects,
+            room.spheres,
             depth,
             owner,
         )

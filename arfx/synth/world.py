@@ -32,15 +32,14 @@ from arfx.synth.textures import (
     sheet_albedo,
     texture_albedo,
 )
+from arfx.synth.tracer import Room
 
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """The scene at one time: tracer rows, room_from_object by object number - 1."""
+    """The scene at one time. room_from_object : by object number - 1"""
 
-    rects: np.ndarray
-    spheres: np.ndarray
-    lights: np.ndarray
+    room: Room
     room_from_object: tuple[Pose, ...]
 
 
@@ -110,56 +109,27 @@ class World:
         p, number, seed = self.scene.objects[i], i + 1, self.scene.seed * 1000 + i
         if isinstance(p, Sphere):
             return [np.array([0, 0, 0, p.radius_m, *p.colour, number], float)]
+        x, y, z = np.eye(3)
         if isinstance(p, Plane):
-            tex = self._add(
-                texture_albedo(p.texture, p.size_m, seed, folder),
-                smooth=p.texture.kind != "checker",
-            )
-            return [
-                _rect(
-                    [0, 0, 0],
-                    [1, 0, 0],
-                    [0, 1, 0],
-                    p.size_m[0] / 2,
-                    p.size_m[1] / 2,
-                    tex,
-                    number,
-                )
-            ]
+            albedo = texture_albedo(p.texture, p.size_m, seed, folder)
+            tex = self._add(albedo, smooth=p.texture.kind != "checker")
+            return [_rect(0 * z, x, y, p.size_m[0] / 2, p.size_m[1] / 2, tex, number)]
         if isinstance(p, Marker):
             hidden = self.scene.hidden
             picture, side = sheet_albedo(
                 p.spec, p.margin_cells, p.ink, p.paper, p.inverted, hidden.worn_ink
             )
-            return [
-                _rect(
-                    [0, 0, 0],
-                    [1, 0, 0],
-                    [0, 1, 0],
-                    side / 2,
-                    side / 2,
-                    self._add(picture, False),
-                    number,
-                    hidden.gloss,
-                )
-            ]
+            tex = self._add(picture, smooth=False)
+            return [_rect(0 * z, x, y, side / 2, side / 2, tex, number, hidden.gloss)]
         assert isinstance(p, Box)
         w, d, h = p.size_m
-        tex = self._add(
-            texture_albedo(p.texture, (max(w, d), max(h, d)), seed, folder), smooth=True
-        )
-        x, y, z = np.eye(3)
-        rows = [_rect([0, 0, s * h], x, y, w / 2, d / 2, tex, number) for s in (0, 1)]
-        rows += [
-            _rect([s * w / 2, 0, h / 2], s * y, z, d / 2, h / 2, tex, number)
-            for s in (-1, 1)
-        ]
-        rows += [
-            _rect([0, s * d / 2, h / 2], -s * x, z, w / 2, h / 2, tex, number)
-            for s in (-1, 1)
-        ]
-        for row in rows:
-            row[17] = 1.0
+        albedo = texture_albedo(p.texture, (max(w, d), max(h, d)), seed, folder)
+        tex = self._add(albedo, smooth=True)
+        rows, half = [], np.array(p.size_m) / 2
+        for u, v in ((x, -y), (x, y), (-y, z), (y, z), (x, z), (-x, z)):
+            centre = half * np.cross(u, v) + h / 2 * z
+            rows.append(_rect(centre, u, v, half @ abs(u), half @ abs(v), tex, number))
+            rows[-1][17] = 1.0
         return rows
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
@@ -191,12 +161,16 @@ class World:
                 for k in (3, 6, 9):
                     new[k : k + 3] = pose.rotation @ row[k : k + 3]
                 rects.append(new)
-        return SceneState(
+        room = Room(
             np.array(rects).reshape(-1, 18),
             np.array(spheres).reshape(-1, 8),
             self.lights_at(time_s),
-            poses,
+            self.ambient,
+            self.textures,
+            self.table,
+            self.sky,
         )
+        return SceneState(room, poses)
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
         """camera_from_room at a time during (or next to) a frame, on the path of the
@@ -244,16 +218,16 @@ def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarra
 def _summed_areas(
     pictures: list[tuple[np.ndarray, float]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    rows, tables, offset = [], [], 0
+    rows, tables, first = [], [], 0
     for picture, smallest in pictures:
         h, w = picture.shape[:2]
         sums = np.zeros((h + 1, w + 1, 3))
         sums[1:, 1:] = np.broadcast_to(picture, (h, w, 3)).astype(float).cumsum(0).cumsum(1)
-        rows.append([offset, w, h, smallest])
-        tables.append(sums.ravel())
-        offset += sums.size
-    return np.array(rows, float).reshape(-1, 4), (
-        np.concatenate(tables) if tables else np.zeros(1)
+        rows.append([first, w, h, smallest])
+        tables.append(sums.reshape(-1, 3))
+        first += len(tables[-1])
+    return np.reshape(rows, (-1, 4)).astype(float), np.concatenate(
+        [*tables, np.zeros((1, 3))]
     )
 
 
@@ -308,11 +282,9 @@ def camera_from_room(
     at = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
     target = np.asarray(path.target_m, float)
     if path.kind == "orbit":
-        azimuth = np.radians(
-            path.azimuth_deg[0] + (path.azimuth_deg[1] - path.azimuth_deg[0]) * at
-        )
-        elevation = np.radians(
-            path.elevation_deg[0] + (path.elevation_deg[1] - path.elevation_deg[0]) * at
+        azimuth, elevation = (
+            np.radians(first + (last - first) * at)
+            for first, last in (path.azimuth_deg, path.elevation_deg)
         )
         flat = np.cos(elevation)
         position = target + path.radius_m * np.array(

@@ -8,7 +8,6 @@ import pytest
 from arfx.reproduce.s4_mirror import radiance
 from arfx.synth.description import parse_scene
 from arfx.synth.picture import Picture
-from arfx.synth.tracer import Room
 from arfx.synth.world import World
 
 SCENE = """
@@ -34,16 +33,8 @@ position_m = [-0.2, 0, 0]
 
 def test_a_ray_meets_what_the_camera_sees() -> None:
     world = World(parse_scene(SCENE))
-    moment, pose = world.at(0.0), world.camera_at(0, 0.0).inverse()
-    room = Room(
-        moment.rects,
-        moment.spheres,
-        moment.lights,
-        world.ambient,
-        world.textures,
-        world.table,
-        np.full((2, 4, 3), 0.25),
-    )
+    room, pose = world.at(0.0).room, world.camera_at(0, 0.0).inverse()
+    room = room._replace(sky=np.full((2, 4, 3), 0.25))
     seen = Picture(world).radiance(0)
     for x, y in (
         (33, 22),
