@@ -282,11 +282,10 @@ def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
     assert work.frame(3, usual) is frame and work.frame(3, left) is work.frame(
         3, dict(left)
     )
-    ambient = [
-        work.frame(3, levels).prepared.stages["lightmap"].params.ambient
-        for levels in (usual, left)
+    soft = [
+        work.frame(3, levels).prepared.stages["lightmap"].soft for levels in (usual, left)
     ]
-    assert ambient == [
+    assert soft == [
         False,
         True,
     ], "indirect light takes over the light without direction, and gives it back"
