@@ -40,6 +40,8 @@ class Layer(StrEnum):
     )
     COAT = "coat"  # (h, w, 2) clear coat: how much, 0..1; roughness
     SHEEN = "sheen"  # (h, w, 4) colour of fibres, 0 = none; roughness
+    # (h, w, 3) unit, WORLD frame, of the surface without its normal map; zero = none
+    SMOOTH_NORMAL = "smooth_normal"
     OBJECT_ID = "object_id"  # (h, w) int32, 0 = none, else 1 + part index
     # (h, w, 3) transmittance: ratio of light that still reaches the real surface, 1 = all
     SHADOW = "shadow"
@@ -55,6 +57,7 @@ _NEUTRAL: dict[Layer, tuple[int, type, float]] = {
         for name in (
             Layer.VIRTUAL,
             Layer.NORMAL,
+            Layer.SMOOTH_NORMAL,
             Layer.POSITION,
             Layer.ALBEDO,
             Layer.EMISSIVE,

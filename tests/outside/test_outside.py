@@ -97,7 +97,6 @@ def places_on_plane(scene: Scene, facts: FrameFacts) -> np.ndarray:
 MATERIAL_LEVELS, CONTACT_LEVELS = 4.0, 3.0
 BY_NAME = {scene.name: scene for scene in scenes.SCENES}
 MISSING = {
-    "stone": "raster reads no normal maps: 18.2 levels",
     "thin_wall_lamp": "texels of the plane's shadow are wider than the wall: 4.5 levels",
 }
 

@@ -46,6 +46,7 @@ from arfx.stages.gi.plane_change import (
 )
 from arfx.stages.gi.reference import trace_frame
 from arfx.stages.gi.reflections import Sight, reflected_light
+from arfx.stages.light.bumps import share_above_surface, smooth_normal
 from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.plane_shadow import PLANE_LEVELS, SoftPicture, soft_pictures
 from arfx.stages.light.planes import (
@@ -253,6 +254,9 @@ class Gi(Stage):
         nodes = transport.grid.nodes(received)
         layers = surface.coverage, surface.normal, surface.position
         light = transport.grid.read(nodes, *layers, sight.anchor_from_world)
+        smooth = smooth_normal(surface.normal, here)
+        if smooth is not surface.normal:
+            light *= share_above_surface(surface.normal, smooth)[..., None]
         added, both = reflected_light(surface, light, sight), box.clip(part)
         out[both.slices_in(part)] += added[both.slices_in(box)]
         return Pixels(now.rect, out, part=part)

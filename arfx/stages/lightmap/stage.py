@@ -28,6 +28,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import require_within
 from arfx.stages.light.beams import Beam, FrameLight, frame_light
+from arfx.stages.light.bumps import share_above_surface, smooth_normal
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView, shadow_ratio
 from arfx.stages.light.plane_shadow import (
     PLANE_LEVELS,
@@ -166,7 +167,13 @@ class Lightmap(Stage):
         surface = Surface(*(packed(now[Layer(name)]) for name in Surface._fields))
         eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
-        hidden = self._visibilities(surface, view, prepared, light, reaching, eye)
+        smooth = smooth_normal(surface.normal, now)
+        even = surface._replace(normal=smooth)
+        hidden = self._visibilities(even, view, prepared, light, reaching, eye)
+        if smooth is not surface.normal:
+            turned = smooth @ light.towards[reaching].astype(np.float32).T
+            above = share_above_surface(surface.normal, smooth)
+            hidden = hidden[0] * above, hidden[1] * (np.moveaxis(turned, -1, 0) > 0)
         if not now.extent(Layer.OCCLUSION).empty:
             hidden = np.minimum(hidden[0], now[Layer.OCCLUSION]), hidden[1]
         return self.shaded(surface, *hidden, reaching, light, view, now)
@@ -265,9 +272,9 @@ class Lightmap(Stage):
         if now is not None and not now.extent(Layer.SHEEN).empty:
             add_sheen(out, surface, packed(now[Layer.SHEEN]), eye, lights, soft, bias)
         if now is not None and not now.extent(Layer.COAT).empty:
-            add_clear_coat(
-                out, surface, packed(now[Layer.COAT]), eye, lights, *mirrored, bias
-            )
+            even = surface._replace(normal=smooth_normal(surface.normal, now))
+            coat = packed(now[Layer.COAT])
+            add_clear_coat(out, even, coat, eye, lights, *mirrored, bias)
         return out
 
     def _shadow(self, view: View, prepared: Prepared, light: FrameLight) -> Pixels:

@@ -15,8 +15,8 @@ from arfx.core.layers import Layer
 COVERED, MET, ALBEDO, NORMAL, MATERIAL, EMISSIVE = 0, 1, 2, 5, 8, 11
 PLAIN_COLUMNS = 14
 # Of models that have them.
-OCCLUSION, COAT, SHEEN = 14, 15, 17
-ALL_COLUMNS = 21
+OCCLUSION, COAT, SHEEN, SMOOTH = 14, 15, 17, 21
+ALL_COLUMNS = 24
 
 
 class GBuffer(NamedTuple):
@@ -38,6 +38,7 @@ EXTRA_OUTPUTS = {
     Layer.OCCLUSION: OCCLUSION,
     Layer.COAT: slice(COAT, COAT + 2),
     Layer.SHEEN: slice(SHEEN, SHEEN + 4),
+    Layer.SMOOTH_NORMAL: slice(SMOOTH, SMOOTH + 3),
 }
 
 

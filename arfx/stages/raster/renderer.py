@@ -16,6 +16,7 @@ import numpy as np
 from arfx.core.camera import Camera
 from arfx.core.layers import Layer, neutral
 from arfx.core.model import OPAQUE
+from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
@@ -28,6 +29,7 @@ from arfx.stages.raster.record import (
     MARGIN,
     OUTPUTS,
     PLAIN_COLUMNS,
+    SMOOTH,
     GBuffer,
     Rays,
     View,
@@ -219,6 +221,7 @@ class Renderer:
         if self.extras:
             shown = sums[:, COVERED] > 0
             means = sums[shown] / sums[shown, COVERED, None]
+            means[:, SMOOTH : SMOOTH + 3] = normalise(means[:, SMOOTH : SMOOTH + 3])
             place = np.unravel_index(pixels[shown], out[Layer.COVERAGE].shape)
             for name, columns in EXTRA_OUTPUTS.items():
                 out[name][place] = means[:, columns]

@@ -12,7 +12,6 @@ import numpy as np
 from arfx.core.compiled import line_kernel
 from arfx.stages.raster.record import (
     ALBEDO,
-    ALL_COLUMNS,
     COAT,
     COVERED,
     EMISSIVE,
@@ -23,6 +22,7 @@ from arfx.stages.raster.record import (
     OCCLUSION,
     PLAIN_COLUMNS,
     SHEEN,
+    SMOOTH,
     GBuffer,
     Rays,
     View,
@@ -246,8 +246,8 @@ def _bent_normal(normal, shown, f, p, hit, mesh):  # pragma: no cover - compiled
 
 
 @numba.njit(inline="always")
-def _write_normal(normal, hit, f, mesh, values):  # pragma: no cover - compiled
-    """Write the shading normal: unit, towards the camera; the face's own where it has no length."""
+def _write_normal(first, normal, hit, f, mesh, values):  # pragma: no cover - compiled
+    """Write a normal: unit, towards the camera; the face's own where it has no length."""
     nx, ny, nz = normal
     if hit.facing > 0:  # the back of a two-sided surface
         nx, ny, nz = -nx, -ny, -nz
@@ -259,7 +259,7 @@ def _write_normal(normal, hit, f, mesh, values):  # pragma: no cover - compiled
     if n < _F(1e-6):
         n = _F(-1) if hit.facing > 0 else _F(1)
         nx, ny, nz = mesh.face_normal[f, 0], mesh.face_normal[f, 1], mesh.face_normal[f, 2]
-    values[NORMAL], values[NORMAL + 1], values[NORMAL + 2] = nx / n, ny / n, nz / n
+    values[first], values[first + 1], values[first + 2] = nx / n, ny / n, nz / n
 
 
 @numba.njit(inline="always")
@@ -282,18 +282,21 @@ def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - comp
     values[COVERED] = floats[p, BASE + 3] * alpha
     if values.shape[0] > PLAIN_COLUMNS:
         values[OCCLUSION] = _F(1)
-        for c in range(ALL_COLUMNS - COAT):
+        for c in range(SMOOTH - COAT):
             values[COAT + c] = floats[p, COAT_FACTORS + c]
-    normal = _interpolated(mesh.normals, f, hit, mesh)
+    smooth = _interpolated(mesh.normals, f, hit, mesh)
+    normal = smooth
     if mesh.slots > 0:
         shown = _apply_textures(f, p, hit, side, view, mesh, values)
         if mesh.ints[p, NORMAL_SLOT] >= 0:
-            normal = _bent_normal(normal, shown, f, p, hit, mesh)
+            normal = _bent_normal(smooth, shown, f, p, hit, mesh)
     if mesh.ints[p, MODE] == 0:
         values[COVERED] = 1
     elif mesh.ints[p, MODE] == CUT_OUT:
         values[COVERED] = values[COVERED] >= floats[p, CUTOFF]
-    _write_normal(normal, hit, f, mesh, values)
+    _write_normal(NORMAL, normal, hit, f, mesh, values)
+    if values.shape[0] > PLAIN_COLUMNS:
+        _write_normal(SMOOTH, smooth, hit, f, mesh, values)
 
 
 @line_kernel(error_model="numpy", fastmath=ROUNDED)

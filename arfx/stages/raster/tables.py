@@ -97,9 +97,10 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
 
 
 def has_extras(mesh: SceneMesh) -> bool:
-    """Has any part what goes beyond base, metal and emission: occlusion, clear coat or sheen?"""
+    """Has any part what goes beyond base, metal and emission: occlusion, bumps, coat or sheen?"""
     return any(
         material.occlusion_texture is not None
+        or material.normal_texture is not None
         or material.clearcoat > 0
         or any(material.sheen_colour)
         for material in mesh.materials

@@ -37,6 +37,7 @@ def test_a_normal_map_bends_the_normal_to_the_pictures_right_and_up(scale: float
     np.testing.assert_allclose(
         out[Layer.NORMAL][AT], expected / np.linalg.norm(expected), atol=1e-3
     )
+    np.testing.assert_allclose(out[Layer.SMOOTH_NORMAL][AT], [0, 0, 1], atol=1e-6)
 
 
 def test_a_mirrored_tangent_turns_the_maps_up() -> None:

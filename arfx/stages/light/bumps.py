@@ -1,0 +1,19 @@
+"""Light on a surface whose normal map leans: none comes from below the surface itself."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arfx.core.layers import Layer, Layers, packed
+
+
+def smooth_normal(normal: np.ndarray, layers: Layers) -> np.ndarray:
+    """(h, w, 3) without the normal map; `normal` itself where nothing in `layers` has one."""
+    if layers.extent(Layer.SMOOTH_NORMAL).empty:
+        return normal
+    return packed(layers[Layer.SMOOTH_NORMAL])
+
+
+def share_above_surface(normal: np.ndarray, smooth: np.ndarray) -> np.ndarray:
+    """(h, w) of even light around `normal` (h, w, 3), the part that is not below the surface."""
+    return np.asarray((1 + (normal * smooth).sum(-1)) / 2)
