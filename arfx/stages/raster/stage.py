@@ -6,7 +6,7 @@ is the same code. Edge pixels: COVERAGE is the fraction covered; colours, materi
 means over the covering samples only, never mixed with what is behind; DEPTH, POSITION and OBJECT_ID
 belong to the pixel's centre, or to the covering sample next to it. MASK materials are cut out;
 BLEND ones multiply COVERAGE by their opacity and are blended front to back; DEPTH is the nearest
-layer's. OCCLUSION, COAT and SHEEN are written where the model has any of them.
+layer's. OCCLUSION, COAT, SHEEN and SMOOTH_NORMAL are written where the model has any of them.
 Two levels beside the reference: of the .3 to .5 grey levels that `standard` is off, half is
 rounding to 8 bits, and four times the samples leave two thirds of them. `reference` is 256 rays in
 every pixel, by rays whatever the back end."""
