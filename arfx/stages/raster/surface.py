@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
+from arfx.core.vectors import cross, divided, dot, scaled, shifted, vector
 from arfx.stages.raster.record import (
     ALBEDO,
     COAT,
@@ -66,9 +67,7 @@ class Hit(NamedTuple):
     b0: float
     b1: float
     b2: float
-    dx: float
-    dy: float
-    dz: float
+    ray: tuple[float, float, float]
     length: float
     facing: float
 
@@ -84,24 +83,25 @@ def _in_world(rotation, x, y):  # pragma: no cover - compiled
 
 
 @numba.njit(inline="always")
+def _corners(f, mesh):  # pragma: no cover - compiled
+    faces = mesh.faces
+    return np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+
+
+@numba.njit(inline="always")
 def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
     """Where the ray x, y meets the plane of face f."""
-    i, j, k = (
-        np.uintp(mesh.faces[f, 0]),
-        np.uintp(mesh.faces[f, 1]),
-        np.uintp(mesh.faces[f, 2]),
-    )
+    i, j, k = _corners(f, mesh)
     a, b, c, volume = planes_of(view.points, i, j, k)
     side_a = a[0] * x + a[1] * y + a[2]
     side_b = b[0] * x + b[1] * y + b[2]
     side_c = c[0] * x + c[1] * y + c[2]
     inverse = 1.0 / (side_a + side_b + side_c)
     b1, b2 = _F(side_b * inverse), _F(side_c * inverse)
-    dx, dy, dz = _in_world(view.rotation, x, y)
-    normal = mesh.face_normal
-    facing = normal[f, 0] * dx + normal[f, 1] * dy + normal[f, 2] * dz
-    length = np.sqrt(dx * dx + dy * dy + dz * dz)
-    return Hit(_F(volume * inverse), _F(1) - b1 - b2, b1, b2, dx, dy, dz, length, facing)
+    ray = _in_world(view.rotation, x, y)
+    facing = dot(vector(mesh.face_normal, f, 0), ray)
+    length = np.sqrt(dot(ray, ray))
+    return Hit(_F(volume * inverse), _F(1) - b1 - b2, b1, b2, ray, length, facing)
 
 
 @numba.njit(inline="always")
@@ -109,17 +109,11 @@ def _step_along(f, hit, turn, reach, mesh):  # pragma: no cover - compiled
     """(3,) metres in world axes by which the hit moves on its plane as the ray turns.
 
     turn : (3,) unit, across the ray;  reach : side of a sample at the hit's depth"""
-    normal = mesh.face_normal
     cosine = max(abs(hit.facing), _F(_GRAZING) * hit.length)
     if hit.facing < 0:
         cosine = -cosine
-    away = normal[f, 0] * turn[0] + normal[f, 1] * turn[1] + normal[f, 2] * turn[2]
-    away /= cosine
-    return (
-        reach * (turn[0] - away * hit.dx),
-        reach * (turn[1] - away * hit.dy),
-        reach * (turn[2] - away * hit.dz),
-    )
+    away = dot(vector(mesh.face_normal, f, 0), turn) / cosine
+    return scaled(shifted(turn, -away, hit.ray), reach)
 
 
 @numba.njit(inline="always")
@@ -127,17 +121,8 @@ def _along(f, first, way, laid, slopes):  # pragma: no cover - compiled
     """(2,) how a place on a texture moves along a way (3,) on face f.
 
     first : column of the texture's coordinates;  laid : (2, 3), of the texture"""
-    u = (
-        slopes[f, first, 0] * way[0]
-        + slopes[f, first, 1] * way[1]
-        + slopes[f, first, 2] * way[2]
-    )
-    second = first + 1
-    v = (
-        slopes[f, second, 0] * way[0]
-        + slopes[f, second, 1] * way[1]
-        + slopes[f, second, 2] * way[2]
-    )
+    u = dot(vector(slopes[f], first, 0), way)
+    v = dot(vector(slopes[f], first + 1, 0), way)
     return laid[0, 0] * u + laid[0, 1] * v, laid[1, 0] * u + laid[1, 1] * v
 
 
@@ -146,11 +131,7 @@ def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - 
     """Multiply what is in `values` by the part's textures. side : of the sample at depth 1
 
     Returns what the normal map shows, 0..1, unused where there is none."""
-    i, j, k = (
-        np.uintp(mesh.faces[f, 0]),
-        np.uintp(mesh.faces[f, 1]),
-        np.uintp(mesh.faces[f, 2]),
-    )
+    i, j, k = _corners(f, mesh)
     uv, rotation, reach = mesh.uv, view.rotation, hit.z * side
     right = _F(rotation[0, 0]), _F(rotation[0, 1]), _F(rotation[0, 2])
     below = _F(rotation[1, 0]), _F(rotation[1, 1]), _F(rotation[1, 2])
@@ -217,16 +198,9 @@ def _apply_extra(
 @numba.njit(inline="always")
 def _interpolated(rows, f, hit, mesh):  # pragma: no cover - compiled
     """(3,) of rows (n, 3 or more) at a hit."""
-    i, j, k = (
-        np.uintp(mesh.faces[f, 0]),
-        np.uintp(mesh.faces[f, 1]),
-        np.uintp(mesh.faces[f, 2]),
-    )
-    return (
-        hit.b0 * rows[i, 0] + hit.b1 * rows[j, 0] + hit.b2 * rows[k, 0],
-        hit.b0 * rows[i, 1] + hit.b1 * rows[j, 1] + hit.b2 * rows[k, 1],
-        hit.b0 * rows[i, 2] + hit.b1 * rows[j, 2] + hit.b2 * rows[k, 2],
-    )
+    i, j, k = _corners(f, mesh)
+    first_two = shifted(scaled(vector(rows, i, 0), hit.b0), hit.b1, vector(rows, j, 0))
+    return shifted(first_two, hit.b2, vector(rows, k, 0))
 
 
 @numba.njit(inline="always")
@@ -238,39 +212,31 @@ def _bent_normal(normal, shown, f, p, hit, mesh):  # pragma: no cover - compiled
     scale = _F(2) * mesh.floats[p, NORMAL_SCALE]
     x, y = scale * (shown[0] - _F(0.5)), scale * (shown[1] - _F(0.5))
     z = _F(2) * shown[2] - _F(1)
-    nx, ny, nz = normal
-    tx, ty, tz = _interpolated(mesh.tangents, f, hit, mesh)
+    tangent = _interpolated(mesh.tangents, f, hit, mesh)
     y *= mesh.tangents[np.uintp(mesh.faces[f, 0]), 3]
-    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    return x * tx + y * bx + z * nx, x * ty + y * by + z * ny, x * tz + y * bz + z * nz
+    return shifted(shifted(scaled(tangent, x), y, cross(normal, tangent)), z, normal)
 
 
 @numba.njit(inline="always")
 def _write_normal(first, normal, hit, f, mesh, values):  # pragma: no cover - compiled
     """Write a normal: unit, towards the camera; the face's own where it has no length."""
-    nx, ny, nz = normal
-    if hit.facing > 0:  # the back of a two-sided surface
-        nx, ny, nz = -nx, -ny, -nz
+    front = _F(-1) if hit.facing > 0 else _F(1)  # the back of a two-sided surface
+    towards = scaled(normal, front)
     # one that leans away at the outline is turned back to just facing the camera
-    excess = (nx * hit.dx + ny * hit.dy + nz * hit.dz) / (hit.length * hit.length)
+    excess = dot(towards, hit.ray) / (hit.length * hit.length)
     if excess > 0:
-        nx, ny, nz = nx - excess * hit.dx, ny - excess * hit.dy, nz - excess * hit.dz
-    n = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if n < _F(1e-6):
-        n = _F(-1) if hit.facing > 0 else _F(1)
-        nx, ny, nz = mesh.face_normal[f, 0], mesh.face_normal[f, 1], mesh.face_normal[f, 2]
-    values[first], values[first + 1], values[first + 2] = nx / n, ny / n, nz / n
+        towards = shifted(towards, -excess, hit.ray)
+    length = np.sqrt(dot(towards, towards))
+    if length < _F(1e-6):
+        towards, length = vector(mesh.face_normal, f, 0), front
+    values[first], values[first + 1], values[first + 2] = divided(towards, length)
 
 
 @numba.njit(inline="always")
 def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - compiled
     """Write what a hit shows into `values`; its opacity into the column COVERED."""
     p = np.uintp(mesh.part[f])
-    i, j, k = (
-        np.uintp(mesh.faces[f, 0]),
-        np.uintp(mesh.faces[f, 1]),
-        np.uintp(mesh.faces[f, 2]),
-    )
+    i, j, k = _corners(f, mesh)
     floats, colours = mesh.floats, mesh.colours
     colour = _interpolated(colours, f, hit, mesh)
     for c in range(3):
@@ -376,28 +342,21 @@ def resolve(
             continue
         y, x = np.uintp(pixels[a] // width), np.uintp(pixels[a] % width)
         row, column = y + np.uintp(MARGIN), x + np.uintp(MARGIN)
-        dx, dy, dz = _in_world(view.rotation, view.x[row, column], view.y[row, column])
+        ray = _in_world(view.rotation, view.x[row, column], view.y[row, column])
         z, inverse = depth[a], _F(1) / covered
-        out.coverage[y, x], out.depth[y, x], out.object_id[y, x] = (
-            min(covered, _F(1)),
-            z,
-            part[a] + 1,
-        )
-        nx, ny, nz = sums[a, NORMAL], sums[a, NORMAL + 1], sums[a, NORMAL + 2]
-        n = np.sqrt(nx * nx + ny * ny + nz * nz)
-        if n < _F(1e-6) * covered:  # opposite sides cancel: straight towards the camera
-            nx, ny, nz = -dx, -dy, -dz
-            n = np.sqrt(nx * nx + ny * ny + nz * nz)
-        out.normal[y, x, 0], out.normal[y, x, 1], out.normal[y, x, 2] = (
-            nx / n,
-            ny / n,
-            nz / n,
-        )
+        out.coverage[y, x], out.depth[y, x] = min(covered, _F(1)), z
+        out.object_id[y, x] = part[a] + 1
+        normal = vector(sums, a, NORMAL)
+        length = np.sqrt(dot(normal, normal))
+        if (
+            length < _F(1e-6) * covered
+        ):  # opposite sides cancel: straight towards the camera
+            normal = scaled(ray, _F(-1))
+            length = np.sqrt(dot(ray, ray))
         for c in range(3):
+            out.normal[y, x, c] = normal[c] / length
+            out.position[y, x, c] = _F(view.eye[c] + z * ray[c])
             out.albedo[y, x, c] = sums[a, ALBEDO + c] * inverse
             out.material[y, x, c] = sums[a, MATERIAL + c] * inverse
             out.emissive[y, x, c] = sums[a, EMISSIVE + c] * inverse
         out.material[y, x, 3] = min(covered / sums[a, MET], _F(1))
-        out.position[y, x, 0] = _F(view.eye[0] + z * dx)
-        out.position[y, x, 1] = _F(view.eye[1] + z * dy)
-        out.position[y, x, 2] = _F(view.eye[2] + z * dz)

@@ -22,6 +22,7 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
+from arfx.core.vectors import cross, dot, vector
 from arfx.stages.raster.record import View
 
 _SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
@@ -106,14 +107,9 @@ def planes_of(points, i, j, k):  # pragma: no cover - compiled
     """Planes through the eye and the edges opposite to a, b and c, and the volume |a b c|, signed.
 
     The volume is negative where the front is seen."""
-    ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
-    bx, by, bz = points[j, 0], points[j, 1], points[j, 2]
-    cx, cy, cz = points[k, 0], points[k, 1], points[k, 2]
-    opposite_a = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    opposite_b = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
-    opposite_c = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    volume = ax * opposite_a[0] + ay * opposite_a[1] + az * opposite_a[2]
-    return opposite_a, opposite_b, opposite_c, volume
+    a, b, c = vector(points, i, 0), vector(points, j, 0), vector(points, k, 0)
+    opposite_a = cross(b, c)
+    return opposite_a, cross(c, a), cross(a, b), dot(a, opposite_a)
 
 
 @numba.njit(nogil=True, inline="always")
