@@ -45,3 +45,13 @@ def divided(a, by):  # pragma: no cover - compiled
 def shifted(a, by, b):  # pragma: no cover - compiled
     """a + by * b"""
     return a[0] + by * b[0], a[1] + by * b[1], a[2] + by * b[2]
+
+
+@numba.njit(inline="always")
+def rotated(rotation, a):  # pragma: no cover - compiled
+    """rotation (3, 3) @ a"""
+    return (
+        dot(vector(rotation, 0, 0), a),
+        dot(vector(rotation, 1, 0), a),
+        dot(vector(rotation, 2, 0), a),
+    )

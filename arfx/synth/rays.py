@@ -20,16 +20,6 @@ _GOLDEN_ANGLE = 2.399963229728653
 
 
 @line_kernel(error_model="numpy")
-def rotated(rotation, a):
-    """rotation (3, 3) @ a"""
-    return (
-        dot(vector(rotation, 0, 0), a),
-        dot(vector(rotation, 1, 0), a),
-        dot(vector(rotation, 2, 0), a),
-    )
-
-
-@line_kernel(error_model="numpy")
 def _rectangle_at(start, towards, rects, i, farthest):
     """Where a ray meets rectangle i, in units of `towards`; `farthest` if not before.
     Without a division but for a ray that meets it: both sides are times |towards·n|."""

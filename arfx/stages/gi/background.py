@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
+from arfx.core.vectors import shifted, vector
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.planes import WARP
@@ -68,7 +69,7 @@ def _radiances(
         place, d, tangent = places[i], directions[i], tangents[i]
         reach = tangent / np.sqrt(one + tangent * tangent)
         # direction of what is over the horizons, and how much of the cone's width
-        ux, uy, uz, over = d[0], d[1], d[2], one
+        up, over = vector(directions, i, 0), one
         left, beyond = one, np.float32(-1)
         for _ in range(axes.shape[0]):
             p, distance, down = _next_plane(axes, place, d, reach, beyond)
@@ -96,17 +97,13 @@ def _radiances(
             left -= share
             if abs(down) < reach:
                 rise = half * within * (down + reach)
-                ux, uy, uz = (
-                    ux + rise * normal[0],
-                    uy + rise * normal[1],
-                    uz + rise * normal[2],
-                )
+                up = shifted(up, rise, normal)
                 over *= one - half * rise / reach
             if left <= np.float32(1e-3):
                 break
         if left > np.float32(1e-3):
             # the half-angle of a lobe grows as the square of its roughness
-            around = radiance(environment, ux, uy, uz, roughness[i] * np.sqrt(over))
+            around = radiance(environment, up, roughness[i] * np.sqrt(over))
             for k in range(3):
                 out[i, k] += left * around[k]
     return out

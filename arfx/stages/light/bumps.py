@@ -8,10 +8,11 @@ from arfx.core.layers import Layer, Layers, packed
 
 
 def smooth_normal(normal: np.ndarray, layers: Layers) -> np.ndarray:
-    """(h, w, 3) without the normal map; `normal` itself where nothing in `layers` has one."""
+    """(h, w, 3) without the normal map; `normal` itself where nothing has one."""
     if layers.extent(Layer.SMOOTH_NORMAL).empty:
         return normal
-    return packed(layers[Layer.SMOOTH_NORMAL])
+    smooth = packed(layers[Layer.SMOOTH_NORMAL])
+    return np.where(smooth.any(-1, keepdims=True), smooth, normal)
 
 
 def share_above_surface(normal: np.ndarray, smooth: np.ndarray) -> np.ndarray:

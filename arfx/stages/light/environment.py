@@ -21,6 +21,7 @@ import numpy as np
 from arfx.core.compiled import line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
 from arfx.core.numerics import normalise
+from arfx.core.vectors import rotated, vector
 
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
 SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width
@@ -124,37 +125,35 @@ def look_ups(texels, sides, starts, level, directions):  # pragma: no cover - co
     """(n, 3) of `look_up` at levels (n,) in directions (n, 3)."""
     out = np.empty((directions.shape[0], 3), np.float32)
     for i in range(directions.shape[0]):
-        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        out[i, 0], out[i, 1], out[i, 2] = look_up(texels, sides, starts, level[i], x, y, z)
+        direction = vector(directions, i, 0)
+        light = look_up(texels, sides, starts, level[i], direction)
+        out[i, 0], out[i, 1], out[i, 2] = light
     return out
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def radiance(
-    environment: Environment, dx, dy, dz, roughness
-):  # pragma: no cover - compiled
+def radiance(environment: Environment, direction, roughness):  # pragma: no cover - compiled
     """(r, g, b) about a direction (of any length, WORLD axes), as a surface of that
     roughness mirrors it.
     """
     texels, sides, starts, levels, turn = environment
-    x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
-    y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
-    z = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
     k = 0
     while k < levels.shape[0] - 2 and roughness > levels[k + 1]:
         k += 1
     # a lobe's half-angle grows as the square of its roughness
     low = levels[k] * levels[k]
     part = (roughness * roughness - low) / (levels[k + 1] * levels[k + 1] - low)
-    return look_up(texels, sides, starts, np.float32(k) + part, x, y, z)
+    where = rotated(turn, direction)
+    return look_up(texels, sides, starts, np.float32(k) + part, where)
 
 
 @line_kernel(fastmath=_FAST, error_model="numpy")
-def look_up(texels, sides, starts, level, x, y, z):  # pragma: no cover - compiled
+def look_up(texels, sides, starts, level, direction):  # pragma: no cover - compiled
     """(r, g, b) in a direction of any length, the cube's axes; linear between levels, the
     last beyond them.
     """
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
+    x, y, z = direction
     ax, ay, az = abs(x), abs(y), abs(z)
     if ax >= ay and ax >= az:
         s = one / max(ax, np.float32(1e-20))

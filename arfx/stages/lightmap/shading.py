@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.compiled import line_kernel
+from arfx.core.vectors import dot, minus, scaled, shifted, vector
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
 
@@ -85,9 +86,10 @@ def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=_FAST)
-def soft_radiance(soft, channel, x, y, z):  # pragma: no cover - compiled
-    """Of a white surface with normal x, y, z, never below 0. soft (9, 3) : of `harmonic_terms`"""
+def soft_radiance(soft, channel, normal):  # pragma: no cover - compiled
+    """Of a white surface, never below 0. soft (9, 3) : of `harmonic_terms`"""
     c = channel
+    x, y, z = normal
     light = soft[0, c] + soft[1, c] * y + soft[2, c] * z + soft[3, c] * x
     light += soft[4, c] * x * y + soft[5, c] * y * z + soft[7, c] * x * z
     light += soft[6, c] * (np.float32(3) * z * z - np.float32(1)) + soft[8, c] * (
@@ -127,18 +129,9 @@ def reflected_shares(table, metal, roughness, specular, n_v):  # pragma: no cove
 @line_kernel(fastmath=_FAST, inline="always")
 def towards_eye(surface: Surface, eye, y, x):  # pragma: no cover - compiled
     """Normal of a pixel, and the unit direction to the eye."""
-    normal, position = surface.normal, surface.position
-    vx, vy = eye[0] - position[y, x, 0], eye[1] - position[y, x, 1]
-    vz = eye[2] - position[y, x, 2]
-    scale = np.float32(1) / np.sqrt(max(vx * vx + vy * vy + vz * vz, _TINY))
-    return (
-        normal[y, x, 0],
-        normal[y, x, 1],
-        normal[y, x, 2],
-        vx * scale,
-        vy * scale,
-        vz * scale,
-    )
+    away = minus(eye, vector(surface.position[y], x, 0))
+    scale = np.float32(1) / np.sqrt(max(dot(away, away), _TINY))
+    return vector(surface.normal[y], x, 0), scaled(away, scale)
 
 
 @line_kernel(fastmath=_FAST, inline="always")
@@ -189,8 +182,8 @@ def _shade(
             cover = coverage[y, x]
             if not cover > zero:
                 continue
-            nx, ny, nz, vx, vy, vz = towards_eye(surface, eye, y, x)
-            facing = nx * vx + ny * vy + nz * vz
+            normal, view = towards_eye(surface, eye, y, x)
+            facing = dot(normal, view)
             n_v = max(facing, np.float32(1e-3))
             metal, rough, specular = material[y, x, 0], material[y, x, 1], material[y, x, 2]
             rough = max(rough, np.float32(SMOOTHEST))
@@ -203,33 +196,27 @@ def _shade(
             colour, pixel = albedo[y, x], out[y, x]
             visible = soft_visibility[y, x]
             for c in range(3):
-                pixel[c] = colour[c] * matt * visible * soft_radiance(soft, c, nx, ny, nz)
+                pixel[c] = colour[c] * matt * visible * soft_radiance(soft, c, normal)
             if mirrors > zero:
                 # the lobe's middle: the mirrored direction, the rougher the nearer to the
                 # normal (Lagarde 2014)
                 alpha = min(rough * rough, one)
                 bend = (one - alpha) * (np.sqrt(one - alpha) + alpha)
                 along = bend * (two * facing) + one - bend
-                dx, dy, dz = (
-                    along * nx - bend * vx,
-                    along * ny - bend * vy,
-                    along * nz - bend * vz,
-                )
-                around = radiance(environment, dx, dy, dz, rough)
+                mirrored = shifted(scaled(normal, along), -bend, view)
+                around = radiance(environment, mirrored, rough)
                 share = mirrors * mirrored_share(visible, n_v, rough)
                 for c in range(3):
-                    mirrored = (
-                        metal * (colour[c] * direct + grazing) * (one + colour[c] * lost)
-                    )
-                    pixel[c] += share * around[c] * ((one - metal) * coat + mirrored)
+                    whole = (colour[c] * direct + grazing) * (one + colour[c] * lost)
+                    pixel[c] += share * around[c] * ((one - metal) * coat + metal * whole)
             alpha2 = rough * rough * rough * rough
             for k in range(towards.shape[0]):
-                lx, ly, lz = towards[k, 0], towards[k, 1], towards[k, 2]
-                n_l = nx * lx + ny * ly + nz * lz
+                lamp = vector(towards, k, 0)
+                n_l = dot(normal, lamp)
                 arrives = visibility[k, y, x]
                 if n_l <= zero or arrives <= zero:
                     continue
-                n_h, away = half_vector(facing, n_l, vx * lx + vy * ly + vz * lz)
+                n_h, away = half_vector(facing, n_l, dot(view, lamp))
                 fresnel = edge * away * away * away * away * away
                 lobe = ggx_reflection(alpha2, alpha2 + widths[k], n_h, n_v, n_l)
                 diffuse = matt * n_l
