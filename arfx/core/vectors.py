@@ -1,0 +1,48 @@
+"""Vectors of three numbers in compiled loops: tuples, or rows of arrays."""
+
+# mypy: disable-error-code="no-untyped-def"
+from __future__ import annotations
+
+from arfx.core.compiled import line_kernel
+
+FAST = {"contract", "nsz", "arcp"}  # what the compiler may do to rounding
+
+
+@line_kernel(fastmath=FAST)
+def vector(values):  # pragma: no cover - compiled
+    """A row of an array as a tuple."""
+    return values[0], values[1], values[2]
+
+
+@line_kernel(fastmath=FAST)
+def dot(a, b):  # pragma: no cover - compiled
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@line_kernel(fastmath=FAST)
+def scaled(by, a):  # pragma: no cover - compiled
+    return by * a[0], by * a[1], by * a[2]
+
+
+@line_kernel(fastmath=FAST)
+def minus(a, b):  # pragma: no cover - compiled
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@line_kernel(fastmath=FAST)
+def shifted(a, by, b):  # pragma: no cover - compiled
+    """a + by * b"""
+    return a[0] + by * b[0], a[1] + by * b[1], a[2] + by * b[2]
+
+
+@line_kernel(fastmath=FAST)
+def turned(matrix, a):  # pragma: no cover - compiled
+    """matrix (3, 3 or more) @ a, of the first three columns"""
+    return dot(matrix[0], a), dot(matrix[1], a), dot(matrix[2], a)
+
+
+@line_kernel(fastmath=FAST)
+def placed(matrix, a):  # pragma: no cover - compiled
+    """matrix (3, 4 or more) @ (a, 1), of the first four columns"""
+    x, y, z = turned(matrix, a)
+    return x + matrix[0, 3], y + matrix[1, 3], z + matrix[2, 3]
