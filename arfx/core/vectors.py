@@ -3,6 +3,8 @@
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+import numpy as np
+
 from arfx.core.compiled import line_kernel
 
 FAST = {"contract", "nsz", "arcp"}  # what the compiler may do to rounding
@@ -33,6 +35,18 @@ def minus(a, b):  # pragma: no cover - compiled
 def shifted(a, by, b):  # pragma: no cover - compiled
     """a + by * b"""
     return a[0] + by * b[0], a[1] + by * b[1], a[2] + by * b[2]
+
+
+@line_kernel(fastmath=FAST)
+def mixed(a, b, share):  # pragma: no cover - compiled
+    """a where the share is 0, b where it is 1"""
+    return shifted(a, share, minus(b, a))
+
+
+@line_kernel(fastmath=FAST, error_model="numpy")
+def unit(a):  # pragma: no cover - compiled
+    """a with length 1; nothing stays nothing."""
+    return scaled(np.float32(1) / np.sqrt(max(dot(a, a), np.float32(1e-12))), a)
 
 
 @line_kernel(fastmath=FAST)

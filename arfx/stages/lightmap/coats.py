@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
+from arfx.core.vectors import FAST, dot, minus, scaled
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
 from arfx.stages.lightmap.shading import (
@@ -29,14 +30,13 @@ from arfx.stages.lightmap.shading import (
     towards_eye,
 )
 
-_FAST = {"contract", "nsz", "arcp"}
 _F0 = np.float32(0.04)  # of varnish
 _LEAST_SHEEN = 0.07  # roughness of fibres
 _PER_ROOT_2PI = np.float32(0.3989422804)
 _TINY = np.float32(1e-12)
 
 
-@line_kernel(fastmath=_FAST)
+@line_kernel(fastmath=FAST)
 def sheen_reflected(roughness, n_v):  # pragma: no cover - compiled
     """Share of even light that fibres reflect, a Gauss over the cosine of view.
 
@@ -57,7 +57,7 @@ def sheen_reflected(roughness, n_v):  # pragma: no cover - compiled
     return min(max(reflected, np.float32(0)), np.float32(1))
 
 
-@line_kernel(fastmath=_FAST)
+@line_kernel(fastmath=FAST)
 def sheen_lobe(roughness, n_v, n_l, v_l):  # pragma: no cover - compiled
     """How a lamp's light is reflected by fibres over `sheen_reflected`, of the radiance of
     a white surface that faces it.
@@ -82,7 +82,7 @@ def sheen_lobe(roughness, n_v, n_l, v_l):  # pragma: no cover - compiled
     return n_l * squeezed * squeezed
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def add_sheen(
     out, surface: Surface, sheen, eye, lights: Lights, soft, bias
 ):  # pragma: no cover - compiled
@@ -98,22 +98,17 @@ def add_sheen(
             cover = surface.coverage[y, x]
             if not (cover > zero and most > zero):
                 continue
-            nx, ny, nz, vx, vy, vz = towards_eye(surface, eye, y, x)
-            n_v = max(nx * vx + ny * vy + nz * vz, np.float32(1e-3))
+            normal, view = towards_eye(surface, eye, y, x)
+            n_v = max(dot(normal, view), np.float32(1e-3))
             rough = max(sheen[y, x, 3], np.float32(_LEAST_SHEEN))
             reflected = sheen_reflected(rough, n_v)
             share = reflected * lights.soft_visibility[y, x]
             for c in range(3):
-                light[c] = share * soft_radiance(soft, c, nx, ny, nz)
+                light[c] = share * soft_radiance(soft, c, normal)
             for k in range(lights.towards.shape[0]):
-                tx, ty, tz = (
-                    lights.towards[k, 0],
-                    lights.towards[k, 1],
-                    lights.towards[k, 2],
-                )
-                n_l = nx * tx + ny * ty + nz * tz
+                n_l = dot(normal, lights.towards[k])
                 if n_l > zero:
-                    v_l = vx * tx + vy * ty + vz * tz
+                    v_l = dot(view, lights.towards[k])
                     lobe = (
                         reflected
                         * sheen_lobe(rough, n_v, n_l, v_l)
@@ -127,7 +122,7 @@ def add_sheen(
                 out[y, x, c] = base + cover * (sheen[y, x, c] * light[c] + bias[c])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def add_clear_coat(
     out,
     surface: Surface,
@@ -150,32 +145,26 @@ def add_clear_coat(
             amount, cover = coat[y, x, 0], surface.coverage[y, x]
             if not (cover > zero and amount > zero):
                 continue
-            nx, ny, nz, vx, vy, vz = towards_eye(surface, eye, y, x)
-            facing = nx * vx + ny * vy + nz * vz
+            normal, view = towards_eye(surface, eye, y, x)
+            facing = dot(normal, view)
             n_v = max(facing, np.float32(1e-3))
             rough = max(coat[y, x, 1], np.float32(SMOOTHEST))
             direct, grazing = table_entry(table, rough, n_v)
             reflected = amount * (_F0 * direct + grazing)
-            twice = two * facing
-            dx, dy, dz = twice * nx - vx, twice * ny - vy, twice * nz - vz
+            mirrored = minus(scaled(two * facing, normal), view)
             share = (
                 mirrors
                 * mirrored_share(lights.soft_visibility[y, x], n_v, rough)
                 * reflected
             )
-            around = radiance(environment, dx, dy, dz, rough)
+            around = radiance(environment, mirrored, rough)
             for c in range(3):
                 light[c] = share * around[c]
             alpha2 = rough * rough * rough * rough
             for k in range(lights.towards.shape[0]):
-                tx, ty, tz = (
-                    lights.towards[k, 0],
-                    lights.towards[k, 1],
-                    lights.towards[k, 2],
-                )
-                n_l = nx * tx + ny * ty + nz * tz
+                n_l = dot(normal, lights.towards[k])
                 if n_l > zero:
-                    v_l = vx * tx + vy * ty + vz * tz
+                    v_l = dot(view, lights.towards[k])
                     n_h, away = half_vector(facing, n_l, v_l)
                     fresnel = _F0 + (one - _F0) * away * away * away * away * away
                     lobe = ggx_reflection(alpha2, alpha2 + lights.widths[k], n_h, n_v, n_l)
