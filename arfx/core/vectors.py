@@ -22,6 +22,11 @@ def dot(a, b):  # pragma: no cover - compiled
 
 
 @line_kernel(fastmath=FAST)
+def cross(a, b):  # pragma: no cover - compiled
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@line_kernel(fastmath=FAST)
 def scaled(by, a):  # pragma: no cover - compiled
     return by * a[0], by * a[1], by * a[2]
 

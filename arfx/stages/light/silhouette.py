@@ -19,9 +19,10 @@ import cv2
 import numba
 import numpy as np
 
+from arfx.core.layers import packed
 from arfx.core.sampling import r2
+from arfx.core.vectors import FAST
 
-_MANY = 48  # crossings of a row from which on counting is quicker than sorting
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 COARSE = 8  # texels a side of a cell of the height map
 
@@ -155,25 +156,9 @@ def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover 
             )
             crossing[free[y]] = x * 16 + (w + 8)  # weights are -2, -1, 1 or 2
             free[y] += 1
-    row = np.zeros(columns + 1, np.int32)
     for y in range(rows):
         a, b = start[y], start[y + 1]
-        if b - a > _MANY:
-            for i in range(a, b):
-                row[crossing[i] >> 4] += np.int32((crossing[i] & 15) - 8)
-            total = np.int32(0)
-            for x in range(columns):
-                total += row[x]
-                row[x] = 0
-                bits[y * words + (x >> 6)] |= np.uint64(total != 0) << np.uint64(x & 63)
-            row[columns] = 0
-            continue
-        for i in range(a + 1, b):
-            key, j = crossing[i], i
-            while j > a and crossing[j - 1] > key:
-                crossing[j] = crossing[j - 1]
-                j -= 1
-            crossing[j] = key
+        crossing[a:b].sort()
         total = np.int64(0)
         for i in range(a, b):
             x0 = crossing[i] >> 4
@@ -204,17 +189,9 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
     zero = np.int64(0)
     for f in range(faces.shape[0]):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        ua, va, ha, ub, vb, hb, uc, vc, hc = (
-            u[i],
-            v[i],
-            height[i],
-            u[j],
-            v[j],
-            height[j],
-            u[k],
-            v[k],
-            height[k],
-        )
+        ua, va, ha = u[i], v[i], height[i]
+        ub, vb, hb = u[j], v[j], height[j]
+        uc, vc, hc = u[k], v[k], height[k]
         area = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
         if vb < va:
             ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
@@ -272,7 +249,9 @@ def smoothed(
     if top * float(half.max()) <= 0.5:
         return fraction
     height = _caster_height(points, faces, slope, fraction.shape)
-    return _boxes(fraction, height, np.float32(half[0]), np.float32(half[1]))
+    across = _boxes(fraction, np.float32(half[0]) * height)
+    down = _boxes(packed(across.T), packed(np.float32(half[1]) * height.T))
+    return np.asarray(down.T.clip(0, 1))
 
 
 def _caster_height(
@@ -300,44 +279,24 @@ def _caster_height(
     )[: shape[0], : shape[1]]
 
 
-@numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
-)
-def _boxes(fraction, height, across, down):  # pragma: no cover - compiled
-    """A box of half-width across x height along the rows, then down x height along the
-    columns, exact for parts of texels.
-    """
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _boxes(fraction, half_width):  # pragma: no cover - compiled
+    """Mean of each row over a box about each texel, exact for parts of texels.
+
+    half_width : (rows, columns) texels"""
     rows, columns = fraction.shape
-    half, one = np.float32(0.5), np.float32(1)
-    middle = np.empty((rows, columns), np.float32)
+    half, zero, last = np.float32(0.5), np.float32(0), np.float32(columns)
+    out = np.empty((rows, columns), np.float32)
     total = np.zeros(columns + 1, np.float32)
-    last = np.float32(columns)
     for y in range(rows):
         for x in range(columns):
             total[x + 1] = total[x] + fraction[y, x]
         for x in range(columns):
-            r = max(across * height[y, x], half)
+            r = max(half_width[y, x], half)
             centre = np.float32(x) + half
-            a, b = max(centre - r, np.float32(0)), min(centre + r, last)
+            a, b = max(centre - r, zero), min(centre + r, last)
             ia, ib = np.int32(a), min(np.int32(b), np.int32(columns - 1))
-            ka, kb = np.uintp(ia), np.uintp(ib)
-            low = total[ka] + (a - np.float32(ia)) * fraction[y, ka]
-            high = total[kb] + (b - np.float32(ib)) * fraction[y, kb]
-            middle[y, x] = (high - low) / (b - a)
-    sums = np.zeros((rows + 1, columns), np.float32)
-    for y in range(rows):
-        for x in range(columns):
-            sums[y + 1, x] = sums[y, x] + middle[y, x]
-    out = np.empty((rows, columns), np.float32)
-    last = np.float32(rows)
-    for y in range(rows):
-        centre = np.float32(y) + half
-        for x in range(columns):
-            r = max(down * height[y, x], half)
-            a, b = max(centre - r, np.float32(0)), min(centre + r, last)
-            ia, ib = np.int32(a), min(np.int32(b), np.int32(rows - 1))
-            ka, kb = np.uintp(ia), np.uintp(ib)
-            low = sums[ka, x] + (a - np.float32(ia)) * middle[ka, x]
-            high = sums[kb, x] + (b - np.float32(ib)) * middle[kb, x]
-            out[y, x] = min(max((high - low) / (b - a), np.float32(0)), one)
+            low = total[ia] + (a - np.float32(ia)) * fraction[y, ia]
+            high = total[ib] + (b - np.float32(ib)) * fraction[y, ib]
+            out[y, x] = (high - low) / (b - a)
     return out
