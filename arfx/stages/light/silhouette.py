@@ -5,7 +5,7 @@ The silhouette is what the contour winds around: the edges between triangles tha
 light and triangles that do not. Those are few (some 300 of 6,000 triangles), and any model
 has them, whether its surface is closed or not. Every direction shifts the texels' sample
 points a little, so that the mean over the directions is antialiased even where the object
-touches the plane and all silhouettes agree. Cost: O(directions x (edges + rows that the
+touches the plane and all silhouettes agree. Cost: O(directions x (texels + rows that the
 contour crosses)).
 
 K silhouettes leave K steps across a penumbra. Their distance grows with the height of what
@@ -23,7 +23,6 @@ from arfx.core.layers import packed
 from arfx.core.sampling import r2
 from arfx.core.vectors import FAST
 
-_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 COARSE = 8  # texels a side of a cell of the height map
 
 
@@ -73,6 +72,7 @@ def _count(
         used += 1
     counters = np.zeros((used, rows * words), np.uint64)
     bits = np.empty(rows * words, np.uint64)
+    turns = np.empty((rows, words * 64 + 1), np.int32)
     u, v = np.empty(points.shape[0], np.float32), np.empty(points.shape[0], np.float32)
     side = np.empty(across.shape[1] + 1, np.int32)
     contour, weight = np.empty(edges.shape[0], np.int32), np.empty(edges.shape[0], np.int32)
@@ -94,8 +94,7 @@ def _count(
             w = side[edges[e, 2]] + edges[e, 4] * side[edges[e, 3]]
             contour[n], weight[n] = e, w
             n += w != 0
-        bits[:] = 0
-        _fill(bits, u, v, edges, contour[:n], weight[:n], rows, words)
+        _fill(bits, turns, u, v, edges, contour[:n], weight[:n])
         for i in range(bits.shape[0]):
             carry = bits[i]
             for p in range(used):
@@ -118,65 +117,35 @@ def _count(
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover - compiled
+def _fill(bits, turns, u, v, edges, contour, weight):  # pragma: no cover - compiled
     """Set the bits of the texels around which the contour winds: the sum of its edges to
-    the left of them is not 0.
+    the left of them is not 0. turns (rows, columns + 1) : scratch
 
-    Each row keeps the columns in which edges cross it, sorted. A vertex belongs to the row
-    above it, whichever edge asks, so that the sums of every row end at 0."""
-    zero, columns = np.int64(0), np.int64(words * 64)
-    start = np.zeros(rows + 1, np.int64)
+    A vertex belongs to the row above it, whichever edge asks, so that the sums of every row
+    end at 0."""
+    zero, rows, columns = np.int64(0), turns.shape[0], turns.shape[1] - 1
+    turns[:] = 0
     for c in range(contour.shape[0]):
-        e = contour[c]
-        va, vb = v[edges[e, 0]], v[edges[e, 1]]
-        first = max(np.int64(np.ceil(min(va, vb))), zero)
-        last = min(np.int64(np.ceil(max(va, vb))), np.int64(rows))
-        for y in range(first, last):
-            start[y + 1] += 1
-    for y in range(rows):
-        start[y + 1] += start[y]
-    crossing = np.empty(start[rows], np.int64)
-    free = start[:rows].copy()
-    for c in range(contour.shape[0]):
-        e = contour[c]
+        e, w = contour[c], weight[c]
         ua, va, ub, vb = u[edges[e, 0]], v[edges[e, 0]], u[edges[e, 1]], v[edges[e, 1]]
-        w = weight[c]
         if vb < va:
             ua, va, ub, vb, w = ub, vb, ua, va, -w
-        first, last = (
-            max(np.int64(np.ceil(va)), zero),
-            min(np.int64(np.ceil(vb)), np.int64(rows)),
-        )
+        first = max(np.int64(np.ceil(va)), zero)
+        last = min(np.int64(np.ceil(vb)), rows)
         if first >= last:
             continue
         slope = (ub - ua) / (vb - va)
         for y in range(first, last):
-            x = min(
-                max(np.int64(np.ceil(ua + (np.float32(y) - va) * slope)), zero), columns
-            )
-            crossing[free[y]] = x * 16 + (w + 8)  # weights are -2, -1, 1 or 2
-            free[y] += 1
+            x = np.int64(np.ceil(ua + (np.float32(y) - va) * slope))
+            turns[y, min(max(x, zero), columns)] += w
     for y in range(rows):
-        a, b = start[y], start[y + 1]
-        crossing[a:b].sort()
-        total = np.int64(0)
-        for i in range(a, b):
-            x0 = crossing[i] >> 4
-            total += (crossing[i] & 15) - 8
-            if total == 0 or i + 1 == b:
-                continue
-            x1 = crossing[i + 1] >> 4
-            if x0 >= x1:
-                continue
-            w0, w1 = y * words + (x0 >> 6), y * words + ((x1 - 1) >> 6)
-            head, tail = _ALL << np.uint64(x0 & 63), _ALL >> np.uint64(63 - ((x1 - 1) & 63))
-            if w0 == w1:
-                bits[w0] |= head & tail
-            else:
-                bits[w0] |= head
-                for w in range(w0 + 1, w1):
-                    bits[w] = _ALL
-                bits[w1] |= tail
+        total = np.int32(0)
+        for word in range(columns // 64):
+            covered = np.uint64(0)
+            for b in range(64):
+                total += turns[y, word * 64 + b]
+                covered |= np.uint64(total != 0) << np.uint64(b)
+            bits[y * (columns // 64) + word] = covered
 
 
 @numba.njit(cache=True, nogil=True)
