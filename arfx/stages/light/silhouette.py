@@ -1,5 +1,4 @@
-"""Silhouettes of the triangles on the plane along directions of a light: one bit a texel
-and direction, counted.
+"""Silhouettes of the triangles on the plane along directions of a light, counted.
 
 The silhouette is what the contour winds around: the edges between triangles that face the
 light and triangles that do not. Those are few (some 300 of 6,000 triangles), and any model
@@ -46,106 +45,60 @@ def covered_fraction(
     plane, in texels
     edges (e, 5), across (3, m) : see Caster;  directions (k, 3) : towards the light, in the
     axes of `across`
-    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape :
-    columns a multiple of 64
+    slopes (k, 2) : columns and rows by which a point one texel high is displaced
     """
-    rows, columns = shape
     offsets = sample_offsets(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
-    return _count(
-        points,
-        edges,
-        across,
-        directions.astype(np.float32),
-        np.ascontiguousarray(slopes, np.float32),
-        offsets.astype(np.float32),
-        rows,
-        columns // 64,
-    )
+    towards, moved, shifts = (a.astype(np.float32) for a in (directions, slopes, offsets))
+    count = _count(points, edges, across, towards, moved, shifts, *shape)
+    return np.asarray(count / np.float32(len(slopes)))
 
 
 @numba.njit(cache=True, nogil=True)
 def _count(
-    points, edges, across, directions, slopes, offsets, rows, words
+    points, edges, across, directions, slopes, offsets, rows, columns
 ):  # pragma: no cover - compiled
-    used = 1
-    while (1 << used) <= slopes.shape[0]:
-        used += 1
-    counters = np.zeros((used, rows * words), np.uint64)
-    bits = np.empty(rows * words, np.uint64)
-    turns = np.empty((rows, words * 64 + 1), np.int32)
+    count = np.zeros((rows, columns), np.float32)
+    turns = np.empty((rows, columns + 1), np.int32)
     u, v = np.empty(points.shape[0], np.float32), np.empty(points.shape[0], np.float32)
     side = np.empty(across.shape[1] + 1, np.int32)
-    contour, weight = np.empty(edges.shape[0], np.int32), np.empty(edges.shape[0], np.int32)
     for k in range(slopes.shape[0]):
-        su, sv, ou, ov = slopes[k, 0], slopes[k, 1], offsets[k, 0], offsets[k, 1]
         for i in range(points.shape[0]):
-            u[i] = points[i, 0] + su * points[i, 2] + ou
-            v[i] = points[i, 1] + sv * points[i, 2] + ov
+            u[i] = points[i, 0] + slopes[k, 0] * points[i, 2] + offsets[k, 0]
+            v[i] = points[i, 1] + slopes[k, 1] * points[i, 2] + offsets[k, 1]
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         for f in range(across.shape[1]):
-            side[f] = (
-                np.int32(1)
-                if across[0, f] * dx + across[1, f] * dy + across[2, f] * dz > 0
-                else np.int32(-1)
-            )
+            rise = across[0, f] * dx + across[1, f] * dy + across[2, f] * dz
+            side[f] = np.int32(1) if rise > 0 else np.int32(-1)
         side[across.shape[1]] = 0  # the face that an open edge lacks, found as -1
-        n = 0
+        turns[:] = 0
         for e in range(edges.shape[0]):
-            w = side[edges[e, 2]] + edges[e, 4] * side[edges[e, 3]]
-            contour[n], weight[n] = e, w
-            n += w != 0
-        _fill(bits, turns, u, v, edges, contour[:n], weight[:n])
-        for i in range(bits.shape[0]):
-            carry = bits[i]
-            for p in range(used):
-                both = counters[p, i] & carry
-                counters[p, i] ^= carry
-                carry = both
-    out = np.zeros((rows, words * 64), np.float32)
-    scale = np.float32(1.0 / slopes.shape[0])
-    line = out.reshape(-1)
-    for p in range(used):
-        value = scale * np.float32(1 << p)
-        for i in range(bits.shape[0]):
-            word = counters[p, i]
-            if word != 0:
-                for b in range(64):
-                    line[i * 64 + b] += (
-                        np.float32((word >> np.uint64(b)) & np.uint64(1)) * value
-                    )
-    return out
+            weight = side[edges[e, 2]] + edges[e, 4] * side[edges[e, 3]]
+            if weight != 0:
+                _add_edge(turns, u, v, edges[e, 0], edges[e, 1], weight)
+        for y in range(rows):
+            total = np.int32(0)
+            for x in range(columns):
+                total += turns[y, x]
+                count[y, x] += total != 0
+    return count
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill(bits, turns, u, v, edges, contour, weight):  # pragma: no cover - compiled
-    """Set the bits of the texels around which the contour winds: the sum of its edges to
-    the left of them is not 0. turns (rows, columns + 1) : scratch
+def _add_edge(turns, u, v, a, b, weight):  # pragma: no cover - compiled
+    """turns (rows, columns + 1) += how often the contour turns around all texels to the
+    right of an edge from point a to b.
 
     A vertex belongs to the row above it, whichever edge asks, so that the sums of every row
     end at 0."""
-    zero, rows, columns = np.int64(0), turns.shape[0], turns.shape[1] - 1
-    turns[:] = 0
-    for c in range(contour.shape[0]):
-        e, w = contour[c], weight[c]
-        ua, va, ub, vb = u[edges[e, 0]], v[edges[e, 0]], u[edges[e, 1]], v[edges[e, 1]]
-        if vb < va:
-            ua, va, ub, vb, w = ub, vb, ua, va, -w
-        first = max(np.int64(np.ceil(va)), zero)
-        last = min(np.int64(np.ceil(vb)), rows)
-        if first >= last:
-            continue
-        slope = (ub - ua) / (vb - va)
-        for y in range(first, last):
-            x = np.int64(np.ceil(ua + (np.float32(y) - va) * slope))
-            turns[y, min(max(x, zero), columns)] += w
-    for y in range(rows):
-        total = np.int32(0)
-        for word in range(columns // 64):
-            covered = np.uint64(0)
-            for b in range(64):
-                total += turns[y, word * 64 + b]
-                covered |= np.uint64(total != 0) << np.uint64(b)
-            bits[y * (columns // 64) + word] = covered
+    if v[b] < v[a]:
+        a, b, weight = b, a, -weight
+    zero, last_column = np.int64(0), np.int64(turns.shape[1] - 1)
+    first = max(np.int64(np.ceil(v[a])), zero)
+    last = min(np.int64(np.ceil(v[b])), np.int64(turns.shape[0]))
+    for y in range(first, last):
+        slope = (u[b] - u[a]) / (v[b] - v[a])
+        x = np.int64(np.ceil(u[a] + (np.float32(y) - v[a]) * slope))
+        turns[y, min(max(x, zero), last_column)] += weight
 
 
 @numba.njit(cache=True, nogil=True)
