@@ -12,6 +12,7 @@ import numpy as np
 from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_map
 from arfx.core.scene import Scene
+from arfx.core.scene_mesh import SceneMesh, flatten
 
 _BATCH = 1 << 19  # rays in flight: bounds memory to about 40 MB
 _SLACK = 1e-4  # of the extent, around the box outside which nothing is met
@@ -125,17 +126,7 @@ def _through_box(
     return count
 
 
-def model_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(corners (f, 3, 3) metres, normals of the corners (f, 3, 3), part (f,), face of the
-    part (f,)) of the scene's model in anchor axes; triangles that are not finite are left
-    out. Normals have the length that the model's scale gives them."""
-    anchor = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
-    parts = scene.model.parts
-    corners = np.concatenate(
-        [(p.vertices @ anchor[:3, :3].T + anchor[:3, 3])[p.faces] for p in parts]
-    )
-    normals = np.concatenate([(p.normals @ anchor[:3, :3].T)[p.faces] for p in parts])
-    part = np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts])
-    face = np.concatenate([np.arange(len(p.faces)) for p in parts])
-    good = np.isfinite(corners).all((1, 2))
-    return corners[good], normals[good], part[good], face[good]
+def anchor_mesh(scene: Scene) -> SceneMesh:
+    """The scene's model in anchor axes."""
+    anchor_from_world = scene.world_from_anchor.inverse().matrix
+    return flatten(scene.model, anchor_from_world @ scene.world_from_model)

@@ -12,11 +12,47 @@ from __future__ import annotations
 import math
 
 from arfx.core.compiled import line_kernel
-from arfx.core.vectors import divided, dot, minus, shifted, vector
 
 FAR = 1e30  # nothing is met
 _DISC_SAMPLES = 16
 _GOLDEN_ANGLE = 2.399963229728653
+
+
+@line_kernel(error_model="numpy")
+def vector(rows, i, first):
+    """Three columns of row i as a vector."""
+    return rows[i, first], rows[i, first + 1], rows[i, first + 2]
+
+
+@line_kernel(error_model="numpy")
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@line_kernel(error_model="numpy")
+def minus(a, b):
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@line_kernel(error_model="numpy")
+def shifted(a, by, b):
+    """a + by * b"""
+    return a[0] + by * b[0], a[1] + by * b[1], a[2] + by * b[2]
+
+
+@line_kernel(error_model="numpy")
+def divided(a, by):
+    return a[0] / by, a[1] / by, a[2] / by
+
+
+@line_kernel(error_model="numpy")
+def rotated(rotation, a):
+    """rotation (3, 3) @ a"""
+    return (
+        dot(vector(rotation, 0, 0), a),
+        dot(vector(rotation, 1, 0), a),
+        dot(vector(rotation, 2, 0), a),
+    )
 
 
 @line_kernel(error_model="numpy")

@@ -19,8 +19,16 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.core.vectors import divided, dot, minus, rotated, shifted, vector
-from arfx.synth.rays import nearest, visible
+from arfx.synth.rays import (
+    divided,
+    dot,
+    minus,
+    nearest,
+    rotated,
+    shifted,
+    vector,
+    visible,
+)
 
 _NUMBERS = 65521  # below 2^16, prime: of two surfaces under many lights few get the same
 # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie

@@ -11,11 +11,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.core.vectors import shifted, vector
+from arfx.core.vectors import FAST, dot, minus, mixed, shifted, vector
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.planes import WARP
@@ -24,7 +23,6 @@ _OUTER = np.float32(
     3
 )  # levels from the coarsest: an eighth of a side, beyond four radii of the object
 _EDGE = np.float32(0.03)  # of half_m: softness of a plane's end, at least
-_FAST = {"contract", "nsz", "arcp"}
 
 
 class Background(NamedTuple):
@@ -52,36 +50,35 @@ def behind_object(
         np.ascontiguousarray(a, np.float32) for a in (places, directions, roughness)
     )
     tangents = mirror_tangent(roughness).astype(np.float32)
-    return np.asarray(_radiances(background, places, directions, roughness, tangents))
+    out = np.zeros(places.shape, np.float32)
+    _add_radiances(out, background, places, directions, roughness, tangents)
+    return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _radiances(
-    background: Background, places, directions, roughness, tangents
+@line_kernel(fastmath=FAST, error_model="numpy")
+def _add_radiances(
+    out, background: Background, places, directions, roughness, tangents
 ):  # pragma: no cover - compiled
     """A cone that lies across a plane's horizon sees it with the part of its width that is
     under it, and the environment with the rest, about the middle of that and narrower.
     Beyond a plane's end the next one shows. tangents (m,) : of the cones"""
     axes, extents, textures, mips, environment = background
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
-    out = np.zeros((places.shape[0], 3), np.float32)
     for i in range(places.shape[0]):
-        place, d, tangent = places[i], directions[i], tangents[i]
+        place, d, tangent = vector(places[i]), vector(directions[i]), tangents[i]
         reach = tangent / np.sqrt(one + tangent * tangent)
         # direction of what is over the horizons, and how much of the cone's width
-        up, over = vector(directions, i, 0), one
+        up, over, light = d, one, (zero, zero, zero)
         left, beyond = one, np.float32(-1)
         for _ in range(axes.shape[0]):
             p, distance, down = _next_plane(axes, place, d, reach, beyond)
             if p < 0:
                 break
-            beyond, normal = distance, axes[p, 3]
+            beyond, normal = distance, vector(axes[p, 3])
             sink = max(half * (down + reach) - down, zero)
-            a, b = zero, zero
-            for k in range(3):
-                met = place[k] + distance * (d[k] - sink * normal[k]) - axes[p, 0, k]
-                a += met * axes[p, 1, k]
-                b += met * axes[p, 2, k]
+            met = shifted(place, distance, shifted(d, -sink, normal))
+            met = minus(met, axes[p, 0])
+            a, b = dot(met, axes[p, 1]), dot(met, axes[p, 2])
             first, last = min(a - extents[p, 1], b - extents[p, 2]), extents[p, 3] - a
             inside = min(first, min(last, extents[p, 4] - b))
             size = extents[p, 0]
@@ -91,9 +88,8 @@ def _radiances(
             if share <= zero:
                 continue
             footprint = distance * tangent / size
-            light = _plane_radiance(textures[p], mips, a / size, b / size, footprint)
-            for k in range(3):
-                out[i, k] += share * light[k]
+            seen = _plane_radiance(textures[p], mips, a / size, b / size, footprint)
+            light = shifted(light, share, seen)
             left -= share
             if abs(down) < reach:
                 rise = half * within * (down + reach)
@@ -104,12 +100,11 @@ def _radiances(
         if left > np.float32(1e-3):
             # the half-angle of a lobe grows as the square of its roughness
             around = radiance(environment, up, roughness[i] * np.sqrt(over))
-            for k in range(3):
-                out[i, k] += left * around[k]
-    return out
+            light = shifted(light, left, around)
+        out[i, 0], out[i, 1], out[i, 2] = light
 
 
-@line_kernel(fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=FAST, error_model="numpy")
 def _next_plane(axes, place, direction, reach, beyond):  # pragma: no cover - compiled
     """(plane, distance, sine by which the cone's middle points down to it) of the nearest
     farther than `beyond`; -1 = none.
@@ -118,10 +113,8 @@ def _next_plane(axes, place, direction, reach, beyond):  # pragma: no cover - co
     half, zero = np.float32(0.5), np.float32(0)
     nearest, plane, sine = np.float32(1e30), -1, zero
     for p in range(axes.shape[0]):
-        down, height = zero, zero
-        for k in range(3):
-            down -= direction[k] * axes[p, 3, k]
-            height += (place[k] - axes[p, 0, k]) * axes[p, 3, k]
+        down = -dot(direction, axes[p, 3])
+        height = dot(minus(place, axes[p, 0]), axes[p, 3])
         if down <= -reach:
             continue
         # middle of the part of the cone that is under the horizon
@@ -132,7 +125,7 @@ def _next_plane(axes, place, direction, reach, beyond):  # pragma: no cover - co
     return plane, nearest, sine
 
 
-@line_kernel(fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=FAST, error_model="numpy")
 def _plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compiled
     """(r, g, b) of one plane's texture at a, b (in half sides from its middle), mean over
     `footprint` half sides.
@@ -150,7 +143,7 @@ def _plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compi
     first = int(level)
     u = min(max(WARP * a / (one + (WARP - one) * abs(a)), -one), one)
     v = min(max(WARP * b / (one + (WARP - one) * abs(b)), -one), one)
-    red, green, blue = zero, zero, zero
+    light = zero, zero, zero
     for q in range(2):
         share = abs(np.float32(1 - q) - (level - np.float32(first)))
         if share <= zero:
@@ -159,15 +152,11 @@ def _plane_radiance(texture, mips, a, b, footprint):  # pragma: no cover - compi
         most = np.float32(side - 1)
         column = min(max((u + one) * half * np.float32(side) - half, zero), most)
         row = min(max((v + one) * half * np.float32(side) - half, zero), most)
-        i, j = min(int(column), max(side - 2, 0)), min(int(row), max(side - 2, 0))
-        fi, fj = column - np.float32(i), row - np.float32(j)
+        i, j = int(column), int(row)
         right, below = min(i + 1, side - 1), min(j + 1, side - 1)
-        for corner in range(4):
-            x, y = (right if corner & 1 else i), (below if corner & 2 else j)
-            weight = share * abs(np.float32(1 - (corner & 1)) - fi)
-            weight *= abs(np.float32(1 - (corner >> 1)) - fj)
-            texel = start + y * side + x
-            red += weight * texture[texel, 0]
-            green += weight * texture[texel, 1]
-            blue += weight * texture[texel, 2]
-    return red, green, blue
+        fi, fj = column - np.float32(i), row - np.float32(j)
+        above, under = start + j * side, start + below * side
+        top = mixed(texture[above + i], texture[above + right], fi)
+        low = mixed(texture[under + i], texture[under + right], fi)
+        light = shifted(light, share, mixed(top, low, fj))
+    return light

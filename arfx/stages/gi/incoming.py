@@ -60,9 +60,8 @@ class IncomingLight:
         planes, side = self.planes, self.picture.shape[1]
         shares = [cv2.resize(a.astype(np.float32), (side, side)) for a in left]
         picture = (self.picture * np.stack(shares)).astype(np.float32)
-        known = np.ones(picture.shape[:3], np.float32)
         extents = np.column_stack([np.full(len(planes.axes), planes.half_m), planes.bounds])
-        textures = mip_chain(picture, known, self.mean)
+        textures = mip_chain(picture)
         return Background(
             planes.axes, extents.astype(np.float32), *textures, self.environment
         )

@@ -13,24 +13,18 @@ from arfx.core.colour import SRGB
 from arfx.core.cube import look_up
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
-from arfx.core.model import Texture
 from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.light.planes import ENDLESS, Planes
-from arfx.stages.light.surfels import texels_at
-from arfx.stages.triangles import Triangles, model_triangles
+from arfx.stages.light.surfels import texels_of
+from arfx.stages.triangles import Triangles, anchor_mesh
 
 UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show
 LIFT = 1e-4  # of the object's size, by which rays start off a surface
 AROUND = 3.0  # radii of the object, within which a plane's mean is taken
-# what a texture's channels mean: its codes, and which channels
-SHARE = np.arange(256) / 255
-LINEAR = np.asarray(SRGB.decode(SHARE), float)
-RGB = slice(0, 3)
-SHINE = slice(1, 3)  # roughness, metallic
-READ = ("base_texture", "emissive_texture", "metallic_roughness_texture")
+LINEAR = np.asarray(SRGB.decode(np.arange(256) / 255), float)  # of a colour's codes
 
 
 class Met(NamedTuple):
@@ -74,8 +68,8 @@ class RayScene:
     centre (3,), radius : of a ball around it"""
 
     def __init__(self, scene: Scene) -> None:
-        corners, self._normals, self._part_of, self._face_of = model_triangles(scene)
-        self._parts = scene.model.parts
+        self._mesh = anchor_mesh(scene)
+        corners = self._mesh.corners_m + self._mesh.centre_m
         self._triangles = Triangles(corners)
         self.blocked = self._triangles.blocked
         points = corners.reshape(-1, 3)
@@ -84,18 +78,6 @@ class RayScene:
         self.centre = (low + high) / 2
         away = np.linalg.norm(points - self.centre, axis=1)
         self.radius = max(float(away.max()), 1e-6)
-        self._colours = np.ones((len(corners), 3, 3))
-        self._textures: list[tuple[int, str, Texture, np.ndarray]] = []
-        for k, part in enumerate(self._parts):
-            rows = np.flatnonzero(self._part_of == k)
-            vertices = part.faces[self._face_of[rows]]
-            self._colours[rows] = part.material.base_colour[:3]
-            if part.colours is not None:
-                self._colours[rows] *= part.colours[vertices][..., :3]
-            for name, texture in part.material.textures.items():
-                uv = part.uv_on(texture)
-                if name in READ and uv is not None:
-                    self._textures.append((k, name, texture, uv[part.faces]))
 
     def nearest(self, origins: np.ndarray, directions: np.ndarray) -> Met:
         """What each ray meets first. directions : of any length, by which distances count"""
@@ -109,25 +91,21 @@ class RayScene:
         """Where rays met something; every ray has to."""
         position = origins + met.distance[:, None] * directions
         weights = np.stack([1 - met.u - met.v, met.u, met.v], -1)
-        normal = np.einsum("nk,nkc->nc", weights, self._normals[met.triangle])
-        albedo = np.einsum("nk,nkc->nc", weights, self._colours[met.triangle])
-        part_of, face_of = self._part_of[met.triangle], self._face_of[met.triangle]
-        materials = [part.material for part in self._parts]
-        emission = np.array([m.emissive for m in materials], float)[part_of]
-        specular = np.array([m.specular for m in materials], float)[part_of, None]
-        shine = np.array([(m.roughness, m.metallic) for m in materials], float)[part_of]
-        factors = {
-            "base_texture": (albedo, RGB, LINEAR),
-            "emissive_texture": (emission, RGB, LINEAR),
-            "metallic_roughness_texture": (shine, SHINE, SHARE),
-        }
-        for k, name, texture, uv in self._textures:
-            rows = np.flatnonzero(part_of == k)
-            corners = uv[face_of[rows]]
-            places = np.einsum("nk,nkc->nc", weights[rows], corners)
-            values, channels, decode = factors[name]
-            texels = texels_at(texture, places)[:, channels]
-            values[rows] *= decode[texels]
+        mesh = self._mesh
+        corners, part = mesh.faces[met.triangle], mesh.part[met.triangle]
+        normal, colours, uv = (
+            np.einsum("nk,nkc->nc", weights, rows[corners])
+            for rows in (mesh.normals, mesh.colours, mesh.uv)
+        )
+        base = np.array([m.base_colour for m in mesh.materials])[part]
+        emission = np.array([m.emissive for m in mesh.materials])[part]
+        specular = np.array([m.specular for m in mesh.materials])[part, None]
+        shine = np.array([(m.roughness, m.metallic) for m in mesh.materials])[part]
+        albedo = (base * colours)[:, :3]
+        albedo *= LINEAR[texels_of(mesh, "base_texture", part, uv)[:, :3]]
+        emission *= LINEAR[texels_of(mesh, "emissive_texture", part, uv)[:, :3]]
+        # roughness, metallic
+        shine *= texels_of(mesh, "metallic_roughness_texture", part, uv)[:, 1:3] / 255
         roughness, metal = shine[:, :1], shine[:, 1:]
         f0 = 0.08 * specular * (1 - metal)
         return Surface(position, normalise(normal), albedo, emission, metal, f0, roughness)

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
 from arfx.core.pose import Pose
+from arfx.core.vectors import FAST, dot, minus, mixed, placed, scaled, turned, unit
 from arfx.stages.gi.background import Background, behind_object
 from arfx.stages.gi.gloss import widened_roughness
 from arfx.stages.light.split_sum import split_sum
@@ -100,18 +101,15 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
     roughness = np.ascontiguousarray(surface.material[..., 1])
     wide = widened_roughness(roughness, surface.coverage, surface.normal).astype(np.float32)
     anchor = sight.anchor_from_world
-    turn, offset = (
-        anchor.rotation.astype(np.float32),
-        anchor.translation_m.astype(np.float32),
-    )
+    matrix, eye = anchor.matrix.astype(np.float32), sight.eye.astype(np.float32)
     out = np.zeros((*surface.coverage.shape, 3), np.float32)
-    placed = turn, offset, sight.eye.astype(np.float32)
-    pixels, lobes = _lobes(
-        surface, wide, received, placed, split_sum(), np.float32(sight.shows), out
-    )
-    if not len(pixels):
+    pixels = np.empty((surface.coverage.size, 2), np.int64)
+    lobes = np.empty((surface.coverage.size, 13), np.float32)
+    of_light = received, matrix, eye, split_sum(), np.float32(sight.shows)
+    count = _lobes(out, pixels, lobes, surface, wide, *of_light)
+    if not count:
         return out
-    row, column = pixels.T
+    lobes, (row, column) = lobes[:count], pixels[:count].T
     places, normals, directions, rough, weights = np.split(lobes, [3, 6, 9, 10], 1)
     seen = sight.along(places, directions, rough[:, 0])
     layers = surface.coverage, surface.normal, surface.position
@@ -125,47 +123,30 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
     return out
 
 
-@numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
-)
+@line_kernel(fastmath=FAST, error_model="numpy")
 def _lobes(
-    surface: Surface, wide, received, placed, table, shows, out
+    out, pixels, lobes, surface: Surface, wide, received, matrix, eye, table, shows
 ):  # pragma: no cover - compiled
-    """(pixels (m, 2), lobes (m, 13)) of those whose mirrored light shows: place, normal,
-    direction, roughness, weights.
+    """How many pixels there are whose mirrored light shows.
 
-    Anchor axes. out (h, w, 3) += what the pixels send of the light that falls on them; of
-    those pixels the matt part alone
-    wide (h, w) : roughness, no less than a pixel of the curved surface holds;  placed :
-    rotation, offset, eye
+    pixels (n, 2) : those;  lobes (n, 13) : place, normal, direction, roughness, weights of
+    each, anchor axes
+    out (h, w, 3) += what the pixels send of the light that falls on them; of those pixels
+    the matt part alone
+    wide (h, w) : roughness, no less than a pixel of the curved surface holds;  matrix (4,
+    4) : anchor from world
     """
     coverage, normal, position, albedo, material, _ = surface
-    turn, offset, eye = placed
-    rows, columns = coverage.shape
-    pixels, lobes = (
-        np.empty((rows * columns, 2), np.int64),
-        np.empty((rows * columns, 13), np.float32),
-    )
     zero, one, count = np.float32(0), np.float32(1), 0
-    for y in range(rows):
-        for x in range(columns):
-            n, p, to = normal[y, x], position[y, x], lobes[count]
-            length = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
-            if coverage[y, x] <= 0 or not length > np.float32(1e-6):
+    for y in range(coverage.shape[0]):
+        for x in range(coverage.shape[1]):
+            cover, to, colour = coverage[y, x], lobes[count], albedo[y, x]
+            n = turned(matrix, normal[y, x])
+            if cover <= zero or not dot(n, n) > np.float32(1e-6):
                 continue
-            scale, away = one / np.sqrt(length), zero
-            for k in range(3):
-                to[k] = (
-                    turn[k, 0] * p[0] + turn[k, 1] * p[1] + turn[k, 2] * p[2] + offset[k]
-                )
-                to[3 + k] = scale * (
-                    turn[k, 0] * n[0] + turn[k, 1] * n[1] + turn[k, 2] * n[2]
-                )
-                away += (eye[k] - to[k]) ** 2
-            away = one / np.sqrt(max(away, np.float32(1e-12)))
-            facing = zero
-            for k in range(3):
-                facing += (eye[k] - to[k]) * away * to[3 + k]
+            n, place = unit(n), placed(matrix, position[y, x])
+            view = unit(minus(eye, place))
+            facing = dot(view, n)
             metal, specular = material[y, x, 0], material[y, x, 2]
             rough = max(material[y, x, 1], np.float32(SMOOTHEST))
             n_v = max(facing, np.float32(1e-3))
@@ -173,25 +154,23 @@ def _lobes(
             matt, coat, direct, grazing, lost = shares
             brightest, strongest = np.float32(1e-3), zero
             for k in range(3):
-                colour = albedo[y, x, k]
-                mirrored = metal * (colour * direct + grazing) * (one + colour * lost)
-                to[10 + k] = coverage[y, x] * ((one - metal) * coat + mirrored)
-                brightest, strongest = max(brightest, colour), max(strongest, to[10 + k])
-            shines = strongest > shows * brightest * coverage[y, x]
+                mirrored = metal * (colour[k] * direct + grazing)
+                mirrored *= one + colour[k] * lost
+                to[10 + k] = cover * ((one - metal) * coat + mirrored)
+                brightest, strongest = max(brightest, colour[k]), max(strongest, to[10 + k])
+            shines = strongest > shows * brightest * cover
             for k in range(3):
                 gloss = zero if shines else to[10 + k]
-                sent = coverage[y, x] * matt * albedo[y, x, k] + gloss
-                out[y, x, k] = sent * received[y, x, k]
+                out[y, x, k] = (cover * matt * colour[k] + gloss) * received[y, x, k]
             if not shines:
                 continue
-            to[9], spread = wide[y, x], min(wide[y, x] * wide[y, x], one)
-            lean, size = (one - spread) * (np.sqrt(one - spread) + spread), zero
-            for k in range(3):
-                mirrored = 2 * facing * to[3 + k] - (eye[k] - to[k]) * away
-                to[6 + k] = to[3 + k] + lean * (mirrored - to[3 + k])
-                size += to[6 + k] * to[6 + k]
-            for k in range(3):
-                to[6 + k] /= np.sqrt(max(size, np.float32(1e-12)))
+            spread = min(wide[y, x] * wide[y, x], one)
+            lean = (one - spread) * (np.sqrt(one - spread) + spread)
+            middle = unit(mixed(n, minus(scaled(2 * facing, n), view), lean))
+            to[0], to[1], to[2] = place
+            to[3], to[4], to[5] = n
+            to[6], to[7], to[8] = middle
+            to[9] = wide[y, x]
             pixels[count, 0], pixels[count, 1] = y, x
             count += 1
-    return pixels[:count], lobes[:count]
+    return count

@@ -10,6 +10,7 @@ import numpy as np
 
 from arfx.core.numerics import arccos, divide, normalise, same_rows
 from arfx.core.scene import Scene
+from arfx.stages.triangles import anchor_mesh
 
 _SUNK = 1e-6  # of the extent: what lies less than this below the plane is rounding
 _WELD_DISTANCE = 1e-6  # of the extent: a seam's two vertices differ by rounding
@@ -53,28 +54,18 @@ def make_caster(scene: Scene) -> Caster:
     """All parts of the scene's model together, less those that are less than half as opaque
     as the most opaque one.
     """
-    anchor_from_world = scene.world_from_anchor.inverse()
-    vertices = anchor_from_world.apply(scene.model_points_m)
-    starts = np.cumsum([0, *(len(p.vertices) for p in scene.model.parts)])
-    opacity = max(p.opacity for p in scene.model.parts)
-    casting = [
-        p.faces + k
-        for p, k in zip(scene.model.parts, starts, strict=False)
-        if p.opacity >= opacity / 2
-    ]
-    every = np.concatenate(casting).astype(np.int32)
+    mesh = anchor_mesh(scene)
+    vertices = mesh.vertices + mesh.centre_m
+    opacities = np.array([p.opacity for p in scene.model.parts])
+    opacity = float(opacities.max())
+    every = mesh.faces[opacities[mesh.part] >= opacity / 2]
     used = vertices[np.unique(every)]
     extent = float(np.ptp(used, axis=0).max())
     sunk = (used[:, 2] < -_SUNK * extent).any()
     over, over_faces = _above_plane(vertices, every) if sunk else (vertices, every)
     a, b, c = (over[over_faces[:, i]] for i in range(3))
     top = float(over[:, 2].max(initial=0.0))
-    linear = scene.world_from_model[:3, :3]
-    normals = (
-        np.concatenate([p.normals for p in scene.model.parts])
-        @ (linear / np.cbrt(abs(np.linalg.det(linear)))).T
-    )
-    sag, slope = _faceting(vertices, every, normals @ anchor_from_world.rotation.T, extent)
+    sag, slope = _faceting(vertices, every, mesh.normals, extent)
     return Caster(
         vertices.astype(np.float32),
         every,

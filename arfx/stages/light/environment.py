@@ -21,14 +21,13 @@ import numpy as np
 from arfx.core.compiled import line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
 from arfx.core.numerics import normalise
-from arfx.core.vectors import rotated, vector
+from arfx.core.vectors import FAST, mixed, shifted, turned, vector
 
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
 SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width
 SAMPLES = (0, 24, 32, 32, 32, 32)  # of a lobe, of each level
 _COARSEST_PX = 4  # of a face that samples are taken from
 _GOLDEN_RAD = np.pi * (3 - np.sqrt(5))
-_FAST = {"contract", "nsz", "arcp"}
 
 
 class Environment(NamedTuple):
@@ -120,18 +119,17 @@ def _about(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.asarray(directions @ frames)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def look_ups(texels, sides, starts, level, directions):  # pragma: no cover - compiled
     """(n, 3) of `look_up` at levels (n,) in directions (n, 3)."""
     out = np.empty((directions.shape[0], 3), np.float32)
     for i in range(directions.shape[0]):
-        direction = vector(directions, i, 0)
-        light = look_up(texels, sides, starts, level[i], direction)
+        light = look_up(texels, sides, starts, level[i], vector(directions[i]))
         out[i, 0], out[i, 1], out[i, 2] = light
     return out
 
 
-@line_kernel(fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=FAST, error_model="numpy")
 def radiance(environment: Environment, direction, roughness):  # pragma: no cover - compiled
     """(r, g, b) about a direction (of any length, WORLD axes), as a surface of that
     roughness mirrors it.
@@ -143,11 +141,11 @@ def radiance(environment: Environment, direction, roughness):  # pragma: no cove
     # a lobe's half-angle grows as the square of its roughness
     low = levels[k] * levels[k]
     part = (roughness * roughness - low) / (levels[k + 1] * levels[k + 1] - low)
-    where = rotated(turn, direction)
-    return look_up(texels, sides, starts, np.float32(k) + part, where)
+    in_cube = turned(turn, direction)
+    return look_up(texels, sides, starts, np.float32(k) + part, in_cube)
 
 
-@line_kernel(fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=FAST, error_model="numpy")
 def look_up(texels, sides, starts, level, direction):  # pragma: no cover - compiled
     """(r, g, b) in a direction of any length, the cube's axes; linear between levels, the
     last beyond them.
@@ -168,7 +166,7 @@ def look_up(texels, sides, starts, level, direction):  # pragma: no cover - comp
     level = min(max(level, zero), last)
     first = min(int(level), sides.shape[0] - 2)
     part = level - np.float32(first)
-    r, g, b = zero, zero, zero
+    light = zero, zero, zero
     for q in range(2):
         share = part if q else one - part
         if share <= zero:
@@ -180,16 +178,7 @@ def look_up(texels, sides, starts, level, direction):  # pragma: no cover - comp
         fc, fr = column - np.float32(i), row - np.float32(j)
         near = np.uintp(start + (face * (side + 2) + j) * (side + 2) + i)
         below = near + np.uintp(side + 2)
-        r += share * _between(texels, near, below, fc, fr, 0)
-        g += share * _between(texels, near, below, fc, fr, 1)
-        b += share * _between(texels, near, below, fc, fr, 2)
-    return r, g, b
-
-
-@line_kernel(fastmath=_FAST)
-def _between(texels, near, below, fc, fr, channel):  # pragma: no cover - compiled
-    """One channel between four texels: those at `near` and `below`, and those to their right."""
-    right, across = near + np.uintp(1), below + np.uintp(1)
-    top = texels[near, channel] + fc * (texels[right, channel] - texels[near, channel])
-    low = texels[below, channel] + fc * (texels[across, channel] - texels[below, channel])
-    return top + fr * (low - top)
+        top = mixed(texels[near], texels[near + np.uintp(1)], fc)
+        low = mixed(texels[below], texels[below + np.uintp(1)], fc)
+        light = shifted(light, share, mixed(top, low, fr))
+    return light

@@ -6,7 +6,7 @@ light's disc, or the hemisphere as densely as the cosine. So all of them agree w
 object touches the plane, however coarse the mesh is, and a second texture there, the
 contact's, has texels of about a pixel. Values are the share of that light that is taken,
 0..1.
-Cost: O(silhouettes x (edges + texels / 64)). Source: docs/methods/light.md#shadow."""
+Cost: O(silhouettes x (edges + texels)). Source: docs/methods/light.md#shadow."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def soft_picture(
 ) -> SoftPicture:
     """Of a box of the plane. low, high (2,) : metres;  sky : directions"""
     pitch = max(float(np.sqrt(np.prod(high - low) / texels)), 1e-6 * caster.extent_m, 1e-9)
-    columns = -(-int(np.ceil((high[0] - low[0]) / pitch)) // 64) * 64
+    columns = int(np.ceil((high[0] - low[0]) / pitch)) + 1
     rows = int(np.ceil((high[1] - low[1]) / pitch)) + 1
     points = caster.above_vertices.astype(float)
     points[:, :2] -= (low + high) / 2
@@ -221,7 +221,7 @@ def beam_texture(
     low, high = spread.min(0), spread.max(0)
     texel_area = float(np.prod(high - low)) / level.texels
     pitch = max(float(np.sqrt(texel_area)), 1e-6 * caster.extent_m, 1e-9)
-    columns = -(-int(np.ceil((high[0] - low[0]) / pitch) + 2 * _MARGIN) // 64) * 64
+    columns = int(np.ceil((high[0] - low[0]) / pitch)) + 2 * _MARGIN
     rows = int(np.ceil((high[1] - low[1]) / pitch)) + 2 * _MARGIN
     low = (low + high) / 2 - pitch * (
         np.array([columns, rows]) - 1

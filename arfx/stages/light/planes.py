@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.numerics import HALF_GREY, divide, normalise
+from arfx.core.numerics import HALF_GREY, normalise
 from arfx.core.pose import Pose
 from arfx.core.real_depth import RealPlane
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.stages.push_pull import fill_unknown
 from arfx.stages.viewing import seen_rect
 
 # Half a step of an sRGB code c is this share of its linear light or more: (2.4 / (c +
@@ -32,7 +33,6 @@ _SAME_MEASURED_M, _SAME_MEASURED_COSINE = (
     0.985,
 )  # of planes that are measured as depth
 _SAME_DEPTH = 0.03  # of the distance
-COARSE = 16  # texels of a plane by which the unseen parts are filled
 # a rough plane's mirror image is wider by this share of the object's height, times the
 # lobe's tangent
 BLUR = 0.6
@@ -161,10 +161,10 @@ def disc_rect(
     """
     angle = np.arange(32) * np.pi / 16
     ring = 1.02 * radius_m * np.stack([np.cos(angle), np.sin(angle)], -1)
+    eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
     out = EMPTY
     for axes in planes.axes.astype(float):
         points = axes[0] + ring[:, :1] * axes[1] + ring[:, 1:] * axes[2]
-        eye = scene.world_from_anchor.inverse().apply(pose.inverse().translation_m)
         if (eye - axes[0]) @ axes[3] <= 0:
             continue
         out = out.union(
@@ -262,47 +262,21 @@ def picture_on_planes(
 
 
 def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """(p, side, side, 3) float32: what the picture does not show as what it shows around,
-    by COARSE texels a side; `otherwise` (3,) where it shows nothing."""
-    p, side = known.shape[:2]
-    if known.all():
-        return radiance
-    n = min(side, COARSE)
-    k = side // n
-    seen = known.reshape(p, n, k, n, k).mean((2, 4), dtype=np.float32)
-    coarse = np.stack(
-        [cv2.resize(r, (n, n), interpolation=cv2.INTER_AREA) for r in radiance]
-    )
-    flat = mip_chain(coarse, seen, otherwise)[0]
-    around = np.stack([cv2.resize(f[: n * n].reshape(n, n, 3), (side, side)) for f in flat])
-    return np.asarray(radiance + (1 - known)[..., None] * around, np.float32)
+    """(p, side, side, 3) float32: what the picture does not show as what it shows around;
+    `otherwise` (3,) where it shows nothing. known (p, side, side) : 0 or 1"""
+    out = np.empty_like(radiance)
+    for to, values, shown in zip(out, radiance, known > 0, strict=True):
+        to[:] = fill_unknown(values, shown) if shown.any() else otherwise
+    return out
 
 
-def mip_chain(
-    radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one
-    texel; what is not known is filled from the coarser levels, and from `otherwise` (3,)
-    where nothing is known at all."""
-    p = len(known)
-    sums, weights = [radiance], [known]
-    while sums[-1].shape[1] > 1:
-        s, w = sums[-1], weights[-1]
-        n = s.shape[1] // 2
-        sums.append(s.reshape(p, n, 2, n, 2, 3).mean((2, 4)))
-        weights.append(w.reshape(p, n, 2, n, 2).mean((2, 4)))
-    level = np.where(
-        weights[-1][..., None] > 0, divide(sums[-1], weights[-1][..., None]), otherwise
-    )
-    levels = [level]
-    for s, w in zip(sums[-2::-1], weights[-2::-1], strict=True):
-        up = np.stack(
-            [cv2.resize(x.astype(np.float32), (s.shape[2], s.shape[1])) for x in level]
-        )
-        level = np.where(w[..., None] > 0, s + (1 - w[..., None]) * up, up)
-        levels.append(level)
-    levels = levels[::-1]
-    sides = np.array([x.shape[1] for x in levels], np.int64)
+def mip_chain(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(p, texels, 3) float32 and (levels, 2) int64 (offset, side): halved down to one texel."""
+    p, levels = len(radiance), [radiance]
+    while levels[-1].shape[1] > 1:
+        n = levels[-1].shape[1] // 2
+        levels.append(levels[-1].reshape(p, n, 2, n, 2, 3).mean((2, 4)))
+    sides = np.array([level.shape[1] for level in levels], np.int64)
     offsets = np.cumsum(sides**2) - sides**2
-    flat = np.concatenate([x.reshape(p, -1, 3) for x in levels], 1)
+    flat = np.concatenate([level.reshape(p, -1, 3) for level in levels], 1)
     return np.ascontiguousarray(flat, np.float32), np.stack([offsets, sides], -1)

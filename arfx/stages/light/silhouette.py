@@ -1,11 +1,10 @@
-"""Silhouettes of the triangles on the plane along directions of a light: one bit a texel
-and direction, counted.
+"""Silhouettes of the triangles on the plane along directions of a light, counted.
 
 The silhouette is what the contour winds around: the edges between triangles that face the
 light and triangles that do not. Those are few (some 300 of 6,000 triangles), and any model
 has them, whether its surface is closed or not. Every direction shifts the texels' sample
 points a little, so that the mean over the directions is antialiased even where the object
-touches the plane and all silhouettes agree. Cost: O(directions x (edges + rows that the
+touches the plane and all silhouettes agree. Cost: O(directions x (texels + rows that the
 contour crosses)).
 
 K silhouettes leave K steps across a penumbra. Their distance grows with the height of what
@@ -19,10 +18,10 @@ import cv2
 import numba
 import numpy as np
 
+from arfx.core.layers import packed
 from arfx.core.sampling import r2
+from arfx.core.vectors import FAST
 
-_MANY = 48  # crossings of a row from which on counting is quicker than sorting
-_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 COARSE = 8  # texels a side of a cell of the height map
 
 
@@ -46,152 +45,60 @@ def covered_fraction(
     plane, in texels
     edges (e, 5), across (3, m) : see Caster;  directions (k, 3) : towards the light, in the
     axes of `across`
-    slopes (k, 2) : columns and rows by which a point one texel high is displaced;  shape :
-    columns a multiple of 64
+    slopes (k, 2) : columns and rows by which a point one texel high is displaced
     """
-    rows, columns = shape
     offsets = sample_offsets(len(slopes)) if len(slopes) > 1 else np.zeros((1, 2))
-    return _count(
-        points,
-        edges,
-        across,
-        directions.astype(np.float32),
-        np.ascontiguousarray(slopes, np.float32),
-        offsets.astype(np.float32),
-        rows,
-        columns // 64,
-    )
+    towards, moved, shifts = (a.astype(np.float32) for a in (directions, slopes, offsets))
+    count = _count(points, edges, across, towards, moved, shifts, *shape)
+    return np.asarray(count / np.float32(len(slopes)))
 
 
 @numba.njit(cache=True, nogil=True)
 def _count(
-    points, edges, across, directions, slopes, offsets, rows, words
+    points, edges, across, directions, slopes, offsets, rows, columns
 ):  # pragma: no cover - compiled
-    used = 1
-    while (1 << used) <= slopes.shape[0]:
-        used += 1
-    counters = np.zeros((used, rows * words), np.uint64)
-    bits = np.empty(rows * words, np.uint64)
+    count = np.zeros((rows, columns), np.float32)
+    turns = np.empty((rows, columns + 1), np.int32)
     u, v = np.empty(points.shape[0], np.float32), np.empty(points.shape[0], np.float32)
     side = np.empty(across.shape[1] + 1, np.int32)
-    contour, weight = np.empty(edges.shape[0], np.int32), np.empty(edges.shape[0], np.int32)
     for k in range(slopes.shape[0]):
-        su, sv, ou, ov = slopes[k, 0], slopes[k, 1], offsets[k, 0], offsets[k, 1]
         for i in range(points.shape[0]):
-            u[i] = points[i, 0] + su * points[i, 2] + ou
-            v[i] = points[i, 1] + sv * points[i, 2] + ov
+            u[i] = points[i, 0] + slopes[k, 0] * points[i, 2] + offsets[k, 0]
+            v[i] = points[i, 1] + slopes[k, 1] * points[i, 2] + offsets[k, 1]
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
         for f in range(across.shape[1]):
-            side[f] = (
-                np.int32(1)
-                if across[0, f] * dx + across[1, f] * dy + across[2, f] * dz > 0
-                else np.int32(-1)
-            )
+            rise = across[0, f] * dx + across[1, f] * dy + across[2, f] * dz
+            side[f] = np.int32(1) if rise > 0 else np.int32(-1)
         side[across.shape[1]] = 0  # the face that an open edge lacks, found as -1
-        n = 0
+        turns[:] = 0
         for e in range(edges.shape[0]):
-            w = side[edges[e, 2]] + edges[e, 4] * side[edges[e, 3]]
-            contour[n], weight[n] = e, w
-            n += w != 0
-        bits[:] = 0
-        _fill(bits, u, v, edges, contour[:n], weight[:n], rows, words)
-        for i in range(bits.shape[0]):
-            carry = bits[i]
-            for p in range(used):
-                both = counters[p, i] & carry
-                counters[p, i] ^= carry
-                carry = both
-    out = np.zeros((rows, words * 64), np.float32)
-    scale = np.float32(1.0 / slopes.shape[0])
-    line = out.reshape(-1)
-    for p in range(used):
-        value = scale * np.float32(1 << p)
-        for i in range(bits.shape[0]):
-            word = counters[p, i]
-            if word != 0:
-                for b in range(64):
-                    line[i * 64 + b] += (
-                        np.float32((word >> np.uint64(b)) & np.uint64(1)) * value
-                    )
-    return out
+            weight = side[edges[e, 2]] + edges[e, 4] * side[edges[e, 3]]
+            if weight != 0:
+                _add_edge(turns, u, v, edges[e, 0], edges[e, 1], weight)
+        for y in range(rows):
+            total = np.int32(0)
+            for x in range(columns):
+                total += turns[y, x]
+                count[y, x] += total != 0
+    return count
 
 
 @numba.njit(cache=True, nogil=True)
-def _fill(bits, u, v, edges, contour, weight, rows, words):  # pragma: no cover - compiled
-    """Set the bits of the texels around which the contour winds: the sum of its edges to
-    the left of them is not 0.
+def _add_edge(turns, u, v, a, b, weight):  # pragma: no cover - compiled
+    """turns (rows, columns + 1) += how often the contour turns around all texels to the
+    right of an edge from point a to b.
 
-    Each row keeps the columns in which edges cross it, sorted. A vertex belongs to the row
-    above it, whichever edge asks, so that the sums of every row end at 0."""
-    zero, columns = np.int64(0), np.int64(words * 64)
-    start = np.zeros(rows + 1, np.int64)
-    for c in range(contour.shape[0]):
-        e = contour[c]
-        va, vb = v[edges[e, 0]], v[edges[e, 1]]
-        first = max(np.int64(np.ceil(min(va, vb))), zero)
-        last = min(np.int64(np.ceil(max(va, vb))), np.int64(rows))
-        for y in range(first, last):
-            start[y + 1] += 1
-    for y in range(rows):
-        start[y + 1] += start[y]
-    crossing = np.empty(start[rows], np.int64)
-    free = start[:rows].copy()
-    for c in range(contour.shape[0]):
-        e = contour[c]
-        ua, va, ub, vb = u[edges[e, 0]], v[edges[e, 0]], u[edges[e, 1]], v[edges[e, 1]]
-        w = weight[c]
-        if vb < va:
-            ua, va, ub, vb, w = ub, vb, ua, va, -w
-        first, last = (
-            max(np.int64(np.ceil(va)), zero),
-            min(np.int64(np.ceil(vb)), np.int64(rows)),
-        )
-        if first >= last:
-            continue
-        slope = (ub - ua) / (vb - va)
-        for y in range(first, last):
-            x = min(
-                max(np.int64(np.ceil(ua + (np.float32(y) - va) * slope)), zero), columns
-            )
-            crossing[free[y]] = x * 16 + (w + 8)  # weights are -2, -1, 1 or 2
-            free[y] += 1
-    row = np.zeros(columns + 1, np.int32)
-    for y in range(rows):
-        a, b = start[y], start[y + 1]
-        if b - a > _MANY:
-            for i in range(a, b):
-                row[crossing[i] >> 4] += np.int32((crossing[i] & 15) - 8)
-            total = np.int32(0)
-            for x in range(columns):
-                total += row[x]
-                row[x] = 0
-                bits[y * words + (x >> 6)] |= np.uint64(total != 0) << np.uint64(x & 63)
-            row[columns] = 0
-            continue
-        for i in range(a + 1, b):
-            key, j = crossing[i], i
-            while j > a and crossing[j - 1] > key:
-                crossing[j] = crossing[j - 1]
-                j -= 1
-            crossing[j] = key
-        total = np.int64(0)
-        for i in range(a, b):
-            x0 = crossing[i] >> 4
-            total += (crossing[i] & 15) - 8
-            if total == 0 or i + 1 == b:
-                continue
-            x1 = crossing[i + 1] >> 4
-            if x0 >= x1:
-                continue
-            w0, w1 = y * words + (x0 >> 6), y * words + ((x1 - 1) >> 6)
-            head, tail = _ALL << np.uint64(x0 & 63), _ALL >> np.uint64(63 - ((x1 - 1) & 63))
-            if w0 == w1:
-                bits[w0] |= head & tail
-            else:
-                bits[w0] |= head
-                for w in range(w0 + 1, w1):
-                    bits[w] = _ALL
-                bits[w1] |= tail
+    A vertex belongs to the row above it, whichever edge asks, so that the sums of every row
+    end at 0."""
+    if v[b] < v[a]:
+        a, b, weight = b, a, -weight
+    zero, last_column = np.int64(0), np.int64(turns.shape[1] - 1)
+    first = max(np.int64(np.ceil(v[a])), zero)
+    last = min(np.int64(np.ceil(v[b])), np.int64(turns.shape[0]))
+    for y in range(first, last):
+        slope = (u[b] - u[a]) / (v[b] - v[a])
+        x = np.int64(np.ceil(u[a] + (np.float32(y) - v[a]) * slope))
+        turns[y, min(max(x, zero), last_column)] += weight
 
 
 @numba.njit(cache=True, nogil=True)
@@ -204,17 +111,9 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
     zero = np.int64(0)
     for f in range(faces.shape[0]):
         i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
-        ua, va, ha, ub, vb, hb, uc, vc, hc = (
-            u[i],
-            v[i],
-            height[i],
-            u[j],
-            v[j],
-            height[j],
-            u[k],
-            v[k],
-            height[k],
-        )
+        ua, va, ha = u[i], v[i], height[i]
+        ub, vb, hb = u[j], v[j], height[j]
+        uc, vc, hc = u[k], v[k], height[k]
         area = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
         if vb < va:
             ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
@@ -272,7 +171,9 @@ def smoothed(
     if top * float(half.max()) <= 0.5:
         return fraction
     height = _caster_height(points, faces, slope, fraction.shape)
-    return _boxes(fraction, height, np.float32(half[0]), np.float32(half[1]))
+    across = _boxes(fraction, np.float32(half[0]) * height)
+    down = _boxes(packed(across.T), packed(np.float32(half[1]) * height.T))
+    return np.asarray(down.T.clip(0, 1))
 
 
 def _caster_height(
@@ -300,44 +201,24 @@ def _caster_height(
     )[: shape[0], : shape[1]]
 
 
-@numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
-)
-def _boxes(fraction, height, across, down):  # pragma: no cover - compiled
-    """A box of half-width across x height along the rows, then down x height along the
-    columns, exact for parts of texels.
-    """
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def _boxes(fraction, half_width):  # pragma: no cover - compiled
+    """Mean of each row over a box about each texel, exact for parts of texels.
+
+    half_width : (rows, columns) texels"""
     rows, columns = fraction.shape
-    half, one = np.float32(0.5), np.float32(1)
-    middle = np.empty((rows, columns), np.float32)
+    half, zero, last = np.float32(0.5), np.float32(0), np.float32(columns)
+    out = np.empty((rows, columns), np.float32)
     total = np.zeros(columns + 1, np.float32)
-    last = np.float32(columns)
     for y in range(rows):
         for x in range(columns):
             total[x + 1] = total[x] + fraction[y, x]
         for x in range(columns):
-            r = max(across * height[y, x], half)
+            r = max(half_width[y, x], half)
             centre = np.float32(x) + half
-            a, b = max(centre - r, np.float32(0)), min(centre + r, last)
+            a, b = max(centre - r, zero), min(centre + r, last)
             ia, ib = np.int32(a), min(np.int32(b), np.int32(columns - 1))
-            ka, kb = np.uintp(ia), np.uintp(ib)
-            low = total[ka] + (a - np.float32(ia)) * fraction[y, ka]
-            high = total[kb] + (b - np.float32(ib)) * fraction[y, kb]
-            middle[y, x] = (high - low) / (b - a)
-    sums = np.zeros((rows + 1, columns), np.float32)
-    for y in range(rows):
-        for x in range(columns):
-            sums[y + 1, x] = sums[y, x] + middle[y, x]
-    out = np.empty((rows, columns), np.float32)
-    last = np.float32(rows)
-    for y in range(rows):
-        centre = np.float32(y) + half
-        for x in range(columns):
-            r = max(down * height[y, x], half)
-            a, b = max(centre - r, np.float32(0)), min(centre + r, last)
-            ia, ib = np.int32(a), min(np.int32(b), np.int32(rows - 1))
-            ka, kb = np.uintp(ia), np.uintp(ib)
-            low = sums[ka, x] + (a - np.float32(ia)) * middle[ka, x]
-            high = sums[kb, x] + (b - np.float32(ib)) * middle[kb, x]
-            out[y, x] = min(max((high - low) / (b - a), np.float32(0)), one)
+            low = total[ia] + (a - np.float32(ia)) * fraction[y, ia]
+            high = total[ib] + (b - np.float32(ib)) * fraction[y, ib]
+            out[y, x] = (high - low) / (b - a)
     return out

@@ -67,7 +67,7 @@ def soft_visibility(scene: Scene, rays: ObjectRays, plane: SoftPicture) -> SoftV
     """Kept with the model. plane : of `hidden_parts`"""
 
     def make() -> SoftVisibility:
-        surfels = surfels_of(scene, rays, _SURFELS)
+        surfels = surfels_of(rays, _SURFELS)
         traced = rays.over(surfels.points, surfels.normals, _RAYS)
         parts = np.concatenate([hidden_parts(hits, plane) for hits in traced])
         seen = np.maximum(1 - parts[:, 0], LEAST_SEEN)

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
 from arfx.core.layers import packed
 from arfx.core.pose import Pose
+from arfx.core.vectors import FAST, placed, shifted, turned
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -64,8 +65,11 @@ class SurfaceGrid:
         """(h, w, c) float32 of pixels by their layers; 0 where nothing covers them."""
         turn = anchor_from_world.rotation
         shift = (anchor_from_world.translation_m - self.low_m) / self.pitch_m
-        matrix = np.column_stack([turn / self.pitch_m, shift, turn]).astype(np.float32)
-        return _read(packed(coverage), packed(normal), packed(position), nodes, matrix)
+        matrix = np.column_stack([turn / self.pitch_m, shift]).astype(np.float32)
+        out = np.zeros((*coverage.shape, nodes.shape[-1]), np.float32)
+        layers = packed(coverage), packed(normal), packed(position)
+        _read(out, *layers, nodes, matrix, turn.astype(np.float32))
+        return out
 
     def _spreading(
         self, points: np.ndarray, normals: np.ndarray, weights: np.ndarray
@@ -98,56 +102,37 @@ class SurfaceGrid:
         return csr_array(scaled.astype(np.float32))
 
 
-@numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
-)
-def _read(coverage, normal, position, nodes, matrix):  # pragma: no cover - compiled
-    """matrix (3, 7) : node of a WORLD place, and from it for a normal"""
-    rows, columns = coverage.shape
+@line_kernel(fastmath=FAST, error_model="numpy")
+def _read(
+    out, coverage, normal, position, nodes, matrix, turn
+):  # pragma: no cover - compiled
+    """matrix (3, 4) : node of a WORLD place;  turn (3, 3) : of a normal"""
     nz, ny, nx, channels = nodes.shape
-    out = np.zeros((rows, columns, channels), np.float32)
-    flat, zero = nodes.reshape(-1, channels), np.float32(0)
-    last = np.float32(nx - 1.001), np.float32(ny - 1.001), np.float32(nz - 1.001)
-    for y in range(rows):
-        for x in range(columns):
+    flat, zero, one = nodes.reshape(-1, channels), np.float32(0), np.float32(1)
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
             if coverage[y, x] <= zero:
                 continue
-            p, n = position[y, x], normal[y, x]
-            u = (
-                matrix[0, 0] * p[0]
-                + matrix[0, 1] * p[1]
-                + matrix[0, 2] * p[2]
-                + matrix[0, 3]
-            )
-            v = (
-                matrix[1, 0] * p[0]
-                + matrix[1, 1] * p[1]
-                + matrix[1, 2] * p[2]
-                + matrix[1, 3]
-            )
-            w = (
-                matrix[2, 0] * p[0]
-                + matrix[2, 1] * p[1]
-                + matrix[2, 2] * p[2]
-                + matrix[2, 3]
-            )
-            u += matrix[0, 4] * n[0] + matrix[0, 5] * n[1] + matrix[0, 6] * n[2]
-            v += matrix[1, 4] * n[0] + matrix[1, 5] * n[1] + matrix[1, 6] * n[2]
-            w += matrix[2, 4] * n[0] + matrix[2, 5] * n[1] + matrix[2, 6] * n[2]
-            u = min(max(u, zero), last[0])
-            v = min(max(v, zero), last[1])
-            w = min(max(w, zero), last[2])
+            off = turned(turn, normal[y, x])
+            u, v, w = shifted(placed(matrix, position[y, x]), one, off)
+            u = min(max(u, zero), np.float32(nx - 1.001))
+            v = min(max(v, zero), np.float32(ny - 1.001))
+            w = min(max(w, zero), np.float32(nz - 1.001))
             iu, iv, iw = np.int64(u), np.int64(v), np.int64(w)
             fu, fv, fw = u - np.float32(iu), v - np.float32(iv), w - np.float32(iw)
             a = np.uintp((iw * ny + iv) * nx + iu)
-            b, up, far = a + np.uintp(1), np.uintp(nx), np.uintp(nx * ny)
+            behind = a + np.uintp(nx * ny)
             for c in range(channels):
-                low = flat[a, c] + fu * (flat[b, c] - flat[a, c])
-                high = flat[a + up, c] + fu * (flat[b + up, c] - flat[a + up, c])
-                near = low + fv * (high - low)
-                low = flat[a + far, c] + fu * (flat[b + far, c] - flat[a + far, c])
-                high = flat[a + far + up, c] + fu * (
-                    flat[b + far + up, c] - flat[a + far + up, c]
-                )
-                out[y, x, c] = near + fw * (low + fv * (high - low) - near)
-    return out
+                near = _between(flat, a, np.uintp(nx), c, fu, fv)
+                far = _between(flat, behind, np.uintp(nx), c, fu, fv)
+                out[y, x, c] = near + fw * (far - near)
+
+
+@line_kernel(fastmath=FAST)
+def _between(flat, first, row, channel, fu, fv):  # pragma: no cover - compiled
+    """One channel between a node, the next one, and those one `row` on."""
+    right, below = first + np.uintp(1), first + row
+    across = below + np.uintp(1)
+    low = flat[first, channel] + fu * (flat[right, channel] - flat[first, channel])
+    high = flat[below, channel] + fu * (flat[across, channel] - flat[below, channel])
+    return low + fv * (high - low)

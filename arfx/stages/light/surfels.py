@@ -13,12 +13,13 @@ from functools import cached_property
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.model import CLAMP, MIRROR, Part, Texture
+from arfx.core.model import CLAMP, MIRROR, Material, Texture
 from arfx.core.numerics import normalise
 from arfx.core.parallel import parallel_map
 from arfx.core.sampling import GOLDEN_RAD, frame_about, hemisphere, r2
 from arfx.core.scene import Scene
-from arfx.stages.triangles import Triangles, model_triangles
+from arfx.core.scene_mesh import SceneMesh
+from arfx.stages.triangles import Triangles, anchor_mesh
 
 _LIFT_EXTENTS = 1e-3  # rays begin that far over the surface
 _RAYS_IN_FLIGHT = 1 << 18
@@ -48,21 +49,23 @@ class Hits:
 class ObjectRays:
     """The object as rays meet it, anchor axes, metres.
 
+    mesh : all of it;  faces, part (f,) : what is seen of it
     corners (f, 3, 3) : triangles;  normals (f, 3) : unit, of their front sides;  opacity,
     metallic (f,) : 0..1
     extent_m : largest side"""
 
     def __init__(self, scene: Scene) -> None:
-        corners, _, part, face = model_triangles(scene)
-        opacities = np.array([part.opacity for part in scene.model.parts])
-        seen = opacities[part] > _UNSEEN
+        mesh = anchor_mesh(scene)
+        opacity = np.array([part.opacity for part in scene.model.parts])[mesh.part]
+        seen = opacity > _UNSEEN
         seen |= ~seen.any()
-        self.corners, self.part, self.face_of_part = corners[seen], part[seen], face[seen]
+        self.mesh, self.faces, self.part = mesh, mesh.faces[seen], mesh.part[seen]
+        self.corners = mesh.corners_m[seen] + mesh.centre_m
         a, b, c = np.moveaxis(self.corners, 1, 0)
         self.across = np.cross(b - a, c - a)
         self.normals = normalise(self.across)
-        self.opacity = opacities[self.part]
-        self.metallic = np.array([_metallic(part) for part in scene.model.parts])[self.part]
+        self.opacity = opacity[seen]
+        self.metallic = np.array([_metallic(m) for m in mesh.materials])[self.part]
         self.extent_m = float(np.ptp(self.corners.reshape(-1, 3), axis=0).max())
         self.lift_m = _LIFT_EXTENTS * self.extent_m
 
@@ -163,7 +166,7 @@ class Surfels:
     emission: np.ndarray
 
 
-def surfels_of(scene: Scene, rays: ObjectRays, count: int) -> Surfels:
+def surfels_of(rays: ObjectRays, count: int) -> Surfels:
     """About `count`, evenly over the surface, more on thin faces: on both sides, but for
     the inside of what is closed.
     """
@@ -180,7 +183,7 @@ def surfels_of(scene: Scene, rays: ObjectRays, count: int) -> Surfels:
     weights = np.column_stack([1 - u - v, u, v])
     points = (weights[:, :, None] * rays.corners[face]).sum(1)
     normals = rays.normals[face]
-    colours = _colours(scene, rays, face, weights)
+    colours = _colours(rays, face, weights)
     front, back = (_seen_from_outside(rays, points, side * normals) for side in (1, -1))
     through = rays.opacity[face] < _OPAQUE  # its inside shows
     front, back = front | through, back | through
@@ -205,45 +208,45 @@ def _seen_from_outside(
 
 
 def _colours(
-    scene: Scene, rays: ObjectRays, face: np.ndarray, weights: np.ndarray
+    rays: ObjectRays, face: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(albedo, matt, emission) (n, 3) at places in faces, by their corners' weights (n, 3)."""
-    albedo, matt, emission = (np.zeros((len(face), 3)) for _ in range(3))
-    for k, part in enumerate(scene.model.parts):
-        rows = np.flatnonzero(rays.part[face] == k)
-        corners, m = part.faces[rays.face_of_part[face[rows]]], part.material
-        share = weights[rows]
-        colour = np.asarray(m.base_colour[:3]) * _texture(
-            part, m.base_texture, corners, share
-        )
-        if part.colours is not None:
-            colour = colour * (part.colours[corners][..., :3] * share[..., None]).sum(1)
-        metallic = _metallic(part)
-        mirrored = 0.08 * m.specular * (1 - metallic)
-        matt[rows] = colour * (1 - metallic) * (1 - mirrored)
-        albedo[rows] = matt[rows] + colour * metallic + mirrored
-        emission[rows] = np.asarray(m.emissive) * _texture(
-            part, m.emissive_texture, corners, share
-        )
-    return albedo, matt, emission
+    mesh, part = rays.mesh, rays.part[face]
+    corners, materials = rays.faces[face], mesh.materials
+    uv = np.einsum("nk,nkc->nc", weights, mesh.uv[corners])
+    colour = np.einsum("nk,nkc->nc", weights, mesh.colours[corners])[:, :3]
+    colour *= np.array([m.base_colour[:3] for m in materials])[part]
+    colour *= SRGB.decode(texels_of(mesh, "base_texture", part, uv)[:, :3] / 255)
+    emission = np.array([m.emissive for m in materials])[part]
+    emission = emission * SRGB.decode(
+        texels_of(mesh, "emissive_texture", part, uv)[:, :3] / 255
+    )
+    metallic = rays.metallic[face, None]
+    specular = np.array([m.specular for m in materials])[part, None]
+    mirrored = 0.08 * specular * (1 - metallic)
+    matt = colour * (1 - metallic) * (1 - mirrored)
+    return matt + colour * metallic + mirrored, matt, emission
 
 
-def _metallic(part: Part) -> float:
+def _metallic(material: Material) -> float:
     """Mean of a part, 0..1."""
-    texture = part.material.metallic_roughness_texture
+    texture = material.metallic_roughness_texture
     mean = 1.0 if texture is None else float(texture.picture[..., 2].mean()) / 255
-    return part.material.metallic * mean
+    return material.metallic * mean
 
 
-def _texture(
-    part: Part, texture: Texture | None, corners: np.ndarray, share: np.ndarray
-) -> np.ndarray:
-    """(n, 3) linear colour of the texel nearest to each place; 1 without a texture."""
-    places = None if texture is None else part.uv_on(texture)
-    if texture is None or places is None:
-        return np.ones((len(corners), 3))
-    uv = (places[corners] * share[..., None]).sum(1)
-    return np.asarray(SRGB.decode(texels_at(texture, uv)[:, :3] / 255))
+def texels_of(mesh: SceneMesh, name: str, part: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """(n, 4) uint8 nearest texels of the texture `name` at places of parts (n,), by their
+    coordinates uv (n, 4); 255 where a part has none."""
+    out = np.full((len(part), 4), 255, np.uint8)
+    for k, material in enumerate(mesh.materials):
+        texture = material.textures.get(name)
+        if texture is not None and mesh.has_uv[k, texture.uv_set]:
+            rows, first = part == k, 2 * texture.uv_set
+            matrix = texture.picture_from_uv
+            places = uv[rows, first : first + 2] @ matrix[:, :2].T + matrix[:, 2]
+            out[rows] = texels_at(texture, places)
+    return out
 
 
 def texels_at(texture: Texture, places: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ class Transport:
         self, scene: Scene, planes: Planes, rays: ObjectRays, level: TransportLevel
     ) -> None:
         self.planes, self.rays, self.level = planes, rays, level
-        self.surfels = surfels_of(scene, rays, level.surfels)
+        self.surfels = surfels_of(rays, level.surfels)
         points, normals = self.surfels.points, self.surfels.normals
         self.texels = texel_positions(planes, level.side).reshape(-1, 3)
         self._texel_normals = np.repeat(planes.axes[:, 3].astype(float), level.side**2, 0)

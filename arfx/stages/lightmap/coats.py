@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.core.vectors import dot, minus, scaled, vector
+from arfx.core.vectors import FAST, dot, minus, scaled
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
 from arfx.stages.lightmap.shading import (
@@ -30,14 +30,13 @@ from arfx.stages.lightmap.shading import (
     towards_eye,
 )
 
-_FAST = {"contract", "nsz", "arcp"}
 _F0 = np.float32(0.04)  # of varnish
 _LEAST_SHEEN = 0.07  # roughness of fibres
 _PER_ROOT_2PI = np.float32(0.3989422804)
 _TINY = np.float32(1e-12)
 
 
-@line_kernel(fastmath=_FAST)
+@line_kernel(fastmath=FAST)
 def sheen_reflected(roughness, n_v):  # pragma: no cover - compiled
     """Share of even light that fibres reflect, a Gauss over the cosine of view.
 
@@ -58,7 +57,7 @@ def sheen_reflected(roughness, n_v):  # pragma: no cover - compiled
     return min(max(reflected, np.float32(0)), np.float32(1))
 
 
-@line_kernel(fastmath=_FAST)
+@line_kernel(fastmath=FAST)
 def sheen_lobe(roughness, n_v, n_l, v_l):  # pragma: no cover - compiled
     """How a lamp's light is reflected by fibres over `sheen_reflected`, of the radiance of
     a white surface that faces it.
@@ -83,7 +82,7 @@ def sheen_lobe(roughness, n_v, n_l, v_l):  # pragma: no cover - compiled
     return n_l * squeezed * squeezed
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def add_sheen(
     out, surface: Surface, sheen, eye, lights: Lights, soft, bias
 ):  # pragma: no cover - compiled
@@ -107,10 +106,9 @@ def add_sheen(
             for c in range(3):
                 light[c] = share * soft_radiance(soft, c, normal)
             for k in range(lights.towards.shape[0]):
-                lamp = vector(lights.towards, k, 0)
-                n_l = dot(normal, lamp)
+                n_l = dot(normal, lights.towards[k])
                 if n_l > zero:
-                    v_l = dot(view, lamp)
+                    v_l = dot(view, lights.towards[k])
                     lobe = (
                         reflected
                         * sheen_lobe(rough, n_v, n_l, v_l)
@@ -124,7 +122,7 @@ def add_sheen(
                 out[y, x, c] = base + cover * (sheen[y, x, c] * light[c] + bias[c])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def add_clear_coat(
     out,
     surface: Surface,
@@ -153,7 +151,7 @@ def add_clear_coat(
             rough = max(coat[y, x, 1], np.float32(SMOOTHEST))
             direct, grazing = table_entry(table, rough, n_v)
             reflected = amount * (_F0 * direct + grazing)
-            mirrored = minus(scaled(normal, two * facing), view)
+            mirrored = minus(scaled(two * facing, normal), view)
             share = (
                 mirrors
                 * mirrored_share(lights.soft_visibility[y, x], n_v, rough)
@@ -164,10 +162,9 @@ def add_clear_coat(
                 light[c] = share * around[c]
             alpha2 = rough * rough * rough * rough
             for k in range(lights.towards.shape[0]):
-                lamp = vector(lights.towards, k, 0)
-                n_l = dot(normal, lamp)
+                n_l = dot(normal, lights.towards[k])
                 if n_l > zero:
-                    v_l = dot(view, lamp)
+                    v_l = dot(view, lights.towards[k])
                     n_h, away = half_vector(facing, n_l, v_l)
                     fresnel = _F0 + (one - _F0) * away * away * away * away * away
                     lobe = ggx_reflection(alpha2, alpha2 + lights.widths[k], n_h, n_v, n_l)

@@ -5,22 +5,22 @@ The blockers found within the light's cone give the width of the penumbra there,
 radius of a second filtering (Fernando 2005, "Percentage-closer soft shadows"). Every answer
 is compared with the depth of the receiver's own tangent plane at that very texel, from a
 place lifted off the surface by more than the texels and facets are coarse: no acne, and
-nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps). `high`
-sends rays where the map finds a penumbra, `reference` everywhere."""
+nothing comes loose that is farther apart than that. Cost: O(covered pixels x taps).
+`reference` sends rays instead."""
 
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from arfx.core.compiled import line_kernel
 from arfx.core.layers import packed
 from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
 from arfx.core.sampling import disc
+from arfx.core.vectors import FAST, placed, shifted, turned
 from arfx.stages.light.beams import Beam, disc_directions
 from arfx.stages.light.caster import Caster
 from arfx.stages.light.silhouette import height_map
@@ -33,33 +33,12 @@ _LIFT_RAYS = 1e-3  # of the extent
 # of the distance: embree's hit points, and so the rays raster's places, are 1.5e-4 of it
 # wrong
 _LIFT_FAR = 4e-4
-_NARROWEST, _WIDEST = (
-    1.7,
-    40.0,
-)  # texels, radius in which the map is sampled: under it the texels' steps show
-
-
-@dataclass(frozen=True)
-class SelfLevel:
-    """texels : of the depth map, a side, 0 = none;  search : questions to it for blockers,
-    or first rays where there is no map
-    taps : questions to it for light where some of these are hidden, 0 = the search is the answer
-    rays : sent where the map, or the first of them, do not agree, 0 = none
-    soft : penumbrae as wide as the light's disc makes them"""
-
-    texels: int
-    search: int
-    taps: int
-    rays: int
-    soft: bool = True
-
-
-SELF_LEVELS = {
-    "draft": SelfLevel(256, 5, 0, 0, False),
-    "standard": SelfLevel(384, 14, 64, 0),
-    "high": SelfLevel(768, 32, 128, 0),
-    "reference": SelfLevel(0, 50, 0, 400),
-}
+# texels, radius in which the map is sampled: under it the texels' steps show
+_NARROWEST, _WIDEST = 1.7, 40.0
+MAP_TEXELS = 384  # a side of the depth map
+BLOCKER_TAPS, LIGHT_TAPS = 16, 64  # questions to it: for blockers, and where they disagree
+RAYS = 400  # over the light's disc
+FIRST_EVERY = 8  # every so manieth ray is sent first, the rest where those disagree
 
 
 class DepthMap(NamedTuple):
@@ -77,24 +56,22 @@ class DepthMap(NamedTuple):
     top: np.float32
 
 
-def depth_map(caster: Caster, beam: Beam, level: SelfLevel) -> DepthMap:
+def depth_map(caster: Caster, beam: Beam) -> DepthMap:
     """Of every triangle, over the square around them; positions in anchor axes."""
     w = np.array(beam.direction)
     s = normalise(np.cross([0.0, 0, 1] if abs(w[2]) < 0.9 else [1.0, 0, 0], w))
     axes = np.stack([s, np.cross(w, s), w])
     p = caster.vertices @ axes.T
     low, high = p[:, :2].min(0), p[:, :2].max(0)
-    pitch = max(float((high - low).max()) / (level.texels - 5), 1e-9)
-    origin = (low + high) / 2 - pitch * (level.texels - 1) / 2
+    pitch = max(float((high - low).max()) / (MAP_TEXELS - 5), 1e-9)
+    origin = (low + high) / 2 - pitch * (MAP_TEXELS - 1) / 2
     matrix = np.column_stack([axes, [-origin[0], -origin[1], 0.0]]) / pitch
     u, v, h = (
         np.ascontiguousarray(a, np.float32)
         for a in (caster.vertices @ matrix[:, :3].T + matrix[:, 3]).T
     )
-    depth = height_map(
-        u, v, h, caster.faces, level.texels, level.texels, np.float32(_EMPTY)
-    )
-    spread = float(np.tan(np.radians(beam.size_deg / 2))) if level.soft else 0.0
+    depth = height_map(u, v, h, caster.faces, MAP_TEXELS, MAP_TEXELS, np.float32(_EMPTY))
+    spread = np.tan(np.radians(beam.size_deg / 2))
     lift = _LIFT_TEXELS + _LIFT_SAGS * caster.sag_m / pitch
     return DepthMap(
         depth,
@@ -110,26 +87,23 @@ def visibility_by_map(
     position: np.ndarray,
     shadow_map: DepthMap,
     anchor_from_world: Pose,
-    level: SelfLevel,
 ) -> np.ndarray:
     """(h, w) float32, 0..1: the share of the light that is left; 1 where the pixel is not
     covered or turned away.
     """
-    turn = shadow_map.matrix[:, :3] @ anchor_from_world.rotation
-    shift = (
-        shadow_map.matrix[:, :3] @ anchor_from_world.translation_m + shadow_map.matrix[:, 3]
-    )
-    matrix = np.column_stack([turn, shift]).astype(np.float32)
+    matrix = shadow_map.matrix @ anchor_from_world.matrix
+    turn = matrix[:, :3]
     seen = shadow_map._replace(
-        matrix=matrix, unit=(turn / np.linalg.norm(turn[0])).astype(np.float32)
+        matrix=matrix.astype(np.float32),
+        unit=(turn / np.linalg.norm(turn[0])).astype(np.float32),
     )
+    out = np.ones(coverage.shape, np.float32)
     search, taps = (
-        disc(level.search).astype(np.float32),
-        disc(level.taps).astype(np.float32),
-    )  # of none: (0, 2)
-    return _percentage_closer(
-        packed(coverage), packed(normal), packed(position), seen, search, taps
+        packed(disc(n).T.astype(np.float32)) for n in (BLOCKER_TAPS, LIGHT_TAPS)
     )
+    layers = packed(coverage), packed(normal), packed(position)
+    _percentage_closer(out, *layers, seen, search, taps)
+    return out
 
 
 def visibility_by_rays(
@@ -140,158 +114,70 @@ def visibility_by_rays(
     caster: Caster,
     beam: Beam,
     anchor_from_world: Pose,
-    level: SelfLevel,
     eye: np.ndarray,
-    by_map: np.ndarray | None,
 ) -> np.ndarray:
     """The same with rays over the light's disc, weighted by their cosine to the normal. eye
     (3,) : the camera, WORLD frame
-
-    by_map : (h, w), kept where it is 0 or 1;  None = rays decide everywhere, `level.search`
-    of them first
     """
-    mixed = coverage > 0 if by_map is None else (by_map > 0) & (by_map < 1)
-    out = np.ones(coverage.shape, np.float32) if by_map is None else by_map.copy()
-    directions = disc_directions(
-        beam, disc(level.rays if beam.size_deg > 0 else 1), over_plane=False
-    )
+    out = np.ones(coverage.shape, np.float32)
+    points_of_disc = disc(RAYS if beam.size_deg > 0 else 1)
+    directions = disc_directions(beam, points_of_disc, over_plane=False)
     n = normal.astype(float) @ anchor_from_world.rotation.T
-    y, x = np.nonzero(mixed & (n @ np.array(beam.direction) > 0))
+    y, x = np.nonzero((coverage > 0) & (n @ np.array(beam.direction) > 0))
     n, seen = n[y, x], position[y, x].astype(float)
     lift = np.maximum(
         max(_LIFT_SAGS * caster.sag_m, _LIFT_RAYS * caster.extent_m),
         _LIFT_FAR * np.linalg.norm(seen - eye, axis=1),
     )
     points = anchor_from_world.apply(seen) + lift[:, None] * n
-    first = len(directions) // level.search if by_map is None else 1
+    first = min(FIRST_EVERY, len(directions))
     out[y, x] = rays.visible_fraction(points, directions, n, first)
     return out
 
 
-@numba.njit(
-    cache=True, nogil=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy"
-)
+@line_kernel(fastmath=FAST, error_model="numpy")
 def _percentage_closer(
-    coverage, normal, position, seen: DepthMap, search, taps
+    out, coverage, normal, position, seen: DepthMap, search, taps
 ):  # pragma: no cover - compiled
-    depth, matrix, unit, spread, lift, slope, top = seen
-    rows, columns = coverage.shape
-    out = np.ones((rows, columns), np.float32)
-    size = depth.shape[0]
-    texels = depth.reshape(-1)
-    zero, one, half, far = (
-        np.float32(0),
-        np.float32(1),
-        np.float32(0.5),
-        np.float32(size - 1),
-    )
+    """out (h, w) : of the pixels that are covered and face the light"""
+    zero, one = np.float32(0), np.float32(1)
     least = np.float32(_NARROWEST)
-    at = np.empty(columns, np.uintp)
-    s, t, z = (
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-    )
-    gs, gt, radius = (
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-        np.empty(columns, np.float32),
-    )
-    blockers, total = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    cell = np.empty(columns, np.int32)
-    edge = np.empty(columns, np.float32)
-    across = np.int32(size)
-    for y in range(rows):
-        n = 0
-        for x in range(columns):
-            facing = (
-                unit[2, 0] * normal[y, x, 0]
-                + unit[2, 1] * normal[y, x, 1]
-                + unit[2, 2] * normal[y, x, 2]
-            )
-            at[n] = x
-            n += (coverage[y, x] > zero) & (facing > zero)
-        if n == 0:
-            continue
-        for i in range(n):
-            x = at[i]
-            a, b, c = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
-            px, py, pz = position[y, x, 0], position[y, x, 1], position[y, x, 2]
-            ns = unit[0, 0] * a + unit[0, 1] * b + unit[0, 2] * c
-            nt = unit[1, 0] * a + unit[1, 1] * b + unit[1, 2] * c
-            nw = max(unit[2, 0] * a + unit[2, 1] * b + unit[2, 2] * c, np.float32(0.15))
-            s[i] = (
-                matrix[0, 0] * px
-                + matrix[0, 1] * py
-                + matrix[0, 2] * pz
-                + matrix[0, 3]
-                + lift * ns
-            )
-            t[i] = (
-                matrix[1, 0] * px
-                + matrix[1, 1] * py
-                + matrix[1, 2] * pz
-                + matrix[1, 3]
-                + lift * nt
-            )
-            z[i] = (
-                matrix[2, 0] * px
-                + matrix[2, 1] * py
-                + matrix[2, 2] * pz
-                + matrix[2, 3]
-                + lift * nw
-            )
-            gs[i], gt[i] = -ns / nw, -nt / nw
-        for i in range(n):
-            radius[i] = min(max(spread * (top - z[i]), least), np.float32(_WIDEST))
-            blockers[i], total[i] = zero, zero
-        for k in range(search.shape[0]):
-            ox, oy = search[k, 0], search[k, 1]
-            for i in range(n):
-                u, v = (
-                    min(max(s[i] + ox * radius[i], zero), far),
-                    min(max(t[i] + oy * radius[i], zero), far),
-                )
-                iu, iv = np.int32(u + half), np.int32(v + half)
-                du, dv = np.float32(iu) - s[i], np.float32(iv) - t[i]
-                cell[i] = iv * across + iu
-                edge[i] = z[i] + gs[i] * du + gt[i] * dv + slope * (abs(du) + abs(dv))
-            for i in range(n):
-                d = texels[np.uintp(cell[i])]
-                hit = one if d > edge[i] else zero
-                blockers[i] += hit
-                total[i] += hit * d
-        # only where some of them are hidden is there more to ask
-        every, m = np.float32(search.shape[0]), 0
-        for i in range(n):
-            out[y, at[i]] = one - blockers[i] / every
-            if (taps.shape[0] > 0) & (blockers[i] > zero) & (blockers[i] < every):
-                mean = total[i] / blockers[i]
-                radius[m] = min(max(spread * (mean - z[i]), least), radius[i])
-                s[m], t[m], z[m], gs[m], gt[m], at[m], total[m] = (
-                    s[i],
-                    t[i],
-                    z[i],
-                    gs[i],
-                    gt[i],
-                    at[i],
-                    zero,
-                )
-                m += 1
-        for k in range(taps.shape[0]):
-            ox, oy = taps[k, 0], taps[k, 1]
-            for i in range(m):
-                u, v = (
-                    min(max(s[i] + ox * radius[i], zero), far),
-                    min(max(t[i] + oy * radius[i], zero), far),
-                )
-                iu, iv = np.int32(u + half), np.int32(v + half)
-                du, dv = np.float32(iu) - s[i], np.float32(iv) - t[i]
-                cell[i] = iv * across + iu
-                edge[i] = z[i] + gs[i] * du + gt[i] * dv + slope * (abs(du) + abs(dv))
-            for i in range(m):
-                total[i] += one if texels[np.uintp(cell[i])] > edge[i] else zero
-        fraction = one / np.float32(taps.shape[0])
-        for i in range(m):
-            out[y, at[i]] = one - fraction * total[i]
-    return out
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            across, down, facing = turned(seen.unit, normal[y, x])
+            if not (coverage[y, x] > zero and facing > zero):
+                continue
+            facing = max(facing, np.float32(0.15))
+            tilt = across / facing, down / facing
+            place = placed(seen.matrix, position[y, x])
+            place = shifted(place, seen.lift, (across, down, facing))
+            widest = seen.spread * (seen.top - place[2])
+            radius = min(max(widest, least), np.float32(_WIDEST))
+            blockers, depths = _blockers(seen, place, tilt, search, radius)
+            share = blockers / np.float32(search.shape[1])
+            if share > zero and share < one:
+                penumbra = seen.spread * (depths / blockers - place[2])
+                radius = min(max(penumbra, least), radius)
+                blockers, _ = _blockers(seen, place, tilt, taps, radius)
+                share = blockers / np.float32(taps.shape[1])
+            out[y, x] = one - share
+
+
+@line_kernel(fastmath=FAST | {"reassoc"}, error_model="numpy")
+def _blockers(seen: DepthMap, place, tilt, points, radius):  # pragma: no cover - compiled
+    """(how many, sum of their depths) of the map's texels at `points` (2, k) of a disc that
+    are nearer to the light than the plane through `place` whose depth falls by `tilt`."""
+    texels, side = seen.depth.reshape(-1), np.int32(seen.depth.shape[0])
+    half, last = np.float32(0.5), np.float32(side - 1)
+    count, total = np.float32(0), np.float32(0)
+    for k in range(points.shape[1]):
+        u = min(max(place[0] + points[0, k] * radius, np.float32(0)), last)
+        v = min(max(place[1] + points[1, k] * radius, np.float32(0)), last)
+        column, row = np.int32(u + half), np.int32(v + half)
+        du, dv = np.float32(column) - place[0], np.float32(row) - place[1]
+        edge = place[2] - tilt[0] * du - tilt[1] * dv + seen.slope * (abs(du) + abs(dv))
+        depth = texels[np.uintp(row * side + column)]
+        hit = np.float32(depth > edge)
+        count += hit
+        total += hit * depth
+    return count, total

@@ -18,11 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.core.vectors import dot, minus, scaled, shifted, vector
+from arfx.core.vectors import FAST, dot, minus, scaled, shifted, unit, vector
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
 
-_FAST = {"contract", "nsz", "arcp"}
 SMOOTHEST = 0.05  # roughness: a smoother lobe lies between two pixels
 _TINY = np.float32(1e-12)
 
@@ -70,7 +69,7 @@ def highlight_width(size_deg: np.ndarray) -> np.ndarray:
     return (np.radians(np.asarray(size_deg, float) / 2) ** 2 / 8).astype(np.float32)
 
 
-@line_kernel(fastmath=_FAST)
+@line_kernel(fastmath=FAST)
 def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
     """What a lamp shows by microfacets, without Fresnel's factor, over the radiance of a
     white surface that faces it.
@@ -85,11 +84,10 @@ def ggx_reflection(alpha2, wide, n_h, n_v, n_l):  # pragma: no cover - compiled
     return np.float32(0.5) * n_l * wide / max(spread * spread * (eye + lamp), _TINY)
 
 
-@line_kernel(fastmath=_FAST)
+@line_kernel(fastmath=FAST)
 def soft_radiance(soft, channel, normal):  # pragma: no cover - compiled
     """Of a white surface, never below 0. soft (9, 3) : of `harmonic_terms`"""
-    c = channel
-    x, y, z = normal
+    c, (x, y, z) = channel, normal
     light = soft[0, c] + soft[1, c] * y + soft[2, c] * z + soft[3, c] * x
     light += soft[4, c] * x * y + soft[5, c] * y * z + soft[7, c] * x * z
     light += soft[6, c] * (np.float32(3) * z * z - np.float32(1)) + soft[8, c] * (
@@ -98,7 +96,7 @@ def soft_radiance(soft, channel, normal):  # pragma: no cover - compiled
     return max(light, np.float32(0))
 
 
-@line_kernel(fastmath=_FAST)
+@line_kernel(fastmath=FAST)
 def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
     """Share of what is mirrored that the object does not hide, 0..1, after what it leaves
     of the soft light.
@@ -112,7 +110,7 @@ def mirrored_share(visible, n_v, roughness):  # pragma: no cover - compiled
     return min(max(visible + turned, np.float32(0)), one)
 
 
-@line_kernel(fastmath=_FAST)
+@line_kernel(fastmath=FAST)
 def reflected_shares(table, metal, roughness, specular, n_v):  # pragma: no cover - compiled
     """(matt, coat, direct, grazing, lost): shares of even light, of the matt part, of what
     a dielectric mirrors, the split sum's two, and how much single reflections lose of white
@@ -126,15 +124,13 @@ def reflected_shares(table, metal, roughness, specular, n_v):  # pragma: no cove
     return (one - metal) * (one - coat), coat, direct, grazing, lost
 
 
-@line_kernel(fastmath=_FAST, inline="always")
+@line_kernel(fastmath=FAST, inline="always")
 def towards_eye(surface: Surface, eye, y, x):  # pragma: no cover - compiled
     """Normal of a pixel, and the unit direction to the eye."""
-    away = minus(eye, vector(surface.position[y], x, 0))
-    scale = np.float32(1) / np.sqrt(max(dot(away, away), _TINY))
-    return vector(surface.normal[y], x, 0), scaled(away, scale)
+    return vector(surface.normal[y, x]), unit(minus(eye, surface.position[y, x]))
 
 
-@line_kernel(fastmath=_FAST, inline="always")
+@line_kernel(fastmath=FAST, inline="always")
 def half_vector(n_v, n_l, v_l):  # pragma: no cover - compiled
     """(its cosine to the normal, 1 less its cosine to eye and lamp), from cosines of the
     normal, the eye and the lamp to each other."""
@@ -162,7 +158,7 @@ def shade(
     return out
 
 
-@line_kernel(fastmath=_FAST, error_model="numpy")
+@line_kernel(fastmath=FAST, error_model="numpy")
 def _shade(
     out,
     surface: Surface,
@@ -203,20 +199,21 @@ def _shade(
                 alpha = min(rough * rough, one)
                 bend = (one - alpha) * (np.sqrt(one - alpha) + alpha)
                 along = bend * (two * facing) + one - bend
-                mirrored = shifted(scaled(normal, along), -bend, view)
-                around = radiance(environment, mirrored, rough)
+                middle = shifted(scaled(along, normal), -bend, view)
+                around = radiance(environment, middle, rough)
                 share = mirrors * mirrored_share(visible, n_v, rough)
                 for c in range(3):
-                    whole = (colour[c] * direct + grazing) * (one + colour[c] * lost)
-                    pixel[c] += share * around[c] * ((one - metal) * coat + metal * whole)
+                    mirrored = (
+                        metal * (colour[c] * direct + grazing) * (one + colour[c] * lost)
+                    )
+                    pixel[c] += share * around[c] * ((one - metal) * coat + mirrored)
             alpha2 = rough * rough * rough * rough
             for k in range(towards.shape[0]):
-                lamp = vector(towards, k, 0)
-                n_l = dot(normal, lamp)
+                n_l = dot(normal, towards[k])
                 arrives = visibility[k, y, x]
                 if n_l <= zero or arrives <= zero:
                     continue
-                n_h, away = half_vector(facing, n_l, dot(view, lamp))
+                n_h, away = half_vector(facing, n_l, dot(view, towards[k]))
                 fresnel = edge * away * away * away * away * away
                 lobe = ggx_reflection(alpha2, alpha2 + widths[k], n_h, n_v, n_l)
                 diffuse = matt * n_l

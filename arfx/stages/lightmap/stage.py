@@ -49,7 +49,6 @@ from arfx.stages.light.surroundings import frame_environment
 from arfx.stages.lightmap.coats import add_clear_coat, add_sheen
 from arfx.stages.lightmap.reach import darkest, plane_rect, unevenness
 from arfx.stages.lightmap.self_shadow import (
-    SELF_LEVELS,
     depth_map,
     visibility_by_map,
     visibility_by_rays,
@@ -194,28 +193,17 @@ class Lightmap(Stage):
         visibility = np.ones((len(reaching), *surface.coverage.shape), np.float32)
         if self.params.self_shadow > 0:
             anchor_from_world = view.scene.world_from_anchor.inverse()
-            level, caster = SELF_LEVELS[view.level], prepared.region.caster
+            region = prepared.region
             for i, k in enumerate(reaching):
                 beam = light.beams[k]
-                by_map = None
-                if level.texels:
-                    depths = view.memo.of_light.get(
-                        ("depth", beam), partial(depth_map, caster, beam, level)
-                    )
-                    by_map = visibility[i] = visibility_by_map(
-                        *seen, depths, anchor_from_world, level
-                    )
-                if level.rays:
-                    visibility[i] = visibility_by_rays(
-                        *seen,
-                        prepared.region.rays.triangles,
-                        caster,
-                        beam,
-                        anchor_from_world,
-                        level,
-                        eye,
-                        by_map,
-                    )
+                if view.level == "reference":
+                    rays = region.rays.triangles, region.caster, beam
+                    visibility[i] = visibility_by_rays(*seen, *rays, anchor_from_world, eye)
+                    continue
+                depths = view.memo.of_light.get(
+                    ("depth", beam), partial(depth_map, region.caster, beam)
+                )
+                visibility[i] = visibility_by_map(*seen, depths, anchor_from_world)
             if self.params.self_shadow < 1:
                 visibility = 1 + np.float32(self.params.self_shadow) * (visibility - 1)
         return self._soft_visibility(surface, view, prepared, light), visibility

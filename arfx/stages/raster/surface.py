@@ -10,7 +10,7 @@ import numba
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.core.vectors import cross, divided, dot, scaled, shifted, vector
+from arfx.core.vectors import cross, dot, scaled, shifted, vector
 from arfx.stages.raster.record import (
     ALBEDO,
     COAT,
@@ -50,7 +50,7 @@ from arfx.stages.raster.tables import (
     SurfaceTables,
 )
 from arfx.stages.raster.texture_filter import ROUNDED, filtered
-from arfx.stages.raster.visible import planes_of
+from arfx.stages.raster.visible import planes_of, vertices_of
 
 _F = np.float32
 # Transparency below half an 8-bit step of the opacity is none.
@@ -60,48 +60,34 @@ _GRAZING = 0.1
 
 
 class Hit(NamedTuple):
-    """Where a ray meets a face: depth, weights of its corners, the ray in world axes, its length,
-    and its product with the face's normal, above 0 from behind."""
+    """Where a ray meets a face: depth, weights of its corners, the ray in world axes, and its
+    product with the face's normal, above 0 from behind."""
 
     z: float
-    b0: float
-    b1: float
-    b2: float
+    weights: tuple[float, float, float]
     ray: tuple[float, float, float]
-    length: float
     facing: float
 
 
 @numba.njit(inline="always")
 def _in_world(rotation, x, y):  # pragma: no cover - compiled
     """Direction (x, y, 1) of the camera in world axes, float32. rotation : camera from world"""
-    return (
-        _F(rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0]),
-        _F(rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1]),
-        _F(rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2]),
-    )
-
-
-@numba.njit(inline="always")
-def _corners(f, mesh):  # pragma: no cover - compiled
-    faces = mesh.faces
-    return np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+    along = shifted(shifted(rotation[2], y, rotation[1]), x, rotation[0])
+    return _F(along[0]), _F(along[1]), _F(along[2])
 
 
 @numba.njit(inline="always")
 def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
     """Where the ray x, y meets the plane of face f."""
-    i, j, k = _corners(f, mesh)
+    i, j, k = vertices_of(mesh.faces, f)
     a, b, c, volume = planes_of(view.points, i, j, k)
-    side_a = a[0] * x + a[1] * y + a[2]
-    side_b = b[0] * x + b[1] * y + b[2]
-    side_c = c[0] * x + c[1] * y + c[2]
-    inverse = 1.0 / (side_a + side_b + side_c)
+    towards = x, y, 1.0
+    side_b, side_c = dot(b, towards), dot(c, towards)
+    inverse = 1.0 / (dot(a, towards) + side_b + side_c)
     b1, b2 = _F(side_b * inverse), _F(side_c * inverse)
     ray = _in_world(view.rotation, x, y)
-    facing = dot(vector(mesh.face_normal, f, 0), ray)
-    length = np.sqrt(dot(ray, ray))
-    return Hit(_F(volume * inverse), _F(1) - b1 - b2, b1, b2, ray, length, facing)
+    weights = _F(1) - b1 - b2, b1, b2
+    return Hit(_F(volume * inverse), weights, ray, dot(mesh.face_normal[f], ray))
 
 
 @numba.njit(inline="always")
@@ -109,11 +95,11 @@ def _step_along(f, hit, turn, reach, mesh):  # pragma: no cover - compiled
     """(3,) metres in world axes by which the hit moves on its plane as the ray turns.
 
     turn : (3,) unit, across the ray;  reach : side of a sample at the hit's depth"""
-    cosine = max(abs(hit.facing), _F(_GRAZING) * hit.length)
+    cosine = max(abs(hit.facing), _F(_GRAZING) * np.sqrt(dot(hit.ray, hit.ray)))
     if hit.facing < 0:
         cosine = -cosine
-    away = dot(vector(mesh.face_normal, f, 0), turn) / cosine
-    return scaled(shifted(turn, -away, hit.ray), reach)
+    away = dot(mesh.face_normal[f], turn) / cosine
+    return scaled(reach, shifted(turn, -away, hit.ray))
 
 
 @numba.njit(inline="always")
@@ -121,8 +107,7 @@ def _along(f, first, way, laid, slopes):  # pragma: no cover - compiled
     """(2,) how a place on a texture moves along a way (3,) on face f.
 
     first : column of the texture's coordinates;  laid : (2, 3), of the texture"""
-    u = dot(vector(slopes[f], first, 0), way)
-    v = dot(vector(slopes[f], first + 1, 0), way)
+    u, v = dot(slopes[f, first], way), dot(slopes[f, first + 1], way)
     return laid[0, 0] * u + laid[0, 1] * v, laid[1, 0] * u + laid[1, 1] * v
 
 
@@ -131,12 +116,10 @@ def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - 
     """Multiply what is in `values` by the part's textures. side : of the sample at depth 1
 
     Returns what the normal map shows, 0..1, unused where there is none."""
-    i, j, k = _corners(f, mesh)
+    i, j, k = vertices_of(mesh.faces, f)
     uv, rotation, reach = mesh.uv, view.rotation, hit.z * side
-    right = _F(rotation[0, 0]), _F(rotation[0, 1]), _F(rotation[0, 2])
-    below = _F(rotation[1, 0]), _F(rotation[1, 1]), _F(rotation[1, 2])
-    across = _step_along(f, hit, right, reach, mesh)
-    down = _step_along(f, hit, below, reach, mesh)
+    across = _step_along(f, hit, rotation[0], reach, mesh)
+    down = _step_along(f, hit, rotation[1], reach, mesh)
     map_x, map_y, map_z = _F(0.5), _F(0.5), _F(1)
     for slot in range(mesh.slots):
         t = mesh.ints[p, slot]
@@ -144,16 +127,13 @@ def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - 
             continue
         c, laid = mesh.uv_first[p, slot], mesh.laid[p, slot]
         d = c + 1
-        u = hit.b0 * uv[i, c] + hit.b1 * uv[j, c] + hit.b2 * uv[k, c]
-        v = hit.b0 * uv[i, d] + hit.b1 * uv[j, d] + hit.b2 * uv[k, d]
-        u, v = (
-            laid[0, 0] * u + laid[0, 1] * v + laid[0, 2],
-            laid[1, 0] * u + laid[1, 1] * v + laid[1, 2],
-        )
+        u = dot(hit.weights, (uv[i, c], uv[j, c], uv[k, c]))
+        v = dot(hit.weights, (uv[i, d], uv[j, d], uv[k, d]))
+        place = dot(laid[0], (u, v, _F(1))), dot(laid[1], (u, v, _F(1)))
         wide = _along(f, c, across, laid, mesh.uv_slopes)
         high = _along(f, c, down, laid, mesh.uv_slopes)
         red, green, blue, alpha = filtered(
-            mesh.texels, mesh.table, t, (u, v), wide, high, view.taps
+            mesh.texels, mesh.table, t, place, wide, high, view.taps
         )
         if slot == NORMAL_SLOT:
             map_x, map_y, map_z = red, green, blue
@@ -198,9 +178,9 @@ def _apply_extra(
 @numba.njit(inline="always")
 def _interpolated(rows, f, hit, mesh):  # pragma: no cover - compiled
     """(3,) of rows (n, 3 or more) at a hit."""
-    i, j, k = _corners(f, mesh)
-    first_two = shifted(scaled(vector(rows, i, 0), hit.b0), hit.b1, vector(rows, j, 0))
-    return shifted(first_two, hit.b2, vector(rows, k, 0))
+    i, j, k = vertices_of(mesh.faces, f)
+    a, b, c = hit.weights
+    return shifted(shifted(scaled(a, rows[i]), b, rows[j]), c, rows[k])
 
 
 @numba.njit(inline="always")
@@ -214,29 +194,32 @@ def _bent_normal(normal, shown, f, p, hit, mesh):  # pragma: no cover - compiled
     z = _F(2) * shown[2] - _F(1)
     tangent = _interpolated(mesh.tangents, f, hit, mesh)
     y *= mesh.tangents[np.uintp(mesh.faces[f, 0]), 3]
-    return shifted(shifted(scaled(tangent, x), y, cross(normal, tangent)), z, normal)
+    across = shifted(scaled(x, tangent), y, cross(normal, tangent))
+    return shifted(across, z, normal)
 
 
 @numba.njit(inline="always")
 def _write_normal(first, normal, hit, f, mesh, values):  # pragma: no cover - compiled
     """Write a normal: unit, towards the camera; the face's own where it has no length."""
-    front = _F(-1) if hit.facing > 0 else _F(1)  # the back of a two-sided surface
-    towards = scaled(normal, front)
+    if hit.facing > 0:  # the back of a two-sided surface
+        normal = scaled(_F(-1), normal)
     # one that leans away at the outline is turned back to just facing the camera
-    excess = dot(towards, hit.ray) / (hit.length * hit.length)
+    excess = dot(normal, hit.ray) / dot(hit.ray, hit.ray)
     if excess > 0:
-        towards = shifted(towards, -excess, hit.ray)
-    length = np.sqrt(dot(towards, towards))
+        normal = shifted(normal, -excess, hit.ray)
+    length = np.sqrt(dot(normal, normal))
     if length < _F(1e-6):
-        towards, length = vector(mesh.face_normal, f, 0), front
-    values[first], values[first + 1], values[first + 2] = divided(towards, length)
+        length = _F(-1) if hit.facing > 0 else _F(1)
+        normal = vector(mesh.face_normal[f])
+    for c in range(3):
+        values[first + c] = normal[c] / length
 
 
 @numba.njit(inline="always")
 def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - compiled
     """Write what a hit shows into `values`; its opacity into the column COVERED."""
     p = np.uintp(mesh.part[f])
-    i, j, k = _corners(f, mesh)
+    i, j, k = vertices_of(mesh.faces, f)
     floats, colours = mesh.floats, mesh.colours
     colour = _interpolated(colours, f, hit, mesh)
     for c in range(3):
@@ -244,7 +227,7 @@ def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - comp
         values[MATERIAL + c] = floats[p, METALLIC + c]
         values[EMISSIVE + c] = floats[p, EMISSION + c]
     _multiply(values, ALBEDO, colour[0], colour[1], colour[2])
-    alpha = hit.b0 * colours[i, 3] + hit.b1 * colours[j, 3] + hit.b2 * colours[k, 3]
+    alpha = dot(hit.weights, (colours[i, 3], colours[j, 3], colours[k, 3]))
     values[COVERED] = floats[p, BASE + 3] * alpha
     if values.shape[0] > PLAIN_COLUMNS:
         values[OCCLUSION] = _F(1)
@@ -344,15 +327,14 @@ def resolve(
         row, column = y + np.uintp(MARGIN), x + np.uintp(MARGIN)
         ray = _in_world(view.rotation, view.x[row, column], view.y[row, column])
         z, inverse = depth[a], _F(1) / covered
-        out.coverage[y, x], out.depth[y, x] = min(covered, _F(1)), z
-        out.object_id[y, x] = part[a] + 1
-        normal = vector(sums, a, NORMAL)
+        out.coverage[y, x] = min(covered, _F(1))
+        out.depth[y, x], out.object_id[y, x] = z, part[a] + 1
+        normal = vector(sums[a, NORMAL : NORMAL + 3])
         length = np.sqrt(dot(normal, normal))
         if (
             length < _F(1e-6) * covered
         ):  # opposite sides cancel: straight towards the camera
-            normal = scaled(ray, _F(-1))
-            length = np.sqrt(dot(ray, ray))
+            normal, length = scaled(_F(-1), ray), np.sqrt(dot(ray, ray))
         for c in range(3):
             out.normal[y, x, c] = normal[c] / length
             out.position[y, x, c] = _F(view.eye[c] + z * ray[c])

@@ -22,7 +22,6 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
-from arfx.core.vectors import cross, dot, vector
 from arfx.stages.raster.record import View
 
 _SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
@@ -103,13 +102,24 @@ class RayFrame:
 
 
 @numba.njit(nogil=True, inline="always")
+def vertices_of(faces, f):  # pragma: no cover - compiled
+    """Numbers of the three vertices of a face."""
+    return np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+
+
+@numba.njit(nogil=True, inline="always")
 def planes_of(points, i, j, k):  # pragma: no cover - compiled
     """Planes through the eye and the edges opposite to a, b and c, and the volume |a b c|, signed.
 
     The volume is negative where the front is seen."""
-    a, b, c = vector(points, i, 0), vector(points, j, 0), vector(points, k, 0)
-    opposite_a = cross(b, c)
-    return opposite_a, cross(c, a), cross(a, b), dot(a, opposite_a)
+    ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
+    bx, by, bz = points[j, 0], points[j, 1], points[j, 2]
+    cx, cy, cz = points[k, 0], points[k, 1], points[k, 2]
+    opposite_a = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    opposite_b = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+    opposite_c = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    volume = ax * opposite_a[0] + ay * opposite_a[1] + az * opposite_a[2]
+    return opposite_a, opposite_b, opposite_c, volume
 
 
 @numba.njit(nogil=True, inline="always")
@@ -172,7 +182,7 @@ def nearest_faces(projection: Projection, x, y):  # pragma: no cover - compiled
     inside = np.empty(width)
     faces, hidden, near = projection.faces, projection.hidden, projection.near
     for f in range(len(faces)):
-        i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+        i, j, k = vertices_of(faces, f)
         planes = planes_of(projection.points, i, j, k)
         if planes[3] == 0 or (hidden[f] and planes[3] > 0):
             continue
@@ -214,7 +224,7 @@ def nearest_faces_at(projection: Projection, slot, x, y):  # pragma: no cover - 
         bounds[n, 2], bounds[n, 3] = y[n].min(), y[n].max()
     faces, hidden, near = projection.faces, projection.hidden, projection.near
     for f in range(len(faces)):
-        i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+        i, j, k = vertices_of(faces, f)
         x0, y0, x1, y1 = _box(projection, i, j, k, height, width)
         if x0 >= x1 or y0 >= y1:
             continue
@@ -238,7 +248,7 @@ def depths_along(points, faces, face, x, y):  # pragma: no cover - compiled
     for n in range(len(face)):
         if face[n] >= 0:
             f = np.uintp(face[n])
-            i, j, k = np.uintp(faces[f, 0]), np.uintp(faces[f, 1]), np.uintp(faces[f, 2])
+            i, j, k = vertices_of(faces, f)
             a, b, c, volume = planes_of(points, i, j, k)
             total_x, total_y = a[0] + b[0] + c[0], a[1] + b[1] + c[1]
             z = volume / (total_x * x[n] + total_y * y[n] + a[2] + b[2] + c[2])

@@ -467,8 +467,8 @@ def test_silhouettes_are_the_union_of_the_triangles(seed: int) -> None:
     assert (made[~near] == inside[~near]).all()
 
 
-def test_many_crossings_of_a_row_are_counted_as_well_as_sorted() -> None:
-    """A comb of 60 teeth: more crossings than are sorted."""
+def test_many_crossings_of_a_row_are_counted() -> None:
+    """A comb of 60 teeth."""
     from arfx.stages.light.caster import _edges
 
     x = np.arange(60) * 2.0 + 2

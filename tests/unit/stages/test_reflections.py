@@ -67,8 +67,8 @@ def looked_up(
 ) -> np.ndarray:
     out = np.empty((len(directions), 3), np.float32)
     for i in range(len(directions)):
-        direction = directions[i, 0], directions[i, 1], directions[i, 2]
-        out[i] = radiance(environment, direction, np.float32(roughness))
+        light = radiance(environment, directions[i], np.float32(roughness))
+        out[i, 0], out[i, 1], out[i, 2] = light
     return out
 
 
