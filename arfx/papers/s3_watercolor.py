@@ -37,7 +37,7 @@ from arfx.stages.watercolor.field import plane_dioptre
 from arfx.stages.watercolor.lines import ALPHA, BETA, yuv_matrix
 from arfx.stages.watercolor.params import require_tones
 from arfx.stages.watercolor.sites import STEPS, Sites
-from arfx.stages.watercolor.toon import toon_light
+from arfx.stages.watercolor.toon import tones, toon_light
 
 LEAST = 0.05  # of a cone's size: OpenGL cuts off what is before the near clip plane
 
@@ -205,12 +205,7 @@ def toon(
 
     myColor : (h, w, 3) coded;  threshold, factor : `toon_thresholds` and `toon_factors`"""
     intensity = normalise(normal) @ normalise(lightDir)
-    tone = np.where(
-        intensity > threshold[0],
-        factor[0],
-        np.where(intensity > threshold[1], factor[1], factor[2]),
-    )
-    return tone[..., None] * myColor
+    return tones(intensity, threshold, factor, ramp=0.0)[..., None] * myColor
 
 
 def eq2_yuv(coded: np.ndarray, alpha: float, matrix: str) -> np.ndarray:

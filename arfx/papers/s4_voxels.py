@@ -12,7 +12,6 @@ pass."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -48,18 +47,6 @@ class Voxels:
     normal: np.ndarray
 
 
-class CutTriangles(NamedTuple):
-    """corners (f, 3, 3) float32, voxels;  normals (f, 3, 3) float32 : of the corners
-    cuts (f,) : pieces along an edge, 0 = none
-    piece_area (f,) float32, voxel faces;  alpha : opacity of all"""
-
-    corners: np.ndarray
-    normals: np.ndarray
-    cuts: np.ndarray
-    piece_area: np.ndarray
-    alpha: np.float32
-
-
 def volume_around(points_m: np.ndarray, n: int) -> Volume:
     """The smallest cube with one empty voxel around the points (k, 3). Borders of voxels lie on z =
     0, where the plane is."""
@@ -77,26 +64,25 @@ def voxelise(scene: Scene, volume: Volume) -> Voxels:
     """Every part of the scene's model within the volume. Triangles without area or not finite count
     for nothing."""
     n = volume.n
-    meshes = [cut_triangles(scene, part, volume) for part in scene.model.parts]
-    row_of, sums = np.full(n**3, -1, np.int32), np.zeros((0, 5), np.float32)
-    for mesh in meshes:
-        add_pieces(mesh, n, row_of, sums)
-    voxels = np.flatnonzero(row_of == 0)
-    row_of[voxels] = np.arange(len(voxels), dtype=np.int32)
-    sums = np.zeros((len(voxels), 5), np.float32)
-    for mesh in meshes:
-        add_pieces(mesh, n, row_of, sums)
+    sums = np.zeros((n, n, n, 5), np.float32)
+    for part in scene.model.parts:
+        add_pieces(*cut_triangles(scene, part, volume), np.float32(part.opacity), sums)
+    zyx = np.nonzero(sums[..., 0])
+    sums = sums[zyx]
     area, rest = sums[:, 0].astype(float), sums[:, 1:].astype(float)
     mean = divide(rest, area[:, None])
     opacity = np.minimum(FULL * area, 1) * np.clip(mean[:, 3], 0, 1)
-    zyx = np.unravel_index(voxels, (n, n, n))
     cells = np.stack(zyx[::-1], -1).astype(np.int32)
     normal = normalise(mean[:, :3])
     return Voxels(cells, opacity.astype(np.float32), normal.astype(np.float32))
 
 
-def cut_triangles(scene: Scene, part: Part, volume: Volume) -> CutTriangles:
-    """A part's triangles that are finite, and into how many pieces each is cut."""
+def cut_triangles(
+    scene: Scene, part: Part, volume: Volume
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of a part's triangles that are finite: corners (f, 3, 3) float32, voxels; their normals
+    (f, 3, 3) float32; (f,) pieces along an edge, 0 = none; (f,) float32 area of a piece, voxel
+    faces."""
     anchor_from_model = scene.world_from_anchor.inverse().matrix @ scene.world_from_model
     linear = anchor_from_model[:3, :3]
     metres = part.vertices @ linear.T + anchor_from_model[:3, 3]
@@ -112,17 +98,16 @@ def cut_triangles(scene: Scene, part: Part, volume: Volume) -> CutTriangles:
     cuts = np.minimum((longest / PIECE).astype(np.int64) + 1, MOST_PIECES)
     cuts[~(area > 0)] = 0
     piece_area = area / np.maximum(cuts * cuts, 1).astype(np.float32)
-    return CutTriangles(corners, normals, cuts, piece_area, np.float32(part.opacity))
+    return corners, normals, cuts, piece_area
 
 
 @numba.njit(cache=True, nogil=True)
-def add_pieces(triangles: CutTriangles, n, row_of, sums):  # pragma: no cover - compiled
-    """sums (voxels, 5) += area of each piece, and the area times its normal and its opacity. row_of
-    (n^3,) : row of a voxel
-
-    Without rows in `sums` the voxels that hold pieces are marked: row_of becomes 0 there.
-    """
-    corners, normals, cuts, piece_area, alpha = triangles
+def add_pieces(
+    corners, normals, cuts, piece_area, alpha, sums
+):  # pragma: no cover - compiled
+    """sums (n, n, n, 5), z first, += area of each piece, and the area times its normal and its
+    opacity alpha."""
+    n = sums.shape[0]
     for f in range(corners.shape[0]):
         a, b, c = corners[f]
         cut = cuts[f]
@@ -138,14 +123,10 @@ def add_pieces(triangles: CutTriangles, n, row_of, sums):  # pragma: no cover - 
                 z = int(np.floor(a[2] * w + b[2] * p + c[2] * q))
                 if min(x, y, z) < 0 or max(x, y, z) >= n:
                     continue
-                voxel = (z * n + y) * n + x
-                if sums.shape[0] == 0:
-                    row_of[voxel] = 0
-                    continue
-                row = row_of[voxel]
-                sums[row, 0] += piece_area[f]
+                to = sums[z, y, x]
+                to[0] += piece_area[f]
                 for k in range(3):
                     corner = normals[f, :, k]
                     normal = corner[0] * w + corner[1] * p + corner[2] * q
-                    sums[row, 1 + k] += piece_area[f] * normal
-                sums[row, 4] += piece_area[f] * alpha
+                    to[1 + k] += piece_area[f] * normal
+                to[4] += piece_area[f] * alpha

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from arfx.core.layers import Layer, packed
+from arfx.core.layers import Layer
 from arfx.papers import s3_watercolor as paper
 from arfx.reproduce import s3_measure as measure
 from arfx.reproduce import s3_scene as scene
@@ -32,7 +32,7 @@ from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import ALPHA, BETA
 from arfx.stages.watercolor.sites import make_sites, still_field
-from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, flat_tones
+from arfx.stages.watercolor.toon import RAMP, tones
 
 Pair = tuple[float | str, float | str | None]  # by the printed method, by the corrected one
 figure = partial(Figure, "s3")
@@ -241,11 +241,9 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
     normal = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], -1)[None].astype(
         np.float32
     )
-    one, none = np.ones((1, n, 3), np.float32), np.zeros((1, n, 3), np.float32)
+    one = np.ones((1, n, 3), np.float32)
     hard = paper.toon(one, normal, up, p.toon_thresholds, p.toon_factors)[0, :, 0]
-    layers = ObjectLayers(*map(packed, (one[..., 0], normal, one, none)))
-    tones = Tones.of((up, np.ones(3)), np.zeros(3), c.toon_thresholds, c.toon_factors)
-    soft = flat_tones(layers, tones)[0, :, 0]
+    soft = tones(cosine, c.toon_thresholds, c.toon_factors)
     (low, high), (low_soft, high_soft) = (
         _thresholds(hard, cosine),
         _thresholds(soft, cosine),

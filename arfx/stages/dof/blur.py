@@ -10,7 +10,7 @@ import numpy as np
 
 from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
-from arfx.stages.dof.compositing import lay_over, lay_real
+from arfx.stages.dof.compositing import lay_over
 from arfx.stages.dof.layers import LightLayer
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.scatter import BAND_PX, Accuracy, Scatter
@@ -39,7 +39,7 @@ def blurred(
     base, rect = layers[0], layers[0].rect
     boosted = replace(base, light=_boosted(base.light, params.highlight_boost))
     spread = [_scatter(layer, accuracy, params) for layer in (boosted, *layers[1:])]
-    result = np.empty((out.height, rect.width, 3), np.float32)
+    result = np.zeros((out.height, rect.width, 3), np.float32)
 
     def finish(top: int) -> None:
         band = Rect(rect.x0, top, rect.x1, min(top + BAND_PX, out.y1))
@@ -49,13 +49,11 @@ def blurred(
         for layer, light, part in zip(layers, spread, parts, strict=True):
             if not part.empty:
                 first, last = part.y0 - layer.rect.y0, part.y1 - layer.rect.y0
-                at, lay = part.slices_in(band), lay_real if layer is base else lay_over
-                own = layer.light[first:last], layer.radius[first:last]
-                lay(to[at], touched[at], light.rows(first, last), *own, accuracy.sharp_px2)
-        for part in parts[1:]:  # elsewhere what is not touched is the composite already
-            if not part.empty:
                 at = part.slices_in(band)
-                cv2.copyTo(image[part.slices_in(rect)], 1 - touched[at], to[at])
+                own = layer.light[first:last], layer.radius[first:last]
+                around = light.rows(first, last)
+                lay_over(to[at], touched[at], around, *own, accuracy.sharp_px2)
+        cv2.copyTo(image[band.slices_in(rect)], 1 - touched, to)
 
     parallel_map(finish, list(range(out.y0, out.y1, BAND_PX)))
     return result

@@ -145,7 +145,7 @@ class _Rays:
         sums, count = np.zeros((part.area, 12)), np.ones((part.area, 1))
         first, last = 0, FIRST
         while len(active) and first < len(self.points):
-            self._add(sums, active, np.ascontiguousarray(corners), self.points[first:last])
+            self._add(sums, active, corners, self.points[first:last])
             count[active] = last
             fraction = sums[:, :1] / count
             mean, square = (divide(sums[:, a : a + 3], sums[:, 1:2]) for a in (2, 5))
@@ -167,8 +167,10 @@ class _Rays:
         """More rays of the pixels `active`, from these points."""
         n, pose, now = len(points), self.facts.pose, self.now
         eye = pose.inverse().translation_m - self.scene.centre_m
-        origins, directions = np.empty((2, len(active) * n, 3), np.float32)
-        _aim(active, corners, points, eye, pose.rotation, self.focus, origins, directions)
+        aims = _aim(active, corners, points, self.focus).reshape(-1, 2)
+        directions = (aims @ pose.rotation[:2] + pose.rotation[2]).astype(np.float32)
+        on_lens = (eye + points[:, :2] @ pose.rotation[:2]).astype(np.float32)
+        origins = np.tile(on_lens, (len(active), 1))
         hit = self.scene.triangles.first_hits(origins, directions)
         met = np.flatnonzero(hit["primID"] >= 0)
         # directions have z = 1: distance along the axis
@@ -207,32 +209,19 @@ class _Rays:
         return self.sharp[y.clip(0, h - 1), x.clip(0, w - 1)]
 
 
-@numba.njit(cache=True, nogil=True)
 def _aim(
-    active, corners, points, eye, rotation, focus, origins, directions
-):  # pragma: no cover - compiled
-    """Rays (pixels x points, 3) in world axes. corners : (h + 1, w + 1, 2) directions of the
-    pixels' corners"""
-    w, n = corners.shape[1] - 1, len(points)
-    for i in range(len(active)):
-        y, x = active[i] // w, active[i] % w
-        a, b, c, d = (
-            corners[y, x],
-            corners[y, x + 1],
-            corners[y + 1, x],
-            corners[y + 1, x + 1],
-        )
-        for k in range(n):
-            lens_x, lens_y, s, t = points[k]
-            above_x, above_y = a[0] + (b[0] - a[0]) * s, a[1] + (b[1] - a[1]) * s
-            below_x, below_y = c[0] + (d[0] - c[0]) * s, c[1] + (d[1] - c[1]) * s
-            dx = above_x + (below_x - above_x) * t - focus * lens_x
-            dy = above_y + (below_y - above_y) * t - focus * lens_y
-            for m in range(3):
-                lens = lens_x * rotation[0, m] + lens_y * rotation[1, m]
-                origins[i * n + k, m] = eye[m] + lens
-                turned = dx * rotation[0, m] + dy * rotation[1, m]
-                directions[i * n + k, m] = turned + rotation[2, m]
+    active: np.ndarray,
+    corners: np.ndarray,
+    points: np.ndarray,
+    focus: float,
+) -> np.ndarray:
+    """(pixels, points, 2) directions, z = 1. corners : (h + 1, w + 1, 2) those of the pixels'
+    corners"""
+    y, x = np.divmod(active, corners.shape[1] - 1)
+    a, b, c, d = (corners[y + j, x + i, None] for j in (0, 1) for i in (0, 1))
+    s, t = points[:, 2:3], points[:, 3:4]
+    above, below = a + (b - a) * s, c + (d - c) * s
+    return np.asarray(above + (below - above) * t - focus * points[:, :2])
 
 
 @numba.njit(cache=True, nogil=True)

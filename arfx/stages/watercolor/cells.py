@@ -57,9 +57,8 @@ def _sum_rows(image, labels, first, last, total):  # pragma: no cover - compiled
     for y in range(first, last):
         for x in range(image.shape[1]):
             k = labels[y, x]
-            total[k, 0] += image[y, x, 0]
-            total[k, 1] += image[y, x, 1]
-            total[k, 2] += image[y, x, 2]
+            for c in range(3):
+                total[k, c] += image[y, x, c]
             total[k, 3] += 1.0
 
 
@@ -171,27 +170,22 @@ def _smooth_round(
     """Cells first ... last - 1. how : 1 / contrast^2, weight of a cell's own colour"""
     one, (sharp, own) = _F(1), how
     for k in range(first, last):
-        r = root[k, 0]
-        g = root[k, 1]
-        b = root[k, 2]
-        sum_r = own * r
-        sum_g = own * g
-        sum_b = own * b
         total = own
+        for c in range(3):
+            out[k, c] = own * root[k, c]
         for m in range(NEIGHBOURS):
             j = np.uint64(near[k, m])
-            dr = root[j, 0] - r
-            dg = root[j, 1] - g
-            db = root[j, 2] - b
-            w = one / (one + (dr * dr + dg * dg + db * db) * sharp)
+            apart = _F(0)
+            for c in range(3):
+                step = root[j, c] - root[k, c]
+                apart += step * step
+            w = one / (one + apart * sharp)
             w *= w * weight[k, m] * confidence[j]
-            sum_r += w * root[j, 0]
-            sum_g += w * root[j, 1]
-            sum_b += w * root[j, 2]
+            for c in range(3):
+                out[k, c] += w * root[j, c]
             total += w
-        out[k, 0] = sum_r / total
-        out[k, 1] = sum_g / total
-        out[k, 2] = sum_b / total
+        for c in range(3):
+            out[k, c] /= total
 
 
 def adjust_tone(

@@ -97,34 +97,25 @@ def bound(sites: LocalSites, count, box, best):  # pragma: no cover - compiled
     """A distance, squared, that no position in a box has to its nearest site.
 
     box : middle, half sides. Of each of its quarters the distance of the farthest position to its
-    best site;  best (4, STEP) : scratch, of the quarters"""
+    best site;  best (STEP,) : scratch"""
     middle_x, middle_y, half_x, half_y = box
-    best[:] = _NONE
     # the quarters' middles lie so far off the box's; so do their own corners of them
     wx = half_x * _F(0.5)
     wy = half_y * _F(0.5)
-    for begin in range(0, count, STEP):
-        for m in range(STEP):
-            k = _U(begin) + _U(m)
-            dx = sites.x[k] - middle_x
-            dy = sites.y[k] - middle_y
-            left = abs(dx + wx) + wx
-            right = abs(dx - wx) + wx
-            above = abs(dy + wy) + wy
-            below = abs(dy - wy) + wy
-            left = left * left
-            right = right * right
-            above = above * above - sites.weight[k]
-            below = below * below - sites.weight[k]
-            best[0, m] = min(best[0, m], left + above)
-            best[1, m] = min(best[1, m], right + above)
-            best[2, m] = min(best[2, m], left + below)
-            best[3, m] = min(best[3, m], right + below)
     farthest = _F(0)
     for quarter in range(4):
+        x = middle_x + (wx if quarter % 2 else -wx)
+        y = middle_y + (wy if quarter // 2 else -wy)
+        best[:] = _NONE
+        for begin in range(0, count, STEP):
+            for m in range(STEP):
+                k = _U(begin) + _U(m)
+                dx = abs(sites.x[k] - x) + wx
+                dy = abs(sites.y[k] - y) + wy
+                best[m] = min(best[m], dx * dx + dy * dy - sites.weight[k])
         least = _NONE
         for m in range(STEP):
-            least = min(least, best[quarter, m])
+            least = min(least, best[m])
         farthest = max(farthest, least)
     return farthest
 
@@ -173,35 +164,13 @@ def nearest(candidates: Candidates, n, unit, p, k1, n1):  # pragma: no cover - c
     """n1 : the nearest candidate of each of a tile's positions p (2, PIXELS).
 
     The lesser packed number is the nearer site, or the one of lower number. k1 : scratch"""
-    ca, cb, cc = candidates
-    last = n - 1
     k1[:] = _NONE
-    for m in range(0, n, 5):  # five at a time, the last one up to five times
-        m1 = min(m + 1, last)
-        m2 = min(m + 2, last)
-        m3 = min(m + 3, last)
-        m4 = min(m + 4, last)
-        a0 = ca[m]
-        b0 = cb[m]
-        c0 = cc[m]
-        a1 = ca[m1]
-        b1 = cb[m1]
-        c1 = cc[m1]
-        a2 = ca[m2]
-        b2 = cb[m2]
-        c2 = cc[m2]
-        a3 = ca[m3]
-        b3 = cb[m3]
-        c3 = cc[m3]
-        a4 = ca[m4]
-        b4 = cb[m4]
-        c4 = cc[m4]
+    for m in range(n):
+        a = candidates.a[m]
+        b = candidates.b[m]
+        c = candidates.c[m]
         for q in range(PIXELS):
-            x = p[0, q]
-            y = p[1, q]
-            k = min(k1[q], a0 * x + (b0 * y + c0))
-            k = min(k, min(a1 * x + (b1 * y + c1), a2 * x + (b2 * y + c2)))
-            k1[q] = min(k, min(a3 * x + (b3 * y + c3), a4 * x + (b4 * y + c4)))
+            k1[q] = min(k1[q], a * p[0, q] + (b * p[1, q] + c))
     for q in range(PIXELS):
         n1[q] = _I(k1[q] - np.floor(k1[q] / unit) * unit)
 
@@ -214,39 +183,14 @@ def nearest_two(
 
     Half of it is about the way to the border between the two; where it is SOLID n2 is n1.
     blend : 1/STEPS px;  keys (2, PIXELS) : scratch"""
-    ca, cb, cc = candidates
     k1 = keys[0]
     k2 = keys[1]
     k1[:] = _NONE
     k2[:] = _NONE
-    for m in range(0, n - 2, 3):  # three at a time: a third of the loads and stores
-        a0 = ca[m]
-        b0 = cb[m]
-        c0 = cc[m]
-        a1 = ca[m + 1]
-        b1 = cb[m + 1]
-        c1 = cc[m + 1]
-        a2 = ca[m + 2]
-        b2 = cb[m + 2]
-        c2 = cc[m + 2]
-        for q in range(PIXELS):
-            x = p[0, q]
-            y = p[1, q]
-            r = k1[q]
-            s = k2[q]
-            k = a0 * x + (b0 * y + c0)
-            s = min(s, max(r, k))
-            r = min(r, k)
-            k = a1 * x + (b1 * y + c1)
-            s = min(s, max(r, k))
-            r = min(r, k)
-            k = a2 * x + (b2 * y + c2)
-            k1[q] = min(r, k)
-            k2[q] = min(s, max(r, k))
-    for m in range(n // 3 * 3, n):
-        a = ca[m]
-        b = cb[m]
-        c = cc[m]
+    for m in range(n):
+        a = candidates.a[m]
+        b = candidates.b[m]
+        c = candidates.c[m]
         for q in range(PIXELS):
             k = a * p[0, q] + (b * p[1, q] + c)
             r = k1[q]

@@ -220,7 +220,7 @@ def _label_rows(
     sites = LocalSites(local[0], local[1], local[2], number)
     candidates = Candidates(local[3], local[4], local[5])
     away = np.empty(size, np.float32)
-    best = np.empty((4, STEP), np.float32)
+    best = np.empty(STEP, np.float32)
     keys = np.empty((2, PIXELS), np.float32)
     n1 = np.empty(PIXELS, np.int32)
     n2 = np.empty(PIXELS, np.int32)

@@ -14,8 +14,7 @@ import numba
 import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
-from arfx.core.layers import packed
-from arfx.core.numerics import smoothstep
+from arfx.core.numerics import divide, smoothstep
 from arfx.core.parallel import parallel_rows
 
 SMOOTH_PX = 3.0  # sigma of the smoothing before edges are detected, px of the picture
@@ -76,54 +75,44 @@ def measure_edges(
     padded = cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     planes = np.stack(cv2.split(padded))
     edges = Edges(*np.empty((3, height, width), np.float32))
-    weights = yuv_matrix().astype(np.float32), _F(alpha), _F(beta)
-    parallel_rows(lambda a, b: _measure_rows(planes, *weights, a, b, edges), height)
+    channels = np.concatenate([np.eye(3), yuv_matrix()]).astype(np.float32)
+    of_rgb = (1 - beta) / 3
+    shares = of_rgb, of_rgb, of_rgb, beta * (1 - alpha), beta * alpha / 2, beta * alpha / 2
+    share = np.array(shares, np.float32)
+    parallel_rows(lambda a, b: _measure_rows(planes, channels, share, a, b, edges), height)
     return edges
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
-def _measure_rows(
-    planes, yuv, alpha, beta, first, last, out
-):  # pragma: no cover - compiled
-    """Rows first ... last - 1, from central differences. planes (3, h + 2, w + 2) : R', G', B'"""
-    width = out.measure.shape[1]
+def _measure_rows(planes, channels, share, first, last, out):  # pragma: no cover - compiled
+    """Rows first ... last - 1, from central differences. planes (3, h + 2, w + 2) : R', G', B'
+
+    channels (6, 3) : of R'G'B', these first;  share (6,) : of each in the measure"""
     half = _F(0.5)
-    third = _F(1.0 / 3.0)
-    one = _F(1)
     for y in range(first, last):
-        for x in range(width):
+        for x in range(out.measure.shape[1]):
             rx = half * (planes[0, y + 1, x + 2] - planes[0, y + 1, x])
             gx = half * (planes[1, y + 1, x + 2] - planes[1, y + 1, x])
             bx = half * (planes[2, y + 1, x + 2] - planes[2, y + 1, x])
             ry = half * (planes[0, y + 2, x + 1] - planes[0, y, x + 1])
             gy = half * (planes[1, y + 2, x + 1] - planes[1, y, x + 1])
             by = half * (planes[2, y + 2, x + 1] - planes[2, y, x + 1])
-            of_r = np.sqrt(rx * rx + ry * ry)
-            of_g = np.sqrt(gx * gx + gy * gy)
-            of_b = np.sqrt(bx * bx + by * by)
-            of_yuv = _F(0)
-            for k in range(3):
-                dx = yuv[k, 0] * rx + yuv[k, 1] * gx + yuv[k, 2] * bx
-                dy = yuv[k, 0] * ry + yuv[k, 1] * gy + yuv[k, 2] * by
-                weight = one - alpha if k == 0 else half * alpha
-                of_yuv += weight * np.sqrt(dx * dx + dy * dy)
-            of_rgb = third * (of_r + of_g + of_b)
-            out.measure[y, x] = beta * of_yuv + (one - beta) * of_rgb
-            # the strongest channel's direction
-            most = of_r
-            across_x = rx
-            across_y = ry
-            if of_g > most:
-                most = of_g
-                across_x = gx
-                across_y = gy
-            if of_b > most:
-                most = of_b
-                across_x = bx
-                across_y = by
-            scale = one / max(most, _F(1e-6))
-            out.across_x[y, x] = across_x * scale
-            out.across_y[y, x] = across_y * scale
+            measure = _F(0)
+            most = _F(1e-6)
+            across_x = _F(0)
+            across_y = _F(0)
+            for k in range(6):
+                dx = channels[k, 0] * rx + channels[k, 1] * gx + channels[k, 2] * bx
+                dy = channels[k, 0] * ry + channels[k, 1] * gy + channels[k, 2] * by
+                strength = np.sqrt(dx * dx + dy * dy)
+                measure += share[k] * strength
+                if k < 3 and strength > most:  # the strongest channel's direction
+                    most = strength
+                    across_x = dx
+                    across_y = dy
+            out.measure[y, x] = measure
+            out.across_x[y, x] = across_x / most
+            out.across_y[y, x] = across_y / most
 
 
 def object_edges(
@@ -133,42 +122,22 @@ def object_edges(
 
     coverage (h, w), normal (h, w, 3), depth (h, w) metres; a depth that is not finite is none
     """
-    height, width = ((n + 1) // 2 for n in coverage.shape)
-    edge = np.zeros((height, width), np.float32)
-    _object_rows(packed(coverage), packed(normal), packed(depth), edge)
-    return np.minimum(edge * _F(opacity), 1)
-
-
-@numba.njit(cache=True, nogil=True)
-def _object_rows(coverage, normal, depth, out):  # pragma: no cover - compiled
-    """Each pixel of the grid beside its neighbours on the right and below."""
-    zero = _F(0)
-    one = _F(1)
-    height, width = out.shape
-    for j in range(height):
-        for i in range(width):
-            y = 2 * j
-            x = 2 * i
-            edge = zero
-            for right in range(2):
-                y2 = y if right else 2 * min(j + 1, height - 1)
-                x2 = 2 * min(i + 1, width - 1) if right else x
-                a = coverage[y, x]
-                b = coverage[y2, x2]
-                edge = max(edge, abs(a - b))
-                if a <= zero or b <= zero:
-                    continue
-                cosine = zero
-                for c in range(3):
-                    cosine += normal[y, x, c] * normal[y2, x2, c]
-                inner = _F(_CREASE_SLOPE) * (_F(_CREASE) - cosine)
-                near = min(depth[y, x], depth[y2, x2])
-                far = max(depth[y, x], depth[y2, x2])
-                if near > zero and np.isfinite(far):
-                    jump = (far - near) / near
-                    inner = max(inner, _F(_JUMP_SLOPE) * (jump - _F(_JUMP)))
-                edge = max(edge, min(max(inner, zero), one) * min(a, b))
-            out[j, i] = edge
+    covered, normals, depths = coverage[::2, ::2], normal[::2, ::2], depth[::2, ::2]
+    edge = np.zeros(covered.shape, np.float32)
+    for axis in (
+        0,
+        1,
+    ):  # each pixel of the grid beside its neighbour below and on the right
+        beside = np.minimum(np.arange(covered.shape[axis]) + 1, covered.shape[axis] - 1)
+        other, other_depth = covered.take(beside, axis), depths.take(beside, axis)
+        cosine = (normals * normals.take(beside, axis)).sum(-1)
+        near, far = np.minimum(depths, other_depth), np.maximum(depths, other_depth)
+        jump = divide(far, near) - 1  # at most 0 where a depth is none
+        inner = np.fmax(_CREASE_SLOPE * (_CREASE - cosine), _JUMP_SLOPE * (jump - _JUMP))
+        both = np.minimum(covered, other)
+        inner = np.where(both > 0, np.clip(inner, 0, 1) * both, 0)
+        edge = np.maximum(edge, np.maximum(np.abs(covered - other), inner))
+    return np.minimum(edge * opacity, 1).astype(np.float32)
 
 
 def add_object_edges(

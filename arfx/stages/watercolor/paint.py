@@ -75,47 +75,31 @@ def _paint_rows(
         grain_row = paper[(y0 + y) & (PAPER_PX - 1)]
         for x in range(out.shape[1]):
             k = own_cell[y, x]
-            r = cells[k, 3]
-            g = cells[k, 4]
-            b = cells[k, 5]
-            flow = cells[k, 6]
+            m = k
+            mix = zero
             height = grain_row[(x0 + x) & (PAPER_PX - 1)]
-            density = zero
+            density = cells[k, 6] + height
             if borders and inside[y, x] < SOLID:
                 m = next_cell[y, x]
                 near = one - _F(inside[y, x]) * _F(1.0 / SOLID)  # 1 on the border
                 near *= near
-                dr = cells[m, 3] - r
-                dg = cells[m, 4] - g
-                db = cells[m, 5] - b
-                apart = min((abs(dr) + abs(dg) + abs(db)) * _F(1 / CONTRAST), one)
+                apart = zero
+                for c in range(3, 6):
+                    apart += abs(cells[m, c] - cells[k, c])
+                apart = min(apart * _F(1 / CONTRAST), one)
                 apart *= apart
                 like = _likeness(image[y, x], cells[k], cells[m], near)
                 mix = _F(0.5) * near * (one - apart) + apart * min(_F(3) * near, one) * like
-                r = r + mix * dr
-                g = g + mix * dg
-                b = b + mix * db
-                flow += _F(0.5) * near * (cells[m, 6] - flow)
+                density += _F(0.5) * near * (cells[m, 6] - cells[k, 6])
                 # the peak on the border as a whole pixel sees it
-                density = dark * apart * near * (one - _F(0.3) * near * near)
-            density += flow + height
+                density += dark * apart * near * (one - _F(0.3) * near * near)
             line = lines[y, x] * (one + _F(DRY_BRUSH) * height)
             line = min(max(line, zero), one) * opacity
-            r = r * r
-            g = g * g
-            b = b * b
-            r = _thicker(r, density)
-            g = _thicker(g, density)
-            b = _thicker(b, density)
-            out[y, x, 0] = max(r + line * (ink[0] - r), zero)
-            out[y, x, 1] = max(g + line * (ink[1] - g), zero)
-            out[y, x, 2] = max(b + line * (ink[2] - b), zero)
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def _thicker(colour, density):  # pragma: no cover - compiled
-    """A linear colour under pigment that is thicker by `density`."""
-    return colour * (_F(1) - (_F(1) - colour) * density)
+            for c in range(3):
+                root = cells[k, 3 + c] + mix * (cells[m, 3 + c] - cells[k, 3 + c])
+                colour = root * root
+                colour *= one - (one - colour) * density  # under thicker pigment
+                out[y, x, c] = max(colour + line * (ink[c] - colour), zero)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy", inline="always")

@@ -48,14 +48,7 @@ from arfx.stages.watercolor.paint import Paint
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import paper_grain, turbulence
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, SiteField, Sites, make_sites
-from arfx.stages.watercolor.toon import (
-    EVEN,
-    ObjectLayers,
-    Tones,
-    flat_tones,
-    replace_lit,
-    toon_light,
-)
+from arfx.stages.watercolor.toon import EVEN, replace_lit, tones, toon_light
 from arfx.stages.watercolor.wobble import Place, Wobbles
 
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
@@ -140,15 +133,19 @@ class Watercolor(Stage):
         if not p.toon or box.empty:
             return packed(image)
         part = view.layers.crop(box)
-        light = view.light
-        layers = ObjectLayers(*(packed(part[Layer(name)]) for name in ObjectLayers._fields))
-        brightest = toon_light(light, view.scene.world_from_anchor.rotation[:, 2])
-        even = EVEN * np.clip(light.ambient_rgb, 0, brightest[1])
-        tones = Tones.of(brightest, even, p.toon_thresholds, p.toon_factors)
+        covered = part[Layer.COVERAGE][..., None]
+        towards, radiance = toon_light(
+            view.light, view.scene.world_from_anchor.rotation[:, 2]
+        )
+        even = EVEN * np.clip(view.light.ambient_rgb, 0, radiance)
+        cosine = part[Layer.NORMAL] @ towards.astype(np.float32)
+        tone = tones(cosine, p.toon_thresholds, p.toon_factors)[..., None]
+        light = even.astype(np.float32) + (radiance - even).astype(np.float32) * tone
+        shaded = covered * (part[Layer.ALBEDO] * light + part[Layer.EMISSIVE])
+        flat = np.where(covered > 0, shaded, np.float32(0))
         out = image.copy()
-        patch = out[box.slices_in(view.rect)]
-        lit = packed(part[Layer.VIRTUAL])
-        replace_lit(patch, lit, flat_tones(layers, tones), view.facts.opacity)
+        at = box.slices_in(view.rect)
+        out[at] = replace_lit(out[at], part[Layer.VIRTUAL], flat, view.facts.opacity)
         return packed(out)
 
     def lines_of(self, view: View, picture: np.ndarray) -> np.ndarray:

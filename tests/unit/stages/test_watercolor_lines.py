@@ -25,7 +25,7 @@ from arfx.stages.watercolor.lines import (
 )
 from arfx.stages.watercolor.pigment import paper_grain, wobble_tile
 from arfx.stages.watercolor.sites import STEPS, still_field
-from arfx.stages.watercolor.toon import RAMP, ObjectLayers, Tones, flat_tones, toon_light
+from arfx.stages.watercolor.toon import RAMP, tones, toon_light
 from arfx.stages.watercolor.wobble import Wobbles
 from tests.reference.labels import displacement
 from tests.scenes import camera, facts, scene
@@ -127,23 +127,9 @@ def test_an_object_of_the_colour_of_its_background_keeps_its_outline_and_creases
     assert line_strength(grey, 0.02, 0.06, 2, 2).max() == 0
 
 
-def tones(ramp: float) -> np.ndarray:
-    n = 2001
-    angle = np.linspace(0, np.pi, n)
-    normal = np.stack([np.sin(angle), np.zeros(n), np.cos(angle)], -1)[None].astype(
-        np.float32
-    )
-    albedo = np.full((1, n, 3), 0.5, np.float32)
-    one, none = np.ones((1, n), np.float32), np.zeros((1, n, 3), np.float32)
-    of = Tones.of(
-        (np.array([0, 0, 1.0]), np.ones(3)), np.zeros(3), (0.5, 0.2), (1, 0.4, 0.1), ramp
-    )
-    made = flat_tones(ObjectLayers(*map(packed, (one, normal, albedo, none))), of)
-    return made[0, :, 0]
-
-
 def test_toon_has_three_tones_of_the_printed_factors() -> None:
-    hard, soft, c = tones(0.0), tones(RAMP), np.cos(np.linspace(0, np.pi, 2001))
+    c = np.cos(np.linspace(0, np.pi, 2001))
+    hard, soft = (0.5 * tones(c, (0.5, 0.2), (1, 0.4, 0.1), ramp) for ramp in (0.0, RAMP))
     np.testing.assert_allclose(hard[c > 0.5 + 1e-5], 0.5, rtol=1e-5)
     np.testing.assert_allclose(hard[(c > 0.2 + 1e-5) & (c < 0.5 - 1e-5)], 0.2, rtol=1e-5)
     np.testing.assert_allclose(hard[c < 0.2 - 1e-5], 0.05, rtol=1e-4)
