@@ -48,7 +48,6 @@ LONG = {
     "arfx/analyse/light/static_frame.py": 558,
     "arfx/analyse/markers/pattern.py": 527,
     "arfx/analyse/pose/fold.py": 576,
-    "arfx/analyse/pose/smooth.py": 473,
     "arfx/measure/report_html.py": 477,
     "arfx/measure/tradeoff.py": 554,
     "arfx/measure/tradeoff_html.py": 489,
