@@ -42,7 +42,6 @@ LONG = {
     "arfx/analyse/depth/planes.py": 416,
     "arfx/analyse/light/fold.py": 519,
     "arfx/analyse/light/over_time.py": 457,
-    "arfx/analyse/light/patches.py": 403,
     "arfx/analyse/light/photometry.py": 471,
     "arfx/analyse/light/search.py": 423,
     "arfx/analyse/light/static_frame.py": 558,
