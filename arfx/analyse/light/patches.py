@@ -21,7 +21,7 @@ import numpy as np
 
 from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.light.samples import PATCHES, SamplePoints, half_step, within
-from arfx.analyse.markers.detect import cells_per_side, dictionary
+from arfx.analyse.markers.detect import marker_cells
 from arfx.core.codec import serialisable
 from arfx.core.facts import PlaneShadow
 from arfx.core.marker import MarkerSpec
@@ -84,7 +84,7 @@ class Meter(NamedTuple):
 
 
 def marker_meter(spec: MarkerSpec) -> Meter:
-    return Meter(cells(spec.family, spec.id).astype(np.int8))
+    return Meter(marker_cells(spec.family, spec.id).astype(np.int8))
 
 
 def meter_for(meters: Sequence[Meter], side_px: float, blur_px: float) -> Meter:
@@ -156,19 +156,6 @@ def albedos(patches: Sequence[Patches], ink: float, paper: float) -> np.ndarray:
     return np.array([marker if p.albedo is None else p.albedo for p in patches]).reshape(
         -1, PATCHES, 3
     )
-
-
-@cache
-def cells(family: str, number: int) -> np.ndarray:
-    """(n, n) bool, True = paper, border included; row 0 at the top, column 0 at the left of
-    MarkerSpec.corners_m.
-
-    family, number : FAMILIES key and id; as printed, not inverted. The array is read-only.
-    """
-    n = cells_per_side(family)
-    out = cv2.aruco.generateImageMarker(dictionary(family), number, n) > 127
-    out.setflags(write=False)
-    return out
 
 
 def reduced(

@@ -65,7 +65,7 @@ def place_samples(
 ) -> SamplePoints:
     """Samples of a print in a picture of shape (rows, columns); none for a quad that is bent.
 
-    quad_px : (4, 2) order of MarkerSpec.corners_m;  cells : `cells(family, id)`, or of a
+    quad_px : (4, 2) order of MarkerSpec.corners_m;  cells : `marker_cells(family, id)`, or of a
     Meter;  inverted : white on black print
     blur_px : standard deviation of the edges' blur;  scale : of a Meter"""
     rows, columns = shape
