@@ -10,8 +10,8 @@ import numpy as np
 
 from arfx.analyse.light.fit import FittedLight, LightFit, fit
 from arfx.analyse.light.hypotheses import MEASURED
-from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import UNKNOWN, Observation, add, wait
+from arfx.analyse.light.light_map import UNKNOWN, Observation
+from arfx.analyse.light.light_map import LightMap as CorrectedMap
 from arfx.analyse.light.patches import WHITE
 from arfx.analyse.light.photometry import INK, PAPER, solve
 from arfx.analyse.params import LightParams
@@ -274,34 +274,6 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
         yield compared("s1", item, f"{BIAS:.0f}", b[unit], b["corrected"], "of 255", why)
 
 
-class CorrectedMap:
-    """The map by which the corrected method finds steps of the light: value (v, 3) at an
-    icosphere's vertices.
-    """
-
-    def __init__(self) -> None:
-        self.vertices = icosphere(3).vertices
-        self.value, self.variance = (
-            np.zeros(self.vertices.shape),
-            np.full(self.vertices.shape, UNKNOWN),
-        )
-
-    def add(self, n: np.ndarray, x: np.ndarray, deviation: float) -> None:
-        wait(self.value, self.variance, 1 / 30, 0.05, False)
-        variance = np.full((1, 3), deviation**2)
-        add(
-            self.vertices,
-            self.value,
-            self.variance,
-            n[None],
-            x[None],
-            variance,
-            0,
-            1,
-            S_RAD,
-        )
-
-
 def equation_7() -> Iterator[Item]:
     """The update of the map."""
     replaces = (
@@ -317,7 +289,9 @@ def equation_7() -> Iterator[Item]:
         at = int((printed.n @ UP).argmax())
         for x in np.repeat(values[:, None], 3, 1):
             printed.add(UP, x)
-            corrected.add(corrected.vertices[0], x, 0.05)
+            noise = np.full((1, 3), 0.05**2)
+            corrected.wait(1 / 30)
+            corrected.add(Observation(0.0, corrected.vertices[:1], x[None], noise))
             out.append((printed.M[at, 0], corrected.value[0, 0]))
         return np.array(out)
 
@@ -371,9 +345,10 @@ def corrected_weight(cosine: np.ndarray) -> np.ndarray:
     """
     c = np.asarray(cosine, float)
     vertices = np.stack([np.sqrt(np.maximum(1 - c * c, 0)), 0 * c, c], -1)
-    value, variance = np.zeros(vertices.shape), np.full(vertices.shape, UNKNOWN)
-    add(vertices, value, variance, UP[None], np.zeros((1, 3)), np.ones((1, 3)), 0, 1, S_RAD)
-    return np.where(variance[:, 0] < UNKNOWN, 1 / variance[:, 0], 0.0)
+    known = CorrectedMap(vertices, S_RAD)
+    known.add(Observation(0.0, UP[None], np.zeros((1, 3)), np.ones((1, 3))))
+    variance = known.variance[:, 0]
+    return np.where(variance < UNKNOWN, 1 / variance, 0.0)
 
 
 def equation_8() -> Iterator[Item]:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from arfx.analyse.light.light_map import add
+from arfx.analyse.light.light_map import LightMap, Observation
 from arfx.core.camera import Camera
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
 from arfx.core.numerics import angle_between, normalise
@@ -65,21 +65,12 @@ def _between(at: float) -> Callable[[float, str, Data], Answer]:
 def _light_weight(delta: float, formula: str, data: Data) -> Answer:
     """Eq. (8) at an angle delta from the normal, against the exponential itself."""
     s = 0.2
-    cosine, variance = data(np.cos(delta)), np.full((1, 3), 1e12)
-    normal, light = np.array([[0.0, 0, cosine]]), np.zeros((1, 3))
-    add(
-        normal,
-        light,
-        variance,
-        np.array([[0.0, 0, 1]]),
-        np.zeros((1, 3)),
-        np.ones((1, 3)),
-        0,
-        1,
-        s,
-    )
+    cosine = data(np.cos(delta))
+    known = LightMap(np.array([[0.0, 0, cosine]]), s)
+    up = np.array([[0.0, 0, 1]])
+    known.add(Observation(0.0, up, np.zeros((1, 3)), np.ones((1, 3))))
     found = (
-        1 / float(variance[0, 0])
+        1 / float(known.variance[0, 0])
         if formula == "corrected"
         else float(eq8_weight(cosine, s))
     )

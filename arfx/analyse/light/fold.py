@@ -28,6 +28,7 @@ from arfx.analyse.light import patches
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
 from arfx.analyse.light.photometry import Photometry, Tolerances
 from arfx.analyse.light.photometry import solve as photometry_of
+from arfx.analyse.light.samples import place_samples
 from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
 from arfx.analyse.light.static_frame import (
     LightReading,
@@ -107,9 +108,7 @@ class LightOfMarkers(Fold):
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
             cells, albedo, scale = patches.meter_for(self._meters[s.key], s.side_px, blur)
             shape = (picture.rect.height, picture.rect.width)
-            points = patches.place_samples(
-                s.corners_px, cells, s.inverted, blur, shape, scale
-            )
+            points = place_samples(s.corners_px, cells, s.inverted, blur, shape, scale)
             self.readings.append(
                 (
                     frame.index,

@@ -45,13 +45,10 @@ class Icosphere:
     @cached_property
     def _around(self) -> np.ndarray:
         """(v, 6) faces at each vertex; the first is repeated where there are five."""
-        order = np.argsort(self.faces, axis=None, kind="stable")
-        counts = np.bincount(self.faces.ravel(), minlength=len(self.vertices))
-        starts = np.cumsum(counts) - counts
-        take = starts[:, None] + np.minimum(
-            np.arange(6), np.where(counts == 5, 4, 5)[:, None]
-        )
-        return (order // 3)[take]
+        from trimesh import Trimesh
+
+        found = Trimesh(self.vertices, self.faces, process=False).vertex_faces
+        return np.where(found < 0, found[:, :1], found)
 
     @cached_property
     def _inverse(self) -> np.ndarray:
@@ -99,23 +96,10 @@ def icosphere(level: int) -> Icosphere:
     """
     if level not in LEVELS:
         raise ValueError(f"icosphere level {level} is not one of 0 to {LEVELS[-1]}")
-    from trimesh.creation import icosahedron
+    from trimesh.creation import icosphere as ball
 
-    solid = icosahedron()
-    vertices, faces = normalise(np.array(solid.vertices)), np.array(solid.faces)
-    for _ in range(level):
-        edges = np.sort(
-            np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1
-        )
-        unique, number = np.unique(edges, axis=0, return_inverse=True)
-        a, b, c = (number.reshape(3, -1) + len(vertices)).astype(
-            faces.dtype
-        )  # middles of 01, 12, 20
-        vertices = np.concatenate([vertices, normalise(vertices[unique].sum(1))])
-        i, j, k = faces.T
-        faces = np.concatenate(
-            [np.stack(f, 1) for f in ((i, a, c), (j, b, a), (k, c, b), (a, b, c))]
-        )
+    mesh = ball(subdivisions=level)
+    vertices, faces = normalise(np.array(mesh.vertices)), np.array(mesh.faces)
     vertices.setflags(write=False)
     faces.setflags(write=False)
     return Icosphere(level, vertices, faces)

@@ -20,7 +20,7 @@ from arfx.analyse.light.fit import best_verdict
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import DRIFT_PER_S, kalman_pass
+from arfx.analyse.light.light_map import kalman_pass
 from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
@@ -478,19 +478,10 @@ def smoothed(
 
     time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk
     begins anew there"""
-    order = np.arange(len(value))
-    m0, v0, m1, v1 = (np.zeros(value.shape) for _ in range(4))
-    kalman_pass(time_s, value, variance, step, order, DRIFT_PER_S, m0, v0)
-    kalman_pass(
-        time_s,
-        value,
-        variance,
-        np.append(step[1:], False),
-        order[::-1].copy(),
-        DRIFT_PER_S,
-        m1,
-        v1,
-    )
+    m0, v0 = kalman_pass(time_s, value, variance, step)
+    ends = np.append(step[1:], False)
+    m1, v1 = kalman_pass(time_s[::-1], value[::-1], variance[::-1], ends[::-1])
+    m1, v1 = m1[::-1], v1[::-1]
     weights = np.stack([divide(1.0, v) * (v < UNKNOWN) for v in (v0, v1, variance)])
     total = weights.sum(0)
     return np.where(

@@ -111,6 +111,18 @@ def cells_per_side(family: str) -> int:
     return int(dictionary(family).markerSize) + 2
 
 
+@cache
+def marker_cells(family: str, number: int) -> np.ndarray:
+    """(n, n) bool, True = paper, border included; row 0 at the top, column 0 at the left of
+    MarkerSpec.corners_m.
+
+    family, number : FAMILIES key and id; as printed, not inverted. The array is read-only.
+    """
+    out = dictionary(family).generateImageMarker(number, cells_per_side(family)) > 127
+    out.setflags(write=False)
+    return out
+
+
 class MarkerDetector:
     """Detectors for a set of families with one set of parameters."""
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import cells_per_side, dictionary
+from arfx.analyse.markers.detect import cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
 _ACROSS = np.linspace(-0.4, 0.4, 9)  # cells, where a line between two cells is sampled
@@ -37,8 +37,7 @@ class Lines(NamedTuple):
 
 @cache
 def _lines(family: str, number: int) -> Lines:
-    cells = cells_per_side(family)
-    bright = cv2.aruco.generateImageMarker(dictionary(family), number, cells) > 0
+    bright = marker_cells(family, number)
     middle, normal = [], []
     for axis in (0, 1):  # lines that a row crosses, then those that a column crosses
         step = np.diff(bright.astype(int), axis=1 - axis)

@@ -6,13 +6,12 @@ of few bits turn up everywhere."""
 
 from __future__ import annotations
 
-from functools import cache
 from math import comb
 
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import Candidate, cells_per_side, dictionary
+from arfx.analyse.markers.detect import Candidate, cells_per_side, marker_cells
 from arfx.core.marker import FAMILIES, smallest_family
 from arfx.core.numerics import divide
 
@@ -48,7 +47,8 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
     )  # 0 around the print, 1 its border, from 2 on its bits
     ink, paper = (float(np.median(cells[depth == k])) for k in (1, 0))
     paper_like = 2 * divide(cells - ink, paper - ink) - 1
-    bits = paper_like[depth > 1] * np.where(_code(seen.family, seen.id), 1, -1)
+    code = marker_cells(seen.family, seen.id)[1:-1, 1:-1]
+    bits = paper_like[depth > 1] * np.where(code.ravel(), 1, -1)
     wrong = int((bits <= 0).sum())
     clean = (
         min((paper_like[depth == 0] > 0).mean(), (paper_like[depth == 1] < 0).mean())
@@ -57,13 +57,6 @@ def legible(luma: np.ndarray, seen: Candidate) -> tuple[bool, bool]:
     chance = _chance(seen.family, seen.id, wrong)
     sure = bool(clean and bits.min() >= MARGIN) or chance <= SURE
     return sure or wrong == 0 or chance <= HOLDS, sure
-
-
-@cache
-def _code(family: str, number: int) -> np.ndarray:
-    """(bits,) which of them are white."""
-    n = cells_per_side(family)
-    return dictionary(family).generateImageMarker(number, n)[1:-1, 1:-1].ravel() > 127
 
 
 def _chance(family: str, number: int, wrong: int) -> float:

@@ -158,16 +158,11 @@ def _sampled(
     a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray
 ) -> np.ndarray:
     """`a` at places between its nodes, bilinear, linear beyond its border."""
-    gh, gw = a.shape
-    s, t = (x - gx[0, 0]) / GRID_PX, (y - gy[0, 0]) / GRID_PX
-    i, j = (
-        np.clip(np.floor(s), 0, gw - 2).astype(int),
-        np.clip(np.floor(t), 0, gh - 2).astype(int),
-    )
-    s, t = s - i, t - j
-    top = a[j, i] + s * (a[j, i + 1] - a[j, i])
-    bottom = a[j + 1, i] + s * (a[j + 1, i + 1] - a[j + 1, i])
-    return top + t * (bottom - top)
+    from scipy.interpolate import RegularGridInterpolator
+
+    nodes = gy[:, 0], gx[0]
+    beyond = {"bounds_error": False, "fill_value": None}
+    return RegularGridInterpolator(nodes, a, **beyond)((y, x))
 
 
 def _at(

@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 
 from arfx.analyse.fold import Stateful, shifted
@@ -268,11 +267,10 @@ def refined(
     first, pitch (2,) : place of the first node and distance from one to the next along x
     and y, px of the small picture"""
     back = np.asarray(back, float)
-    sums = np.zeros((*back.shape[:2], 9))
     now, then = (
         cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference)
     )
-    _accumulate_normal_equations(now, then, trust > 0, back, first, pitch, sums)
+    sums = _normal_equations(now, then, trust > 0, back, first, pitch)
     mean_x, mean_y, mean_e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
     of_x, of_y = sums[..., 5], sums[..., 6]  # taken out: the means around each node
     centred = sums[..., :5] - np.stack(
@@ -302,84 +300,36 @@ def refined(
     return back + np.clip(step, -_MOST_PX, _MOST_PX)
 
 
-@numba.njit(cache=True, nogil=True)
-def _accumulate_normal_equations(
-    small, reference, trusted, back, first, pitch, sums_out
-):  # pragma: no cover - compiled
-    """sums_out (gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1:
-    slopes, and what is missing (e).
+def _normal_equations(
+    small: np.ndarray,
+    reference: np.ndarray,
+    trusted: np.ndarray,
+    back: np.ndarray,
+    first: np.ndarray,
+    pitch: np.ndarray,
+) -> np.ndarray:
+    """(gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and
+    what is missing (e).
     """
+    from scipy.ndimage import map_coordinates
+
     h, w = small.shape
-    gh, gw = back.shape[:2]
-    lines = np.empty((gw, 2))
-    sums = np.empty((gw, 9))
-    for y in range(_RIM_PX, h - _RIM_PX):
-        i = (y - first[1]) / pitch[1]
-        m = min(max(int(np.floor(i)), 0), gh - 2)
-        t = i - m
-        for k in range(gw):
-            for c in range(2):
-                lines[k, c] = back[m, k, c] + t * (back[m + 1, k, c] - back[m, k, c])
-        sums[:] = 0
-        for x in range(_RIM_PX, w - _RIM_PX):
-            if not trusted[y, x]:
-                continue
-            j = (x - first[0]) / pitch[0]
-            n = min(max(int(np.floor(j)), 0), gw - 2)
-            s = j - n
-            px, py = (
-                x + lines[n, 0] + s * (lines[n + 1, 0] - lines[n, 0]),
-                y + lines[n, 1] + s * (lines[n + 1, 1] - lines[n, 1]),
-            )
-            if not (
-                px >= _RIM_PX and py >= _RIM_PX and px < w - _RIM_PX and py < h - _RIM_PX
-            ):
-                continue
-            e = np.float64(small[y, x]) - _cubic(reference, px, py)
-            gx, gy = (
-                0.5 * (small[y, x + 1] - small[y, x - 1]),
-                0.5 * (small[y + 1, x] - small[y - 1, x]),
-            )
-            weight = 1.0 / (1.0 + (e / _MISFIT) ** 2)
-            for k in range(2):
-                fraction = weight * (s if k else 1.0 - s)
-                sums[n + k, 0] += fraction * gx * gx
-                sums[n + k, 1] += fraction * gx * gy
-                sums[n + k, 2] += fraction * gy * gy
-                sums[n + k, 3] += fraction * gx * e
-                sums[n + k, 4] += fraction * gy * e
-                sums[n + k, 5] += fraction * gx
-                sums[n + k, 6] += fraction * gy
-                sums[n + k, 7] += fraction * e
-                sums[n + k, 8] += fraction
-        for k in range(gw):
-            for c in range(9):
-                sums_out[m, k, c] += (1.0 - t) * sums[k, c]
-                sums_out[m + 1, k, c] += t * sums[k, c]
+    rows = _hat_weights(h, back.shape[0], first[1], pitch[1])
+    columns = _hat_weights(w, back.shape[1], first[0], pitch[0])
+    y, x = np.mgrid[0:h, 0:w]
+    moved_x, moved_y = rows @ np.moveaxis(back, -1, 0) @ columns.T
+    to_x, to_y = x + moved_x, y + moved_y
+    e = small - map_coordinates(reference, [to_y, to_x], mode="nearest")
+    gy, gx = np.gradient(small)
+    weight = trusted / (1 + (e / _MISFIT) ** 2)
+    for at, size in ((x, w), (y, h), (to_x, w), (to_y, h)):
+        weight[(at < _RIM_PX) | (at >= size - _RIM_PX)] = 0
+    one = np.ones_like(e)
+    terms = np.stack([gx * gx, gx * gy, gy * gy, gx * e, gy * e, gx, gy, e, one])
+    return np.moveaxis(rows.T @ (terms * weight) @ columns, 0, -1)
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
-def _weights(t):  # pragma: no cover - compiled
-    """Of the four samples around a place (Catmull and Rom)."""
-    return (
-        ((2.0 - t) * t - 1.0) * t * 0.5,
-        ((3.0 * t - 5.0) * t * t + 2.0) * 0.5,
-        ((4.0 - 3.0 * t) * t + 1.0) * t * 0.5,
-        (t - 1.0) * t * t * 0.5,
-    )
-
-
-@numba.njit(cache=True, nogil=True)
-def _cubic(a, x, y):  # pragma: no cover - compiled
-    """`a` at (x, y), at least two samples inside its border."""
-    i, j = int(y), int(x)
-    c0, c1, c2, c3 = _weights(x - j)
-    r0, r1, r2, r3 = _weights(y - i)
-    p0, p1 = i - 1, i
-    v = r0 * (c0 * a[p0, j - 1] + c1 * a[p0, j] + c2 * a[p0, j + 1] + c3 * a[p0, j + 2])
-    v += r1 * (c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2])
-    p0, p1 = i + 1, i + 2
-    v += r2 * (c0 * a[p0, j - 1] + c1 * a[p0, j] + c2 * a[p0, j + 1] + c3 * a[p0, j + 2])
-    return v + r3 * (
-        c0 * a[p1, j - 1] + c1 * a[p1, j] + c2 * a[p1, j + 1] + c3 * a[p1, j + 2]
-    )
+def _hat_weights(size: int, nodes: int, first: float, pitch: float) -> np.ndarray:
+    """(size, nodes) share of each node in the linear interpolation at every pixel."""
+    at = (np.arange(size) - first) / pitch
+    return np.maximum(1 - np.abs(at[:, None] - np.arange(nodes)), 0)

@@ -43,29 +43,13 @@ def choose_path(
     O(frames * candidates^2). An empty sequence gives an empty path."""
     if not candidates:
         return []
-    count = np.array([len(c) for c in candidates])
-    first = np.cumsum(count) - count
-    rotation, translation = stack([p for c in candidates for p in c])
-    # every move there is, priced at once: row by row from each candidate of a frame to each
-    # of the next
-    before = [
-        np.repeat(np.arange(a, a + n), m)
-        for a, n, m in zip(first, count, count[1:], strict=False)
-    ]
-    after = [
-        np.tile(np.arange(b, b + m), n)
-        for b, n, m in zip(first[1:], count, count[1:], strict=False)
-    ]
-    dt = np.repeat(np.diff(np.asarray(times_s, float)), count[:-1] * count[1:])
-    i, j = (np.concatenate([np.zeros(0, int), *part]) for part in (before, after))
-    prices = np.split(
-        move_costs(rotation[i], translation[i], rotation[j], translation[j], dt),
-        np.cumsum(count[:-1] * count[1:]),
-    )
+    poses = [stack([*c]) for c in candidates]
     total = np.asarray(costs[0], float)
     back: list[np.ndarray] = []
     for k in range(1, len(candidates)):
-        every = total[:, None] + prices[k - 1].reshape(count[k - 1], count[k])
+        (r0, t0), (r1, t1) = poses[k - 1], poses[k]
+        dt = times_s[k] - times_s[k - 1]
+        every = total[:, None] + move_costs(r0[:, None], t0[:, None], r1, t1, dt)
         back.append(every.argmin(0))
         total = every.min(0) + np.asarray(costs[k], float)
     path = [int(total.argmin())]
@@ -75,13 +59,13 @@ def choose_path(
 
 
 def move_costs(
-    r0: np.ndarray, t0: np.ndarray, r1: np.ndarray, t1: np.ndarray, dt_s: np.ndarray | float
+    r0: np.ndarray, t0: np.ndarray, r1: np.ndarray, t1: np.ndarray, dt_s: float
 ) -> np.ndarray:
-    """(n,) cost of the moves from rotation r0 (n, 3, 3), translation t0 (n, 3) to r1, t1:
-    half of chi squared, at most MOVE_CAP."""
+    """(...) cost of the moves from rotation r0 (..., 3, 3), translation t0 (..., 3) to r1,
+    t1: half of chi squared, at most MOVE_CAP."""
     turn = np.linalg.norm(rotvec_from_rotation(r1 @ np.swapaxes(r0, -1, -2)), axis=-1)
     shift, distance = np.linalg.norm(t1 - t0, axis=-1), np.linalg.norm(t1, axis=-1)
-    dt = np.maximum(dt_s, 0.0)
+    dt = max(dt_s, 0.0)
     a = turn / (TURN_FLOOR_RAD + TURN_RAD_S * dt)
     b = divide(shift, distance * (SHIFT_FLOOR + SHIFT_FRACTION_S * dt), where_zero=np.inf)
     return np.minimum(0.5 * (a * a + b * b), MOVE_CAP)

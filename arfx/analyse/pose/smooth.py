@@ -2,12 +2,10 @@
 Gauss-Newton on SE(3).
 
 Axes: rotation about the camera's x, y, z; the position of the markers' centre as x/z, y/z and ln z.
-Each linearised problem is a Gauss-Markov chain: Kalman filter, Rauch-Tung-Striebel
-smoother, and its noise by maximum likelihood. State per frame: 6 position-like and 6
-velocity-like numbers, each axis accelerated by noise of its own density; a seventh density
-accelerates several axes at once (Links.shake). Measurements are information on the first
-six numbers. Covariance form: regular for a density of nearly zero, and for directions that
-no measurement fixes. Source: docs/methods/pose.md#smoothing."""
+Each linearised problem is a chain (chain.py), its noise by maximum likelihood. State per
+frame: 6 position-like and 6 velocity-like numbers, each axis accelerated by noise of its
+own density; a seventh density accelerates several axes at once (Links.shake).
+Source: docs/methods/pose.md#smoothing."""
 
 from __future__ import annotations
 
@@ -16,16 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.analyse.pose import kernels
-from arfx.analyse.pose.kernels import DIM
+from arfx.analyse.pose.chain import Links, evidence, link, smooth_chain
 from arfx.analyse.pose.planar import Observed, huber_cost, residuals, view_jacobian
 from arfx.core.parallel import parallel_map
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
-# What is known before the first frame: nothing. Standard deviations of 10 (radians, or
-# e-folds of distance) and of 100 per second lie beyond anything filmed, and their squares
-# times the information of a corner still leave digits.
-_START = np.diag([1e2] * 6 + [1e4] * 6)
 # Axes whose noise is one number: turning about the picture's two axes, about the line of
 # sight; sideways; distance; and the camera's turning about itself (Links.shake), which
 # turns the marker and moves it sideways at once.
@@ -63,93 +56,6 @@ _LOOSE = 1e-8
 _UNSURE_RAD = (
     0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
 )
-
-
-@dataclass(frozen=True)
-class Links:
-    """How a state follows from the one before: x_k+1 = move_k x_k + shift_k + noise_k,
-    noise through `gate_k`.
-
-    move, gate : (n - 1, 12, 12);  shift : (n - 1, 12);  dt_s : (n - 1,)
-    shake : (n - 1, 6, 6) covariance, per unit of its density, of what turns and moves the
-    marker at once
-    Only the turns' blocks (3 x 3, of angles and of their velocities) are free: the other
-    axes have constant velocity."""
-
-    move: np.ndarray
-    gate: np.ndarray
-    shift: np.ndarray
-    dt_s: np.ndarray
-    shake: np.ndarray
-
-    def part(self, first: int, end: int) -> Links:
-        """The links between frames first .. end - 1."""
-        s = slice(first, end - 1)
-        return Links(self.move[s], self.gate[s], self.shift[s], self.dt_s[s], self.shake[s])
-
-
-def link(
-    before: np.ndarray,
-    after: np.ndarray,
-    offset: np.ndarray,
-    dt_s: np.ndarray,
-    shake: np.ndarray,
-) -> Links:
-    """Links from residuals before_k x_k + after_k x_k+1 + offset_k = noise_k.
-
-    after : 1 but for the turns
-    """
-    gate = after.copy()
-    gate[:, :3, :3] = np.linalg.inv(after[:, :3, :3])
-    return Links(-gate @ before, gate, -np.einsum("nij,nj->ni", gate, offset), dt_s, shake)
-
-
-def smooth_chain(
-    measured: np.ndarray, info_vector: np.ndarray, links: Links, density: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (n, 12) and covariance (n, 12, 12) of every state given all measurements.
-
-    measured : (n, 6, 6) information;  info_vector : (n, 6) information times measured
-    value;  density : (n - 1, 7)
-    """
-    n = len(measured)
-    means, covs = np.empty((n, DIM)), np.empty((n, DIM, DIM))
-    kernels.filter_and_smooth(
-        _chain(measured, info_vector, links),
-        np.array(density, float, order="C"),
-        means,
-        covs,
-    )
-    if not (np.isfinite(means).all() and np.isfinite(covs).all()):
-        raise np.linalg.LinAlgError("the smoother's chain is singular")
-    return means, covs
-
-
-def evidence(
-    measured: np.ndarray, info_vector: np.ndarray, links: Links, density: np.ndarray
-) -> np.ndarray:
-    """(c,) log evidence, up to a constant, of c candidates of noise density (c, n - 1, 7)
-    on one chain.
-    """
-    out = np.empty(len(density))
-    kernels.log_evidence(
-        _chain(measured, info_vector, links), np.array(density, float, order="C"), out
-    )
-    return out
-
-
-def _chain(measured: np.ndarray, info_vector: np.ndarray, links: Links) -> kernels.Chain:
-    """Of copies, all of one type to the compiler: contiguous and writable."""
-    given = (
-        measured,
-        info_vector,
-        links.move,
-        links.gate,
-        links.shift,
-        links.shake,
-        links.dt_s,
-    )
-    return kernels.Chain._make([*(np.array(a, float, order="C") for a in given), _START])
 
 
 def learn_density(

@@ -15,10 +15,9 @@ from arfx.analyse.light.light_map import (
     STEADY,
     STEP,
     UNKNOWN,
+    LightMap,
     Observation,
-    add,
     changes,
-    wait,
 )
 from arfx.papers.s1_light import LightMap as PrintedMap
 from arfx.papers.s1_light import eq8_weight, usable
@@ -26,39 +25,13 @@ from arfx.papers.s1_light import eq8_weight, usable
 UP = np.array([[0.0, 0, 1]])
 
 
-class LightMap:
-    def __init__(self) -> None:
-        self.sphere = icosphere(3)
-        self.value, self.variance = (
-            np.zeros((len(self.sphere.vertices), 3)),
-            np.full((len(self.sphere.vertices), 3), UNKNOWN),
-        )
-
-    def wait(self, seconds: float) -> None:
-        wait(self.value, self.variance, float(seconds), 0.05, False)
-
-    def add(
-        self, normals: np.ndarray, irradiance: np.ndarray, variance: np.ndarray
-    ) -> None:
-        add(
-            self.sphere.vertices,
-            self.value,
-            self.variance,
-            normals,
-            irradiance,
-            variance,
-            0,
-            len(normals),
-            0.2,
-        )
-
-
 def weight(cosine: np.ndarray, blur_rad: float) -> np.ndarray:
     """Of an observation of no light: the variance of the vertices that it reaches is 1 over it."""
     vertices = np.stack([0 * cosine, 0 * cosine, cosine], -1)
-    value, variance = np.zeros((len(cosine), 3)), np.full((len(cosine), 3), UNKNOWN)
-    add(vertices, value, variance, UP, np.zeros((1, 3)), np.ones((1, 3)), 0, 1, blur_rad)
-    return np.asarray(np.where(variance[:, 0] < UNKNOWN, 1 / variance[:, 0], 0))
+    light = LightMap(vertices, blur_rad)
+    light.add(Observation(0.0, UP, np.zeros((1, 3)), np.ones((1, 3))))
+    variance = light.variance[:, 0]
+    return np.asarray(np.where(variance < UNKNOWN, 1 / variance, 0))
 
 
 def shot(
@@ -103,12 +76,12 @@ def test_constant_light_stays_constant_for_1000_updates() -> None:
     light, printed, first = LightMap(), PrintedMap(3, 0.2), np.ones(3)
     for i in range(1000):
         light.wait(1 / 30 if i else 0)
-        light.add(UP, np.full((1, 3), 0.7), np.full((1, 3), 1e-6))
+        light.add(shot(0.0, 0.7))
         printed.add(UP[0], np.full(3, 0.7))
         if i % 100 in (0, 99):
             here = np.array(
                 [
-                    light.value[light.sphere.nearest(UP[0])],
+                    light.value[icosphere(3).nearest(UP[0])],
                     printed.M[printed.n[:, 2].argmax()],
                 ]
             )
@@ -124,11 +97,11 @@ def test_constant_light_stays_constant_for_1000_updates() -> None:
 
 def test_the_paper_replaces_and_the_correction_averages() -> None:
     light, printed, out = LightMap(), PrintedMap(3, 0.2), []
-    on_vertex = light.sphere.vertices[:1]
+    on_vertex = light.vertices[:1]
     for i in range(60):
         seen = shot(i / 30, 0.7 + 0.05 * (-1) ** i, on_vertex, 0.05)
         light.wait(1 / 30 if i else 0)
-        light.add(seen.normals, seen.irradiance, seen.variance)
+        light.add(seen)
         printed.add(UP[0], seen.irradiance[0])
         out.append((light.value[0, 0], printed.M[printed.n[:, 2].argmax(), 0]))
     corrected, replaced = np.std(out[20:], axis=0)
@@ -138,10 +111,10 @@ def test_the_paper_replaces_and_the_correction_averages() -> None:
 
 def test_what_was_not_seen_is_unknown_and_what_was_is_less_certain_later() -> None:
     light = LightMap()
-    light.add(UP, np.full((1, 3), 0.5), np.full((1, 3), 1e-6))
-    below = light.sphere.vertices[:, 2] < -0.1
+    light.add(shot(0.0, 0.5))
+    below = light.vertices[:, 2] < -0.1
     assert (light.variance[below] == UNKNOWN).all() and (light.value[below] == 0).all()
-    near = light.sphere.vertices[:, 2] > 0.99
+    near = light.vertices[:, 2] > 0.99
     before = light.variance[near].copy()
     light.wait(2.0)
     assert (light.variance[near] > before).all()
@@ -153,9 +126,9 @@ def test_an_observation_does_not_bind_other_normals_beyond_what_it_can_tell() ->
     """
     light = LightMap()
     for _ in range(1000):
-        light.add(UP, np.ones((1, 3)), np.full((1, 3), 1e-6))
+        light.add(shot(0.0, 1.0))
     off = np.array([[np.sin(np.radians(20)), 0, np.cos(np.radians(20))]])
-    assert 0.1 < float(np.sqrt(light.variance[light.sphere.nearest(off)].max())) < 0.5
+    assert 0.1 < float(np.sqrt(light.variance[icosphere(3).nearest(off)].max())) < 0.5
 
 
 @pytest.mark.parametrize(
@@ -163,7 +136,7 @@ def test_an_observation_does_not_bind_other_normals_beyond_what_it_can_tell() ->
 )
 def test_what_is_not_finite_is_left_out(where: str) -> None:
     light = LightMap()
-    light.add(UP, np.full((1, 3), 0.5), np.full((1, 3), 1e-6))
+    light.add(shot(0.0, 0.5))
     value, variance = light.value.copy(), light.variance.copy()
     n, x, v = UP.copy(), np.full((1, 3), 0.9), np.full((1, 3), 1e-6)
     {"normal": n, "value": x, "variance": v, "negative variance": v, "no normal": n}[where][
@@ -171,7 +144,7 @@ def test_what_is_not_finite_is_left_out(where: str) -> None:
     ] = -1.0 if where == "negative variance" else 0.0 if where == "no normal" else np.nan
     if where == "no normal":
         n[:] = 0
-    light.add(n, x, v)
+    light.add(Observation(0.0, n, x, v))
     assert (light.value == value).all() and (light.variance == variance).all()
     assert not list(usable(Observation(0.0, n, x, v)))
 

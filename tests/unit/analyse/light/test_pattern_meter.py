@@ -20,12 +20,12 @@ from arfx.analyse.light.patches import (
     albedos,
     meter_for,
     pattern_meter,
-    place_samples,
     quadrant_radiance,
     reduced,
     stack,
 )
 from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.samples import place_samples
 from arfx.analyse.params import LightParams
 from arfx.core.marker import PatternSpec
 from arfx.core.rect import Rect

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from arfx.analyse.pose.chain import DIM, evidence, link, smooth_chain
 from arfx.analyse.pose.kernels import solve_in_place
-from arfx.analyse.pose.smooth import DIM, evidence, link, smooth_chain
 
 N = 6
 RNG = np.random.default_rng(2)
