@@ -32,7 +32,7 @@ gc.disable()
 
 COMPILED = pytest.StashKey[tuple[int, float]]()  # how many kernels, in how many seconds
 
-STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|processes)|(ahead|behind|BackgroundTask)\(
+STARTS = r"""apart=True|\benv=|subprocess|Popen|at_a_moment|Thread|run_(threads|processes)|(ahead|behind)\(
     |raise_signal|os\.kill"""
 
 

@@ -5,7 +5,7 @@ another.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from arfx.core.cube import CubeMap, SeenEnvironment
 from arfx.core.guard import atomic_write
 from arfx.core.lens_fit import LensFit
 from arfx.core.light import Light
-from arfx.core.pose import Pose, compute_rotvecs
+from arfx.core.pose import Pose
 from arfx.core.real_depth import RealDepth
 from arfx.core.rect import EMPTY, Rect
 from arfx.errors import InputError
@@ -149,16 +149,6 @@ class FrameFacts(Document):
     def visible(self) -> bool:
         return self.present and not self.model_box.empty
 
-    @property
-    def poses(self) -> Iterator[Pose]:
-        """Every pose in these facts."""
-        yield from (
-            p for p in (self.camera_from_world, self.raw_camera_from_world) if p is not None
-        )
-        yield from (h.camera_from_marker for m in self.markers for h in m.hypotheses)
-        if self.advection is not None and self.advection.pose is not None:
-            yield self.advection.pose
-
     def with_(self, **changes: Any) -> FrameFacts:
         return replace(self, **changes)
 
@@ -167,7 +157,6 @@ def write_facts(path: Path | str, facts: Sequence[FrameFacts]) -> None:
     """Write atomically."""
     path = Path(path)
     header = {"format": _FORMAT, "version": _VERSION, "frames": len(facts)}
-    compute_rotvecs(p for f in facts for p in f.poses)
     with atomic_write(path) as part, part.open("w", encoding="utf-8") as f:
         for line in (header, *(x.to_json() for x in facts)):
             f.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,8 +25,6 @@ def skew(v: np.ndarray) -> np.ndarray:
 def rotation_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
     """Rodrigues: rotation vector (..., 3), radians, to matrix (..., 3, 3); series near zero."""
     r = np.asarray(rotvec, float)
-    if r.shape == (3,):
-        return _single_rotation(*r.tolist())
     t2 = (r * r).sum(-1)[..., None, None]
     t = np.sqrt(t2)
     small = t < EPS_ANGLE
@@ -37,23 +33,6 @@ def rotation_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
     b = np.where(small, 0.5 - t2 / 24, (1 - np.cos(ts)) / (ts * ts))
     k = skew(r)
     return np.eye(3) + a * k + b * (k @ k)
-
-
-def _single_rotation(x: float, y: float, z: float) -> np.ndarray:
-    """The same for one vector: a tenth of the time that arrays of one take."""
-    t2 = x * x + y * y + z * z
-    t = math.sqrt(t2)
-    if t < EPS_ANGLE or not math.isfinite(t):
-        a, b = 1 - t2 / 6, 0.5 - t2 / 24
-    else:
-        a, b = math.sin(t) / t, (1 - math.cos(t)) / t2
-    return np.array(
-        [
-            [1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
-            [b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x],
-            [b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)],
-        ]
-    )
 
 
 def rotvec_from_rotation(rotation: np.ndarray) -> np.ndarray:
@@ -181,7 +160,7 @@ class Pose:
 
     @staticmethod
     def from_json(v: list[float]) -> Pose:
-        return Pose(_single_rotation(*v[:3]), np.array(v[3:6], float))
+        return Pose.from_rotvec(np.array(v[:3]), np.array(v[3:6]))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Pose) and bool(
@@ -190,18 +169,6 @@ class Pose:
         )
 
     __hash__ = None  # type: ignore[assignment]  # arrays inside; compare by value only
-
-
-def compute_rotvecs(poses: Iterable[Pose]) -> None:
-    """Work out `rotvec` of many poses at once, which takes little longer than of one."""
-    missing = [p for p in poses if "rotvec" not in p.__dict__]
-    if missing:
-        for p, r in zip(
-            missing,
-            rotvec_from_rotation(np.stack([p.rotation for p in missing])),
-            strict=True,
-        ):
-            p.__dict__["rotvec"] = r
 
 
 def rotation_angle_rad(a: Pose, b: Pose) -> float:

@@ -22,7 +22,6 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, packed
-from arfx.core.parallel import BackgroundTask
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -107,12 +106,11 @@ class Watercolor(Stage):
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray]:
         rect = view.rect
         picture = self.with_toon(view)
-        lines = BackgroundTask(lambda: self.lines_of(view, picture))
+        lines = self.lines_of(view, picture)
         cells = self.cells_of(view, prepared)
         paint = self._mixed(view.level, prepared, cells, picture)
         pictures = (
-            paint.on(picture, labels, lines(), (rect.x0, rect.y0))
-            for labels in cells.labels
+            paint.on(picture, labels, lines, (rect.x0, rect.y0)) for labels in cells.labels
         )
         out = next(pictures)
         for more in pictures:
