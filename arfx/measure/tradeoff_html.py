@@ -63,10 +63,8 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
         f"<header><h1>{escape(clip)}: what accuracy costs</h1><p"
         f' class="say">{escape(document["recommendation"])}</p></header>'
     )
-    plot, effects = (
-        pipeline_plot(found.pipelines),
-        dict.fromkeys(r.name for r in found.effects),
-    )
+    plot = pipeline_plot(found.pipelines)
+    effects = dict.fromkeys(r.name for r in found.effects)
     parts = [
         _STYLE,
         head,
