@@ -20,7 +20,16 @@ from arfx.core.numerics import finite
 from arfx.core.waiting import wait_for
 from arfx.errors import RenderError
 from arfx.measure.report import report_of_job
-from arfx.measure.report_html import escaped, full_page, html_table, jpeg, number, section
+from arfx.measure.report_html import (
+    Html,
+    escaped,
+    full_page,
+    html_table,
+    jpeg,
+    number,
+    section,
+    tiles,
+)
 from arfx.media.output import names_sequence
 from arfx.run.batch import Row, Started, plan_all, process_all, total_of
 from arfx.run.batch_jobs import BatchJob, check_batch, home_of
@@ -98,22 +107,15 @@ def page(rows: Sequence[Row], count: int, home: Path) -> str:
     the folder that links start from
     """
     failed = [row for row in rows if row["exit_code"]]
-    tiles = [
+    shown = [
         (f"{len(rows) - len(failed)} of {count}", "clips done"),
-        (f"{len(failed)}", "failed"),
+        (len(failed), "failed"),
         (f"{number(sum(row['seconds'] for row in rows))} s", "all jobs together"),
     ]
     if len(rows) < count:
-        tiles.insert(2, (f"{count - len(rows)}", "not begun"))
-    boxes = "".join(
-        f'<div class="tile"><b>{escaped(big)}</b><span>{escaped(small)}</span></div>'
-        for big, small in tiles
-    )
+        shown.insert(2, (count - len(rows), "not begun"))
     place = escaped(os.path.abspath(home))  # noqa: PTH100 - without ".."
-    header = (
-        f'<header><h1>Batch</h1><p class="path">{place}</p><div'
-        f' class="tiles">{boxes}</div></header>'
-    )
+    header = f'<header><h1>Batch</h1><p class="path">{place}</p>{tiles(shown)}</header>'
     items = "".join(
         f"<li><b>{escaped(Path(r['clip']).name)}</b>: {escaped(r['message'])}</li>"
         for r in failed
@@ -129,34 +131,32 @@ def _table(rows: Sequence[Row], home: Path) -> str:
     with_picture = {id(row) for row in [r for r in rows if r["report"]][:THUMBNAILS]}
     cells = []
     for row in rows:
-        picture = _thumbnail(Path(row["report"])) if id(row) in with_picture else ""
-        result = (
+        picture = Html(_thumbnail(Path(row["report"])) if id(row) in with_picture else "")
+        result = Html(
             f'<span class="bad">exit {row["exit_code"]}</span>'
             if row["exit_code"]
             else '<span class="ok">done</span>'
         )
         report = _link(row["report"], home, "report") if row["report"] else "–"
         output = (
-            escaped(row["output"])
-            if row["exit_code"]
-            else _link(row["output"], home, row["output"])
+            row["output"] if row["exit_code"] else _link(row["output"], home, row["output"])
         )
         cells.append(
-            (picture, escaped(row["clip"]), result, f"{row['seconds']:.1f}", report, output)
+            (picture, row["clip"], result, f"{row['seconds']:.1f}", report, output)
         )
     return html_table(
         ("", "clip", "result", "seconds", "report", "output"), cells, frozenset({3})
     )
 
 
-def _link(path: str, home: Path, text: str) -> str:
+def _link(path: str, home: Path, text: str) -> Html:
     if names_sequence(Path(path)):
         path = str(Path(path).parent)
     try:
         address = quote(os.fsencode(os.path.relpath(path, home).replace(os.sep, "/")))
     except ValueError:  # on another drive
         address = Path(path).absolute().as_uri()
-    return f'<a href="{address}">{escaped(text)}</a>'
+    return Html(f'<a href="{address}">{escaped(text)}</a>')
 
 
 def _thumbnail(report: Path) -> str:

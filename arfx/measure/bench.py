@@ -72,14 +72,10 @@ class Cell:
         )
 
     def to_json(self, errors: Errors) -> dict[str, Any]:
-        camera, stage = (
-            self.frame.prepared.scene.camera,
-            self.frame.prepared.stages[self.stage],
-        )
-        ms, yard = (
-            1e3 * float(np.median(self.seconds)),
-            1e3 * float(np.median(self.yardstick_s)),
-        )
+        camera = self.frame.prepared.scene.camera
+        stage = self.frame.prepared.stages[self.stage]
+        ms = 1e3 * float(np.median(self.seconds))
+        yard = 1e3 * float(np.median(self.yardstick_s))
         return {
             "stage": self.stage,
             "level": self.level,

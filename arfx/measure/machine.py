@@ -108,10 +108,8 @@ def essentials_work(checks: list[Check]) -> bool:
 
 
 def _python() -> Iterator[Check]:
-    ok, version = (
-        sys.version_info >= (3, 11),
-        f"{platform.python_version()}, {platform.platform()}",
-    )
+    ok = sys.version_info >= (3, 11)
+    version = f"{platform.python_version()}, {platform.platform()}"
     yield Check(
         "python",
         "python",
@@ -265,10 +263,8 @@ def _resources(folder: Path) -> Iterator[Check]:
 
 
 def _compiled() -> Check:
-    lasting, folder = (
-        compiled.cache_persists(),
-        compiled.code_folder(Path(arfx.__file__).parent / "media"),
-    )
+    lasting = compiled.cache_persists()
+    folder = compiled.code_folder(Path(arfx.__file__).parent / "media")
     where = (
         f"in {folder}"
         if lasting

@@ -52,7 +52,11 @@ def page(
     time = plot_image(plots["timing"], "Predicted and measured seconds") + _predicted(
         report
     )
-    time += _facts_table(report["timing"]) + _workers_table(report.get("workers") or [])
+    time += _facts_table(report["timing"])
+    workers = report.get("workers") or []
+    if len(workers) > 1:
+        keys = ("name", "host", "chunks", "frames", "seconds")
+        time += html_table(keys, [[w[k] for k in keys] for w in workers])
     ends = (
         "<div"
         f' class="two">{_facts_table(report["input"])}{_facts_table(report["output"])}</div>'
@@ -110,6 +114,33 @@ def number(value: Any, digits: int = 3) -> str:
     return str(value)
 
 
+class Html(str):
+    """Text that is HTML already."""
+
+
+def cell(value: Any) -> str:
+    """HTML of a value in a table."""
+    return value if isinstance(value, Html) else escaped(number(value))
+
+
+def figure(rgb: np.ndarray, caption: str, quality: int) -> str:
+    """A picture, (h, w, 3) uint8 RGB, over its caption. quality : of JPEG, 0 to 100"""
+    text = escaped(caption)
+    return (
+        f'<figure><img alt="{text}"'
+        f' src="{jpeg(rgb, quality)}"><figcaption>{text}</figcaption></figure>'
+    )
+
+
+def tiles(values: Sequence[tuple[Any, str]]) -> str:
+    """Large figures, each over what it is."""
+    boxes = "".join(
+        f'<div class="tile"><b>{escaped(big)}</b><span>{escaped(small)}</span></div>'
+        for big, small in values
+    )
+    return f'<div class="tiles">{boxes}</div>'
+
+
 def section(title: str, body: str) -> str:
     return f"<section><h2>{escaped(title)}</h2>{body}</section>"
 
@@ -142,8 +173,8 @@ def _tiles(report: Mapping[str, Any]) -> str:
     jitter = number(pose.get("jitter_px"))
     if pose.get("jitter_before_smoothing_px") is not None:
         jitter = f"{number(pose['jitter_before_smoothing_px'])} → {jitter}"
-    tiles = [
-        (f"{frames}", f"frames, {number(out['seconds'])} s"),
+    shown = [
+        (frames, f"frames, {number(out['seconds'])} s"),
         (
             f"{present} of {frames}",
             f"frames with the object ({pose['frames_interpolated']} bridged)",
@@ -158,15 +189,8 @@ def _tiles(report: Mapping[str, Any]) -> str:
             ),
         ),
     ]
-    boxes = "".join(
-        f'<div class="tile"><b>{escaped(big)}</b><span>{escaped(small)}</span></div>'
-        for big, small in tiles
-    )
     path, result = escaped(Path(str(report["input"]["path"])).name), escaped(out["path"])
-    return (
-        f'<header><h1>{path}</h1><p class="path">→ {result}</p><div'
-        f' class="tiles">{boxes}</div></header>'
-    )
+    return f'<header><h1>{path}</h1><p class="path">→ {result}</p>{tiles(shown)}</header>'
 
 
 def _warnings(report: Mapping[str, Any]) -> str:
@@ -213,38 +237,24 @@ def _pictures(
 
 
 def html_table(
-    head: Sequence[str], rows: Sequence[Sequence[str]], right: frozenset[int] = frozenset()
+    head: Sequence[str], rows: Sequence[Sequence[Any]], right: frozenset[int] = frozenset()
 ) -> str:
-    """rows hold HTML; a column in `right` is right-aligned."""
+    """Cells are values for `number`, or Html; a column in `right` is right-aligned."""
 
-    def cells(row: Sequence[str], tag: str) -> str:
+    def cells(row: Sequence[Any], tag: str) -> str:
         inner = "".join(
-            f"<{tag}{' class=num' if i in right else ''}>{c}</{tag}>"
+            f"<{tag}{' class=num' if i in right else ''}>{cell(c)}</{tag}>"
             for i, c in enumerate(row)
         )
         return f"<tr>{inner}</tr>"
 
     body = "".join(cells(r, "td") for r in rows)
-    top = f"<thead>{cells([escaped(h) for h in head], 'th')}</thead>" if any(head) else ""
+    top = f"<thead>{cells(head, 'th')}</thead>" if any(head) else ""
     return f'<div class="scroll"><table>{top}<tbody>{body}</tbody></table></div>'
 
 
-def _workers_table(workers: Sequence[Mapping[str, Any]]) -> str:
-    """Nothing where there was only one."""
-    keys = ("name", "host", "chunks", "frames", "seconds")
-    return (
-        html_table(keys, [tuple(escaped(number(w[k])) for k in keys) for w in workers])
-        if len(workers) > 1
-        else ""
-    )
-
-
 def _facts_table(values: Mapping[str, Any]) -> str:
-    rows = [
-        (escaped(k.replace("_", " ")), escaped(number(v)))
-        for k, v in values.items()
-        if k != "stream"
-    ]
+    rows = [(k.replace("_", " "), v) for k, v in values.items() if k != "stream"]
     return html_table(("", ""), rows)
 
 
@@ -269,10 +279,10 @@ def light_told(light: Mapping[str, Any]) -> str:
     rows = [
         (
             f"{s['start_s']:.2f} – {s['end_s']:.2f}",
-            escaped(s["verdict"]),
-            escaped(number([li["rgb"] for li in s["lights"]])),
-            escaped(number(s["ambient_rgb"])),
-            escaped(s["reason"]),
+            s["verdict"],
+            [li["rgb"] for li in s["lights"]],
+            s["ambient_rgb"],
+            s["reason"],
         )
         for s in spans
     ]
@@ -294,20 +304,17 @@ def _stage_table(stages: Sequence[Mapping[str, Any]]) -> str:
         why = "<br>".join(
             f"{n} × {escaped(text)}" for text, n in s.get("reasons", {}).items()
         )
-        levels = ", ".join(
-            f"{escaped(k)} {escaped(v)}" for k, v in s.get("levels", {}).items()
-        )
-        predicted, measured = s.get("predicted_s"), s.get("measured_s")
+        levels = ", ".join(f"{k} {v}" for k, v in s.get("levels", {}).items())
         rows.append(
             (
-                escaped(s["name"]),
+                s["name"],
                 levels,
-                escaped(s["frames_run"]),
-                escaped(s["frames_skipped"]),
+                s["frames_run"],
+                s["frames_skipped"],
                 f"{100 * s['area_fraction']:.1f} %",
-                escaped(number(predicted)),
-                escaped(number(measured)),
-                why,
+                s.get("predicted_s"),
+                s.get("measured_s"),
+                Html(why),
             )
         )
     head = (
@@ -350,15 +357,7 @@ def _health_table(health: Sequence[Mapping[str, Any]]) -> str:
     rows = []
     for h in health:
         mark = f'<b class="{"ok" if h["verdict"] == "ok" else "bad"}">{escaped(h["verdict"])}</b>'
-        rows.append(
-            (
-                escaped(h["check"]),
-                escaped(number(h["value"])),
-                escaped(number(h["limit"])),
-                mark,
-                escaped(h["action"]),
-            )
-        )
+        rows.append((h["check"], h["value"], h["limit"], Html(mark), h["action"]))
     return html_table(("check", "value", "limit", "verdict", "action"), rows)
 
 

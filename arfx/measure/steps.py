@@ -164,10 +164,8 @@ def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -
     clipped = facts.model_box.clip(whole)
     box = whole if clipped.empty else clipped
     scale = np.sqrt(area_px / whole.area)
-    width, height = (
-        max(round(whole.width * scale), 16),
-        max(round(whole.height * scale), 16),
-    )
+    width = max(round(whole.width * scale), 16)
+    height = max(round(whole.height * scale), 16)
     cx, cy = (
         (box.x0 + box.x1) // 2,
         (box.y0 + box.y1) // 2 + box.height // 8,

@@ -280,11 +280,9 @@ def _open_renderers(
     job = work.job
     pts = {job.analysed.pts[i]: i for i in wanted}
     facts = {f.index: f for f in job.facts}
-    prepared, camera, maps = (
-        PreparedStages(job.scene, work.stages),
-        job.inputs.camera,
-        job.inputs.depth,
-    )
+    prepared = PreparedStages(job.scene, work.stages)
+    camera = job.inputs.camera
+    maps = job.inputs.depth
     deep = maps is not None and any(
         "depth" in work.stages[s.stage].facts for i in wanted for s in plans[i].steps
     )
@@ -361,12 +359,10 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
     """A row for each level, the reference's too, against the reference with all other
     stages at their usual level; the first tells what leaving out the effect would change,
     where a job can do without."""
-    stage, usual, renderers, found = (
-        work.stages[name],
-        work.usual,
-        work.renderers,
-        work.found,
-    )
+    stage = work.stages[name]
+    usual = work.usual
+    renderers = work.renderers
+    found = work.found
     best, formula = work.best[name], getattr(stage.params, "formula", "")
     rows = [
         Row(
@@ -480,10 +476,8 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
 
 def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
     """An effect under the other formula, at its usual level, against the job's own reference."""
-    prepared, times = (
-        PreparedStages(work.job.scene, {**work.stages, name: changed}),
-        Times(),
-    )
+    prepared = PreparedStages(work.job.scene, {**work.stages, name: changed})
+    times = Times()
     usual = _levels(prepared, work.usual)
     row = Row(name, usual[name], changed.params.formula, levels=usual, prepared=prepared)
     _compare(work, [row], {**work.usual, name: work.best[name]}, (name,))

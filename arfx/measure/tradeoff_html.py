@@ -21,9 +21,9 @@ from arfx.measure.report_html import (
     PREDICTED,
     RAW,
     SMOOTH,
+    figure,
     full_page,
     html_table,
-    jpeg,
     number,
     plot_image,
     png,
@@ -63,10 +63,8 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
         f"<header><h1>{escape(clip)}: what accuracy costs</h1><p"
         f' class="say">{escape(document["recommendation"])}</p></header>'
     )
-    plot, effects = (
-        pipeline_plot(found.pipelines),
-        dict.fromkeys(r.name for r in found.effects),
-    )
+    plot = pipeline_plot(found.pipelines)
+    effects = dict.fromkeys(r.name for r in found.effects)
     parts = [
         _STYLE,
         head,
@@ -89,7 +87,7 @@ def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) ->
         )
         best = [r.level for r in rows if r.formula == rows[0].formula][-1]
         parts.append(_pictures(f"{name}: pictures", rows, best, quality))
-    frames = [[escape(number(v)) for v in f.values()] for f in document["frames"]]
+    frames = [list(f.values()) for f in document["frames"]]
     heads = [k.replace("_", " ") for k in document["frames"][0]]
     parts.append(section("Frames that stand for the clip", html_table(heads, frames)))
     parts.append(section("How it was measured", f"<p>{escape(METHOD)}</p>"))
@@ -129,20 +127,18 @@ def rows_table(rows: Sequence[Mapping[str, Any]], effects: Collection[str] = ())
         time = number(ms) + (
             f" ({number(low)} to {number(high)})" if high > 1.3 * low else ""
         )
-        numbers = (
-            number(r[what]) for what in ("mean", "mean_worst", "p99", "flip", "delta_e")
-        )
+        numbers = (r[what] for what in ("mean", "mean_worst", "p99", "flip", "delta_e"))
         flicker = (
             "–"
             if r["unrest"] is None
             else f"{number(r['unrest']['level'])} ({number(r['unrest']['reference'])})"
         )
         cells = [
-            escape(level),
+            level,
             time,
             *numbers,
             f"{r['ssim']:.4f}",
-            number(r["worst_frame"]),
+            r["worst_frame"],
             flicker,
         ]
         body.append(cells if flickers else cells[:-1])
@@ -208,26 +204,16 @@ def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
             f"{r.level}{' (paper)' if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99"
             f" % {d.p99:.0f}"
         )
-        figures.append(_figure(r.pictures[frame], caption, quality))
+        figures.append(figure(r.pictures[frame], caption, quality))
         if r is not reference:
             pair = reference.pictures[frame], r.pictures[frame]
+            figures.append(figure(error_map(*pair), f"{r.level}: error × {TIMES}", quality))
             figures.append(
-                _figure(error_map(*pair), f"{r.level}: error × {TIMES}", quality)
-            )
-            figures.append(
-                _figure(
+                figure(
                     delta_e_map(*pair), f"{r.level}: ΔE2000, 0 to {MOST_DELTA_E}", quality
                 )
             )
     return section(f"{title}, frame {frame}", f'<div class="side">{"".join(figures)}</div>')
-
-
-def _figure(rgb: np.ndarray, caption: str, quality: int) -> str:
-    text = escape(caption)
-    return (
-        f'<figure><img alt="{text}"'
-        f' src="{jpeg(rgb, quality)}"><figcaption>{text}</figcaption></figure>'
-    )
 
 
 FLOOR = 0.02  # grey levels: what is drawn for none

@@ -46,10 +46,8 @@ def pose_errors(
     lag_frames : regression of the corner error on the true corner velocity, > 0 = the
     estimate is late; None when the
     marker hardly moves in the picture"""
-    camera, corners_m = (
-        Camera.from_json(truth.header["camera"]),
-        MarkerSpec("", 0, size_m).corners_m,
-    )
+    camera = Camera.from_json(truth.header["camera"])
+    corners_m = MarkerSpec("", 0, size_m).corners_m
     n = len(truth.frames)
     rotation, position, mirrored = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, bool)
     error, projected = np.full((n, 4, 2), np.nan), np.full((n, 4, 2), np.nan)

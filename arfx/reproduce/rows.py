@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,8 @@ class Row:
     """One thing that a paper states, beside what the program gives. The values are numbers,
     or words where there is no number.
 
-    paper : "s1" to "s4";  item : where it is printed, unique in its paper: "equation (4)",
-    "table 1, teapot, frame rate"
+    item : where it is printed, unique in its paper: "equation (4)", "table 1, teapot, frame
+    rate"
     printed : as the paper has it;  paper_formula : by the printed method here;  corrected :
     by the corrected method,
     None = the corrected method has no such thing
@@ -38,7 +38,6 @@ class Row:
 
     Raises ValueError where these do not fit together."""
 
-    paper: str
     item: str
     printed: Value
     paper_formula: Value
@@ -50,21 +49,13 @@ class Row:
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
             raise ValueError(
-                f"{self.paper}, {self.item}: {self.verdict!r} is none of"
-                f" {', '.join(VERDICTS)}"
+                f"{self.item}: {self.verdict!r} is none of {', '.join(VERDICTS)}"
             )
         if self.verdict != HOLDS and not self.reason.strip():
-            raise ValueError(
-                f"{self.paper}, {self.item}: the verdict {self.verdict!r} has no reason"
-            )
+            raise ValueError(f"{self.item}: the verdict {self.verdict!r} has no reason")
         for value in (self.printed, self.paper_formula, self.corrected):
             if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(
-                    f"{self.paper}, {self.item}: {value} is not finite; say it in words"
-                )
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
+                raise ValueError(f"{self.item}: {value} is not finite; say it in words")
 
 
 def half_digit(printed: str) -> float:
@@ -74,7 +65,6 @@ def half_digit(printed: str) -> float:
 
 
 def compared(
-    paper: str,
     item: str,
     printed: str,
     paper_formula: float | str | None,
@@ -110,7 +100,6 @@ def compared(
         )
     shown = printed if number is None else number
     return Row(
-        paper,
         item,
         shown,
         paper_formula,
@@ -122,7 +111,6 @@ def compared(
 
 
 def shown(
-    paper: str,
     item: str,
     printed: str,
     paper_formula: float | str,
@@ -135,7 +123,6 @@ def shown(
     holds : whether what is printed was found, by both methods;  reason : why not"""
     verdict = HOLDS if holds else DIFFERS
     return Row(
-        paper,
         item,
         printed,
         paper_formula,
@@ -170,7 +157,6 @@ class Figure:
     name is its caption. PRINTED and CORRECTED get maps of their difference from REFERENCE,
     without one CORRECTED gets that from PRINTED; those three are of one size"""
 
-    paper: str
     item: str
     title: str
     pictures: Mapping[str, np.ndarray]
@@ -179,8 +165,7 @@ class Figure:
         for name, picture in self.pictures.items():
             if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
                 raise ValueError(
-                    f"{self.paper}, {self.item}: picture {name!r} is {picture.dtype}"
-                    f" {picture.shape}"
+                    f"{self.item}: picture {name!r} is {picture.dtype} {picture.shape}"
                 )
         if (
             len(
@@ -192,9 +177,7 @@ class Figure:
             )
             > 1
         ):
-            raise ValueError(
-                f"{self.paper}, {self.item}: pictures that are compared have one size"
-            )
+            raise ValueError(f"{self.item}: pictures that are compared have one size")
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,14 +187,12 @@ class Plot:
     item : of a row that speaks of it;  figure : of matplotlib
     """
 
-    paper: str
     item: str
     title: str
     figure: Any
 
 
 def bars(
-    paper: str,
     item: str,
     title: str,
     unit: str,
@@ -259,11 +240,10 @@ def bars(
     axis.set_xlabel(unit, fontsize=8)
     axis.margins(x=0.12)
     axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot(paper, item, title, drawing)
+    return Plot(item, title, drawing)
 
 
 def curves(
-    paper: str,
     item: str,
     title: str,
     labels: tuple[str, str],
@@ -283,7 +263,7 @@ def curves(
     axis.set_ylabel(labels[1], fontsize=8)
     axis.set_ylim(0)
     axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot(paper, item, title, drawing)
+    return Plot(item, title, drawing)
 
 
 INK = "#7d8590"  # readable on white and on nearly black

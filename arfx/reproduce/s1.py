@@ -146,7 +146,6 @@ def equation_3(situation: Situation) -> Iterator[Item]:
         off.append(100 * float(np.median(np.abs(virtual - expected)) / np.median(expected)))
     item = "equation (3), difference of the object's pixels, highlights included, median"
     yield shown(
-        "s1",
         item,
         "I = g ρ M(n) + b",
         *both(off),
@@ -158,14 +157,13 @@ def equation_3(situation: Situation) -> Iterator[Item]:
 
 def figure_1(situation: Situation) -> Iterator[Item]:
     item, level = "figure 1, triangles of the hemisphere", PrintedLightParams().map_level
-    yield shown("s1", item, "a hemisphere of triangles", len(hemisphere(level)), None, True)
+    yield shown(item, "a hemisphere of triangles", len(hemisphere(level)), None, True)
     shots = {
         PRINTED_PICTURE: situation.shot(PAPER, {}),
         CORRECTED_PICTURE: situation.shot(CORRECTED, {}),
     }
     lights = both(len(facts_light(s).lights) for s in shots.values())
     yield compared(
-        "s1",
         "figure 1, lights of a scene with one lamp",
         "1",
         *lights,
@@ -174,7 +172,6 @@ def figure_1(situation: Situation) -> Iterator[Item]:
     )
     off = both(situation.off_deg(s) for s in shots.values())
     yield shown(
-        "s1",
         "section 4, direction of the lamp: degrees off",
         "accurate",
         *off,
@@ -203,7 +200,6 @@ def figure_1(situation: Situation) -> Iterator[Item]:
         REFERENCE: true,
     }
     yield Figure(
-        "s1",
         item,
         "candidate lights seen from above, each as bright as the map there over the map's"
         " largest; those that are lights have a red border",
@@ -264,9 +260,7 @@ def errors(pictures: Mapping[str, np.ndarray]) -> tuple[float, float]:
 
 def pictures_row(item: str, printed: str, pictures: Mapping[str, np.ndarray]) -> Row:
     off = errors(pictures)
-    return shown(
-        "s1", item, printed, *off, max(off) < 3, LUMPS, "grey levels from the reference"
-    )
+    return shown(item, printed, *off, max(off) < 3, LUMPS, "grey levels from the reference")
 
 
 def figure_2(situation: Situation) -> Iterator[Item]:
@@ -277,7 +271,7 @@ def figure_2(situation: Situation) -> Iterator[Item]:
         pictures = situation.pictures(settings)
         yield pictures_row(f"figure 2 ({part})", what, pictures)
         yield Figure(
-            "s1", f"figure 2 ({part})", f"{what}; the teapot stands on the card", pictures
+            f"figure 2 ({part})", f"{what}; the teapot stands on the card", pictures
         )
 
 
@@ -287,7 +281,6 @@ def figure_3(situations: list[Situation]) -> Iterator[Item]:
         a, e = situation.lamp[:2]
         yield pictures_row(f"figure 3 ({part})", "the shadow of one situation", pictures)
         yield Figure(
-            "s1",
             f"figure 3 ({part})",
             f"lamp at azimuth {a:g}, elevation {e:g} degrees",
             pictures,
@@ -301,7 +294,7 @@ def table_1(work: Work) -> Iterator[Item]:
     memory: dict[str, list[Any]] = {name: [] for name in rates}
     for name, (faces, (low, high), size_mb) in TABLE_1.items():
         count = load_model(work.model(name)).face_count
-        yield compared("s1", f"table 1, {name}, faces", str(faces), count, count)
+        yield compared(f"table 1, {name}, faces", str(faces), count, count)
         timed = [
             work.timed(clip, formula, model_file(work, name))
             for formula in (PAPER, CORRECTED)
@@ -314,7 +307,6 @@ def table_1(work: Work) -> Iterator[Item]:
             " and encoding are counted"
         )
         yield Row(
-            "s1",
             f"table 1, {name}, frame rate",
             f"{low}–{high}",
             fps[0],
@@ -327,19 +319,17 @@ def table_1(work: Work) -> Iterator[Item]:
             f"{timed[0].start_mb:.0f} MB are Python and its libraries before the job;"
             " frames that wait for a worker are the rest"
         )
-        yield compared(
-            "s1", f"table 1, {name}, memory", str(size_mb), mb[0], mb[1], "MB", why
-        )
+        yield compared(f"table 1, {name}, memory", str(size_mb), mb[0], mb[1], "MB", why)
         for series, values in ((rates, ((low, high), *fps)), (memory, (size_mb, *mb))):
             for key, value in zip(series, values, strict=True):
                 series[key].append(value)
     least = both(min(rates[key]) for key in ("printed method", "corrected"))
     slow = "not every model reaches the printed rate on this machine"
     yield shown(
-        "s1", "section 3, least frame rate", "8", *least, min(least) >= 8, slow, "frames/s"
+        "section 3, least frame rate", "8", *least, min(least) >= 8, slow, "frames/s"
     )
     labels = [f"{name}, {faces:,} faces" for name, (faces, *_) in TABLE_1.items()]
     yield bars(
-        "s1", "table 1, apple, frame rate", "frame rate", "frames per second", labels, rates
+        "table 1, apple, frame rate", "frame rate", "frames per second", labels, rates
     )
-    yield bars("s1", "table 1, apple, memory", "memory", "MB", labels, memory)
+    yield bars("table 1, apple, memory", "memory", "MB", labels, memory)

@@ -63,7 +63,6 @@ def section_2_3() -> Iterator[Item]:
     v, d = normalise(np.array([[-0.6, 0, 0.8]])), np.array([0.6, 0, 0.8])
     highlight = float(phong(UP[None], v, d, np.array([0.3]))[0])
     yield shown(
-        "s1",
         "section 2.3, Phong's highlight in the mirrored direction",
         "brightest",
         highlight,
@@ -81,7 +80,6 @@ def section_2_3() -> Iterator[Item]:
         " light, in linear light"
     )
     yield Row(
-        "s1",
         "section 2.3, half of the light on coded 200",
         None,
         coded,
@@ -94,10 +92,8 @@ def section_2_3() -> Iterator[Item]:
 
 def equation_1() -> Iterator[Item]:
     """Light of a surface."""
-    d, omega = (
-        normalise(np.array([[0.5, 0.2, 0.8], [-0.6, 0.1, 0.7]])),
-        np.array([[0.6, 0.5, 0.4], [0.2, 0.3, 0.4]]),
-    )
+    d = normalise(np.array([[0.5, 0.2, 0.8], [-0.6, 0.1, 0.7]]))
+    omega = np.array([[0.6, 0.5, 0.4], [0.2, 0.3, 0.4]])
     n = np.concatenate([hemisphere(3), -hemisphere(3)])
     x = np.maximum(n @ d.T, 0) @ omega
     shared = Light(
@@ -117,7 +113,6 @@ def equation_1() -> Iterator[Item]:
         float(np.abs(e - x).max()) for e in (shared.radiance(n), found.irradiance(n))
     )
     yield shown(
-        "s1",
         "equation (1), two lights: largest difference from the sum",
         "x = Σ max(n·d, 0) Ω",
         *off,
@@ -159,7 +154,6 @@ def equation_2(seeds: int) -> Iterator[Item]:
         f" {np.percentile(table[:, 0], 90):.1f})"
     )
     yield compared(
-        "s1",
         "equation (2), ρ as mean brightness: bias, true 12 of 255",
         f"{BIAS:.0f}",
         by,
@@ -168,7 +162,6 @@ def equation_2(seeds: int) -> Iterator[Item]:
         why + spread,
     )
     yield compared(
-        "s1",
         "equation (2), ρ as mean brightness: largest error of the light's ratios",
         "0",
         ey,
@@ -188,7 +181,6 @@ def equation_4() -> Iterator[Item]:
         }
         corrected = 255 * float(solve(three(grey), white=WHITE).bias[0])
         yield compared(
-            "s1",
             f"equation (4), b = 1/b', {frames} frames, true 12 of 255",
             f"{BIAS:.0f}",
             b[True],
@@ -197,7 +189,6 @@ def equation_4() -> Iterator[Item]:
             FREE,
         )
     yield compared(
-        "s1",
         "equation (4), b = b'/g', 40 frames, true 12 of 255",
         f"{BIAS:.0f}",
         b[False],
@@ -227,7 +218,6 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
         one = solve(three(seen), albedo=rho).verdict == MEASURED
         nullity = eq6_smallest_vector(seen, rho).nullity
         yield compared(
-            "s1",
             f"{item}: solutions",
             "1",
             nullity,
@@ -238,7 +228,6 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
     exact = 255 * eq6_smallest_vector(grey, RHO).bias
     corrected = 255 * float(solve(three(grey), white=WHITE).bias[0])
     yield compared(
-        "s1",
         "equation (6), bias without noise, true 12 of 255",
         f"{BIAS:.0f}",
         exact,
@@ -267,7 +256,7 @@ def equations_5_6(seeds: int) -> Iterator[Item]:
             "equation (6), bias with noise of 2, true 12 of 255, albedos .45 to .55, I up"
             f" to {unit}"
         )
-        yield compared("s1", item, f"{BIAS:.0f}", b[unit], b["corrected"], "of 255", why)
+        yield compared(item, f"{BIAS:.0f}", b[unit], b["corrected"], "of 255", why)
 
 
 def equation_7() -> Iterator[Item]:
@@ -294,7 +283,6 @@ def equation_7() -> Iterator[Item]:
     last = both((seen(np.full(1000, 0.7))[-1] / 0.7).tolist())
     noisy = seen(0.7 + 0.05 * np.random.default_rng(0).normal(size=400))
     yield compared(
-        "s1",
         "equation (7), constant light after 1,000 updates",
         "1",
         *last,
@@ -304,7 +292,6 @@ def equation_7() -> Iterator[Item]:
     )
     left = both(100 * float(s) / 0.05 for s in np.std(noisy[50:], axis=0))
     yield shown(
-        "s1",
         "equation (7), noise of one normal that is left",
         "M ← (1 − f) M + f x",
         *left,
@@ -321,7 +308,6 @@ def equation_7() -> Iterator[Item]:
         " lacks its square: see there"
     )
     yield Row(
-        "s1",
         "section 2.2, normals that one frame renews by half or more",
         "one",
         *newest,
@@ -349,16 +335,13 @@ def corrected_weight(cosine: np.ndarray) -> np.ndarray:
 
 def equation_8() -> Iterator[Item]:
     """The weight of a normal."""
-    yield Row(
-        "s1", "equation (8), s", "a blur constant", S_RAD, S_RAD, "rad", DIFFERS, NO_VALUE
-    )
+    yield Row("equation (8), s", "a blur constant", S_RAD, S_RAD, "rad", DIFFERS, NO_VALUE)
     why = "the square of a Gaussian is missing in print: the weight has a cusp at 0"
     for angle_deg in (0, 1, 5, 10, 20, 30):
         cosine = np.cos(np.radians([angle_deg]))
         f = both(float(weight(cosine)[0]) for weight in (printed_weight, corrected_weight))
         holds = abs(f[0] - f[1]) < 1e-6
         yield shown(
-            "s1",
             f"equation (8), weight at {angle_deg} degrees",
             "exp(−θ / (2 s²))",
             *f,
@@ -376,7 +359,6 @@ def equation_8() -> Iterator[Item]:
         " Corrected: n·n' > 0"
     )
     yield shown(
-        "s1",
         "equation (8), condition cos(n·n') > 0: directions behind that it excludes",
         "all",
         *out,
@@ -387,7 +369,6 @@ def equation_8() -> Iterator[Item]:
     angles_deg = np.linspace(0, 40, 161)
     cosines = np.cos(np.radians(angles_deg))
     yield curves(
-        "s1",
         "equation (8), weight at 10 degrees",
         "weight of a reading over the angle to its normal",
         (
@@ -407,10 +388,8 @@ def lit(n: np.ndarray, lamps: np.ndarray, ambient: float) -> np.ndarray:
 def cap(span_deg: float, count: int, seed: int = 0) -> np.ndarray:
     """(count, 3) normals within span_deg of UP."""
     rng = np.random.default_rng(seed)
-    z, phi = (
-        1 - rng.random(count) * (1 - np.cos(np.radians(span_deg))),
-        2 * np.pi * rng.random(count),
-    )
+    z = 1 - rng.random(count) * (1 - np.cos(np.radians(span_deg)))
+    phi = 2 * np.pi * rng.random(count)
     r = np.sqrt(1 - z * z)
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], -1)
 
@@ -419,7 +398,6 @@ def equation_9(seeds: int) -> Iterator[Item]:
     """Lights at the peaks of the map."""
     params = PrintedLightParams(albedos="known")
     yield Row(
-        "s1",
         "equation (9), I_c",
         "a large value",
         f"{params.peak:g} of the largest",
@@ -429,7 +407,6 @@ def equation_9(seeds: int) -> Iterator[Item]:
         NO_VALUE,
     )
     yield Row(
-        "s1",
         "equation (9), ε",
         "a small angle",
         params.peak_apart_deg,
@@ -453,11 +430,10 @@ def equation_9(seeds: int) -> Iterator[Item]:
         ).reshape(-1, 3)
         what = f"equation (9), two equal lamps {apart_deg} degrees apart"
         yield compared(
-            "s1", f"{what}: lights", "2", len(peaks), len(fitted) or "refused", "", PEAKS
+            f"{what}: lights", "2", len(peaks), len(fitted) or "refused", "", PEAKS
         )
         off = [off_deg(directions, lamps) for directions in (peaks, fitted)]
         yield compared(
-            "s1",
             f"{what}: direction off",
             "0",
             off[0],
@@ -471,7 +447,6 @@ def equation_9(seeds: int) -> Iterator[Item]:
         for column in zip(*clips, strict=True)
     )
     yield compared(
-        "s1",
         "equation (9), one lamp with ambient light, median: direction off",
         "0",
         *median,
@@ -490,7 +465,6 @@ def equation_9(seeds: int) -> Iterator[Item]:
     )
     count = both((float(sum(map(len, single))), float(sum(claimed))))
     yield Row(
-        "s1",
         "equation (9), a marker at rest, 50 normals: lights",
         "at a peak",
         *count,
@@ -503,7 +477,6 @@ def equation_9(seeds: int) -> Iterator[Item]:
     )
     kept = len(lights_of([reading(five, 0.6)], PrintedLightParams(peak=0.3))[0][0].lights)
     yield compared(
-        "s1",
         "equation (9), five peaks: lights",
         "5",
         kept,

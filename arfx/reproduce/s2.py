@@ -83,11 +83,10 @@ def _circle() -> Iterator[Item]:
         if item == "equation (3)":
             same = math.isclose(picture, by_circle, rel_tol=1e-9)
             yield shown(
-                "s2", "equation (2)", "1/f = 1/u + 1/v", picture, by_circle, same, "", "mm"
+                "equation (2)", "1/f = 1/u + 1/v", picture, by_circle, same, "", "mm"
             )
         same = math.isclose(value, true, rel_tol=1e-9)
         yield shown(
-            "s2",
             item,
             f"C = {printed}",
             value,
@@ -99,7 +98,6 @@ def _circle() -> Iterator[Item]:
     infinite = eq3_circle(F, N, L, 1e12)
     same = math.isclose(infinite, LENS.coc_at_infinity_mm, rel_tol=1e-6)
     yield shown(
-        "s2",
         "equation (3), infinitely far",
         "F²/(N (U_A - F))",
         infinite,
@@ -126,7 +124,6 @@ def _limits() -> Iterator[Item]:
                 float(circle_of_confusion_mm(d, lens)) for d in (at, right)
             )
             yield compared(
-                "s2",
                 f"{name}{of}, circle (3) at this limit",
                 f"{C}",
                 at_limit,
@@ -137,16 +134,13 @@ def _limits() -> Iterator[Item]:
             )
     both = depth_of_field(LENS, C)
     assert both.front_mm is not None and both.back_mm is not None
-    total, parts = (
-        eq6_total(N, C, L, F),
-        eq4_front(N, C, L, F) + (eq5_back(N, C, L, F) or 0.0),
-    )
+    total = eq6_total(N, C, L, F)
+    parts = eq4_front(N, C, L, F) + (eq5_back(N, C, L, F) or 0.0)
     why = (
         "L in the denominator is not squared, the dimensions do not match; the sum of (4)"
         " and (5) is {:.4f}, and by (3) {:.4f}"
     )
     yield Row(
-        "s2",
         "equation (6)",
         "ΔL1 + ΔL2",
         total,
@@ -157,13 +151,10 @@ def _limits() -> Iterator[Item]:
     )
     squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
     same = math.isclose(squared, parts, rel_tol=1e-12)
-    yield shown(
-        "s2", "equation (6), L squared", "ΔL1 + ΔL2", squared, parts, same, "", "mm"
-    )
+    yield shown("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, same, "", "mm")
     here, true_mm = hyperfocal(N, C, F), depth_of_field(LENS, C).hyperfocal_mm
     why = f"{L_LESS_F}; (5) has its pole there"
     yield Row(
-        "s2",
         "equation (5), hyperfocal distance",
         "F²/(N C)",
         here,
@@ -194,7 +185,6 @@ def _limits() -> Iterator[Item]:
         " infinity: all behind is inside"
     )
     yield Row(
-        "s2",
         "equation (5), beyond the hyperfocal distance",
         "NCL²/(F² - NCL)",
         *words,
@@ -213,10 +203,9 @@ def _example() -> Iterator[Item]:
         ("focal length", "200", LENS.focal_mm, "mm"),
         ("distance", "2.5", LENS.focus_mm / 1e3, "m"),
     ):
-        yield compared("s2", f"section 3.1, {name}", value, used, used, unit)
+        yield compared(f"section 3.1, {name}", value, used, used, unit)
     as_radius = eq4_front(N, 2 * C, L, F)
     yield Row(
-        "s2",
         "section 3.1, permitted circle",
         "radius .035 mm",
         "diameter .035 mm",
@@ -228,7 +217,6 @@ def _example() -> Iterator[Item]:
     )
     of = "section 3.1, "
     yield compared(
-        "s2",
         f"{of}front depth of field (4)",
         "58.7",
         printed.front_mm,
@@ -237,7 +225,6 @@ def _example() -> Iterator[Item]:
         L_LESS_F,
     )
     yield compared(
-        "s2",
         f"{of}back depth of field (5)",
         "61.6",
         printed.back_mm,
@@ -247,18 +234,15 @@ def _example() -> Iterator[Item]:
     )
     near, far = (L - printed.front_mm) / 1e3, (L + printed.back_mm) / 1e3
     yield compared(
-        "s2", f"{of}sharp from", "2.4413", near, (L - true.front_mm) / 1e3, "m", L_LESS_F
+        f"{of}sharp from", "2.4413", near, (L - true.front_mm) / 1e3, "m", L_LESS_F
     )
-    yield compared(
-        "s2", f"{of}sharp to", "2.5616", far, (L + true.back_mm) / 1e3, "m", L_LESS_F
-    )
+    yield compared(f"{of}sharp to", "2.5616", far, (L + true.back_mm) / 1e3, "m", L_LESS_F)
     why = (
         "follows from none of the formulas: (4) + (5) is"
         f" {printed.front_mm + printed.back_mm:.3f} mm, (6) {printed.total_mm:.3f} mm; it"
         " is said to come from the camera's matrix, which is not stated"
     )
     yield compared(
-        "s2",
         f"{of}depth of field of the composited scene",
         "126.746",
         None,
@@ -267,7 +251,6 @@ def _example() -> Iterator[Item]:
         why,
     )
     yield Row(
-        "s2",
         f"{of}matrix of the camera",
         "found by OpenCV",
         None,
@@ -281,7 +264,6 @@ def _example() -> Iterator[Item]:
     apart = float(np.abs(circle - circle_of_confusion_mm(distance, LENS)).max())
     words = f"circles of 0 to {circle.max():.3f} mm"
     yield shown(
-        "s2",
         "figure 3",
         "circle of a point beside the focus",
         words,
@@ -289,7 +271,6 @@ def _example() -> Iterator[Item]:
         apart < 1e-9,
     )
     plot = curves(
-        "s2",
         "figure 3",
         "circle of confusion and depth of field: N = 11, F = 200 mm, L = 2500 mm",
         ("distance, mm; dotted: limits by (4) and (5), and corrected", "mm"),
@@ -314,7 +295,6 @@ def _blur_factor() -> Iterator[Item]:
     ]
     words = ["rises" if r else "does not rise" for r in rises]
     yield shown(
-        "s2",
         "section 3, blur with distance from the focus",
         "rises",
         words[0],
@@ -325,7 +305,6 @@ def _blur_factor() -> Iterator[Item]:
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
     span = f"{a.min():g} to {a.max():g}"
     yield shown(
-        "s2",
         "section 3.4, range of α",
         "0 to 1",
         span,
@@ -334,7 +313,6 @@ def _blur_factor() -> Iterator[Item]:
         "outside of it",
     )
     yield shown(
-        "s2",
         "section 3.2, depth = z / z_far",
         "0 to 1",
         "dioptres, 0 to 1 / z_near",
@@ -349,7 +327,6 @@ def _blur_factor() -> Iterator[Item]:
         " planes that nobody sees"
     )
     yield Row(
-        "s2",
         "section 3.2, a of infinity, near plane at 50 mm",
         "c / max(c_near, c_far)",
         infinite,
@@ -366,7 +343,6 @@ def _blur_factor() -> Iterator[Item]:
     why = "one thing's blur changes with the far plane"
     words = [f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m", same]
     yield Row(
-        "s2",
         "section 3.2, a of a thing at 5 m",
         "one value",
         words[0],
@@ -388,7 +364,6 @@ def _blur_factor() -> Iterator[Item]:
         " (4) and (5)"
     )
     yield Row(
-        "s2",
         "section 3.2, blur at f/2 over that at f/11",
         "from focal length and f-number",
         ratio,
@@ -408,18 +383,18 @@ def _luminance() -> Iterator[Item]:
         only = np.full((3, 3, 3), 100, np.float32)
         only[y, x] = 101
         seen.append(float(eq8_bleed(only, flat)[1, 1, 0]) > 100.5 and (y, x) != (1, 1))
-    yield compared("s2", "figure 7, neighbours that count", "8", float(sum(seen)))
+    yield compared("figure 7, neighbours that count", "8", float(sum(seen)))
     result = float(eq8_bleed(np.dstack([around] * 3), flat)[1, 1, 0])
     more = around[around > 100] - 100
     expected = float((more / more.sum() * around[around > 100]).sum())
     same = math.isclose(result, expected, rel_tol=1e-5)
     item = "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140"
-    yield shown("s2", item, "weights 20/140, 80/140, 40/140", result, None, same, "")
+    yield shown(item, "weights 20/140, 80/140, 40/140", result, None, same, "")
     even = np.full((3, 3, 3), 100, np.float32)
     kept = float(
         eq8_bleed(even - np.where(np.arange(9).reshape(3, 3, 1) == 4, 0, 50), flat)[1, 1, 0]
     )
-    yield compared("s2", "equation (8), 100 among darker ones", "100", kept)
+    yield compared("equation (8), 100 among darker ones", "100", kept)
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
     made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
@@ -429,7 +404,6 @@ def _luminance() -> Iterator[Item]:
         " and reaches one pixel. A disc keeps it"
     )
     yield Row(
-        "s2",
         "equation (8), light of one white pixel",
         1.0,
         made,
@@ -465,7 +439,6 @@ def _blocks() -> Iterator[Item]:
     }
     for name, value in parts.items():
         yield compared(
-            "s2",
             f"figure 8, bytes of {name}",
             printed[name],
             float(value),
@@ -474,7 +447,6 @@ def _blocks() -> Iterator[Item]:
             why,
         )
     yield compared(
-        "s2",
         "figure 8, shared memory",
         "9728",
         float(sum(parts.values())),
@@ -483,7 +455,6 @@ def _blocks() -> Iterator[Item]:
         why,
     )
     yield compared(
-        "s2",
         "figure 8, blocks of 800 x 800",
         "5000",
         float((800 // rows_px) * (800 // columns_px)),
@@ -492,7 +463,6 @@ def _blocks() -> Iterator[Item]:
         why,
     )
     yield compared(
-        "s2",
         "figure 8, threads of a block",
         "128",
         float(rows_px * columns_px),
@@ -509,7 +479,6 @@ def _blocks() -> Iterator[Item]:
     why = "not stated; the block holds 4 px around its own, of which (8) takes one"
     usual = f"{PrintedDofParams().mean_px} px, at most {largest} px"
     yield Row(
-        "s2",
         "section 3.3, size of the mean filter",
         None,
         usual,
@@ -527,7 +496,7 @@ def _blend() -> Iterator[Item]:
             0, 0, 0
         ]
     )
-    yield compared("s2", "equation (9), 80 over 40 with α = 1/4", "50", value)
+    yield compared("equation (9), 80 over 40 with α = 1/4", "50", value)
     step = np.where(np.arange(8) < 4, 0.0, 1.0)
     picture = np.repeat(np.repeat(step[None, :, None], 3, 0), 3, 2)
     half = eq9_blend(np.full((3, 8), 0.5), np.full_like(picture, 0.5), picture)
@@ -538,7 +507,6 @@ def _blend() -> Iterator[Item]:
     )
     disc = float(_disc_rows(3).max())
     yield Row(
-        "s2",
         "equation (9), sharp edge left at α = 1/2",
         "weighted mean",
         left,
@@ -551,14 +519,13 @@ def _blend() -> Iterator[Item]:
     inside = float(within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0])
     outside = float(within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0])
     yield shown(
-        "s2",
         "section 3.4, factor inside the depth of field",
         "2/3",
         inside,
         None,
         abs(inside - 2 / 3) < 1e-9,
     )
-    yield compared("s2", "section 3.4, factor outside", "1", outside)
+    yield compared("section 3.4, factor outside", "1", outside)
     places = np.linspace(sharp[0] - 0.01, sharp[1] + 0.01, 4001)
     steps = [
         float(np.abs(np.diff(within_depth_of_field(places, sharp, border))).max())
@@ -567,7 +534,6 @@ def _blend() -> Iterator[Item]:
     why = f"a hard border would be a step of {steps[1]:.2f}"
     words = f"no step (at most {steps[0]:.4f} from one of 4000 places to the next)"
     yield shown(
-        "s2",
         "section 3.4, border of the depth of field",
         "smooth",
         words,

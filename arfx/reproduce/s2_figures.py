@@ -60,7 +60,6 @@ def rows(work: Work) -> Iterator[Item]:
     }
     yield from _diagrams()
     yield Row(
-        "s2",
         "figure 4",
         "photographs with depth of field",
         OPEN_LENS,
@@ -70,7 +69,6 @@ def rows(work: Work) -> Iterator[Item]:
         NO_CAMERA,
     )
     yield Figure(
-        "s2",
         "figure 4",
         "bright points spread over what is dark around them",
         {REFERENCE: photo},
@@ -89,7 +87,6 @@ def rows(work: Work) -> Iterator[Item]:
     )  # no real thing stands before the model
     room = desk_shot(work, bare, room_model(work))
     yield Figure(
-        "s2",
         "section 4, all-virtual scene",
         "nothing of the footage is left: desk, wall and both balls are a model",
         {
@@ -108,7 +105,6 @@ def _diagrams() -> Iterator[Item]:
     )
     parts = "capture, virtual scene, interaction, communication, display"
     yield Row(
-        "s2",
         "figure 1",
         parts,
         "clip, analysis, " + order,
@@ -119,7 +115,6 @@ def _diagrams() -> Iterator[Item]:
     )
     ends = order.endswith("composite, dof")
     yield shown(
-        "s2",
         "figure 2",
         "virtual objects, composition, depth of field",
         order,
@@ -148,9 +143,9 @@ def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Itera
         "found from a marker, whose size makes it metric; which feature points the authors"
         " tracked is not stated"
     )
-    yield Row("s2", "figure 5", "axes from feature points", found, found, "", DIFFERS, why)
+    yield Row("figure 5", "axes from feature points", found, found, "", DIFFERS, why)
     yield Figure(
-        "s2", "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn}
+        "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn}
     )
 
 
@@ -173,7 +168,6 @@ def _steps(
         f" {a.min():.2f}-{a.max():.2f}, luminance"
     )
     yield shown(
-        "s2",
         "figure 6",
         "depth with blur factor; luminance",
         span,
@@ -187,18 +181,14 @@ def _steps(
         "luminance": luminance,
     }
     yield Figure(
-        "s2",
         "figure 6",
         "textures",
         {name: _bytes(np.dstack([t] * 3)) for name, t in textures.items()},
     )
-    yield shown(
-        "s2", "figure 9", "the scene before", "a scene of the project", "the same", True
-    )
-    yield Figure("s2", "figure 9", "before", {BEFORE: before})
+    yield shown("figure 9", "the scene before", "a scene of the project", "the same", True)
+    yield Figure("figure 9", "before", {BEFORE: before})
     apart = _levels(blurred, before)
     yield shown(
-        "s2",
         "figure 10",
         "blurred all over",
         f"{apart:.1f} grey levels from figure 9",
@@ -207,7 +197,6 @@ def _steps(
         "nothing was blurred",
     )
     yield Figure(
-        "s2",
         "figure 10",
         "mean filter and bleeding (8), before the blend",
         {"printed, blurred all over": blurred},
@@ -229,14 +218,14 @@ def _beside_photograph(
         " discs that grow with the distance"
     )
     values = [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)]
-    yield shown("s2", item, "like a camera", values[0], values[1], False, why)
+    yield shown(item, "like a camera", values[0], values[1], False, why)
     pictures = {
         BEFORE: before,
         PRINTED: after[PAPER],
         CORRECTED: after[BY_CORRECTED],
         REFERENCE: photo,
     }
-    yield Figure("s2", item, title, pictures)
+    yield Figure(item, title, pictures)
 
 
 def _points(
@@ -251,7 +240,6 @@ def _points(
     levels = f"{_levels(after[GAUSSIAN], photo):.1f} grey levels from the photograph"
     spread = area[GAUSSIAN] > area["before"]
     yield shown(
-        "s2",
         "figure 12",
         "Gaussian filter",
         f"{words[GAUSSIAN]}, {levels}",
@@ -260,7 +248,6 @@ def _points(
         "nothing was spread",
     )
     yield Figure(
-        "s2",
         "figure 12",
         "the Gaussian filter that the paper compares itself with",
         {
@@ -273,7 +260,6 @@ def _points(
     found = f"{words[PAPER]}, Gaussian {area[GAUSSIAN]:.0f} px"
     true = f"{words[BY_CORRECTED]}, photograph {area['photograph']:.0f} px"
     yield shown(
-        "s2",
         "figure 13",
         "bright points spread more than in figure 12",
         found,
@@ -289,7 +275,6 @@ def _points(
         for name, p in made.items()
     }
     yield Figure(
-        "s2",
         "figure 13",
         "the bright points, twice as large",
         {
@@ -309,7 +294,6 @@ def _in_focus(before: np.ndarray, closed: Pictures) -> Iterator[Item]:
     ]
     words = [f"{100 * c:.0f} % of the pixels blurred" for c in changed]
     yield shown(
-        "s2",
         "figure 14",
         "all in focus, nothing blurred",
         words[0],
@@ -318,19 +302,15 @@ def _in_focus(before: np.ndarray, closed: Pictures) -> Iterator[Item]:
         "some pixels changed",
     )
     pictures = {PRINTED: closed[PAPER], CORRECTED: closed[BY_CORRECTED]}
-    yield Figure(
-        "s2", "figure 14", "a real and a virtual (blue) ball, all in focus", pictures
-    )
+    yield Figure("figure 14", "a real and a virtual (blue) ball, all in focus", pictures)
 
 
 def _out_of_focus(
     shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray
 ) -> Iterator[Item]:
-    made, camera, pose = (
-        {**after, "photograph": photo},
-        shot.job.scene.camera,
-        shot.renderer.facts.pose,
-    )
+    made = {**after, "photograph": photo}
+    camera = shot.job.scene.camera
+    pose = shot.renderer.facts.pose
     kept: dict[str, list[float]] = {name: [] for name in made}
     for centre, radius_m in BALLS_M.values():
         middle = pose.apply(np.array([centre]))
@@ -350,7 +330,6 @@ def _out_of_focus(
     )
     said = "both balls blurred alike"
     yield shown(
-        "s2",
         "figure 15",
         said,
         f"outline keeps: {words[PAPER]}",
@@ -372,18 +351,13 @@ def _out_of_focus(
         for name, p in pictures.items()
     }
     yield Figure(
-        "s2",
         "figure 15",
         "the same out of focus (the virtual ball has a faint sheen, which the real one"
         " lacks)",
         near,
     )
-    yield Row(
-        "s2", "figure 16", "a photograph", OPEN_LENS, OPEN_LENS, "", DIFFERS, NO_CAMERA
-    )
-    yield Figure(
-        "s2", "figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]}
-    )
+    yield Row("figure 16", "a photograph", OPEN_LENS, OPEN_LENS, "", DIFFERS, NO_CAMERA)
+    yield Figure("figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
 
 
 def _bytes(coded: np.ndarray) -> np.ndarray:

@@ -53,7 +53,7 @@ def rows(work: Work) -> Iterator[Item]:
             f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here"
         )
         yield Row(
-            "s2", f"section 4, capture by {how}", printed, None, None, "fps", UNDERIVED, why
+            f"section 4, capture by {how}", printed, None, None, "fps", UNDERIVED, why
         )
     missed = f"not reached here, nor by the authors (21 fps): {HERE}"
     yield _rate("section 5, rate that is needed", 25.0, augmented, missed)
@@ -68,7 +68,7 @@ def rows(work: Work) -> Iterator[Item]:
         name: [virtual[k], augmented[k], augmented[k]]
         for k, name in enumerate(("printed method", "corrected"))
     }
-    yield bars("s2", "section 4, all-virtual scene", title, "fps", labels, series)
+    yield bars("section 4, all-virtual scene", title, "fps", labels, series)
 
 
 def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:
@@ -84,7 +84,6 @@ def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:
 def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
     holds = min(here) >= printed
     return Row(
-        "s2",
         item,
         printed,
         here[0],
@@ -98,7 +97,6 @@ def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
 def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
     here = f"{platform.machine()}, {usable_cores()} cores"
     yield Row(
-        "s2",
         "section 4, machine",
         "Intel Core Duo 2.80 GHz, 2 GB, GeForce 9600 GT",
         here,
@@ -111,12 +109,9 @@ def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
     why = "the process with all its libraries needs more than the authors' machine had"
     holds = max(printed, corrected) <= PC_MB
     words = [f"at most {mb:.0f} MB used" for mb in (printed, corrected)]
-    yield shown(
-        "s2", "section 4, memory of the machine", "2 GB", words[0], words[1], holds, why
-    )
+    yield shown("section 4, memory of the machine", "2 GB", words[0], words[1], holds, why)
     used = f"{size[0]}*{size[1]}"
     yield compared(
-        "s2",
         "section 4, resolution",
         "1280*1024",
         used,

@@ -34,8 +34,6 @@ from arfx.stages.watercolor.lines import ALPHA, BETA
 from arfx.stages.watercolor.sites import make_sites, still_field
 from arfx.stages.watercolor.toon import RAMP, tones
 
-Pair = tuple[float | str, float | str | None]  # by the printed method, by the corrected one
-figure = partial(Figure, "s3")
 DRAWN = 0.1  # share of the ink from which a line is seen
 BLACK, WHITE, RED, GREEN = (0, 0, 0), (1, 1, 1), (1, 0, 0), (0, 1, 0)
 # What (2), (3) and the left side of (4) come to for a step between two colours with alpha =
@@ -58,30 +56,13 @@ def rows(work: Work) -> Iterator[Item]:
     yield from time_rows(frame, work)
 
 
-def number(
-    item: str,
-    printed: str,
-    here: Pair,
-    unit: str = "",
-    reason: str = "",
-    tolerance: float | None = None,
-) -> Row:
-    return compared("s3", item, printed, *here, unit, reason, tolerance)
-
-
-def stated(
-    item: str, printed: str, here: Pair, holds: bool, reason: str = "", unit: str = ""
-) -> Row:
-    return shown("s3", item, printed, *here, holds, reason, unit)
-
-
 def frame_rows(frame: Shown) -> Iterator[Item]:
     seen = [name for name, where in frame.objects().items() if where.any()]
     item, said = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
-    yield stated(
-        item, "virtual objects in the camera's frame", (said, said), seen == list(OBJECTS)
+    yield shown(
+        item, "virtual objects in the camera's frame", said, said, seen == list(OBJECTS)
     )
-    yield figure(
+    yield Figure(
         item,
         "what both methods are given",
         {"camera": frame.real, BEFORE: picture(frame.image)},
@@ -93,10 +74,8 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     rect, (m, n) = frame.layers.rect, scene.cells_of(frame)
     w, h = rect.width / n, rect.height / m
     cell_px = float(np.sqrt(w * h))
-    sites, ours = (
-        paper.eq1_sites(rect, m, n, 1),
-        make_sites(still_field(rect.width, rect.height, cell_px, 64), 1, 10**6, cell_px),
-    )
+    sites = paper.eq1_sites(rect, m, n, 1)
+    ours = make_sites(still_field(rect.width, rect.height, cell_px, 64), 1, 10**6, cell_px)
     labels, own = paper.cones(sites, np.ones(m * n), rect, m, n), label(ours, rect).first
 
     yield _not_stated(
@@ -111,34 +90,32 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
         " one to a rectangle in the mean alone"
     )
     item = "equation (1), a site in each of m × n rectangles"
-    yield number(item, "1", shares, "share of the rectangles", why, tolerance=1e-9)
-    item, shares = (
-        "equation (1), every site in its own cell",
-        (measure.own_cell_share(sites), measure.own_cell_share(ours)),
-    )
-    yield number(item, "1", shares, "share of sites", tolerance=1e-9)
+    yield compared(item, "1", *shares, "share of the rectangles", why, tolerance=1e-9)
+    item = "equation (1), every site in its own cell"
+    shares = (measure.own_cell_share(sites), measure.own_cell_share(ours))
+    yield compared(item, "1", *shares, "share of sites", tolerance=1e-9)
     away, far = (
         measure.farthest(s, found) / np.hypot(w, h)
         for s, found in ((sites, labels), (ours, own))
     )
     item = "equation (1), farthest pixel from its site"
-    yield stated(
-        item, "at most 1", (away, far), max(away, far) <= 1, unit="diagonal of a rectangle"
+    yield shown(
+        item, "at most 1", away, far, max(away, far) <= 1, unit="diagonal of a rectangle"
     )
 
     item = "figure 2, Voronoi diagram"
-    yield number(f"{item}, polygons", str(m * n), (float(len(np.unique(labels))), None))
+    yield compared(f"{item}, polygons", str(m * n), float(len(np.unique(labels))), None)
     shares = measure.convex_share(labels), measure.convex_share(own)
-    yield number(item, "1", shares, "share of cells that are convex", tolerance=1e-9)
-    yield figure(item, "each cell in a colour by chance", _templates(labels, own))
+    yield compared(item, "1", *shares, "share of cells that are convex", tolerance=1e-9)
+    yield Figure(item, "each cell in a colour by chance", _templates(labels, own))
     nearest = (
         measure.nearest_share(sites, labels[:64, :96]),
         measure.nearest_share(ours, own[:64, :96]),
     )
-    yield number(
+    yield compared(
         "section 3.1.2, cones give Voronoi cells",
         "1",
-        nearest,
+        *nearest,
         "share of pixels with the nearest site",
         tolerance=1e-9,
     )
@@ -153,7 +130,7 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
     )
     numbers = len(np.unique(ours.key)) / len(ours)
     item = "section 3.1.2, a cell is known by the colour at its site"
-    yield stated(item, "unique", (many / (m * n), numbers), False, why, "names per cell")
+    yield shown(item, "unique", many / (m * n), numbers, False, why, "names per cell")
 
     item, errors = "figure 4, cells in their mean colour", []
     for found, image in ((labels, frame.image), (own, frame.layers[Layer.IMAGE])):
@@ -164,10 +141,11 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
                 * np.abs(mean_colours(image, [found], len(area))[0] - exact)[area > 0].max()
             )
         )
-    yield stated(
+    yield shown(
         item,
         "the mean of the cell's pixels",
-        (errors[0], errors[1]),
+        errors[0],
+        errors[1],
         max(errors) < 0.01,
         unit="grey levels off it at most",
     )
@@ -180,7 +158,7 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
         PRINTED: picture(flat[0]),
         CORRECTED: picture(flat[1]),
     }
-    yield figure(item, "cells alone, their size by depth", shown_flat)
+    yield Figure(item, "cells alone, their size by depth", shown_flat)
 
 
 def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
@@ -194,14 +172,11 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
         f" of it ({equal:.0%} with equal cones). Corrected: the density of the sites"
         " follows the depth"
     )
-    item, unit = (
-        "section 3.1.2, nearer is finer",
-        f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m",
-    )
+    item = "section 3.1.2, nearer is finer"
+    unit = f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m"
     ratios = float(by_cones[-1] / by_cones[0]), float(by_density[-1] / by_density[0])
-    yield stated(item, "nearer is finer", ratios, False, why, unit)
+    yield shown(item, "nearer is finer", *ratios, False, why, unit)
     yield curves(
-        "s3",
         item,
         "cells on a plane",
         ("depth of the plane, m", "mean area of a cell, px"),
@@ -216,15 +191,16 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     own = measure.corrected_cells(frame)
     item = "section 3.1.2, polygons with cones of many sizes"
-    yield stated(
+    yield shown(
         item,
         "convex",
-        (share, measure.convex_share(own)),
+        share,
+        measure.convex_share(own),
         False,
         why,
         "share of cells that are convex",
     )
-    yield figure(
+    yield Figure(
         item, "cells by depth", {"depth buffer": picture(buffer), **_templates(labels, own)}
     )
     yield _not_stated(
@@ -254,24 +230,25 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
         high_soft,
         "the line with the first `if` is missing",
     )
-    yield number("toon listing, second threshold", "0.2", (low, low_soft), "n · l")
+    yield compared("toon listing, second threshold", "0.2", low, low_soft, "n · l")
     for name, text, at in (
         ("first", "1", 1.0),
         ("second", "0.4", 0.35),
         ("third", "0.1", -0.5),
     ):
         k = int(np.searchsorted(cosine, at - 1e-9))
-        yield number(
+        yield compared(
             f"toon listing, {name} tone",
             text,
-            (float(hard[k]), float(soft[k])),
+            float(hard[k]),
+            float(soft[k]),
             "of the colour",
             tolerance=1e-4,
         )
     why = f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl"
     counts = [float(len(np.unique(tones.round(4)))) for tones in (hard, soft)]
-    yield number(
-        "toon listing, discrete intensities", "3", (counts[0], counts[1]), "tones", why
+    yield compared(
+        "toon listing, discrete intensities", "3", counts[0], counts[1], "tones", why
     )
 
     where, shares = np.any(list(frame.objects().values()), axis=0), []
@@ -286,10 +263,11 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
         for smooth, toon in shares
     ]
     item, why = "section 3.2, toon in place of Gouraud shading", "a soft step is no edge"
-    yield stated(
+    yield shown(
         item,
         "edges that stand out more",
-        (said[0], said[1]),
+        said[0],
+        said[1],
         all(b > a for a, b in shares),
         why,
     )
@@ -302,8 +280,8 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     ):
         for step, (left, right, *values) in STEP_VALUES.items():
             made = measure.edge_of(left, right, beta)
-            yield number(
-                f"{equation}, {step}", values[k], made, "α = β = .5", tolerance=2e-4
+            yield compared(
+                f"{equation}, {step}", values[k], *made, "α = β = .5", tolerance=2e-4
             )
     p, c = printed(frame).params, corrected().params
     yield _not_stated("matrix from RGB to YUV", p.yuv, "bt601")
@@ -316,14 +294,12 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
         "near a hard threshold noise decides; corrected lines come from a smoothed picture,"
         " with hysteresis and a ramp"
     )
-    item, flips = (
-        "equation (4), pixels of an edge that flip",
-        measure.flips(work.scaled(12, 4)),
-    )
-    yield stated(
+    item = "equation (4), pixels of an edge that flip"
+    flips = measure.flips(work.scaled(12, 4))
+    yield shown(
         item,
         "an edge, or none",
-        flips,
+        *flips,
         False,
         why,
         "share from frame to frame, noise 2/255, at the worst contrast",
@@ -346,19 +322,19 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     outlines["outlines of real things"] = frame.real_outlines(), why
     for name, (where, why) in outlines.items():
         found = measure.share_near(where, edges), measure.share_near(where, lines > DRAWN)
-        yield stated(
+        yield shown(
             f"{item}, {name}",
             "found",
-            found,
+            *found,
             min(found) > 0.95,
             why,
             "share of it with an edge within 2 px",
         )
     black = float(edges.mean()), float((lines > DRAWN).mean())
-    yield stated(
+    yield shown(
         item,
         "outlines of virtual and real things",
-        black,
+        *black,
         min(black) > 0,
         unit="share of the frame's pixels",
     )
@@ -369,7 +345,7 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
         CORRECTED: 1 - lines,
         "outlines by depth": 1.0 - true,
     }
-    yield figure(
+    yield Figure(
         item, "of the toon-shaded frame", {name: picture(a) for name, a in drawn.items()}
     )
 
@@ -383,24 +359,21 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     names, count = paper.named_by_colour(
         coded, paper.cones(sites, size, rect, m, n), sites, rect
     )
-    cells, edges = (
-        mean_colours(coded, [names], count)[0][names],
-        measure.printed_edges(coded, stage.params),
-    )
+    cells = mean_colours(coded, [names], count)[0][names]
+    edges = measure.printed_edges(coded, stage.params)
     done, made = np.where(edges[..., None], 0, cells), frame.painted(stage)
-    item, apart = (
-        "figure 6, from the frame to the picture",
-        float(255 * np.abs(done - made).max()),
-    )
-    yield stated(
+    item = "figure 6, from the frame to the picture"
+    apart = float(255 * np.abs(done - made).max())
+    yield shown(
         item,
         "cells, with the edges over them",
-        (apart, None),
+        apart,
+        None,
         apart < 0.5,
         unit="grey levels from these steps",
     )
     steps = {"frame": coded, "cells": cells, "edges": 1.0 - edges, "cells and edges": done}
-    yield figure(item, "the printed steps", {name: picture(a) for name, a in steps.items()})
+    yield Figure(item, "the printed steps", {name: picture(a) for name, a in steps.items()})
 
     ours = frame.painted(corrected())
     change = [float(255 * np.abs(a - frame.image).mean()) for a in (made, ours)]
@@ -410,7 +383,6 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
         " much the frame has changed in the mean"
     )
     yield Row(
-        "s3",
         item,
         "real and virtual agree",
         change[0],
@@ -419,7 +391,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
         DIFFERS,
         why,
     )
-    yield figure(
+    yield Figure(
         item,
         "the result",
         {BEFORE: picture(frame.image), PRINTED: picture(made), CORRECTED: picture(ours)},
@@ -445,14 +417,12 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         ("whole picture", {}, rest),
     ):
         made, ours = measure.still_frames(frame, frames, of_printed, of_corrected)
-        item, errors = (
-            f"section 2, coherence at rest, {name}",
-            (measure.mean_squared(made), measure.mean_squared(ours)),
-        )
-        yield stated(
+        item = f"section 2, coherence at rest, {name}"
+        errors = (measure.mean_squared(made), measure.mean_squared(ours))
+        yield shown(
             item,
             "good",
-            errors,
+            *errors,
             False,
             at_rest,
             "squared error between frames, noise 2/255",
@@ -461,17 +431,17 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
             PRINTED: 8 * abs(made[1] - made[0]),
             CORRECTED: 8 * abs(ours[1] - ours[0]),
         }
-        yield figure(
+        yield Figure(
             item,
             "change from a frame to the next, × 8",
             {f"change, {k}": picture(a) for k, a in change.items()},
         )
         errors = measure.pan_errors(frame.scene, frames, of_printed, of_corrected)
         item = f"section 2, coherence in a pan, {name}"
-        yield stated(
+        yield shown(
             item,
             "good",
-            errors,
+            *errors,
             False,
             in_pan,
             "squared error along the motion, noise 2/255",
@@ -485,15 +455,13 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         "no rate, size or machine is printed; the values are of the stage alone, at"
         f" {rect.width} × {rect.height} on a processor"
     )
-    yield Row(
-        "s3", "section 2, speed", "real time", rates[0], rates[1], "frames/s", DIFFERS, why
-    )
+    yield Row("section 2, speed", "real time", rates[0], rates[1], "frames/s", DIFFERS, why)
 
 
 def _not_stated(
     item: str, here: float | str, ours: float | str, why: str = "the paper does not say"
 ) -> Row:
-    return Row("s3", item, "not stated", here, ours, "", DIFFERS, f"{why}: it is a setting")
+    return Row(item, "not stated", here, ours, "", DIFFERS, f"{why}: it is a setting")
 
 
 def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:

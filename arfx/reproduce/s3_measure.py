@@ -248,10 +248,8 @@ def convex_share(labels: np.ndarray) -> float:
 def printed_cells(shown: Shown) -> tuple[np.ndarray, np.ndarray]:
     """(depth buffer, labels) (h, w) of a frame."""
     stage, rect, (m, n) = printed(shown), shown.layers.rect, cells_of(shown)
-    buffer, sites = (
-        paper.depth_buffer(shown.view(stage), stage.params.near_m),
-        paper.eq1_sites(rect, m, n, 1),
-    )
+    buffer = paper.depth_buffer(shown.view(stage), stage.params.near_m)
+    sites = paper.eq1_sites(rect, m, n, 1)
     return buffer, paper.cones(sites, paper.at_sites(buffer, sites, rect), rect, m, n)
 
 

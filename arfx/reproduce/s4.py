@@ -20,7 +20,7 @@ from arfx.papers.s4_environment import FACE_PX, mip_level, step3_environment, st
 from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row
 from arfx.reproduce.s4_cones import cones
 from arfx.reproduce.s4_pictures import on_the_plane, pictures
-from arfx.reproduce.s4_scenes import LAMP, PAPER, room, said, settings
+from arfx.reproduce.s4_scenes import LAMP, room, said, settings
 from arfx.reproduce.s4_volumes import volumes
 from arfx.reproduce.work import Work
 from arfx.stages.gi.health import seam_ratio
@@ -128,7 +128,6 @@ def panoramas(work: Work) -> Figure:
             np.uint8
         )
     return Figure(
-        PAPER,
         "step 3, seams of the environment",
         "all that is around, out of one picture",
         pictures,
@@ -164,10 +163,8 @@ def environment() -> Iterator[Row]:
             why,
             "at most off, of 1",
         )
-    mipmap, kept = (
-        step3_mipmap(step3_environment(image, FACE_PX)),
-        CubeMap.of(corrected).faces(),
-    )
+    mipmap = step3_mipmap(step3_environment(image, FACE_PX))
+    kept = CubeMap.of(corrected).faces()
     formats = [
         f"{a.shape[-1]} x {a.dtype.itemsize * 8} bit {a.dtype.kind}"
         for a in (mipmap[0], kept)
@@ -212,10 +209,8 @@ def environment() -> Iterator[Row]:
     )
     for half_deg in (1, 5, 15, 30):
         level = mip_level(half_deg, FACE_PX)
-        texel, cone = (
-            4**level * 4 * np.pi / (6 * FACE_PX**2),
-            2 * np.pi * (1 - np.cos(np.radians(half_deg))),
-        )
+        texel = 4**level * 4 * np.pi / (6 * FACE_PX**2)
+        cone = 2 * np.pi * (1 - np.cos(np.radians(half_deg)))
         item = f"step 4, mip level of a cone of half-angle {half_deg}° at {FACE_PX}² texels"
         wrong = "a texel of that level is not as large as the cone"
         yield said(

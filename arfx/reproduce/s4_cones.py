@@ -51,10 +51,8 @@ def cones(work: Work) -> Iterator[Row]:
         abs(total - 1) < 1e-6,
         "not 1",
     )
-    z, turn = (
-        (np.arange(100_000) + 0.5) / 100_000,
-        np.arange(100_000) * np.pi * (3 - np.sqrt(5)),
-    )
+    z = (np.arange(100_000) + 0.5) / 100_000
+    turn = np.arange(100_000) * np.pi * (3 - np.sqrt(5))
     flat = np.sqrt(1 - z**2)
     hemisphere = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], -1)
     covered = float(((hemisphere @ directions.T).max(1) > np.cos(np.radians(wide))).mean())
@@ -104,10 +102,8 @@ def step_length() -> Iterator[Row]:
     }
     half = [1 - float(r[3]) for r in ray(0.5, block, [[0.0, 0, 0.5]], [2.0, 8, 8])]
     whole = [1 - float(r[3]) for r in parts[2]]
-    item, words = (
-        "step 4, opacity of half a step where α = 0.5",
-        "two of them make one step, as follows",
-    )
+    item = "step 4, opacity of half a step where α = 0.5"
+    words = "two of them make one step, as follows"
     yield said(
         item,
         words,

@@ -65,9 +65,7 @@ def radiance(room: Room, origin: np.ndarray, direction: np.ndarray) -> np.ndarra
     rotation = np.ascontiguousarray(np.stack([aside, np.cross(forward, aside), forward], 1))
     rays = FOOTPRINT_RAD * np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0]), -1)
     out = np.zeros((2, 2, 3))
-    lens, every = (
-        Lens(rays, rotation, np.ascontiguousarray(origin), 0.0, 1.0),
-        Samples(np.ones((2, 2), bool), 1.0, 1.0, 0),
-    )
+    lens = Lens(rays, rotation, np.ascontiguousarray(origin), 0.0, 1.0)
+    every = Samples(np.ones((2, 2), bool), 1.0, 1.0, 0)
     render_rows(0, 1, lens, room, every, out, np.zeros((2, 2), np.uint16))
     return np.asarray(out[0, 0])

@@ -17,7 +17,7 @@ from arfx.core.stage import level_named
 from arfx.measure.difference import difference, touched
 from arfx.measure.steps import chain_of
 from arfx.papers import CORRECTED as CORRECTED_FORMULA
-from arfx.papers import PAPER as PAPER_FORMULA
+from arfx.papers import PAPER
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
@@ -33,7 +33,6 @@ from arfx.reproduce.s4_mirror import mirrored_room
 from arfx.reproduce.s4_scenes import (
     FLAT_LAMP,
     LAMP,
-    PAPER,
     Settings,
     flat_scene,
     room,
@@ -45,11 +44,9 @@ from arfx.reproduce.work import Shot, Work, shot_of
 
 
 def pictures(work: Work) -> Iterator[Item]:
-    red, mirror, matte = (
-        work.scaled("red-teapot", "red-cube"),
-        work.scaled("mirror", "cube"),
-        {"plane_gloss": 0.0},
-    )
+    red = work.scaled("red-teapot", "red-cube")
+    mirror = work.scaled("mirror", "cube")
+    matte = {"plane_gloss": 0.0}
     sent = (
         "only lamps are in the printed volumes, so that nothing darkens the plane around"
         " the object; voxels leak and blur"
@@ -101,13 +98,12 @@ def on_the_plane(work: Work) -> Iterator[Row]:
     changes = {}
     for model in ("black-cube", "red-cube"):
         given = settings(work, model, "8cm", FLAT_LAMP, plane_gloss=0.0)
-        for formula in (PAPER_FORMULA, CORRECTED_FORMULA):
+        for formula in (PAPER, CORRECTED_FORMULA):
             shot = work.shot(flat_scene(work), 1, settings=under(work, formula, given))
             changed = shot.layer(Layer.IMAGE) - without_planes(shot).layer(Layer.IMAGE)
             changes[model, formula] = changed[ring(shot.layer(Layer.COVERAGE))].mean(0)
     printed, corrected = (
-        float(changes["red-cube", f] @ [1, -1, 0])
-        for f in (PAPER_FORMULA, CORRECTED_FORMULA)
+        float(changes["red-cube", f] @ [1, -1, 0]) for f in (PAPER, CORRECTED_FORMULA)
     )
     yield said(
         "step 2, delta volume: red that a red cube gives the plane",
@@ -120,7 +116,7 @@ def on_the_plane(work: Work) -> Iterator[Row]:
         "red less green, linear light",
     )
     printed, corrected = (
-        float(changes["black-cube", f].mean()) for f in (PAPER_FORMULA, CORRECTED_FORMULA)
+        float(changes["black-cube", f].mean()) for f in (PAPER, CORRECTED_FORMULA)
     )
     yield said(
         "step 2, delta volume: what a black cube takes from the plane",
@@ -158,7 +154,7 @@ def beside_reference(
     """
     shots = {
         name: work.shot(room(work), 1, settings=under(work, formula, given))
-        for name, formula in ((PRINTED, PAPER_FORMULA), (CORRECTED, CORRECTED_FORMULA))
+        for name, formula in ((PRINTED, PAPER), (CORRECTED, CORRECTED_FORMULA))
     }
     made = {name: shot.picture() for name, shot in shots.items()}
     best = shots[CORRECTED]
@@ -182,7 +178,7 @@ def beside_reference(
         reason,
         "grey levels from traced rays, mean where anything changes",
     )
-    yield Figure(PAPER, item, title, {BEFORE: before, **made})
+    yield Figure(item, title, {BEFORE: before, **made})
 
 
 def rates(work: Work) -> Iterator[Item]:
@@ -190,7 +186,7 @@ def rates(work: Work) -> Iterator[Item]:
     given = settings(work, work.scaled("red-teapot", "red-cube"), "13cm", LAMP)
     timed = {
         f: work.timed(room(work), settings=under(work, f, given))
-        for f in (PAPER_FORMULA, CORRECTED_FORMULA)
+        for f in (PAPER, CORRECTED_FORMULA)
     }
     size = f"{room(work).scene.clip.width} x {room(work).scene.clip.height}"
     printed, corrected = timed.values()
@@ -200,7 +196,6 @@ def rates(work: Work) -> Iterator[Item]:
     )
     unit = f"frames/s at {size}, 64³ voxels"
     yield Row(
-        PAPER,
         "frame rate",
         "real time",
         printed.frames_per_s,
@@ -210,12 +205,9 @@ def rates(work: Work) -> Iterator[Item]:
         why,
     )
     words, unit = "voxels in the memory of the graphics card", "MB of the whole process"
-    yield Row(
-        PAPER, "memory", words, printed.peak_mb, corrected.peak_mb, unit, DIFFERS, why
-    )
+    yield Row("memory", words, printed.peak_mb, corrected.peak_mb, unit, DIFFERS, why)
     stages = sorted({name for t in timed.values() for name in t.stage_s})
     yield bars(
-        PAPER,
         "frame rate",
         "time of a frame by stage",
         "ms",

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from arfx.papers import PAPER as PAPER_FORMULA
+from arfx.papers import PAPER
 from arfx.reproduce.rows import Row, Value, shown
 from arfx.reproduce.work import Clip, Work
 
-PAPER = "s4"
 _FLAT = """
 samples = 1
 [clip]
@@ -90,7 +89,7 @@ def said(
     """values : by the printed and by the corrected method;  otherwise as `shown`"""
     of_paper, corrected = values
     assert of_paper is not None
-    return shown(PAPER, item, printed, of_paper, corrected, holds, reason, unit)
+    return shown(item, printed, of_paper, corrected, holds, reason, unit)
 
 
 def flat_scene(work: Work) -> Clip:
@@ -126,6 +125,6 @@ def under(work: Work, formula: str, given: Settings) -> Settings:
     methods differ.
     """
     voxels: dict[str, object] = (
-        {"voxels": work.scaled(64, 32)} if formula == PAPER_FORMULA else {}
+        {"voxels": work.scaled(64, 32)} if formula == PAPER else {}
     )  # as many as the other has
     return {**given, "gi": {**given["gi"], **voxels, "formula": formula}}

@@ -10,14 +10,14 @@ import numpy as np
 
 from arfx.core.scene import Scene
 from arfx.papers import CORRECTED as CORRECTED_FORMULA
-from arfx.papers import PAPER as PAPER_FORMULA
+from arfx.papers import PAPER
 from arfx.papers.s4_cones import cone_trace
 from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import shadow_maps, step2_radiance
 from arfx.papers.s4_volumes import Volumes, octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
 from arfx.reproduce.rows import Item, Row, bars
-from arfx.reproduce.s4_scenes import FLAT_LAMP, PAPER, flat_scene, said, settings, under
+from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, said, settings, under
 from arfx.reproduce.work import Work, shot_of
 from arfx.stages.gi.reference_scene import RayScene
 
@@ -38,11 +38,9 @@ def volumes(work: Work) -> Iterator[Item]:
 def light(scene: Scene) -> Iterator[Row]:
     """A red cube on a grey plane under one light."""
     mesh = step1_mesh(scene, ALBEDO)
-    real, virtual, made = (
-        RayScene(real_scene(scene, mesh)),
-        RayScene(scene),
-        step2_volumes(real_and_virtual(scene, mesh), scene, 64),
-    )
+    real = RayScene(real_scene(scene, mesh))
+    virtual = RayScene(scene)
+    made = step2_volumes(real_and_virtual(scene, mesh), scene, 64)
     lowest = made.rows_of(0)
     eta = made.tree.eta[lowest]
     beside = made.leaf_of(
@@ -202,7 +200,6 @@ def memory(work: Work) -> Iterator[Item]:
         )
     series = {"arrays of all voxels": dense, "printed method": printed}
     yield bars(
-        PAPER,
         f"step 2, memory of the volumes at {sides[-1]}³ voxels",
         "a teapot",
         "MB",
@@ -216,7 +213,7 @@ def empty(work: Work) -> Row:
     given = settings(work, "red-cube", "8cm", FLAT_LAMP)
     given["model"] = {**given["model"], "offset": ["0m", "0m", "3m"]}
     changed = []
-    for formula in (PAPER_FORMULA, CORRECTED_FORMULA):
+    for formula in (PAPER, CORRECTED_FORMULA):
         job = work.planned(flat_scene(work), settings=under(work, formula, given))
         shot = shot_of(job, 1) if job.plan.frames[1].steps else None
         after = (

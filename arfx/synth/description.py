@@ -47,6 +47,11 @@ DEMO_SCENE = Path(__file__).with_name(
 )  # a desk with an AprilTag and a cube of markers, filmed hand-held on an orbit
 
 Length = Annotated[float, _read(length_m)]
+NonNegativeLength = Annotated[Length, Field(ge=0)]
+PositiveLength = Annotated[Length, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[Length, Length, Length]
 Angles = tuple[float, float, float]
 Colour = tuple[float, float, float]
@@ -60,27 +65,21 @@ class Part(BaseModel):
 
 
 class Clip(Part):
-    file: str = Field(
-        default="clip.mp4",
-        pattern=r"^[\w.-]+\.(mp4|mkv)$",
-        description=".mp4 = H.264, .mkv = lossless FFV1",
-    )
+    # .mp4 = H.264, .mkv = lossless FFV1
+    file: str = Field(default="clip.mp4", pattern=r"^[\w.-]+\.(mp4|mkv)$")
     width: int = Field(default=640, ge=16, le=8192)
     height: int = Field(default=360, ge=16, le=8192)
     fps: float = Field(default=24.0, gt=0, le=1000)
-    crf: float = Field(default=12.0, ge=0, le=51, description="H.264 quality")
-    frame_times: Literal["constant", "variable"] = Field(
-        default="constant", description="variable: ±35 % of a frame, from the seed"
-    )
-    start_s: float = Field(
-        default=0.0, ge=0, description="presentation time of the first frame"
-    )
-    rotation_deg: Literal[0, 90, 180, 270] = Field(
-        default=0, description="stored turned, with a display rotation that undoes it"
-    )
-    tone_hz: float | None = Field(
-        default=None, gt=0, description="adds an audio stream with this tone"
-    )
+    # H.264 quality
+    crf: float = Field(default=12.0, ge=0, le=51)
+    # variable: ±35 % of a frame, from the seed
+    frame_times: Literal["constant", "variable"] = "constant"
+    # presentation time of the first frame
+    start_s: NonNegative = 0.0
+    # stored turned, with a display rotation that undoes it
+    rotation_deg: Literal[0, 90, 180, 270] = 0
+    # adds an audio stream with this tone
+    tone_hz: Positive | None = None
 
 
 class Key(Part):
@@ -114,20 +113,18 @@ class Motion(Part):
     """
 
     kind: Literal["still", "turn", "sway", "keys"] = "still"
-    axis: Angles = Field(default=(1.0, 0.0, 0.0), description="turn: axis")
-    angle_deg: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="turn: from, to over the clip"
-    )
-    tilt_deg: float = Field(
-        default=0.0,
-        description="sway: largest tilt about x and y, in two incommensurate periods",
-    )
-    travel_m: Length = Field(default=0.0, description="sway: largest displacement")
-    period_s: float = Field(default=2.0, gt=0)
-    tremor_deg: float = Field(
-        default=0.0, ge=0, description="rms of a hand's tremor, smooth noise"
-    )
-    tremor_m: Length = Field(default=0.0, ge=0)
+    # turn: axis
+    axis: Angles = (1.0, 0.0, 0.0)
+    # turn: from, to over the clip
+    angle_deg: tuple[float, float] = (0.0, 0.0)
+    # sway: largest tilt about x and y, in two incommensurate periods
+    tilt_deg: float = 0.0
+    # sway: largest displacement
+    travel_m: Length = 0.0
+    period_s: Positive = 2.0
+    # rms of a hand's tremor, smooth noise
+    tremor_deg: NonNegative = 0.0
+    tremor_m: NonNegativeLength = 0.0
     keys: Keys = ()
 
 
@@ -139,18 +136,18 @@ class CameraPath(Part):
 
     kind: Literal["static", "orbit", "dolly", "keys"] = "static"
     target_m: Vector = (0.0, 0.0, 0.0)
-    position_m: Vector = Field(
-        default=(0.0, -0.4, 0.4), description="static, and where a dolly starts"
-    )
-    end_m: Vector = Field(default=(0.0, -0.4, 0.4), description="where a dolly ends")
-    radius_m: Length = Field(default=0.5, gt=0)
+    # static, and where a dolly starts
+    position_m: Vector = (0.0, -0.4, 0.4)
+    # where a dolly ends
+    end_m: Vector = (0.0, -0.4, 0.4)
+    radius_m: PositiveLength = 0.5
     azimuth_deg: tuple[float, float] = (-120.0, -60.0)
     elevation_deg: tuple[float, float] = (45.0, 45.0)
-    hand_deg: float = Field(
-        default=0.0, ge=0, description="rms of hand-held shake, smooth noise about 4 Hz"
-    )
-    hand_m: Length = Field(default=0.0, ge=0)
-    keys: Keys = Field(default=(), description="position_m and target_m are used")
+    # rms of hand-held shake, smooth noise about 4 Hz
+    hand_deg: NonNegative = 0.0
+    hand_m: NonNegativeLength = 0.0
+    # position_m and target_m are used
+    keys: Keys = ()
 
 
 class Shot(Part):
@@ -161,62 +158,42 @@ class Shot(Part):
 
 
 class Lens(Part):
-    fov_deg: float = Field(
-        default=60.0,
-        gt=5,
-        lt=160,
-        description="horizontal field of view of the undistorted picture",
-    )
+    # horizontal field of view of the undistorted picture
+    fov_deg: float = Field(default=60.0, gt=5, lt=160)
     centre_offset_px: tuple[float, float] = (0.0, 0.0)
     model: Literal["brown", "fisheye"] = "brown"
     distortion: tuple[float, ...] = ()
-    aperture_m: Length = Field(
-        default=0.0, ge=0, description="diameter of the lens's opening; 0 = pinhole"
-    )
-    focus_m: Length | None = Field(
-        default=None,
-        gt=0,
-        description="distance of sharp focus along the axis; needed with an aperture",
-    )
-    softness_px: float = Field(
-        default=0.0,
-        ge=0,
-        le=5,
-        description="sigma of the lens's own blur; good lenses have 0.4 to 0.6",
-    )
-    shutter_s: float = Field(
-        default=0.0,
-        ge=0,
-        description="time the shutter is open, centred on the frame's time",
-    )
+    # diameter of the lens's opening; 0 = pinhole
+    aperture_m: NonNegativeLength = 0.0
+    # distance of sharp focus along the axis; needed with an aperture
+    focus_m: PositiveLength | None = None
+    # sigma of the lens's own blur; good lenses have 0.4 to 0.6
+    softness_px: float = Field(default=0.0, ge=0, le=5)
+    # time the shutter is open, centred on the frame's time
+    shutter_s: NonNegative = 0.0
 
 
 class Texture(Part):
     kind: Literal["plain", "wood", "carpet", "noise", "checker", "poster", "image"] = (
         "plain"
     )
-    colour: Colour = Field(
-        default=(0.5, 0.5, 0.5), description="linear albedo 0..1, or the darker of two"
-    )
+    # linear albedo 0..1, or the darker of two
+    colour: Colour = (0.5, 0.5, 0.5)
     second: Colour = (0.7, 0.7, 0.7)
-    feature_m: Length = Field(
-        default=0.02, gt=0, description="size of the pattern's features"
-    )
-    file: Path | None = Field(
-        default=None, description="image: an sRGB picture, beside the scene file"
-    )
+    # size of the pattern's features
+    feature_m: PositiveLength = 0.02
+    # image: an sRGB picture, beside the scene file
+    file: Path | None = None
 
 
 class SceneObject(Part):
     name: str = ""
     position_m: Vector = (0.0, 0.0, 0.0)
-    rotate_deg: Angles = Field(
-        default=(0.0, 0.0, 0.0), description="about x, then y, then z (fixed axes)"
-    )
+    # about x, then y, then z (fixed axes)
+    rotate_deg: Angles = (0.0, 0.0, 0.0)
     motion: Motion = Motion()
-    attached_to: str = Field(
-        default="", description="marker spec key or name whose axes and motion it follows"
-    )
+    # marker spec key or name whose axes and motion it follows
+    attached_to: str = ""
 
 
 class Plane(SceneObject):
@@ -234,7 +211,7 @@ class Box(SceneObject):
 class Sphere(SceneObject):
     """A sphere; its pose is its centre."""
 
-    radius_m: Length = Field(default=0.05, gt=0)
+    radius_m: PositiveLength = 0.05
     colour: Colour = (0.5, 0.5, 0.5)
 
 
@@ -242,98 +219,77 @@ class Marker(SceneObject):
     """A printed marker on a sheet of paper: exact cells, one ink, one paper."""
 
     spec: Annotated[MarkerSpec, _read(MarkerSpec.parse)]
-    margin_cells: float = Field(
-        default=1.5, ge=0, description="white border of the sheet, in cells"
-    )
-    ink: float = Field(default=0.05, ge=0, le=1, description="linear albedo")
-    paper: float = Field(default=0.88, ge=0, le=1)
+    # white border of the sheet, in cells
+    margin_cells: NonNegative = 1.5
+    # linear albedo
+    ink: Share = 0.05
+    paper: Share = 0.88
     inverted: bool = False
-    configured: bool = Field(
-        default=True, description="listed in job.toml; false: a distractor"
-    )
+    # listed in job.toml; false: a distractor
+    configured: bool = True
 
 
 class Lamp(Part):
     """Directional light. rgb: radiance of a white diffuse surface that faces it."""
 
-    azimuth_deg: float = Field(default=40.0, description="from the room's x towards y")
+    # from the room's x towards y
+    azimuth_deg: float = 40.0
     elevation_deg: float = Field(default=55.0, ge=-90, le=90)
     rgb: Colour = (0.5, 0.5, 0.5)
     angular_size_deg: float = Field(default=2.0, ge=0, le=90)
-    swing_deg: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="amplitude of a sine in azimuth and in elevation"
-    )
-    period_s: float = Field(default=2.0, gt=0, description="of the swing")
-    brightness: tuple[tuple[float, float], ...] = Field(
-        default=(),
-        description=(
-            "(time_s, factor), linear between; the same time twice is a switch; beyond the"
-            " ends held"
-        ),
-    )
+    # amplitude of a sine in azimuth and in elevation
+    swing_deg: tuple[float, float] = (0.0, 0.0)
+    # of the swing
+    period_s: Positive = 2.0
+    # (time_s, factor), linear between; the same time twice is a switch; beyond the ends
+    # held
+    brightness: tuple[tuple[float, float], ...] = ()
 
 
 class Light(Part):
-    ambient_rgb: Colour = Field(
-        default=(0.3, 0.3, 0.3), description="radiance of a white surface without the lamps"
-    )
+    # radiance of a white surface without the lamps
+    ambient_rgb: Colour = (0.3, 0.3, 0.3)
     lamps: tuple[Lamp, ...] = (Lamp(),)
-    environment: Literal["", "studio", "sunset"] | Path = Field(
-        default="",
-        description=(
-            "HDR picture (equirectangular, z up) or a built-in one; lights with true"
-            " shadows, replaces ambient"
-        ),
-    )
-    environment_scale: float = Field(default=1.0, gt=0)
-    environment_lights: int = Field(
-        default=48, ge=1, le=1024, description="directional lights it is divided into"
-    )
+    # HDR picture (equirectangular, z up) or a built-in one; lights with true shadows,
+    # replaces ambient
+    environment: Literal["", "studio", "sunset"] | Path = ""
+    environment_scale: Positive = 1.0
+    # directional lights it is divided into
+    environment_lights: int = Field(default=48, ge=1, le=1024)
 
 
 class Exposure(Part):
     """Sensor value = gain × radiance + bias, linear light, then clipped to 0..1."""
 
-    gain: float = Field(default=1.0, gt=0)
+    gain: Positive = 1.0
     bias: float = Field(default=0.0, ge=-0.5, le=0.5)
-    drift_stops: float = Field(
-        default=0.0, description="amplitude of an automatic exposure's wandering"
-    )
-    drift_period_s: float = Field(default=2.0, gt=0)
+    # amplitude of an automatic exposure's wandering
+    drift_stops: float = 0.0
+    drift_period_s: Positive = 2.0
 
 
 class Noise(Part):
     """Variance = read² + shot × signal, linear light."""
 
-    read: float = Field(default=0.002, ge=0)
-    shot: float = Field(default=0.00005, ge=0)
+    read: NonNegative = 0.002
+    shot: NonNegative = 0.00005
 
 
 class Hidden(Part):
     """What the job does not know: each entry breaks an assumption of the models that are tested."""
 
-    transfer: TransferName = Field(
-        default="srgb", description="curve that the camera really applies"
-    )
+    # curve that the camera really applies
+    transfer: TransferName = "srgb"
     noise_correlation_px: float = Field(default=0.0, ge=0, le=8)
     drift_stops: float = 0.0
-    rolling_shutter_s: float = Field(
-        default=0.0,
-        ge=0,
-        description="time from the first row's to the last row's exposure",
-    )
-    focal_error_percent: float = Field(
-        default=0.0, description="camera.yaml states a focal length that much too large"
-    )
-    gloss: float = Field(
-        default=0.0, ge=0, le=1, description="strength of a highlight on the prints"
-    )
-    worn_ink: float | None = Field(
-        default=None,
-        ge=0,
-        le=1,
-        description="ink albedo at the sheet's right edge; grows from the left",
-    )
+    # time from the first row's to the last row's exposure
+    rolling_shutter_s: NonNegative = 0.0
+    # camera.yaml states a focal length that much too large
+    focal_error_percent: float = 0.0
+    # strength of a highlight on the prints
+    gloss: Share = 0.0
+    # ink albedo at the sheet's right edge; grows from the left
+    worn_ink: Share | None = None
 
 
 class DepthInput(Part):
@@ -341,24 +297,14 @@ class DepthInput(Part):
     measures it.
     """
 
-    file: str = Field(
-        default="", pattern=r"^([\w.-]+\.mkv)?$", description="FFV1 gray16; empty: none"
-    )
-    noise: float = Field(
-        default=0.0, ge=0, le=0.2, description="standard deviation, share of the distance"
-    )
-    holes: float = Field(
-        default=0.0,
-        ge=0,
-        le=0.9,
-        description="share of pixels that are not measured, in blots",
-    )
-    edge_px: int = Field(
-        default=0,
-        ge=0,
-        le=16,
-        description="beside edges of things nothing is measured within that many pixels",
-    )
+    # FFV1 gray16; empty: none
+    file: str = Field(default="", pattern=r"^([\w.-]+\.mkv)?$")
+    # standard deviation, share of the distance
+    noise: float = Field(default=0.0, ge=0, le=0.2)
+    # share of pixels that are not measured, in blots
+    holes: float = Field(default=0.0, ge=0, le=0.9)
+    # beside edges of things nothing is measured within that many pixels
+    edge_px: int = Field(default=0, ge=0, le=16)
 
 
 class ModelPart(Part):
@@ -367,12 +313,10 @@ class ModelPart(Part):
 
 
 class Job(Part):
-    stages: tuple[str, ...] | Literal["auto"] = Field(
-        default="auto", description="effects, as in a job file"
-    )
-    settings: dict[str, dict[str, Any]] = Field(
-        default_factory=dict, description="further sections of the job file"
-    )
+    # effects, as in a job file
+    stages: tuple[str, ...] | Literal["auto"] = "auto"
+    # further sections of the job file
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
     quality: Literal["draft", "standard", "high", "reference"] = "standard"
     codec: str = "h264"
 
@@ -382,19 +326,14 @@ class SceneFile(Part):
 
     description: str = ""
     seed: int = Field(default=0, ge=0)
-    samples: int = Field(
-        default=2,
-        ge=1,
-        le=16,
-        description="n × n samples in a pixel in which something ends, moves or blurs",
-    )
+    # n × n samples in a pixel in which something ends, moves or blurs
+    samples: int = Field(default=2, ge=1, le=16)
     truth: tuple[Literal["depth", "mask", "flow"], ...] = ("depth", "mask", "flow")
     clip: Clip = Clip()
     lens: Lens = Lens()
     shot: tuple[Shot, ...] = (Shot(),)
-    marker: tuple[Marker, ...] = Field(
-        default=(), description="the first configured one is the world of arfx"
-    )
+    # the first configured one is the world of arfx
+    marker: tuple[Marker, ...] = ()
     plane: tuple[Plane, ...] = ()
     box: tuple[Box, ...] = ()
     sphere: tuple[Sphere, ...] = ()

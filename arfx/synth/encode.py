@@ -143,12 +143,10 @@ class ClipFile(_Video):
             rows = np.zeros((plane.height, plane.line_size), np.uint8)
             rows[:, : plane.width] = values
             plane.update(rows.tobytes())
-        frame.color_range, frame.colorspace, frame.color_primaries, frame.color_trc = (
-            1,
-            1,
-            1,
-            13,
-        )
+        frame.color_range = 1
+        frame.colorspace = 1
+        frame.color_primaries = 1
+        frame.color_trc = 13
         return frame
 
     def _end(self) -> None:

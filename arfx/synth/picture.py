@@ -135,10 +135,8 @@ class Picture:
         the frame's own time; 0 = nothing.
         """
         time_s = float(self.world.frame_times_s[frame])
-        room, pose = (
-            self.world.at(time_s).room,
-            self.world.camera_at(frame, time_s).inverse(),
-        )
+        room = self.world.at(time_s).room
+        pose = self.world.camera_at(frame, time_s).inverse()
         rays = self.rays(0.0, 0.0)
         depth, owner = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], np.uint8)
         probe(
@@ -163,10 +161,8 @@ class Picture:
         t0, t1 = (float(world.frame_times_s[i]) for i in (frame, frame + 1))
         rays = self.rays(0.0, 0.0)
         points = np.concatenate([rays, np.ones_like(rays[..., :1])], -1) * depth[..., None]
-        room_from_camera, next_camera = (
-            world.camera_at(frame, t0).inverse(),
-            world.camera_at(frame + 1, t1),
-        )
+        room_from_camera = world.camera_at(frame, t0).inverse()
+        next_camera = world.camera_at(frame + 1, t1)
         before, after = world.poses(t0), world.poses(t1)
         grid = np.stack(
             np.meshgrid(np.arange(depth.shape[1]), np.arange(depth.shape[0])), -1

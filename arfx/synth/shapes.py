@@ -74,11 +74,9 @@ def _robot() -> list[Any]:
         mesh.apply_translation(at)
         return _coloured(mesh, material)
 
-    blue, dark, steel = (
-        _material((0.05, 0.2, 0.6)),
-        _material((0.05, 0.05, 0.06)),
-        _material((0.6, 0.6, 0.62), 0.6, 0.35),
-    )
+    blue = _material((0.05, 0.2, 0.6))
+    dark = _material((0.05, 0.05, 0.06))
+    steel = _material((0.6, 0.6, 0.62), 0.6, 0.35)
     parts = [
         _rounded_box((0.5, 0.5, 0.34), (0, 0.55, 0), (0.85, 0.85, 0.82)),
         _rounded_box((0.38, 0.28, 0.3), (0, 0.98, 0), (0.9, 0.55, 0.05)),

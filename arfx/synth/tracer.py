@@ -136,14 +136,10 @@ def _footprint(rays, x, y, width):
     height, columns = rays.shape[:2]
     x2 = x + 1 if x + 1 < columns else x - 1
     y2 = y + 1 if y + 1 < height else y - 1
-    ux, uy = (
-        (rays[y, x2, 0] - rays[y, x, 0]) * width,
-        (rays[y, x2, 1] - rays[y, x, 1]) * width,
-    )
-    vx, vy = (
-        (rays[y2, x, 0] - rays[y, x, 0]) * width,
-        (rays[y2, x, 1] - rays[y, x, 1]) * width,
-    )
+    ux = (rays[y, x2, 0] - rays[y, x, 0]) * width
+    uy = (rays[y, x2, 1] - rays[y, x, 1]) * width
+    vx = (rays[y2, x, 0] - rays[y, x, 0]) * width
+    vy = (rays[y2, x, 1] - rays[y, x, 1]) * width
     if not math.isfinite(ux + uy):  # the neighbour lies beyond the lens's field: assume
         ux, uy = vy, -vx  # square pixels
     if not math.isfinite(vx + vy):
@@ -168,11 +164,9 @@ def _albedo(hit, towards, distance, spans, room: Room, i):
         wide += along_u * along_u
         high += along_v * along_v
     tex = int(rects[i, 14])
-    first, columns, rows = (
-        int(textures[tex, 0]),
-        int(textures[tex, 1]),
-        int(textures[tex, 2]),
-    )
+    first = int(textures[tex, 0])
+    columns = int(textures[tex, 1])
+    rows = int(textures[tex, 2])
     half_w, half_h, smallest = rects[i, 12], rects[i, 13], 0.5 * textures[tex, 3]
     per_u, per_v = columns / (2 * half_w), rows / (2 * half_h)
     offset = minus(hit, vector(rects, i, 0))

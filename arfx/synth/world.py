@@ -84,10 +84,8 @@ class World:
         rows = []
         for li in self.scene.light.lamps:
             phase = np.sin(2 * np.pi * time_s / li.period_s)
-            a, e = (
-                np.radians(li.azimuth_deg + li.swing_deg[0] * phase),
-                np.radians(li.elevation_deg + li.swing_deg[1] * phase),
-            )
+            a = np.radians(li.azimuth_deg + li.swing_deg[0] * phase)
+            e = np.radians(li.elevation_deg + li.swing_deg[1] * phase)
             # of two keys at one time the later holds from then on
             factor = np.interp(time_s, *np.array(li.brightness).T) if li.brightness else 1.0
             direction = np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)

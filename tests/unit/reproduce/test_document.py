@@ -37,9 +37,8 @@ def test_a_page_holds_rows_pictures_and_error_maps(
     items: list[Item], tmp_path: Path
 ) -> None:
     items += [
-        compared("s1", "figure 1", "a & b", "a & b"),
+        compared("figure 1", "a & b", "a & b"),
         compared(
-            "s1",
             "table 1, apple",
             "9–13",
             4.25,
@@ -47,12 +46,11 @@ def test_a_page_holds_rows_pictures_and_error_maps(
             reason="another machine <here>",
         ),
         Figure(
-            "s1",
             "figure 1",
             "lights",
             {"before": GREY, "printed": GREY, "corrected": GREY + 8, "reference": GREY + 9},
         ),
-        bars("s1", "table 1, apple", "Rates", "fps", ["apple"], {"printed": [(9, 13)]}),
+        bars("table 1, apple", "Rates", "fps", ["apple"], {"printed": [(9, 13)]}),
     ]
     document = reproduce(["s1"], tmp_path / "new", Work(tmp_path))
     assert [r["item"] for r in document["rows"]] == ["figure 1", "table 1, apple"]
@@ -76,12 +74,11 @@ def test_a_page_holds_rows_pictures_and_error_maps(
 def test_an_item_has_one_row_and_no_figure_is_without(
     items: list[Item], tmp_path: Path
 ) -> None:
-    items.append(compared("s1", "figure 1", "a", "a"))
+    items.append(compared("figure 1", "a", "a"))
     assert items_of("s1", Work(tmp_path)) == items
     for wrong, words in (
-        (compared("s1", "figure 1", "b", "b"), "two rows"),
-        (Figure("s1", "figure 2", "", {"before": GREY}), "no row"),
-        (compared("s2", "figure 3", "b", "b"), "of s2"),
+        (compared("figure 1", "b", "b"), "two rows"),
+        (Figure("figure 2", "", {"before": GREY}), "no row"),
     ):
         items.append(wrong)
         with pytest.raises(ValueError, match=words):

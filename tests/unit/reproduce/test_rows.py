@@ -31,44 +31,41 @@ def test_digits_printed_give_the_tolerance(printed: str, half: float) -> None:
 
 
 def test_a_verdict_follows_from_the_values() -> None:
-    assert compared("s2", "a", "58.7", 58.7428, 58.6512).verdict == HOLDS
-    assert compared("s2", "a", "58.7", 58.7428, reason="of no use").reason == ""
-    assert compared("s2", "a", "58.7", 58.7428, 54.1451, reason="why").verdict == DIFFERS
-    assert compared("s2", "a", "58.7", 58.76, reason="why").verdict == DIFFERS
+    assert compared("a", "58.7", 58.7428, 58.6512).verdict == HOLDS
+    assert compared("a", "58.7", 58.7428, reason="of no use").reason == ""
+    assert compared("a", "58.7", 58.7428, 54.1451, reason="why").verdict == DIFFERS
+    assert compared("a", "58.7", 58.76, reason="why").verdict == DIFFERS
     assert (
-        compared(
-            "s2", "a", "126.746", None, 120.38, reason="its inputs are not stated"
-        ).verdict
+        compared("a", "126.746", None, 120.38, reason="its inputs are not stated").verdict
         == UNDERIVED
     )
-    assert compared("s2", "a", "14", 16.0, reason="why", tolerance=2).verdict == HOLDS
-    assert compared("s2", "a", "left", "left", "left").verdict == HOLDS
-    assert compared("s2", "a", "left", "left", "right", reason="why").verdict == DIFFERS
+    assert compared("a", "14", 16.0, reason="why", tolerance=2).verdict == HOLDS
+    assert compared("a", "left", "left", "left").verdict == HOLDS
+    assert compared("a", "left", "left", "right", reason="why").verdict == DIFFERS
 
 
 def test_a_row_that_does_not_hold_says_why() -> None:
     with pytest.raises(ValueError, match="no reason"):
-        compared("s2", "a", "58.7", 58.7428, 54.1451)
+        compared("a", "58.7", 58.7428, 54.1451)
     with pytest.raises(ValueError, match="no reason"):
-        compared("s2", "a", "126.746", None, reason=" ")
+        compared("a", "126.746", None, reason=" ")
     with pytest.raises(ValueError, match="none of"):
-        Row("s2", "a", 1.0, 1.0, 1.0, "", "maybe")
+        Row("a", 1.0, 1.0, 1.0, "", "maybe")
     with pytest.raises(ValueError, match="not finite"):
-        Row("s2", "a", 1.0, float("inf"), 1.0, "", HOLDS)
+        Row("a", 1.0, float("inf"), 1.0, "", HOLDS)
 
 
 def test_pictures_that_are_compared_have_one_size() -> None:
     small, large = np.zeros((4, 5, 3), np.uint8), np.zeros((8, 5, 3), np.uint8)
-    assert Figure("s1", "a", "", {"before": large, "printed": small, "corrected": small})
+    assert Figure("a", "", {"before": large, "printed": small, "corrected": small})
     with pytest.raises(ValueError, match="one size"):
-        Figure("s1", "a", "", {"printed": small, "corrected": large})
+        Figure("a", "", {"printed": small, "corrected": large})
     with pytest.raises(ValueError, match="float"):
-        Figure("s1", "a", "", {"before": small.astype(float)})
+        Figure("a", "", {"before": small.astype(float)})
 
 
 def test_bars_draw_ranges_and_leave_out_what_is_not_known() -> None:
     plot = bars(
-        "s1",
         "table 1",
         "Rates",
         "fps",
