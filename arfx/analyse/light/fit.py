@@ -216,21 +216,19 @@ def fit(
         np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups])
         * s.scale
     )  # (g, 3)
-    if span_deg < LEAST_SPAN_DEG or (
-        span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION
-    ):
-        why = (
+
+    def refused(why: str, **more: Any) -> LightFit:
+        return LightFit(REFUSED, why, seen, seen, **about, **more)
+
+    narrow = span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION
+    if span_deg < LEAST_SPAN_DEG or narrow:
+        return refused(
             f"one normal only, as far as poses are known: all lie within {span_deg:.2g}"
             " degrees"
         )
-        return LightFit(REFUSED, why, seen, seen, **about)
     if len(s.normals) < 4:
-        return LightFit(
-            REFUSED,
-            f"{len(s.normals)} normals only: a direction beside ambient light takes 4",
-            seen,
-            seen,
-            **about,
+        return refused(
+            f"{len(s.normals)} normals only: a direction beside ambient light takes 4"
         )
     error, found = MODEL_ERROR, LightHypotheses(s, params)
     for _ in range(
@@ -246,20 +244,19 @@ def fit(
         found = LightHypotheses(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
-        why = (
+        return refused(
             f"no lights explain what was seen to better than {error:.1%}: exposure or light"
-            " changed, or the surface is glossy"
+            " changed, or the surface is glossy",
+            misfit=misfit,
         )
-        return LightFit(REFUSED, why, seen, seen, misfit=misfit, **about)
     model, count = found.best[found.count], found.count
     s = model.at
     about |= {"misfit": found.misfit(count), "gamma": s.gamma}
     if count == 0:
-        why = (
+        return refused(
             "the light is even: no direction stands out, or it comes from behind all"
             " normals"
         )
-        return LightFit(REFUSED, why, seen, seen, **about)
     # directions are the exponent's, amplitudes those of the values as they came: what is
     # shown beside them has to match
     amp = replace(model, at=found.plain).amplitudes()[0] * s.scale[:, None]  # (g, 3, q + 1)
@@ -268,7 +265,7 @@ def fit(
     known = [found.assess(int(i)) for i in order]
     first = known[0]
     if first.verdict == REFUSED:
-        return LightFit(REFUSED, first.doubt, seen, seen, **about)
+        return refused(first.doubt)
     if (
         count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED
     ):  # it is so only beside the first

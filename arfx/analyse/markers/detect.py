@@ -54,9 +54,7 @@ class Candidate:
 
     @property
     def side_px(self) -> float:
-        return float(
-            np.linalg.norm(self.quad_px - np.roll(self.quad_px, -1, 0), axis=1).mean()
-        )
+        return mean_side(self.quad_px)
 
 
 @serialisable
@@ -79,9 +77,7 @@ class Detection:
 
     @property
     def side_px(self) -> float:
-        return float(
-            np.linalg.norm(self.corners_px - np.roll(self.corners_px, -1, 0), axis=1).mean()
-        )
+        return mean_side(self.corners_px)
 
 
 @serialisable
@@ -99,6 +95,11 @@ class Record:
     duplicates: tuple[Detection, ...]
     whole: bool
     dissimilarity: tuple[float, float]
+
+
+def mean_side(quad: np.ndarray) -> float:
+    """Mean length of the sides of a quad (4, 2)."""
+    return float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).mean())
 
 
 def dictionary(family: str) -> cv2.aruco.Dictionary:

@@ -102,11 +102,7 @@ class BackgroundFlow(Stateful):
             self._image, self._time_s = None, -np.inf
             return
         factor = max(1, luma.shape[1] // WIDTH_PX)
-        small = cv2.resize(
-            luma,
-            (luma.shape[1] // factor, luma.shape[0] // factor),
-            interpolation=cv2.INTER_AREA,
-        )
+        small = _reduced(luma, factor)
         if recent:
             self._follow(index, small, factor)
         if not fresh:
@@ -157,6 +153,11 @@ class BackgroundFlow(Stateful):
         self.samples.append(
             FlowSample(self._index, index - self._index, factor, a.round(3), b.round(3))
         )
+
+
+def _reduced(luma: np.ndarray, factor: int) -> np.ndarray:
+    h, w = luma.shape
+    return cv2.resize(luma, (w // factor, h // factor), interpolation=cv2.INTER_AREA)
 
 
 def _corners(image: np.ndarray, most: int, mask: np.ndarray) -> np.ndarray:
@@ -263,11 +264,7 @@ class RestCheck(Stateful):
             return
         self._next_s = time_s + INTERVAL_S
         self._factor = factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
-        small = cv2.resize(
-            luma,
-            (luma.shape[1] // factor, luma.shape[0] // factor),
-            interpolation=cv2.INTER_AREA,
-        )
+        small = _reduced(luma, factor)
         if self._first is None:
             value = small.astype(np.float32)
             off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))

@@ -175,7 +175,7 @@ def _evidence(
 class Smoothed:
     """rotation (n, 3, 3), translation_m (n, 3), covariance (n, 6, 6) of the left
     perturbation [rad, m] in the camera frame; density (5,) learned noise, median over the
-    shot, of chain.GROUPS."""
+    shot, of GROUPS."""
 
     rotation: np.ndarray
     translation_m: np.ndarray
