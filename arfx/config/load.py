@@ -32,6 +32,7 @@ _TYPE_TAGS = (
     "constrained-str",
     "function-before",
 )  # parts of pydantic's places that are no keys
+_adapter = cache(TypeAdapter)
 _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
 
@@ -184,11 +185,6 @@ def _path_fields(kind: type) -> frozenset[str]:
     return frozenset(
         key for key, hint in get_type_hints(kind).items() if Path in kinds(hint)
     )
-
-
-@cache
-def _adapter(kind: type) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
 
 
 def _params(

@@ -4,7 +4,7 @@ Pixel centres lie at integer coordinates; x right, y down, z forward (OpenCV).""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -93,12 +93,7 @@ class Camera(Document):
         are out of the picture would reappear inside it."""
         if self.model == FISHEYE:
             theta = np.linspace(1e-4, np.pi / 2 - 1e-3, 2000)
-            d = self._coefficients()
-            t = theta * (
-                1
-                + theta**2
-                * (d[0] + theta**2 * (d[1] + theta**2 * (d[2] + theta**2 * d[3])))
-            )
+            t = self.distort(np.stack([np.tan(theta), 0 * theta], -1))[:, 0]
             fold = np.flatnonzero(np.diff(t) <= 0)
             return float(np.tan(theta[fold[0]])) if fold.size else float(np.tan(theta[-1]))
         d = self._coefficients()
@@ -142,7 +137,7 @@ class Camera(Document):
             xd, yd = divide(h[..., 0, 0], h[..., 2, 0]), divide(h[..., 1, 0], h[..., 2, 0])
         return np.stack([xd, yd], -1)
 
-    def undistort(self, xy: np.ndarray, iterations: int = 12) -> np.ndarray:
+    def undistort(self, xy: np.ndarray) -> np.ndarray:
         """Distorted normalised coordinates (..., 2) to ideal ones: Newton with a numerical
         Jacobian. Points that no direction maps to (beyond the fold) give NaN."""
         target = np.asarray(xy, float)
@@ -153,7 +148,7 @@ class Camera(Document):
         todo = np.ones(
             target.shape[:-1], bool
         )  # each point until its own steps end, whatever points are beside it
-        for _ in range(iterations):
+        for _ in range(12):
             at = guess[todo]
             if not len(at):
                 break
@@ -227,21 +222,11 @@ class Camera(Document):
         ) * sx - 0.5  # pixel centres at integers: the picture's edge is at -0.5
         m[1, 2] = (self.cy + 0.5) * sy - 0.5
         m[2] = [0, 0, 1]
-        return Camera(
-            width, height, m, self.distortion, self.model, self.source, self.guessed
-        )
+        return replace(self, width=width, height=height, matrix=m)
 
     def ideal(self) -> Camera:
         """The same camera without lens distortion."""
-        return Camera(
-            self.width,
-            self.height,
-            self.matrix,
-            np.zeros(0),
-            BROWN,
-            self.source,
-            self.guessed,
-        )
+        return replace(self, distortion=np.zeros(0), model=BROWN)
 
     @staticmethod
     def guess(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -156,6 +157,11 @@ class Model:
         used = [p.vertices[np.unique(p.faces)] for p in self.parts]
         corners = np.concatenate(used)
         return np.stack([corners.min(0), corners.max(0)])
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(8, 3) of the box of these bounds."""
+        return np.array(list(itertools.product(*self.bounds.T)))
 
     @property
     def face_count(self) -> int:

@@ -32,21 +32,14 @@ def named(pattern: Path, source: Path, numbered: bool = False) -> Path:
                 "rename it",
             )
     name = {field: v.replace("%", "%%") if numbered else v for field, v in values.items()}
-    return Path(_filled(str(pattern.parent), values)) / _filled(pattern.name, name)
+    return Path(str(pattern.parent).format(**values)) / pattern.name.format(**name)
 
 
 def fixed_folder(pattern: Path) -> Path:
     """The folder that all paths of a pattern lie in."""
     while has_field(pattern.parent):
         pattern = pattern.parent
-    return Path(_filled(str(pattern.parent), {}))
-
-
-def _filled(text: str, values: dict[str, str]) -> str:
-    return "".join(
-        literal + ("" if field is None else values[field])
-        for literal, field in _parts(text)
-    )
+    return Path(str(pattern.parent).format())
 
 
 def _parts(text: str) -> list[tuple[str, str | None]]:

@@ -54,34 +54,15 @@ def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
     is the pivot).
     """
     m = np.asarray(rotation, float)
-    d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], -1)
-    tr = d.sum(-1)
-    cand = np.stack([tr, d[..., 0], d[..., 1], d[..., 2]], -1)
-    pick = cand.argmax(-1)
-    w = np.stack(
-        [
-            1 + tr,
-            m[..., 2, 1] - m[..., 1, 2],
-            m[..., 0, 2] - m[..., 2, 0],
-            m[..., 1, 0] - m[..., 0, 1],
-        ],
-        -1,
-    )
-    x = np.stack(
-        [
-            w[..., 1],
-            1 + 2 * d[..., 0] - tr,
-            m[..., 0, 1] + m[..., 1, 0],
-            m[..., 0, 2] + m[..., 2, 0],
-        ],
-        -1,
-    )
-    y = np.stack(
-        [w[..., 2], x[..., 2], 1 + 2 * d[..., 1] - tr, m[..., 1, 2] + m[..., 2, 1]], -1
-    )
-    z = np.stack([w[..., 3], x[..., 3], y[..., 3], 1 + 2 * d[..., 2] - tr], -1)
-    every = np.stack([w, x, y, z], -2)
-    return normalise(np.take_along_axis(every, pick[..., None, None], -2)[..., 0, :])
+    transposed = m.swapaxes(-1, -2)
+    trace = m.trace(axis1=-2, axis2=-1)[..., None]
+    products = np.empty((*m.shape[:-2], 4, 4))  # 4 q_i q_j
+    products[..., 0, 0] = 1 + trace[..., 0]
+    products[..., 1:, 1:] = m + transposed + (1 - trace[..., None]) * np.eye(3)
+    turn = (m - transposed)[..., [2, 0, 1], [1, 2, 0]]
+    products[..., 0, 1:] = products[..., 1:, 0] = turn
+    pick = products.diagonal(axis1=-2, axis2=-1).argmax(-1)[..., None, None]
+    return normalise(np.take_along_axis(products, pick, -2)[..., 0, :])
 
 
 def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarray:

@@ -46,15 +46,7 @@ class Placement:
         the base is the origin. Raises ConfigError for a scale that is not above 0,
         InputError for a model without extent."""
         axes = _UPRIGHT[up or model.up]
-        box = (
-            np.array(
-                [
-                    [model.bounds[i][k] for k, i in enumerate(idx)]
-                    for idx in np.ndindex(2, 2, 2)
-                ]
-            )
-            @ axes.T
-        )
+        box = model.corners @ axes.T
         low, high = box.min(0), box.max(0)
         extent = float((high - low).max())
         if not np.isfinite(extent) or extent <= 0:
@@ -142,6 +134,5 @@ class Scene:
     @cached_property
     def model_corners_m(self) -> np.ndarray:
         """(8, 3) corners of the model's bounding box, world, metres."""
-        b = self.model.bounds
-        c = np.array([[b[i][k] for k, i in enumerate(idx)] for idx in np.ndindex(2, 2, 2)])
-        return c @ self.world_from_model[:3, :3].T + self.world_from_model[:3, 3]
+        linear, shift_m = self.world_from_model[:3, :3], self.world_from_model[:3, 3]
+        return self.model.corners @ linear.T + shift_m

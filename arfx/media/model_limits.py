@@ -17,11 +17,6 @@ _FACES_OF = {
 }
 
 
-def check_size(data: bytes, kind: str, path: Path) -> None:
-    """Raises InputError: more faces than can be handled, as far as the file's beginning tells."""
-    check_faces(_faces(data, kind), path)
-
-
 def check_faces(count: int, path: Path) -> None:
     """Raises InputError."""
     if count > MAX_FACES:
@@ -39,7 +34,7 @@ def check_parts(count: int, path: Path) -> None:
         )
 
 
-def _faces(data: bytes, kind: str) -> int:
+def stated_faces(data: bytes, kind: str) -> int:
     """As the file's beginning says; counted where it says nothing."""
     if kind == "stl":
         declared = int.from_bytes(data[80:84], "little")

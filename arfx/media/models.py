@@ -18,7 +18,7 @@ from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import check_gltf, gltf_header
 from arfx.media.gltf_parts import GltfScene
 from arfx.media.model_files import ModelFolder, restrict_pillow
-from arfx.media.model_limits import check_faces, check_parts, check_size
+from arfx.media.model_limits import check_faces, check_parts, stated_faces
 from arfx.media.model_materials import Textures, not_drawn
 from arfx.media.model_parts import FileMesh, ModelFile, part_of
 from arfx.media.trimesh_models import TrimeshScene
@@ -55,7 +55,7 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
         raise InputError(f"model file {path} is empty")
     kind = _kind(path, data)
     header = gltf_header(data, kind, path)
-    check_size(data, kind, path)
+    check_faces(stated_faces(data, kind), path)
     folder = ModelFolder(path)
     log = logging.getLogger("trimesh")
     level = log.level
