@@ -42,9 +42,9 @@ class Row:
     printed: Value
     paper_formula: Value
     corrected: Value
-    unit: str
-    verdict: str
     reason: str = ""
+    unit: str = ""
+    verdict: str = DIFFERS
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
@@ -104,9 +104,9 @@ def compared(
         shown,
         paper_formula,
         corrected,
+        "" if verdict == HOLDS else reason,
         unit,
         verdict,
-        "" if verdict == HOLDS else reason,
     )
 
 
@@ -127,9 +127,9 @@ def shown(
         printed,
         paper_formula,
         corrected,
+        "" if holds else reason,
         unit,
         verdict,
-        "" if holds else reason,
     )
 
 

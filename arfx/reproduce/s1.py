@@ -311,9 +311,9 @@ def table_1(work: Work) -> Iterator[Item]:
             f"{low}–{high}",
             fps[0],
             fps[1],
+            why,
             "frames/s",
             verdict,
-            why,
         )
         why = (
             f"{timed[0].start_mb:.0f} MB are Python and its libraries before the job;"

@@ -34,7 +34,6 @@ from arfx.papers.s2_lens import (
 from arfx.reproduce import s2_figures, s2_rates
 from arfx.reproduce.rows import (
     COLOURS,
-    DIFFERS,
     UNDERIVED,
     Item,
     Row,
@@ -145,24 +144,15 @@ def _limits() -> Iterator[Item]:
         "ΔL1 + ΔL2",
         total,
         both.total_mm,
-        "mm",
-        DIFFERS,
         why.format(parts, both.front_mm + both.back_mm),
+        "mm",
     )
     squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
     same = math.isclose(squared, parts, rel_tol=1e-12)
     yield shown("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, same, "", "mm")
     here, true_mm = hyperfocal(N, C, F), depth_of_field(LENS, C).hyperfocal_mm
     why = f"{L_LESS_F}; (5) has its pole there"
-    yield Row(
-        "equation (5), hyperfocal distance",
-        "F²/(N C)",
-        here,
-        true_mm,
-        "mm",
-        DIFFERS,
-        why,
-    )
+    yield Row("equation (5), hyperfocal distance", "F²/(N C)", here, true_mm, why, "mm")
     beyond = Lens(F, N, 2 * true_mm)
     printed, corrected = printed_limits(beyond, C), depth_of_field(beyond, C)
     least = sharp_range(
@@ -185,12 +175,7 @@ def _limits() -> Iterator[Item]:
         " infinity: all behind is inside"
     )
     yield Row(
-        "equation (5), beyond the hyperfocal distance",
-        "NCL²/(F² - NCL)",
-        *words,
-        "",
-        DIFFERS,
-        why,
+        "equation (5), beyond the hyperfocal distance", "NCL²/(F² - NCL)", *words, why
     )
 
 
@@ -210,10 +195,10 @@ def _example() -> Iterator[Item]:
         "radius .035 mm",
         "diameter .035 mm",
         "diameter .035 mm",
-        "",
-        DIFFERS,
-        "the formulas take a diameter, and with .035 as such they give the printed 58.7"
-        f" mm; as a radius {as_radius:.1f} mm",
+        (
+            "the formulas take a diameter, and with .035 as such they give the printed 58.7"
+            f" mm; as a radius {as_radius:.1f} mm"
+        ),
     )
     of = "section 3.1, "
     yield compared(
@@ -255,9 +240,9 @@ def _example() -> Iterator[Item]:
         "found by OpenCV",
         None,
         None,
+        "its elements are not known",
         "",
         UNDERIVED,
-        "its elements are not known",
     )
     distance = np.linspace(2350, 2680, 400)
     circle = np.array([eq3_circle(F, N, L, d) for d in distance])
@@ -331,8 +316,6 @@ def _blur_factor() -> Iterator[Item]:
         "c / max(c_near, c_far)",
         infinite,
         times,
-        "",
-        DIFFERS,
         why,
     )
     one = [
@@ -342,15 +325,7 @@ def _blur_factor() -> Iterator[Item]:
     same = f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both"
     why = "one thing's blur changes with the far plane"
     words = [f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m", same]
-    yield Row(
-        "section 3.2, a of a thing at 5 m",
-        "one value",
-        words[0],
-        words[1],
-        "",
-        DIFFERS,
-        why,
-    )
+    yield Row("section 3.2, a of a thing at 5 m", "one value", words[0], words[1], why)
     wide = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2)
     ratio = float(
         blur_factor(np.array([0.2]), (0.0, 0.5), wide)[0]
@@ -368,8 +343,6 @@ def _blur_factor() -> Iterator[Item]:
         "from focal length and f-number",
         ratio,
         true,
-        "",
-        DIFFERS,
         why,
     )
 
@@ -404,13 +377,7 @@ def _luminance() -> Iterator[Item]:
         " and reaches one pixel. A disc keeps it"
     )
     yield Row(
-        "equation (8), light of one white pixel",
-        1.0,
-        made,
-        disc,
-        "white pixels",
-        DIFFERS,
-        why,
+        "equation (8), light of one white pixel", 1.0, made, disc, why, "white pixels"
     )
 
 
@@ -479,13 +446,7 @@ def _blocks() -> Iterator[Item]:
     why = "not stated; the block holds 4 px around its own, of which (8) takes one"
     usual = f"{PrintedDofParams().mean_px} px, at most {largest} px"
     yield Row(
-        "section 3.3, size of the mean filter",
-        None,
-        usual,
-        "discs of the blur circle",
-        "",
-        DIFFERS,
-        why,
+        "section 3.3, size of the mean filter", None, usual, "discs of the blur circle", why
     )
 
 
@@ -511,9 +472,8 @@ def _blend() -> Iterator[Item]:
         "weighted mean",
         left,
         disc,
-        "of the step",
-        DIFFERS,
         why,
+        "of the step",
     )
     sharp = sharp_range(AT, F, C)
     inside = float(within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0])

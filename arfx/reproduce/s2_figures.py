@@ -15,7 +15,6 @@ from arfx.papers.s2_dof import PrintedDof
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
-    DIFFERS,
     PRINTED,
     REFERENCE,
     Figure,
@@ -60,13 +59,7 @@ def rows(work: Work) -> Iterator[Item]:
     }
     yield from _diagrams()
     yield Row(
-        "figure 4",
-        "photographs with depth of field",
-        OPEN_LENS,
-        OPEN_LENS,
-        "",
-        DIFFERS,
-        NO_CAMERA,
+        "figure 4", "photographs with depth of field", OPEN_LENS, OPEN_LENS, NO_CAMERA
     )
     yield Figure(
         "figure 4",
@@ -105,13 +98,7 @@ def _diagrams() -> Iterator[Item]:
     )
     parts = "capture, virtual scene, interaction, communication, display"
     yield Row(
-        "figure 1",
-        parts,
-        "clip, analysis, " + order,
-        "clip, analysis, " + order,
-        "",
-        DIFFERS,
-        why,
+        "figure 1", parts, "clip, analysis, " + order, "clip, analysis, " + order, why
     )
     ends = order.endswith("composite, dof")
     yield shown(
@@ -143,7 +130,7 @@ def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Itera
         "found from a marker, whose size makes it metric; which feature points the authors"
         " tracked is not stated"
     )
-    yield Row("figure 5", "axes from feature points", found, found, "", DIFFERS, why)
+    yield Row("figure 5", "axes from feature points", found, found, why)
     yield Figure(
         "figure 5", "axes of the world", {"x red, y green, z blue; 8 cm each": drawn}
     )
@@ -356,7 +343,7 @@ def _out_of_focus(
         " lacks)",
         near,
     )
-    yield Row("figure 16", "a photograph", OPEN_LENS, OPEN_LENS, "", DIFFERS, NO_CAMERA)
+    yield Row("figure 16", "a photograph", OPEN_LENS, OPEN_LENS, NO_CAMERA)
     yield Figure("figure 16", "the same by an open lens", {REFERENCE: near[REFERENCE]})
 
 

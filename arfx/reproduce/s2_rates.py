@@ -53,7 +53,7 @@ def rows(work: Work) -> Iterator[Item]:
             f"there is no camera: a clip of this size is decoded at {decoding:.0f} fps here"
         )
         yield Row(
-            f"section 4, capture by {how}", printed, None, None, "fps", UNDERIVED, why
+            f"section 4, capture by {how}", printed, None, None, why, "fps", UNDERIVED
         )
     missed = f"not reached here, nor by the authors (21 fps): {HERE}"
     yield _rate("section 5, rate that is needed", 25.0, augmented, missed)
@@ -88,9 +88,9 @@ def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
         printed,
         here[0],
         here[1],
+        "" if holds else why,
         "fps",
         "holds" if holds else DIFFERS,
-        "" if holds else why,
     )
 
 
@@ -101,8 +101,6 @@ def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
         "Intel Core Duo 2.80 GHz, 2 GB, GeForce 9600 GT",
         here,
         here,
-        "",
-        DIFFERS,
         "another machine, without a graphics processor",
     )
     printed, corrected = max(peaks_mb[::2]), max(peaks_mb[1::2])

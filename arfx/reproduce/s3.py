@@ -17,7 +17,6 @@ from arfx.reproduce import s3_scene as scene
 from arfx.reproduce.rows import (
     BEFORE,
     CORRECTED,
-    DIFFERS,
     PRINTED,
     Figure,
     Item,
@@ -382,15 +381,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
         "the paper has no measure of how well real and virtual agree; the values are how"
         " much the frame has changed in the mean"
     )
-    yield Row(
-        item,
-        "real and virtual agree",
-        change[0],
-        change[1],
-        "grey levels",
-        DIFFERS,
-        why,
-    )
+    yield Row(item, "real and virtual agree", change[0], change[1], why, "grey levels")
     yield Figure(
         item,
         "the result",
@@ -455,13 +446,13 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         "no rate, size or machine is printed; the values are of the stage alone, at"
         f" {rect.width} × {rect.height} on a processor"
     )
-    yield Row("section 2, speed", "real time", rates[0], rates[1], "frames/s", DIFFERS, why)
+    yield Row("section 2, speed", "real time", rates[0], rates[1], why, "frames/s")
 
 
 def _not_stated(
     item: str, here: float | str, ours: float | str, why: str = "the paper does not say"
 ) -> Row:
-    return Row(item, "not stated", here, ours, "", DIFFERS, f"{why}: it is a setting")
+    return Row(item, "not stated", here, ours, f"{why}: it is a setting")
 
 
 def _templates(labels: np.ndarray, own: np.ndarray) -> dict[str, np.ndarray]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import av
 import cv2
@@ -82,17 +82,7 @@ class ClipFile(_Video):
             "yuv420p" if self._subsampled else "yuv444p",
         )
         context = self._stream.codec_context
-        (
-            context.color_range,
-            context.colorspace,
-            context.color_primaries,
-            context.color_trc,
-        ) = (
-            1,
-            1,
-            1,
-            13,
-        )  # 13: sRGB
+        _tag(context)
         if not lossless:
             # Without macroblock trees: with them x264 gives several different streams of
             # the same frames, one thread or not.
@@ -143,10 +133,7 @@ class ClipFile(_Video):
             rows = np.zeros((plane.height, plane.line_size), np.uint8)
             rows[:, : plane.width] = values
             plane.update(rows.tobytes())
-        frame.color_range = 1
-        frame.colorspace = 1
-        frame.color_primaries = 1
-        frame.color_trc = 13
+        _tag(frame)
         return frame
 
     def _end(self) -> None:
@@ -173,6 +160,12 @@ class ClipFile(_Video):
             for piece in resampled:
                 self._out.mux(self._tone.encode(piece))
         self._out.mux(self._tone.encode(None))
+
+
+def _tag(what: Any) -> None:
+    """Limited range, BT.709, sRGB curve: on a codec context or a frame."""
+    what.color_range = what.colorspace = what.color_primaries = 1
+    what.color_trc = 13
 
 
 def measured_steps(scene: SceneFile, depth_m: np.ndarray, frame: int) -> np.ndarray:

@@ -56,9 +56,9 @@ LONG = {
     "arfx/media/join.py": 401,
     "arfx/media/kernels.py": 430,
     "arfx/media/output.py": 418,
-    "arfx/reproduce/s1_equations.py": 556,
-    "arfx/reproduce/s2.py": 543,
-    "arfx/reproduce/s3.py": 486,
+    "arfx/reproduce/s1_equations.py": 536,
+    "arfx/reproduce/s2.py": 503,
+    "arfx/reproduce/s3.py": 477,
     "arfx/run/job.py": 465,
     "arfx/synth/description.py": 416,
 }

@@ -50,9 +50,9 @@ def test_a_row_that_does_not_hold_says_why() -> None:
     with pytest.raises(ValueError, match="no reason"):
         compared("a", "126.746", None, reason=" ")
     with pytest.raises(ValueError, match="none of"):
-        Row("a", 1.0, 1.0, 1.0, "", "maybe")
+        Row("a", 1.0, 1.0, 1.0, verdict="maybe")
     with pytest.raises(ValueError, match="not finite"):
-        Row("a", 1.0, float("inf"), 1.0, "", HOLDS)
+        Row("a", 1.0, float("inf"), 1.0, verdict=HOLDS)
 
 
 def test_pictures_that_are_compared_have_one_size() -> None:
