@@ -23,17 +23,17 @@ from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import View
+from arfx.stages.gi.plane_change import SAME_DEPTH
 from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.gi.reference_tracer import BOUNCES, LOBE, NUMBERS, Tracer
+from arfx.stages.holdout import on_plane
 from arfx.stages.light.planes import Planes
 from arfx.stages.light.surroundings import frame_surroundings
 
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 DARKEST = 0.002  # radiance below which a pixel is no base for a ratio
-# Of the distance: measured depth that is off by less lies on the plane; by twice that, not.
-SAME_DEPTH = 0.02
 BATCH = 1 << 14  # pixels at once: bounds memory
 DIMENSIONS = (BOUNCES + 1) * NUMBERS
 SURFACE = (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)
@@ -184,7 +184,8 @@ class Pixels:
             ratio += image * shiny[rows][:, None]
         depth_m = distance * (directions @ self.anchor_from_camera.rotation[:, 2])
         out = np.zeros((self.band.height, self.band.width, 3), np.float32)
-        out[rows] = ratio * self._agreement(rows, depth_m)[:, None]
+        real_m = self._layer(Layer.REAL_DEPTH)[rows]
+        out[rows] = ratio * on_plane(real_m, 1 / depth_m, SAME_DEPTH)[:, None]
         return out
 
     def _layer(self, name: Layer) -> np.ndarray:
@@ -245,13 +246,6 @@ class Pixels:
             return out
 
         return self._mean(draw, rows)
-
-    def _agreement(self, rows: tuple[np.ndarray, ...], depth_m: np.ndarray) -> np.ndarray:
-        """(n,) 0..1: is the measured surface, if any, in these pixels at this depth?"""
-        real_m = self._layer(Layer.REAL_DEPTH)[rows]
-        with np.errstate(invalid="ignore"):
-            off = np.abs(real_m - depth_m) / (SAME_DEPTH * depth_m)
-        return np.where(np.isfinite(real_m), np.clip(2 - off, 0, 1), 1.0)
 
     def _mean(self, draw: Draw, rows: tuple[np.ndarray, ...]) -> np.ndarray:
         """(n, 3) of all samples of some pixels. draw : one, of numbers (n, BOUNCES + 1, NUMBERS)"""

@@ -179,28 +179,21 @@ class Surroundings:
         self, positions: np.ndarray, plane: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """((n, 3) radiance, (n,) whether the picture shows it): linear between pixels."""
+        from scipy.ndimage import map_coordinates
+
         seen = self._camera.project(self._camera_from_anchor.apply(positions))
         last = np.array([self._rect.width - 1, self._rect.height - 1])
         at = seen - [self._rect.x0, self._rect.y0]
         with np.errstate(invalid="ignore"):
             known = ((at >= 0) & (at <= last)).all(-1)
         known &= self._in_front[plane]
-        at = at[known]
-        left, upper = np.floor(at).astype(int).T
-        right, lower = np.minimum([left + 1, upper + 1], last[:, None])
-        fx, fy = (at - np.floor(at)).T[..., None]
-        above = between(self._plate[upper, left], self._plate[upper, right], fx)
-        under = between(self._plate[lower, left], self._plate[lower, right], fx)
+        column, row = at[known].T
         out = np.zeros((len(positions), 3))
-        out[known] = between(above, under, fy)
+        for k in range(3):
+            out[known, k] = map_coordinates(self._plate[..., k], (row, column), order=1)
         return out, known
 
     def unoccluded(self, normals: np.ndarray) -> np.ndarray:
         """(n, 3) what a white surface gets from all around with nothing in the way: the end of a
         path."""
         return look_up(self._irradiance, normals @ self.environment.turn.T)
-
-
-def between(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Linear, a where the share is 0."""
-    return a + share * (b - a)

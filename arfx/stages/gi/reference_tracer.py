@@ -48,31 +48,26 @@ class Places(NamedTuple):
     weight: np.ndarray
     change: np.ndarray
 
-    def of(self, rows: np.ndarray) -> Places:
-        return Places(*(values[rows] for values in self))
-
 
 class Rays(NamedTuple):
-    """Rays (n) under way. direction (n, 3);  density (n, 1) : with which it was drawn, per
-    steradian
+    """Rays (n) under way, with the fields of `Places`. direction (n, 3);  density (n, 1) : with
+    which it was drawn, per steradian
     wide (n, 3) : as `Environment.radiance` takes it"""
 
-    places: Places
+    pixel: np.ndarray
+    start: np.ndarray
+    weight: np.ndarray
+    change: np.ndarray
     direction: np.ndarray
     density: np.ndarray
     wide: np.ndarray
 
     def of(self, rows: np.ndarray) -> Rays:
-        return Rays(
-            self.places.of(rows),
-            self.direction[rows],
-            self.density[rows],
-            self.wide[rows],
-        )
+        return Rays(*(values[rows] for values in self))
 
     def along(self, distance: np.ndarray) -> np.ndarray:
         """(n, 3) places at a distance (n,), metres."""
-        return np.asarray(self.places.start + distance[:, None] * self.direction)
+        return np.asarray(self.start + distance[:, None] * self.direction)
 
 
 class Tracer:
@@ -118,10 +113,11 @@ class Tracer:
             np.full((count, 1), change),
         )
         rays = self._scattered(places, lobes, numbers[:, 0], out)
-        for bounce in range(1, BOUNCES):
-            drawn = numbers[rays.places.pixel, bounce]
-            rays = joined(*self._met(rays, drawn, False, out))
-        self._met(rays, numbers[rays.places.pixel, BOUNCES], True, out)
+        for bounce in range(1, BOUNCES + 1):
+            drawn = numbers[rays.pixel, bounce]
+            going_on = self._met(rays, drawn, bounce == BOUNCES, out)
+            if going_on:
+                rays = Rays(*map(np.concatenate, zip(*going_on, strict=True)))
         return out
 
     def _met(
@@ -129,7 +125,7 @@ class Tracer:
     ) -> list[Rays]:
         """Rays that go on where these end, unless they are the `last`. out (pixels, 3) += what
         these bring;  drawn (n, NUMBERS)"""
-        start, change = rays.places.start, rays.places.change[:, 0]
+        start, change = rays.start, rays.change[:, 0]
         met = self.rays.nearest(start, rays.direction)
         plane, plane_m = self.around.first_plane(start, rays.direction)
         on_object = met.distance < plane_m
@@ -138,7 +134,7 @@ class Tracer:
         for rows, sign in ((hidden, -1.0), (seen, 1.0)):
             some = rays.of(rows)
             behind = self._behind(some, plane[rows], plane_m[rows])
-            out[some.places.pixel] += sign * some.places.weight * behind
+            out[some.pixel] += sign * some.weight * behind
         rows = np.flatnonzero(on_object)
         going_on = self._from_object(rays.of(rows), met.of(rows), drawn[rows], last, out)
         rows = np.flatnonzero((plane >= 0) & ~on_object)
@@ -167,9 +163,9 @@ class Tracer:
         last: bool,
         out: np.ndarray,
     ) -> list[Rays]:
-        pixel, start, weight, change = rays.places
-        surface = self.rays.surface(met, start, rays.direction)
-        away = dot(surface.normal, rays.direction) > 0
+        pixel, start, weight, change, direction, *_ = rays
+        surface = self.rays.surface(met, start, direction)
+        away = dot(surface.normal, direction) > 0
         normal = np.where(away, -surface.normal, surface.normal)
         start = surface.position + self.rays.lift * normal
         lamps, _ = self._lamp_light(start, normal, drawn[:, LAMP])
@@ -181,7 +177,7 @@ class Tracer:
         out[pixel] += weight * sent
         lobes = MaterialLobes(
             normal,
-            -rays.direction,
+            -direction,
             surface.albedo,
             surface.metal,
             surface.f0,
@@ -199,7 +195,7 @@ class Tracer:
         last: bool,
         out: np.ndarray,
     ) -> list[Rays]:
-        pixel, _, weight, change = rays.places
+        pixel, _, weight, change, *_ = rays
         normal = self.around.axes[plane, 3]
         start = positions + self.rays.lift * normal
         _, hidden = self._lamp_light(start, normal, drawn[:, LAMP])
@@ -225,12 +221,9 @@ class Tracer:
         direction = lobes.directions(drawn[:, LOBE])
         reflected = lobes.at(direction)
         weight = places.weight * reflected.weight
-        rays = Rays(
-            places._replace(weight=weight),
-            direction,
-            reflected.density,
-            wide_of(reflected, lobes),
-        )
+        places = places._replace(weight=weight)
+        wide = wide_of(reflected, lobes)
+        rays = Rays(*places, direction, reflected.density, wide)
         return rays.of(np.flatnonzero(weight.any(1)))
 
     def _add_sky(
@@ -277,13 +270,6 @@ class Tracer:
             hidden[rows] += light * blocked
             received[rows] += light * (~blocked & (plane < 0)[:, None])
         return received, hidden
-
-
-def joined(first: Rays, second: Rays) -> Rays:
-    """All of both."""
-    places = map(np.concatenate, zip(first.places, second.places, strict=True))
-    others = map(np.concatenate, zip(first[1:], second[1:], strict=True))
-    return Rays(Places(*places), *others)
 
 
 def wide_of(reflected: Reflected, lobes: Lobes) -> np.ndarray:

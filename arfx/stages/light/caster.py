@@ -114,34 +114,12 @@ def _edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _above_plane(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Triangles over z = 0; those that pass through it are cut there."""
-    high = vertices[:, 2] > 0
-    whole = faces[high[faces].all(1)]
-    crossing = faces[high[faces].any(1) & ~high[faces].all(1)]
-    # turned so that the first corner is the one that is alone on its side
-    count = high[crossing].sum(1)
-    alone = np.where((count == 1)[:, None], high[crossing], ~high[crossing]).argmax(1)
-    crossing = np.take_along_axis(crossing, (alone[:, None] + np.arange(3)) % 3, 1)
-    a, b, c = (vertices[crossing[:, i]] for i in range(3))
+    from trimesh.intersections import slice_faces_plane
 
-    def meet(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-        t = divide(p[:, 2], p[:, 2] - q[:, 2])[:, None]
-        m = p + t * (q - p)
-        m[:, 2] = 0
-        return m
-
-    ab, ac = meet(a, b), meet(a, c)
-    one = count == 1
-    parts = (
-        (a[one], ab[one], ac[one]),
-        (ab[~one], b[~one], c[~one]),
-        (ab[~one], c[~one], ac[~one]),
-    )
-    triangles = np.concatenate([np.stack(corners, 1) for corners in parts])
-    n = len(vertices)
-    new = np.arange(n, n + 3 * len(triangles)).reshape(-1, 3)
-    every = np.concatenate([vertices, triangles.reshape(-1, 3)])
-    kept, vertex = np.unique(np.concatenate([whole, new]), return_inverse=True)
-    return every[kept], vertex.reshape(-1, 3).astype(np.int32)
+    up = np.array([0.0, 0.0, 1.0])
+    over, over_faces, _ = slice_faces_plane(vertices, faces, up, np.zeros(3))
+    over[:, 2] = np.maximum(over[:, 2], 0)
+    return over, over_faces.astype(np.int32)
 
 
 def _outline(points: np.ndarray) -> np.ndarray:

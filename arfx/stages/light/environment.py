@@ -20,7 +20,7 @@ import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
-from arfx.core.numerics import normalise
+from arfx.core.sampling import frame_about
 from arfx.core.vectors import FAST, mixed, shifted, turned, vector
 
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
@@ -114,8 +114,7 @@ def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.nd
 
 def _about(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(n, k, 3): directions (k, 3) about +z, turned to each of unit axes (n, 3)."""
-    first = normalise(np.cross(axes, np.eye(3)[np.abs(axes).argmin(1)]))
-    frames = np.stack([first, np.cross(axes, first), axes], 1)
+    frames = np.stack([*frame_about(axes), axes], 1)
     return np.asarray(directions @ frames)
 
 

@@ -18,7 +18,6 @@ import cv2
 import numba
 import numpy as np
 
-from arfx.core.layers import packed
 from arfx.core.sampling import r2
 from arfx.core.vectors import FAST
 
@@ -172,7 +171,8 @@ def smoothed(
         return fraction
     height = _caster_height(points, faces, slope, fraction.shape)
     across = _boxes(fraction, np.float32(half[0]) * height)
-    down = _boxes(packed(across.T), packed(np.float32(half[1]) * height.T))
+    columns = np.ascontiguousarray(across.T), np.ascontiguousarray(height.T)
+    down = _boxes(columns[0], np.float32(half[1]) * columns[1])
     return np.asarray(down.T.clip(0, 1))
 
 

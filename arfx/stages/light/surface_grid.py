@@ -65,10 +65,10 @@ class SurfaceGrid:
         """(h, w, c) float32 of pixels by their layers; 0 where nothing covers them."""
         turn = anchor_from_world.rotation
         shift = (anchor_from_world.translation_m - self.low_m) / self.pitch_m
-        matrix = np.column_stack([turn / self.pitch_m, shift]).astype(np.float32)
+        matrix = np.column_stack([turn / self.pitch_m, shift]).astype(np.float32, "C")
         out = np.zeros((*coverage.shape, nodes.shape[-1]), np.float32)
         layers = packed(coverage), packed(normal), packed(position)
-        _read(out, *layers, nodes, matrix, turn.astype(np.float32))
+        _read(out, *layers, nodes, matrix, np.ascontiguousarray(turn, np.float32))
         return out
 
     def _spreading(

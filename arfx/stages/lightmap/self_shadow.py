@@ -17,9 +17,8 @@ import numpy as np
 
 from arfx.core.compiled import line_kernel
 from arfx.core.layers import packed
-from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
-from arfx.core.sampling import disc
+from arfx.core.sampling import disc, frame_about
 from arfx.core.vectors import FAST, placed, shifted, turned
 from arfx.stages.light.beams import Beam, disc_directions
 from arfx.stages.light.caster import Caster
@@ -59,8 +58,7 @@ class DepthMap(NamedTuple):
 def depth_map(caster: Caster, beam: Beam) -> DepthMap:
     """Of every triangle, over the square around them; positions in anchor axes."""
     w = np.array(beam.direction)
-    s = normalise(np.cross([0.0, 0, 1] if abs(w[2]) < 0.9 else [1.0, 0, 0], w))
-    axes = np.stack([s, np.cross(w, s), w])
+    axes = np.stack([*frame_about(w), w])
     p = caster.vertices @ axes.T
     low, high = p[:, :2].min(0), p[:, :2].max(0)
     pitch = max(float((high - low).max()) / (MAP_TEXELS - 5), 1e-9)
