@@ -149,16 +149,12 @@ def _mean_without_front(
 ):  # pragma: no cover - compiled
     h, w = dioptre.shape
     half = len(weights) // 2
+    sums = np.zeros(4, np.float32)
     for y in range(top, bottom):
         for x in range(w):
             if not any_in_front[y, x]:
                 continue
-            total, red, green, blue = (
-                np.float32(0),
-                np.float32(0),
-                np.float32(0),
-                np.float32(0),
-            )
+            sums[:] = 0
             for dy in range(-half, half + 1):
                 j = min(max(y + dy, 0), h - 1)
                 for dx in range(-half, half + 1):
@@ -166,15 +162,11 @@ def _mean_without_front(
                     if dioptre[j, i] > dioptre[y, x] * _NEARER:
                         continue
                     weight = weights[dy + half] * weights[dx + half]
-                    total += weight
-                    red += weight * colour[j, i, 0]
-                    green += weight * colour[j, i, 1]
-                    blue += weight * colour[j, i, 2]
-            out[y, x, 0], out[y, x, 1], out[y, x, 2] = (
-                red / total,
-                green / total,
-                blue / total,
-            )
+                    sums[3] += weight
+                    for c in range(3):
+                        sums[c] += weight * colour[j, i, c]
+            for c in range(3):
+                out[y, x, c] = sums[c] / sums[3]
 
 
 def eq8_bleed(colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
@@ -192,29 +184,21 @@ def eq8_bleed(colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
 @numba.njit(cache=True, nogil=True)
 def _bleed(out, top, bottom, colour, luma, dioptre):  # pragma: no cover - compiled
     h, w = luma.shape
+    sums = np.zeros(4, np.float32)
     for y in range(top, bottom):
         for x in range(w):
-            total, red, green, blue = (
-                np.float32(0),
-                np.float32(0),
-                np.float32(0),
-                np.float32(0),
-            )
+            sums[:] = 0
             for j in range(max(y - 1, 0), min(y + 2, h)):
                 for i in range(max(x - 1, 0), min(x + 2, w)):
                     more = luma[j, i] - luma[y, x]
                     if more <= 0 or dioptre[j, i] > dioptre[y, x] * _NEARER:
                         continue
-                    total += more
-                    red += more * colour[j, i, 0]
-                    green += more * colour[j, i, 1]
-                    blue += more * colour[j, i, 2]
-            if total > 0:
-                out[y, x, 0], out[y, x, 1], out[y, x, 2] = (
-                    red / total,
-                    green / total,
-                    blue / total,
-                )
+                    sums[3] += more
+                    for c in range(3):
+                        sums[c] += more * colour[j, i, c]
+            if sums[3] > 0:
+                for c in range(3):
+                    out[y, x, c] = sums[c] / sums[3]
 
 
 # 3.4 Blend

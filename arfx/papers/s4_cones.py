@@ -99,13 +99,14 @@ def _cone_trace(
     tree: Octree, V, steps, start, directions, scaled
 ):  # pragma: no cover - compiled
     """`cone_trace` of some. start (m, 3) : voxels"""
-    out = np.empty((start.shape[0], directions.shape[1], 4), np.float32)
+    out = np.zeros((start.shape[0], directions.shape[1], 4), np.float32)
+    seen, above = np.empty((2, 4), np.float32)
     size, half, one = np.float32(1 << tree.depth), np.float32(0.5), np.float32(1)
     around = half * np.float32(2) ** steps[-1, 1] if steps.shape[0] else half
     for i in range(start.shape[0]):
         for c in range(directions.shape[1]):
-            d = directions[i, c, 0], directions[i, c, 1], directions[i, c, 2]
-            r, g, b, transmittance = np.float32(0), np.float32(0), np.float32(0), one
+            d = directions[i, c]
+            transmittance = one
             enters, leaves = np.float32(0), np.float32(1e30)
             for axis in range(
                 3
@@ -131,40 +132,36 @@ def _cone_trace(
                 if outside:
                     continue
                 at = start[i, 0] + t * d[0], start[i, 1] + t * d[1], start[i, 2] + t * d[2]
-                vr, vg, vb, alpha = sample(tree, V, level, at, d)
+                sample(tree, V, level, at, d, seen)
                 if coarser > 0:
-                    wr, wg, wb, beta = sample(tree, V, level + 1, at, d)
-                    vr, vg, vb = (
-                        vr + coarser * (wr - vr),
-                        vg + coarser * (wg - vg),
-                        vb + coarser * (wb - vb),
-                    )
-                    alpha += coarser * (beta - alpha)
+                    sample(tree, V, level + 1, at, d, above)
+                    for channel in range(4):
+                        seen[channel] += coarser * (above[channel] - seen[channel])
+                alpha = seen[3]
                 if alpha <= 0:
                     continue
                 left = (one - min(alpha, one)) ** exponent
                 weight = transmittance * (one - left) / alpha if scaled else transmittance
-                r += weight * vr
-                g += weight * vg
-                b += weight * vb
+                for channel in range(3):
+                    out[i, c, channel] += weight * seen[channel]
                 transmittance *= left
                 if transmittance < _DARK:
                     transmittance = np.float32(0)
                     break
-            out[i, c, 0], out[i, c, 1], out[i, c, 2], out[i, c, 3] = r, g, b, transmittance
+            out[i, c, 3] = transmittance
     return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def sample(tree: Octree, V, level, at, d):  # pragma: no cover - compiled
-    """(r, g, b, opacity) as seen along d, linear between the level's eight voxels around `at`, in
-    voxels of the lowest."""
+def sample(tree: Octree, V, level, at, d, out):  # pragma: no cover - compiled
+    """out (4,) : r, g, b, opacity as seen along d, linear between the level's eight voxels around
+    `at`, in voxels of the lowest."""
     zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
     s = one / np.float32(1 << level)
     x, y, z = at[0] * s - half, at[1] * s - half, at[2] * s - half  # whole at centres
     ix, iy, iz = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     fx, fy, fz = x - np.float32(ix), y - np.float32(iy), z - np.float32(iz)
-    r, g, b, opacity = zero, zero, zero, zero
+    out[:] = zero
     # the eight are looked for from the lowest node that holds them all: most often there is none
     bits, up = tree.depth - level, 0
     differ = (ix ^ (ix + 1)) | (iy ^ (iy + 1)) | (iz ^ (iz + 1))
@@ -172,7 +169,7 @@ def sample(tree: Octree, V, level, at, d):  # pragma: no cover - compiled
         up += 1
     shared = node_below(tree, 0, bits - up, ix >> up, iy >> up, iz >> up)
     if shared < 0:
-        return r, g, b, opacity
+        return
     for corner in range(8):
         jx, jy, jz = ix + (corner & 1), iy + (corner >> 1 & 1), iz + (corner >> 2)
         w = (
@@ -188,15 +185,13 @@ def sample(tree: Octree, V, level, at, d):  # pragma: no cover - compiled
         if node < 0 or tree.eta[node, 3] <= 0:
             continue
         alpha = tree.eta[node, 3]
-        nx, ny, nz = (
-            tree.eta[node, 0] / alpha,
-            tree.eta[node, 1] / alpha,
-            tree.eta[node, 2] / alpha,
-        )
-        facing = max(-_FRONT * (nx * d[0] + ny * d[1] + nz * d[2]), zero)
-        w *= min(facing + max(one - np.sqrt(nx * nx + ny * ny + nz * nz), zero), one)
-        r += w * V[node, 0]
-        g += w * V[node, 1]
-        b += w * V[node, 2]
-        opacity += w * alpha
-    return r, g, b, opacity
+        cosine, length2 = zero, zero
+        for k in range(3):
+            normal = tree.eta[node, k] / alpha
+            cosine += normal * d[k]
+            length2 += normal * normal
+        facing = max(-_FRONT * cosine, zero)
+        w *= min(facing + max(one - np.sqrt(length2), zero), one)
+        for k in range(3):
+            out[k] += w * V[node, k]
+        out[3] += w * alpha

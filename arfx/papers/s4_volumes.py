@@ -18,7 +18,7 @@ import numba
 import numpy as np
 
 from arfx.core.scene import Scene
-from arfx.papers.s4_voxels import Volume, volume_around, voxelise
+from arfx.papers.s4_voxels import Volume, voxelise
 
 # Radii of the object to each side of its middle: where its shadow and its bounced light fall
 MARGIN = 2.0
@@ -109,17 +109,20 @@ def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
 
 
 def cube_around(scene: Scene, n: int) -> Volume:
-    """The object and the plane under it, MARGIN radii to each side."""
+    """The smallest cube with one empty voxel around the object and the plane under it, MARGIN
+    radii to each side. Borders of voxels lie on z = 0, where the plane is."""
     points = scene.world_from_anchor.inverse().apply(scene.model_points_m)
     points = points[np.isfinite(points).all(1)]
     centre = (points.min(0) + points.max(0)) / 2
     reach = MARGIN * max(float(np.linalg.norm(points - centre, axis=1).max()), 1e-6)
-    foot = [
-        (centre[0] + i * reach, centre[1] + j * reach, 0.0)
-        for i in (-1, 1)
-        for j in (-1, 1)
-    ]
-    return volume_around(np.concatenate([points, foot]), n)
+    foot = centre[:2] - reach, centre[:2] + reach
+    low = np.minimum(points.min(0), [*foot[0], 0])
+    high = np.maximum(points.max(0), [*foot[1], 0])
+    voxel_m = max(float((high - low).max()), 1e-9) / (n - 3)
+    corner = (low + high) / 2 - voxel_m * n / 2
+    # what stands on the plane fills the voxels over it: not by rounding those under it
+    corner[2] = (np.floor(low[2] / voxel_m - 1 + 1e-3) - 1e-3) * voxel_m
+    return Volume(n, (float(corner[0]), float(corner[1]), float(corner[2])), voxel_m)
 
 
 def octree_of(

@@ -47,19 +47,6 @@ class Voxels:
     normal: np.ndarray
 
 
-def volume_around(points_m: np.ndarray, n: int) -> Volume:
-    """The smallest cube with one empty voxel around the points (k, 3). Borders of voxels lie on z =
-    0, where the plane is."""
-    points = points_m[np.isfinite(points_m).all(1)]
-    low, high = points.min(0), points.max(0)
-    side_m = max(float((high - low).max()), 1e-9)
-    voxel_m = side_m / (n - 3)
-    corner = (low + high) / 2 - voxel_m * n / 2
-    # what stands on the plane fills the voxels over it: not by rounding those under it
-    corner[2] = (np.floor(low[2] / voxel_m - 1 + 1e-3) - 1e-3) * voxel_m
-    return Volume(n, (float(corner[0]), float(corner[1]), float(corner[2])), voxel_m)
-
-
 def voxelise(scene: Scene, volume: Volume) -> Voxels:
     """Every part of the scene's model within the volume. Triangles without area or not finite count
     for nothing."""

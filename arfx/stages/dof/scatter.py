@@ -227,8 +227,5 @@ def take_share(light, radius, hat, out):  # pragma: no cover - compiled
             px2 = radius[y, x] * radius[y, x]
             share = min(min((px2 - hat[0]) * rise, (hat[2] - px2) * fall), one)
             if share > zero:
-                out[y, x, 0] = share * light[y, x, 0]
-                out[y, x, 1] = share * light[y, x, 1]
-                out[y, x, 2] = share * light[y, x, 2]
-                for c in range(3, light.shape[2]):
+                for c in range(light.shape[2]):
                     out[y, x, c] = share * light[y, x, c]

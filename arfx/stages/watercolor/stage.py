@@ -54,14 +54,6 @@ BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each o
 _OBJECT_CELL = 0.8  # size of the object's cells, of the background's
 _ROUNDS = 8  # of a wash of strength 1
 _KEPT = 4  # sets of cells
-_VIRTUAL = (
-    Layer.VIRTUAL,
-    Layer.COVERAGE,
-    Layer.NORMAL,
-    Layer.DEPTH,
-    Layer.ALBEDO,
-    Layer.EMISSIVE,
-)
 
 
 @dataclass(frozen=True, eq=False)
