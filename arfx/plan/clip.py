@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
-from arfx.core.cost import Prediction, Prices, measured
+from arfx.core.cost import Prediction, Prices
 from arfx.core.facts import FrameFacts
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
@@ -48,7 +48,7 @@ class ClipPlan:
 
     plans: list[FramePlan]
     choice: LevelChoice
-    shots: Mapping[int, int] = field(default_factory=dict)
+    shots: Mapping[int, int]
 
     def explained(
         self, errors: Errors, stages: Mapping[str, Stage]
@@ -76,8 +76,8 @@ def plan_clip(
     errors: Errors,
     prices: Prices,
     seconds_of: Callable[[Sequence[FramePlan], Prediction], float],
-    skip: bool = True,
-    prepare_cost: PrepareCost = lambda stage, level: measured(0.0),
+    skip: bool,
+    prepare_cost: PrepareCost,
 ) -> ClipPlan:
     """seconds_of : upper end of the whole job's time, from plans (for what is not the
     stages') and the stages' prediction

@@ -107,7 +107,7 @@ def without_price(stages: Sequence[str]) -> tuple[str, str]:
     )
 
 
-def total_line(predicted: dict[str, Any], frames: int, unknown: Sequence[str] = ()) -> str:
+def total_line(predicted: dict[str, Any], frames: int, unknown: Sequence[str]) -> str:
     """The whole job's time in words. unknown : stages without a price"""
     wall, workers = predicted["wall"], predicted["workers"]
     if unknown:

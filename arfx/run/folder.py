@@ -336,14 +336,14 @@ def code_digest(
     return h.hexdigest()
 
 
-COUNT, WIDEST_PX = 8, 960
+PREVIEWS, WIDEST_PX = 8, 960
 
 
-def pick_previews(facts: Sequence[FrameFacts], count: int = COUNT) -> list[int]:
+def pick_previews(facts: Sequence[FrameFacts]) -> list[int]:
     """Frames spread evenly over those that show the object; over all where none does."""
     shown = [f.index for f in facts if f.visible] or [f.index for f in facts]
     at = np.unique(
-        np.linspace(0, len(shown) - 1, min(count, len(shown))).round().astype(int)
+        np.linspace(0, len(shown) - 1, min(PREVIEWS, len(shown))).round().astype(int)
     )
     return [shown[i] for i in at]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -51,10 +51,10 @@ class Inputs:
     marker_map: Mapping[str, Pose] | None
     output: OutputPlan
     notices: tuple[str, ...]
-    panorama: np.ndarray | None = None
-    depth: DepthMaps | None = None
-    poses: CameraPath | None = None
-    prints: Mapping[str, np.ndarray] = field(default_factory=dict)
+    panorama: np.ndarray | None
+    depth: DepthMaps | None
+    poses: CameraPath | None
+    prints: Mapping[str, np.ndarray]
 
 
 def open_inputs(
@@ -218,12 +218,9 @@ def open_clip(config: JobConfig) -> tuple[ClipInfo, Camera, list[str]]:
 
 def placement(config: JobConfig) -> Placement:
     m = config.model
-    fit = None if m.fit is None else float(m.fit)
-    if fit is not None and fit <= 0:
-        raise ConfigError(f"--fit must be above 0, is {fit:g} m")
-    return Placement(
-        m.scale, fit, m.rotate, (float(m.offset[0]), float(m.offset[1]), float(m.offset[2]))
-    )
+    if m.fit is not None and m.fit <= 0:
+        raise ConfigError(f"--fit must be above 0, is {m.fit:g} m")
+    return Placement(m.scale, m.fit, m.rotate, m.offset)
 
 
 def make_scene(
@@ -232,7 +229,7 @@ def make_scene(
     model: Model,
     world_from_marker: Mapping[str, Pose],
     anchor: str,
-    static: str = "marker",
+    static: str,
     real_planes: Sequence[RealPlane] = (),
 ) -> Scene:
     """The scene of a job. anchor : key of the marker under the model. The default light

@@ -40,7 +40,7 @@ from arfx.run.parameters import fold_classes, make_stages, pipeline, required_fo
 from arfx.run.place import Places
 from arfx.run.planned import ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
-from arfx.run.schedule import Chunk, borders
+from arfx.run.schedule import Chunk, borders, find_chunk
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
@@ -389,7 +389,7 @@ def _render(
 ) -> list[Path]:
     """The chunks' files, in order; those that are there already are kept."""
     folder, suffix = job.folder, chunk_suffix(job.inputs.output)
-    files = {c.first: c.find(folder.chunks, suffix) for c in chunks}
+    files = {c.first: find_chunk(folder.chunks, c.name, suffix) for c in chunks}
     todo = [c for c in chunks if files[c.first] is None]
     names, total = {c.first: c.name for c in todo}, len(job.facts)
     tasks: list[Task] = [

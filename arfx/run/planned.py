@@ -49,9 +49,9 @@ class ClipAnalysis(Document):
     previews: Sequence[int]
     notices: Sequence[str]
     real_planes: Sequence[RealPlane]
-    careful: bool = False
-    missing: Sequence[tuple[float, int]] = ()
-    damaged: bool = False
+    careful: bool
+    missing: Sequence[tuple[float, int]]
+    damaged: bool
 
     def scene(
         self, config: JobConfig, camera: Camera, model: Model, folder: JobFolder

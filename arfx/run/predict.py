@@ -52,11 +52,11 @@ class JobSize:
     decode_s: float
     before_s: float
     codec: str
-    workers: int = 1
-    processes: int = 0
-    mfaces: float = 0.0
-    keys: tuple[int, ...] = (0,)
-    checked: frozenset[str] = frozenset()
+    workers: int
+    processes: int
+    mfaces: float
+    keys: tuple[int, ...]
+    checked: frozenset[str]
 
 
 @dataclass(frozen=True)

@@ -37,17 +37,15 @@ class Chunk:
         """
         return f"{self.first:06d}-{self.last:06d}.{self.key}"
 
-    def find(self, folder: Path, suffix: str) -> Path | None:
-        """Its file, if there is one that is as it was written."""
-        return find_chunk(folder, self.name, suffix)
-
     @property
     def frames(self) -> int:
         return self.last - self.first + 1
 
 
 def find_chunk(folder: Path, name: str, suffix: str) -> Path | None:
-    """The whole file of the chunk with this name (`Chunk.name`)."""
+    """The file of the chunk with this name (`Chunk.name`), if there is one that is as it
+    was written.
+    """
     for path in folder.glob(f"{name}.*{suffix}"):
         with contextlib.suppress(OSError):
             if path.name == f"{name}.{content_digest(path)}{suffix}":

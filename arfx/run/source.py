@@ -34,8 +34,8 @@ class Source:
         info: ClipInfo,
         pts: list[int],
         index: int,
-        threads: int = 0,
-        careful: bool = False,
+        threads: int,
+        careful: bool,
     ) -> None:
         self.info, self.pts, self.index = info, pts, index
         self._read(threads, careful)
@@ -86,8 +86,8 @@ class StretchFrames:
         info: ClipInfo,
         first_pts: int | None,
         alone: bool,
-        careful: bool = False,
-        seeks: bool = True,
+        careful: bool,
+        seeks: bool,
     ) -> None:
         self.info, self.alone, self.frontier, self.seconds = info, alone, first_pts, 0.0
         self.reader = ClipReader(
@@ -127,7 +127,7 @@ class StretchFrames:
         self.reader.close()
 
 
-_of_thread = threading.local()  # source, stretch : what the thread read from last
+_of_thread = threading.local()  # reading : what the thread read from last
 
 
 def source_at(
@@ -135,9 +135,9 @@ def source_at(
 ) -> Source:
     """The source that this thread read from last, if it is at `index` of the same job, or,
     a careful one, before it; else a new one."""
-    last: Source | None = getattr(_of_thread, "source", None)
+    last = getattr(_of_thread, "reading", None)
     if (
-        last is not None
+        isinstance(last, Source)
         and last.info is info
         and last.pts is pts
         and 0 <= index - last.index <= index * careful
@@ -145,7 +145,7 @@ def source_at(
         last.index = index
         return last
     release()
-    _of_thread.source = source = Source(info, pts, index, threads, careful)
+    _of_thread.reading = source = Source(info, pts, index, threads, careful)
     return source
 
 
@@ -159,27 +159,24 @@ def stretch_at(
     """The frames that this thread read last, if they go on at that time of the same clip;
     else new ones.
     """
-    last: StretchFrames | None = getattr(_of_thread, "stretch", None)
+    last = getattr(_of_thread, "reading", None)
     if (
         seeks
-        and last is not None
+        and isinstance(last, StretchFrames)
         and first_pts is not None
         and (last.info, last.alone, last.frontier) == (info, alone, first_pts)
     ):
         return last
     release()
-    _of_thread.stretch = source = StretchFrames(info, first_pts, alone, careful, seeks)
+    _of_thread.reading = source = StretchFrames(info, first_pts, alone, careful, seeks)
     return source
 
 
 def release() -> None:
     """Close what this thread reads from."""
-    if (stretch := getattr(_of_thread, "stretch", None)) is not None:
-        stretch.close()
-        _of_thread.stretch = None
-    if (source := getattr(_of_thread, "source", None)) is not None:
-        source.close()
-        _of_thread.source = None
+    if (last := getattr(_of_thread, "reading", None)) is not None:
+        last.close()
+        _of_thread.reading = None
 
 
 def real_depth_layer(

@@ -93,11 +93,11 @@ class Stretches(Document):
     careful : in one thread (`ClipReader`)"""
 
     parts: tuple[Stretch, ...]
-    before: int = 0
-    truncated: str | None = None
-    length_s: float = 0.0
-    seeks: bool = True
-    careful: bool = False
+    before: int
+    truncated: str | None
+    length_s: float
+    seeks: bool
+    careful: bool
 
     @property
     def frames(self) -> int:
@@ -135,7 +135,7 @@ def cut(span: Span, times: FrameTimes | None) -> Stretches:
         with ClipReader(span.info, threads=1) as reader:
             seeks = reader.seeks_to(times.pts[borders[len(borders) // 2]])
     length_s = float((times.pts[stop - 1] - times.pts[first]) * span.info.time_base)
-    return Stretches(tuple(parts), first, times.truncated, length_s, seeks)
+    return Stretches(tuple(parts), first, times.truncated, length_s, seeks, False)
 
 
 def whole(span: Span) -> Stretches:

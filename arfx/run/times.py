@@ -62,7 +62,7 @@ class TimeSpent:
     wall_s: float
     processes: int
     peak_rss_mb: float
-    workers: tuple[dict[str, Any], ...] = ()
+    workers: tuple[dict[str, Any], ...]
 
 
 @dataclass

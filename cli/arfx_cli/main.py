@@ -22,68 +22,39 @@ from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
 from arfx_cli.console import tell
 
-# command -> (module, one-line help). The module is imported only when its command runs.
+# command -> one-line help. Its module here, of that name, is imported only when it runs.
 COMMANDS = {
     "demo": (
-        "arfx_cli.demo",
-        "Make a sample clip, process it, write out.mp4 and a report. No argument needed.",
+        "Make a sample clip, process it, write out.mp4 and a report. No argument needed."
     ),
-    "process": (
-        "arfx_cli.process",
-        "Put a virtual model onto the marker of a clip: the main job.",
-    ),
+    "process": "Put a virtual model onto the marker of a clip: the main job.",
     "batch": (
-        "arfx_cli.batch",
-        (
-            "Many clips, one job each: a table, folders or patterns; goes on past one that"
-            " fails."
-        ),
+        "Many clips, one job each: a table, folders or patterns; goes on past one that"
+        " fails."
     ),
     "plan": (
-        "arfx_cli.plan",
-        (
-            "Explain what `process` would do and leave out, with predicted time; renders"
-            " nothing."
-        ),
+        "Explain what `process` would do and leave out, with predicted time; renders"
+        " nothing."
     ),
     "tradeoff": (
-        "arfx_cli.tradeoff",
-        "What accuracy costs on a clip: error and time of every level of every effect.",
+        "What accuracy costs on a clip: error and time of every level of every effect."
     ),
     "inspect": (
-        "arfx_cli.inspect",
-        "Stream properties, markers found, coverage, blur; suggests the `process` command.",
+        "Stream properties, markers found, coverage, blur; suggests the `process` command."
     ),
-    "calibrate": (
-        "arfx_cli.calibrate",
-        "Camera intrinsics from pictures or video of a board, with a verdict.",
-    ),
-    "target": (
-        "arfx_cli.target",
-        "A printable marker, marker sheet or board, true to scale.",
-    ),
-    "synth": ("arfx_cli.synth", "A synthetic clip with exact truth."),
-    "verify": (
-        "arfx_cli.verify",
-        "Run a synthetic scene and report errors against its truth.",
-    ),
+    "calibrate": "Camera intrinsics from pictures or video of a board, with a verdict.",
+    "target": "A printable marker, marker sheet or board, true to scale.",
+    "synth": "A synthetic clip with exact truth.",
+    "verify": "Run a synthetic scene and report errors against its truth.",
     "reproduce": (
-        "arfx_cli.reproduce",
-        "Every equation, number and figure of the four papers, beside what arfx gives.",
+        "Every equation, number and figure of the four papers, beside what arfx gives."
     ),
-    "stages": (
-        "arfx_cli.stages",
-        "Every stage and every setting: what it does, its default, its levels.",
-    ),
-    "report": ("arfx_cli.report", "The report of a finished job."),
-    "lens": (
-        "arfx_cli.lens",
-        "Depth-of-field limits of a thin lens, as printed and corrected.",
-    ),
-    "bench": ("arfx_cli.bench", "Cost of each stage and level on this machine."),
+    "stages": "Every stage and every setting: what it does, its default, its levels.",
+    "report": "The report of a finished job.",
+    "lens": "Depth-of-field limits of a thin lens, as printed and corrected.",
+    "bench": "Cost of each stage and level on this machine.",
     "doctor": (
-        "arfx_cli.doctor",
-        "What works here: renderer back ends, codecs, cores; the fix for what does not.",
+        "What works here: renderer back ends, codecs, cores; the fix for what does not."
     ),
 }
 EXIT_CODES = (
@@ -105,13 +76,13 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         with interrupt.deferred():
-            module: Any = importlib.import_module(COMMANDS[cmd_name][0])
+            module: Any = importlib.import_module(f"arfx_cli.{cmd_name}")
             command: click.Command = module.command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+            formatter.write_dl([*COMMANDS.items()])
 
 
 @click.group(

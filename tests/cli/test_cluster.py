@@ -33,6 +33,7 @@ from arfx.run.job import Options, plan_job
 from arfx.run.lock import locked
 from arfx.run.parameters import parameters
 from arfx.run.planned import Job
+from arfx.run.schedule import find_chunk
 from tests.cli.conftest import FRAMES, Material, Run, at_a_moment
 from tests.cli.farm import Farm, farm
 from tests.clips import MARKER, print_of, write_clip
@@ -398,7 +399,10 @@ def test_a_lost_scheduler_ends_in_one_message(
         ):
             rendered(planned, cluster, once(own.process.kill, after=16))
     assert not capfd.readouterr().err, "Dask has nothing to add"
-    assert any(chunk.find(planned.folder.chunks, ".mkv") for chunk in jobs._chunks(planned))
+    assert any(
+        find_chunk(planned.folder.chunks, chunk.name, ".mkv")
+        for chunk in jobs._chunks(planned)
+    )
     chunks = jobs._render(planned, jobs._chunks(planned), Options(workers=1), None)
     assert {int(f.name.split("-")[0]): content_digest(f) for f in chunks} == serial
     ended(pids)

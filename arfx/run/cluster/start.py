@@ -284,7 +284,7 @@ def _silence() -> Iterator[None]:
 
 def planned_workers(spec: ClusterSpec | None) -> int | None:
     """How many chunks would be rendered at once; None without a cluster. Starts nothing."""
-    if spec is None or spec.workers:
-        return None if spec is None else spec.workers
+    if spec is not None and spec.workers:
+        return spec.workers
     with open_cluster(spec, (), lambda _: None) as cluster:
         return None if cluster is None else cluster.workers

@@ -174,7 +174,7 @@ def test_pictures_with_guessed_parts_are_the_same_for_all(
     for k, run in enumerate((shuffled, threads(2))):
         found = analysed(clip, tmp_path / f"{k}", run)
         assert found.damaged and found.careful and not found.truncated
-    source, info = Source(probe(clip), found.pts, 40, careful=found.careful), probe(clip)
+    source, info = Source(probe(clip), found.pts, 40, 0, found.careful), probe(clip)
     with ClipReader(info, careful=True) as reader:
         every = {f.pts: f.luma().copy() for f in reader.frames()}
     for pts in found.pts[40:60]:

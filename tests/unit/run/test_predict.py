@@ -33,7 +33,10 @@ SIZE = JobSize(
     before_s=2.0,
     codec="h264",
     workers=2,
+    processes=0,
+    mfaces=0.0,
     keys=(0,),
+    checked=frozenset(),
 )
 
 
@@ -106,7 +109,7 @@ def test_one_thread_alone_is_faster_and_a_phase_without_price_makes_the_whole_un
 def test_what_planning_takes_is_in_the_prediction(monkeypatch) -> None:
     def slow(*_: object) -> ClipPlan:
         clock[0] += 0.5
-        return ClipPlan([], LevelChoice({}, measured(0.0), 0.0, True, ""))
+        return ClipPlan([], LevelChoice({}, measured(0.0), 0.0, True, ""), {})
 
     clock = [7.0]
     monkeypatch.setattr(predict_module, "plan_clip", slow)

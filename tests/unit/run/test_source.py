@@ -34,7 +34,7 @@ def test_a_source_gives_the_frames_of_the_job_and_skips_others(clip: Path) -> No
     with ClipReader(info) as reader:
         pts = [f.pts for f in reader.frames()]
     wanted = pts[3::2]
-    source = Source(info, wanted, 1)
+    source = Source(info, wanted, 1, threads=0, careful=False)
     got = [source.next() for _ in wanted[1:]]
     assert [f.pts for f in got if f is not None] == wanted[1:]
 
@@ -45,7 +45,7 @@ def test_a_frame_that_is_not_there_is_told_and_nothing_after_it_is_given(
     info = probe(clip)
     with ClipReader(info) as reader:
         pts = [f.pts for f in reader.frames()]
-    source = Source(info, [pts[0], pts[1] + 1, pts[3]], 0)
+    source = Source(info, [pts[0], pts[1] + 1, pts[3]], 0, threads=0, careful=False)
     assert source.next() is not None
     assert source.next() is None and source.next() is None
 
