@@ -39,7 +39,7 @@ class SceneMesh:
     uv : (n, 4) float32, both sets of texture coordinates, v = 0 at a picture's top row
     has_uv : (p, 2) bool, which of them a part has;  tangents : (n, 4) float32 as of `Part`, else 0
     faces : (m, 3) int32;  part : (m,) int32, of each face;  face_normal : (m, 3) float32, unit
-    materials : of each part
+    materials : of each part;  object_of : (p,) int32, number of the object that a part belongs to
     """
 
     centre_m: np.ndarray
@@ -53,6 +53,7 @@ class SceneMesh:
     part: np.ndarray
     face_normal: np.ndarray
     materials: tuple[Material, ...]
+    object_of: np.ndarray
 
     @cached_property
     def corners_m(self) -> np.ndarray:
@@ -120,6 +121,7 @@ def flatten(model: Model, world_from_model: np.ndarray) -> SceneMesh:
         ),
         face_normal=normalise(np.cross(b - a, c - a)).astype(np.float32),
         materials=tuple(p.material for p in parts),
+        object_of=np.zeros(len(parts), np.int32),
     )
 
 

@@ -11,7 +11,6 @@ import av
 import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
-from arfx.core.layers import packed
 from arfx.core.rect import Rect
 from arfx.errors import RenderError
 from arfx.media.planes import FrameFormat, copy_picture, planes_of
@@ -171,10 +170,8 @@ class Frame:
                 f"frame {self.index}: edit of {shape} pixels given {before.shape} before,"
                 f" {after.shape} after"
             )
-        b, a = (
-            packed(f.orientation.coded(np.asarray(light, np.float32)))
-            for light in (before, after)
-        )
+        b = np.ascontiguousarray(f.orientation.coded(before), np.float32)
+        a = np.ascontiguousarray(f.orientation.coded(after), np.float32)
         if not np.isfinite(
             b.sum() + a.sum()
         ):  # a quick proof; the sum of finite ones may be

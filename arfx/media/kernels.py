@@ -14,6 +14,7 @@ from arfx.core.colour import yuv_from_rgb
 from arfx.core.rect import Rect
 from arfx.media.lines import (
     FAST,
+    Chroma,
     Luma,
     Planes,
     add_steps,
@@ -57,74 +58,108 @@ def linear_from_yuv(planes: Planes, rect, curve, out):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def edit_luma(y, rect, before, after, curve, luma: Luma, step, cosited, lines):
+def edit_luma(
+    y,
+    rect,
+    before_bits,
+    after_bits,
+    curve,
+    luma: Luma,
+    step,
+    cosited,
+    chroma: Chroma,
+):
     """Adds the luma difference to plane y in place; sets the chroma differences of each
     line, reduced to chroma columns.
 
-    rect : x0, y0, x1, y1;  before, after : (h, w, 3) float32 linear light
-    step : log2 of the chroma step across;  cosited : a chroma sample lies on the left luma
-    sample and takes a tent of differences, else a box
-    lines : (2, h, n) float32 Cb and Cr differences, -0.5..0.5, of the columns from x0 >> step
-    on, to be set
+    rect : x0, y0, x1, y1
+    *_bits : (h, w, 3) float32 linear light as int32;  step : log2 of the chroma step across
+    cosited : a chroma sample lies on the left luma sample and takes a tent of differences,
+    else a box
+    chroma : of the columns from x0 >> step on
     Beyond the rectangle the difference is zero, beyond the picture its edge goes on."""
-    to_yuv, factor, low, high, picture_width = luma
-    x0, y0, x1, y1 = rect
-    scratch = line_scratch(5, 3 * (x1 - x0))
-    b, a, base, mantissa, dy = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    scratch = line_scratch(5, 3 * (rect[2] - rect[0]))
     low_tap, high_tap, weights = taps(step, cosited and step > 0)
-    wide = np.empty((2, (lines.shape[2] << step) + high_tap - low_tap), np.float32)
+    wide = np.empty((2, (chroma.lines.shape[2] << step) + high_tap - low_tap), np.float32)
+    to_yuv, factor, low, high, picture_width = luma
+    lines, changed_columns = chroma
+    x0, y0, _, y1 = rect
+    h, n = y1 - y0, lines.shape[2]
+    before, after, base, mantissa, dy = (
+        scratch[0],
+        scratch[1],
+        scratch[2],
+        scratch[3],
+        scratch[4],
+    )
     start = ((x0 >> step) << step) + low_tap  # luma column of the first tap
-    lines[:] = 0
     # a line at a time from the first pixel that changes to the last, in steps of which the
     # compiler makes vector code (it does not where they stand together in one function); a
     # pixel between them that does not change has difference 0
-    for j in range(y1 - y0):
-        old, new = before[j].reshape(-1), after[j].reshape(-1)
-        first, last = 0, old.shape[0]
-        while first < last and old[first] == new[first]:
+    for j in range(h):
+        b, a = before_bits[j].reshape(-1), after_bits[j].reshape(-1)
+        first, last = 0, b.shape[0]
+        while first < last and b[first] == a[first]:
             first += 1
-        while last > first and old[last - 1] == new[last - 1]:
+        while last > first and b[last - 1] == a[last - 1]:
             last -= 1
         first, last = first // 3, (last + 2) // 3
+        changed_columns[j, 0], changed_columns[j, 1] = 0, 0
         m = last - first
         if m <= 0:
             continue
-        apply_curve(old[3 * first : 3 * last], curve, base, mantissa, b)
-        apply_curve(new[3 * first : 3 * last], curve, base, mantissa, a)
-        clipped_differences(b[: 3 * m], a)
+        apply_curve(b[3 * first : 3 * last].view(np.float32), curve, base, mantissa, before)
+        apply_curve(a[3 * first : 3 * last].view(np.float32), curve, base, mantissa, after)
+        clipped_differences(before[: 3 * m], after)
         wide[:] = 0
         at = x0 + first - start
-        to_luma_and_chroma(a, to_yuv, dy[:m], wide[0, at : at + m], wide[1, at : at + m])
+        to_luma_and_chroma(
+            after, to_yuv, dy[:m], wide[0, at : at + m], wide[1, at : at + m]
+        )
         add_steps(y[y0 + j, x0 + first : x0 + last], dy[:m], factor, low, high)
+        c0 = max(((x0 + first - high_tap + 1) >> step) - (x0 >> step), 0)
+        c1 = min(((x0 + last - 1 - low_tap) >> step) + 1 - (x0 >> step), n)
+        changed_columns[j, 0], changed_columns[j, 1] = c0, c1
         for c in range(2):
             if x0 + first == 0:
                 wide[c, :at] = wide[c, at]
             if x0 + last == picture_width:
                 wide[c, at + m :] = wide[c, at + m - 1]
-            reduce_line(wide[c], step, weights, lines[c, j])
+            reduce_line(wide[c, c0 << step :], step, weights, lines[c, j, c0:c1])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def edit_chroma(plane, lines, rect, height, steps, cosited, factor, legal):
-    """Adds the chroma differences that `edit_luma` left, (h, n), to one chroma plane in
-    place.
+def edit_chroma(plane, lines, changed_columns, rect, height, steps, cosited, factor, legal):
+    """Adds the chroma differences that `edit_luma` left, (h, n) in their changed columns,
+    to one chroma plane in place.
     height : of the picture;  legal : lowest, highest stored value
     cosited : a sample lies on the top luma sample of its group, else in the middle
     Only samples on the grid inside the rectangle, grown to that grid, can change."""
+    total = np.empty(lines.shape[1], np.float32)
+    low_tap, high_tap, weights = taps(steps[1], cosited and steps[1] > 0)
     x0, y0, _, y1 = rect
     sx, sy = steps
-    low_tap, high_tap, weights = taps(sy, cosited and sy > 0)
-    total = np.empty(lines.shape[1], np.float32)
+    ca, n = x0 >> sx, lines.shape[1]
     for r in range(y0 >> sy, -(-y1 >> sy)):
-        total[:] = 0
+        a, b = n, 0
+        for k in range(low_tap, high_tap):
+            yy = min(max((r << sy) + k, 0), height - 1)
+            if y0 <= yy < y1 and changed_columns[yy - y0, 1] > changed_columns[yy - y0, 0]:
+                a, b = (
+                    min(a, changed_columns[yy - y0, 0]),
+                    max(b, changed_columns[yy - y0, 1]),
+                )
+        if b <= a:
+            continue
+        total[a:b] = 0
         for k in range(low_tap, high_tap):
             yy = min(max((r << sy) + k, 0), height - 1)
             if y0 <= yy < y1:
+                from_, to = changed_columns[yy - y0, 0], changed_columns[yy - y0, 1]
                 weight, line = weights[k - low_tap], lines[yy - y0]
-                for i in range(total.shape[0]):
+                for i in range(from_, to):
                     total[i] += line[i] * weight
-        row = plane[r, x0 >> sx : (x0 >> sx) + total.shape[0]]
-        add_steps(row, total, factor, legal[0], legal[1])
+        add_steps(plane[r, ca + a : ca + b], total[a:b], factor, legal[0], legal[1])
 
 
 def read_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect) -> np.ndarray:
@@ -143,17 +178,20 @@ def edit_yuv(
     before: np.ndarray,
     after: np.ndarray,
 ) -> None:
-    """As `Frame.edited`, in place and coded. before, after : `packed` float32"""
-    rect, steps = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y)
-    to_yuv = yuv_from_rgb(f.matrix).astype(np.float32)
-    luma = Luma(to_yuv, np.float32(f.luma_steps[1]), *f.legal[:2], f.width)
-    columns = -(-r.x1 >> steps[0]) - (r.x0 >> steps[0])
-    lines = np.empty((2, r.height, columns), np.float32)
-    curve = encode_curve(f.transfer)
-    edit_luma(planes[0], rect, before, after, curve, luma, steps[0], f.cosited[0], lines)
-    factor = np.float32(f.chroma_steps[1])
-    for plane, own in zip(planes[1:3], lines, strict=True):
-        edit_chroma(plane, own, rect, f.height, steps, f.cosited[1], factor, f.legal[2:])
+    """As `Frame.edited`, in place and coded."""
+    chroma = _chroma(r, f)
+    edit_luma(
+        planes[0],
+        (r.x0, r.y0, r.x1, r.y1),
+        _bits(before),
+        _bits(after),
+        encode_curve(f.transfer),
+        _luma(f),
+        f.layout.sub_x,
+        f.cosited[0],
+        chroma,
+    )
+    _edit_chroma(planes, f, r, chroma)
 
 
 def _kernel_planes(planes: list[np.ndarray], f: FrameFormat) -> Planes:
@@ -180,3 +218,43 @@ def _kernel_planes(planes: list[np.ndarray], f: FrameFormat) -> Planes:
         scale,
         matrix,
     )
+
+
+def _luma(f: FrameFormat) -> Luma:
+    return Luma(
+        yuv_from_rgb(f.matrix).astype(np.float32),
+        np.float32(f.luma_steps[1]),
+        *f.legal[:2],
+        f.width,
+    )
+
+
+def _chroma(r: Rect, f: FrameFormat) -> Chroma:
+    columns = -(-r.x1 >> f.layout.sub_x) - (r.x0 >> f.layout.sub_x)
+    return Chroma(
+        np.empty((2, r.height, columns), np.float32), np.empty((r.height, 2), np.int32)
+    )
+
+
+def _edit_chroma(planes: list[np.ndarray], f: FrameFormat, r: Rect, chroma: Chroma) -> None:
+    rect, steps = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y)
+    for plane, lines in zip(planes[1:3], chroma.lines, strict=True):
+        edit_chroma(
+            plane,
+            lines,
+            chroma.changed_columns,
+            rect,
+            f.height,
+            steps,
+            f.cosited[1],
+            np.float32(f.chroma_steps[1]),
+            f.legal[2:],
+        )
+
+
+def _bits(array: np.ndarray) -> np.ndarray:
+    """A contiguous array of 32 bits as int32, not to be written: whoever made the array, it is
+    one type to the compiler."""
+    out = array.view(np.int32)
+    out.flags.writeable = False
+    return out

@@ -52,6 +52,16 @@ class Luma(NamedTuple):
     width: int
 
 
+class Chroma(NamedTuple):
+    """What is to be added to chroma. lines : (2, h, n) float32 Cb and Cr differences,
+    -0.5..0.5, of a rectangle's columns
+    changed_columns : (h, 2) first of those columns that changes and the one behind the last
+    """
+
+    lines: np.ndarray
+    changed_columns: np.ndarray
+
+
 @numba.njit(cache=True, nogil=True)
 def line_scratch(lines, width):
     """(lines, width + 2 or more) float32 scratch, each of whole cache lines."""
