@@ -114,14 +114,16 @@ class Layers:
         """(h, w, ...) over `rect`. Raises KeyError for PLATE and IMAGE where they do not
         cover `rect`, as they have no neutral value."""
         pixels = self.written.get(name, UNWRITTEN)
-        whole = pixels.part if pixels.rest is None else pixels.rect
-        if whole.contains(self.rect) and not whole.empty:
+        where, array = pixels.part, pixels.array
+        if pixels.rest is not None and pixels.rect.contains(self.rect):
             seen = pixels(self.rect).view()
+        elif where.contains(self.rect) and not where.empty:
+            seen = array[self.rect.slices_in(where)].view()
         else:
             seen = neutral(name, self.rect)
-            both = pixels.part.clip(self.rect)
+            both = where.clip(self.rect)
             if not both.empty:
-                seen[both.slices_in(self.rect)] = pixels(both)
+                seen[both.slices_in(self.rect)] = array[both.slices_in(where)]
         seen.setflags(write=False)
         return seen
 

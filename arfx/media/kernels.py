@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
+from arfx.core.compiled import line_kernel
 from arfx.core.rect import Rect
 from arfx.media.lines import (
     FAST,
@@ -38,6 +39,11 @@ def linear_from_yuv(planes: Planes, rect, curve, out):
     Chroma is interpolated linearly between its true positions, from samples outside the
     rectangle too."""
     scratch = line_scratch(11, rect[2] - rect[0])
+    _linear_lines(planes, rect, curve, out, scratch)
+
+
+@line_kernel(fastmath=FAST)
+def _linear_lines(planes: Planes, rect, curve, out, scratch):
     # a line at a time in steps without branches, of which the compiler makes vector code
     x0, y0, x1, y1 = rect
     w, (c0, c1) = x1 - x0, chroma_span(x0, x1, planes.steps[0], planes.chroma_size[0])
@@ -78,9 +84,21 @@ def edit_luma(
     else a box
     chroma : of the columns from x0 >> step on
     Beyond the rectangle the difference is zero, beyond the picture its edge goes on."""
-    scratch = line_scratch(5, 3 * (rect[2] - rect[0]))
-    low_tap, high_tap, weights = taps(step, cosited and step > 0)
-    wide = np.empty((2, (chroma.lines.shape[2] << step) + high_tap - low_tap), np.float32)
+    w = rect[2] - rect[0]
+    scratch = line_scratch(5, 3 * w)
+    tapped = taps(step, cosited and step > 0)
+    wide = np.empty(
+        (2, (chroma.lines.shape[2] << step) + tapped[1] - tapped[0]), np.float32
+    )
+    work = tapped, wide, scratch
+    _edit_lines(y, rect, before_bits, after_bits, curve, luma, step, chroma, work)
+
+
+@line_kernel(fastmath=FAST)
+def _edit_lines(
+    y, rect, before_bits, after_bits, curve, luma: Luma, step, chroma: Chroma, work
+):
+    (low_tap, high_tap, weights), wide, scratch = work
     to_yuv, factor, low, high, picture_width = luma
     lines, changed_columns = chroma
     x0, y0, _, y1 = rect
@@ -136,10 +154,20 @@ def edit_chroma(plane, lines, changed_columns, rect, height, steps, cosited, fac
     cosited : a sample lies on the top luma sample of its group, else in the middle
     Only samples on the grid inside the rectangle, grown to that grid, can change."""
     total = np.empty(lines.shape[1], np.float32)
-    low_tap, high_tap, weights = taps(steps[1], cosited and steps[1] > 0)
+    tapped = taps(steps[1], cosited and steps[1] > 0)
+    _edit_chroma_lines(
+        plane, lines, changed_columns, rect, height, steps, factor, legal, tapped, total
+    )
+
+
+@line_kernel(fastmath=FAST)
+def _edit_chroma_lines(
+    plane, lines, changed_columns, rect, height, steps, factor, legal, tapped, total
+):
     x0, y0, _, y1 = rect
     sx, sy = steps
     ca, n = x0 >> sx, lines.shape[1]
+    low_tap, high_tap, weights = tapped
     for r in range(y0 >> sy, -(-y1 >> sy)):
         a, b = n, 0
         for k in range(low_tap, high_tap):
@@ -253,8 +281,12 @@ def _edit_chroma(planes: list[np.ndarray], f: FrameFormat, r: Rect, chroma: Chro
 
 
 def _bits(array: np.ndarray) -> np.ndarray:
-    """A contiguous array of 32 bits as int32, not to be written: whoever made the array, it is
-    one type to the compiler."""
-    out = array.view(np.int32)
+    """A contiguous array of 32 bits as int32, not to be written."""
+    return _read_only(array.view(np.int32))
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """A view that is not to be written: whoever made the array, it is one type to the compiler."""
+    out = array.view()
     out.flags.writeable = False
     return out

@@ -125,7 +125,32 @@ def _upsample(samples, c0, columns, step, cosited, x0, out):
     of one line, linear between samples. samples : of the chroma columns from c0 on
     """
     n = out.shape[0]
+    if step == 0:
+        for k in range(n):
+            out[k] = samples[np.uintp(x0 - c0 + k)]
+        return
     last = columns - 1
+    if step == 1:
+        before = np.float32(0) if cosited else np.float32(0.25)
+        after = np.float32(0.5) if cosited else np.float32(0.25)
+        inner, stop = max(x0 + x0 % 2, 2), min(x0 + n, 2 * last)
+        stop = inner + max(stop - inner, 0) // 2 * 2  # in pairs where both neighbours exist
+        if stop > inner:
+            own, earlier, pairs = (
+                samples[inner // 2 - c0 :],
+                samples[inner // 2 - c0 - 1 :],
+                out[inner - x0 : stop - x0],
+            )
+            for i in range((stop - inner) // 2):
+                a, b, c = earlier[i], own[i], own[i + 1]
+                pairs[2 * i] = b + before * (a - b)
+                pairs[2 * i + 1] = b + after * (c - b)
+        for q in range(n - (stop - inner)):
+            k = q if stop == inner or x0 + q < inner else q + stop - inner
+            i = (x0 + k) >> 1
+            m, part = (min(i + 1, last), after) if (x0 + k) & 1 else (max(i - 1, 0), before)
+            out[k] = samples[i - c0] + part * (samples[m - c0] - samples[i - c0])
+        return
     scale = np.float32(1.0 / (1 << step))
     shift = np.float32(0) if cosited else np.float32(0.5) * scale - np.float32(0.5)
     for k in range(n):
@@ -162,6 +187,14 @@ def add_steps(line, diff, factor, low, high):
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 def reduce_line(line, step, weights, out):
     """out[i] = weighted sum of the samples of `line` from i << step on."""
+    if step == 1 and weights.shape[0] == 3:
+        for i in range(out.shape[0]):
+            out[i] = (
+                weights[0] * line[2 * i]
+                + weights[1] * line[2 * i + 1]
+                + weights[2] * line[2 * i + 2]
+            )
+        return
     out[:] = 0
     for k in range(weights.shape[0]):
         for i in range(out.shape[0]):
