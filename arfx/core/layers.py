@@ -129,7 +129,7 @@ class Layers:
 
     def extent(self, name: Layer) -> Rect:
         """Pixels of `rect` outside which the layer is neutral."""
-        return self.written.get(name, UNWRITTEN).part.clip(self.rect)
+        return self.written.get(name, UNWRITTEN).written.bounds.clip(self.rect)
 
     def crop(self, rect: Rect) -> Layers:
         """The part inside `rect`, which must lie in this rectangle."""

@@ -11,10 +11,13 @@ import av
 import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
-from arfx.core.rect import Rect
+from arfx.core.rect import EMPTY, Rect
 from arfx.errors import RenderError
-from arfx.media.planes import FrameFormat, copy_picture, planes_of
+from arfx.media.planes import FrameFormat, Orientation, copy_picture, planes_of
 
+MIN_SPARSE_RATIO = (
+    3  # pixels of a rectangle for each that is wanted, from which these alone are converted
+)
 SWS_MATRIX = {
     "bt709": "ITU709",
     "bt601": "ITU601",
@@ -147,19 +150,75 @@ class Frame:
             return np.zeros((0, 3), np.float32)
         x, y = pixels[:, 0], pixels[:, 1]
         rect = Rect(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
-        return np.ascontiguousarray(self.linear(rect)[y - rect.y0, x - rect.x0])
+        f, coded = self.format, self._coded(rect)
+        plain = f.layout.kind == "yuv" and f.orientation == Orientation()
+        if not plain or coded.area < MIN_SPARSE_RATIO * len(pixels):
+            return np.ascontiguousarray(self.linear(rect)[y - rect.y0, x - rect.x0])
+        from arfx.media import kernels
+
+        return kernels.read_yuv_at(planes_of(self.picture, f.layout), f, pixels)
+
+    def dimmed(
+        self,
+        rect: Rect,
+        transmittance: np.ndarray,
+        opacity: float,
+        bias: np.ndarray,
+        hole: Rect,
+    ) -> Frame:
+        """A new frame with less light inside `rect`, but for `hole`: every linear value's
+        part above `bias` (3,) is multiplied by 1 + opacity (transmittance - 1).
+        transmittance : (h, w, 3 or 1) float32 over the upright `rect`; 1 keeps a pixel's
+        bits. Errors, range: see `edited`.
+        """
+        f, r, h = (
+            self.format,
+            self._coded(rect),
+            self._coded(hole) if not hole.empty else EMPTY,
+        )
+        if transmittance.shape[:2] != (rect.height, rect.width) or transmittance.shape[
+            2
+        ] not in (1, 3):
+            raise RenderError(
+                f"frame {self.index}: {transmittance.shape} shares of light for"
+                f" {rect.to_json()}"
+            )
+        if f.layout.kind != "yuv":
+            before = self.linear(rect)
+            after = before + np.float32(opacity) * (transmittance - 1) * (
+                before - bias.astype(np.float32)
+            )
+            if not hole.empty:
+                after[hole.slices_in(rect)] = before[hole.slices_in(rect)]
+            return self.edited(rect, before, after)
+        from arfx.media import kernels
+
+        picture = copy_picture(self.picture, f.layout)
+        whole = np.ascontiguousarray(f.orientation.coded(transmittance), np.float32)
+        kernels.dim_yuv(planes_of(picture, f.layout), f, r, h, whole, opacity, bias)
+        return Frame(picture, f, self.index, self.pts, self.key)
+
+    @property
+    def row_by_row(self) -> bool:
+        """Whether `edited` takes `columns`."""
+        return self.format.layout.kind == "yuv" and self.format.orientation == Orientation()
 
     def edited(
         self,
         rect: Rect,
         before: np.ndarray,
         after: np.ndarray,
+        columns: np.ndarray | None = None,
+        in_place: bool = False,
     ) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before)
         inside `rect`.
 
         before, after : (h, w, 3) float32 linear RGB of the upright rectangle; equal pixels
         keep their bits.
+        columns : (h, 2) int32 of each row, outside of which neither is looked at; None =
+        all. Only where `row_by_row`
+        in_place : this frame's own samples are changed; only for one that `dimmed` or `edited` made
         New values are clipped to the legal range; samples that already lay beyond it may
         stay there. Raises RenderError for a rectangle outside the picture, other shapes, or
         values that are not finite."""
@@ -172,29 +231,28 @@ class Frame:
             )
         b = np.ascontiguousarray(f.orientation.coded(before), np.float32)
         a = np.ascontiguousarray(f.orientation.coded(after), np.float32)
-        if not np.isfinite(
-            b.sum() + a.sum()
-        ):  # a quick proof; the sum of finite ones may be
-            bad = ~(np.isfinite(b) & np.isfinite(a)).all(-1)
-            if bad.any():
-                raise RenderError(
-                    f"frame {self.index}: {bad.sum()} edited pixels in {rect.to_json()} are"
-                    " not finite numbers"
-                )
-        picture = copy_picture(self.picture, f.layout)
+        picture = self.picture if in_place else copy_picture(self.picture, f.layout)
         planes = planes_of(picture, f.layout)
         if f.layout.kind == "yuv":
             from arfx.media import kernels
 
-            kernels.edit_yuv(planes, f, r, b, a)
+            bad = kernels.edit_yuv(planes, f, r, columns, b, a)
         else:
-            _edit_rgb(planes, f, r, b, a)
+            bad = _edit_rgb(planes, f, r, b, a)
+        if bad:
+            raise RenderError(
+                f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not"
+                " finite numbers"
+            )
         return Frame(picture, f, self.index, self.pts, self.key)
 
 
 def _edit_rgb(
     planes: list[np.ndarray], f: FrameFormat, r: Rect, before: np.ndarray, after: np.ndarray
-) -> None:
+) -> int:
+    finite = np.isfinite(before).all(-1) & np.isfinite(after).all(-1)
+    if not finite.all():
+        return int((~finite).sum())
     b = f.transfer.encode(before)
     a = f.transfer.encode(after)
     d = np.clip(a, np.minimum(b, 0), np.maximum(b, 1)) - b
@@ -208,3 +266,4 @@ def _edit_rgb(
         old = planes[c][r.slices].astype(np.int64)
         new = old + np.rint(d[..., c] * f.luma_steps[1]).astype(np.int64)
         planes[c][r.slices] = np.clip(new, np.minimum(old, low), np.maximum(old, high))
+    return 0

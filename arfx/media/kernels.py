@@ -13,6 +13,7 @@ import numpy as np
 from arfx.core.colour import yuv_from_rgb
 from arfx.core.compiled import line_kernel
 from arfx.core.rect import Rect
+from arfx.media.dimming import dim_luma
 from arfx.media.lines import (
     FAST,
     Chroma,
@@ -64,9 +65,85 @@ def _linear_lines(planes: Planes, rect, curve, out, scratch):
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
+def linear_at_yuv(planes: Planes, pixels, curve, out):
+    """out (n, 3) = linear_from_yuv of single pixels (n, 2), x and y, coded."""
+    y, u, v, (sx, sy), cosited, (cw, ch), (yo, yf, co, cf), (rv, gu, gv, bu) = planes
+    zero = np.float32(0)
+    coded = np.empty((3, len(pixels)), np.float32)
+    for k in range(len(pixels)):
+        x, row = pixels[k, 0], pixels[k, 1]
+        p = (
+            np.float32(x / (1 << sx))
+            if cosited[0]
+            else np.float32((x + 0.5) / (1 << sx) - 0.5)
+        )
+        q = (
+            np.float32(row / (1 << sy))
+            if cosited[1]
+            else np.float32((row + 0.5) / (1 << sy) - 0.5)
+        )
+        p, q = min(max(p, zero), np.float32(cw - 1)), min(max(q, zero), np.float32(ch - 1))
+        i0, r0 = np.int32(p), np.int32(q)
+        i1, r1 = min(i0 + 1, cw - 1), min(r0 + 1, ch - 1)
+        t, f = p - np.float32(i0), q - np.float32(r0)
+        a, b = np.float32(u[r0, i0]), np.float32(u[r1, i0])
+        c, d = np.float32(u[r0, i1]), np.float32(u[r1, i1])
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cb = left + t * (right - left)
+        a, b = np.float32(v[r0, i0]), np.float32(v[r1, i0])
+        c, d = np.float32(v[r0, i1]), np.float32(v[r1, i1])
+        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
+        cr = left + t * (right - left)
+        luma = (np.float32(y[row, x]) - yo) * yf
+        coded[0, k], coded[1, k], coded[2, k] = (
+            luma + rv * cr,
+            luma - gu * cb - gv * cr,
+            luma + bu * cb,
+        )
+    light, base, mantissa = (
+        np.empty_like(coded[0]),
+        np.empty_like(coded[0]),
+        np.empty_like(coded[0]),
+    )
+    for c in range(3):
+        apply_curve(coded[c], curve, base, mantissa, light)
+        for k in range(len(light)):
+            out[k, c] = light[k]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def _all_finite(before, after):
+    """Whether all float32 with these bits are finite: none has all bits of its exponent set."""
+    infinite, highest = np.int32(0x7F800000), np.int32(0)
+    for k in range(before.shape[0]):
+        highest = max(highest, max(before[k] & infinite, after[k] & infinite))
+    return highest < infinite
+
+
+@numba.njit(cache=True, nogil=True)
+def _zero_nonfinite(before, after, clean_before, clean_after):
+    """Copies both lines with 0 for pixels that have a value that is not finite; returns how
+    many.
+    """
+    infinite, bad = np.int32(0x7F800000), 0
+    for k in range(0, before.shape[0], 3):
+        nonfinite = False
+        for c in range(k, k + 3):
+            nonfinite |= ((before[c] & infinite) == infinite) | (
+                (after[c] & infinite) == infinite
+            )
+        bad += nonfinite
+        for c in range(k, k + 3):
+            clean_before[c] = np.int32(0) if nonfinite else before[c]
+            clean_after[c] = np.int32(0) if nonfinite else after[c]
+    return bad
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
 def edit_luma(
     y,
     rect,
+    columns,
     before_bits,
     after_bits,
     curve,
@@ -78,31 +155,35 @@ def edit_luma(
     """Adds the luma difference to plane y in place; sets the chroma differences of each
     line, reduced to chroma columns.
 
-    rect : x0, y0, x1, y1
+    rect : x0, y0, x1, y1;  columns : (h, 2), outside of which nothing is looked at, from x0
     *_bits : (h, w, 3) float32 linear light as int32;  step : log2 of the chroma step across
     cosited : a chroma sample lies on the left luma sample and takes a tent of differences,
     else a box
     chroma : of the columns from x0 >> step on
-    Beyond the rectangle the difference is zero, beyond the picture its edge goes on."""
+    Beyond the rectangle the difference is zero, beyond the picture its edge goes on.
+    Returns how many pixels of `after` or `before` are not finite; those are left alone."""
     w = rect[2] - rect[0]
-    scratch = line_scratch(5, 3 * w)
+    scratch, clean = line_scratch(5, 3 * w), np.empty((2, 3 * w), np.int32)
     tapped = taps(step, cosited and step > 0)
     wide = np.empty(
         (2, (chroma.lines.shape[2] << step) + tapped[1] - tapped[0]), np.float32
     )
-    work = tapped, wide, scratch
-    _edit_lines(y, rect, before_bits, after_bits, curve, luma, step, chroma, work)
+    work = tapped, wide, scratch, clean
+    return _edit_lines(
+        y, rect, columns, before_bits, after_bits, curve, luma, step, chroma, work
+    )
 
 
 @line_kernel(fastmath=FAST)
 def _edit_lines(
-    y, rect, before_bits, after_bits, curve, luma: Luma, step, chroma: Chroma, work
+    y, rect, columns, before_bits, after_bits, curve, luma: Luma, step, chroma: Chroma, work
 ):
-    (low_tap, high_tap, weights), wide, scratch = work
+    (low_tap, high_tap, weights), wide, scratch, clean = work
     to_yuv, factor, low, high, picture_width = luma
     lines, changed_columns = chroma
     x0, y0, _, y1 = rect
     h, n = y1 - y0, lines.shape[2]
+    bad = 0
     before, after, base, mantissa, dy = (
         scratch[0],
         scratch[1],
@@ -116,7 +197,12 @@ def _edit_lines(
     # pixel between them that does not change has difference 0
     for j in range(h):
         b, a = before_bits[j].reshape(-1), after_bits[j].reshape(-1)
-        first, last = 0, b.shape[0]
+        first, last = 3 * columns[j, 0], 3 * columns[j, 1]
+        if not _all_finite(b[first:last], a[first:last]):
+            bad += _zero_nonfinite(
+                b[first:last], a[first:last], clean[0, first:last], clean[1, first:last]
+            )
+            b, a = clean[0], clean[1]
         while first < last and b[first] == a[first]:
             first += 1
         while last > first and b[last - 1] == a[last - 1]:
@@ -144,6 +230,7 @@ def _edit_lines(
             if x0 + last == picture_width:
                 wide[c, at + m :] = wide[c, at + m - 1]
             reduce_line(wide[c, c0 << step :], step, weights, lines[c, j, c0:c1])
+    return bad
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
@@ -199,24 +286,75 @@ def read_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect) -> np.ndarray:
     return out
 
 
+def read_yuv_at(planes: list[np.ndarray], f: FrameFormat, pixels: np.ndarray) -> np.ndarray:
+    """(n, 3) float32 linear RGB of coded pixels (n, 2), x and y."""
+    out = np.empty((len(pixels), 3), np.float32)
+    linear_at_yuv(
+        _kernel_planes(planes, f),
+        np.ascontiguousarray(pixels, np.int32),
+        decode_curve(f.transfer),
+        out,
+    )
+    return out
+
+
 def edit_yuv(
     planes: list[np.ndarray],
     f: FrameFormat,
     r: Rect,
+    columns: np.ndarray | None,
     before: np.ndarray,
     after: np.ndarray,
-) -> None:
-    """As `Frame.edited`, in place and coded."""
+) -> int:
+    """As `Frame.edited`, in place and coded. Returns how many pixels are not finite."""
+    whole = (
+        np.tile(np.array([0, r.width], np.int32), (r.height, 1))
+        if columns is None
+        else columns
+    )
     chroma = _chroma(r, f)
-    edit_luma(
+    bad = edit_luma(
         planes[0],
         (r.x0, r.y0, r.x1, r.y1),
+        _bits(whole),
         _bits(before),
         _bits(after),
         encode_curve(f.transfer),
         _luma(f),
         f.layout.sub_x,
         f.cosited[0],
+        chroma,
+    )
+    _edit_chroma(planes, f, r, chroma)
+    return int(bad)
+
+
+def dim_yuv(
+    planes: list[np.ndarray],
+    f: FrameFormat,
+    r: Rect,
+    hole: Rect,
+    transmittance: np.ndarray,
+    opacity: float,
+    bias: np.ndarray,
+) -> None:
+    """As `Frame.dimmed`, in place and coded."""
+    _, _, alpha, power = f.transfer.curve
+    curves = (
+        decode_curve(f.transfer),
+        encode_curve(f.transfer),
+        np.array([1 / power, alpha - 1], np.float32),
+    )
+    chroma = _chroma(r, f)
+    dim_luma(
+        _kernel_planes(planes, f),
+        (r.x0, r.y0, r.x1, r.y1),
+        (hole.x0, hole.y0, hole.x1, hole.y1),
+        _read_only(transmittance),
+        np.float32(opacity),
+        bias.astype(np.float32),
+        curves,
+        _luma(f),
         chroma,
     )
     _edit_chroma(planes, f, r, chroma)

@@ -1,4 +1,4 @@
-"""Steps over one line of samples that reading and editing share: transfer
+"""Steps over one line of samples that reading, editing and dimming share: transfer
 functions, chroma between its samples and back, and differences added to what is stored.
 Compiled, without branches inside, of which the compiler makes vector code.
 
@@ -270,6 +270,17 @@ def apply_curve(values, curve, base, mantissa, out):
         a = abs(v)
         c = a * line if a <= toe else gain * out[k] - minus
         out[k] = c if v >= np.float32(0) else -c
+
+
+@line_kernel(fastmath=FAST, error_model="numpy")
+def power_of(values, power, base, mantissa, out):
+    """out[k] = values[k]^power (n,) float32 of values >= 0; base, mantissa (n,) float32 :
+    scratch.
+    """
+    n = values.shape[0]
+    for k in range(n):
+        base[k] = max(values[k], np.float32(1e-30))
+    _power(base[:n], power, mantissa[:n], out)
 
 
 @line_kernel(fastmath=FAST, error_model="numpy")

@@ -30,7 +30,7 @@ from arfx.papers.s1_light import (
 from arfx.papers.s1_lightmap import phong
 from arfx.reproduce.rows import Item, Row, both, compared, curves, shown
 from arfx.reproduce.work import Work
-from arfx.stages.composite import over
+from arfx.stages.composite import shade
 
 BIAS = 12.0  # of 255, in all clips of this module
 S_RAD, EPSILON_DEG = 0.2, 30.0  # s of (8), epsilon of (9): the paper has no values
@@ -71,9 +71,13 @@ def section_2_3() -> Iterator[Item]:
     )
     light = np.full((1, 1, 3), SRGB.decode(np.array(200 / 255)), np.float32)
     dark = np.empty_like(light)
-    nothing = np.zeros_like(light), np.zeros((1, 1), np.float32)
-    half = np.full_like(light, 0.5)
-    over(light, *nothing, half, np.float32(1), np.zeros(3, np.float32), dark)
+    shade(
+        light,
+        np.full((1, 1, 1), 0.5, np.float32),
+        np.float32(1),
+        np.zeros(3, np.float32),
+        dark,
+    )
     coded = float(255 * SRGB.encode(dark.astype(float))[0, 0, 0])
     why = (
         "the paper does not say what a shadow takes. Here, by both formulas: a share of the"

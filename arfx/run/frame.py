@@ -13,7 +13,7 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
-from arfx.core.pixels import Pixels
+from arfx.core.pixels import Attenuated, Pixels, Region
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -53,7 +53,12 @@ class FrameLayers:
         before = self.stored.get(name)
         if name is Layer.IMAGE:
             assert before is not None
-            self.stored[name] = Pixels(before.rect, new.array, before, new.part)
+            rest = new.rest or before
+            if (rest.plate if isinstance(rest, Attenuated) else rest) is not before:
+                new, rest = Pixels(out, new(out)), before
+            self.stored[name] = Pixels(
+                before.rect, new.array, rest, new.part, new.written.rects
+            )
         elif before is None or out.contains(before.part):
             self.stored[name] = new
         else:
@@ -78,12 +83,39 @@ class FrameResult:
         return self.layers.view(self.rect)[Layer.IMAGE]
 
     def onto(self, frame: Frame) -> Frame:
-        """The frame with what is new written into its planes."""
-        plate, image = self.layers.stored[Layer.PLATE], self.layers.stored[Layer.IMAGE]
-        rect = image.painted.clip(self.rect)
-        if rect.empty:
-            return frame
-        return frame.edited(rect, plate(rect), image(rect))
+        """The frame with what is new written into its planes.
+
+        A shadow that no stage read is applied to the stored samples.
+        """
+        out, plate, image = (
+            frame,
+            self.layers.stored[Layer.PLATE],
+            self.layers.stored[Layer.IMAGE],
+        )
+        region, light = image.written.clip(self.rect), image.rest
+        if isinstance(light, Attenuated):
+            if not (where := light.rect.clip(self.rect)).empty:
+                transmittance, hole = (
+                    light.transmittance[where.slices_in(light.rect)],
+                    region.bounds.clip(where),
+                )
+                out = frame.dimmed(
+                    where, transmittance, float(light.opacity), light.bias, hole
+                )
+        elif frame.row_by_row:
+            region.grow(image.painted.clip(self.rect))
+        else:
+            region = Region([self.rect])
+        if not region.rects:
+            return out
+        rect = (
+            region.bounds
+            if region.bounds == region.rects[0]
+            else image.part.union(region.bounds)
+        )
+        columns = region.columns(rect) if frame.row_by_row else None
+        before, after = plate.over(rect, region.rects), image.over(rect, region.rects)
+        return out.edited(rect, before, after, columns, out is not frame)
 
 
 def ready_stages(
@@ -137,15 +169,20 @@ def run_frame(
 
 
 def _require_finite(pixels: Pixels, layer: Layer, stage: str, index: int) -> None:
-    if pixels.array.dtype.kind != "f":
+    rects, array = pixels.written.rects, pixels.array
+    if array.dtype.kind != "f" or not rects:
         return
-    with np.errstate(all="ignore"):  # a sum is a quick proof
-        if np.isfinite(pixels.array.sum()):
+    with np.errstate(
+        all="ignore"
+    ):  # a sum is a quick proof; what lies beside the written pixels may be anything
+        if np.isfinite(array.sum()) or all(
+            np.isfinite(array[r.slices_in(pixels.part)]).all() for r in rects
+        ):
             return
-    shape = pixels.array.shape[:2]
-    bad = ~np.isfinite(pixels.array).reshape(*shape, -1).all(-1)
-    if not bad.any():
-        return
+    bad = np.zeros(array.shape[:2], bool)
+    for r in rects:
+        at = r.slices_in(pixels.part)
+        bad[at] = ~np.isfinite(array[at].reshape(*bad[at].shape, -1)).all(-1)
     y, x = np.argwhere(bad)[0]
     raise RenderError(
         f"stage {stage!r} made {bad.sum()} pixels of layer {layer} that are not finite"

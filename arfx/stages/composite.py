@@ -20,7 +20,7 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.pixels import Pixels
+from arfx.core.pixels import Attenuated, Pixels
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -33,24 +33,55 @@ class Composite(Stage):
         return Demand(None, "something virtual is in view")
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
-        """The object's box and the shadow's."""
+        """The object's box; the shadow beside it is worked out only where a later stage
+        asks for it.
+        """
         now, facts = view.layers, view.facts
         drawn = now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE))
-        rect = drawn.clip(facts.raster_box).union(now.extent(Layer.SHADOW))
-        mixed = np.empty((rect.height, rect.width, 3), np.float32)
-        if not rect.empty:
-            here = now.crop(rect)
-            layers = here[Layer.VIRTUAL], here[Layer.COVERAGE], here[Layer.SHADOW]
-            opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-            over(here[Layer.PLATE], *layers, opacity, bias, mixed)
-        return {Layer.IMAGE: Pixels(rect, mixed)}
+        box = now.crop(drawn.clip(facts.raster_box))
+        shaded, plate = now.crop(now.extent(Layer.SHADOW)), now.written[Layer.PLATE]
+        opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
+        mixed = np.empty((box.rect.height, box.rect.width, 3), np.float32)
+        if not box.rect.empty:
+            over = box[Layer.VIRTUAL], box[Layer.COVERAGE], box[Layer.SHADOW]
+            _over(box[Layer.PLATE], *over, opacity, bias, mixed)
+        rest = Attenuated(plate, shaded.rect, shaded[Layer.SHADOW], opacity, bias, shade)
+        return {Layer.IMAGE: Pixels(now.rect, mixed, rest, box.rect)}
 
 
-# It takes differences, so that a pixel with nothing virtual keeps its exact value.
+# Both take differences, so that a pixel with nothing virtual keeps its exact value.
+
+
+def shade(
+    plate: np.ndarray,
+    shadow: np.ndarray,
+    opacity: np.float32,
+    bias: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """The plane's pixels without an object before it: the same as `_over` with coverage 0.
+
+    plate, shadow, out : (h, w, 3)"""
+    if not plate.size:
+        return
+    flat, shares = (np.ascontiguousarray(a).reshape(len(a), -1) for a in (plate, shadow))
+    lines = _shade(flat, shares, opacity, np.tile(bias, plate.shape[1]))
+    out[...] = lines.reshape(plate.shape)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def over(
+def _shade(plate, shadow, opacity, bias):  # pragma: no cover - compiled
+    """(h, 3 w) from lines of pixels; bias : (3 w,)"""
+    out, one = np.empty_like(plate), np.float32(1)
+    for y in range(plate.shape[0]):
+        for k in range(plate.shape[1]):
+            dim = shadow[y, k] - one
+            out[y, k] = plate[y, k] + opacity * (plate[y, k] * dim - bias[k] * dim)
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _over(
     plate, virtual, coverage, shadow, opacity, bias, out
 ):  # pragma: no cover - compiled
     for y in range(plate.shape[0]):

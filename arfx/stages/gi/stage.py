@@ -241,7 +241,7 @@ class Gi(Stage):
             else shown.pad(1).clip(view.facts.raster_box).clip(now.rect)
         )
         if box.empty:
-            return Pixels(part, out)
+            return Pixels(now.rect, out, part=part)
         here, transport = now.crop(box), prepared.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
         side = transport.level.side
@@ -259,7 +259,7 @@ class Gi(Stage):
             light *= share_above_surface(surface.normal, smooth)[..., None]
         added, both = reflected_light(surface, light, sight), box.clip(part)
         out[both.slices_in(part)] += added[both.slices_in(box)]
-        return Pixels(part, out)
+        return Pixels(now.rect, out, part=part)
 
     def _shadow(
         self,
@@ -285,7 +285,7 @@ class Gi(Stage):
         if not mirror.empty:
             at = mirror.slices_in(part)
             self._mirror(shadow[at], view, prepared, sight, mirror)
-        return Pixels(part, shadow)
+        return Pixels(now.rect, shadow, part=part)
 
     def _mirror(
         self, shadow: np.ndarray, view: View, prepared: Prepared, sight: Sight, rect: Rect

@@ -102,21 +102,6 @@ def reference_linear(f: Frame) -> np.ndarray:
     return form.transfer.decode(rgb)
 
 
-def shown_samples(f: Frame) -> list[np.ndarray]:
-    """Planes without what lies beyond the picture, in steps of 8 bits."""
-    form = f.format
-    chroma = (-(-form.height >> form.layout.sub_y), -(-form.width >> form.layout.sub_x))
-    sizes = [
-        (form.height, form.width),
-        *[chroma if form.layout.kind == "yuv" else (form.height, form.width)] * 2,
-    ]
-    planes = planes_of(f.picture, form.layout)
-    return [
-        p[:h, :w].astype(float) / (1 << (form.layout.depth - 8))
-        for p, (h, w) in zip(planes, sizes, strict=False)
-    ]
-
-
 @pytest.mark.parametrize("location", ["left", "center", "topleft"])
 @pytest.mark.parametrize("name", [n for n in FORMATS if n.startswith("yuv")])
 def test_linear_light_is_the_textbooks(name: str, location: str) -> None:
@@ -124,7 +109,11 @@ def test_linear_light_is_the_textbooks(name: str, location: str) -> None:
     assert (
         np.abs(f.linear(f.rect) - reference_linear(f)).max() < 2e-5
     )  # float32 and the series
-    for turn, step in ((Orientation(), 7), (Orientation(True, True, False), 7)):
+    for turn, step in (
+        (Orientation(), 7),
+        (Orientation(), 1),
+        (Orientation(True, True, False), 7),
+    ):  # sparse, dense, turned
         g = Frame(f.picture, replace(f.format, orientation=turn), 5, 7)
         y, x = np.mgrid[0 : g.rect.height : step, 0 : g.rect.width : step]
         assert (
