@@ -35,9 +35,10 @@ class StackBuilder:
     def __init__(self) -> None:
         self._index: dict[tuple[object, ...], int] = {}
         self._pyramids: dict[tuple[int, bool], list[int]] = {}
-        self._keep: list[np.ndarray] = []  # ids stay unique only while the arrays live
+        self._pictures: list[
+            tuple[np.ndarray, bool]
+        ] = []  # ids stay unique while they live
         self._rows: list[list[int]] = []
-        self._levels: list[np.ndarray] = []
         self._size = 0
 
     def add(self, texture: Texture, srgb: bool) -> int:
@@ -46,7 +47,6 @@ class StackBuilder:
         key = (id(picture), srgb, *texture.wrap, texture.nearest)
         if key not in self._index:
             self._index[key] = len(self._rows)
-            self._keep.append(picture)
             offsets = self._pyramid_offsets(picture, srgb)
             height, width = picture.shape[:2]
             wrap_u, wrap_v = (_WRAPS[way] for way in texture.wrap)
@@ -65,35 +65,49 @@ class StackBuilder:
     def _pyramid_offsets(self, picture: np.ndarray, srgb: bool) -> list[int]:
         key = id(picture), srgb
         if key not in self._pyramids:
+            self._pictures.append((picture, srgb))
             self._pyramids[key] = []
-            for level in pyramid(picture, srgb):
+            for width, height in level_sizes(picture):
                 self._pyramids[key].append(self._size)
-                self._levels.append(level.reshape(-1, 4))
-                self._size += len(self._levels[-1])
+                self._size += width * height
         return self._pyramids[key]
 
     def build(self) -> TextureStack:
-        """All of them; the builder is empty after it."""
+        """All of them."""
         texels = np.full((max(self._size, 1), 4), FULL, np.uint16)
-        end = self._size
-        while self._levels:  # given back one by one
-            level = self._levels.pop()
-            texels[end - len(level) : end] = level
-            end -= len(level)
+        for picture, srgb in self._pictures:
+            write_pyramid(picture, srgb, texels[self._pyramids[id(picture), srgb][0] :])
         return TextureStack(
             texels, np.array(self._rows, np.int64).reshape(-1, OFFSETS + MAX_LEVELS)
         )
 
 
-def pyramid(picture: np.ndarray, srgb: bool) -> list[np.ndarray]:
-    """Levels (h, w, 4) uint16 in linear light down to one texel; missing channels are full."""
+def level_sizes(picture: np.ndarray) -> list[tuple[int, int]]:
+    """(width, height) of its pyramid's levels, down to one texel."""
+    height, width = picture.shape[:2]
+    sizes = [(width, height)]
+    while max(sizes[-1]) > 1 and len(sizes) < MAX_LEVELS:
+        width, height = max(width // 2, 1), max(height // 2, 1)
+        sizes.append((width, height))
+    return sizes
+
+
+def write_pyramid(picture: np.ndarray, srgb: bool, texels: np.ndarray) -> list[np.ndarray]:
+    """Levels (h, w, 4) uint16 in linear light, which lie in `texels` (n, 4), one after the other;
+    missing channels are full."""
     height, width, channels = picture.shape
     whole = np.full((height, width, 4), 255, np.uint8)
     whole[..., :channels] = picture
     table = np.stack([_FROM_SRGB if srgb else _LINEAR] * 3 + [_LINEAR], -1)
-    levels = [cv2.LUT(whole, table[None])]
-    while max(width, height) > 1 and len(levels) < MAX_LEVELS:
-        width, height = max(width // 2, 1), max(height // 2, 1)
-        half = cv2.resize(levels[-1], (width, height), interpolation=cv2.INTER_AREA)
-        levels.append(half.reshape(height, width, 4))
+    levels: list[np.ndarray] = []
+    start = 0
+    for size in level_sizes(picture):
+        end = start + size[0] * size[1]
+        level = texels[start:end].reshape(size[1], size[0], 4)
+        if levels:
+            cv2.resize(levels[-1], size, dst=level, interpolation=cv2.INTER_AREA)
+        else:
+            cv2.LUT(whole, table[None], dst=level)
+        levels.append(level)
+        start = end
     return levels
