@@ -4,8 +4,6 @@ dropped, what variance is claimed.
 
 from __future__ import annotations
 
-import time
-
 import cv2
 import numpy as np
 import pytest
@@ -263,21 +261,3 @@ def test_stack() -> None:
         and np.isnan(variance[1]).all()
     )
     assert clipped.shape == (2, 8)
-
-
-def test_cost_of_a_large_marker() -> None:
-    image, c = rendered(), marker_cells("36h11", 3)
-
-    def fastest(run: object) -> float:
-        times = []
-        for _ in range(15):
-            start = time.perf_counter()
-            run()  # type: ignore[operator]
-            times.append(time.perf_counter() - start)
-        return min(times)
-
-    measure(image, (0, 0), QUAD, c)
-    ratio = fastest(lambda: measure(image, (0, 0), QUAD, c)) / fastest(
-        lambda: cv2.GaussianBlur(image, (0, 0), 5)
-    )
-    assert ratio < 1, ratio  # about .8: the marker's own pixels, blurred once, take longer
