@@ -27,6 +27,7 @@ from typing import Any
 
 from arfx.core.machine import cache_folder, instructions
 
+FAST = {"contract", "nsz", "arcp"}  # what the compiler may do to rounding in most loops
 _PACKAGES = ("arfx", "arfx_cli")
 _NUMBAS = ",".join(
     f"{kind}CacheLocator"

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arfx.core.compiled import line_kernel
-
-FAST = {"contract", "nsz", "arcp"}  # what the compiler may do to rounding
+from arfx.core.compiled import FAST, line_kernel
 
 
 @line_kernel(fastmath=FAST)

@@ -13,9 +13,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.media.lines import (
-    FAST,
     Chroma,
     Luma,
     Planes,

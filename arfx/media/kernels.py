@@ -11,11 +11,10 @@ import numba
 import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.core.rect import Rect
 from arfx.media.dimming import dim_luma
 from arfx.media.lines import (
-    FAST,
     Chroma,
     Luma,
     Planes,

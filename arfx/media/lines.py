@@ -16,12 +16,11 @@ import numba
 import numpy as np
 
 from arfx.core.colour import Transfer
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 
 # Under this linear value a pure power is replaced by the chord to zero: less than 1e-7 of
 # white in coded values.
 _DARKEST = 1e-17
-FAST = {"contract", "nsz", "arcp"}
 
 
 class Planes(NamedTuple):

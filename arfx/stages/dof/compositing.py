@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.stages.dof.aperture import SHARP_PX
 
-_FLAGS = {"contract", "nsz", "arcp"}
 _SHARP_PX2 = np.float32(SHARP_PX**2)
 
 
-@line_kernel(fastmath=_FLAGS)
+@line_kernel(fastmath=FAST)
 def lay_over(out, touched, spread, light, radius, sharp_px2):  # pragma: no cover - compiled
     """out (h, w, 3) under a layer before it; touched (h, w) = 1 where light of it was spread to.
 

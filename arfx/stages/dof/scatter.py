@@ -18,7 +18,7 @@ from functools import lru_cache, partial
 import cv2
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.core.parallel import parallel_map
 from arfx.stages.dof.aperture import SHARP_PX, disc
 
@@ -216,7 +216,7 @@ def _variances(blades: int, turn_deg: float) -> np.ndarray:
     return np.array(out)
 
 
-@line_kernel(fastmath={"contract", "nsz", "arcp"})
+@line_kernel(fastmath=FAST)
 def take_share(light, radius, hat, out):  # pragma: no cover - compiled
     """out (h, w, c) = the light (h, w, c) that a bin takes from pixels of a radius (h, w). hat :
     of `_Bin`"""

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.compiled import line_kernel
-from arfx.core.vectors import FAST, dot, minus, mixed, shifted, vector
+from arfx.core.compiled import FAST, line_kernel
+from arfx.core.vectors import dot, minus, mixed, shifted, vector
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.planes import WARP

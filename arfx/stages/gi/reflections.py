@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.core.pose import Pose
-from arfx.core.vectors import FAST, dot, minus, mixed, placed, scaled, turned, unit
+from arfx.core.vectors import dot, minus, mixed, placed, scaled, turned, unit
 from arfx.stages.gi.background import Background, behind_object
 from arfx.stages.gi.gloss import widened_roughness
 from arfx.stages.light.split_sum import split_sum

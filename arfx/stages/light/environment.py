@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.core.cube import bordered, face_directions, resampled
 from arfx.core.sampling import frame_about
-from arfx.core.vectors import FAST, mixed, shifted, turned, vector
+from arfx.core.vectors import mixed, shifted, turned, vector
 
 ROUGHNESSES = (0.0, 0.2, 0.35, 0.55, 0.75, 1.0)  # of the levels
 SIDES = (64, 32, 16, 8, 8, 8)  # texels of a face: about a third of the lobe's width

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from arfx.core.compiled import FAST
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.viewing import GRID_PX
 
-_FAST = {"contract", "nsz", "arcp"}
 _CELL = ((0, 0), (0, 1), (1, 0), (1, 1))  # rows and columns of a cell's corners
 _LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it counts as none
 
@@ -138,7 +138,7 @@ def shadow_ratio(
     return ratio
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _add_texture(
     out, corner, nodes, start, texture, weights, share
 ):  # pragma: no cover - compiled
@@ -214,7 +214,7 @@ def _add_texture(
                 to[i] += weight * value[i]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _write_ratio(out, taken, faint, rise, strength):  # pragma: no cover - compiled
     """out (h, w, 3) : 1 - `taken` (c, h, w), faded in above `faint` by the channel that
     loses most.

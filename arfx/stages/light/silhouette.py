@@ -18,8 +18,8 @@ import cv2
 import numba
 import numpy as np
 
+from arfx.core.compiled import FAST
 from arfx.core.sampling import r2
-from arfx.core.vectors import FAST
 
 COARSE = 8  # texels a side of a cell of the height map
 

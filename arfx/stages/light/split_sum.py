@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 
 ROUGHNESSES, COSINES = 16, 32  # entries of the table
 _MICROFACETS = 512
@@ -53,7 +53,7 @@ def split_sum() -> np.ndarray:
     return np.ascontiguousarray(out, np.float32)
 
 
-@line_kernel(fastmath={"contract", "nsz", "arcp"})
+@line_kernel(fastmath=FAST)
 def table_entry(table, roughness, cosine):  # pragma: no cover - compiled
     """The two values of a table (m, n, 2) over roughness and cosine, 0..1 each, linear
     between its entries.

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
 from arfx.core.pose import Pose
-from arfx.core.vectors import FAST, placed, shifted, turned
+from arfx.core.vectors import placed, shifted, turned
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

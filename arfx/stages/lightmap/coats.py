@@ -15,8 +15,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.core.compiled import line_kernel
-from arfx.core.vectors import FAST, dot, minus, scaled
+from arfx.core.compiled import FAST, line_kernel
+from arfx.core.vectors import dot, minus, scaled
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
 from arfx.stages.lightmap.shading import (

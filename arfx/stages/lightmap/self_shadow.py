@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.core.layers import packed
 from arfx.core.pose import Pose
 from arfx.core.sampling import disc, frame_about
-from arfx.core.vectors import FAST, placed, shifted, turned
+from arfx.core.vectors import placed, shifted, turned
 from arfx.stages.light.beams import Beam, disc_directions
 from arfx.stages.light.caster import Caster
 from arfx.stages.light.silhouette import height_map

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.compiled import line_kernel
-from arfx.core.vectors import FAST, dot, minus, scaled, shifted, unit, vector
+from arfx.core.compiled import FAST, line_kernel
+from arfx.core.vectors import dot, minus, scaled, shifted, unit, vector
 from arfx.stages.light.environment import Environment, radiance
 from arfx.stages.light.split_sum import table_entry
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.core.vectors import cross, dot, scaled, shifted, vector
 from arfx.stages.raster.record import (
     ALBEDO,
@@ -49,7 +49,7 @@ from arfx.stages.raster.tables import (
     TWO_SIDED,
     SurfaceTables,
 )
-from arfx.stages.raster.texture_filter import ROUNDED, filtered
+from arfx.stages.raster.texture_filter import filtered
 from arfx.stages.raster.visible import planes_of, vertices_of
 
 _F = np.float32
@@ -248,7 +248,7 @@ def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - comp
         _write_normal(SMOOTH, smooth, hit, f, mesh, values)
 
 
-@line_kernel(error_model="numpy", fastmath=ROUNDED)
+@line_kernel(error_model="numpy", fastmath=FAST)
 def add_surfaces(
     rays: Rays, view: View, mesh: SurfaceTables, values, sums
 ):  # pragma: no cover
@@ -311,7 +311,7 @@ def merged_by_face(face, x, y):  # pragma: no cover - compiled
     return pixel[:count], out_face[:count], out_x[:count], out_y[:count], out_share[:count]
 
 
-@line_kernel(error_model="numpy", fastmath=ROUNDED)
+@line_kernel(error_model="numpy", fastmath=FAST)
 def resolve(
     pixels, part, depth, sums, view: View, out: GBuffer
 ):  # pragma: no cover - compiled

@@ -7,11 +7,10 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from arfx.core.compiled import line_kernel
+from arfx.core.compiled import FAST, line_kernel
 from arfx.stages.raster import textures
 
 _F = np.float32
-ROUNDED = {"contract", "arcp", "nsz"}  # what the compiler may do to rounding
 
 
 @numba.njit(inline="always")
@@ -37,7 +36,7 @@ def _between(texels, p, q, share):  # pragma: no cover - compiled
     )
 
 
-@line_kernel(error_model="numpy", fastmath=ROUNDED)
+@line_kernel(error_model="numpy", fastmath=FAST)
 def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover - compiled
     """Four channels of texture t, 0..1: mean over a parallelogram.
 

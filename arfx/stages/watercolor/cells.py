@@ -14,6 +14,7 @@ from functools import partial
 import numba
 import numpy as np
 
+from arfx.core.compiled import FAST
 from arfx.core.parallel import parallel_rows
 from arfx.stages.watercolor.labels import bucket_sites
 from arfx.stages.watercolor.sites import STEPS
@@ -22,7 +23,6 @@ NEIGHBOURS = 8  # stored of a cell; a Voronoi cell has 6 on average
 REACH = 1.4  # sizes of a cell: sites that far apart have nothing to do with each other
 _MANY = 8  # below this many pixels a cell, sums over bands would cost more than they save
 _LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
-_FAST = {"contract", "nsz", "arcp"}
 _F = np.float32
 
 
@@ -93,7 +93,7 @@ def neighbours(
     return near, weight
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _find_neighbours(sites, grid, first, last, near, weight):  # pragma: no cover - compiled
     """Of the sites first ... last - 1 of the buckets' order.
 
@@ -163,7 +163,7 @@ def smooth_washes(
     return root
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _smooth_round(
     root, near, weight, confidence, how, out, first, last
 ):  # pragma: no cover - compiled

@@ -14,6 +14,7 @@ import numba
 import numpy as np
 
 from arfx.core.colour import LUMA_COEFFICIENTS
+from arfx.core.compiled import FAST
 from arfx.core.numerics import divide, smoothstep
 from arfx.core.parallel import parallel_rows
 
@@ -26,7 +27,6 @@ _CREASE_SLOPE = 2.2  # a crease of 60 degrees counts as a whole edge
 _JUMP = 0.03  # relative difference of depth from which an edge begins
 _JUMP_SLOPE = 20.0
 _OBJECT = 1.5  # strength of the object's own edges, in `high`
-_FAST = {"contract", "nsz", "arcp"}
 _F = np.float32
 
 
@@ -83,7 +83,7 @@ def measure_edges(
     return edges
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _measure_rows(planes, channels, share, first, last, out):  # pragma: no cover - compiled
     """Rows first ... last - 1, from central differences. planes (3, h + 2, w + 2) : R', G', B'
 
@@ -185,7 +185,7 @@ def trace_lines(edges: Edges, low: float, high: float, width_px: float) -> np.nd
     return strength
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _trace_rows(edges, offset, low, high, first, last, out):  # pragma: no cover - compiled
     """Strength before hysteresis: where the measure is larger than `offset` px to both sides."""
     zero = _F(0)

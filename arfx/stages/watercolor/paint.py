@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from arfx.core.compiled import FAST
 from arfx.core.parallel import parallel_rows
 from arfx.stages.watercolor.label_kernels import SOLID
 from arfx.stages.watercolor.labels import Labels
@@ -20,7 +21,6 @@ CONTRAST = (
     0.25  # difference of two washes' square roots, summed, at which a border is whole
 )
 DRY_BRUSH = 2.3  # how much more the grain shows in lines than in washes
-_FAST = {"contract", "nsz", "arcp"}
 _F = np.float32
 
 
@@ -60,7 +60,7 @@ class Paint:
         return out
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _paint_rows(
     image, labels, cells, how, paper, corner, lines, first, last, out
 ):  # pragma: no cover - compiled
@@ -102,7 +102,7 @@ def _paint_rows(
                 out[y, x, c] = max(colour + line * (ink[c] - colour), zero)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy", inline="always")
+@numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", inline="always")
 def _likeness(pixel, own, other, near):  # pragma: no cover - compiled
     """0..1: how much more a pixel is like the other cell's mean than its own cell's.
 
