@@ -79,7 +79,7 @@ class PrintedLightmap(Lightmap):
         reaching: Sequence[int],
         light: FrameLight,
         view: View,
-        now: Layers | None,
+        now: Layers,
     ) -> np.ndarray:
         """(3): I(v) = g rho_v M(n_v) + b, with g = 1, times the share of the light that is
         not hidden.

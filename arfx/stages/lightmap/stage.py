@@ -240,7 +240,7 @@ class Lightmap(Stage):
         reaching: Sequence[int],
         light: FrameLight,
         view: View,
-        now: Layers | None,
+        now: Layers,
     ) -> np.ndarray:
         """VIRTUAL. soft_visibility (h, w), visibility (k, h, w) : of the soft light and of
         each of the lights `reaching`, past
@@ -257,9 +257,9 @@ class Lightmap(Stage):
         bias = np.array(view.facts.bias_rgb, f32)
         mirrored = environment, soft_share, split_sum()
         out = shade(surface, eye, lights, soft, *mirrored, bias)
-        if now is not None and not now.extent(Layer.SHEEN).empty:
+        if not now.extent(Layer.SHEEN).empty:
             add_sheen(out, surface, packed(now[Layer.SHEEN]), eye, lights, soft, bias)
-        if now is not None and not now.extent(Layer.COAT).empty:
+        if not now.extent(Layer.COAT).empty:
             even = surface._replace(normal=smooth_normal(surface.normal, now))
             coat = packed(now[Layer.COAT])
             add_clear_coat(out, even, coat, eye, lights, *mirrored, bias)
