@@ -19,16 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.synth.rays import (
-    divided,
-    dot,
-    minus,
-    nearest,
-    rotated,
-    shifted,
-    vector,
-    visible,
-)
+from arfx.core.vectors import dot, minus, scaled, shifted, turned, unit, vector
+from arfx.synth.rays import nearest, visible
 
 _NUMBERS = 65521  # below 2^16, prime: of two surfaces under many lights few get the same
 # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie
@@ -100,7 +92,7 @@ def _integral(table, first, columns, x, y):
             weight = abs(1 - i - (x - left)) * abs(1 - j - (y - top))
             if weight > 0.0:
                 at = first + (top + j) * (columns + 1) + left + i
-                total = shifted(total, weight, vector(table, at, 0))
+                total = shifted(total, weight, vector(table[at]))
     return total
 
 
@@ -117,7 +109,7 @@ def _mean(table, first, columns, across, down):
         _integral(table, first, columns, right, top),
     )
     scale = 1.0 / ((right - left) * (bottom - top))
-    return shifted(_BLACK, scale, shifted(lower, 1.0, upper))
+    return scaled(scale, shifted(lower, 1.0, upper))
 
 
 @line_kernel(error_model="numpy")
@@ -131,22 +123,24 @@ def _span(centre, half, size):
 
 
 @line_kernel(error_model="numpy")
+def _direction(rays, y, x):
+    """Of a pixel in camera axes, z = 1; NaN where the lens maps nothing."""
+    return rays[y, x, 0], rays[y, x, 1], 1.0
+
+
+@line_kernel(error_model="numpy")
 def _footprint(rays, x, y, width):
     """What a sample spans of the picture, right and down, as camera directions without z."""
     height, columns = rays.shape[:2]
-    x2 = x + 1 if x + 1 < columns else x - 1
-    y2 = y + 1 if y + 1 < height else y - 1
-    ux = (rays[y, x2, 0] - rays[y, x, 0]) * width
-    uy = (rays[y, x2, 1] - rays[y, x, 1]) * width
-    vx = (rays[y2, x, 0] - rays[y, x, 0]) * width
-    vy = (rays[y2, x, 1] - rays[y, x, 1]) * width
-    if not math.isfinite(ux + uy):  # the neighbour lies beyond the lens's field: assume
-        ux, uy = vy, -vx  # square pixels
-    if not math.isfinite(vx + vy):
-        vx, vy = -uy, ux
-    if not math.isfinite(ux + uy + vx + vy):
-        return _BLACK, _BLACK
-    return (ux, uy, 0.0), (vx, vy, 0.0)
+    here = _direction(rays, y, x)
+    beside = _direction(rays, y, x + 1 if x + 1 < columns else x - 1)
+    below = _direction(rays, y + 1 if y + 1 < height else y - 1, x)
+    right, down = scaled(width, minus(beside, here)), scaled(width, minus(below, here))
+    if not math.isfinite(right[0]):  # the neighbour lies beyond the lens's field: assume
+        right = down[1], -down[0], 0.0  # square pixels
+    if not math.isfinite(down[0]):
+        down = -right[1], right[0], 0.0
+    return (right, down) if math.isfinite(down[0] + right[0]) else (_BLACK, _BLACK)
 
 
 @line_kernel(error_model="numpy")
@@ -154,12 +148,12 @@ def _albedo(hit, towards, distance, spans, room: Room, i):
     """Of rectangle i at a point, over what a sample's two spans cover there; `towards` is
     the ray's direction, its length the unit of `distance`."""
     rects, textures = room.rects, room.textures
-    normal, u, v = vector(rects, i, 9), vector(rects, i, 3), vector(rects, i, 6)
+    normal, u, v = vector(rects[i, 9:]), vector(rects[i, 3:]), vector(rects[i, 6:])
     per_rise = 1.0 / dot(towards, normal)
     wide, high = 0.0, 0.0  # squared extents on the surface, along u and v
     for span in spans:
         on_surface = shifted(span, -(dot(span, normal) * per_rise), towards)
-        on_surface = shifted(_BLACK, distance, on_surface)
+        on_surface = scaled(distance, on_surface)
         along_u, along_v = dot(on_surface, u), dot(on_surface, v)
         wide += along_u * along_u
         high += along_v * along_v
@@ -169,7 +163,7 @@ def _albedo(hit, towards, distance, spans, room: Room, i):
     rows = int(textures[tex, 2])
     half_w, half_h, smallest = rects[i, 12], rects[i, 13], 0.5 * textures[tex, 3]
     per_u, per_v = columns / (2 * half_w), rows / (2 * half_h)
-    offset = minus(hit, vector(rects, i, 0))
+    offset = minus(hit, vector(rects[i]))
     across = _span(
         (dot(offset, u) + half_w) * per_u,
         max(0.5 * math.sqrt(wide) * per_u, smallest),
@@ -189,7 +183,7 @@ def _sky(sky, towards):
     height, width = sky.shape[:2]
     column = int((0.5 - math.atan2(towards[1], towards[0]) / (2 * math.pi)) * width) % width
     row = min(int((0.5 - math.asin(up) / math.pi) * height), height - 1)
-    return sky[row, column, 0], sky[row, column, 1], sky[row, column, 2]
+    return vector(sky[row, column])
 
 
 @line_kernel(error_model="numpy")
@@ -203,21 +197,20 @@ def render_rows(y0, y1, lens: Lens, room: Room, samples: Samples, out, met):
             if not samples.chosen[y, x]:
                 continue
             met[y, x] = 1
-            cx, cy = rays[y, x, 0], rays[y, x, 1]
-            if not (math.isfinite(cx) and math.isfinite(cy)):
+            ahead, start = _direction(rays, y, x), vector(origin)
+            if not math.isfinite(ahead[0]):
                 continue
             number = y * rays.shape[1] + x
-            start = origin[0], origin[1], origin[2]
             if lens_m > 0.0:
                 radius = 0.5 * lens_m * math.sqrt(_noise(samples.seed, 2 * number))
                 angle = 2 * math.pi * _noise(samples.seed, 2 * number + 1)
-                ex, ey = radius * math.cos(angle), radius * math.sin(angle)
-                cx, cy = cx - ex / focus_m, cy - ey / focus_m
-                start = shifted(start, 1.0, rotated(rotation, (ex, ey, 0.0)))
-            towards = rotated(rotation, (cx, cy, 1.0))
+                on_lens = radius * math.cos(angle), radius * math.sin(angle), 0.0
+                ahead = shifted(ahead, -1.0 / focus_m, on_lens)
+                start = shifted(start, 1.0, turned(rotation, on_lens))
+            towards = turned(rotation, ahead)
             turn = 2 * math.pi * _noise(samples.seed + 7, number)
             right, down = _footprint(rays, x, y, samples.footprint)
-            spans = rotated(rotation, right), rotated(rotation, down)
+            spans = turned(rotation, right), turned(rotation, down)
             radiance, seen = _radiance(start, towards, spans, room, turn)
             for c in range(3):
                 out[y, x, c] += samples.weight * radiance[c]
@@ -234,20 +227,20 @@ def _radiance(start, towards, spans, room: Room, turn):
     hit = shifted(start, distance, towards)
     gloss, whole, number = 0.0, True, i + 1
     if i < rects.shape[0]:
-        normal, gloss = vector(rects, i, 9), rects[i, 16]
+        normal, gloss = vector(rects[i, 9:]), rects[i, 16]
         albedo = _albedo(hit, towards, distance, spans, room, i)
         whole = room.textures[int(rects[i, 14]), 3] > 0.0  # a print's edges are hard
         if dot(towards, normal) > 0.0:
-            normal = shifted(_BLACK, -1.0, normal)
+            normal = scaled(-1.0, normal)
     else:
         ball = i - rects.shape[0]
-        normal = divided(minus(hit, vector(spheres, ball, 0)), spheres[ball, 3])
-        albedo = vector(spheres, ball, 4)
-    light = room.ambient[0], room.ambient[1], room.ambient[2]
+        normal = scaled(1.0 / spheres[ball, 3], minus(hit, vector(spheres[ball])))
+        albedo = vector(spheres[ball, 4:])
+    light = vector(room.ambient)
     shine = _BLACK
     point = shifted(hit, _LIFT_M, normal)
     for k in range(lights.shape[0]):
-        facing = dot(normal, vector(lights, k, 0))
+        facing = dot(normal, vector(lights[k]))
         number *= 2
         if facing <= 0.0:
             continue
@@ -256,11 +249,10 @@ def _radiance(start, towards, spans, room: Room, turn):
         if seen == 0.0:
             continue
         number += 1
-        rgb = vector(lights, k, 3)
+        rgb = vector(lights[k, 3:])
         light = shifted(light, seen * facing, rgb)
         if gloss > 0.0:
-            back = divided(towards, math.sqrt(dot(towards, towards)))
-            between = minus(vector(lights, k, 0), back)
+            between = minus(vector(lights[k]), unit(towards))
             half = dot(normal, between) / math.sqrt(dot(between, between))
             shine = shifted(shine, seen * gloss * max(half, 0.0) ** 40, rgb)
     radiance = (
@@ -276,15 +268,14 @@ def probe(rays, rotation, origin, rects, spheres, depth, owner):
     """Depth along the axis (0 = nothing) and object number (0 = nothing) at the rays (h, w,
     2) of pixel centres.
     """
-    start = origin[0], origin[1], origin[2]
+    start = vector(origin)
     for y in range(rays.shape[0]):
         for x in range(rays.shape[1]):
-            cx, cy = rays[y, x, 0], rays[y, x, 1]
+            ahead = _direction(rays, y, x)
             depth[y, x], owner[y, x] = 0.0, 0
-            if not (math.isfinite(cx) and math.isfinite(cy)):
+            if not math.isfinite(ahead[0]):
                 continue
-            towards = rotated(rotation, (cx, cy, 1.0))
-            distance, i = nearest(start, towards, rects, spheres)
+            distance, i = nearest(start, turned(rotation, ahead), rects, spheres)
             if i >= rects.shape[0]:
                 depth[y, x], owner[y, x] = distance, int(spheres[i - rects.shape[0], 7])
             elif i >= 0:
@@ -294,8 +285,8 @@ def probe(rays, rotation, origin, rects, spheres, depth, owner):
 @line_kernel(error_model="numpy")
 def unoccluded(points, origin, rects, spheres, out):
     """out[i] = nothing stands between the origin and room point i (n, 3)."""
-    start = origin[0], origin[1], origin[2]
+    start = vector(origin)
     for i in range(points.shape[0]):
-        way = minus(vector(points, i, 0), start)
+        way = minus(vector(points[i]), start)
         distance, _ = nearest(start, way, rects, spheres)
         out[i] = distance >= 1.0 - _LIFT_M / math.sqrt(dot(way, way))
