@@ -70,16 +70,15 @@ class ClipFile(_Video):
 
     def __init__(self, path: Path, scene: SceneFile) -> None:
         clip = scene.clip
-        turned = clip.rotation_deg in (90, 270)
-        w, h = (clip.height, clip.width) if turned else (clip.width, clip.height)
+        size = clip.width, clip.height
         lossless = path.suffix == ".mkv"
-        self._subsampled = not lossless and w % 2 == 0 and h % 2 == 0
+        whole = lossless or any(side % 2 for side in size)
         super().__init__(
             path,
             scene,
             "ffv1" if lossless else "libx264",
-            (w, h),
-            "yuv420p" if self._subsampled else "yuv444p",
+            size[::-1] if clip.rotation_deg in (90, 270) else size,
+            "yuv444p" if whole else "yuv420p",
         )
         context = self._stream.codec_context
         _tag(context)
@@ -110,29 +109,22 @@ class ClipFile(_Video):
 
     def _frame(self, coded: np.ndarray) -> av.VideoFrame:
         yuv = cv2.transform(coded, yuv_from_rgb("bt709").astype(np.float32))
-        y = np.rint(16 + 219 * yuv[..., 0])
-        chroma = 128 + 224 * yuv[..., 1:]
-        if self._subsampled:
+        luma, chroma = 16 + 219 * yuv[..., 0], 128 + 224 * yuv[..., 1:]
+        kind, shape = self._stream.pix_fmt, (3, *luma.shape)
+        if kind == "yuv420p":
             across = np.array([0.25, 0.5, 0.25], np.float32)
             wide = cv2.sepFilter2D(
-                np.asarray(chroma, np.float32),
+                chroma,
                 -1,
                 across,
                 np.ones(1, np.float32),
                 borderType=cv2.BORDER_REPLICATE,
             )[:, ::2]
             chroma = (wide[::2] + wide[1::2]) / 2
-        planes = [
-            np.clip(p, 0, 255).astype(np.uint8)
-            for p in (y, np.rint(chroma[..., 0]), np.rint(chroma[..., 1]))
-        ]
-        frame = av.VideoFrame(
-            coded.shape[1], coded.shape[0], "yuv420p" if self._subsampled else "yuv444p"
-        )
-        for plane, values in zip(frame.planes, planes, strict=True):
-            rows = np.zeros((plane.height, plane.line_size), np.uint8)
-            rows[:, : plane.width] = values
-            plane.update(rows.tobytes())
+            shape = luma.shape[0] * 3 // 2, luma.shape[1]
+        planes = np.concatenate([p.ravel() for p in (luma, *np.moveaxis(chroma, -1, 0))])
+        samples = np.clip(np.rint(planes), 0, 255).astype(np.uint8).reshape(shape)
+        frame = av.VideoFrame.from_ndarray(samples, format=kind)
         _tag(frame)
         return frame
 
@@ -145,21 +137,11 @@ class ClipFile(_Video):
         wave = (
             0.2 * np.sin(2 * np.pi * (scene.clip.tone_hz or 0) * np.arange(n) / 48_000)
         ).astype(np.float32)
-        formats = self._tone.codec_context.codec.audio_formats
-        kind = formats[0].name if formats else "fltp"
-        for i in range(0, n, 1024):
-            part = wave[i : i + 1024][None]
-            frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(part), "fltp", "mono")
-            frame.sample_rate, frame.pts = 48_000, i + round(scene.clip.start_s * 48_000)
-            frame.time_base = Fraction(1, 48_000)
-            resampled = (
-                [frame]
-                if kind == "fltp"
-                else av.AudioResampler(kind, "mono", 48_000).resample(frame)
-            )
-            for piece in resampled:
-                self._out.mux(self._tone.encode(piece))
-        self._out.mux(self._tone.encode(None))
+        frame = av.AudioFrame.from_ndarray(wave[None], "fltp", "mono")
+        frame.sample_rate, frame.time_base = 48_000, Fraction(1, 48_000)
+        frame.pts = round(scene.clip.start_s * 48_000)
+        for part in (frame, None):  # the encoder cuts it and turns it into what it takes
+            self._out.mux(self._tone.encode(part))
 
 
 def _tag(what: Any) -> None:
