@@ -20,9 +20,9 @@ from arfx.config.gone import GONE
 from arfx.config.sections import JobConfig, kinds, settings
 from arfx.core.marker import PatternSpec
 from arfx.core.opener import parse_toml, read_text
+from arfx.core.toml_text import KeyPath, line_of
 from arfx.errors import ConfigError, InputError
 
-KeyPath = tuple[str | int, ...]
 Parameters = Mapping[str, Mapping[str, type]]
 _PRESETS = (
     Path(__file__).parent / "presets",
@@ -54,9 +54,8 @@ class JobFile(NamedTuple):
         path = next(
             (name for n in (2, 1) if (name := self.names.get(path[:n])) is not None), path
         )
-        return with_location(
-            message, str(self.path), self.text, (*self.at, *path), hint, self.line
-        )
+        line = self.line or line_of(self.text, (*self.at, *path))
+        return with_location(message, self.path, line, hint)
 
 
 def load(
@@ -82,11 +81,8 @@ def load(
 
     def problem(path: KeyPath, message: str, hint: str = "") -> None:
         if _contains(overrides, path) or not read:
-            dotted = ".".join(map(str, path))
-            problems.append(
-                f"{message}\n  --> command line: {dotted}"
-                + (f"\nhelp: {hint}" if hint else "")
-            )
+            place = f"command line: {'.'.join(map(str, path))}"
+            problems.append(with_location(message, place, 0, hint))
         else:
             # the last file that holds the key, or else its nearest parent
             file = next(
@@ -282,82 +278,10 @@ def _contains(tree: Any, path: KeyPath) -> bool:
     return True
 
 
-def line_of(text: str, path: KeyPath) -> int:
-    """1-based line of a key path such as ("marker", 1, "spec"); its nearest written parent,
-    or 0 if none. Knows tables, arrays of tables and dotted keys, which is what job files
-    hold; a key inside an inline table is found at the line of that table."""
-    lines = _key_lines(text)
-    return next((lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in lines), 0)
-
-
-@lru_cache(maxsize=4)  # a manifest is asked for every row that is wrong
-def _key_lines(text: str) -> dict[KeyPath, int]:
-    """Key path -> the line where it is written first."""
-    prefix: KeyPath = ()
-    seen: dict[KeyPath, int] = {}
-    found: dict[KeyPath, int] = {}
-    for number, raw in enumerate(_lines(text), 1):
-        m = re.match(
-            r"(?P<array>\[?)(?P<table>\[)\s*([^\]]+?)\s*\]|([\w\-.\"']+)\s*=", raw.strip()
-        )
-        if not m:
-            continue
-        name = tuple(p.strip(" \"'") for p in (m[3] or m[4]).split("."))
-        if m["array"]:
-            name = (*_numbered(name[:-1], seen), name[-1])
-            seen[name] = seen.get(name, -1) + 1
-            prefix = here = (*name, seen[name])
-        elif m["table"]:
-            prefix = here = _numbered(name, seen)
-        else:
-            here = (*prefix, *name)
-        found.setdefault(here, number)
-    return found
-
-
-@lru_cache(maxsize=4)
-def _lines(text: str) -> list[str]:
-    return text.splitlines()
-
-
-def _numbered(name: KeyPath, seen: Mapping[KeyPath, int]) -> KeyPath:
-    """The key path of a table: within an array of tables it belongs to the last of them.
-    seen : of each array, by its path
-    """
-    out: KeyPath = ()
-    for key in name:
-        out = (*out, key)
-        out = (*out, seen[out]) if out in seen else out
-    return out
-
-
-def with_location(
-    message: str, file: str, text: str, path: KeyPath, hint: str = "", line: int = 0
-) -> str:
-    """The message with file:line, the line itself and carets under its key.
-
-    line : 0 = where the key is found
-    """
-    number = line or line_of(text, path)
-    shown = [message, f"  --> {file}"]
-    if number:
-        source = _lines(text)[number - 1]
-        start, length = len(source) - len(source.lstrip()), max(len(source.strip()), 1)
-        for key in path:
-            if isinstance(key, str) and (
-                m := re.search(rf"(?<![\w-]){re.escape(key)}(?![\w-])", source)
-            ):
-                start, length = m.start(), m.end() - m.start()
-        gutter = " " * len(str(number))
-        caret = f"{gutter} | {' ' * start}{'^' * length}"
-        shown = [
-            message,
-            f"{gutter} --> {file}:{number}",
-            f"{gutter} |",
-            f"{number} | {source}",
-            caret,
-        ]
-    return "\n".join([*shown, f"help: {hint}"] if hint else shown)
+def with_location(message: str, file: Path | str, line: int, hint: str = "") -> str:
+    """The message with file and line (0 = not known), and what would be right."""
+    shown = f"{message}\n  --> {file}" + (f":{line}" if line else "")
+    return f"{shown}\nhelp: {hint}" if hint else shown
 
 
 def presets() -> dict[str, Path]:

@@ -1,13 +1,11 @@
 """The sections of a job file, as typed, frozen models: everything about a setting is stated
-on its field. And a job as plain data and TOML, which the job folder keeps and chunk keys
-are made of.
+on its field. And a job as plain data, which the job folder keeps and chunk keys are made of.
 
 Options of the commands, and which settings are paths, follow from `settings`."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -329,23 +327,3 @@ def frozen(config: JobConfig) -> dict[str, Any]:
         tree["model"]["fit"] = f"{float(tree['model']['fit'])!r}m"
     tree["model"]["offset"] = [f"{float(v)!r}m" for v in tree["model"]["offset"]]
     return {**plain(tree), **plain(config.params)}
-
-
-def to_toml(tree: Mapping[str, Any], prefix: str = "") -> str:
-    """TOML text of nested plain data (strings, numbers, booleans, lists of those, tables,
-    lists of tables).
-    """
-    lines, tables = [], []
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            body = to_toml(value, f"{prefix}{key}.")
-            tables.append(f"\n[{prefix}{key}]\n{body}")
-        elif (
-            isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value)
-        ):
-            tables += [
-                f"\n[[{prefix}{key}]]\n{to_toml(v, f'{prefix}{key}.')}" for v in value
-            ]
-        else:
-            lines.append(f"{key} = {json.dumps(value, ensure_ascii=False)}")
-    return "\n".join([*lines, *tables])

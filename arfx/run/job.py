@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from arfx.analyse.fold import MARKER, Analysis, AnalysisJob
-from arfx.config.sections import JobConfig, frozen, to_toml
+from arfx.config.sections import JobConfig, frozen
 from arfx.core import codec, interrupt
 from arfx.core.cost import load_prices
 from arfx.core.facts import read_facts, write_facts
@@ -20,6 +20,7 @@ from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
+from arfx.core.toml_text import to_toml
 from arfx.core.waiting import wait_for
 from arfx.errors import JobInterruptedError, counted
 from arfx.media.join import join_chunks

@@ -5,7 +5,7 @@ Its folder appears when it is complete."""
 
 from __future__ import annotations
 
-import json
+import dataclasses
 import os
 import re
 import shutil
@@ -18,7 +18,9 @@ import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.guard import check_file_name, part_name
+from arfx.core.numerics import normalise
 from arfx.core.pose import Pose
+from arfx.core.toml_text import to_toml
 from arfx.errors import ConfigError, RenderError
 from arfx.media.cameras import save_camera
 from arfx.media.images import write_png
@@ -183,13 +185,12 @@ def frame_truth(world: World, n: int) -> FrameTruth:
         corners = world.camera.project(camera_from_marker.apply(placed.spec.corners_m))
         points = pose.apply(marker_points(placed))
         pixels = world.camera.project(camera_from_room.apply(points))
-        inside = (pixels >= -0.5).all(-1) & (
+        inside = (pixels >= -0.5) & (
             pixels < [world.camera.width - 0.5, world.camera.height - 0.5]
-        ).all(-1)
-        towards = -camera_from_marker.translation_m / max(
-            float(np.linalg.norm(camera_from_marker.translation_m)), 1e-9
         )
-        facing = float(camera_from_marker.rotation[:, 2] @ towards)
+        facing = float(
+            camera_from_marker.rotation[:, 2] @ -normalise(camera_from_marker.translation_m)
+        )
         seen = np.zeros(len(points), bool)
         if facing > 0:
             unoccluded(
@@ -199,7 +200,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
                 moment.room.spheres,
                 seen,
             )
-            seen &= inside
+            seen &= inside.all(-1)
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
         room_from_marker[placed.spec.key] = pose
         markers[placed.spec.key] = MarkerTruth(
@@ -233,40 +234,26 @@ def frame_truth(world: World, n: int) -> FrameTruth:
 
 def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
     """The camera that camera.yaml states."""
-    matrix = camera.matrix.copy()
-    matrix[0, 0] *= 1 + scene.hidden.focal_error_percent / 100
-    matrix[1, 1] *= 1 + scene.hidden.focal_error_percent / 100
-    return Camera(
-        camera.width, camera.height, matrix, camera.distortion, camera.model, "synth"
-    )
+    error = 1 + scene.hidden.focal_error_percent / 100
+    matrix = camera.matrix * [[error, 1, 1], [1, error, 1], [1, 1, 1]]
+    return dataclasses.replace(camera, matrix=matrix, source="synth")
 
 
 def job_toml(scene: SceneFile) -> str:
     """The job file beside the clip, with paths relative to it."""
-    lines = ["[input]", f"clip = {json.dumps(scene.clip.file)}", 'camera = "camera.yaml"']
+    given = {"clip": scene.clip.file, "camera": "camera.yaml"}
     if scene.depth.file:
-        lines += [
-            f"depth = {json.dumps(scene.depth.file)}",
-            f"depth_scale = {1 / DEPTH_UNIT_M:g}",
-        ]
-    lines.append("")
-    for marker in scene.configured:
-        lines += ["[[marker]]", f"spec = {json.dumps(str(marker.spec))}", ""]
-    lines += ["[model]", 'file = "model.glb"', f"fit = {json.dumps(scene.model.fit)}", ""]
-    lines += [
-        "[pipeline]",
-        f"stages = {json.dumps(scene.job.stages)}",
-        f"quality = {json.dumps(scene.job.quality)}",
-        "",
-    ]
-    lines += ["[output]", f"codec = {json.dumps(scene.job.codec)}"]
-    for section, keys in scene.job.settings.items():
-        lines += [
-            "",
-            f"[{section}]",
-            *(f"{key} = {json.dumps(value)}" for key, value in keys.items()),
-        ]
-    return "\n".join(lines) + "\n"
+        given |= {"depth": scene.depth.file, "depth_scale": round(1 / DEPTH_UNIT_M)}
+    return to_toml(
+        {
+            "input": given,
+            "marker": [{"spec": str(marker.spec)} for marker in scene.configured],
+            "model": {"file": "model.glb", "fit": scene.model.fit},
+            "pipeline": {"stages": scene.job.stages, "quality": scene.job.quality},
+            "output": {"codec": scene.job.codec},
+            **scene.job.settings,
+        }
+    )
 
 
 def _header(scene: SceneFile, world: World, stated: Camera) -> dict:
@@ -280,9 +267,6 @@ def _header(scene: SceneFile, world: World, stated: Camera) -> dict:
         "stated_camera": stated.to_json(),
         "depth_unit_m": DEPTH_UNIT_M,
         "flow_unit_px": FLOW_UNIT_PX,
-        "objects": {
-            i: p.name or getattr(getattr(p, "spec", None), "key", "")
-            for i, p in enumerate(scene.objects, 1)
-        },
+        "objects": {i: p.label for i, p in enumerate(scene.objects, 1)},
         "hidden": scene.hidden.model_dump(),
     }

@@ -24,6 +24,7 @@ from pydantic import (
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
+from arfx.core.toml_text import line_of
 from arfx.core.units import length_m
 from arfx.errors import ArfxError, ConfigError, on_one_line
 
@@ -195,6 +196,16 @@ class SceneObject(Part):
     # marker spec key or name whose axes and motion it follows
     attached_to: str = ""
 
+    @property
+    def key(self) -> str:
+        """Of its marker; empty for what is none."""
+        return ""
+
+    @property
+    def label(self) -> str:
+        """Its name, or else its marker."""
+        return self.name or self.key
+
 
 class Plane(SceneObject):
     size_m: tuple[Length, Length] = (2.0, 2.0)
@@ -227,6 +238,10 @@ class Marker(SceneObject):
     inverted: bool = False
     # listed in job.toml; false: a distractor
     configured: bool = True
+
+    @property
+    def key(self) -> str:
+        return self.spec.key
 
 
 class Lamp(Part):
@@ -352,7 +367,7 @@ class SceneFile(Part):
         for lamp in self.light.lamps:
             if list(lamp.brightness) != sorted(lamp.brightness, key=lambda k: k[0]):
                 raise ValueError("light.lamps: brightness must be in the order of time")
-        names = {p.name for p in self.objects if p.name} | {m.spec.key for m in self.marker}
+        names = {n for p in self.objects for n in (p.name, p.key) if n}
         for p in self.objects:
             if p.attached_to and p.attached_to not in names:
                 raise ValueError(
@@ -386,26 +401,10 @@ def parse_scene(text: str, where: str = "scene.toml") -> SceneFile:
     except ValidationError as e:
         lines = []
         for problem in e.errors():
-            key = ".".join(
-                str(k)
-                for k in problem["loc"]
-                if k != "function-after[_consistent(), SceneFile]"
-            )
-            last = next(
-                (str(k) for k in reversed(problem["loc"]) if isinstance(k, str)), ""
-            )
-            at = next(
-                (
-                    f":{n}"
-                    for n, raw in enumerate(text.splitlines(), 1)
-                    if last and raw.strip().startswith(last)
-                ),
-                "",
-            )
-            lines.append(
-                f"{where}{at}: {key or 'scene'}:"
-                f" {problem['msg'].removeprefix('Value error, ')}"
-            )
+            line = line_of(text, problem["loc"])
+            key = ".".join(map(str, problem["loc"])) or "scene"
+            message = problem["msg"].removeprefix("Value error, ")
+            lines.append(f"{where}{f':{line}' if line else ''}: {key}: {message}")
         raise ConfigError(
             "\n".join(lines), "arfx/synth/description.py documents every key"
         ) from None

@@ -20,7 +20,6 @@ from arfx.synth.description import (
     CameraPath,
     Key,
     Marker,
-    Motion,
     Plane,
     SceneFile,
     SceneObject,
@@ -56,12 +55,12 @@ class World:
         self.camera = true_camera(scene)
         self.frame_times_s = _frame_times(scene)
         self.shots = np.repeat(np.arange(len(scene.shot)), [s.frames for s in scene.shot])
-        self._names = [
-            p.name or (p.spec.key if isinstance(p, Marker) else f"object {i}")
-            for i, p in enumerate(scene.objects)
-        ]
         self._pictures: list[tuple[np.ndarray, float]] = []
-        self._faces = [self._make(i, folder) for i in range(len(scene.objects))]
+        rows = [row for i in range(len(scene.objects)) for row in self._make(i, folder)]
+        self._rects, self._spheres = (
+            np.array([row for row in rows if len(row) == columns]).reshape(-1, columns)
+            for columns in (18, 8)
+        )
         self.textures, self.table = _summed_areas(self._pictures)
         self.ambient = np.asarray(scene.light.ambient_rgb, float)
         self.sky = np.zeros((0, 0, 3))
@@ -99,7 +98,7 @@ class World:
         return np.array(rows).reshape(-1, 7)
 
     def _add(self, picture: np.ndarray, smooth: bool) -> int:
-        self._pictures.append((picture, 1.0 if smooth else 0.0))
+        self._pictures.append((picture, float(smooth)))
         return len(self._pictures) - 1
 
     def _make(self, i: int, folder: Path | None) -> list[np.ndarray]:
@@ -132,36 +131,34 @@ class World:
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
         """room_from_object of every object."""
-        objects = self.scene.objects
-        pairs = list(zip(objects, self._names, strict=True))
-        own = [
-            room_from_object(p, time_s, self.duration_s, self.scene.seed, n)
-            for p, n in pairs
-        ]
-        by_name = {}
-        for (p, n), pose in zip(pairs, own, strict=True):
-            by_name[n] = by_name[p.spec.key if isinstance(p, Marker) else n] = pose
+        own, by_name = [], {}
+        for i, p in enumerate(self.scene.objects):
+            name = p.label or f"object {i}"
+            pose = room_from_object(p, time_s, self.duration_s, self.scene.seed, name)
+            own.append(pose)
+            by_name[name] = by_name[p.key or name] = pose
         return tuple(
             by_name[p.attached_to] @ pose if p.attached_to else pose
-            for p, pose in zip(objects, own, strict=True)
+            for p, pose in zip(self.scene.objects, own, strict=True)
         )
 
     def at(self, time_s: float) -> SceneState:
         poses = self.poses(time_s)
-        rects, spheres = [], []
-        for p, faces, pose in zip(self.scene.objects, self._faces, poses, strict=True):
-            for row in faces:
-                new = row.copy()
-                new[:3] = pose.apply(row[:3])
-                if isinstance(p, Sphere):
-                    spheres.append(new)
-                    continue
-                for k in (3, 6, 9):
-                    new[k : k + 3] = pose.rotation @ row[k : k + 3]
-                rects.append(new)
+        turns = np.array([p.rotation for p in poses]).reshape(-1, 3, 3)
+        shifts = np.array([p.translation_m for p in poses]).reshape(-1, 3)
+
+        def moved(rows: np.ndarray, vectors: int, number: int) -> np.ndarray:
+            """Rows in the room. vectors : the first is a place, the others directions"""
+            rows, owner = rows.copy(), rows[:, number].astype(int) - 1
+            own = rows[:, : 3 * vectors].reshape(-1, vectors, 3)
+            placed = np.einsum("nij,nkj->nki", turns[owner], own)
+            placed[:, 0] += shifts[owner]
+            rows[:, : 3 * vectors] = placed.reshape(-1, 3 * vectors)
+            return rows
+
         room = Room(
-            np.array(rects).reshape(-1, 18),
-            np.array(spheres).reshape(-1, 8),
+            moved(self._rects, 4, 15),
+            moved(self._spheres, 1, 7),
             self.lights_at(time_s),
             self.ambient,
             self.textures,
@@ -175,13 +172,11 @@ class World:
         frame's shot.
         """
         shot = int(self.shots[frame])
-        first = int(np.searchsorted(self.shots, shot))
-        last = int(np.searchsorted(self.shots, shot, side="right")) - 1
-        began = self.frame_times_s[first]
+        began, ended = self.frame_times_s[np.flatnonzero(self.shots == shot)[[0, -1]]]
         return camera_from_room(
             self.scene.shot[shot].path,
             time_s - began,
-            self.frame_times_s[last] - began,
+            ended - began,
             self.scene.seed,
             f"shot {shot}",
         )
@@ -216,17 +211,15 @@ def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarra
 def _summed_areas(
     pictures: list[tuple[np.ndarray, float]],
 ) -> tuple[np.ndarray, np.ndarray]:
-    rows, tables, first = [], [], 0
+    rows, tables, first = [], [np.zeros((1, 3))], 1
     for picture, smallest in pictures:
         h, w = picture.shape[:2]
         sums = np.zeros((h + 1, w + 1, 3))
-        sums[1:, 1:] = np.broadcast_to(picture, (h, w, 3)).astype(float).cumsum(0).cumsum(1)
+        sums[1:, 1:] = picture.astype(float).cumsum(0).cumsum(1)
         rows.append([first, w, h, smallest])
         tables.append(sums.reshape(-1, 3))
         first += len(tables[-1])
-    return np.reshape(rows, (-1, 4)).astype(float), np.concatenate(
-        [*tables, np.zeros((1, 3))]
-    )
+    return np.reshape(rows, (-1, 4)).astype(float), np.concatenate(tables)
 
 
 def _frame_times(scene: SceneFile) -> np.ndarray:
@@ -234,9 +227,7 @@ def _frame_times(scene: SceneFile) -> np.ndarray:
     n = np.arange(scene.frames, dtype=float)
     if scene.clip.frame_times == "variable":
         rng = np.random.default_rng([scene.seed, 90_000])
-        n[1:-1] += (
-            rng.uniform(-0.35, 0.35, max(scene.frames - 2, 0)) if scene.frames > 2 else 0
-        )
+        n[1:-1] += rng.uniform(-0.35, 0.35, n[1:-1].shape)
     return np.round(n / scene.clip.fps * 90_000) / 90_000
 
 
@@ -277,82 +268,64 @@ def camera_from_room(
     path: CameraPath, time_s: float, duration_s: float, seed: int, name: str
 ) -> Pose:
     """Pose of the camera, `time_s` after its shot began."""
-    at = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
-    target = np.asarray(path.target_m, float)
+    target, position = np.asarray(path.target_m, float), np.asarray(path.position_m, float)
     if path.kind == "orbit":
-        azimuth, elevation = (
-            np.radians(first + (last - first) * at)
-            for first, last in (path.azimuth_deg, path.elevation_deg)
+        azimuth, elevation = np.radians(
+            _along(np.array([path.azimuth_deg, path.elevation_deg]).T, time_s, duration_s)
         )
         flat = np.cos(elevation)
         position = target + path.radius_m * np.array(
             [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
         )
     elif path.kind == "dolly":
-        ease = smoothstep(at)
-        position = (1 - ease) * np.asarray(path.position_m) + ease * np.asarray(path.end_m)
+        ease = smoothstep(_along(np.array([0.0, 1.0]), time_s, duration_s))
+        position = (1 - ease) * position + ease * np.asarray(path.end_m)
     elif path.kind == "keys":
         position = _between(path.keys, "position_m", time_s)
         target = _between(path.keys, "target_m", time_s)
-    else:
-        position = np.asarray(path.position_m, float)
-    pose = look_at(position, target)
-    if path.hand_deg or path.hand_m:
-        shake = smooth_noise(seed, f"hand {name}", time_s, 4.0, 6)
-        slow = smooth_noise(seed, f"drift {name}", time_s, 0.7, 6)
-        both = (shake + 2 * slow) / np.sqrt(5.0)
-        pose = (
-            Pose.from_rotvec(np.radians(path.hand_deg) * both[:3], path.hand_m * both[3:])
-            @ pose
-        )
-    return pose
+    shake = smooth_noise(seed, f"hand {name}", time_s, 4.0, 6)
+    slow = smooth_noise(seed, f"drift {name}", time_s, 0.7, 6)
+    both = (shake + 2 * slow) / np.sqrt(5.0)
+    return _trembling(both, path.hand_deg, path.hand_m) @ look_at(position, target)
+
+
+def _along(ends: np.ndarray, time_s: float, duration_s: float) -> np.ndarray:
+    """From the first value (2, ...) to the last over the duration, held beyond."""
+    share = np.clip(divide(time_s, duration_s), 0.0, 1.0)
+    return np.asarray(ends[0] + (ends[1] - ends[0]) * share)
+
+
+def _trembling(noise: np.ndarray, turn_deg: float, travel_m: float) -> Pose:
+    """A small motion from unit noise (6,): a turn, then a shift."""
+    return Pose.from_rotvec(np.radians(turn_deg) * noise[:3], travel_m * noise[3:])
 
 
 def room_from_object(
     placed: SceneObject, time_s: float, duration_s: float, seed: int, name: str
 ) -> Pose:
     """Pose of an object in its parent's axes (the room's, if it is attached to nothing)."""
-    rest = Pose(
+    motion = placed.motion
+    pose = Pose(
         rotation_from_euler_deg(*placed.rotate_deg), np.asarray(placed.position_m, float)
     )
-    motion = placed.motion
     if motion.kind == "still":
-        return rest
+        return pose
     if motion.kind == "keys":
         rotation = rotation_from_euler_deg(*_between(motion.keys, "rotate_deg", time_s))
-        return Pose(rotation, _between(motion.keys, "position_m", time_s)) @ _tremor(
-            motion, time_s, seed, name
-        )
-    if motion.kind == "turn":
-        at = float(np.clip(divide(time_s, duration_s), 0.0, 1.0))
-        angle = np.radians(
-            motion.angle_deg[0] + (motion.angle_deg[1] - motion.angle_deg[0]) * at
-        )
-        own = Pose.from_rotvec(
-            normalise(np.asarray(motion.axis, float)) * angle, np.zeros(3)
-        )
+        pose = Pose(rotation, _between(motion.keys, "position_m", time_s))
+    elif motion.kind == "turn":
+        angle = np.radians(_along(np.array(motion.angle_deg), time_s, duration_s))
+        axis = normalise(np.asarray(motion.axis, float))
+        pose = pose @ Pose.from_rotvec(axis * angle, np.zeros(3))
     else:
-        a, golden = (
-            2 * np.pi * time_s / motion.period_s,
-            0.6180339887498949,
-        )  # incommensurate: the tilts never repeat together
+        a = 2 * np.pi * time_s / motion.period_s
+        golden = 0.6180339887498949 * a  # incommensurate: the tilts never repeat together
         about_x = rotation_from_euler_deg(motion.tilt_deg * np.sin(a), 0.0, 0.0)
-        rotation = about_x @ rotation_from_euler_deg(
-            0.0, motion.tilt_deg * np.sin(golden * a + 1), 0.0
-        )
-        own = Pose(
-            rotation,
-            motion.travel_m
-            * np.array([np.sin(golden * a), np.sin(a + 2), 0.5 * np.sin(1.3 * a)]),
-        )
-    return rest @ own @ _tremor(motion, time_s, seed, name)
-
-
-def _tremor(motion: Motion, time_s: float, seed: int, name: str) -> Pose:
-    if not (motion.tremor_deg or motion.tremor_m):
-        return Pose.identity()
-    n = smooth_noise(seed, f"tremor {name}", time_s, 6.0, 6)
-    return Pose.from_rotvec(np.radians(motion.tremor_deg) * n[:3], motion.tremor_m * n[3:])
+        about_y = rotation_from_euler_deg(0.0, motion.tilt_deg * np.sin(golden + 1), 0.0)
+        travel = np.array([np.sin(golden), np.sin(a + 2), 0.5 * np.sin(1.3 * a)])
+        pose = pose @ Pose(about_x @ about_y, motion.travel_m * travel)
+    tremor = smooth_noise(seed, f"tremor {name}", time_s, 6.0, 6)
+    return pose @ _trembling(tremor, motion.tremor_deg, motion.tremor_m)
 
 
 def _between(keys: tuple[Key, ...], name: str, time_s: float) -> np.ndarray:

@@ -163,7 +163,7 @@ def test_what_is_wrong_is_said_with_file_line_and_key(tmp_path: Path, name: str)
 def test_a_column_that_is_wrong_in_every_row_is_said_once(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as e:
         read(tmp_path / "m.csv", "clip,fitt\n" + "a,1\n" * 50)
-    assert str(e.value).count("fitt") == 2, "in the message and in the line that it shows"
+    assert str(e.value).count("fitt") == 1
 
 
 def test_many_problems_are_counted(tmp_path: Path) -> None:
