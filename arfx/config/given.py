@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, get_origin
+from typing import Any
 
 from pydantic import ValidationError
 
-from arfx.config.sections import JobConfig, Setting, Turn, settings
+from arfx.config.sections import JobConfig, Setting, settings
 from arfx.core.opener import parse_toml
 from arfx.errors import ConfigError
 
@@ -35,50 +35,23 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
 
 def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
     """The settings of a job's sections that have an option. given : by the option's name;
-    None, False and () are not given. Raises ConfigError."""
+    None, False, () and "" are not given."""
     for s in settings():
         value = given[s.name] if s.flags else None
-        if value is None or value is False or value == ():
+        # an empty list of effects is not given either
+        if value is None or value is False or value == () or value == "":
             continue
-        if s.repeated:
-            yield *option_given(s, value), " ".join(f"{s.flags[0]} {v}" for v in value)
-        elif value or list[str] not in s.kinds:  # an empty list of effects is not given
-            yield (
-                *option_given(s, value),
-                s.flags[0] if value is True else f"{s.flags[0]} {value}",
-            )
+        flag, values = s.flags[0], value if s.repeated else [value]
+        words = " ".join(flag if v is True else f"{flag} {v}" for v in values)
+        yield *option_given(s, value), words
 
 
 def option_given(s: Setting, value: Any) -> tuple[tuple[str, ...], Any]:
     """Key path and value, in a job's tables, of what an option gives. value : a list where
-    the option is repeatable Raises ConfigError."""
+    the option is repeatable"""
     if s.repeated:
         return (s.section,), [{s.key: v} for v in value]
-    return (s.section, s.key), not s.default if value is True else _read(s, value)
-
-
-def _read(s: Setting, value: Any) -> Any:
-    """Lists as they are written after an option."""
-    if not isinstance(value, str):
-        return value
-    if list[str] in s.kinds:
-        names = [n.strip() for n in value.split(",") if n.strip()]
-        return "auto" if names == ["auto"] else names
-    if get_origin(s.kinds[0]) is not tuple:
-        return value
-    three = [p.strip() for p in value.split(",")]
-    if len(three) != 3:
-        raise ConfigError(
-            f"{s.flags[0]} {value!r} is not three values", "X,Y,Z with commas"
-        )
-    for part in three if Turn in s.kinds else ():
-        try:
-            float(part)
-        except ValueError:
-            raise ConfigError(
-                f"{s.flags[0]}: {part!r} is not a number of degrees"
-            ) from None
-    return [float(part) for part in three] if Turn in s.kinds else three
+    return (s.section, s.key), not s.default if value is True else value
 
 
 def parse_setting(text: str) -> tuple[list[str], Any]:
@@ -141,7 +114,7 @@ def _check_conflicts(
         common = min(len(path), len(other_path))
         if tuple(other_path[:common]) != tuple(path[:common]):
             continue
-        if len(other_path) != len(path) or not _equivalent(path, value, other):
+        if len(other_path) != len(path) or _meaning(path, value) != _meaning(path, other):
             raise ConfigError(
                 f"{words} and {other_words} give different values to {'.'.join(path)}",
                 "give one of them",
@@ -149,20 +122,12 @@ def _check_conflicts(
         return
 
 
-def _equivalent(path: Sequence[str], a: Any, b: Any) -> bool:
-    """Whether two ways to write a value of a job's key mean the same: 15cm and 0.15m, [0,
-    0, 90] and [0.0, 0.0, 90.0].
-    """
-    section, *keys = path
-    if len(keys) != 1:
-        return bool(a == b)
+def _meaning(path: Sequence[str], value: Any) -> Any:
+    """Equal for two ways to write a value of a job's key: 15cm and 0.15m."""
+    tree = value
+    for key in reversed(path):
+        tree = {key: tree}
     try:
-        read = [
-            getattr(
-                getattr(JobConfig.model_validate({section: {keys[0]: v}}), section), keys[0]
-            )
-            for v in (a, b)
-        ]
-    except (ValidationError, AttributeError):
-        return str(a) == str(b)  # errors in them are reported when the whole job is read
-    return bool(read[0] == read[1])
+        return JobConfig.model_validate(tree)
+    except ValidationError:
+        return str(value)  # errors in it are reported when the whole job is read

@@ -9,7 +9,7 @@ import dataclasses
 import difflib
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
@@ -55,7 +55,8 @@ class JobFile(NamedTuple):
             (name for n in (2, 1) if (name := self.names.get(path[:n])) is not None), path
         )
         line = self.line or line_of(self.text, (*self.at, *path))
-        return with_location(message, self.path, line, hint)
+        place = f":{line}" if line else f": {'.'.join(map(str, path))}"
+        return f"{message}\n  --> {self.path}{place}" + (f"\nhelp: {hint}" if hint else "")
 
 
 def load(
@@ -74,72 +75,86 @@ def load(
         file if isinstance(file, JobFile) else read_job_file(file, parameters)
         for file in named
     ]
+    sources = tuple(dict.fromkeys(file.path for file in read))
+    read.append(JobFile(Path("command line"), "", dict(overrides)))
     merged: dict[str, Any] = {}
-    for tree in (*(file.document for file in read), overrides):
-        merged = merge(merged, tree)
+    for file in read:
+        merged = merge(merged, file.document)
     problems: list[str] = []
 
     def problem(path: KeyPath, message: str, hint: str = "") -> None:
-        if _contains(overrides, path) or not read:
-            place = f"command line: {'.'.join(map(str, path))}"
-            problems.append(with_location(message, place, 0, hint))
-        else:
-            # the last file that holds the key, or else its nearest parent
-            file = next(
-                f
-                for n in range(len(path), -1, -1)
-                for f in reversed(read)
-                if _contains(f.document, path[:n])
-            )
-            problems.append(file.located(message, path, hint))
+        # of the last file that holds the key, or else its nearest parent
+        file = next(
+            f
+            for n in range(len(path), -1, -1)
+            for f in reversed(read)
+            if _contains(f.document, path[:n])
+        )
+        problems.append(file.located(message, path, hint))
 
-    sections = {s.section for s in settings()}
-    params: dict[str, Any] = {}
-    for name in merged:
-        if name not in sections and name not in parameters:
-            problem(
-                (name,),
-                f"there is no section or stage {name!r}",
-                suggestion(name, [*sections, *parameters]),
-            )
-    for name, formulas in parameters.items():
+    def unknown(path: KeyPath, owner: str, known: Iterable[str]) -> None:
+        message = f"{owner} {path[0]!r} has no setting {path[-1]!r}"
+        problem(path, message, GONE.get(path) or suggestion(str(path[-1]), known))
+
+    def checked(kind: type, values: Mapping[str, Any], at: KeyPath = ()) -> Any:
+        """The values as this type; None after telling what is wrong with them."""
+        try:
+            return _adapter(kind).validate_python(values)
+        except ValidationError as e:
+            for error in e.errors(include_url=False):
+                path = (*at, *(p for p in error["loc"] if not _type_tag(p)))
+                known = [s.key for s in settings() if s.section == path[0]]
+                if error["type"] == "extra_forbidden" and known:
+                    unknown(path, "section", known)
+                else:
+                    message = error["msg"].removeprefix("Value error, ")
+                    problem(path, f"{'.'.join(map(str, path))}: {message}")
+        except ConfigError as e:  # of a dataclass that checks itself
+            named = [k for k in values if re.search(rf"\b{re.escape(k)}\b", e.message)]
+            problem((*at, *named[:1]), str(e))
+        return None
+
+    def chosen(name: str, formulas: Mapping[str, type]) -> Any:
+        """The settings of a stage."""
         table = merged.get(name, {})
         if not isinstance(table, dict):
-            problem((name,), f"{name!r} must be a table")
-            continue
-        params[name] = _params(name, formulas, table, problem)
-    job = None
-    try:
-        own = {
-            "params": params,
-            "sources": tuple(dict.fromkeys(file.path for file in read)),
-        }
-        job = JobConfig.model_validate(
-            {**{k: merged[k] for k in sections if k in merged}, **own}
-        )
-    except ValidationError as e:
-        for error in e.errors(include_url=False):
-            path = tuple(
-                p
-                for p in error["loc"]
-                if not (isinstance(p, str) and ("[" in p or p in _TYPE_TAGS))
-            )
-            known = [s.key for s in settings() if s.section == path[0]]
-            if error["type"] == "extra_forbidden" and known:
-                problem(
-                    path,
-                    f"section {path[0]!r} has no setting {path[-1]!r}",
-                    suggestion(str(path[-1]), known),
-                )
+            return problem((name,), f"{name!r} must be a table")
+        formula = next(iter(formulas))
+        if len(formulas) > 1:
+            table = dict(table)
+            formula = table.pop("formula", formula)
+        if formula not in list(formulas):
+            message = f"{name}.formula {formula!r} is unknown"
+            return problem((name, "formula"), message, "one of " + ", ".join(formulas))
+        good = {}
+        for key, value in table.items():
+            path = name, key
+            owners = [f for f, kind in formulas.items() if key in _fields(kind)]
+            if formula not in owners:
+                if owners and path not in GONE:
+                    message = f'{name}.{key} belongs to formula = "{owners[0]}"'
+                    problem(path, message, f'{name}.formula is "{formula}"')
+                    continue
+                owner = "section" if name == "analyse" else "stage"
+                unknown(path, owner, _fields(formulas[formula]))
+            elif (bad := _out_of_range(value)) is not None:
+                message = f"{name}.{key}: {bad:g} is out of range"
+                problem(path, message, f"between -{_LARGEST:g} and {_LARGEST:g}")
             else:
-                problem(
-                    path,
-                    f"{'.'.join(map(str, path))}:"
-                    f" {error['msg'].removeprefix('Value error, ')}",
-                )
+                good[key] = value
+        # made even without settings: a dataclass may check itself
+        return checked(formulas[formula], good, (name,))
+
+    sections = {s.section for s in settings()}
+    known = [*sections, *parameters]
+    for name in merged.keys() - known:
+        problem((name,), f"there is no section or stage {name!r}", suggestion(name, known))
+    given: dict[str, Any] = {name: merged[name] for name in sections & merged.keys()}
+    given["params"] = {name: chosen(name, kinds) for name, kinds in parameters.items()}
+    job = checked(JobConfig, {**given, "sources": sources})
     if problems:
         raise ConfigError("\n\n".join(dict.fromkeys(problems)))
-    assert job is not None
+    assert isinstance(job, JobConfig)
     return job
 
 
@@ -156,83 +171,28 @@ def read_job_file(file: Path, parameters: Parameters, kind: str = "job file") ->
 
 def locate_paths(document: Mapping[str, Any], folder: Path, parameters: Parameters) -> None:
     """Paths in a job file are relative to its folder: make them so from here."""
-    for section, key in _paths(parameters):
-        tables = document.get(section)
+    for section, tables in document.items():
+        keys = {s.key for s in settings() if s.section == section and _begins_path(s.kinds)}
+        for kind in parameters.get(section, {}).values():
+            keys |= _path_fields(kind)
         for table in tables if isinstance(tables, list) else [tables]:
-            if isinstance(table, dict) and isinstance(table.get(key), str):
-                table[key] = str(folder / table[key])
+            for key in keys if isinstance(table, dict) else ():
+                if isinstance(table.get(key), str):
+                    table[key] = str(folder / table[key])
 
 
-def _paths(parameters: Parameters) -> set[tuple[str, str]]:
-    """(section, key) of the settings that are, or begin with, paths: in a job file they are
-    relative to it.
-    """
-    out = {
-        (s.section, s.key) for s in settings() if Path in s.kinds or PatternSpec in s.kinds
-    }
-    for name, formulas in parameters.items():
-        for kind in formulas.values():
-            out |= {(name, key) for key in _path_fields(kind)}
-    return out
+def _begins_path(types: Collection[Any]) -> bool:
+    return Path in types or PatternSpec in types
 
 
 @cache
 def _path_fields(kind: type) -> frozenset[str]:
-    return frozenset(
-        key for key, hint in get_type_hints(kind).items() if Path in kinds(hint)
-    )
+    return frozenset(k for k, hint in get_type_hints(kind).items() if Path in kinds(hint))
 
 
-def _params(
-    name: str, formulas: Mapping[str, type], table: dict[str, Any], problem: Any
-) -> Any:
-    formula = next(iter(formulas))
-    if len(formulas) > 1 and "formula" in table:
-        formula = (table := dict(table)).pop("formula")
-        if formula not in list(formulas):
-            return problem(
-                (name, "formula"),
-                f"{name}.formula {formula!r} is unknown",
-                "one of " + ", ".join(formulas),
-            )
-    kind = formulas[formula]
-    fields, good = _fields(kind), {}
-    for key, value in table.items():
-        if key not in fields:
-            other = next((f for f, k in formulas.items() if key in _fields(k)), None)
-            if other is None or (name, key) in GONE:
-                owner = "section 'analyse'" if name == "analyse" else f"stage {name!r}"
-                hint = GONE.get((name, key)) or suggestion(key, fields)
-                problem((name, key), f"{owner} has no setting {key!r}", hint)
-            else:
-                problem(
-                    (name, key),
-                    f'{name}.{key} belongs to formula = "{other}"',
-                    f'{name}.formula is "{formula}"',
-                )
-        elif (bad := _out_of_range(value)) is not None:
-            problem(
-                (name, key),
-                f"{name}.{key}: {bad:g} is out of range",
-                f"between -{_LARGEST:g} and {_LARGEST:g}",
-            )
-        else:
-            good[key] = value
-    try:
-        # rebuilt even without settings: a dataclass may check itself in __post_init__
-        return _adapter(kind).validate_python(good)
-    except ValidationError as e:
-        for error in e.errors(include_url=False):
-            key = str(error["loc"][0]) if error["loc"] else ""
-            problem(
-                (name, key), f"{name}.{key}: {error['msg'].removeprefix('Value error, ')}"
-            )
-    except ConfigError as e:
-        named = next(
-            (k for k in good if re.search(rf"\b{re.escape(k)}\b", e.message)), None
-        )
-        problem((name,) if named is None else (name, named), str(e))
-    return None
+def _type_tag(part: str | int) -> bool:
+    """Whether a part of pydantic's place of an error is a type, not a key."""
+    return isinstance(part, str) and ("[" in part or part in _TYPE_TAGS)
 
 
 def _fields(kind: type) -> set[str]:
@@ -290,10 +250,13 @@ def presets() -> dict[str, Path]:
     return {} if place is None else {p.stem: p for p in sorted(place.glob("*.toml"))}
 
 
-def find_job_file(name_or_file: Path) -> Path:
-    """A job file, or a preset by its bare name. Raises InputError naming the presets."""
-    if os.path.exists(name_or_file) or name_or_file.suffix or len(name_or_file.parts) > 1:  # noqa: PTH110 - False for a name too long
-        return name_or_file
+def find_job_file(name_or_file: Path, folder: Path = Path()) -> Path:
+    """A job file in a folder, or a preset by its bare name. Raises InputError naming the
+    presets.
+    """
+    file = folder / name_or_file
+    if os.path.exists(file) or file.suffix or len(name_or_file.parts) > 1:  # noqa: PTH110 - False for a name too long
+        return file
     known = presets()
     if str(name_or_file) not in known:
         raise InputError(

@@ -79,49 +79,32 @@ def _toml(path: Path, parameters: Parameters) -> tuple[list[JobFile], list[JobFi
 
 def _csv(path: Path) -> tuple[list[JobFile], list[JobFile]]:
     text = read_text(path, "manifest")
-    file = JobFile(path, text, {}, line=1)
     first = text.partition("\n")[0]
     reader = csv.reader(
         io.StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True
     )
-    rows: list[JobFile] = []
+    file, lines = JobFile(path, text, {}, line=1), []
+    try:
+        for cells in reader:
+            lines.append((file, [cell.strip() for cell in cells]))
+            file = file._replace(line=reader.line_num + 1)
+    except csv.Error as e:
+        raise ConfigError(file.located(f"not valid CSV: {e}", ())) from None
     heads: list[str] = []
-    begin = 1
-    while True:
-        try:
-            cells = next(reader, None)
-        except csv.Error as e:
-            raise ConfigError(
-                file._replace(line=begin).located(f"not valid CSV: {e}", ())
-            ) from None
-        if cells is None:
-            return [], rows
-        here, begin = file._replace(line=begin), reader.line_num + 1
-        cells = [cell.strip() for cell in cells]
+    rows: list[JobFile] = []
+    for row, cells in lines:
         if not any(cells):
             continue
-        if not heads:
-            heads = cells
-            if twice := [h for h in heads if heads.count(h) > 1]:
-                raise ConfigError(
-                    here.located(f"column {twice[0]!r} is there twice", (twice[0],))
-                )
-        elif len(cells) > len(heads):
-            raise ConfigError(
-                here.located(
-                    f"{len(cells)} cells under {len(heads)} heads",
-                    (),
-                    "quote a cell that holds a comma",
-                )
-            )
-        else:
-            rows.append(
-                here._replace(
-                    document={
-                        h: cell for h, cell in zip(heads, cells, strict=False) if cell
-                    }
-                )
-            )
+        if len(cells) > len(heads) > 0:
+            message = f"{len(cells)} cells under {len(heads)} heads"
+            raise ConfigError(row.located(message, (), "quote a cell that holds a comma"))
+        if heads:
+            table = {h: cell for h, cell in zip(heads, cells, strict=False) if cell}
+            rows.append(row._replace(document=table))
+        elif twice := [h for h in cells if cells.count(h) > 1]:
+            raise ConfigError(row.located(f"column {twice[0]!r} is there twice", ()))
+        heads = heads or cells
+    return [], rows
 
 
 def _job_files(
@@ -133,19 +116,15 @@ def _job_files(
     """
     sections = {s.section for s in settings()} | parameters.keys()
     named = row.document.pop("config", [])
-    if not isinstance(named, (str, list)) or not all(
-        isinstance(name, str) for name in named
-    ):
+    named = [named] if isinstance(named, str) else named
+    if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
         raise ConfigError(
             row.located("config must be a job file or a list of them", ("config",))
         )
-    names = [Path(name) for name in ([named] if isinstance(named, str) else named)]
-    presets = (len(name.parts) == 1 and not name.suffix for name in names)
-    paths = [
-        name if preset else row.path.parent / name
-        for name, preset in zip(names, presets, strict=True)
+    files = [
+        read_job_file(find_job_file(Path(name), row.path.parent), parameters)
+        for name in named
     ]
-    files = [read_job_file(find_job_file(path), parameters) for path in paths]
     tree: dict[str, Any] = {}
     written_as: dict[KeyPath, KeyPath] = {}
     for path, value, written in _settings(row, options, sections):
@@ -191,20 +170,8 @@ def _settings(
         ):
             yield (key,), value, (key,)
         elif (option := options.get(key.replace("-", "_"))) is not None:
-            try:
-                yield (
-                    *option_given(
-                        option,
-                        (
-                            value
-                            if isinstance(value, list) or not option.repeated
-                            else [value]
-                        ),
-                    ),
-                    (key,),
-                )
-            except ConfigError as e:
-                raise ConfigError(row.located(e.message, (key,), e.hint)) from None
+            one = option.repeated and not isinstance(value, list)
+            yield *option_given(option, [value] if one else value), (key,)
         elif dot and section in sections and rest and not row.at:
             yield (section, rest), parse_value(value, key), (key,)
         else:

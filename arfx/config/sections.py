@@ -39,6 +39,23 @@ def _transfer(value: Any) -> str:
     return Transfer(str(value)).name
 
 
+def _listed(value: Any) -> Any:
+    """A list as it is written after an option."""
+    return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+
+
+def _names(value: Any) -> Any:
+    names = _listed(value)
+    return "auto" if names == ["auto"] and isinstance(value, str) else names
+
+
+def _three(value: Any) -> Any:
+    parts = _listed(value)
+    if isinstance(value, str) and len(parts) != 3:
+        raise ValueError(f"{value!r} is not three values, X,Y,Z with commas")
+    return parts
+
+
 class Section(BaseModel):
     model_config = ConfigDict(
         frozen=True,
@@ -143,10 +160,10 @@ class ModelSection(Section):
     fit: Length | None = _field(  # after scaling: it overrides scale
         None, "Scale the model's largest extent to this length: 15cm.", "--fit SIZE"
     )
-    rotate: tuple[Turn, Turn, Turn] = _field(
+    rotate: Annotated[tuple[Turn, Turn, Turn], BeforeValidator(_three)] = _field(
         (0.0, 0.0, 0.0), "Degrees about the marker's axes, in this order.", "--rotate X,Y,Z"
     )
-    offset: tuple[Length, Length, Length] = _field(
+    offset: Annotated[tuple[Length, Length, Length], BeforeValidator(_three)] = _field(
         (0.0, 0.0, 0.0),
         "Lengths along the marker's axes (x right, y up, z out): 0cm,2cm,0cm.",
         "--offset X,Y,Z",
@@ -157,7 +174,7 @@ class ModelSection(Section):
 
 
 class PipelineSection(Section):
-    stages: list[str] | Literal["auto"] = _field(
+    stages: Annotated[list[str] | Literal["auto"], BeforeValidator(_names)] = _field(
         "auto",
         "Effects to run, in order. Default auto: those that the job has a setting for."
         " Light and shadow always run.",

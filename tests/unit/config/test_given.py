@@ -33,9 +33,9 @@ def test_no_two_settings_have_the_same_option() -> None:
             ("36h11:3:5cm", "36h11:4:5cm"),
             {"marker": [{"spec": "36h11:3:5cm"}, {"spec": "36h11:4:5cm"}]},
         ),
-        ("rotate", "0, 0,90", {"model": {"rotate": [0.0, 0.0, 90.0]}}),
-        ("offset", "1cm,0,0", {"model": {"offset": ["1cm", "0", "0"]}}),
-        ("pipeline", "gi, dof", {"pipeline": {"stages": ["gi", "dof"]}}),
+        ("rotate", "0, 0,90", {"model": {"rotate": "0, 0,90"}}),
+        ("offset", "1cm,0,0", {"model": {"offset": "1cm,0,0"}}),
+        ("pipeline", "gi, dof", {"pipeline": {"stages": "gi, dof"}}),
         ("pipeline", "auto", {"pipeline": {"stages": "auto"}}),
         ("pipeline", "", {}),
         ("no_skip", True, {"pipeline": {"skip": False}}),
@@ -50,17 +50,30 @@ def test_options_become_keys_of_a_job_file(
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "says"),
+    ("key", "value", "says"),
     [
-        ("offset", "1cm,2cm", "--offset '1cm,2cm' is not three values"),
-        ("rotate", "0,0,x", "--rotate: 'x' is not a number of degrees"),
+        ("offset", "1cm,2cm", "'1cm,2cm' is not three values"),
+        ("rotate", "0,0,x", "valid number"),
     ],
 )
-def test_lists_that_cannot_be_read_are_named_by_their_option(
-    option: str, value: str, says: str
-) -> None:
-    with pytest.raises(ConfigError, match=says):
-        given(**{option: value})
+def test_lists_that_cannot_be_read_are_named(key: str, value: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=rf"(?s)model\.{key}.*{says}.*command line"):
+        load(None, given(**{key: value}), {})
+
+
+def test_lists_are_written_as_after_an_option() -> None:
+    written = {"rotate": "0, 0,90", "offset": "1cm,0,0"}
+    job = load(None, {"model": written, "pipeline": {"stages": "gi, dof"}}, {})
+    assert job.model.rotate == (0, 0, 90) and job.model.offset == (0.01, 0, 0)
+    assert job.pipeline.stages == ["gi", "dof"]
+
+
+@pytest.mark.parametrize("same", ["0.15m", "150mm"])
+def test_an_option_and_a_setting_may_say_the_same(same: str) -> None:
+    options = [*section_overrides({**NOTHING, "fit": "15cm"})]
+    assert overrides(options, [f"model.fit={same}"])["model"]["fit"] == "15cm"
+    with pytest.raises(ConfigError, match=r"different values to model\.fit"):
+        overrides(options, ["model.fit=16cm"])
 
 
 def test_settings_of_the_command_line() -> None:
