@@ -1,22 +1,19 @@
 """What of the picture and of the board's tilts the views cover; the verdict good | usable |
-poor with its reasons; and the next picture that would help most: of 45 ways to hold the
-board, the one after which the projection would be least uncertain.
+poor with its reasons; and the next picture that would help: where the picture is emptiest,
+tilted to the side that is missing.
 
 Source of the projection uncertainty: mrcal's documentation, "Projection uncertainty"
 (rotation-compensated, at infinity)."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from arfx.calibrate.board import BoardSpec
-from arfx.calibrate.corners import View
-from arfx.calibrate.solve import Fit, Uncertainty, information, jacobians, without_pose
+from arfx.calibrate.solve import Fit, Uncertainty, without_pose
 from arfx.core.numerics import angle_between, arccos
 
 CELLS = (8, 6)  # across, down: at 4:3 they are square
@@ -25,23 +22,20 @@ CELLS = (8, 6)  # across, down: at 4:3 they are square
 TILTED_DEG = 15.0
 GRID = (13, 9)  # where the projection uncertainty is looked at
 GOOD, USABLE, POOR = "good", "usable", "poor"
-NEXT_TILT_DEG, NEXT_FRACTION = (
-    35.0,
-    0.45,
-)  # how steeply, and how large in the picture, the next board is proposed
+# how steeply, and how large in the picture, the next board is proposed
+NEXT_TILT_DEG, NEXT_FRACTION = 35.0, 0.45
+SIDES = ("right", "lower", "left", "upper")  # of the board, as `Coverage.azimuth_deg` turns
 
 
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """A figure of the calibration and what it must reach. Where `more` the value must be at
-    least the limit, else at most.
+class Limit(NamedTuple):
+    """A figure of the calibration and what it must reach: at least, where good is more than
+    poor, else at most.
 
     text : the reason when it does not, with {value} and {limit}"""
 
     name: str
     good: float
     poor: float
-    more: bool
     text: str
 
 
@@ -53,21 +47,18 @@ LIMITS = (
         "views",
         10,
         5,
-        True,
         "only {value:.0f} different views take part (good: {limit:.0f})",
     ),
     Limit(
         "focal_sd_percent",
         0.3,
         1.0,
-        False,
         "the focal length is known to ±{value:.2g} % only (good: {limit:g} %)",
     ),
     Limit(
         "tilt_max_deg",
         25,
         15,
-        True,
         "the board is seen nearly frontally: steepest tilt {value:.0f}° (good:"
         " {limit:.0f}°)",
     ),
@@ -75,21 +66,18 @@ LIMITS = (
         "tilt_directions",
         3,
         1,
-        True,
         "the board tilts over 15° to {value:.0f} of 4 sides (good: {limit:.0f})",
     ),
     Limit(
         "cells_percent",
         60,
         30,
-        True,
         "corners cover {value:.0f} % of the picture (good: {limit:.0f} %)",
     ),
     Limit(
         "radius_percent",
         70,
         45,
-        True,
         "they reach {value:.0f} % of the way to the picture's corners (good:"
         " {limit:.0f} %)",
     ),
@@ -97,14 +85,12 @@ LIMITS = (
         "held_out_permille",
         0.8,
         3.0,
-        False,
         "views miss their prediction by {value:.2g} ‰ of the width (good: {limit:g} ‰)",
     ),
     Limit(
         "projection_sd_permille",
         2.0,
         10.0,
-        False,
         "towards the border the projection is uncertain by {value:.2g} ‰ of the width"
         " (good: {limit:g} ‰)",
     ),
@@ -112,7 +98,6 @@ LIMITS = (
         "rejected_percent",
         25,
         50,
-        False,
         "{value:.0f} % of the views disagree with the others (good: {limit:.0f} %): two"
         " boards or cameras, or a bent board?",
     ),
@@ -134,17 +119,20 @@ def judge(figures: dict[str, float]) -> tuple[str, tuple[str, ...]]:
 
     A figure that is not a number counts as poor.
     """
-    poor, usable = [], []
-    for limit in LIMITS:
-        value = figures[limit.name]
-        text = limit.text.format(value=value, limit=limit.good)
-        if not np.isfinite(value) or (
-            value < limit.poor if limit.more else value > limit.poor
-        ):
-            poor.append(text)
-        elif value < limit.good if limit.more else value > limit.good:
-            usable.append(text)
-    return (POOR if poor else USABLE if usable else GOOD), (*poor, *usable)
+    missed: dict[str, list[str]] = {POOR: [], USABLE: []}
+    for name, good, poor, text in LIMITS:
+        value, sign = figures[name], 1 if good > poor else -1
+        word = next(
+            (
+                w
+                for w, bound in ((POOR, poor), (USABLE, good))
+                if not sign * value >= sign * bound
+            ),
+            GOOD,
+        )
+        if word != GOOD:
+            missed[word].append(text.format(value=value, limit=good))
+    return next((w for w in missed if missed[w]), GOOD), (*missed[POOR], *missed[USABLE])
 
 
 def figures(
@@ -174,65 +162,17 @@ def figures(
     }
 
 
-def next_picture(fitted: Fit, known: Uncertainty, spec: BoardSpec) -> str:
-    """In words, where to hold the board and how to tilt it, so that the next view teaches most."""
-    noise = max(known.sigma_px, 0.05)
-    normal = sum(j.T @ j for j in information(fitted))
-    where = projection_jacobian(fitted)
-    best, best_score = (
-        (
-            f"hold the board so that it fills {NEXT_FRACTION:.0%} of the picture's width,"
-            f" tilted by {NEXT_TILT_DEG:.0f}°"
-        ),
-        float("inf"),
+def next_picture(seen: Coverage) -> str:
+    """In words, where to hold the board and how to tilt it: where the fewest corners are,
+    towards the side that the fewest views are tilted to."""
+    thirds = np.add.reduceat(np.add.reduceat(seen.counts, (0, 2, 4), 0), (0, 3, 5), 1)
+    row, column = np.unravel_index(np.argmin(thirds / (3, 2, 3)), thirds.shape)
+    place = ("upper ", "", "lower ")[row] + ("left", "middle", "right")[column]
+    return (
+        f"hold the board in the {place} of the picture, about {NEXT_FRACTION:.0%} of its"
+        f" width, tilted by about {NEXT_TILT_DEG:.0f}° with its"
+        f" {SIDES[np.argmin(seen.tilted_to)]} edge nearer"
     )
-    for text, view, rvec, tvec in _candidates(fitted, spec):
-        j = without_pose(*jacobians(view, rvec, tvec, fitted.camera, fitted.model))
-        covariance = noise**2 * np.linalg.pinv(normal + j.T @ j, hermitian=True)
-        score = float(np.einsum("np,pq,nq->", where, covariance, where))
-        if score < best_score:
-            best, best_score = text, score
-    return best
-
-
-def _candidates(
-    fitted: Fit, spec: BoardSpec
-) -> Sequence[tuple[str, View, np.ndarray, np.ndarray]]:
-    """Ways to hold the board so that all of it is in the picture."""
-    camera, out = fitted.camera, []
-    distance = (
-        camera.fx
-        * float(np.ptp(spec.corners_m[:, 0] - spec.corners_m[:, 0].mean()))
-        / (NEXT_FRACTION * camera.width)
-    )
-    a, tilted = np.radians(NEXT_TILT_DEG), f"tilted by about {NEXT_TILT_DEG:.0f}° with its"
-    tilts = {
-        "facing the camera": (0.0, 0.0),
-        f"{tilted} right edge nearer": (0.0, a),
-        f"{tilted} left edge nearer": (0.0, -a),
-        f"{tilted} upper edge nearer": (a, 0.0),
-        f"{tilted} lower edge nearer": (-a, 0.0),
-    }
-    columns = {"left": 0.27, "middle": 0.5, "right": 0.73}
-    rows = {"upper ": 0.3, "": 0.5, "lower ": 0.7}
-    size = camera.width, camera.height
-    for (down, y), (across, x), (how, tilt) in itertools.product(
-        rows.items(), columns.items(), tilts.items()
-    ):
-        ray = camera.directions(np.multiply([x, y], np.subtract(size, 1)))
-        rvec = np.array([*tilt, 0.0])
-        turn = cv2.Rodrigues(rvec)[0]
-        tvec = ray * distance - turn @ spec.corners_m.mean(0)  # about the board's middle
-        points = camera.project(spec.corners_m @ turn.T + tvec)
-        if not ((points > 0) & (points < size)).all():  # nor where a point is NaN
-            continue
-        text = (
-            f"hold the board in the {down}{across} of the picture, about"
-            f" {NEXT_FRACTION:.0%} of its width, {how}"
-        )
-        view = View("", size, np.arange(len(points)), spec.corners_m, points, "")
-        out.append((text, view, rvec, tvec))
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,9 +183,8 @@ class Coverage:
     azimuth_deg : (V,) of each view,
     the board's normal against the optical axis, and where its near edge points in the
     picture (0 right, 90 down);
-    span_deg : largest angle between the normals of two views; directions : how many of the
-    four quarter turns of azimuth
-    hold a tilt above TILTED_DEG"""
+    span_deg : largest angle between the normals of two views; tilted_to : (4,) views tilted
+    by more than TILTED_DEG with the near edge on each of SIDES"""
 
     counts: np.ndarray
     cells: float
@@ -253,7 +192,12 @@ class Coverage:
     tilt_deg: np.ndarray
     azimuth_deg: np.ndarray
     span_deg: float
-    directions: int
+    tilted_to: np.ndarray
+
+    @property
+    def directions(self) -> int:
+        """Sides to which a view is tilted."""
+        return int((self.tilted_to > 0).sum())
 
 
 def coverage(fitted: Fit) -> Coverage:
@@ -274,11 +218,7 @@ def coverage(fitted: Fit) -> Coverage:
     # the normal leans away from the near edge, so the near edge lies on the opposite side
     azimuth = np.degrees(np.arctan2(-normals[:, 1], -normals[:, 0])) % 360
     span = max(float(np.degrees(angle_between(n[None], normals)).max()) for n in normals)
-    quadrants = {
-        int(((a + 45) % 360) // 90)
-        for a, t in zip(azimuth, tilt, strict=True)
-        if t > TILTED_DEG
-    }
+    quarter = ((azimuth + 45) % 360 // 90).astype(int)
     centre = np.array([(w - 1) / 2, (h - 1) / 2])
     radius = float(np.linalg.norm(points - centre, axis=1).max() / np.hypot(w / 2, h / 2))
     return Coverage(
@@ -288,7 +228,7 @@ def coverage(fitted: Fit) -> Coverage:
         tilt,
         azimuth,
         span,
-        len(quadrants),
+        np.bincount(quarter[tilt > TILTED_DEG], minlength=4),
     )
 
 
@@ -311,9 +251,7 @@ def projection_jacobian(fitted: Fit) -> np.ndarray:
     j = cv2.projectPoints(
         rays, np.zeros(3), np.zeros(3), fitted.camera.matrix, fitted.camera.distortion
     )[1]
-    return without_pose(
-        np.hstack([j[:, 6:10], j[:, [10 + i for i in fitted.model.free]]]), j[:, :3]
-    )
+    return without_pose(fitted.model.by_parameters(j), j[:, :3])
 
 
 def projection_uncertainty_px(fitted: Fit, known: Uncertainty) -> np.ndarray:

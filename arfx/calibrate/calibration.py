@@ -276,7 +276,7 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
         )
     if corners_dropped:
         notices.append(f"{corners_dropped} corners miss by far and are left out")
-    verdict = Verdict(word, reasons, next_picture(fitted, known, found.spec))
+    verdict = Verdict(word, reasons, next_picture(seen))
     return Calibration(
         found.spec,
         fitted,

@@ -8,6 +8,7 @@ themselves first."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -93,18 +94,33 @@ def reject_views(
 
     Raises NothingToDoError if no three views agree.
     """
-    start = _most_agreed(views, model)
-    inside = [v for v in views if start is None or v in start]
-    fitted = fit(inside, model)
+    subsets = [views]
+    if len(views) > SUBSET_SIZE:
+        rng = np.random.default_rng(0)
+        subsets += [
+            [views[i] for i in rng.choice(len(views), SUBSET_SIZE, replace=False)]
+            for _ in range(SUBSETS)
+        ]
+    # A majority must agree; what the others say does not matter. A small subset must be
+    # clearly better: its intrinsics are weaker, so equal agreement speaks for all views.
+    errors, best = np.zeros(len(views)), float("inf")
+    for subset in subsets:
+        with contextlib.suppress(NothingToDoError):
+            found = _errors(views, fit(subset, model))
+            score = float(np.quantile(found, 0.6)) * (0.7 if subset is views else 1.0)
+            if score < best:
+                errors, best = found, score
+    inside: list[View] = []
+    fitted = None
     for _ in range(10):
-        errors = np.array([typical_px(pose_residual(v, fitted.camera)) for v in views])
-        limit = rejection_limit_px(np.array([typical_px(r) for r in fitted.residuals]))
+        limit = rejection_limit_px(errors)
         chosen = [v for v, e in zip(views, errors, strict=True) if e <= limit]
-        if len(chosen) < 3 or chosen == inside:
+        if fitted is not None and (len(chosen) < 3 or chosen == inside):
             break
         inside = chosen
         fitted = fit(inside, model)
-    errors = np.array([typical_px(pose_residual(v, fitted.camera)) for v in views])
+        errors = _errors(views, fitted)
+    assert fitted is not None
     usual = float(np.median([typical_px(r) for r in fitted.residuals]))
     left_out = [
         Rejected(
@@ -116,6 +132,11 @@ def reject_views(
         if v not in inside
     ]
     return fitted, left_out
+
+
+def _errors(views: Sequence[View], fitted: Fit) -> np.ndarray:
+    """(V,) how far each view misses with a camera, px."""
+    return np.array([typical_px(pose_residual(v, fitted.camera)) for v in views])
 
 
 def typical_px(residuals: np.ndarray) -> float:
@@ -132,30 +153,23 @@ def drop_corners(fitted: Fit) -> tuple[list[View], int]:
     limit = CORNER_RATIO * max(FLOOR_PX, typical_px(np.concatenate(fitted.residuals)))
     out, dropped = [], 0
     for view, residual in zip(fitted.views, fitted.residuals, strict=True):
-        kept = np.ones(len(view.ids), bool)
         trimmed = view
         while (misses := np.linalg.norm(residual, axis=1)).max() > limit:
-            kept[np.flatnonzero(kept)[misses.argmax()]] = False
+            kept = np.arange(len(misses)) != misses.argmax()
+            other = trimmed.alternative
             trimmed = replace(
-                view,
-                ids=view.ids[kept],
-                board_m=view.board_m[kept],
-                pixels=view.pixels[kept],
+                trimmed,
+                ids=trimmed.ids[kept],
+                board_m=trimmed.board_m[kept],
+                pixels=trimmed.pixels[kept],
+                alternative=None if other is None else other[kept],
             )
-            if (~kept).sum() > MOST_CORNERS * len(kept):
-                kept[:] = True
+            if len(view.ids) - len(trimmed.ids) > MOST_CORNERS * len(view.ids):
+                trimmed = view
                 break
             residual = pose_residual(trimmed, fitted.camera)
-        if kept.all():
-            out.append(view)
-            continue
-        dropped += int((~kept).sum())
-        out.append(
-            replace(
-                trimmed,
-                alternative=None if view.alternative is None else view.alternative[kept],
-            )
-        )
+        dropped += len(view.ids) - len(trimmed.ids)
+        out.append(trimmed)
     return out, dropped
 
 
@@ -164,39 +178,6 @@ def rejection_limit_px(view_rms_px: np.ndarray) -> float:
     median = float(np.median(view_rms_px))
     spread = 1.4826 * float(np.median(np.abs(view_rms_px - median)))
     return max(FLOOR_PX, REJECT_RATIO * median, median + REJECT_SIGMA * spread)
-
-
-def _most_agreed(views: Sequence[View], model: LensModel) -> list[View] | None:
-    """The views that the best of some small subsets agrees with; None if all views together
-    are as good.
-    """
-    if len(views) <= SUBSET_SIZE:
-        return None
-    rng = np.random.default_rng(0)
-    candidates: list[Sequence[View]] = [views]
-    candidates += [
-        [views[i] for i in rng.choice(len(views), SUBSET_SIZE, replace=False)]
-        for _ in range(SUBSETS)
-    ]
-    best, best_score, best_index = None, float("inf"), 0
-    for index, subset in enumerate(candidates):
-        try:
-            camera = fit(subset, model).camera
-        except NothingToDoError:
-            continue
-        errors = np.array([typical_px(pose_residual(v, camera)) for v in views])
-        score = float(
-            np.quantile(errors, 0.6)
-        )  # a majority must agree; what the others say does not matter
-        # a small subset must be clearly better: its intrinsics are weaker, so equal
-        # agreement speaks for all views
-        if score < best_score * (1.0 if best_index else 0.7) or best is None:
-            best, best_score, best_index = errors, score, index
-    if best is None or best_index == 0:
-        return None
-    limit = max(FLOOR_PX, 3.0 * float(np.quantile(best, 0.3)))
-    agreed = [v for v, e in zip(views, best, strict=True) if e <= limit]
-    return agreed if len(agreed) >= 3 else None
 
 
 def picture_sharpness(gray: np.ndarray) -> float:

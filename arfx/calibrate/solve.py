@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -31,38 +32,46 @@ FOLDS = 7
 # An improvement of the held-out error by less than this is not worth a parameter, however
 # certain it is.
 LEAST_GAIN = 0.005
-NO_K = cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-9)
 
 
-@dataclass(frozen=True, slots=True)
-class LensModel:
-    """A nested lens model. free : indices into OpenCV's coefficients that are estimated;
-    the others are zero.
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+# What keeps OpenCV from estimating the coefficients from the first, second, … on.
+FIXED = {
+    0: cv2.CALIB_FIX_K1,
+    1: cv2.CALIB_FIX_K2,
+    2: cv2.CALIB_ZERO_TANGENT_DIST,
+    4: cv2.CALIB_FIX_K3,
+}
+
+
+class LensModel(NamedTuple):
+    """A nested lens model. count : of OpenCV's coefficients that are estimated, from the
+    first on; the others are zero.
     """
 
-    name: str
-    flags: int
-    free: tuple[int, ...]
-    size: int = 5
+    count: int
+
+    @property
+    def name(self) -> str:
+        names = {0: "pinhole", len(COEFFICIENTS): "rational"}
+        return names.get(self.count, " ".join(COEFFICIENTS[: self.count]))
+
+    @property
+    def flags(self) -> int:
+        rational = cv2.CALIB_RATIONAL_MODEL * (self.count > 5)
+        return rational + sum(flag for i, flag in FIXED.items() if i >= self.count)
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        return ("fx", "fy", "cx", "cy", *(COEFFICIENTS[i] for i in self.free))
+        return ("fx", "fy", "cx", "cy", *COEFFICIENTS[: self.count])
+
+    def by_parameters(self, jacobian: np.ndarray) -> np.ndarray:
+        """(2n, p) of OpenCV's derivatives of projected points those by `parameters`."""
+        return jacobian[:, 6 : 10 + self.count]
 
 
-COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-# Each model holds the one before it.
-MODELS = (
-    LensModel("pinhole", NO_K | cv2.CALIB_ZERO_TANGENT_DIST, ()),
-    LensModel(
-        "k1", cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0,)
-    ),
-    LensModel("k1 k2", cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST, (0, 1)),
-    LensModel("k1 k2 p1 p2", cv2.CALIB_FIX_K3, (0, 1, 2, 3)),
-    LensModel("k1 k2 p1 p2 k3", 0, (0, 1, 2, 3, 4)),
-    LensModel("rational", cv2.CALIB_RATIONAL_MODEL, (0, 1, 2, 3, 4, 5, 6, 7), 8),
-)
+MODELS = tuple(map(LensModel, (0, 1, 2, 4, 5, 8)))  # each holds the one before it
 FIRST_MODEL = MODELS[2]  # for telling good views from bad ones, before a model is chosen
 
 
@@ -94,7 +103,7 @@ class Fit:
     @property
     def values(self) -> np.ndarray:
         c = self.camera
-        return np.array([c.fx, c.fy, c.cx, c.cy, *c.distortion[list(self.model.free)]])
+        return np.array([c.fx, c.fy, c.cx, c.cy, *c.distortion[: self.model.count]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,24 +149,18 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
             pixels,
             views[0].size,
             np.eye(3),
-            np.zeros(model.size),
+            np.zeros(max(5, model.count)),
             flags=model.flags,
             criteria=STOP,
         )
-        if not (
-            np.isfinite(matrix).all()
-            and matrix[0, 0] > 0
-            and matrix[1, 1] > 0
-            and np.isfinite(distortion).all()
-        ):
-            raise ArfxError("not finite")
+        lens = np.ravel(distortion)[: max(5, model.count)]
+        camera = Camera(*views[0].size, matrix, lens)  # refuses what is not finite
     except (cv2.error, ArfxError):
         raise NothingToDoError(
             f"{len(views)} views of the board do not determine a camera",
             "take pictures with the board tilted by 20 to 45 degrees in different"
             " directions",
         ) from None
-    camera = Camera(*views[0].size, matrix, np.ravel(distortion)[: model.size])
     r, t = np.reshape(rvecs, (-1, 3)), np.reshape(tvecs, (-1, 3))
     residuals = tuple(
         v.pixels - _projected(v, r[i], t[i], camera) for i, v in enumerate(views)
@@ -189,16 +192,6 @@ def pose_residual(view: View, camera: Camera) -> np.ndarray:
     return np.where(np.isfinite(out), out, np.inf)
 
 
-def jacobians(
-    view: View, rvec: np.ndarray, tvec: np.ndarray, camera: Camera, model: LensModel
-) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the projected corners (2n, .): by the intrinsics of the model (2n, p),
-    and by the pose (2n, 6).
-    """
-    j = cv2.projectPoints(view.board_m, rvec, tvec, camera.matrix, camera.distortion)[1]
-    return np.hstack([j[:, 6:10], j[:, [10 + i for i in model.free]]]), j[:, :6]
-
-
 def without_pose(by_intrinsics: np.ndarray, by_pose: np.ndarray) -> np.ndarray:
     """What of the intrinsics' derivatives (2n, p) no motion of the board can imitate: the
     projection off `by_pose` (2n, 6).
@@ -216,13 +209,15 @@ def information(fitted: Fit) -> list[np.ndarray]:
     """Per view, J (2n, p): sum of J^T J is the normal matrix of the intrinsics with all
     poses eliminated.
     """
-    parts = (
-        jacobians(
-            v, fitted.rotations[i], fitted.translations[i], fitted.camera, fitted.model
-        )
-        for i, v in enumerate(fitted.views)
-    )
-    return [without_pose(a, b) for a, b in parts]
+    out = []
+    for view, *pose in zip(
+        fitted.views, fitted.rotations, fitted.translations, strict=True
+    ):
+        j = cv2.projectPoints(
+            view.board_m, *pose, fitted.camera.matrix, fitted.camera.distortion
+        )[1]
+        out.append(without_pose(fitted.model.by_parameters(j), j[:, :6]))
+    return out
 
 
 def uncertainty(fitted: Fit) -> Uncertainty:

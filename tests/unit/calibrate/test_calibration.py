@@ -168,12 +168,15 @@ def test_tilt_is_told_by_the_near_edge(
 
 def test_judging() -> None:
     fine = {
-        limit.name: limit.good * 2 if limit.more else limit.good / 2 for limit in LIMITS
+        limit.name: limit.good * 2 if limit.good > limit.poor else limit.good / 2
+        for limit in LIMITS
     }
     assert judge(fine) == (GOOD, ())
     for limit in LIMITS:
         between = fine | {limit.name: (limit.good + limit.poor) / 2}
-        beyond = fine | {limit.name: limit.poor / 2 if limit.more else limit.poor * 2}
+        beyond = fine | {
+            limit.name: limit.poor / 2 if limit.good > limit.poor else limit.poor * 2
+        }
         assert judge(between)[0] == USABLE, limit.name
         assert judge(beyond)[0] == POOR, limit.name
         assert judge(fine | {limit.name: float("nan")})[0] == POOR
