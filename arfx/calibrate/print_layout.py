@@ -9,6 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,7 +37,7 @@ TEXT_MM = 3.0  # height of letters
 MM_PER_INCH = 25.4
 LINE_MM = 0.2
 CAP_FRACTION = 0.72  # height of capitals over a font's size
-LARGEST_PX = 30000  # along one side of a PNG: 900 MB in memory
+LARGEST_PX = 30000  # along one side of a PNG: 3.6 GB in memory
 RULER_MM = (100.0, 50.0)  # the first that fits
 
 
@@ -276,30 +277,43 @@ def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:
             f"{path}: cannot write {ending or 'a file without ending'}",
             "a name that ends in .pdf, .svg or .png",
         )
-    with atomic_write(path) as part:
-        if ending == ".png":
-            _png(sheet, part, dpi)
-        else:
-            _drawn(sheet, part, ending[1:])
-
-
-def _drawn(sheet: Sheet, path: Path, kind: str) -> None:
-    """PDF or SVG: both in points."""
+    width, height, scale = sheet.width_mm, sheet.height_mm, dpi / MM_PER_INCH
+    if ending == ".png":
+        size = round(width * scale), round(height * scale)
+        if not 36 <= dpi <= 4800 or max(size) > LARGEST_PX:
+            raise ConfigError(
+                f"{dpi:g} dpi gives a picture of {size[0]}x{size[1]} px",
+                f"36 to 4800 dpi, up to {LARGEST_PX} px; or .pdf, .svg",
+            )
+        width, height = ((side + 1e-3) / scale for side in size)  # whole pixels
     from matplotlib import rc_context
+
+    figure = _figure(sheet, width, height)
+    # no date and no random names, so that the same sheet gives the same bytes
+    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}, ".png": {}}[ending]
+    with (
+        atomic_write(path) as part,
+        rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}),
+    ):
+        figure.savefig(
+            part, format=ending[1:], dpi=dpi, metadata={"Title": sheet.title, **undated}
+        )
+
+
+def _figure(sheet: Sheet, width_mm: float, height_mm: float) -> Any:
+    """The sheet from its upper left corner, as large as that."""
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
-    figure = Figure(figsize=(sheet.width_mm / MM_PER_INCH, sheet.height_mm / MM_PER_INCH))
+    figure = Figure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH))
     axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(xlim=(0, sheet.width_mm), ylim=(sheet.height_mm, 0))
+    axes.set(xlim=(0, width_mm), ylim=(height_mm, 0))
     axes.set_axis_off()
     for cells in sheet.cells:
-        path_of_all = Outline.make_compound_path_from_polys(
-            outlines(cells)[:, [0, 1, 2, 3, 0]]
-        )
+        outline = Outline.make_compound_path_from_polys(outlines(cells)[:, [0, 1, 2, 3, 0]])
         axes.add_patch(
-            PathPatch(path_of_all, facecolor="black", edgecolor="none", linewidth=0)
+            PathPatch(outline, facecolor="black", edgecolor="none", linewidth=0, snap=True)
         )
     for x0, y0, x1, y1 in sheet.lines:
         axes.plot(
@@ -310,47 +324,7 @@ def _drawn(sheet: Sheet, path: Path, kind: str) -> None:
             solid_capstyle="butt",
             clip_on=False,
         )
+    size_pt = TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72
     for t in sheet.texts:
-        axes.text(
-            t.x_mm,
-            t.y_mm,
-            t.words,
-            ha="center",
-            va="baseline",
-            fontsize=TEXT_MM / CAP_FRACTION / MM_PER_INCH * 72,
-        )
-    # no date and no random names, so that the same sheet gives the same bytes
-    undated = {"CreationDate" if kind == "pdf" else "Date": None}
-    with rc_context({"svg.hashsalt": "arfx", "svg.fonttype": "none"}):
-        figure.savefig(path, format=kind, metadata={"Title": sheet.title, **undated})
-
-
-def _png(sheet: Sheet, path: Path, dpi: float) -> None:
-    from PIL import Image, ImageDraw, ImageFont
-
-    scale = dpi / MM_PER_INCH
-    size = round(sheet.width_mm * scale), round(sheet.height_mm * scale)
-    if not 36 <= dpi <= 4800 or max(size) > LARGEST_PX:
-        raise ConfigError(
-            f"{dpi:g} dpi gives a picture of {size[0]}x{size[1]} px",
-            f"36 to 4800 dpi, up to {LARGEST_PX} px; or .pdf, .svg",
-        )
-    picture = np.full((size[1], size[0]), 255, np.uint8)
-    for cells in sheet.cells:
-        rows, columns = cells.black.shape
-        xs = np.round((cells.x_mm + cells.cell_mm * np.arange(columns + 1)) * scale).astype(
-            int
-        )
-        ys = np.round((cells.y_mm + cells.cell_mm * np.arange(rows + 1)) * scale).astype(
-            int
-        )
-        for r, c in np.argwhere(cells.black):
-            picture[ys[r] : ys[r + 1], xs[c] : xs[c + 1]] = 0
-    image = Image.fromarray(picture)
-    draw = ImageDraw.Draw(image)
-    for line in sheet.lines:
-        draw.line([v * scale for v in line], fill=0, width=max(1, round(LINE_MM * scale)))
-    font = ImageFont.load_default(TEXT_MM / CAP_FRACTION * scale)
-    for t in sheet.texts:
-        draw.text((t.x_mm * scale, t.y_mm * scale), t.words, fill=0, font=font, anchor="ms")
-    image.save(path, format="PNG", dpi=(dpi, dpi))
+        axes.text(t.x_mm, t.y_mm, t.words, ha="center", va="baseline", fontsize=size_pt)
+    return figure

@@ -33,7 +33,7 @@ def png(tmp_path: Path, specs: list[str], page: str = "a4", dpi: float = 254) ->
     write_sheet(lay_out(parse_targets(specs), page), path, dpi)
     with Image.open(path) as image:
         assert image.info["dpi"] == pytest.approx((dpi, dpi), abs=0.1)
-        return np.array(image)
+        return np.array(image.convert("L"))
 
 
 def markers(picture: np.ndarray, family: str) -> dict[int, np.ndarray]:
