@@ -4,6 +4,7 @@ when pictures are wanted.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +16,14 @@ from arfx.calibrate.advice import GRID, TILTED_DEG, grid_pixels
 from arfx.calibrate.calibration import Calibration
 from arfx.core.guard import atomic_write
 
-RESIDUALS, COVERAGE = "residuals.png", "coverage.png"
 DPI = 110
 
 
-def write_plots(result: Calibration, folder: Path, stem: str = "") -> list[Path]:
-    """Write the two pictures into an existing folder as STEMresiduals.png and
-    STEMcoverage.png; returns their paths.
-    """
-    out = []
-    for name, figure in ((RESIDUALS, _residuals(result)), (COVERAGE, _coverage(result))):
-        path = folder / f"{stem}{name}"
+def write_plots(result: Calibration, paths: Sequence[Path]) -> None:
+    """Write the two pictures, as PNG, into existing folders."""
+    for path, figure in zip(paths, (_residuals(result), _coverage(result)), strict=True):
         with atomic_write(path) as part:
             FigureCanvasAgg(figure).print_figure(part, format="png", dpi=DPI)
-        out.append(path)
-    return out
 
 
 def _residuals(result: Calibration) -> Figure:

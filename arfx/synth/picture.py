@@ -88,13 +88,10 @@ class Picture:
                 met,
             )
         if (sigma := scene.lens.softness_px) > 0:
-            kernel = cv2.getGaussianKernel(
-                2 * int(np.ceil(4 * sigma)) + 1, sigma, cv2.CV_64F
+            side = 2 * int(np.ceil(4 * sigma)) + 1
+            return np.asarray(
+                cv2.GaussianBlur(out, (side, side), sigma, borderType=cv2.BORDER_REPLICATE)
             )
-            blurred = cv2.sepFilter2D(
-                out, -1, kernel, kernel, borderType=cv2.BORDER_REPLICATE
-            )
-            return np.asarray(blurred, np.float64)
         return out
 
     def _sample(

@@ -15,6 +15,7 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, opencv_name
+from arfx.core.numerics import normalise
 from arfx.errors import InputError
 from arfx.media.images import decode_picture
 from arfx.synth.description import Texture
@@ -36,12 +37,10 @@ def texture_albedo(
         picture = decode_picture(
             (folder or Path()) / texture.file, "image", cv2.IMREAD_COLOR
         )
-        return SRGB.decode(picture[..., ::-1].astype(np.float32) / np.float32(255))
+        return SRGB.decode(picture[..., ::-1] / np.float32(255))
     rng = np.random.default_rng([seed, zlib.crc32(texture.kind.encode())])
     texel = max(max(size_m) / 1024, texture.feature_m / 6)
-    w, h = max(round(size_m[0] / texel), 2), max(round(size_m[1] / texel), 2)
-    a, b = np.array(texture.colour, np.float32), np.array(texture.second, np.float32)
-    cell = texture.feature_m / texel
+    w, h = (max(round(side / texel), 2) for side in size_m)
     make = {
         "wood": _wood,
         "carpet": _carpet,
@@ -49,10 +48,11 @@ def texture_albedo(
         "checker": _checker,
         "poster": _posters,
     }[texture.kind]
-    mix = make(rng, h, w, cell)
-    if mix.ndim == 3:
-        return np.clip(mix, 0.01, 0.95).astype(np.float32)
-    return np.clip(a + (b - a) * mix[..., None], 0.01, 0.95).astype(np.float32)
+    mix = make(rng, h, w, texture.feature_m / texel)
+    if mix.ndim == 2:
+        a, b = np.array([texture.colour, texture.second], np.float32)
+        mix = a + (b - a) * mix[..., None]
+    return np.clip(mix, 0.01, 0.95).astype(np.float32)
 
 
 def _smooth(
@@ -68,10 +68,9 @@ def _smooth(
 def _octaves(
     rng: np.random.Generator, h: int, w: int, cell_y: float, cell_x: float, count: int = 4
 ) -> np.ndarray:
-    total, weight = np.zeros((h, w), np.float32), 0.0
+    total = np.zeros((h, w), np.float32)
     for k in range(count):
         total += _smooth(rng, h, w, max(cell_y / 2**k, 1), max(cell_x / 2**k, 1)) * 0.6**k
-        weight += 0.6**k
     spread = (total - total.mean()) / max(float(total.std()), 1e-6)
     return np.clip(0.5 + 0.25 * spread, 0, 1)
 
@@ -96,23 +95,15 @@ def _wood(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarray:
     dark joints.
     """
     board = max(cell * 5, 4)
-    y = np.arange(h, dtype=np.float32)[:, None]
-    number = np.minimum((y / board).astype(int), int(h / board))[:, 0]
-    grain = np.zeros((h, w), np.float32)
+    number = (np.arange(h, dtype=np.float32) / board).astype(int)
     wave = _octaves(rng, h, w, cell, cell * 12, 4)
     fine = _smooth(rng, h, w, max(cell / 5, 1), cell * 3)
-    tone = rng.random(int(h / board) + 2).astype(np.float32)
-    shift = rng.integers(0, w, int(h / board) + 2)
-    for n in range(int(number.max()) + 1):
-        rows = np.flatnonzero(number == n)
-        grain[rows] = (
-            np.roll(0.55 * wave[rows] + 0.25 * fine[rows], int(shift[n]), axis=1)
-            + 0.3 * tone[n]
-        )
-        if rows.size and n:
-            grain[rows[0]] *= 0.35
-        joint = int(shift[n]) % w
-        grain[rows, joint] *= 0.4
+    tone = rng.random(int(h / board) + 2).astype(np.float32)[number]
+    shift = rng.integers(0, w, int(h / board) + 2)[number]
+    along = (np.arange(w) - shift[:, None]) % w
+    grain = np.take_along_axis(0.55 * wave + 0.25 * fine, along, 1) + 0.3 * tone[:, None]
+    grain[1:][np.diff(number) > 0] *= 0.35
+    grain[np.arange(h), shift] *= 0.4
     return np.clip(grain, 0, 1)
 
 
@@ -146,10 +137,7 @@ def marker_cells(spec: MarkerSpec) -> np.ndarray:
         getattr(cv2.aruco, opencv_name(spec.family))
     )
     side = dictionary.markerSize + 2
-    return (
-        np.asarray(cv2.aruco.generateImageMarker(dictionary, spec.id, side, borderBits=1))
-        > 127
-    )
+    return np.asarray(cv2.aruco.generateImageMarker(dictionary, spec.id, side)) > 127
 
 
 def sheet_albedo(
@@ -190,7 +178,8 @@ def environment_picture(source: str | Path, folder: Path | None = None) -> np.nd
 
 def _made(name: str) -> np.ndarray:
     h, w = 128, 256
-    z, towards = _directions(h, w)
+    towards, _ = _directions(h, w)
+    z = towards[..., 2]
     boxes: tuple[tuple[tuple[float, float, float], int, tuple[float, float, float]], ...]
     if name == "studio":  # grey room, two soft boxes and a warm strip
         base = np.repeat((0.25 + 0.1 * z)[..., None], 3, axis=2)
@@ -200,30 +189,23 @@ def _made(name: str) -> np.ndarray:
             ((-0.1, 0.9, 0.4), 8, (2.0, 1.4, 0.8)),
         )
     else:
-        sky = np.stack(
-            [
-                0.25 + 0.5 * (1 - np.abs(z)) ** 3,
-                0.3 + 0.25 * (1 - np.abs(z)) ** 3,
-                0.5 - 0.1 * np.abs(z),
-            ],
-            -1,
-        )
+        low = (1 - np.abs(z)) ** 3
+        sky = np.stack([0.25 + 0.5 * low, 0.3 + 0.25 * low, 0.5 - 0.1 * np.abs(z)], -1)
         base = np.where((z > 0)[..., None], sky, [0.12, 0.11, 0.1])
         boxes = (((0.85, 0.35, 0.4), 4, (70.0, 52.0, 30.0)),)
     for centre, radius_deg, rgb in boxes:
         unit = np.asarray(centre) / np.linalg.norm(centre)
-        base = np.where(
-            (towards @ unit > np.cos(np.radians(radius_deg)))[..., None], rgb, base
-        )
+        base[towards @ unit > np.cos(np.radians(radius_deg))] = rgb
     return base
 
 
 def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (h, w, 3) of a panorama's pixels, and the solid angles (h, w) of these."""
     elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
     azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
     e, a = np.meshgrid(elevation, azimuth, indexing="ij")
     towards = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
-    return towards[..., 2], towards
+    return towards, np.cos(e) * (np.pi / h) * (2 * np.pi / w)
 
 
 def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
@@ -231,42 +213,30 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     A region's radiance times its solid angle / pi is the rgb of its light (arfx.core.light
     folds pi in)."""
     h, w = picture.shape[:2]
-    _, towards = _directions(h, w)
-    solid = np.repeat(
-        (np.cos(np.pi * (0.5 - (np.arange(h) + 0.5) / h)) * (np.pi / h) * (2 * np.pi / w))[
-            :, None
-        ],
-        w,
-        1,
-    )
+    towards, solid = _directions(h, w)
     power = picture.mean(-1) * solid
-    regions = [(0, h, 0, w)]
+    regions = [np.s_[0:h, 0:w]]
     while len(regions) < count:
-        sizes = [
-            power[a:b, c:d].sum() if (b - a) * (d - c) > 1 else -1.0
-            for a, b, c, d in regions
-        ]
+        sizes = [power[r].sum() if power[r].size > 1 else -1.0 for r in regions]
         pick = int(np.argmax(sizes))
         if sizes[pick] <= 0:
             break
-        a, b, c, d = regions.pop(pick)
-        part = power[a:b, c:d]
-        middle = np.cos(np.pi * (0.5 - (a + b) / 2 / h))
-        down = (b - a) > (d - c) * 2 * h / w * middle if d - c > 1 else True
-        sums = part.sum(1 if down else 0).cumsum()
+        down, across = regions.pop(pick)
+        rows, columns = power[down, across].shape
+        middle = np.cos(np.pi * (0.5 - (down.start + down.stop) / 2 / h))
+        axis = 0 if columns == 1 or rows > columns * 2 * h / w * middle else 1
+        sums = power[down, across].sum(1 - axis).cumsum()
         cut = int(np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1))
-        regions += (
-            [(a, a + cut, c, d), (a + cut, b, c, d)]
-            if down
-            else [(a, b, c, c + cut), (a, b, c + cut, d)]
-        )
-    rows = []
-    for a, b, c, d in regions:
-        weight = power[a:b, c:d]
-        mean = (towards[a:b, c:d] * weight[..., None]).sum((0, 1))
-        size = float(np.linalg.norm(mean))
-        if size <= 0:
-            continue
-        rgb = (picture[a:b, c:d] * solid[a:b, c:d, None]).sum((0, 1)) / np.pi
-        rows.append([*(mean / size), *rgb, 0.0])
-    return np.array(rows, float).reshape(-1, 7)
+        whole = (down, across)[axis]
+        for half in (
+            slice(whole.start, whole.start + cut),
+            slice(whole.start + cut, whole.stop),
+        ):
+            regions.append((half, across) if axis == 0 else (down, half))
+    lights = []
+    for r in regions:
+        mean = (towards[r] * power[r][..., None]).sum((0, 1))
+        rgb = (picture[r] * solid[r][..., None]).sum((0, 1)) / np.pi
+        if mean.any():
+            lights.append([*normalise(mean), *rgb, 0.0])
+    return np.array(lights, float).reshape(-1, 7)

@@ -12,6 +12,7 @@ from arfx_cli.console import (
     message_options,
     overwrite_option,
     print_table,
+    result_of,
     say,
     tell,
 )
@@ -111,7 +112,7 @@ def command(inputs: tuple[str, ...], dry_run: bool, as_json: bool, **given: Any)
 
 
 def _show(document: dict[str, Any]) -> None:
-    rows = [(r["clip"], _result(r), f"{r['seconds']:.1f} s") for r in document["jobs"]]
+    rows = [(r["clip"], result_of(r), f"{r['seconds']:.1f} s") for r in document["jobs"]]
     print_table(_title(document), ("clip", "result", "time"), rows, words=2)
 
 
@@ -120,7 +121,7 @@ def _show_plans(document: dict[str, Any]) -> None:
         ((r.get("plan") or {}).get("predicted") or {}).get("wall") for r in document["jobs"]
     ]
     rows = [
-        (r["clip"], _result(r), *_predicted(wall))
+        (r["clip"], result_of(r), *_predicted(wall))
         for r, wall in zip(document["jobs"], walls, strict=True)
     ]
     total = ("all", "", *_predicted(document["predicted"]))
@@ -136,12 +137,6 @@ def _title(document: dict[str, Any]) -> str:
     count, failed = len(document["jobs"]), document["failed"]
     return f"{count} clip{'s' * (count != 1)}, " + (
         f"{failed} failed" if failed else "none failed"
-    )
-
-
-def _result(row: dict[str, Any]) -> str:
-    return (
-        f"exit {row['exit_code']}: {row['message']}" if row["exit_code"] else row["message"]
     )
 
 

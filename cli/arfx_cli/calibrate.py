@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -25,6 +24,7 @@ from arfx_cli.console import (
     overwrite_option,
     print_table,
     quiet,
+    result_of,
     say,
     tell,
 )
@@ -53,23 +53,14 @@ STILLS = {
 VIDEO_SEARCHED = 120
 
 
-@dataclass(frozen=True)
-class _Camera:
+class _Camera(NamedTuple):
     """named : what its pictures come from, for messages;  paths : pictures and videos;
-    output : its file
-    plots : folder and start of the names of its plots"""
+    output : its file;  plots : of residuals and of coverage"""
 
     named: str
     paths: list[Path]
     output: Path
-    plots: tuple[Path, str]
-
-    @property
-    def plot_files(self) -> list[Path]:
-        return [
-            self.plots[0] / f"{self.plots[1]}{name}"
-            for name in ("residuals.png", "coverage.png")
-        ]
+    plots: list[Path]
 
 
 @click.command()
@@ -139,7 +130,7 @@ def command(
     )
     for camera in cameras:
         guard.file(camera.output, folder_made=several)
-        for path in camera.plot_files:
+        for path in camera.plots:
             guard.file(path, folder_made=several or report is not None)
     if not several:
         found = _calibrate(cameras[0], spec, "")
@@ -148,40 +139,30 @@ def command(
         return
     rows: list[dict[str, Any]] = []
     for k, camera in enumerate(cameras):
-        row: dict[str, Any] = {
-            "input": camera.named,
-            "output": str(camera.output),
-            "exit_code": 0,
-            "message": "",
-        }
-        row["calibration"] = None
+        found, code, message = None, 0, ""
         try:
             camera.output.parent.mkdir(parents=True, exist_ok=True)
-            row["calibration"] = _calibrate(
-                camera, spec, f"{k + 1} of {len(cameras)} {Path(camera.named).name}"
-            )
-            row["message"] = row["calibration"]["verdict"]
+            title = f"{k + 1} of {len(cameras)} {Path(camera.named).name}"
+            found = _calibrate(camera, spec, title)
+            message = found["verdict"]
         except Exception as e:
             if interrupt.pending():
                 raise
             code, message = explained(e)
-            row |= {"exit_code": code, "message": on_one_line(message)}
-            tell(f"{k + 1} of {len(cameras)} {camera.named}: error: {row['message']}")
-        rows.append(row)
+            message = on_one_line(message)
+            tell(f"{k + 1} of {len(cameras)} {camera.named}: error: {message}")
+        row = {"input": camera.named, "output": str(camera.output), "exit_code": code}
+        rows.append({**row, "message": message, "calibration": found})
     failed = sum(row["exit_code"] != 0 for row in rows)
     if as_json:
         emit_json({"cameras": rows, "failed": failed})
     else:
-        cells = [
-            (
-                r["input"],
-                ("", f"exit {r['exit_code']}: ")[r["exit_code"] != 0] + r["message"],
-                r["output"],
-            )
-            for r in rows
-        ]
-        title = f"{len(rows)} camera{'s' * (len(rows) != 1)}, {failed or 'none'} failed"
-        print_table(title, ("camera", "verdict", "output"), cells, words=3)
+        print_table(
+            f"{len(rows)} camera{'s' * (len(rows) != 1)}, {failed or 'none'} failed",
+            ("camera", "verdict", "output"),
+            [(row["input"], result_of(row), row["output"]) for row in rows],
+            words=3,
+        )
     if failed:
         click.get_current_context().exit(6)
 
@@ -195,10 +176,9 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     from arfx.calibrate.plots import write_plots
     from arfx.media.cameras import save_camera
 
-    paths, (folder, stem) = camera.paths, camera.plots
-    total = (
-        len(paths) if all(p.suffix.lower() in STILLS for p in paths) else None
-    )  # unknown for videos
+    paths = camera.paths
+    stills = all(p.suffix.lower() in STILLS for p in paths)
+    total = len(paths) if stills else None  # unknown for videos
     with Progress("pictures") as progress:
         if title:
             progress.begin(title)
@@ -206,8 +186,8 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
             _pictures(paths), spec, lambda searched, _: progress("search", searched, total)
         )
     result = calibrate(found)
-    folder.mkdir(parents=True, exist_ok=True)
-    written = write_plots(result, folder, stem)
+    camera.plots[0].parent.mkdir(parents=True, exist_ok=True)
+    write_plots(result, camera.plots)
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
     for line in summary(result):
         say(line)
@@ -222,19 +202,19 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
             f"{'*' if row['chosen'] else ' '} {row['model']}: held out"
             f" {row['held_out_rms_px']:.4f} px {row['rejected']}"
         )
-    say(f"wrote {camera.output}, {written[0]}, {written[1]}")
-    return document(result) | {
-        "output": str(camera.output),
-        "plots": [str(p) for p in written],
-    }
+    say(f"wrote {camera.output}, {camera.plots[0]}, {camera.plots[1]}")
+    plots = [str(path) for path in camera.plots]
+    return document(result) | {"output": str(camera.output), "plots": plots}
 
 
 def _one(named: str, paths: list[Path], output: Path, report: Path | None) -> _Camera:
+    beside = output.absolute().parent / f"{output.stem}-"
+    plots = ("residuals.png", "coverage.png")
     return _Camera(
         named,
         paths,
         output,
-        (report, "") if report else (output.absolute().parent, f"{output.stem}-"),
+        [report / p if report else beside.with_name(beside.name + p) for p in plots],
     )
 
 

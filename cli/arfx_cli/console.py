@@ -156,6 +156,12 @@ def print_table(
     Console(highlight=False).print(table)
 
 
+def result_of(row: dict[str, Any]) -> str:
+    """In words, of one of several inputs."""
+    failed = f"exit {row['exit_code']}: " if row["exit_code"] else ""
+    return failed + row["message"]
+
+
 class Progress:
     """A rich bar with ETA on a terminal, a plain line now and then otherwise, nothing with
     --quiet. A context manager.

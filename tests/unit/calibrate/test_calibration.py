@@ -223,7 +223,9 @@ def test_the_document_is_json_and_the_plots_are_pictures(
         good.fitted.model.parameters
     )
     assert any("verdict: good" in line for line in summary(good))
-    for path in write_plots(good, tmp_path, "x-"):
+    paths = [tmp_path / "x-residuals.png", tmp_path / "coverage.png"]
+    write_plots(good, paths)
+    for path in paths:
         picture = cv2.imread(str(path))
         assert picture is not None
         assert picture.shape[1] > 1000
