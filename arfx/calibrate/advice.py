@@ -7,7 +7,6 @@ Source of the projection uncertainty: mrcal's documentation, "Projection uncerta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -104,8 +103,7 @@ LIMITS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(NamedTuple):
     """word : good, usable or poor; reasons : what keeps it from being good, worst first,
     empty for good; next_picture : how to hold the board"""
 
@@ -175,8 +173,7 @@ def next_picture(seen: Coverage) -> str:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Coverage:
+class Coverage(NamedTuple):
     """counts : (rows, columns) corners per cell of the picture; cells : share of the cells
     with a corner;
     radius : farthest corner from the picture's centre over half the diagonal; tilt_deg,

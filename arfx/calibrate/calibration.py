@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -51,8 +51,7 @@ class Picture(NamedTuple):
     turn: int = 1
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
+class Found(NamedTuple):
     """Detection's result. spec : the board, its pattern corrected where the pictures say
     so; searched : pictures looked at;
     empty : names of those without the board, with what was seen there; notices : for the user
@@ -66,8 +65,7 @@ class Found:
     notices: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(NamedTuple):
     """fitted, known, seen : solution, uncertainty from the views alone, coverage. finder_sd
     : (p,) what the choice of corner finder adds, 0 where there is only one;
     standard_deviations : (p,) both together. evidence : every lens model's showing"""
@@ -242,7 +240,7 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     between = _finder_difference(fitted)
     seen = coverage(fitted)
     # the difference between finders is one direction of the parameters, not p independent ones
-    total = replace(known, covariance=known.covariance + np.outer(between, between))
+    total = known._replace(covariance=known.covariance + np.outer(between, between))
     sd = total.standard_deviations
     projection = projection_uncertainty_px(fitted, total)
     measured = figures(

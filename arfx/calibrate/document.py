@@ -4,7 +4,6 @@ people.
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -75,8 +74,8 @@ def document(result: Calibration) -> dict[str, Any]:
             "used": len(fitted.views),
             "without_board": list(result.found.empty),
             "other_boards": list(result.found.instead),
-            "copies": [asdict(view) for view in result.copies],
-            "rejected": [asdict(view) for view in result.rejected],
+            "copies": [view._asdict() for view in result.copies],
+            "rejected": [view._asdict() for view in result.rejected],
             "upside_down": list(result.upside_down),
         },
         "views": [

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -41,8 +40,7 @@ LARGEST_PX = 30000  # along one side of a PNG: 3.6 GB in memory
 RULER_MM = (100.0, 50.0)  # the first that fits
 
 
-@dataclass(frozen=True, eq=False)
-class Cells:
+class Cells(NamedTuple):
     """Square cells of one size.
 
     x_mm, y_mm : upper left corner; cell_mm : side; black : (rows, columns) bool
@@ -54,8 +52,7 @@ class Cells:
     black: np.ndarray
 
 
-@dataclass(frozen=True, slots=True)
-class Text:
+class Text(NamedTuple):
     """Middle of the baseline at (x_mm, y_mm); letters `TEXT_MM` high."""
 
     x_mm: float
@@ -63,8 +60,7 @@ class Text:
     words: str
 
 
-@dataclass(frozen=True, eq=False)
-class Sheet:
+class Sheet(NamedTuple):
     """A page. lines : (x0, y0, x1, y1) mm, thin black"""
 
     title: str

@@ -17,7 +17,6 @@ that for the choice.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -75,8 +74,7 @@ MODELS = tuple(map(LensModel, (0, 1, 2, 4, 5, 8)))  # each holds the one before 
 FIRST_MODEL = MODELS[2]  # for telling good views from bad ones, before a model is chosen
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(NamedTuple):
     """A least squares solution.
 
     views : the V views it rests on; rotations, translations : (V, 3) board to camera,
@@ -106,8 +104,7 @@ class Fit:
         return np.array([c.fx, c.fy, c.cx, c.cy, *c.distortion[: self.model.count]])
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
+class Uncertainty(NamedTuple):
     """covariance : (p, p) of `model.parameters`, the jackknife's, or that of independent
     errors where it is larger; independent, jackknife : (p,) standard deviations of each;
     sigma_px : noise of one coordinate of one corner;
@@ -270,8 +267,7 @@ def _inverse(normal: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, len(values) * np.finfo(float).eps)) @ vectors.T
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
+class Evidence(NamedTuple):
     """One model's showing. held_out_px : (V,) rms per view, predicted from the other views,
     in the order of the views;
     rejected : why it cannot be used, or empty"""

@@ -24,12 +24,15 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
     Raises ConfigError naming the words, also for an option and a --set that give one key
     different values."""
     tree: dict[str, Any] = {}
-    others: list[Given] = [(*parse_setting(text), f"--set {text}") for text in texts]
-    for path, value, words in others:
-        _set_value(tree, path, value, words)
+    for text in texts:
+        _set_value(tree, *parse_setting(text), f"--set {text}")
     for path, value, words in options:
-        _check_conflicts(path, value, words, others)
-        _set_value(tree, path, value, words)
+        before = _set_value(tree, path, value, words)
+        if before is not None and _meaning(path, value) != _meaning(path, before):
+            raise ConfigError(
+                f"{words} and --set give different values to {'.'.join(path)}",
+                "give one of them",
+            )
     return tree
 
 
@@ -85,9 +88,11 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> None:
-    """Put a value into nested tables. Raises ConfigError where the way is barred."""
-    at = tree
+def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> Any:
+    """Put a value into nested tables; returns what was there. Raises ConfigError where the
+    way is barred.
+    """
+    at: Any = tree
     for part in path[:-1]:
         at = at.setdefault(part, {})
         if not isinstance(at, dict):
@@ -95,31 +100,13 @@ def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str
                 f"{words}: {part!r} was given a value of its own, it has no keys",
                 "give one of them",
             )
-    if isinstance(at.get(path[-1]), dict):
+    before = at.get(path[-1])
+    if isinstance(before, dict):
         raise ConfigError(
             f"{words}: keys of {path[-1]!r} were given values already", "give one of them"
         )
     at[path[-1]] = value
-
-
-def _check_conflicts(
-    path: Sequence[str], value: Any, words: str, others: Sequence[Given]
-) -> None:
-    """Refuse a --set that gives another value to the key that an option gives: one of them
-    would be lost unsaid.
-    """
-    for other_path, other, other_words in reversed(
-        others
-    ):  # of several --set the last one counts
-        common = min(len(path), len(other_path))
-        if tuple(other_path[:common]) != tuple(path[:common]):
-            continue
-        if len(other_path) != len(path) or _meaning(path, value) != _meaning(path, other):
-            raise ConfigError(
-                f"{words} and {other_words} give different values to {'.'.join(path)}",
-                "give one of them",
-            )
-        return
+    return before
 
 
 def _meaning(path: Sequence[str], value: Any) -> Any:

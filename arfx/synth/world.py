@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import itertools
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -34,8 +34,7 @@ from arfx.synth.textures import (
 from arfx.synth.tracer import Room
 
 
-@dataclass(frozen=True, eq=False)
-class SceneState:
+class SceneState(NamedTuple):
     """The scene at one time. room_from_object : by object number - 1"""
 
     room: Room
