@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from arfx.core.opener import printable
 from arfx.errors import counted
 from arfx_cli.console import FILE, detail, emit_json, message_options, print_table, tell
 
@@ -71,12 +72,9 @@ def _detail(document: dict[str, Any]) -> None:
 
 
 def _print(document: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     from arfx.analyse.markers.detect import SCANNED_FAMILIES
 
-    console, c, light = Console(highlight=False), document["clip"], document["light"]
+    c, light = document["clip"], document["light"]
     pixels = (
         f"{c['pixel_format']}, {'full' if c['full_range'] else 'limited'} range,"
         f" {c['matrix']}"
@@ -110,17 +108,12 @@ def _print(document: dict[str, Any]) -> None:
             f" to {light['black_fraction']:.1%}"
         )
     )
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    table.add_column()
-    table.add_column(overflow="fold")
     for name, value in (
         ("clip", c["path"]),
         (
             "picture",
-            (
-                f"{c['width']}x{c['height']}, {c['codec']}, {pixels}, rotation"
-                f" {c['rotation_deg']}°"
-            ),
+            f"{c['width']}x{c['height']}, {c['codec']}, {pixels}, rotation"
+            f" {c['rotation_deg']}°",
         ),
         ("time", times),
         ("other streams", others),
@@ -129,11 +122,10 @@ def _print(document: dict[str, Any]) -> None:
         *(("damage", text) for text in [c["truncated"]] if text),
         *(("note", text) for text in c["notices"]),
     ):
-        table.add_row(name, str(value))
-    console.print(table)
+        click.echo(f"{name:15}{printable(str(value))}")
     looked = len(document["samples"])
     if not document["markers"]:
-        console.print(
+        click.echo(
             f"\nNo marker was found in {counted(looked, 'sampled frames')} (dictionaries"
             f" tried: {', '.join(SCANNED_FAMILIES)})."
         )
@@ -158,17 +150,13 @@ def _print(document: dict[str, Any]) -> None:
         rows,
     )
     _print_left_out(document)
-    console.print(
-        f"A marker is in {document['marker_coverage']:.0%} of the sampled frames."
-    )
+    click.echo(f"A marker is in {document['marker_coverage']:.0%} of the sampled frames.")
     if document["camera"] is None:
-        console.print(
+        click.echo(
             "Calibrate the camera with `arfx calibrate`; without --camera the field of view"
             " is guessed."
         )
-    console.print(
-        "\nNext, with SIZE = the measured side of the black square (such as 165mm):"
-    )
+    click.echo("\nNext, with SIZE = the measured side of the black square (such as 165mm):")
     click.echo("  " + document["suggestion"])
 
 
