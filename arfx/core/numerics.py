@@ -57,6 +57,13 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 
+def direction_of(azimuth: np.ndarray | float, elevation: np.ndarray | float) -> np.ndarray:
+    """Unit vectors (..., 3) of angles in radians: from x towards y, and from there towards z."""
+    flat = np.cos(elevation)
+    xyz = flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)
+    return np.stack(xyz, -1)
+
+
 def condition(matrix: np.ndarray) -> float:
     """2-norm condition number; inf for a singular, empty or non-finite matrix."""
     m = np.asarray(matrix, float)

@@ -172,11 +172,11 @@ def _fill(
 def frame_truth(world: World, n: int) -> FrameTruth:
     """Everything that is known of a frame beside its pixels."""
     scene, time_s = world.scene, float(world.frame_times_s[n])
-    moment, camera_from_room = world.at(time_s), world.camera_at(n, time_s)
+    room, camera_from_room = world.at(time_s), world.camera_at(n, time_s)
     room_from_camera = camera_from_room.inverse()
     room_from_marker: dict[str, Pose] = {}
     markers: dict[str, MarkerTruth] = {}
-    for placed, pose in zip(scene.objects, moment.room_from_object, strict=True):
+    for placed, pose in zip(scene.objects, world.poses(time_s), strict=True):
         if (
             not isinstance(placed, Marker) or placed.spec.key in markers
         ):  # of two prints of one marker the first
@@ -196,8 +196,8 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             unoccluded(
                 np.ascontiguousarray(points),
                 room_from_camera.translation_m,
-                moment.room.rects,
-                moment.room.spheres,
+                room.rects,
+                room.spheres,
                 seen,
             )
             seen &= inside.all(-1)
@@ -216,7 +216,7 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             "rgb": row[3:6].tolist(),
             "angular_size_deg": float(2 * np.degrees(np.arctan(row[6]))),
         }
-        for row in ([] if scene.light.environment else moment.room.lights)
+        for row in ([] if scene.light.environment else room.lights)
     ]
     return FrameTruth(
         n,

@@ -109,7 +109,7 @@ class Picture:
         bands = [(y, min(y + _BAND_ROWS, rows)) for y in range(0, rows, _BAND_ROWS)]
 
         def state(when: float) -> tuple[Room, Pose]:
-            return world.at(when).room, world.camera_at(frame, when).inverse()
+            return world.at(when), world.camera_at(frame, when).inverse()
 
         shared = None if roll else state(time_s)
 
@@ -132,7 +132,7 @@ class Picture:
         the frame's own time; 0 = nothing.
         """
         time_s = float(self.world.frame_times_s[frame])
-        room = self.world.at(time_s).room
+        room = self.world.at(time_s)
         pose = self.world.camera_at(frame, time_s).inverse()
         rays = self.rays(0.0, 0.0)
         depth, owner = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], np.uint8)

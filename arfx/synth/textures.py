@@ -15,7 +15,7 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, opencv_name
-from arfx.core.numerics import normalise
+from arfx.core.numerics import direction_of, normalise
 from arfx.errors import InputError
 from arfx.media.images import decode_picture
 from arfx.synth.description import Texture
@@ -204,8 +204,7 @@ def _directions(h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
     elevation = np.pi * (0.5 - (np.arange(h) + 0.5) / h)
     azimuth = 2 * np.pi * (0.5 - (np.arange(w) + 0.5) / w)
     e, a = np.meshgrid(elevation, azimuth, indexing="ij")
-    towards = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
-    return towards, np.cos(e) * (np.pi / h) * (2 * np.pi / w)
+    return direction_of(a, e), np.cos(e) * (np.pi / h) * (2 * np.pi / w)
 
 
 def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
@@ -215,28 +214,24 @@ def environment_lights(picture: np.ndarray, count: int) -> np.ndarray:
     h, w = picture.shape[:2]
     towards, solid = _directions(h, w)
     power = picture.mean(-1) * solid
-    regions = [np.s_[0:h, 0:w]]
+    towards, solid, power = towards.reshape(-1, 3), solid.ravel(), power.ravel()
+    regions = [np.arange(h * w).reshape(h, w)]  # of pixels
     while len(regions) < count:
-        sizes = [power[r].sum() if power[r].size > 1 else -1.0 for r in regions]
+        sizes = [power[r].sum() if r.size > 1 else -1.0 for r in regions]
         pick = int(np.argmax(sizes))
         if sizes[pick] <= 0:
             break
-        down, across = regions.pop(pick)
-        rows, columns = power[down, across].shape
-        middle = np.cos(np.pi * (0.5 - (down.start + down.stop) / 2 / h))
+        region = regions.pop(pick)
+        rows, columns = region.shape
+        middle = np.cos(np.pi * (0.5 - (region[0, 0] // w + rows / 2) / h))
         axis = 0 if columns == 1 or rows > columns * 2 * h / w * middle else 1
-        sums = power[down, across].sum(1 - axis).cumsum()
-        cut = int(np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1))
-        whole = (down, across)[axis]
-        for half in (
-            slice(whole.start, whole.start + cut),
-            slice(whole.start + cut, whole.stop),
-        ):
-            regions.append((half, across) if axis == 0 else (down, half))
+        sums = power[region].sum(1 - axis).cumsum()
+        cut = np.clip(np.searchsorted(sums, sums[-1] / 2) + 1, 1, len(sums) - 1)
+        regions += np.split(region, [int(cut)], axis)
     lights = []
     for r in regions:
         mean = (towards[r] * power[r][..., None]).sum((0, 1))
-        rgb = (picture[r] * solid[r][..., None]).sum((0, 1)) / np.pi
+        rgb = (picture.reshape(-1, 3)[r] * solid[r][..., None]).sum((0, 1)) / np.pi
         if mean.any():
             lights.append([*normalise(mean), *rgb, 0.0])
     return np.array(lights, float).reshape(-1, 7)

@@ -7,13 +7,12 @@ from __future__ import annotations
 import itertools
 import zlib
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from arfx.core.camera import Camera
-from arfx.core.numerics import divide, normalise, smoothstep
+from arfx.core.numerics import direction_of, divide, normalise, smoothstep
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.synth.description import (
     Box,
@@ -34,13 +33,6 @@ from arfx.synth.textures import (
 from arfx.synth.tracer import Room
 
 
-class SceneState(NamedTuple):
-    """The scene at one time. room_from_object : by object number - 1"""
-
-    room: Room
-    room_from_object: tuple[Pose, ...]
-
-
 class World:
     """Everything of a scene that does not depend on time, made once.
     camera : the true one;  frame_times_s : (frames,) from 0 at the first frame;  shots :
@@ -55,7 +47,9 @@ class World:
         self.frame_times_s = _frame_times(scene)
         self.shots = np.repeat(np.arange(len(scene.shot)), [s.frames for s in scene.shot])
         self._pictures: list[tuple[np.ndarray, float]] = []
-        rows = [row for i in range(len(scene.objects)) for row in self._make(i, folder)]
+        rows = [
+            row for i, p in enumerate(scene.objects, 1) for row in self._make(p, i, folder)
+        ]
         self._rects, self._spheres = (
             np.array([row for row in rows if len(row) == columns]).reshape(-1, columns)
             for columns in (18, 8)
@@ -82,51 +76,45 @@ class World:
         rows = []
         for li in self.scene.light.lamps:
             phase = np.sin(2 * np.pi * time_s / li.period_s)
-            a = np.radians(li.azimuth_deg + li.swing_deg[0] * phase)
-            e = np.radians(li.elevation_deg + li.swing_deg[1] * phase)
+            swing = np.multiply(li.swing_deg, phase)
+            angles = np.radians(np.add((li.azimuth_deg, li.elevation_deg), swing))
             # of two keys at one time the later holds from then on
             factor = np.interp(time_s, *np.array(li.brightness).T) if li.brightness else 1.0
-            direction = np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)
-            rows.append(
-                [
-                    *direction,
-                    *np.multiply(li.rgb, factor),
-                    np.tan(np.radians(li.angular_size_deg) / 2),
-                ]
-            )
+            disc = np.tan(np.radians(li.angular_size_deg) / 2)
+            rows.append([*direction_of(*angles), *np.multiply(li.rgb, factor), disc])
         return np.array(rows).reshape(-1, 7)
 
-    def _add(self, picture: np.ndarray, smooth: bool) -> int:
-        self._pictures.append((picture, float(smooth)))
-        return len(self._pictures) - 1
-
-    def _make(self, i: int, folder: Path | None) -> list[np.ndarray]:
+    def _make(self, p: SceneObject, number: int, folder: Path | None) -> list[np.ndarray]:
         """Rows of one object in its own axes."""
-        p, number, seed = self.scene.objects[i], i + 1, self.scene.seed * 1000 + i
         if isinstance(p, Sphere):
             return [np.array([0, 0, 0, p.radius_m, *p.colour, number], float)]
         x, y, z = np.eye(3)
-        if isinstance(p, Plane):
-            albedo = texture_albedo(p.texture, p.size_m, seed, folder)
-            tex = self._add(albedo, smooth=p.texture.kind != "checker")
-            return [_rect(0 * z, x, y, p.size_m[0] / 2, p.size_m[1] / 2, tex, number)]
+        hidden, size, gloss = self.scene.hidden, (0.0, 0.0), 0.0
         if isinstance(p, Marker):
-            hidden = self.scene.hidden
             picture, side = sheet_albedo(
                 p.spec, p.margin_cells, p.ink, p.paper, p.inverted, hidden.worn_ink
             )
-            tex = self._add(picture, smooth=False)
-            return [_rect(0 * z, x, y, side / 2, side / 2, tex, number, hidden.gloss)]
-        assert isinstance(p, Box)
-        w, d, h = p.size_m
-        albedo = texture_albedo(p.texture, (max(w, d), max(h, d)), seed, folder)
-        tex = self._add(albedo, smooth=True)
-        rows, half = [], np.array(p.size_m) / 2
-        for u, v in ((x, -y), (x, y), (-y, z), (y, z), (x, z), (-x, z)):
-            centre = half * np.cross(u, v) + h / 2 * z
-            rows.append(_rect(centre, u, v, half @ abs(u), half @ abs(v), tex, number))
-            rows[-1][17] = 1.0
-        return rows
+            size, smooth, gloss = (side, side), False, hidden.gloss
+        else:
+            assert isinstance(p, (Plane, Box))
+            size = (
+                p.size_m[:2]
+                if isinstance(p, Plane)
+                else np.maximum(p.size_m[::2], p.size_m[1])
+            )
+            picture = texture_albedo(
+                p.texture, size, self.scene.seed * 1000 + number - 1, folder
+            )
+            smooth = isinstance(p, Box) or p.texture.kind != "checker"
+        self._pictures.append((picture, float(smooth)))
+        texture = len(self._pictures) - 1
+        if not isinstance(p, Box):
+            return [_rect(0 * z, x, y, np.array([*size, 0.0]) / 2, texture, number, gloss)]
+        half = np.array(p.size_m) / 2
+        return [
+            _rect(half * np.cross(u, v) + half * z, u, v, half, texture, number, closed=1.0)
+            for u, v in ((x, -y), (x, y), (-y, z), (y, z), (x, z), (-x, z))
+        ]
 
     def poses(self, time_s: float) -> tuple[Pose, ...]:
         """room_from_object of every object."""
@@ -141,7 +129,8 @@ class World:
             for p, pose in zip(self.scene.objects, own, strict=True)
         )
 
-    def at(self, time_s: float) -> SceneState:
+    def at(self, time_s: float) -> Room:
+        """What stands where at a time."""
         poses = self.poses(time_s)
         turns = np.array([p.rotation for p in poses]).reshape(-1, 3, 3)
         shifts = np.array([p.translation_m for p in poses]).reshape(-1, 3)
@@ -155,7 +144,7 @@ class World:
             rows[:, : 3 * vectors] = placed.reshape(-1, 3 * vectors)
             return rows
 
-        room = Room(
+        return Room(
             moved(self._rects, 4, 15),
             moved(self._spheres, 1, 7),
             self.lights_at(time_s),
@@ -164,7 +153,6 @@ class World:
             self.table,
             self.sky,
         )
-        return SceneState(room, poses)
 
     def camera_at(self, frame: int, time_s: float) -> Pose:
         """camera_from_room at a time during (or next to) a frame, on the path of the
@@ -199,11 +187,20 @@ def true_camera(scene: SceneFile) -> Camera:
     )
 
 
-def _rect(centre, u, v, half_w, half_h, texture, number, gloss=0.0) -> np.ndarray:
-    u, v = np.asarray(u, float), np.asarray(v, float)
+def _rect(
+    centre: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    half: np.ndarray,
+    texture: int,
+    number: int,
+    gloss: float = 0.0,
+    closed: float = 0.0,
+) -> np.ndarray:
+    """half : (3,) of what it is a side of, along the object's axes"""
+    sides = half @ abs(u), half @ abs(v)
     return np.array(
-        [*centre, *u, *v, *np.cross(u, v), half_w, half_h, texture, number, gloss, 0.0],
-        float,
+        [*centre, *u, *v, *np.cross(u, v), *sides, texture, number, gloss, closed], float
     )
 
 
@@ -272,10 +269,7 @@ def camera_from_room(
         azimuth, elevation = np.radians(
             _along(np.array([path.azimuth_deg, path.elevation_deg]).T, time_s, duration_s)
         )
-        flat = np.cos(elevation)
-        position = target + path.radius_m * np.array(
-            [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
-        )
+        position = target + path.radius_m * direction_of(azimuth, elevation)
     elif path.kind == "dolly":
         ease = smoothstep(_along(np.array([0.0, 1.0]), time_s, duration_s))
         position = (1 - ease) * position + ease * np.asarray(path.end_m)

@@ -33,7 +33,7 @@ position_m = [-0.2, 0, 0]
 
 def test_a_ray_meets_what_the_camera_sees() -> None:
     world = World(parse_scene(SCENE))
-    room, pose = world.at(0.0).room, world.camera_at(0, 0.0).inverse()
+    room, pose = world.at(0.0), world.camera_at(0, 0.0).inverse()
     room = room._replace(sky=np.full((2, 4, 3), 0.25))
     seen = Picture(world).radiance(0)
     for x, y in (
