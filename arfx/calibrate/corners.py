@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from arfx.calibrate.board import (
     CHARUCO,
@@ -74,146 +75,98 @@ def find_view(
     second_opinion : find chessboard corners with the other finder as well (3-10 x the time)
     """
     if spec.kind == CHESSBOARD:
-        return _chessboard(gray, spec, name, second_opinion)
+        found = _chessboard(gray, spec, second_opinion)
+    else:
+        found = _charuco(gray, spec)
+    if found is None:
+        return None
+    ids, pixels, finder, alternative = found
+    board = spec.corners_m[ids]
+    # least squares slope of pixel y on board y: does the board's y, down its rows, run
+    # upwards in the picture?
+    rise = ((board[:, 1] - board[:, 1].mean()) * (pixels[:, 1] - pixels[:, 1].mean())).sum()
+    return View(
+        name,
+        gray.shape[::-1],
+        ids,
+        board,
+        pixels,
+        finder,
+        corner_sharpness(gray, pixels),
+        None if spec.turn_is_ambiguous else bool(rise < 0),
+        alternative,
+    )
+
+
+_Corners = tuple[np.ndarray, np.ndarray, str, np.ndarray | None]  # of a View
+
+
+def _charuco(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
     corners, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(spec)).detectBoard(gray)
     if ids is None or len(ids) < LEAST_CHARUCO_CORNERS:
         return None
     ids = np.asarray(ids).ravel()
-    board = spec.corners_m[ids]
-    if (
-        np.linalg.matrix_rank(board[:, :2] - board[:, :2].mean(0), tol=0.1 * spec.square_m)
-        < 2
-    ):
+    board = spec.corners_m[ids, :2]
+    if np.linalg.matrix_rank(board - board.mean(0), tol=0.1 * spec.square_m) < 2:
         return None  # all on one row: no plane
-    grid = np.full((spec.inner[0] * spec.inner[1], 2), np.nan)
-    grid[ids] = np.asarray(corners, float).reshape(-1, 2)
     white = (1 - spec.marker_m / spec.square_m) / 2
-    pixels = _refined(
-        gray,
-        np.asarray(corners, np.float32),
-        CLEAR_FRACTION * white * nearest_corner_px(grid, spec.inner),
-    )
-    return _view(gray, spec, name, ids, pixels, "charuco", None)
+    return ids, _refined(gray, corners, CLEAR_FRACTION * white), "charuco", None
 
 
-def _refined(gray: np.ndarray, rough: np.ndarray, half_px: float) -> np.ndarray:
-    """(n, 2) corners refined in windows of half the side half_px, NaN = the smallest."""
-    half = (
-        int(np.clip(round(half_px), REFINE_MIN_PX, REFINE_MAX_PX))
-        if np.isfinite(half_px)
-        else REFINE_MIN_PX
-    )
-    refined = cv2.cornerSubPix(
-        gray, rough.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), STOP
-    )
-    return refined.reshape(-1, 2).astype(float)
+def _refined(gray: np.ndarray, rough: np.ndarray, share: float) -> np.ndarray:
+    """(n, 2) corners refined in windows of half the side `share` of the smallest distance
+    between two of them.
+    """
+    rough = np.asarray(rough, np.float32).reshape(-1, 2)
+    nearest = cKDTree(rough).query(rough, 2)[0][:, 1].min()
+    half = int(np.clip(round(share * nearest), REFINE_MIN_PX, REFINE_MAX_PX))
+    return cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).astype(float)
 
 
-def _chessboard(
-    gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool
-) -> View | None:
+def _chessboard(gray: np.ndarray, spec: BoardSpec, second_opinion: bool) -> _Corners | None:
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, rough = cv2.findChessboardCorners(gray, spec.inner, flags=flags)
-    finder, sectors = "gradient", None
-    if not found:
-        found, rough = cv2.findChessboardCornersSB(
-            gray, spec.inner, flags=cv2.CALIB_CB_NORMALIZE_IMAGE
+    finder, others = "gradient", []
+    if second_opinion or not found:
+        by_sectors, corners = cv2.findChessboardCornersSB(
+            gray, spec.inner, flags=0 if found else cv2.CALIB_CB_NORMALIZE_IMAGE
         )
-        finder, sectors = "gradient on the sector grid", rough
-        if not found:
+        if by_sectors:
+            sectors = np.asarray(corners, float).reshape(-1, 2)
+            others = [sectors, sectors[::-1]]
+    if not found:
+        if not others:
             return None
-    elif second_opinion:
-        ok, other = cv2.findChessboardCornersSB(gray, spec.inner, flags=0)
-        sectors = other if ok else None
-    rough = np.asarray(rough, np.float32).reshape(-1, 1, 2)
+        finder, rough = "gradient on the sector grid", others[0]
     # one pass only: a first one with a larger window (to pull back corners that the grid
     # search left far off) moved corners of left02 in OpenCV's set to their neighbours'
     # edges; such corners are rather dropped later (screen.drop_corners)
-    nearest = nearest_corner_px(rough.reshape(-1, 2).astype(float), spec.inner)
-    pixels = _refined(gray, rough, REFINE_FRACTION * nearest)
+    pixels = _refined(gray, rough, REFINE_FRACTION)
     # the other finder's corners in our order, unless it numbers them in a way that is not a
-    # half turn, or is far off
-    others = (
-        [] if sectors is None else [o := np.asarray(sectors, float).reshape(-1, 2), o[::-1]]
-    )
-    near = (
-        o.copy() for o in others if np.linalg.norm(o - pixels, axis=1).max() < 3.0
-    )  # px; more is another corner
+    # half turn, or is far off: 3 px away is another corner
+    near = (o for o in others if np.linalg.norm(o - pixels, axis=1).max() < 3.0)
     alternative = next(near, None)
     grid = pixels.reshape(spec.inner[1], spec.inner[0], 2)
     # the inner squares next to the first and the last corner: they lie inside the grid, so
     # they are always in the picture. Is the first white, its opposite black? Then the grid
     # is turned
     ends = [grid[:2, :2].mean((0, 1)), grid[-2:, -2:].mean((0, 1))]
-    first, last = (
-        float(cv2.getRectSubPix(gray, (3, 3), (float(x), float(y))).mean()) for x, y in ends
-    )
+    first, last = (cv2.getRectSubPix(gray, (3, 3), end.tolist()).mean() for end in ends)
     if not spec.turn_is_ambiguous and first > last:
         pixels = pixels[::-1].copy()
         alternative = None if alternative is None else alternative[::-1].copy()
-    return _view(gray, spec, name, np.arange(len(pixels)), pixels, finder, alternative)
-
-
-def _view(
-    gray: np.ndarray,
-    spec: BoardSpec,
-    name: str,
-    ids: np.ndarray,
-    pixels: np.ndarray,
-    finder: str,
-    other: np.ndarray | None,
-) -> View:
-    board = spec.corners_m[ids]
-    # least squares slope of pixel y on board y: does the board's y, down its rows, run
-    # upwards in the picture?
-    rise = ((board[:, 1] - board[:, 1].mean()) * (pixels[:, 1] - pixels[:, 1].mean())).sum()
-    upside_down = None if spec.turn_is_ambiguous else bool(rise < 0)
-    height, width = gray.shape
-    return View(
-        name,
-        (width, height),
-        ids,
-        board,
-        pixels,
-        finder,
-        corner_sharpness(gray, pixels),
-        upside_down,
-        other,
-    )
-
-
-def nearest_corner_px(pixels: np.ndarray, inner: tuple[int, int]) -> float:
-    """Smallest distance between neighbours, diagonal ones too, of a grid of corners (n, 2)
-    with NaN for missing ones.
-    """
-    grid = pixels.reshape(inner[1], inner[0], 2)
-    steps = (
-        grid[1:] - grid[:-1],
-        grid[:, 1:] - grid[:, :-1],
-        grid[1:, 1:] - grid[:-1, :-1],
-        grid[1:, :-1] - grid[:-1, 1:],
-    )
-    distances = np.concatenate([np.linalg.norm(s, axis=-1).ravel() for s in steps])
-    known = distances[np.isfinite(distances)]
-    return float(known.min()) if known.size else float("nan")
+    return np.arange(len(pixels)), pixels, finder, alternative
 
 
 def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:
     """Steepest grey step per pixel around the corners over the contrast there: 1 / edge
     width in px, ~0.5 sharp, 0 blurred.
     """
-    height, width = gray.shape
-    slopes = []
-    for x, y in np.round(pixels[:: max(1, len(pixels) // 24)]).astype(int):
-        patch = gray[
-            max(0, y - 5) : min(height, y + 6), max(0, x - 5) : min(width, x + 6)
-        ].astype(float)
-        if min(patch.shape) < 3:
-            continue
-        gy, gx = np.gradient(patch)
-        low, high = np.percentile(patch, (5, 95))
-        slopes.append(float(divide(np.percentile(np.hypot(gx, gy), 95), high - low)))
-    return float(np.median(slopes)) if slopes else 0.0
+    some = np.round(pixels[:: max(1, len(pixels) // 24)]).tolist()
+    patches = np.array([cv2.getRectSubPix(gray, (11, 11), at) for at in some], float)
+    slopes = np.percentile(np.hypot(*np.gradient(patches, axis=(1, 2))), 95, (1, 2))
+    low, high = np.percentile(patches, (5, 95), (1, 2))
+    return float(np.median(divide(slopes, high - low)))
 
 
 # The largest dictionary of each bit pattern: the smaller ones are its first ids.
