@@ -12,8 +12,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from arfx.calibrate.solve import Fit, Uncertainty, without_pose
-from arfx.core.numerics import angle_between, arccos
+from arfx.calibrate.solve import Fit, Uncertainty, grid_pixels, without_pose
+from arfx.core.numerics import arccos
 
 CELLS = (8, 6)  # across, down: at 4:3 they are square
 # a board tilted by less separates focal length from distance too weakly: its depth range is
@@ -214,7 +214,7 @@ def coverage(fitted: Fit) -> Coverage:
     tilt = np.degrees(arccos(-normals[:, 2]))
     # the normal leans away from the near edge, so the near edge lies on the opposite side
     azimuth = np.degrees(np.arctan2(-normals[:, 1], -normals[:, 0])) % 360
-    span = max(float(np.degrees(angle_between(n[None], normals)).max()) for n in normals)
+    span = float(np.degrees(arccos((normals @ normals.T).min())))
     quarter = ((azimuth + 45) % 360 // 90).astype(int)
     centre = np.array([(w - 1) / 2, (h - 1) / 2])
     radius = float(np.linalg.norm(points - centre, axis=1).max() / np.hypot(w / 2, h / 2))
@@ -229,21 +229,13 @@ def coverage(fitted: Fit) -> Coverage:
     )
 
 
-def grid_pixels(width: int, height: int) -> np.ndarray:
-    """(n, 2) pixels spread over the picture, GRID of them, borders included."""
-    x, y = np.meshgrid(
-        np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1])
-    )
-    return np.stack([x.ravel(), y.ravel()], -1)
-
-
 def projection_jacobian(fitted: Fit) -> np.ndarray:
     """(2n, p) how each grid pixel's projection moves with the intrinsics, a turn of the
     camera taken out.
 
     A change of intrinsics that only turns the picture is no error for anyone who estimates
     the pose with them. Pixels that no direction maps to are left out."""
-    rays = fitted.camera.directions(grid_pixels(fitted.camera.width, fitted.camera.height))
+    rays = fitted.camera.directions(grid_pixels(fitted.camera, *GRID))
     rays = rays[np.isfinite(rays).all(-1)]
     j = cv2.projectPoints(
         rays, np.zeros(3), np.zeros(3), fitted.camera.matrix, fitted.camera.distortion

@@ -13,6 +13,7 @@ Source: Förstner and Gülch 1987 (cornerSubPix); Duda and Frese 2018 (the secto
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -65,6 +66,7 @@ class View:
     sharpness: float = 0.0
     upside_down: bool | None = None
     alternative: np.ndarray | None = field(default=None, repr=False)
+    OF_CORNERS: ClassVar = ("ids", "board_m", "pixels", "alternative")
 
 
 def find_view(

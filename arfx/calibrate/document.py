@@ -17,7 +17,8 @@ def document(result: Calibration) -> dict[str, Any]:
 
     Lengths in px unless named otherwise; `camera_matrix` 3x3 nested.
     """
-    fitted, camera = result.fitted, result.fitted.camera
+    fitted, known, seen, found = result.fitted, result.known, result.seen, result.found
+    camera, sd = fitted.camera, result.projection_sd_px
 
     def by_name(values: np.ndarray) -> dict[str, float]:
         return dict(zip(fitted.model.parameters, values.tolist(), strict=True))
@@ -35,18 +36,18 @@ def document(result: Calibration) -> dict[str, Any]:
         "lens_model": fitted.model.name,
         "standard_deviations": by_name(result.standard_deviations),
         "standard_deviation_parts": {
-            "independent_corners": by_name(result.known.independent),
-            "between_views_jackknife": by_name(result.known.jackknife),
+            "independent_corners": by_name(known.independent),
+            "between_views_jackknife": by_name(known.jackknife),
             "between_corner_finders": by_name(result.finder_sd),
         },
         "reprojection_rms_px": fitted.rms_px,
         "held_out_rms_px": result.chosen.held_out_rms_px,
-        "corner_noise_px": result.known.sigma_px,
-        "condition": result.known.condition,
+        "corner_noise_px": known.sigma_px,
+        "condition": known.condition,
         "projection_sd_px": {
-            "median": float(np.median(result.projection_sd_px)),
-            "p90": float(np.quantile(result.projection_sd_px, 0.9)),
-            "worst": float(result.projection_sd_px.max()),
+            "median": float(np.median(sd)),
+            "p90": float(np.quantile(sd, 0.9)),
+            "worst": float(sd.max()),
         },
         "models": [
             {
@@ -60,20 +61,20 @@ def document(result: Calibration) -> dict[str, Any]:
             for e in result.evidence
         ],
         "coverage": {
-            "cells": result.seen.cells,
-            "counts": result.seen.counts.tolist(),
-            "radius": result.seen.radius,
-            "tilt_max_deg": float(result.seen.tilt_deg.max()),
-            "tilt_span_deg": result.seen.span_deg,
-            "tilt_directions": result.seen.directions,
+            "cells": seen.cells,
+            "counts": seen.counts.tolist(),
+            "radius": seen.radius,
+            "tilt_max_deg": float(seen.tilt_deg.max()),
+            "tilt_span_deg": seen.span_deg,
+            "tilt_directions": seen.directions,
         },
         "figures": result.figures,
         "pictures": {
-            "searched": result.found.searched,
-            "with_board": len(result.found.views),
+            "searched": found.searched,
+            "with_board": len(found.views),
             "used": len(fitted.views),
-            "without_board": list(result.found.empty),
-            "other_boards": list(result.found.instead),
+            "without_board": list(found.empty),
+            "other_boards": list(found.instead),
             "copies": [view._asdict() for view in result.copies],
             "rejected": [view._asdict() for view in result.rejected],
             "upside_down": list(result.upside_down),
@@ -85,8 +86,8 @@ def document(result: Calibration) -> dict[str, Any]:
                 "finder": v.finder,
                 "rms_px": float(fitted.view_rms_px[i]),
                 "held_out_rms_px": float(result.chosen.held_out_px[i]),
-                "tilt_deg": float(result.seen.tilt_deg[i]),
-                "tilt_towards_deg": float(result.seen.azimuth_deg[i]),
+                "tilt_deg": float(seen.tilt_deg[i]),
+                "tilt_towards_deg": float(seen.azimuth_deg[i]),
                 "sharpness": v.sharpness,
             }
             for i, v in enumerate(fitted.views)

@@ -12,8 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from arfx.calibrate.advice import GRID, TILTED_DEG, grid_pixels
+from arfx.calibrate.advice import GRID, TILTED_DEG
 from arfx.calibrate.calibration import Calibration
+from arfx.calibrate.solve import grid_pixels
 from arfx.core.guard import atomic_write
 
 DPI = 110
@@ -82,11 +83,7 @@ def _coverage(result: Calibration) -> Figure:
     tilts = figure.add_subplot(1, 2, 2, projection="polar")
     camera = result.fitted.camera
     if result.projection_sd_px.size == GRID[0] * GRID[1]:
-        x, y = (
-            grid_pixels(camera.width, camera.height)
-            .reshape(GRID[1], GRID[0], 2)
-            .transpose(2, 0, 1)
-        )
+        x, y = grid_pixels(camera, *GRID).reshape(GRID[1], GRID[0], 2).transpose(2, 0, 1)
         values = result.projection_sd_px.reshape(GRID[1], GRID[0])
         filled = picture.contourf(x, y, values, levels=12, cmap="YlOrRd", alpha=0.7)
         figure.colorbar(

@@ -9,6 +9,7 @@ themselves first."""
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -51,25 +52,18 @@ class Rejected(NamedTuple):
 
 def drop_copies(views: Sequence[View]) -> tuple[list[View], list[Rejected]]:
     """Keep of each group of equal views the sharpest."""
-    kept: list[View] = []
+    kept: dict[int, View] = {}
     dropped: list[Rejected] = []
-    for view in sorted(views, key=lambda v: -v.sharpness):
-        twin = next(
-            (k for k in kept if _moved_px(view, k) < SAME_VIEW_FRACTION * view.size[0]),
-            None,
+    for i, view in sorted(enumerate(views), key=lambda numbered: -numbered[1].sharpness):
+        moved, twin = min(
+            ((_moved_px(view, k), k.name) for k in kept.values()), default=(np.inf, "")
         )
-        if twin is None:
-            kept.append(view)
+        if moved < SAME_VIEW_FRACTION * view.size[0]:
+            reason = f"the same view as {twin}: its corners moved {moved:.2f} px"
+            dropped.append(Rejected(view.name, reason))
         else:
-            moved = _moved_px(view, twin)
-            dropped.append(
-                Rejected(
-                    view.name,
-                    f"the same view as {twin.name}: its corners moved {moved:.2f} px",
-                )
-            )
-    order = {id(v): i for i, v in enumerate(views)}
-    return sorted(kept, key=lambda v: order[id(v)]), dropped
+            kept[i] = view
+    return [kept[i] for i in sorted(kept)], dropped
 
 
 def _moved_px(a: View, b: View) -> float:
@@ -156,13 +150,9 @@ def drop_corners(fitted: Fit) -> tuple[list[View], int]:
         trimmed = view
         while (misses := np.linalg.norm(residual, axis=1)).max() > limit:
             kept = np.arange(len(misses)) != misses.argmax()
-            other = trimmed.alternative
+            arrays = {name: getattr(trimmed, name) for name in View.OF_CORNERS}
             trimmed = replace(
-                trimmed,
-                ids=trimmed.ids[kept],
-                board_m=trimmed.board_m[kept],
-                pixels=trimmed.pixels[kept],
-                alternative=None if other is None else other[kept],
+                trimmed, **{k: a[kept] for k, a in arrays.items() if a is not None}
             )
             if len(view.ids) - len(trimmed.ids) > MOST_CORNERS * len(view.ids):
                 trimmed = view
@@ -197,18 +187,9 @@ def sharpest_of_each(
     """Of every `group` frames (name, gray) in a row the sharpest, so that 1 in `group` is
     searched for the board.
     """
-    best: tuple[str, np.ndarray] | None = None
-    best_score, count = -1.0, 0
-    for name, gray in frames:
-        score = picture_sharpness(gray) if group > 1 else 0.0
-        if score > best_score:
-            best, best_score = (name, gray), score
-        count += 1
-        if count == group and best is not None:
-            yield best
-            best, best_score, count = None, -1.0, 0
-    if best is not None:
-        yield best
+    groups = itertools.groupby(enumerate(frames), lambda numbered: numbered[0] // group)
+    for _, some in groups:
+        yield max((f for _, f in some), key=lambda f: picture_sharpness(f[1]))
 
 
 def most_varied(views: Sequence[View], keep: int) -> list[View]:
@@ -239,19 +220,10 @@ def _features(view: View) -> np.ndarray:
     the camera.
     """
     xy = view.board_m[:, :2] - view.board_m[:, :2].mean(0)
-    extent = float(np.ptp(xy, axis=0).max())
-    h, _ = cv2.findHomography(xy / extent, view.pixels)
-    lean = h[2, :2] if h is not None else np.zeros(2)
-    width = view.size[0]
-    middle = view.pixels.mean(0) / width
+    h = cv2.findHomography(xy / np.ptp(xy, axis=0).max(), view.pixels)[0]
+    h = np.eye(3) if h is None else h
     # turned to the picture's axes, so that a board lying on its side with the same tilt is
     # the same view
-    turn = float(np.arctan2(h[1, 0], h[0, 0])) if h is not None else 0.0
-    c, s = np.cos(turn), np.sin(turn)
-    return np.array(
-        [
-            *middle,
-            float(np.ptp(view.pixels, axis=0).max()) / width,
-            *(3 * np.array([[c, -s], [s, c]]) @ lean),
-        ]
-    )
+    lean = 3 * complex(*h[2, :2]) * np.exp(1j * np.arctan2(h[1, 0], h[0, 0]))
+    width, extent = view.size[0], np.ptp(view.pixels, axis=0).max()
+    return np.array([*view.pixels.mean(0) / width, extent / width, lean.real, lean.imag])

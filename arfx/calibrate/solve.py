@@ -300,14 +300,8 @@ def choose_model(views: Sequence[View]) -> tuple[Evidence, list[Evidence]]:
     # difference
     for simple in usable:
         difference = simple.held_out_px**2 - best.held_out_px**2
-        error = (
-            float(np.std(difference, ddof=1) / np.sqrt(len(difference)))
-            if len(difference) > 1
-            else 0.0
-        )
-        if float(np.mean(difference)) <= max(
-            error, LEAST_GAIN * 2 * best.held_out_rms_px**2
-        ):
+        error = np.std(difference, ddof=1) / np.sqrt(len(difference))
+        if np.mean(difference) <= max(error, LEAST_GAIN * 2 * best.held_out_rms_px**2):
             return simple, table
     return best, table
 
@@ -344,11 +338,15 @@ def cross_validate(views: Sequence[View], model: LensModel) -> Evidence:
 
 
 def one_to_one(camera: Camera) -> bool:
-    """Whether every pixel on the picture's border has one viewing direction: the distortion
+    """Whether every pixel of the picture has one viewing direction: the distortion
     does not fold inside.
     """
-    w, h = camera.width, camera.height
-    x, y = np.meshgrid(np.linspace(0, w - 1, 25), np.linspace(0, h - 1, 25))
-    grid = np.stack([x, y], -1)
-    border = np.concatenate([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
-    return bool(np.isfinite(camera.normalised(border)).all())
+    return bool(np.isfinite(camera.normalised(grid_pixels(camera, 25, 25))).all())
+
+
+def grid_pixels(camera: Camera, across: int, down: int) -> np.ndarray:
+    """(n, 2) pixels spread evenly over the picture, borders included."""
+    x, y = np.meshgrid(
+        np.linspace(0, camera.width - 1, across), np.linspace(0, camera.height - 1, down)
+    )
+    return np.stack([x.ravel(), y.ravel()], -1)

@@ -12,7 +12,6 @@ import numpy as np
 
 from arfx.core.colour import Transfer
 from arfx.core.machine import usable_cores
-from arfx.core.pose import Pose
 from arfx.synth.description import SceneFile
 from arfx.synth.tracer import Lens, Room, Samples, probe, render_rows
 from arfx.synth.world import World
@@ -58,35 +57,22 @@ class Picture:
         a whole pixel stands for all."""
         world, scene = self.world, self.world.scene
         shape, n = (world.camera.height, world.camera.width), self.side
-        time_s = float(world.frame_times_s[frame])
         out, met = np.zeros((*shape, 3)), np.zeros(shape, np.uint16)
         chosen = np.ones(shape, bool)
         if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
             self._sample(
-                frame,
-                time_s,
-                self.rays(0.0, 0.0),
-                Samples(chosen, 1.0, 1.0, frame * 4096),
-                out,
-                met,
+                frame, 0.0, (0.0, 0.0), Samples(chosen, 1.0, 1.0, frame * 4096), out, met
             )
             box = np.ones((3, 3), np.uint8)
             chosen = ((met == 0) | (cv2.erode(met, box) != cv2.dilate(met, box))) & (n > 1)
             out[chosen] = 0
-        order = np.random.default_rng([scene.seed, 11]).permutation(
-            n * n
-        )  # which moment of the shutter a position gets
+        # which moment of the shutter a position gets
+        order = np.random.default_rng([scene.seed, 11]).permutation(n * n)
         for k in range(n * n) if chosen.any() else ():
-            dx, dy = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
-            moment = time_s + scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
-            self._sample(
-                frame,
-                moment,
-                self.rays(dx, dy),
-                Samples(chosen, 1 / n, 1 / (n * n), frame * 4096 + k),
-                out,
-                met,
-            )
+            place = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
+            late = scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
+            samples = Samples(chosen, 1 / n, 1 / (n * n), frame * 4096 + k)
+            self._sample(frame, late, place, samples, out, met)
         if (sigma := scene.lens.softness_px) > 0:
             side = 2 * int(np.ceil(4 * sigma)) + 1
             return np.asarray(
@@ -97,54 +83,42 @@ class Picture:
     def _sample(
         self,
         frame: int,
-        time_s: float,
-        rays: np.ndarray,
+        late_s: float,
+        place: tuple[float, float],
         samples: Samples,
         out: np.ndarray,
         met: np.ndarray,
     ) -> None:
+        """Add samples of that place in each pixel, so late after the frame's own time."""
         world = self.world
-        rows, lens = world.camera.height, world.scene.lens
+        rows, lens, rays = world.camera.height, world.scene.lens, self.rays(*place)
         roll = world.scene.hidden.rolling_shutter_s
         bands = [(y, min(y + _BAND_ROWS, rows)) for y in range(0, rows, _BAND_ROWS)]
-
-        def state(when: float) -> tuple[Room, Pose]:
-            return world.at(when), world.camera_at(frame, when).inverse()
-
-        shared = None if roll else state(time_s)
+        shared = None if roll else self._seen(frame, late_s)
 
         def one(band: tuple[int, int]) -> None:
-            when = time_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
-            room, pose = shared or state(when)
-            seen = Lens(
-                rays,
-                np.ascontiguousarray(pose.rotation),
-                pose.translation_m,
-                lens.aperture_m,
-                lens.focus_m or 1.0,
-            )
+            late = late_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
+            room, rotation, origin = shared or self._seen(frame, late)
+            seen = Lens(rays, rotation, origin, lens.aperture_m, lens.focus_m or 1.0)
             render_rows(*band, seen, room, samples, out, met)
 
         list(self._pool.map(one, bands))
+
+    def _seen(self, frame: int, late_s: float = 0.0) -> tuple[Room, np.ndarray, np.ndarray]:
+        """The room so late after the frame's time; rotation and origin of the camera in it."""
+        time_s = float(self.world.frame_times_s[frame]) + late_s
+        pose = self.world.camera_at(frame, time_s).inverse()
+        rotation = np.ascontiguousarray(pose.rotation)
+        return self.world.at(time_s), rotation, pose.translation_m
 
     def surfaces(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """(depth (h, w) m along the axis, object number (h, w) uint8) at pixel centres and
         the frame's own time; 0 = nothing.
         """
-        time_s = float(self.world.frame_times_s[frame])
-        room = self.world.at(time_s)
-        pose = self.world.camera_at(frame, time_s).inverse()
+        room, rotation, origin = self._seen(frame)
         rays = self.rays(0.0, 0.0)
         depth, owner = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], np.uint8)
-        probe(
-            rays,
-            np.ascontiguousarray(pose.rotation),
-            pose.translation_m,
-            room.rects,
-            room.spheres,
-            depth,
-            owner,
-        )
+        probe(rays, rotation, origin, room.rects, room.spheres, depth, owner)
         return depth, owner
 
     def flow(self, frame: int, depth: np.ndarray, owner: np.ndarray) -> np.ndarray:
@@ -161,9 +135,7 @@ class Picture:
         room_from_camera = world.camera_at(frame, t0).inverse()
         next_camera = world.camera_at(frame + 1, t1)
         before, after = world.poses(t0), world.poses(t1)
-        grid = np.stack(
-            np.meshgrid(np.arange(depth.shape[1]), np.arange(depth.shape[0])), -1
-        )
+        y, x = np.indices(depth.shape)
         for number in np.unique(owner[owner > 0]):
             here = owner == number
             move = (
@@ -172,7 +144,8 @@ class Picture:
                 @ before[number - 1].inverse()
                 @ room_from_camera
             )
-            out[here] = world.camera.project(move.apply(points[here])) - grid[here]
+            grid = np.stack([x[here], y[here]], -1)
+            out[here] = world.camera.project(move.apply(points[here])) - grid
         return out
 
 
