@@ -117,20 +117,14 @@ def judge(figures: dict[str, float]) -> tuple[str, tuple[str, ...]]:
 
     A figure that is not a number counts as poor.
     """
-    missed: dict[str, list[str]] = {POOR: [], USABLE: []}
+    graded = []
     for name, good, poor, text in LIMITS:
         value, sign = figures[name], 1 if good > poor else -1
-        word = next(
-            (
-                w
-                for w, bound in ((POOR, poor), (USABLE, good))
-                if not sign * value >= sign * bound
-            ),
-            GOOD,
-        )
-        if word != GOOD:
-            missed[word].append(text.format(value=value, limit=good))
-    return next((w for w in missed if missed[w]), GOOD), (*missed[POOR], *missed[USABLE])
+        grade = int(sign * value >= sign * poor) + int(sign * value >= sign * good)
+        graded.append((grade, text.format(value=value, limit=good)))
+    graded.sort(key=lambda figure: figure[0])
+    word = (POOR, USABLE, GOOD)[graded[0][0]]
+    return word, tuple(text for grade, text in graded if grade < 2)
 
 
 def figures(

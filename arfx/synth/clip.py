@@ -18,7 +18,7 @@ import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.guard import check_file_name, part_name
-from arfx.core.numerics import normalise
+from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
 from arfx.core.toml_text import to_toml
 from arfx.errors import ConfigError, RenderError
@@ -28,7 +28,7 @@ from arfx.synth.description import Marker, SceneFile
 from arfx.synth.encode import ClipFile, DepthFile
 from arfx.synth.picture import Picture, expose, gain_at
 from arfx.synth.shapes import write_model
-from arfx.synth.tracer import unoccluded
+from arfx.synth.tracer import LIFT_M, surfaces
 from arfx.synth.truth import (
     DEPTH_UNIT_M,
     FLOW_UNIT_PX,
@@ -183,24 +183,19 @@ def frame_truth(world: World, n: int) -> FrameTruth:
             continue
         camera_from_marker = camera_from_room @ pose
         corners = world.camera.project(camera_from_marker.apply(placed.spec.corners_m))
-        points = pose.apply(marker_points(placed))
-        pixels = world.camera.project(camera_from_room.apply(points))
+        points = camera_from_marker.apply(marker_points(placed))
+        pixels = world.camera.project(points)
         inside = (pixels >= -0.5) & (
             pixels < [world.camera.width - 0.5, world.camera.height - 0.5]
         )
         facing = float(
             camera_from_marker.rotation[:, 2] @ -normalise(camera_from_marker.translation_m)
         )
-        seen = np.zeros(len(points), bool)
-        if facing > 0:
-            unoccluded(
-                np.ascontiguousarray(points),
-                room_from_camera.translation_m,
-                room.rects,
-                room.spheres,
-                seen,
-            )
-            seen &= inside.all(-1)
+        depth, _ = surfaces(
+            divide(points[None, :, :2], points[:, 2:]), room_from_camera, room
+        )
+        before = LIFT_M * points[:, 2] / np.linalg.norm(points, axis=1)
+        seen = inside.all(-1) & (depth[0] >= points[:, 2] - before) & (facing > 0)
         side = float(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1).mean())
         room_from_marker[placed.spec.key] = pose
         markers[placed.spec.key] = MarkerTruth(

@@ -12,8 +12,9 @@ import numpy as np
 
 from arfx.core.colour import Transfer
 from arfx.core.machine import usable_cores
+from arfx.core.pose import Pose
 from arfx.synth.description import SceneFile
-from arfx.synth.tracer import Lens, Room, Samples, probe, render_rows
+from arfx.synth.tracer import Lens, Room, Samples, render_rows, surfaces
 from arfx.synth.world import World
 
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
@@ -98,28 +99,25 @@ class Picture:
 
         def one(band: tuple[int, int]) -> None:
             late = late_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
-            room, rotation, origin = shared or self._seen(frame, late)
-            seen = Lens(rays, rotation, origin, lens.aperture_m, lens.focus_m or 1.0)
+            room, pose = shared or self._seen(frame, late)
+            turn = np.ascontiguousarray(pose.rotation)
+            size, focus = lens.aperture_m, lens.focus_m or 1.0
+            seen = Lens(rays, turn, pose.translation_m, size, focus)
             render_rows(*band, seen, room, samples, out, met)
 
         list(self._pool.map(one, bands))
 
-    def _seen(self, frame: int, late_s: float = 0.0) -> tuple[Room, np.ndarray, np.ndarray]:
-        """The room so late after the frame's time; rotation and origin of the camera in it."""
+    def _seen(self, frame: int, late_s: float = 0.0) -> tuple[Room, Pose]:
+        """The room so late after the frame's own time, and room_from_camera."""
         time_s = float(self.world.frame_times_s[frame]) + late_s
-        pose = self.world.camera_at(frame, time_s).inverse()
-        rotation = np.ascontiguousarray(pose.rotation)
-        return self.world.at(time_s), rotation, pose.translation_m
+        return self.world.at(time_s), self.world.camera_at(frame, time_s).inverse()
 
     def surfaces(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """(depth (h, w) m along the axis, object number (h, w) uint8) at pixel centres and
         the frame's own time; 0 = nothing.
         """
-        room, rotation, origin = self._seen(frame)
-        rays = self.rays(0.0, 0.0)
-        depth, owner = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], np.uint8)
-        probe(rays, rotation, origin, room.rects, room.spheres, depth, owner)
-        return depth, owner
+        room, pose = self._seen(frame)
+        return surfaces(self.rays(0.0, 0.0), pose, room)
 
     def flow(self, frame: int, depth: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """(h, w, 2) float64 motion of each pixel's surface point to the next frame, px.

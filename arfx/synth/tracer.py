@@ -19,13 +19,14 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.compiled import line_kernel
+from arfx.core.pose import Pose
 from arfx.core.vectors import dot, minus, scaled, shifted, turned, unit, vector
 from arfx.synth.rays import nearest, visible
 
 _NUMBERS = 65521  # below 2^16, prime: of two surfaces under many lights few get the same
 # start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie
 # 2e-4 m apart
-_LIFT_M = 2e-5
+LIFT_M = 2e-5
 _BLACK = (0.0, 0.0, 0.0)
 
 
@@ -238,7 +239,7 @@ def _radiance(start, towards, spans, room: Room, turn):
         albedo = vector(spheres[ball, 4:])
     light = vector(room.ambient)
     shine = _BLACK
-    point = shifted(hit, _LIFT_M, normal)
+    point = shifted(hit, LIFT_M, normal)
     for k in range(lights.shape[0]):
         facing = dot(normal, vector(lights[k]))
         number *= 2
@@ -282,11 +283,11 @@ def probe(rays, rotation, origin, rects, spheres, depth, owner):
                 depth[y, x], owner[y, x] = distance, int(rects[i, 15])
 
 
-@line_kernel(error_model="numpy")
-def unoccluded(points, origin, rects, spheres, out):
-    """out[i] = nothing stands between the origin and room point i (n, 3)."""
-    start = vector(origin)
-    for i in range(points.shape[0]):
-        way = minus(vector(points[i]), start)
-        distance, _ = nearest(start, way, rects, spheres)
-        out[i] = distance >= 1.0 - _LIFT_M / math.sqrt(dot(way, way))
+def surfaces(rays: np.ndarray, pose: Pose, room: Room) -> tuple[np.ndarray, np.ndarray]:
+    """(depth (h, w) along the axis, object number (h, w) uint8) of the first surface along
+    rays (h, w, 2), camera directions; 0 = nothing. pose : room_from_camera
+    """
+    depth, owner = np.zeros(rays.shape[:2]), np.zeros(rays.shape[:2], np.uint8)
+    rotation = np.ascontiguousarray(pose.rotation)
+    probe(rays, rotation, pose.translation_m, room.rects, room.spheres, depth, owner)
+    return depth, owner
