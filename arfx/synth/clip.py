@@ -11,7 +11,7 @@ import re
 import shutil
 import tomllib
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
@@ -134,23 +134,20 @@ def _fill(
     for kind in kinds:
         (folder / "truth" / kind).mkdir(parents=True)
     with ExitStack() as files:
-        clip = files.enter_context(ClipFile(folder / scene.clip.file, scene))
-        maps = (
-            files.enter_context(DepthFile(folder / scene.depth.file, scene))
-            if scene.depth.file
-            else None
-        )
+        clip = files.enter_context(closing(ClipFile(folder / scene.clip.file, scene)))
+        maps = None
+        if scene.depth.file:
+            maps = files.enter_context(closing(DepthFile(folder / scene.depth.file, scene)))
         for n in range(scene.frames):
             time_s = float(world.frame_times_s[n])
             clip.write(expose(scene, picture.radiance(n), n, time_s), time_s)
-            depth, owner = (
-                picture.surfaces(n)
-                if maps is not None or kinds
-                else (np.zeros(0), np.zeros(0))
-            )
+            frames.append(frame_truth(world, n))
+            progress("synth", n + 1, scene.frames)
+            if maps is None and not kinds:
+                continue
+            depth, owner = picture.surfaces(n)
             if maps is not None:
                 maps.write(depth, n, time_s)
-            frames.append(frame_truth(world, n))
             for kind in kinds:
                 path = folder / "truth" / kind / f"{n:06d}.png"
                 if kind == "flow":
@@ -159,7 +156,6 @@ def _fill(
                     write_depth(path, depth)
                 else:
                     write_png(path, owner)
-            progress("synth", n + 1, scene.frames)
     stated = stated_camera(scene, world.camera)
     save_camera(folder / "camera.yaml", stated)
     write_model(scene.model.shape, folder / "model.glb")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import av
 import cv2
@@ -26,9 +26,7 @@ _HOLE_PX = 4.0  # sigma of the noise whose highest parts are holes
 
 
 class _Video:
-    """A file with one video stream of exact times; a context manager, whole where its body
-    has not failed.
-    """
+    """A file with one video stream of exact times, whole when it is closed."""
 
     def __init__(
         self, path: Path, scene: SceneFile, codec: str, size: tuple[int, int], pix_fmt: str
@@ -49,19 +47,12 @@ class _Video:
         stream.time_base = stream.codec_context.time_base = Fraction(1, CLOCK_HZ)
         self._stream = stream
 
-    def __enter__(self) -> Self:
-        return self
-
     def _put(self, frame: av.VideoFrame, time_s: float) -> None:
         frame.pts, frame.time_base = round(time_s * CLOCK_HZ), Fraction(1, CLOCK_HZ)
         self._out.mux(self._stream.encode(frame))
 
-    def _end(self) -> None:
+    def close(self) -> None:
         self._out.mux(self._stream.encode(None))
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self._end()
         self._out.close()
 
 
@@ -128,10 +119,12 @@ class ClipFile(_Video):
         _tag(frame)
         return frame
 
-    def _end(self) -> None:
-        super()._end()
-        if self._tone is None:
-            return
+    def close(self) -> None:
+        if self._tone is not None:
+            self._put_tone()
+        super().close()
+
+    def _put_tone(self) -> None:
         scene = self._scene
         n = int(48_000 * scene.frames / scene.clip.fps)
         wave = (
