@@ -39,21 +39,17 @@ _LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 class JobFile(NamedTuple):
     """Settings that a file gives. document : the tables of a job file, with paths as they
     are from here
-    at : key path of these in the file's text;  names : of those that are written otherwise there
+    at : key path of these in the file's text
     line : of a table's row, in which all of them stand; 0 = found by key"""
 
     path: Path
     text: str
     document: dict[str, Any]
     at: KeyPath = ()
-    names: Mapping[KeyPath, KeyPath] = {}
     line: int = 0
 
     def located(self, message: str, path: KeyPath, hint: str = "") -> str:
         """The message with file, line and key."""
-        path = next(
-            (name for n in (2, 1) if (name := self.names.get(path[:n])) is not None), path
-        )
         line = self.line or line_of(self.text, (*self.at, *path))
         place = f":{line}" if line else f": {'.'.join(map(str, path))}"
         return f"{message}\n  --> {self.path}{place}" + (f"\nhelp: {hint}" if hint else "")

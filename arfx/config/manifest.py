@@ -16,7 +16,6 @@ from typing import Any
 from arfx.config.given import option_given, parse_value
 from arfx.config.load import (
     JobFile,
-    KeyPath,
     Parameters,
     find_job_file,
     locate_paths,
@@ -126,24 +125,13 @@ def _job_files(
         for name in named
     ]
     tree: dict[str, Any] = {}
-    written_as: dict[KeyPath, KeyPath] = {}
-    for path, value, written in _settings(row, options, sections):
-        at = tree
-        for part in path[:-1]:
-            at = at.setdefault(part, {}) if isinstance(at, dict) else {}
-        if not isinstance(at, dict) or path[-1] in at:
-            raise ConfigError(row.located(f"{'.'.join(path)} is given twice", written))
-        at[path[-1]] = value
-        written_as[path] = written
+    for path, value in _settings(row, options, sections):
+        table = tree if len(path) == 1 else tree.setdefault(path[0], {})
+        if not isinstance(table, dict) or path[-1] in table:
+            raise ConfigError(row.located(f"{'.'.join(path)} is given twice", path))
+        table[path[-1]] = value
     locate_paths(tree, row.path.parent, parameters)
-    files.append(
-        row._replace(
-            document=tree,
-            names={
-                path: written for path, written in written_as.items() if path != written
-            },
-        )
-    )
+    files.append(row._replace(document=tree))
     if not any("clip" in file.document.get("input", {}) for file in files):
         raise ConfigError(
             row.located(
@@ -157,23 +145,23 @@ def _job_files(
 
 def _settings(
     row: JobFile, options: Mapping[str, Setting], sections: Collection[str]
-) -> Iterator[tuple[tuple[str, ...], Any, KeyPath]]:
-    """(key path in a job file, value, key path in the manifest's job)"""
+) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """(key path in a job file, value)"""
     for key, value in row.document.items():
         section, dot, rest = key.partition(".")
         if isinstance(value, dict) and key in sections:
-            yield from (((key, inner), v, (key, inner)) for inner, v in value.items())
+            yield from (((key, inner), v) for inner, v in value.items())
         elif (
             isinstance(value, list)
             and all(isinstance(v, dict) for v in value)
             and key in sections
         ):
-            yield (key,), value, (key,)
+            yield (key,), value
         elif (option := options.get(key.replace("-", "_"))) is not None:
             one = option.repeated and not isinstance(value, list)
-            yield *option_given(option, [value] if one else value), (key,)
+            yield option_given(option, [value] if one else value)
         elif dot and section in sections and rest and not row.at:
-            yield (section, rest), parse_value(value, key), (key,)
+            yield (section, rest), parse_value(value, key)
         else:
             known = suggestion(key, [*options, *(f"{s}.…" for s in sorted(sections))])
             raise ConfigError(
