@@ -320,7 +320,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, MarkerSpec):
         return str(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return plain({f.name: getattr(value, f.name) for f in dataclasses.fields(value)})
+        return plain(dataclasses.asdict(value))
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items() if v is not None}
     if isinstance(value, (list, tuple)):
@@ -332,10 +332,7 @@ def plain(value: Any) -> Any:
 
 def frozen(config: JobConfig) -> dict[str, Any]:
     """The job as plain data that `load` reads back to the same job (paths absolute)."""
-    tree = {
-        name: getattr(config, name).model_dump()
-        for name in ("input", "model", "pipeline", "output")
-    }
+    tree = config.model_dump(include={"input", "model", "pipeline", "output"})
     tree |= {
         "marker": [{"spec": m.spec} for m in config.marker],
         "pattern": [{"spec": p.spec} for p in config.pattern],

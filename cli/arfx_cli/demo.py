@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import click
@@ -42,7 +41,6 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
 
     from arfx.config.load import load
     from arfx.core.guard import Guard, atomic_write
-    from arfx.errors import ConfigError
     from arfx.measure.report import report_of_job
     from arfx.media.images import write_png
     from arfx.run.folder import JobFolder, load_previews
@@ -56,14 +54,6 @@ def command(folder: Path, overwrite: bool, as_json: bool) -> None:
     from arfx.synth.description import DEMO_SCENE, load_scene
 
     out, picture, report_dir = folder / "out.mp4", folder / "picture.png", folder / "report"
-    if (
-        any(os.path.lexists(path) for path in (folder / "clip", out, picture, report_dir))
-        and not overwrite
-    ):
-        raise ConfigError(
-            f"{folder} holds an earlier demo",
-            "--overwrite replaces it; or name another with -o",
-        )
     guard = Guard((), overwrite)
     for path in (out, picture):
         guard.file(path, folder_made=True)
