@@ -83,31 +83,26 @@ class BoardSpec:
 
         Raises ConfigError.
         """
-        kind, *parts = text.strip().split(":")
-        kind = kind.lower()
-        legacy = bool(parts) and parts[-1].lower() == "legacy"
-        parts = parts[:-1] if legacy else parts
-        wanted = {CHESSBOARD: 2, CHARUCO: 4}
-        if kind not in wanted or len(parts) != wanted[kind] or (legacy and kind != CHARUCO):
+        m = re.fullmatch(
+            r"(chessboard|charuco):(\d{1,9})x(\d{1,9}):([^:]+)(?::([^:]+):([^:]+?)(:legacy)?)?",
+            text.strip(),
+            re.IGNORECASE,
+        )
+        if not m or (m[1].lower() == CHARUCO) != bool(m[6]):
             raise ConfigError(f"board {text!r} is not understood", EXAMPLES)
-        counts = re.fullmatch(r"(\d+)[xX](\d+)", parts[0])
-        if not counts:
-            raise ConfigError(f"board {text!r}: {parts[0]!r} is not COLUMNSxROWS", EXAMPLES)
-        columns, rows = int(counts[1]), int(counts[2])
+        kind, columns, rows = m[1].lower(), int(m[2]), int(m[3])
         if not (3 <= columns <= 100 and 3 <= rows <= 100):
             raise ConfigError(
                 f"board {text!r}: {columns}x{rows} is too small or too large",
                 "3 to 100 each way",
             )
-        square = length_m(parts[1], what=f"square of board {text!r}")
+        square = length_m(m[4], what=f"square of board {text!r}")
         if square <= 0:
             raise ConfigError(f"board {text!r}: the square must be larger than 0")
         if kind == CHESSBOARD:
             return BoardSpec(kind, columns, rows, square)
-        marker, family = (
-            length_m(parts[2], what=f"marker of board {text!r}"),
-            canonical_family(parts[3]),
-        )
+        marker = length_m(m[5], what=f"marker of board {text!r}")
+        family = canonical_family(m[6])
         if not 0 < marker < square:
             raise ConfigError(
                 f"board {text!r}: the marker must be smaller than its square", EXAMPLES
@@ -117,7 +112,7 @@ class BoardSpec:
                 f"board {text!r} needs {columns * rows // 2} markers, {family} has"
                 f" {FAMILIES[family]}"
             )
-        return BoardSpec(kind, columns, rows, square, marker, family, legacy)
+        return BoardSpec(kind, columns, rows, square, marker, family, bool(m[7]))
 
 
 @lru_cache(maxsize=64)

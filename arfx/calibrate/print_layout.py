@@ -250,15 +250,11 @@ def marker_bits(family: str, number: int) -> np.ndarray:
 
 
 def outlines(cells: Cells) -> np.ndarray:
-    """(n, 4, 2) mm, a rectangle for every run of black cells in a row: filled as one path
-    they show no hairlines between them.
+    """(n, 4, 2) mm, a rectangle for every black cell: filled as one path they show no
+    hairlines between them.
     """
-    edges = np.diff(np.pad(cells.black, ((0, 0), (1, 1))).astype(int))
-    (row, left), (_, right) = np.argwhere(edges > 0).T, np.argwhere(edges < 0).T
-    corners = np.array(
-        [(left, row), (right, row), (right, row + 1), (left, row + 1)], float
-    )
-    return corners.transpose(2, 0, 1) * cells.cell_mm + [cells.x_mm, cells.y_mm]
+    corners = np.argwhere(cells.black)[:, None, ::-1] + [(0, 0), (1, 0), (1, 1), (0, 1)]
+    return corners * cells.cell_mm + [cells.x_mm, cells.y_mm]
 
 
 def write_sheet(sheet: Sheet, path: Path, dpi: float = 300.0) -> None:

@@ -45,29 +45,29 @@ FIXED = {
 
 
 class LensModel(NamedTuple):
-    """A nested lens model. count : of OpenCV's coefficients that are estimated, from the
+    """A nested lens model. free : how many of OpenCV's coefficients that are estimated, from the
     first on; the others are zero.
     """
 
-    count: int
+    free: int
 
     @property
     def name(self) -> str:
         names = {0: "pinhole", len(COEFFICIENTS): "rational"}
-        return names.get(self.count, " ".join(COEFFICIENTS[: self.count]))
+        return names.get(self.free, " ".join(COEFFICIENTS[: self.free]))
 
     @property
     def flags(self) -> int:
-        rational = cv2.CALIB_RATIONAL_MODEL * (self.count > 5)
-        return rational + sum(flag for i, flag in FIXED.items() if i >= self.count)
+        rational = cv2.CALIB_RATIONAL_MODEL * (self.free > 5)
+        return rational + sum(flag for i, flag in FIXED.items() if i >= self.free)
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        return ("fx", "fy", "cx", "cy", *COEFFICIENTS[: self.count])
+        return ("fx", "fy", "cx", "cy", *COEFFICIENTS[: self.free])
 
     def by_parameters(self, jacobian: np.ndarray) -> np.ndarray:
         """(2n, p) of OpenCV's derivatives of projected points those by `parameters`."""
-        return jacobian[:, 6 : 10 + self.count]
+        return jacobian[:, 6 : 10 + self.free]
 
 
 MODELS = tuple(map(LensModel, (0, 1, 2, 4, 5, 8)))  # each holds the one before it
@@ -101,7 +101,7 @@ class Fit(NamedTuple):
     @property
     def values(self) -> np.ndarray:
         c = self.camera
-        return np.array([c.fx, c.fy, c.cx, c.cy, *c.distortion[: self.model.count]])
+        return np.array([c.fx, c.fy, c.cx, c.cy, *c.distortion[: self.model.free]])
 
 
 class Uncertainty(NamedTuple):
@@ -146,11 +146,11 @@ def fit(views: Sequence[View], model: LensModel) -> Fit:
             pixels,
             views[0].size,
             np.eye(3),
-            np.zeros(max(5, model.count)),
+            np.zeros(max(5, model.free)),
             flags=model.flags,
             criteria=STOP,
         )
-        lens = np.ravel(distortion)[: max(5, model.count)]
+        lens = np.ravel(distortion)[: max(5, model.free)]
         camera = Camera(*views[0].size, matrix, lens)  # refuses what is not finite
     except (cv2.error, ArfxError):
         raise NothingToDoError(
@@ -207,11 +207,11 @@ def information(fitted: Fit) -> list[np.ndarray]:
     poses eliminated.
     """
     out = []
-    for view, *pose in zip(
+    for view, rvec, tvec in zip(
         fitted.views, fitted.rotations, fitted.translations, strict=True
     ):
         j = cv2.projectPoints(
-            view.board_m, *pose, fitted.camera.matrix, fitted.camera.distortion
+            view.board_m, rvec, tvec, fitted.camera.matrix, fitted.camera.distortion
         )[1]
         out.append(without_pose(fitted.model.by_parameters(j), j[:, :6]))
     return out

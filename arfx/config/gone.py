@@ -7,7 +7,7 @@ from collections.abc import Mapping
 _PRINTED = 'it belongs to watercolor.formula = "paper"; the corrected edges take {0}'
 _SEARCH = "prints are looked for as their size and motion ask: leave it out"
 _LIGHT_MAP = 'it belongs to light.formula = "paper": leave it out'
-GONE: Mapping[tuple[str, str], str] = {
+GONE: Mapping[tuple[str | int, ...], str] = {
     ("analyse", "search_interval_s"): _SEARCH,
     ("analyse", "loss_search_frames"): _SEARCH,
     ("analyse", "reduced_search_every"): _SEARCH,

@@ -52,6 +52,7 @@ NonNegativeLength = Annotated[Length, Field(ge=0)]
 PositiveLength = Annotated[Length, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+Side = Annotated[int, Field(ge=16, le=8192)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[Length, Length, Length]
 Angles = tuple[float, float, float]
@@ -68,8 +69,8 @@ class Part(BaseModel):
 class Clip(Part):
     # .mp4 = H.264, .mkv = lossless FFV1
     file: str = Field(default="clip.mp4", pattern=r"^[\w.-]+\.(mp4|mkv)$")
-    width: int = Field(default=640, ge=16, le=8192)
-    height: int = Field(default=360, ge=16, le=8192)
+    width: Side = 640
+    height: Side = 360
     fps: float = Field(default=24.0, gt=0, le=1000)
     # H.264 quality
     crf: float = Field(default=12.0, ge=0, le=51)

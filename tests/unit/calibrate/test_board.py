@@ -47,7 +47,7 @@ def test_which_boards_look_the_same_after_half_a_turn() -> None:
         ("chess:9x6:25mm", "not understood"),
         ("chessboard:9x6", "not understood"),
         ("chessboard:9x6:25mm:legacy", "not understood"),
-        ("chessboard:9:25mm", "COLUMNSxROWS"),
+        ("chessboard:9:25mm", "not understood"),
         ("chessboard:2x6:25mm", "too small"),
         ("chessboard:9x6:25", "not a length"),
         ("chessboard:9x6:-5mm", "larger than 0"),
