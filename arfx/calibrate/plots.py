@@ -34,19 +34,12 @@ def _residuals(result: Calibration) -> Figure:
     field, cloud, bars = figure.subplots(1, 3, width_ratios=(1.7, 1, 1))
     points = np.concatenate([v.pixels for v in fitted.views])
     misses = np.concatenate(fitted.residuals)
-    scale = (
-        0.03
-        * fitted.camera.width
-        / max(float(np.quantile(np.linalg.norm(misses, axis=1), 0.95)), 1e-6)
-    )
-    x, y = points.T
-    dx, dy = misses.T * scale
+    lengths = np.linalg.norm(misses, axis=1)
+    scale = 0.03 * fitted.camera.width / max(float(np.quantile(lengths, 0.95)), 1e-6)
     field.quiver(
-        x,
-        y,
-        dx,
-        dy,
-        np.linalg.norm(misses, axis=1),
+        *points.T,
+        *(misses.T * scale),
+        lengths,
         angles="xy",
         scale_units="xy",
         scale=1,
@@ -54,7 +47,7 @@ def _residuals(result: Calibration) -> Figure:
         cmap="viridis",
     )
     _picture_axes(field, result, f"residuals, {scale:.0f} x enlarged")
-    cloud.scatter(misses[:, 0], misses[:, 1], s=3, alpha=0.4, linewidths=0)
+    cloud.scatter(*misses.T, s=3, alpha=0.4, linewidths=0)
     limit = float(np.abs(misses).max()) * 1.1 + 1e-6
     cloud.set(
         xlim=(-limit, limit),

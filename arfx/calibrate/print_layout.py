@@ -119,19 +119,14 @@ def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
     Raises ConfigError, with the sizes, if it fits neither way.
     """
     width, height = page_mm(page)
-    problems = []
-    for w, h in ((width, height), (height, width)):
-        sheet = (
-            _board_sheet(targets[0], w, h)
-            if isinstance(targets[0], BoardSpec)
-            else _marker_sheet(targets, w, h)
-        )
+    make = _board_sheet if isinstance(targets[0], BoardSpec) else _marker_sheet
+    sheets = [make(targets, w, h) for w, h in ((width, height), (height, width))]
+    for sheet in sheets:
         if isinstance(sheet, Sheet):
             return sheet
-        problems.append(sheet)
     larger = [n for n, (a, b) in PAGES_MM.items() if a * b > width * height]
     raise ConfigError(
-        f"{problems[0]} (and not across either)",
+        f"{sheets[0]} (and not across either)",
         "print smaller or fewer" + (f", or --page {larger[0]} or larger" if larger else ""),
     )
 
@@ -161,19 +156,13 @@ def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> She
     left, top = (width - columns * pitch_x) / 2, over + (room_y - rows * pitch_y) / 2
     cells, texts = [], []
     for i, m in enumerate(markers):
-        size = m.size_m * 1000
-        middle = left + (i % columns + 0.5) * pitch_x
-        upper = top + (i // columns) * pitch_y + white + (largest - size) / 2
-        bits = marker_bits(m.family, m.id)
-        cells.append(Cells(middle - size / 2, upper, size / len(bits), bits))
+        row, column = divmod(i, columns)
+        size, bits = m.size_m * 1000, marker_bits(m.family, m.id)
+        middle, upper = left + (column + 0.5) * pitch_x, top + row * pitch_y + white
+        corner = middle - size / 2, upper + (largest - size) / 2
+        cells.append(Cells(*corner, size / len(bits), bits))
         words = f"{m}" if size >= 40 else f"{m.family}:{m.id} {size:g}mm"
-        texts.append(
-            Text(
-                middle,
-                top + (i // columns) * pitch_y + 2 * white + largest + LABEL_MM - 1,
-                words,
-            )
-        )
+        texts.append(Text(middle, upper + white + largest + LABEL_MM - 1, words))
     return _with_ruler(
         ", ".join(map(str, markers[:4])) + (" ..." if len(markers) > 4 else ""),
         width,
@@ -183,8 +172,10 @@ def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> She
     )
 
 
-def _board_sheet(spec: BoardSpec, width: float, height: float) -> Sheet | str:
+def _board_sheet(targets: Sequence[Target], width: float, height: float) -> Sheet | str:
     """The board in the middle; or why it does not fit."""
+    spec = targets[0]
+    assert isinstance(spec, BoardSpec)
     square = spec.square_m * 1000
     columns, rows = spec.squares
     w, h = columns * square, rows * square

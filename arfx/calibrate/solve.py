@@ -45,7 +45,7 @@ FIXED = {
 
 
 class LensModel(NamedTuple):
-    """A nested lens model. free : how many of OpenCV's coefficients that are estimated, from the
+    """A nested lens model. free : how many of OpenCV's coefficients are estimated, from the
     first on; the others are zero.
     """
 
