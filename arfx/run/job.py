@@ -49,9 +49,8 @@ from arfx.run.worker import keep_memory, render_chunk
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 SHORT_JOB_PX = 150_000_000
-MOST_THREADS = (
-    4  # beyond this many, threads wait for each other in the interpreter: processes instead
-)
+# beyond this many, threads wait for each other in the interpreter: processes instead
+MOST_THREADS = 4
 
 
 Progress = Callable[[str, int, int | None], None]

@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Callable
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -232,7 +233,7 @@ def stated_camera(scene: SceneFile, camera: Camera) -> Camera:
 
 def job_toml(scene: SceneFile) -> str:
     """The job file beside the clip, with paths relative to it."""
-    given = {"clip": scene.clip.file, "camera": "camera.yaml"}
+    given: dict[str, Any] = {"clip": scene.clip.file, "camera": "camera.yaml"}
     if scene.depth.file:
         given |= {"depth": scene.depth.file, "depth_scale": round(1 / DEPTH_UNIT_M)}
     return to_toml(

@@ -133,7 +133,7 @@ class Picture:
         room_from_camera = world.camera_at(frame, t0).inverse()
         next_camera = world.camera_at(frame + 1, t1)
         before, after = world.poses(t0), world.poses(t1)
-        y, x = np.indices(depth.shape)
+        grid = np.moveaxis(np.indices(depth.shape)[::-1], 0, -1)
         for number in np.unique(owner[owner > 0]):
             here = owner == number
             move = (
@@ -142,8 +142,7 @@ class Picture:
                 @ before[number - 1].inverse()
                 @ room_from_camera
             )
-            grid = np.stack([x[here], y[here]], -1)
-            out[here] = world.camera.project(move.apply(points[here])) - grid
+            out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
 
 

@@ -97,11 +97,9 @@ class World:
             size, smooth, gloss = (side, side), False, hidden.gloss
         else:
             assert isinstance(p, (Plane, Box))
-            size = (
-                p.size_m[:2]
-                if isinstance(p, Plane)
-                else np.maximum(p.size_m[::2], p.size_m[1])
-            )
+            size = p.size_m[0], p.size_m[1]
+            if isinstance(p, Box):
+                size = max(p.size_m[:2]), max(p.size_m[1:])
             picture = texture_albedo(
                 p.texture, size, self.scene.seed * 1000 + number - 1, folder
             )

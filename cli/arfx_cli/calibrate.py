@@ -139,12 +139,13 @@ def command(
         return
     rows: list[dict[str, Any]] = []
     for k, camera in enumerate(cameras):
-        found, code, message = None, 0, ""
+        done: dict[str, Any] | None = None
+        code, message = 0, ""
         try:
             camera.output.parent.mkdir(parents=True, exist_ok=True)
             title = f"{k + 1} of {len(cameras)} {Path(camera.named).name}"
-            found = _calibrate(camera, spec, title)
-            message = found["verdict"]
+            done = _calibrate(camera, spec, title)
+            message = done["verdict"]
         except Exception as e:
             if interrupt.pending():
                 raise
@@ -152,7 +153,7 @@ def command(
             message = on_one_line(message)
             tell(f"{k + 1} of {len(cameras)} {camera.named}: error: {message}")
         row = {"input": camera.named, "output": str(camera.output), "exit_code": code}
-        rows.append({**row, "message": message, "calibration": found})
+        rows.append({**row, "message": message, "calibration": done})
     failed = sum(row["exit_code"] != 0 for row in rows)
     if as_json:
         emit_json({"cameras": rows, "failed": failed})
