@@ -84,7 +84,7 @@ class ClipFile(_Video):
             context.thread_count = 1  # another number of threads gives another stream
         if clip.rotation_deg:
             self._stream.set_display_rotation(clip.rotation_deg)
-        self._tone = (
+        self._tone: Any = (
             self._out.add_stream("aac" if not lossless else "flac", rate=48_000)
             if clip.tone_hz
             else None
