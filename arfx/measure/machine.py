@@ -40,6 +40,7 @@ PACKAGES = (
     "pyrender-maintained",
     "pyopengl",
     "flip-evaluator",
+    "jinja2",
     "matplotlib",
     "psutil",
     "pydantic",
