@@ -18,13 +18,13 @@ from arfx.core import interrupt
 from arfx.core.guard import Guard
 from arfx.core.numerics import finite
 from arfx.core.waiting import wait_for
-from arfx.measure.pages import render
 from arfx.measure.report import report_of_job
 from arfx.media.output import names_sequence
 from arfx.run.batch import Row, Started, plan_all, process_all, total_of
 from arfx.run.batch_jobs import BatchJob, check_batch, home_of
 from arfx.run.folder import write
 from arfx.run.job import Options
+from arfx.run.pages import render
 from arfx.run.place import PAGE_START, files_locked, files_named
 
 FILES = {"batch.json": b'{\n "jobs": [', "batch.html": PAGE_START.encode()}
@@ -127,7 +127,8 @@ def _thumbnail(report: str) -> np.ndarray | None:
             np.frombuffer(base64.b64decode(found[len(found) // 2]), np.uint8),
             cv2.IMREAD_COLOR,
         )
+        assert whole is not None
         size = (_WIDTH_PX, max(round(whole.shape[0] * _WIDTH_PX / whole.shape[1]), 1))
         return cv2.resize(whole, size, interpolation=cv2.INTER_AREA)[..., ::-1]
-    except (OSError, ValueError, IndexError, AttributeError, cv2.error):
+    except (OSError, ValueError, IndexError, AssertionError, cv2.error):
         return None

@@ -23,6 +23,7 @@ from arfx.config.load import suggestion
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, level_named
+from arfx.core.waiting import Progress
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, StageRun, chain_of
@@ -93,7 +94,7 @@ def bench(
     sizes: Sequence[tuple[int, int]],
     stage: str | None = None,
     level: str | None = None,
-    progress: Callable[[str, int, int], None] = lambda *_: None,
+    progress: Progress = lambda *_: None,
     stages: Mapping[str, type[Stage]] = STAGES,
     errors: Errors | None = None,
 ) -> list[dict[str, Any]]:

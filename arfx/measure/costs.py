@@ -27,6 +27,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
 from arfx.core.stage import Stage
+from arfx.core.waiting import Progress
 from arfx.measure.bench import Cell, Runs, Stopwatch, check, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
@@ -125,7 +126,7 @@ def _cross_validation_error(rows: np.ndarray, measured: np.ndarray) -> float:
 
 
 def calibrate(
-    progress: Callable[[str, int, int], None] = lambda *_: None,
+    progress: Progress = lambda *_: None,
     stages: Mapping[str, type[Stage]] = STAGES,
     limit_s: float = LIMIT_S,
     output: bool = True,

@@ -12,7 +12,7 @@ import numpy as np
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
-from arfx.measure.pages import render
+from arfx.run.pages import render
 
 
 def page(

@@ -15,11 +15,11 @@ import numpy as np
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.pages import render
 from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, png
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
+from arfx.run.pages import render
 from arfx.run.planned import Job
 
 TIMES, MOST_DELTA_E = 8, 10

@@ -21,6 +21,7 @@ from arfx.core.facts import read_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.pose import Pose
+from arfx.core.waiting import Progress
 from arfx.errors import ConfigError, InputError, NothingToDoError
 from arfx.measure.truth import compare, exceeded, world_key
 from arfx.media.cameras import load_camera
@@ -49,7 +50,7 @@ class Verified:
 def verify(
     folder: Path,
     work: Path,
-    progress: Callable[[str, int, int | None], None],
+    progress: Progress,
     notice: Callable[[str], None],
     workers: int = 1,
 ) -> Verified:

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from arfx.measure.difference import difference, level_difference
-from arfx.measure.pages import render
 from arfx.measure.report_html import png
 from arfx.measure.tradeoff_html import TIMES, error_map
 from arfx.reproduce import Paper
@@ -22,6 +21,7 @@ from arfx.reproduce.rows import (
     Item,
     Value,
 )
+from arfx.run.pages import render
 
 
 def page(paper: Paper, items: Sequence[Item], machine: str, short: bool) -> str:

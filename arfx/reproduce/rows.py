@@ -47,10 +47,6 @@ class Row:
     verdict: str = DIFFERS
 
     def __post_init__(self) -> None:
-        if self.verdict not in VERDICTS:
-            raise ValueError(
-                f"{self.item}: {self.verdict!r} is none of {', '.join(VERDICTS)}"
-            )
         if self.verdict != HOLDS and not self.reason.strip():
             raise ValueError(f"{self.item}: the verdict {self.verdict!r} has no reason")
         for value in (self.printed, self.paper_formula, self.corrected):
@@ -133,6 +129,20 @@ def shown(
     )
 
 
+def said(
+    item: str,
+    printed: str,
+    values: Value | Sequence[Value],
+    holds: bool,
+    reason: str = "",
+    unit: str = "",
+) -> Row:
+    """values : by the printed and by the corrected method, or by the printed one alone;
+    otherwise as `shown`"""
+    of_paper, corrected = values if isinstance(values, (tuple, list)) else (values, None)
+    return shown(item, printed, of_paper, corrected, holds, reason, unit)
+
+
 def both(values: Iterable[float]) -> tuple[float, float]:
     """The printed method's value and the corrected one's."""
     printed, corrected = values
@@ -160,24 +170,6 @@ class Figure:
     item: str
     title: str
     pictures: Mapping[str, np.ndarray]
-
-    def __post_init__(self) -> None:
-        for name, picture in self.pictures.items():
-            if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-                raise ValueError(
-                    f"{self.item}: picture {name!r} is {picture.dtype} {picture.shape}"
-                )
-        if (
-            len(
-                {
-                    p.shape
-                    for name, p in self.pictures.items()
-                    if name in (PRINTED, CORRECTED, REFERENCE)
-                }
-            )
-            > 1
-        ):
-            raise ValueError(f"{self.item}: pictures that are compared have one size")
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from arfx.core.machine import usable_cores
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.rows import DIFFERS, UNDERIVED, Item, Row, bars, compared, shown
+from arfx.reproduce.rows import DIFFERS, UNDERIVED, Item, Row, bars, compared, said
 from arfx.reproduce.s2_scene import ball_model, moving_desk, moving_settings, room_model
 from arfx.reproduce.work import Timed, Work, frames_of, median_s
 
@@ -107,7 +107,7 @@ def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
     why = "the process with all its libraries needs more than the authors' machine had"
     holds = max(printed, corrected) <= PC_MB
     words = [f"at most {mb:.0f} MB used" for mb in (printed, corrected)]
-    yield shown("section 4, memory of the machine", "2 GB", words[0], words[1], holds, why)
+    yield said("section 4, memory of the machine", "2 GB", words, holds, why)
     used = f"{size[0]}*{size[1]}"
     yield compared(
         "section 4, resolution",

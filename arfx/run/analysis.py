@@ -15,6 +15,7 @@ from typing import Any
 from arfx.analyse.fold import Analysis, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.core import codec
+from arfx.core.waiting import Progress
 from arfx.media.clip import ClipInfo
 from arfx.media.frames import (
     ClipReader,
@@ -40,7 +41,6 @@ from arfx.run.stretches import (
 from arfx.run.times import STRETCH, WorkLog
 from arfx.run.worker import who
 
-Progress = Callable[[str, int, int | None], None]
 # (tasks, how many there are at most, frames of the clip, progress, a worker can begin anywhere)
 Run = Callable[[Iterator[Task], int, int, Callable[[int], None]], Results]
 

@@ -20,7 +20,7 @@ from arfx.core.machine import usable_cores
 from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
-from arfx.core.waiting import wait_for
+from arfx.core.waiting import Progress, wait_for
 from arfx.errors import JobInterruptedError, counted
 from arfx.media.join import join_chunks
 from arfx.media.output import check_times
@@ -51,9 +51,6 @@ SHORT_JOB_PX = 150_000_000
 MOST_THREADS = (
     4  # beyond this many, threads wait for each other in the interpreter: processes instead
 )
-
-
-Progress = Callable[[str, int, int | None], None]
 
 
 @dataclass

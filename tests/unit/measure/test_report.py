@@ -20,8 +20,8 @@ from arfx.core.camera import Camera
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, MarkerSighting
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
-from arfx.measure.pages import number, render
 from arfx.measure.report import finite, read_report, write_report
+from arfx.run.pages import number, render
 
 REPORT = {
     "input": {"path": "/clips/a<b>&.mp4", "frames": 6, "seconds": 0.2, "width": 64, "height": 48, "fps": 30.0, "vfr": False,

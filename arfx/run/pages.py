@@ -5,6 +5,7 @@ inlined, and every text is escaped.
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -25,14 +26,14 @@ def _templates() -> Environment:
     from jinja2 import ChainableUndefined, Environment, FileSystemLoader
 
     found = Environment(
-        autoescape=True,
+        autoescape=lambda name: str(name).endswith(".html"),
         finalize=_told,
         undefined=ChainableUndefined,
         loader=FileSystemLoader(Path(arfx.__file__).parent),
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.filters |= {"jpeg": jpeg, "png": png}
+    found.filters |= {"jpeg": jpeg, "png": png, "json": json.dumps}
     return found
 
 
