@@ -45,10 +45,9 @@ def pose_plot(
     a coloured strip.
     """
     from matplotlib.colors import ListedColormap
-    from matplotlib.figure import Figure
 
     times = np.array([f.time_s for f in facts], float)
-    fig = Figure(figsize=(9.0, 4.6), layout="constrained")
+    fig = drawing(9.0, 4.6)
     jitter, error, strip = fig.subplots(3, 1, sharex=True, height_ratios=(5, 3, 0.7))
     if camera is not None and points_m is not None and len(facts) > 2:
         for raw, colour, label in (
@@ -62,19 +61,14 @@ def pose_plot(
                 else ", no three frames in a row"
             )
             jitter.plot(times, d, color=colour, lw=0.9 if raw else 1.4, label=label)
-        jitter.legend(loc="upper right", frameon=False, labelcolor=INK, fontsize=8)
-    jitter.set_ylabel("second difference, px", fontsize=8)
-    jitter.set_title(
-        "Jitter of a cube on the marker against the footage",
-        fontsize=9,
-        loc="left",
-        color=INK,
-    )
+        jitter.legend(loc="upper right")
+    jitter.set_ylabel("second difference, px")
+    jitter.set_title("Jitter of a cube on the marker against the footage")
     px = np.array(
         [np.nan if f.reprojection_px is None else f.reprojection_px for f in facts], float
     )
     error.plot(times, px, ".", ms=2.5, color=SMOOTH)
-    error.set_ylabel("reprojection, px", fontsize=8)
+    error.set_ylabel("reprojection, px")
     for axis in (jitter, error):
         axis.set_ylim(bottom=0)
     order = (MEASURED, INTERPOLATED, ABSENT)
@@ -86,14 +80,12 @@ def pose_plot(
             np.append(times, end), [0, 1], codes, cmap=colours, vmin=-0.5, vmax=2.5
         )
     strip.set_yticks([])
-    strip.set_xlabel("time, s", fontsize=8)
+    strip.set_xlabel("time, s")
     return png(fig)
 
 
 def timing_plot(report: Mapping[str, Any]) -> bytes:
     """Predicted and measured seconds of each stage, and the phases of the job."""
-    from matplotlib.figure import Figure
-
     stages = [s for s in report["stages"] if s["frames_run"]]
     phases = [
         (k.removesuffix("_s"), v)
@@ -104,7 +96,7 @@ def timing_plot(report: Mapping[str, Any]) -> bytes:
         (k, v) for k, v in phases if k != "frames_per" and isinstance(v, (int, float))
     ]
     rows = max(len(stages), len(phases), 1)
-    fig = Figure(figsize=(9.0, 0.9 + 0.36 * rows), layout="constrained")
+    fig = drawing(9.0, 0.9 + 0.36 * rows)
     left, right = fig.subplots(1, 2)
     y = np.arange(len(stages))
     left.barh(
@@ -122,24 +114,38 @@ def timing_plot(report: Mapping[str, Any]) -> bytes:
         label="measured",
     )
     left.set_yticks(y, [s["name"] for s in stages])
-    left.set_title("Stages, s (summed over workers)", fontsize=9, loc="left", color=INK)
+    left.set_title("Stages, s (summed over workers)")
     if stages:
-        left.legend(frameon=False, labelcolor=INK, fontsize=8)
+        left.legend()
     y = np.arange(len(phases))
     right.barh(y, [v for _, v in phases], 0.6, color=SMOOTH)
     right.set_yticks(y, [k for k, _ in phases])
-    right.set_title("Phases, s", fontsize=9, loc="left", color=INK)
+    right.set_title("Phases, s")
     for axis in (left, right):
         axis.invert_yaxis()
     return png(fig)
 
 
+def drawing(width: float, height: float) -> Any:
+    """An empty figure of matplotlib, inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
 def png(fig: Any) -> bytes:
+    """The figure in the style of the pages."""
     for axis in fig.axes:
         axis.set_facecolor("none")
         axis.tick_params(colors=INK, labelsize=8)
-        axis.xaxis.label.set_color(INK)
-        axis.yaxis.label.set_color(INK)
+        axis.set_title(axis.get_title(), fontsize=9, loc="left", color=INK)
+        axis.set_title("")
+        texts = [axis.xaxis.label, axis.yaxis.label]
+        if legend := axis.get_legend():
+            legend.set_frame_on(False)
+            texts += legend.get_texts()
+        for text in texts:
+            text.set(color=INK, fontsize=8)
         for side, spine in axis.spines.items():
             spine.set_color(INK)
             spine.set_visible(side in ("left", "bottom"))

@@ -15,7 +15,7 @@ import numpy as np
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, png
+from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, drawing, png
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
@@ -105,7 +105,8 @@ def effect_plot(rows: Sequence[Row]) -> bytes:
     """Mean and 99th percentile of each level of one effect; the other formula's point is a
     diamond.
     """
-    fig, axis = _axis(6.4, 3.4)
+    fig = drawing(6.4, 3.4)
+    axis = fig.subplots()
     rows = [r for r in rows if r.level != LEFT_OUT]
     own = [r for r in rows if r.formula == rows[0].formula]
     other = [r for r in rows if r.formula != rows[0].formula]
@@ -128,12 +129,13 @@ def effect_plot(rows: Sequence[Row]) -> bytes:
         [(r, r.level if r in own else f"{r.formula} {r.level}") for r in rows],
         (4, -11),
     )
-    return _finished(fig, axis, f"{rows[0].name}: error against its own reference")
+    return _finished(fig, f"{rows[0].name}: error against its own reference")
 
 
 def pipeline_plot(rows: Sequence[Row]) -> bytes:
     """Whole pipelines, the front of those that no other beats joined by a line."""
-    fig, axis = _axis(7.6, 4.2)
+    fig = drawing(7.6, 4.2)
+    axis = fig.subplots()
     axis.plot(
         *_points(front([r for r in rows if not r.formula])),
         "-",
@@ -150,7 +152,7 @@ def pipeline_plot(rows: Sequence[Row]) -> bytes:
         [(r, f"{r.formula} {r.level}".strip()) for r in rows if r.level != "mixed"],
         (5, 5),
     )
-    return _finished(fig, axis, "Whole pipelines against everything at reference")
+    return _finished(fig, "Whole pipelines against everything at reference")
 
 
 def _points(rows: Sequence[Row], worst: bool = False) -> tuple[list[float], list[float]]:
@@ -168,21 +170,13 @@ def _named(axis: Any, rows: Sequence[tuple[Row, str]], aside: tuple[int, int]) -
         )
 
 
-def _axis(width: float, height: float) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
-    fig = Figure(figsize=(width, height), layout="constrained")
-    return fig, fig.subplots()
-
-
-def _finished(fig: Any, axis: Any, title: str) -> bytes:
+def _finished(fig: Any, title: str) -> bytes:
+    (axis,) = fig.axes
     axis.axhline(SEEN_MEAN, color=PREDICTED, lw=0.8, ls=":")
-    axis.set(xscale="log", yscale="log")
-    axis.set_xlabel("ms per frame, one core", fontsize=8)
-    axis.set_ylabel("grey levels", fontsize=8)
-    axis.set_title(title, fontsize=9, loc="left", color=INK)
+    axis.set(xscale="log", yscale="log", title=title)
+    axis.set(xlabel="ms per frame, one core", ylabel="grey levels")
     axis.margins(0.12)
-    axis.legend(frameon=False, labelcolor=INK, fontsize=7, loc="upper right")
+    axis.legend(loc="upper right")
     return png(fig)
 
 

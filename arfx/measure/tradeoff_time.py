@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import stdtrit
 
-from arfx.core.cost import Prediction, measured, sum_independent, with_spread
+from arfx.core.cost import Prediction, sum_independent, with_spread
 from arfx.core.rect import Rect
 from arfx.measure.steps import Chain, FrameRenderer, StageRun
 
@@ -125,10 +125,6 @@ class Times:
         return (
             sum_independent([mean, with_spread(added, LEAST_SPREAD)]) if added > 0 else mean
         )
-
-    def of_chain(self, chain: Iterable[At]) -> Prediction:
-        """Of all steps of a frame; what was not timed counts as nothing."""
-        return sum_independent([self.of(at) or measured(0.0) for at in chain])
 
     def run(self, run: StageRun, out: Rect) -> float:
         start = self.clock()

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from arfx.measure.report_html import INK, drawing
+
 HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)
 BEFORE, PRINTED, CORRECTED, REFERENCE = (
@@ -195,12 +197,8 @@ def bars(
     printed method, corrected …).
 
     A pair is drawn from its first to its second value, None is left out."""
-    from matplotlib.figure import Figure as Drawing
-
-    drawing = Drawing(
-        figsize=(7.6, 0.8 + 0.22 * len(labels) * (len(series) + 1)), layout="constrained"
-    )
-    axis = drawing.subplots()
+    figure = drawing(7.6, 0.8 + 0.22 * len(labels) * (len(series) + 1))
+    axis = figure.subplots()
     height = 0.8 / len(series)
     for k, (name, values) in enumerate(series.items()):
         ends = [
@@ -229,10 +227,10 @@ def bars(
                 )
     axis.set_yticks(np.arange(len(labels)), labels)
     axis.invert_yaxis()
-    axis.set_xlabel(unit, fontsize=8)
+    axis.set_xlabel(unit)
     axis.margins(x=0.12)
-    axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot(item, title, drawing)
+    axis.legend()
+    return Plot(item, title, figure)
 
 
 def curves(
@@ -245,20 +243,15 @@ def curves(
     """A plot of values over x, a colour for each series, from that of the printed method on.
 
     labels : of the axes"""
-    from matplotlib.figure import Figure as Drawing
-
-    drawing = Drawing(figsize=(7.6, 3.2), layout="constrained")
-    axis = drawing.subplots()
+    figure = drawing(7.6, 3.2)
+    axis = figure.subplots()
     for (name, values), colour in zip(series.items(), COLOURS[1:], strict=False):
         axis.plot(x, values, label=name, color=colour)
-    axis.set_xlabel(labels[0], fontsize=8)
-    axis.set_ylabel(labels[1], fontsize=8)
-    axis.set_ylim(0)
-    axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot(item, title, drawing)
+    axis.set(xlabel=labels[0], ylabel=labels[1], ylim=0)
+    axis.legend()
+    return Plot(item, title, figure)
 
 
-INK = "#7d8590"  # readable on white and on nearly black
 COLOURS = (
     "#8b949e",
     "#d9822b",

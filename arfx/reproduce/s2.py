@@ -49,6 +49,8 @@ from arfx.stages.dof.optics import CircleOfConfusion
 N, C, F, L = 11.0, 0.035, 200.0, 2500.0  # of the paper's example, mm
 LENS, OTHER = Lens(F, N, L), 5000.0
 AT = CircleOfConfusion(1e-3 * LENS.coc_mm_per_dioptre, 1e3 / L, math.inf, 1.0)
+# what fraction of a pixel's light each row of a blur circle gets
+DISC_ROWS = disc(3.0).sum(1)
 L_LESS_F = "(4) and (5) have L where (3) implies L - F"
 
 
@@ -362,7 +364,7 @@ def _luminance() -> Iterator[Item]:
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
     made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
-    disc = float(_disc_rows(3).sum())
+    disc = float(DISC_ROWS.sum())
     why = (
         "each neighbour takes the white pixel's whole value: light is made from nothing,"
         " and reaches one pixel. A disc keeps it"
@@ -370,11 +372,6 @@ def _luminance() -> Iterator[Item]:
     yield Row(
         "equation (8), light of one white pixel", 1.0, made, disc, why, "white pixels"
     )
-
-
-def _disc_rows(radius_px: int) -> np.ndarray:
-    """What fraction of a pixel's light each row of a blur circle gets."""
-    return disc(float(radius_px)).sum(1)
 
 
 def _blocks() -> Iterator[Item]:
@@ -457,7 +454,7 @@ def _blend() -> Iterator[Item]:
         "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
         " one of its rows holds"
     )
-    disc = float(_disc_rows(3).max())
+    disc = float(DISC_ROWS.max())
     yield Row(
         "equation (9), sharp edge left at α = 1/2",
         "weighted mean",

@@ -93,17 +93,19 @@ def analyse_clip(
     span, log = Span(info, *span_s), log or WorkLog(folder.timings)
     with ClipReader(info) as reader:
         times = reader.times()
-    stretches, stated = cut(span, times), [] if times is None else times.pts
-    damaged = reader.damaged
+
+    def joined(stretches: Stretches, run: Run) -> AnalysisPass:
+        clip = replace(job, length_s=stretches.length_s)
+        context = Context(clip, wanted, span, stretches)
+        done = _Pass(context, progress, folder, key, log)
+        return done.done(run, [] if times is None else times.pts)
+
+    stretches, damaged = cut(span, times), reader.damaged
     try:
-        found = _Pass(span, stretches, job, wanted, progress, folder, key, log).done(
-            run if stretches.seeks else in_order, stated
-        )
+        found = joined(stretches, run if stretches.seeks else in_order)
     except FrameTimesError as e:  # what the packets say of the frames is not so
         damaged = isinstance(e, FrameDamageError)
-        found = _Pass(span, whole(span), job, wanted, progress, folder, key, log).done(
-            in_order, stated
-        )
+        found = joined(whole(span), in_order)
     return replace(found, damaged=damaged)
 
 
@@ -112,19 +114,16 @@ class _Pass:
 
     def __init__(
         self,
-        span: Span,
-        stretches: Stretches,
-        job: AnalysisJob,
-        wanted: Collection[str],
+        context: Context,
         progress: Progress,
         folder: JobFolder,
         key: str,
         log: WorkLog,
     ) -> None:
-        self.stretches, self.folder, self.key, self.log = stretches, folder, key, log
-        job = replace(job, length_s=stretches.length_s)
-        self.context = Context(job, wanted, span, stretches)
-        self.analyser = Analyser(job, wanted)
+        stretches = context.stretches
+        self.context, self.stretches = context, stretches
+        self.folder, self.key, self.log = folder, key, log
+        self.analyser = Analyser(context.job, context.wanted)
         self.pts, self.keys = list[int](), list[int]()
         self.before, self.ended, self.truncated = stretches.before, False, None
         self.seconds: Any = Counter()
