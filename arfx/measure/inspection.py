@@ -32,6 +32,7 @@ from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, smallest_family
 from arfx.core.numerics import angle_between, divide
+from arfx.measure.truth import quantiles
 from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import open_video
 from arfx.media.frames import ClipReader, read_on
@@ -266,13 +267,7 @@ def _inside(quad: np.ndarray, other: np.ndarray) -> bool:
 
 def _spread(values: Sequence[float]) -> dict[str, float] | None:
     """Smallest, median and largest; None for nothing."""
-    if not values:
-        return None
-    return {
-        "min": float(min(values)),
-        "median": float(np.median(values)),
-        "max": float(max(values)),
-    }
+    return quantiles(values, min=0, median=50, max=100) if values else None
 
 
 def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str:

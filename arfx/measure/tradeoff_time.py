@@ -22,6 +22,7 @@ from scipy.special import stdtrit
 from arfx.core.cost import Prediction, sum_independent, with_spread
 from arfx.core.rect import Rect
 from arfx.measure.steps import Chain, FrameRenderer, StageRun
+from arfx.plan.levels import sum_correlated
 
 At = tuple[str, str]  # stage, level
 TILES, TILE_S, TINY_PX = (
@@ -110,13 +111,7 @@ class Times:
         """Mean over the frames; None = not timed."""
         if at in self.tiles:
             each = [self.tiles[at].over(areas) for areas in self.areas[at]]
-            n = len(each)
-            mean = Prediction(
-                *(
-                    sum(getattr(p, k) for p in each) / n
-                    for k in ("seconds", "low_s", "high_s")
-                )
-            )
+            mean = sum_correlated(each).times(1 / len(each))
         elif at in self.whole:
             mean = with_spread(float(np.mean(self.whole[at])), LEAST_SPREAD)
         else:

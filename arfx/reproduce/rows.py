@@ -110,7 +110,7 @@ def compared(
 
 def shown(
     item: str,
-    printed: str,
+    printed: Value,
     paper_formula: float | str,
     corrected: float | str | None,
     holds: bool,
@@ -133,7 +133,7 @@ def shown(
 
 def said(
     item: str,
-    printed: str,
+    printed: Value,
     values: Value | Sequence[Value],
     holds: bool,
     reason: str = "",

@@ -206,9 +206,5 @@ def warn_if_unlisted(notice: Notice) -> Iterator[None]:
         def on_end(self, ended: event.Event) -> None:
             pass
 
-    listener = Listener()
-    event.register("numba:compile", listener)
-    try:
+    with event.install_listener("numba:compile", Listener()):
         yield
-    finally:
-        event.unregister("numba:compile", listener)

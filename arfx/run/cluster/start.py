@@ -69,8 +69,8 @@ class Cluster:
     ) -> Results:
         """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
         suffix = chunk_suffix(job.inputs.output)
-        with self._placed(job.inputs, job.folder, job.key, suffix) as placed:
-            yield from self._results(tasks, progress, job.inputs, *placed)
+        with self._dispatch(job.inputs, job.folder, job.key, suffix) as dispatch:
+            yield from dispatch.results(tasks, progress, self.workers)
 
     def analysing(self, inputs: Inputs, folder: JobFolder, key: str, here: Run) -> Run:
         """Has the stretches of a job analysed.
@@ -85,63 +85,43 @@ class Cluster:
             if count <= 1:
                 yield from here(tasks, count, frames, progress)
                 return
-            with self._placed(inputs, folder, key, None) as placed:
-                crew = self._crew(inputs, placed[0], lambda _: None)
-                crew.gathered(lambda: progress(0))
-                if why := crew.refusal():
+            with self._dispatch(inputs, folder, key, None) as dispatch:
+                dispatch.crew.gathered(lambda: progress(0))
+                if why := dispatch.crew.refusal():
                     self._notice(f"this machine analyses the clip alone: {why}")
                     yield from here(tasks, count, frames, progress)
                 else:
-                    yield from self._results([*tasks], progress, inputs, *placed, crew)
+                    yield from dispatch.results([*tasks], progress, self.workers)
 
         return run
 
-    def _crew(
-        self, inputs: Inputs, job: JobReference, notice: Callable[[str], None]
-    ) -> Crew:
-        plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
-        return Crew(self._client, environment(plugins, job.suffix is None), job, notice)
-
-    def _results(
-        self,
-        tasks: Sequence[Task],
-        progress: Callable[[int], None],
-        inputs: Inputs,
-        job: JobReference,
-        store: Store | None,
-        crew: Crew | None = None,
-    ) -> Results:
-        crew = crew or self._crew(inputs, job, self._notice)
-        dispatch = Dispatch(self._client, crew, job, store, self._own, self._notice)
-        with contextlib.closing(dispatch.results(tasks, progress, self.workers)) as results:
-            yield from results
-
     @contextlib.contextmanager
-    def _placed(
-        self,
-        inputs: Inputs,
-        folder: JobFolder,
-        key: str,
-        suffix: str | None,
-    ) -> Iterator[tuple[JobReference, Store | None]]:
-        """Where workers find a job, and the store if there is one: with the job's files in
-        it, emptied when the body is done.
+    def _dispatch(
+        self, inputs: Inputs, folder: JobFolder, key: str, suffix: str | None
+    ) -> Iterator[Dispatch]:
+        """A job placed where workers find it. If that is a store, the job's files are put
+        there, and it is emptied when the body is done.
+
+        key, suffix : as of `JobReference`
         """
         folders = places(folder.path.absolute(), self._maps)
+        seen, rendering = (
+            [there for there in folders if not is_url(there)],
+            suffix is not None,
+        )
         store = next(
             (Store(f"{there.rstrip('/')}/{key}") for there in folders if is_url(there)),
             None,
         )
         if store is not None:
-            store.put_job(folder, suffix is not None)
-        seen = tuple(there for there in folders if not is_url(there)) + (
-            (store.url,) if store is not None else ()
-        )
-        run, files = (
-            f"arfx-{uuid.uuid4().hex}",
-            bundles(inputs, self._maps, suffix is not None),
-        )
-        yield JobReference(run, key, suffix, seen, files), store
+            store.put_job(folder, rendering)
+            seen.append(store.url)
+        files = bundles(inputs, self._maps, rendering)
+        job = JobReference(f"arfx-{uuid.uuid4().hex}", key, suffix, tuple(seen), files)
+        plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
+        notice = self._notice if rendering else lambda _: None
+        crew = Crew(self._client, environment(plugins, not rendering), job, notice)
+        yield Dispatch(self._client, crew, job, store, self._own, self._notice)
         if store is not None:
             store.take_previews(folder.previews)
             store.remove()
