@@ -38,7 +38,7 @@ from arfx.run.stretches import (
     made,
     whole,
 )
-from arfx.run.times import STRETCH, WorkLog
+from arfx.run.times import ANALYSIS, STRETCH, WorkLog
 from arfx.run.worker import who
 
 # (tasks, how many there are at most, frames of the clip, progress, a worker can begin anywhere)
@@ -50,17 +50,12 @@ class AnalysisPass:
     """pts : presentation times of the frames to render, in the clip's time base;  keys :
     which of them decoding can begin at
     truncated : a message where the file ends in damage;  careful, missing, damaged : as of
-    `ClipAnalysis`
-    seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)
-    stretches : keys of their rows there"""
+    `ClipAnalysis`"""
 
     analysis: Analysis
     pts: list[int]
     keys: list[int]
     truncated: str | None
-    seconds: Mapping[str, float]
-    walls: Mapping[str, float]
-    stretches: list[str]
     careful: bool
     missing: list[tuple[float, int]]
     damaged: bool = False
@@ -191,15 +186,13 @@ class _Pass:
             Analysis(frame_span=(times, self.before, self.ended and not truncated))
         )
         self.seconds.update({"analyse": time.perf_counter() - start})
+        self.log.note(ANALYSIS, self.key, self.seconds, self.walls, stretches=self.names)
         self._progress("analyse", len(self.pts), len(self.pts))
         return AnalysisPass(
             analysis,
             self.pts,
             self.keys,
             truncated,
-            self.seconds,
-            self.walls,
-            self.names,
             self.stretches.careful,
             [(since_s(t), count) for t, count in missing],
         )

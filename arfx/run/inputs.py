@@ -328,7 +328,5 @@ def _wpilib_layout(document: dict) -> dict[str, Pose]:
             invalid="ignore"
         ):  # what is not finite is refused with the other poses
             r = rotation_from_quaternion(*(float(q[k]) for k in "WXYZ")) @ swap
-        out[f"36h11:{int(tag['ID'])}"] = Pose(
-            r, np.array([float(t["x"]), float(t["y"]), float(t["z"])])
-        )
+        out[f"36h11:{int(tag['ID'])}"] = Pose(r, np.array([t[k] for k in "xyz"], float))
     return out

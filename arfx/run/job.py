@@ -43,7 +43,7 @@ from arfx.run.predict import JobSize, choose, level_policy
 from arfx.run.schedule import Chunk, borders, find_chunk
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
-from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
+from arfx.run.times import CHUNK, TimeSpent, WorkLog
 from arfx.run.worker import keep_memory, render_chunk
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
@@ -346,7 +346,6 @@ def _analyse(
         done.missing,
         done.damaged,
     ).write(folder)
-    log.note(ANALYSIS, analysis_key, done.seconds, done.walls, stretches=done.stretches)
 
 
 def _results(
