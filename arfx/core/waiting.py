@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
+Notice = Callable[[str], None]  # is told what people should know
 Progress = Callable[[str, int, int | None], None]  # (phase, done, in all or None)
 # Phases of progress that count seconds, and what they are
 WAITS = {

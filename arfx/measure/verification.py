@@ -5,7 +5,6 @@ bounds beside it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from arfx.core.facts import read_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.pose import Pose
-from arfx.core.waiting import Progress
+from arfx.core.waiting import Notice, Progress
 from arfx.errors import ConfigError, InputError, NothingToDoError
 from arfx.measure.truth import compare, exceeded, world_key
 from arfx.media.clip import probe
@@ -52,7 +51,7 @@ def verify(
     folder: Path,
     work: Path,
     progress: Progress,
-    notice: Callable[[str], None],
+    notice: Notice,
     workers: int = 1,
 ) -> Verified:
     """Verify a folder made by `arfx synth`, or a scene folder (scene.toml), which is

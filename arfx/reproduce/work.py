@@ -19,7 +19,7 @@ from arfx.config.load import load, merge
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt
 from arfx.core.layers import Layer
-from arfx.core.waiting import Progress
+from arfx.core.waiting import Notice, Progress
 from arfx.errors import RenderError
 from arfx.measure.bench import WALL
 from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, open_frames
@@ -114,7 +114,7 @@ class Work:
     folder: Path
     short: bool = False
     progress: Progress = lambda phase, done, total: None
-    notice: Callable[[str], None] = lambda message: None
+    notice: Notice = lambda message: None
     _made: dict[str, Any] = field(default_factory=dict)
 
     def scaled(self, full: Any, short: Any) -> Any:

@@ -24,7 +24,7 @@ from arfx.media.frames import (
     late_frames,
     missing_frames,
 )
-from arfx.run.executors import Results, Task, run_serial
+from arfx.run.executors import Done, Results, Task, run_serial
 from arfx.run.folder import JobFolder, digest, write
 from arfx.run.source import release
 from arfx.run.stretches import (
@@ -42,7 +42,7 @@ from arfx.run.times import ANALYSIS, STRETCH, WorkLog
 from arfx.run.worker import who
 
 # (tasks, how many there are at most, frames of the clip, progress, a worker can begin anywhere)
-Run = Callable[[Iterator[Task], int, int, Callable[[int], None]], Results]
+Run = Callable[[Iterator[Task], int, int, Done], Results]
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,7 @@ class AnalysisPass:
     damaged: bool = False
 
 
-def in_order(
-    tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
-) -> Results:
+def in_order(tasks: Iterator[Task], count: int, frames: int, progress: Done) -> Results:
     """The stretches one after the other, in this thread."""
     return run_serial(tasks, progress, analyse_stretch)
 

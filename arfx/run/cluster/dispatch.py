@@ -14,7 +14,7 @@ from arfx.errors import RenderError
 from arfx.run.cluster import remote
 from arfx.run.cluster.crew import Crew, check_connection, lost
 from arfx.run.cluster.store import Store
-from arfx.run.executors import Results, Task
+from arfx.run.executors import Done, Results, Task
 from arfx.run.folder import JobFolder
 
 ROUND_S = 0.05
@@ -42,9 +42,7 @@ class Dispatch:
         self._frames: dict[int, int] = {}  # done, by the first frame of a task
         self._worked, self._said_waiting = time.monotonic(), False
 
-    def results(
-        self, tasks: Sequence[Task], progress: Callable[[int], None], workers: int
-    ) -> Results:
+    def results(self, tasks: Sequence[Task], progress: Done, workers: int) -> Results:
         """workers : how many there may be
 
         Raises RenderError: a chunk that lost too many workers, no worker that may render,

@@ -26,7 +26,7 @@ from arfx.run.cluster.paths import PathMap, is_url, places
 from arfx.run.cluster.remote import JobReference
 from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
 from arfx.run.cluster.store import Store
-from arfx.run.executors import Results, Task
+from arfx.run.executors import Done, Results, Task
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
@@ -64,9 +64,7 @@ class Cluster:
             crew.check()  # before any work, if none of its workers can be used
             self.workers = crew.slots or 1
 
-    def render(
-        self, tasks: Sequence[Task], progress: Callable[[int], None], job: Job
-    ) -> Results:
+    def render(self, tasks: Sequence[Task], progress: Done, job: Job) -> Results:
         """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
         suffix = chunk_suffix(job.inputs.output)
         with self._dispatch(job.inputs, job.folder, job.key, suffix) as dispatch:
@@ -79,9 +77,7 @@ class Cluster:
         for, facts differ in their last digits.
         key : of the analysis;  here : how this machine does it where all are refused"""
 
-        def run(
-            tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
-        ) -> Results:
+        def run(tasks: Iterator[Task], count: int, frames: int, progress: Done) -> Results:
             if count <= 1:
                 yield from here(tasks, count, frames, progress)
                 return
