@@ -10,6 +10,8 @@ from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
+Notice = Callable[[str], None]  # is told what people should know
+Progress = Callable[[str, int, int | None], None]  # (phase, done, in all or None)
 # Phases of progress that count seconds, and what they are
 WAITS = {
     "model": "reading the model",
@@ -20,9 +22,7 @@ WAITS = {
 _SOON_S = 2  # before that nothing is said
 
 
-def wait_for(
-    phase: str, work: Callable[[], T], progress: Callable[[str, int, int | None], object]
-) -> T:
+def wait_for(phase: str, work: Callable[[], T], progress: Progress) -> T:
     """What `work` returns or raises. It runs in a thread: a signal ends the wait at once,
     the thread ends with the process.
 

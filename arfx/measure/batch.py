@@ -18,28 +18,18 @@ from arfx.core import interrupt
 from arfx.core.guard import Guard
 from arfx.core.numerics import finite
 from arfx.core.waiting import wait_for
-from arfx.errors import RenderError
 from arfx.measure.report import report_of_job
-from arfx.measure.report_html import (
-    Html,
-    escaped,
-    full_page,
-    html_table,
-    jpeg,
-    number,
-    section,
-    tiles,
-)
 from arfx.media.output import names_sequence
 from arfx.run.batch import Row, Started, plan_all, process_all, total_of
 from arfx.run.batch_jobs import BatchJob, check_batch, home_of
 from arfx.run.folder import write
 from arfx.run.job import Options
+from arfx.run.pages import render
 from arfx.run.place import PAGE_START, files_locked, files_named
 
 FILES = {"batch.json": b'{\n "jobs": [', "batch.html": PAGE_START.encode()}
 THUMBNAILS = 200  # of the first jobs: each takes some milliseconds and 8 kB
-_WIDTH_PX, _QUALITY = 240, 80
+_WIDTH_PX = 240
 _PICTURE = re.compile(rb'<img class="out"[^>]* src="data:image/jpeg;base64,([^"]+)"')
 
 
@@ -106,71 +96,39 @@ def page(rows: Sequence[Row], count: int, home: Path) -> str:
     """batch.html. count : jobs of the batch, of which some may not have been begun;  home :
     the folder that links start from
     """
-    failed = [row for row in rows if row["exit_code"]]
-    shown = [
-        (f"{len(rows) - len(failed)} of {count}", "clips done"),
-        (len(failed), "failed"),
-        (f"{number(sum(row['seconds'] for row in rows))} s", "all jobs together"),
-    ]
-    if len(rows) < count:
-        shown.insert(2, (count - len(rows), "not begun"))
-    place = escaped(os.path.abspath(home))  # noqa: PTH100 - without ".."
-    header = f'<header><h1>Batch</h1><p class="path">{place}</p>{tiles(shown)}</header>'
-    items = "".join(
-        f"<li><b>{escaped(Path(r['clip']).name)}</b>: {escaped(r['message'])}</li>"
-        for r in failed
-    )
-    warning = items and f'<section class="warn"><h2>Failed</h2><ul>{items}</ul></section>'
-    return full_page(
-        f"{count} clips – arfx batch",
-        [header, warning, section("Clips", _table(rows, home))],
-    )
 
+    def link(path: str) -> str:
+        if names_sequence(Path(path)):
+            path = str(Path(path).parent)
+        try:
+            return quote(os.fsencode(os.path.relpath(path, home).replace(os.sep, "/")))
+        except ValueError:  # on another drive
+            return Path(path).absolute().as_uri()
 
-def _table(rows: Sequence[Row], home: Path) -> str:
-    with_picture = {id(row) for row in [r for r in rows if r["report"]][:THUMBNAILS]}
-    cells = []
-    for row in rows:
-        picture = Html(_thumbnail(Path(row["report"])) if id(row) in with_picture else "")
-        result = Html(
-            f'<span class="bad">exit {row["exit_code"]}</span>'
-            if row["exit_code"]
-            else '<span class="ok">done</span>'
-        )
-        report = _link(row["report"], home, "report") if row["report"] else "–"
-        output = (
-            row["output"] if row["exit_code"] else _link(row["output"], home, row["output"])
-        )
-        cells.append(
-            (picture, row["clip"], result, f"{row['seconds']:.1f}", report, output)
-        )
-    return html_table(
-        ("", "clip", "result", "seconds", "report", "output"), cells, frozenset({3})
+    begun = [row["report"] for row in rows if row["report"]][:THUMBNAILS]
+    return render(
+        "measure/batch.html",
+        rows=rows,
+        count=count,
+        home=os.path.abspath(home),  # noqa: PTH100 - without ".."
+        thumbnails=[
+            _thumbnail(row["report"]) if row["report"] in begun else None for row in rows
+        ],
+        file_name=lambda path: Path(path).name,
+        link=link,
     )
 
 
-def _link(path: str, home: Path, text: str) -> Html:
-    if names_sequence(Path(path)):
-        path = str(Path(path).parent)
+def _thumbnail(report: str) -> np.ndarray | None:
+    """The middle output picture of a job's report, small, RGB; None where there is none."""
     try:
-        address = quote(os.fsencode(os.path.relpath(path, home).replace(os.sep, "/")))
-    except ValueError:  # on another drive
-        address = Path(path).absolute().as_uri()
-    return Html(f'<a href="{address}">{escaped(text)}</a>')
-
-
-def _thumbnail(report: Path) -> str:
-    """The middle output picture of a job's report, small; "" where there is none."""
-    try:
-        found = _PICTURE.findall(report.read_bytes())
+        found = _PICTURE.findall(Path(report).read_bytes())
         whole = cv2.imdecode(
             np.frombuffer(base64.b64decode(found[len(found) // 2]), np.uint8),
             cv2.IMREAD_COLOR,
         )
-        if whole is None:
-            return ""
+        assert whole is not None
         size = (_WIDTH_PX, max(round(whole.shape[0] * _WIDTH_PX / whole.shape[1]), 1))
-        small = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
-        return f'<img class="thumbnail" alt="" src="{jpeg(small[..., ::-1], _QUALITY)}">'
-    except (OSError, ValueError, IndexError, cv2.error, RenderError):
-        return ""
+        return cv2.resize(whole, size, interpolation=cv2.INTER_AREA)[..., ::-1]
+    except (OSError, ValueError, IndexError, AssertionError, cv2.error):
+        return None

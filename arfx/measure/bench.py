@@ -23,6 +23,7 @@ from arfx.config.load import suggestion
 from arfx.core.facts import FrameFacts
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, level_named
+from arfx.core.waiting import Progress
 from arfx.errors import ConfigError
 from arfx.measure.bench_scene import BenchScene, bench_scene
 from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, StageRun, chain_of
@@ -93,8 +94,7 @@ def bench(
     sizes: Sequence[tuple[int, int]],
     stage: str | None = None,
     level: str | None = None,
-    progress: Callable[[str, int, int], None] = lambda *_: None,
-    stages: Mapping[str, type[Stage]] = STAGES,
+    progress: Progress = lambda *_: None,
     errors: Errors | None = None,
 ) -> list[dict[str, Any]]:
     """Rows of {stage, level, size, ms, yardstick_ms, ratio, error, runs, area_px}; ms >= 0,
@@ -103,11 +103,11 @@ def bench(
     stage, level : only these;  sizes : (width, height) px;  errors : None = those that are shipped
     Raises ConfigError for an unknown stage, a level that no chosen stage has, or a size
     below 64x64."""
-    check(stages, stage, level, sizes)
+    check(stage, level, sizes)
     keep_memory()  # as a worker does
     rows = []
     for size in sizes:
-        cells = make_cells(bench_scene(*size), stage, level, stages)
+        cells = make_cells(bench_scene(*size), stage, level)
         if not cells:
             what = stage or f"level {level}"
             why = (
@@ -121,21 +121,20 @@ def bench(
 
 
 def check(
-    stages: Mapping[str, type[Stage]],
     stage: str | None,
     level: str | None,
     sizes: Sequence[tuple[int, int]],
 ) -> None:
-    if stage is not None and stage not in stages:
-        raise ConfigError(f"there is no stage {stage!r}", suggestion(stage, list(stages)))
+    if stage is not None and stage not in STAGES:
+        raise ConfigError(f"there is no stage {stage!r}", suggestion(stage, list(STAGES)))
     for width, height in sizes:
         if min(width, height) < 64 or max(width, height) > 8192:
             raise ConfigError(
                 f"size {width}x{height} cannot be benchmarked",
                 "from 64 to 8192 px a side: 1280x720",
             )
-    chosen = [stages[stage]] if stage is not None else list(stages.values())
-    levels = {level for s in chosen for level in s.levels}
+    chosen = STAGES if stage is None else [stage]
+    levels = {level for name in chosen for level in STAGES[name].levels}
     if level is not None and level not in levels:
         where = f" of stage {stage!r}" if stage else ""
         raise ConfigError(
@@ -143,27 +142,16 @@ def check(
         )
 
 
-def make_cells(
-    at: BenchScene, stage: str | None, level: str | None, stages: Mapping[str, type[Stage]]
-) -> list[Cell]:
+def make_cells(at: BenchScene, stage: str | None, level: str | None) -> list[Cell]:
     """What is to be timed; the layers that a stage reads are made once by the standard
     levels of those before it.
 
     Stages that require measured depth are timed on the same scene with a depth map."""
-    instances: dict[str, Stage] = {name: stages[name]() for name in stages}
-    wanted = {stage} if stage is not None else set(instances)
+    stages = {name: kind() for name, kind in STAGES.items()}
+    wanted = set(stages) if stage is None else {stage}
     on_depth = wanted & ON_DEPTH
-    scenes = (
-        [(at, wanted - on_depth), (at.with_depth(), on_depth)]
-        if on_depth
-        else [(at, wanted)]
-    )
-    return [
-        cell
-        for scene, names in scenes
-        if names
-        for cell in _cells(scene, instances, names, level)
-    ]
+    cells = _cells(at, stages, wanted - on_depth, level)
+    return cells + _cells(at.with_depth(), stages, on_depth, level) if on_depth else cells
 
 
 def _cells(

@@ -35,14 +35,11 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
         [np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1
     ).reshape(-1, 3)
     uv = np.stack([p / (2 * np.pi), t / np.pi], -1).reshape(-1, 2)
-    faces = []
-    for i in range(latitudes):
-        for j in range(longitudes):
-            a, b = i * (longitudes + 1) + j, (i + 1) * (longitudes + 1) + j
-            if i > 0:
-                faces.append([a, b, a + 1])
-            if i < latitudes - 1:
-                faces.append([b, b + 1, a + 1])
+    corner = np.arange(len(normals)).reshape(t.shape)
+    a, b = corner[:-1, :-1], corner[1:, :-1]
+    faces = np.concatenate(
+        [np.stack([a, b, a + 1], -1)[1:], np.stack([b, b + 1, a + 1], -1)[:-1]]
+    ).reshape(-1, 3)
     y, x = np.indices((128, 256))
     squares = ((x // 16 + y // 16) % 2).astype(np.uint8)
     texture = np.dstack(
@@ -59,7 +56,7 @@ def ball(longitudes: int = _LONGITUDES, latitudes: int = _LATITUDES) -> Model:
         base_texture=Texture(texture.astype(np.uint8)),
         roughness=0.6,
     )
-    part = Part(normals / 2, np.array(faces, np.int32), normalise(normals), material, uv)
+    part = Part(normals / 2, faces.astype(np.int32), normalise(normals), material, uv)
     return Model((part,), up="z", source="benchmark ball")
 
 

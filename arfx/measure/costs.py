@@ -12,7 +12,7 @@ import itertools
 import json
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -27,6 +27,7 @@ from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.model import Model
 from arfx.core.stage import Stage
+from arfx.core.waiting import Progress
 from arfx.measure.bench import Cell, Runs, Stopwatch, check, make_cells
 from arfx.measure.bench_scene import BenchScene, ball, bench_scene
 from arfx.measure.costs_output import time_output
@@ -125,10 +126,8 @@ def _cross_validation_error(rows: np.ndarray, measured: np.ndarray) -> float:
 
 
 def calibrate(
-    progress: Callable[[str, int, int], None] = lambda *_: None,
-    stages: Mapping[str, type[Stage]] = STAGES,
+    progress: Progress = lambda *_: None,
     limit_s: float = LIMIT_S,
-    output: bool = True,
     processor: bool = False,
     stage: str | None = None,
 ) -> Prices:
@@ -137,10 +136,9 @@ def calibrate(
 
     stage : only this one, and nothing that is not a stage's
     limit_s : after this the remaining scenes are skipped (what has runs is fitted)
-    output : time what is not a stage's too: editing planes, encoding, joining;  processor :
-    as of `Stopwatch`
+    processor : as of `Stopwatch`
     """
-    check(stages, stage, None, ())
+    check(stage, None, ())
     workers, threads = worker_count(1)
     concurrency = min(workers, MOST_THREADS) if threads else 1
     began = time.perf_counter()
@@ -153,7 +151,7 @@ def calibrate(
     )
     with ThreadPoolExecutor(concurrency) as pool:
         watch = Stopwatch(processor, pool, concurrency)
-        if output and stage is None:
+        if stage is None:
             time_output(
                 timed, watch, lambda done, total: progress("calibrate output", done, total)
             )
@@ -166,14 +164,12 @@ def calibrate(
                 covered,
                 (ball if shape == "ball" else sphere_cluster)(*triangles),
             )
-            alone += _time_scene(
-                at.with_depth() if deep else at, slow, stages, stage, timed, watch
-            )
+            alone += _time_scene(at.with_depth() if deep else at, slow, stage, timed, watch)
             progress("calibrate scenes", k + 1, len(plan))
     prices = {}
     for key, runs in timed.items():
         name = key.removeprefix("prepare ").split("/")[0]
-        of = stages.get(name, Stage)  # encoding and the like: the usual terms
+        of = STAGES.get(name, Stage)  # encoding and the like: the usual terms
         deep = "depth" in of.facts and name not in ON_DEPTH
         depth_terms = ("depth_mpx",) if deep else ()
         prices[key] = fit(
@@ -189,7 +185,7 @@ def calibrate(
         shipped,
     ) in shipped_prices().prices.items():  # of levels for which there was no time
         if key.removeprefix("prepare ").split("/")[0] in (
-            [stage] if stage is not None else stages
+            STAGES if stage is None else [stage]
         ):
             prices.setdefault(
                 key, replace(shipped, spread=max(shipped.spread, UNCALIBRATED))
@@ -204,12 +200,12 @@ def calibrate(
     )
 
 
-def save_prices(prices: Prices, file: Path | None = None) -> Path:
+def save_prices(prices: Prices) -> Path:
     """Keep a price list for the next jobs on this machine.
 
     Returns where. Raises RenderError where it cannot be written.
     """
-    path = file or prices_file()
+    path = prices_file()
     path.parent.mkdir(parents=True, exist_ok=True)
     write(path, json.dumps(prices.to_json(), indent=1))
     return path
@@ -218,7 +214,6 @@ def save_prices(prices: Prices, file: Path | None = None) -> Path:
 def _time_scene(
     at: BenchScene,
     slow: bool,
-    stages: Mapping[str, type[Stage]],
     stage: str | None,
     timed: dict[str, Runs],
     watch: Stopwatch,
@@ -228,12 +223,10 @@ def _time_scene(
 
     Returns what one thread alone took, as a fraction of what it took among others: of the
     runs that are long enough."""
-    best = {name: cls.levels[-1] for name, cls in stages.items() if len(cls.levels) > 1}
+    best = {name: cls.levels[-1] for name, cls in STAGES.items() if len(cls.levels) > 1}
     alone = []
     for cell in (
-        c
-        for c in make_cells(at, stage, None, stages)
-        if (best.get(c.stage) == c.level) == slow
+        c for c in make_cells(at, stage, None) if (best.get(c.stage) == c.level) == slow
     ):
         key = f"{cell.stage}/{cell.level}"
         prepared, runs = timed[f"prepare {key}"], timed[key]
@@ -243,7 +236,7 @@ def _time_scene(
             seconds = watch.of(partial(cell.frame.prepared.at, cell.stage, cell.level))
             prepared.add(cell.terms(), seconds)
         terms = cell.terms()
-        own = stages[cell.stage].terms
+        own = STAGES[cell.stage].terms
         new = [t for t in own if t.startswith("new_")]
         if slow:  # seconds long: what loading it takes hardly shows
             for once in [dict.fromkeys(new, 1.0), {}] if new else [{}]:

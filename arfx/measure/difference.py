@@ -43,7 +43,7 @@ class Difference:
 
 def level_difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(h, w) grey levels between two (h, w, 3) uint8 pictures: the largest of the channels."""
-    return np.asarray(np.abs(a.astype(np.int16) - b.astype(np.int16)).max(-1), np.float32)
+    return np.asarray(cv2.absdiff(a, b).max(-1), np.float32)
 
 
 def touched(*pairs: tuple[np.ndarray, np.ndarray]) -> np.ndarray:

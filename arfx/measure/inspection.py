@@ -26,11 +26,13 @@ from arfx.analyse.markers.detect import (
     cells_per_side,
 )
 from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
+from arfx.analyse.pose.planar import both_poses
 from arfx.analyse.pose.visibility import ShotDetector, find_cuts
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, smallest_family
 from arfx.core.numerics import angle_between, divide
+from arfx.measure.truth import quantiles
 from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import open_video
 from arfx.media.frames import ClipReader, read_on
@@ -214,17 +216,11 @@ def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
     """Angle in degrees between the marker's normal and the line of sight, of the better
     planar pose; None without one.
     """
-    rays = camera.normalised(quad_px)
-    if not np.isfinite(rays).all():
+    poses = both_poses(MarkerSpec("", 0, 1.0).corners_m, camera.normalised(quad_px))
+    if not poses:
         return None
-    square = MarkerSpec("", 0, 1.0).corners_m
-    count, rotations, shifts, _ = cv2.solvePnPGeneric(
-        square, rays[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
-    )
-    if not count:
-        return None
-    normal = cv2.Rodrigues(rotations[0])[0][:, 2]
-    return float(np.degrees(angle_between(normal, -shifts[0].ravel())))
+    normal, towards = poses[0].rotation[:, 2], -poses[0].translation_m
+    return float(np.degrees(angle_between(normal, towards)))
 
 
 def confirmed(found: dict[str, Found]) -> tuple[list[Found], list[Found]]:
@@ -271,13 +267,7 @@ def _inside(quad: np.ndarray, other: np.ndarray) -> bool:
 
 def _spread(values: Sequence[float]) -> dict[str, float] | None:
     """Smallest, median and largest; None for nothing."""
-    if not values:
-        return None
-    return {
-        "min": float(min(values)),
-        "median": float(np.median(values)),
-        "max": float(max(values)),
-    }
+    return quantiles(values, min=0, median=50, max=100) if values else None
 
 
 def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str:

@@ -7,18 +7,15 @@ Cost: about 1 s."""
 
 from __future__ import annotations
 
-import io
 import os
 import platform
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 import arfx
 from arfx.core import compiled
@@ -40,6 +37,7 @@ PACKAGES = (
     "pyrender-maintained",
     "pyopengl",
     "flip-evaluator",
+    "jinja2",
     "matplotlib",
     "psutil",
     "pydantic",
@@ -147,81 +145,42 @@ def _version(name: str) -> str:
 
 
 def _codecs() -> Iterator[Check]:
-    from arfx.media.codecs import CODECS
-
-    for name, codec in CODECS.items():
-        if codec.sequence:
-            yield _picture_format(name)
-            continue
-        why = _encode_fails(
-            codec.encoder, codec.formats[0], codec.chunk, dict(codec.options)
-        )
-        fix = (
-            ""
-            if not why
-            else "pip install --force-reinstall av (its wheels hold this encoder)"
-        )
-        yield Check(
-            "codec",
-            name,
-            not why,
-            why or f"{codec.encoder}, wrote and read back",
-            fix,
-            essential=name == "h264",
-        )
-
-
-def _encode_fails(
-    encoder: str, pixel_format: str, chunk: str, options: dict[str, str]
-) -> str:
-    """Why four frames cannot be encoded and read back; empty where they can."""
     import av
 
-    from arfx.media.codecs import open_encoder
+    from arfx.measure.costs_output import write_clip
+    from arfx.media.clip import probe
+    from arfx.media.codecs import CODECS
+    from arfx.media.frames import ClipReader
+    from arfx.media.output import OutputSettings, plan_output
+    from arfx.media.writer import ChunkWriter, chunk_suffix
 
-    buffer = io.BytesIO()
-    try:
-        with av.open(buffer, "w", format="nut" if chunk == ".nut" else "matroska") as out:
-            stream: Any = out.add_stream(encoder, rate=25, options=options)
-            stream.width, stream.height, stream.pix_fmt = 128, 96, pixel_format
-            open_encoder(stream.codec_context)
-            for i in range(4):
-                picture = np.full((96, 128, 3), 40 * i + 20, np.uint8)
-                frame = av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(
-                    format=pixel_format
-                )
-                out.mux(stream.encode(frame))
-            out.mux(stream.encode(None))
-        buffer.seek(0)
-        with av.open(buffer, "r") as back:
-            got = len(list(back.decode(video=0)))
-    except (av.error.FFmpegError, OSError, ValueError) as e:
-        return f"{encoder}: {e}"
-    return "" if got == 4 else f"{encoder}: {got} of 4 frames came back"
-
-
-def _picture_format(name: str) -> Check:
-    import tempfile
-
-    from arfx.media import images
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"probe.{name}"
-        picture = np.linspace(0, 1, 16 * 8 * 3, dtype=np.float32).reshape(8, 16, 3)
-        try:
-            if name == "exr":
-                images.write_exr(path, picture)
-            else:
-                images.write_png(path, (picture * 255).astype(np.uint8))
-        except (ArfxError, OSError, ValueError) as e:
-            return Check(
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, codec in CODECS.items():
+            out = Path(scratch) / (f"%03d.{name}" if codec.sequence else "out.mkv")
+            try:
+                info = probe(write_clip(Path(scratch) / "clip.mp4", 128, 96, 4))
+                plan = plan_output(info, out, OutputSettings(name))
+                path = Path(scratch) / f"{name}{chunk_suffix(plan)}"
+                with ClipReader(info) as reader, ChunkWriter(plan, info, path) as writer:
+                    for frame in reader.frames():
+                        writer.write(frame)
+                if codec.sequence:
+                    got = len(list(path.glob(f"*.{name}")))
+                else:
+                    with av.open(path) as back:
+                        got = len(list(back.decode(video=0)))
+                why = "" if got == 4 else f"{got} of 4 frames came back"
+            except (ArfxError, av.error.FFmpegError, OSError, ValueError) as e:
+                why = str(e).splitlines()[0]
+            package = "opencv-contrib-python-headless" if codec.sequence else "av"
+            yield Check(
                 "codec",
                 name,
-                False,
-                str(e).splitlines()[0],
-                "pip install --force-reinstall opencv-contrib-python-headless",
+                not why,
+                why or f"{codec.encoder or name}, wrote and read back",
+                f"pip install --force-reinstall {package}" if why else "",
+                essential=name == "h264",
             )
-        return Check("codec", name, path.stat().st_size > 0, "written")
 
 
 def _resources(folder: Path) -> Iterator[Check]:

@@ -102,16 +102,6 @@ def read_report(job: Path) -> dict[str, Any]:
             f"the job in {job} is not finished",
             "run the same `arfx process` command again with --resume",
         )
-    for path in (
-        files.report,
-        files.job,
-        files.inputs,
-        files.frames,
-        files.facts,
-        files.timings,
-    ):
-        if path.exists() and not path.is_file():  # a pipe would be waited for
-            raise InputError(f"{path} is not a file", "process the clip again")
     try:
         report = json.loads(read_text(files.report, "report"))
     except (RecursionError, ValueError) as e:

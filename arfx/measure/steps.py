@@ -8,7 +8,7 @@ ROI law)."""
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,10 @@ from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
+from arfx.media.frames import ClipReader
 from arfx.run.frame import FrameLayers
+from arfx.run.planned import Job
+from arfx.run.source import real_depth_layer
 from arfx.stages import RENDERER
 
 NEAR_PX = 16
@@ -154,6 +157,34 @@ class FrameRenderer:
                 near = need.clip(part.pad(NEAR_PX)) if later in RENDERER else need
                 want = want.union(near)
         return planned[name].clip(want)
+
+
+def open_frames(
+    job: Job,
+    wanted: Collection[int],
+    prepared: PreparedStages,
+    slow: frozenset[tuple[str, str]] = frozenset(),
+) -> dict[int, FrameRenderer]:
+    """These frames of a job, whole, by number."""
+    camera, maps, out = job.inputs.camera, job.inputs.depth, {}
+    plans = {p.index: p for p in job.plan.frames}
+    facts = {f.index: f for f in job.facts}
+    pts = {job.analysed.pts[i]: i for i in wanted}
+    with ClipReader(job.inputs.info, careful=job.analysed.careful) as reader:
+        for frame in reader.frames(min(pts), max(pts)):
+            if frame.pts not in pts:
+                continue
+            i = pts[frame.pts]
+            depth = (
+                None
+                if maps is None
+                else real_depth_layer(maps, facts[i], frame, camera, camera.rect)
+            )
+            plate = frame.linear(camera.rect)
+            out[i] = FrameRenderer(
+                facts[i], plate, plans[i], camera.rect, prepared, slow, depth
+            )
+    return out
 
 
 def window_of(plan: FramePlan, facts: FrameFacts, frame: Rect, area_px: float) -> Rect:

@@ -13,7 +13,7 @@ REFERENCE_S together.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,12 +21,19 @@ import cv2
 import numpy as np
 
 from arfx.core.cost import Prediction, Prices, measured, sum_independent
-from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.stage import Stage, level_named
+from arfx.core.waiting import Progress
 from arfx.errors import NothingToDoError
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
-from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, chain_of, window_of
+from arfx.measure.steps import (
+    Chain,
+    FrameRenderer,
+    PreparedStages,
+    chain_of,
+    open_frames,
+    window_of,
+)
 from arfx.measure.tradeoff_frames import Sample, pick_frames
 from arfx.measure.tradeoff_pipelines import (
     LEFT_OUT,
@@ -36,11 +43,9 @@ from arfx.measure.tradeoff_pipelines import (
     worth_showing,
 )
 from arfx.measure.tradeoff_time import Times, areas_of, time_frame
-from arfx.media.frames import ClipReader
 from arfx.plan.planner import new_terms
 from arfx.run.parameters import stages_of, under_other_formula
 from arfx.run.planned import Job
-from arfx.run.source import real_depth_layer
 from arfx.stages import ALWAYS
 
 REFERENCE_S, LEAST_PX = 60.0, 600
@@ -63,11 +68,13 @@ class Measurements:
 
 
 @dataclass
-class _Part:
-    """Of a job's stages some: under the settings that they have in a job of their own."""
+class Setup:
+    """The job's stages, some of them under other settings.
+
+    frames : to render with them, by number;  times : of the stages that are others"""
 
     prepared: PreparedStages
-    renderers: dict[int, FrameRenderer] = field(default_factory=dict)
+    frames: dict[int, FrameRenderer] = field(default_factory=dict)
     times: Times = field(default_factory=Times)
 
 
@@ -75,87 +82,73 @@ class _Part:
 class _Work:
     """What the rows are made from.
 
-    base : levels of the steps before those that are timed;  best : all at reference
+    main : the job's own settings;  base : levels of the steps before those that are timed;
+    best : all at reference
     """
 
     job: Job
-    stages: Mapping[str, Stage]
     samples: Sequence[Sample]
-    renderers: dict[int, FrameRenderer]
+    main: Setup
     usual: Mapping[str, str]
     base: Mapping[str, str]
     best: Mapping[str, str]
     slow: frozenset[tuple[str, str]]
     new: Mapping[str, float]
-    times: Times
     found: Measurements
     other_s: dict[str, Prediction] = field(
         default_factory=dict
     )  # by stage: its usual level under the other formula
-    parts: dict[frozenset[str], _Part] = field(default_factory=dict)  # by what is left out
+    parts: dict[frozenset[str], Setup] = field(default_factory=dict)  # by what is left
 
-    def part(self, levels: Mapping[str, str]) -> _Part:
-        """The job without the stages that have no level here: those that are left may have
-        other settings then.
+    def with_stages(self, stages: Mapping[str, Stage]) -> Setup:
+        """These in place of the job's own."""
+        prepared = PreparedStages(self.job.scene, {**self.main.prepared.stages, **stages})
+        frames = {i: replace(b, prepared=prepared) for i, b in self.main.frames.items()}
+        return Setup(prepared, frames)
+
+    def setup(self, levels: Mapping[str, str]) -> Setup:
+        """Of the job without the stages that have no level here: those that are left may
+        have other settings then.
         """
+        if levels.keys() >= self.usual.keys():
+            return self.main
         names = frozenset(levels)
         if names not in self.parts:
-            own = stages_of(
-                self.job.inputs.config.params, [n for n in self.stages if n in names]
-            )
-            self.parts[names] = _Part(
-                PreparedStages(self.job.scene, {**self.stages, **own})
+            left = [n for n in self.main.prepared.stages if n in names]
+            self.parts[names] = self.with_stages(
+                stages_of(self.job.inputs.config.params, left)
             )
         return self.parts[names]
 
-    def frame(self, index: int, levels: Mapping[str, str]) -> FrameRenderer:
-        """What renders a frame at these levels."""
-        if levels.keys() >= self.usual.keys():
-            return self.renderers[index]
-        part = self.part(levels)
-        if index not in part.renderers:
-            part.renderers[index] = replace(self.renderers[index], prepared=part.prepared)
-        return part.renderers[index]
-
     def image(self, index: int, levels: Mapping[str, str]) -> np.ndarray:
-        return self.frame(index, levels).image(chain_of(self.renderers[index].plan, levels))
+        frame = self.setup(levels).frames[index]
+        return frame.image(chain_of(frame.plan, levels))
 
     def time(self, levels: Mapping[str, str]) -> Prediction:
         """Of all steps of a frame."""
-        if levels.keys() >= self.usual.keys():
-            return self.times.of_chain(levels.items())
-        part = self.part(levels)
-        changed = [
-            n for n in levels if vars(part.prepared.stages[n]) != vars(self.stages[n])
-        ]
-        wanted = frozenset(
-            (n, levels[n]) for n in changed if part.times.of((n, levels[n])) is None
-        )
-        for sample in self.samples if wanted else ():
-            whole = replace(
-                self.renderers[sample.index],
-                prepared=part.prepared,
-                window=self.job.inputs.camera.rect,
-            )
-            time_frame(
-                part.times,
-                whole,
-                {n: level for n, level in self.base.items() if n in levels},
-                wanted,
-                self.new,
-            )
+        part, own = self.setup(levels), self.main.prepared.stages
+        changed = [n for n in levels if vars(part.prepared.stages[n]) != vars(own[n])]
+        wanted = {(n, levels[n]) for n in changed if part.times.of((n, levels[n])) is None}
+        self.measure(part, wanted, levels)
         return sum_independent(
-            [
-                part.times.of(at) or self.times.of(at) or measured(0.0)
-                for at in levels.items()
-            ]
+            part.times.of(at) or self.main.times.of(at) or measured(0.0)
+            for at in levels.items()
         )
+
+    def measure(
+        self, setup: Setup, wanted: Collection[tuple[str, str]], among: Collection[str]
+    ) -> None:
+        """Time these levels of a setup's stages, upon those among which they run."""
+        base = {n: at for n, at in _levels(setup, self.base).items() if n in among}
+        for sample in self.samples if wanted else ():
+            whole = replace(setup.frames[sample.index], window=self.job.inputs.camera.rect)
+            time_frame(setup.times, whole, base, wanted, self.new)
 
 
 def measure(
     job: Job,
     frames: int,
-    progress: Callable[[str, int, int | None], None],
+    progress: Progress,
     only: Collection[str] | None = None,
     reference_s: float = REFERENCE_S,
 ) -> Measurements:
@@ -194,20 +187,17 @@ def measure(
     usual = {n: level_named(stages[n].levels, quality) for n in names}
     work = _Work(
         job,
-        stages,
         samples,
-        {},
+        Setup(PreparedStages(job.scene, stages)),
         usual,
         {n: usual[n] if (n, usual[n]) not in slow else stages[n].levels[-2] for n in names},
         {n: stages[n].levels[-1] for n in names},
         slow,
         _new_light_fractions(job, names),
-        Times(),
         Measurements(samples, [], [], {}),
     )
-    _open_renderers(
-        work, [s.index for s in samples] + ([] if following is None else [following]), plans
-    )
+    shown = [s.index for s in samples] + ([] if following is None else [following])
+    work.main.frames |= open_frames(job, shown, work.main.prepared, slow)
     other = {
         n: other
         for n in names
@@ -224,7 +214,9 @@ def measure(
             for n in (names if only is None else effects)
             for level in stages[n].levels
         )
-        time_frame(work.times, work.renderers[sample.index], work.base, wanted, work.new)
+        time_frame(
+            work.main.times, work.main.frames[sample.index], work.base, wanted, work.new
+        )
     chains = [{**usual, n: work.best[n]} for n in effects]
     _choose_windows(
         work, chains if only is not None else [work.best, *chains], following, reference_s
@@ -240,7 +232,7 @@ def measure(
         progress("pipelines", len(samples) + len(effects), total)
         found.pipelines = _pipelines(work, reference_s)
         found.pipelines += _other_pipeline(work, other)
-    found.prepare_s = next(iter(work.renderers.values())).prepared.prepare_s
+    found.prepare_s = work.main.prepared.prepare_s
     progress("pipelines", total, total)
     return found
 
@@ -274,37 +266,10 @@ def _new_light_fractions(job: Job, names: Sequence[str]) -> dict[str, float]:
     return out
 
 
-def _open_renderers(
-    work: _Work, wanted: Sequence[int], plans: Mapping[int, FramePlan]
-) -> None:
-    job = work.job
-    pts = {job.analysed.pts[i]: i for i in wanted}
-    facts = {f.index: f for f in job.facts}
-    prepared = PreparedStages(job.scene, work.stages)
-    camera = job.inputs.camera
-    maps = job.inputs.depth
-    deep = maps is not None and any(
-        "depth" in work.stages[s.stage].facts for i in wanted for s in plans[i].steps
-    )
-    with ClipReader(job.inputs.info, careful=job.analysed.careful) as reader:
-        for frame in reader.frames(min(pts), max(pts)):
-            if frame.pts in pts:
-                i = pts[frame.pts]
-                depth = (
-                    real_depth_layer(maps, facts[i], frame, camera, camera.rect)
-                    if deep and maps is not None
-                    else None
-                )
-                plate = frame.linear(camera.rect)
-                work.renderers[i] = FrameRenderer(
-                    facts[i], plate, plans[i], camera.rect, prepared, work.slow, depth
-                )
-
-
-def _levels(prepared: PreparedStages, levels: Mapping[str, str]) -> dict[str, str]:
+def _levels(setup: Setup, levels: Mapping[str, str]) -> dict[str, str]:
     """These levels, or the nearest that the stages have under their formula."""
     return {
-        name: level_named(prepared.stages[name].levels, level)
+        name: level_named(setup.prepared.stages[name].levels, level)
         for name, level in levels.items()
     }
 
@@ -317,21 +282,21 @@ def _choose_windows(
 ) -> None:
     """As large as lets all references of these pictures take `reference_s`, and at most MOST_PX."""
     camera: Rect = work.job.inputs.camera.rect
-    area = float(min(max(b.plan.changed.area for b in work.renderers.values()), MOST_PX))
+    area = float(min(max(b.plan.changed.area for b in work.main.frames.values()), MOST_PX))
     while True:
-        for i, b in work.renderers.items():
-            of = work.renderers[i - 1] if i == following else b
-            work.renderers[i] = replace(
+        for i, b in work.main.frames.items():
+            of = work.main.frames[i - 1] if i == following else b
+            work.main.frames[i] = replace(
                 b, window=window_of(of.plan, of.facts, camera, area)
             )
         if (
-            sum(_pictures_s(work, b, chains) for b in work.renderers.values())
+            sum(_pictures_s(work, b, chains) for b in work.main.frames.values())
             <= reference_s
             or area <= LEAST_PX
         ):
             break
         area = max(area * 0.8, LEAST_PX)
-    work.found.windows = {i: b.window for i, b in work.renderers.items()}
+    work.found.windows = {i: b.window for i, b in work.main.frames.items()}
 
 
 def _pictures_s(
@@ -343,13 +308,13 @@ def _pictures_s(
         c[: k + 1]
         for c in chains
         for k, at in enumerate(c)
-        if at in b.slow and at in work.times.tiles
+        if at in b.slow and at in work.main.times.tiles
     }
     slow -= b.rendered.keys()
     outs = {c: b.out(c) for c in slow}
     box = b.facts.model_box
     return sum(
-        work.times.tiles[c[-1]].over(areas_of(out, box)).seconds
+        work.main.times.tiles[c[-1]].over(areas_of(out, box)).seconds
         for c, out in outs.items()
         if not out.empty
     )
@@ -359,9 +324,9 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
     """A row for each level, the reference's too, against the reference with all other
     stages at their usual level; the first tells what leaving out the effect would change,
     where a job can do without."""
-    stage = work.stages[name]
+    stage = work.main.prepared.stages[name]
     usual = work.usual
-    renderers = work.renderers
+    renderers = work.main.frames
     found = work.found
     best, formula = work.best[name], getattr(stage.params, "formula", "")
     rows = [
@@ -369,7 +334,7 @@ def _of_stage(work: _Work, name: str, following: int | None) -> list[Row]:
             name,
             level,
             formula,
-            work.times.of((name, level)) or measured(0.0),
+            work.main.times.of((name, level)) or measured(0.0),
             levels={**usual, name: level},
         )
         for level in stage.levels
@@ -416,7 +381,7 @@ def _compare(
     of : at their usual level where they are left out; none = all, against the frame as it was
     """
     for sample in work.samples:
-        b = work.renderers[sample.index]
+        b = work.main.frames[sample.index]
         if not {s.stage for s in b.plan.steps}.issuperset(of):
             continue
         reference = b.image(chain_of(b.plan, best))
@@ -426,11 +391,7 @@ def _compare(
             else b.original()
         )
         for r in rows:
-            at = (
-                work.frame(sample.index, r.levels)
-                if r.prepared is None
-                else replace(b, prepared=r.prepared)
-            )
+            at = (r.frames or work.setup(r.levels).frames)[sample.index]
             r.pictures[sample.index] = at.image(chain_of(b.plan, r.levels))
         where = touched(
             (reference, without), *((reference, r.pictures[sample.index]) for r in rows)
@@ -476,19 +437,13 @@ def _location(d: Difference, coverage: np.ndarray) -> str:
 
 def _of_other_formula(work: _Work, name: str, changed: Stage) -> list[Row]:
     """An effect under the other formula, at its usual level, against the job's own reference."""
-    prepared = PreparedStages(work.job.scene, {**work.stages, name: changed})
-    times = Times()
-    usual = _levels(prepared, work.usual)
-    row = Row(name, usual[name], changed.params.formula, levels=usual, prepared=prepared)
+    setup = work.with_stages({name: changed})
+    usual = _levels(setup, work.usual)
+    row = Row(name, usual[name], changed.params.formula, levels=usual, frames=setup.frames)
     _compare(work, [row], {**work.usual, name: work.best[name]}, (name,))
-    for i in row.by_frame:
-        whole = replace(
-            work.renderers[i], prepared=prepared, window=work.job.inputs.camera.rect
-        )
-        time_frame(
-            times, whole, _levels(prepared, work.base), {(name, usual[name])}, work.new
-        )
-    work.other_s[name] = row.time = times.of((name, usual[name])) or measured(0.0)
+    work.measure(setup, {(name, usual[name])}, usual)
+    row.time = setup.times.of((name, usual[name])) or measured(0.0)
+    work.other_s[name] = row.time
     return [row] if row.by_frame else []
 
 
@@ -497,7 +452,7 @@ def _pipelines(work: _Work, reference_s: float) -> list[Row]:
 
     reference_s : what the references of those in between may take"""
     qualities = [
-        {n: level_named(work.stages[n].levels, quality) for n in work.usual}
+        {n: level_named(work.main.prepared.stages[n].levels, quality) for n in work.usual}
         for quality in QUALITIES
     ]
     named: dict[tuple[str, ...], Row] = {}
@@ -505,7 +460,9 @@ def _pipelines(work: _Work, reference_s: float) -> list[Row]:
         named.setdefault(
             tuple(levels.values()), Row("pipeline", quality, "", levels=levels)
         )
-    own = {n: getattr(work.stages[n].params, "formula", "") for n in work.usual}
+    own = {
+        n: getattr(work.main.prepared.stages[n].params, "formula", "") for n in work.usual
+    }
     rows = list(named.values())
     for sample, r in itertools.product(work.samples, rows):
         work.image(sample.index, r.levels)
@@ -513,7 +470,8 @@ def _pipelines(work: _Work, reference_s: float) -> list[Row]:
         [r for r in work.found.effects if r.formula == own[r.name]], work.usual
     ):
         seconds = sum(
-            _pictures_s(work, work.frame(s.index, levels), [levels]) for s in work.samples
+            _pictures_s(work, work.setup(levels).frames[s.index], [levels])
+            for s in work.samples
         )
         if levels not in qualities and seconds <= reference_s:
             reference_s -= seconds
@@ -530,18 +488,17 @@ def _other_pipeline(work: _Work, other: Mapping[str, Stage]) -> list[Row]:
     """The whole pipeline with every stage under the other formula."""
     if not other:
         return []
-    there = PreparedStages(work.job.scene, {**work.stages, **other})
-    usual = _levels(there, work.usual)
+    there = work.with_stages(other)
     row = Row(
         "pipeline",
         "usual",
         next(s.params.formula for s in other.values()),
-        levels=usual,
-        prepared=there,
+        levels=_levels(there, work.usual),
+        frames=there.frames,
     )
     _compare(work, [row], work.best)
     timed = [
-        work.other_s.get(name) or work.times.of((name, level))
+        work.other_s.get(name) or work.main.times.of((name, level))
         for name, level in work.usual.items()
     ]
     row.time = sum_independent(p for p in timed if p is not None)

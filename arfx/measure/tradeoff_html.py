@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -16,28 +15,15 @@ import numpy as np
 from arfx.core.cost import Prediction
 from arfx.errors import RenderError
 from arfx.measure.difference import delta_e
-from arfx.measure.report_html import (
-    INK,
-    PREDICTED,
-    RAW,
-    SMOOTH,
-    figure,
-    full_page,
-    html_table,
-    number,
-    plot_image,
-    png,
-    section,
-)
+from arfx.measure.report_html import INK, PREDICTED, RAW, SMOOTH, drawing, png
 from arfx.measure.tradeoff import Measurements
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, QUALITIES, Row, front
 from arfx.run.folder import write
+from arfx.run.pages import render
 from arfx.run.planned import Job
 
 TIMES, MOST_DELTA_E = 8, 10
 MOST_BYTES = 5_000_000
-_STYLE = """<style>.side { display: grid; grid-template-columns: repeat(auto-fill, minmax(220px, 1fr)); gap: 10px; }
-.side figure { cursor: default; } .side img { image-rendering: pixelated; } .say { font-size: 16px; }</style>"""
 
 
 def write_tradeoff(folder: Path, found: Measurements, document: Mapping[str, Any]) -> Path:
@@ -58,103 +44,21 @@ def write_tradeoff(folder: Path, found: Measurements, document: Mapping[str, Any
 
 def page(found: Measurements, document: Mapping[str, Any], quality: int = 90) -> str:
     """quality : of the JPEG pictures, 0 to 100"""
-    clip = Path(str(document["clip"])).name
-    head = (
-        f"<header><h1>{escape(clip)}: what accuracy costs</h1><p"
-        f' class="say">{escape(document["recommendation"])}</p></header>'
-    )
-    plot = pipeline_plot(found.pipelines)
-    effects = dict.fromkeys(r.name for r in found.effects)
-    parts = [
-        _STYLE,
-        head,
-        section(
-            "Whole pipelines",
-            plot_image(plot, "Pareto front") + rows_table(document["pipelines"], effects),
-        ),
-        _pictures(
-            "The pipelines' pictures",
-            [r for r in found.pipelines if r.level != "mixed"],
-            "reference",
-            quality,
-        ),
-    ]
-    for name in effects:
-        rows = [r for r in found.effects if r.name == name]
-        table = rows_table([d for d in document["effects"] if d["name"] == name])
-        parts.append(
-            section(name, plot_image(effect_plot(rows), f"{name}: error and time") + table)
-        )
-        best = [r.level for r in rows if r.formula == rows[0].formula][-1]
-        parts.append(_pictures(f"{name}: pictures", rows, best, quality))
-    frames = [list(f.values()) for f in document["frames"]]
-    heads = [k.replace("_", " ") for k in document["frames"][0]]
-    parts.append(section("Frames that stand for the clip", html_table(heads, frames)))
-    parts.append(section("How it was measured", f"<p>{escape(METHOD)}</p>"))
-    return full_page(f"{clip} – arfx tradeoff", parts)
-
-
-METHOD = (
-    "Errors are grey levels of 255, of the largest channel, over the pixels that the effect"
-    " touches; FLIP (0 to 1), ΔE2000 (1 is just visible) and SSIM (1 is alike) are means"
-    " over the same pixels. An effect is compared with its own reference while all others"
-    " stay at the job's quality; left out tells how much it changes at all. A pipeline is"
-    " compared with all at reference, and is beaten where another takes no more time and is"
-    " nearer to that. Pictures are rendered in a window around the object, so that the"
-    " references take a minute together; errors are those of that window. Times are of"
-    " whole frames: fast levels were run over all that the plan asks of them, references on"
-    " tiles spread over it, and their time is given for the whole, with the interval that"
-    " the tiles' spread gives. Flicker: mean change from a frame to the next after the"
-    " footage's motion is taken out, beside that of the reference. Times are of the"
-    " processor, all threads together, without what is prepared once per clip."
-)
-
-
-def rows_table(rows: Sequence[Mapping[str, Any]], effects: Collection[str] = ()) -> str:
-    """Of effects, or of pipelines of these effects, which have no flicker; a quality's name
-    says its levels.
-    """
-    flickers = any(r["unrest"] is not None for r in rows)
-    body = []
-    for r in rows:
-        level = levels_in_words(r, effects) if r["level"] == "mixed" else r["level"]
-        level += (" (paper)" if r["formula"] == "paper" else "") + (
-            ", beaten" if r["beaten"] else ""
-        )
-        ms, low, high = (
-            1e3 * seconds for seconds in (r["seconds_per_frame"], *r["between_s"])
-        )
-        time = number(ms) + (
-            f" ({number(low)} to {number(high)})" if high > 1.3 * low else ""
-        )
-        numbers = (r[what] for what in ("mean", "mean_worst", "p99", "flip", "delta_e"))
-        flicker = (
-            "–"
-            if r["unrest"] is None
-            else f"{number(r['unrest']['level'])} ({number(r['unrest']['reference'])})"
-        )
-        cells = [
-            level,
-            time,
-            *numbers,
-            f"{r['ssim']:.4f}",
-            r["worst_frame"],
-            flicker,
-        ]
-        body.append(cells if flickers else cells[:-1])
-    head = (
-        "level",
-        "ms a frame",
-        "mean",
-        "worst mean",
-        "99 %",
-        "FLIP",
-        "ΔE2000",
-        "SSIM",
-        "in frame",
-    )
-    return html_table(
-        [*head, *["flicker (reference)"] * flickers], body, frozenset(range(1, 10))
+    return render(
+        "measure/tradeoff.html",
+        clip=Path(str(document["clip"])).name,
+        document=document,
+        effects=found.effects,
+        pipelines=found.pipelines,
+        quality=quality,
+        levels_in_words=levels_in_words,
+        pipeline_plot=pipeline_plot,
+        effect_plot=effect_plot,
+        most_different=most_different,
+        error_map=error_map,
+        delta_e_map=delta_e_map,
+        times=TIMES,
+        most_delta_e=MOST_DELTA_E,
     )
 
 
@@ -184,36 +88,14 @@ def delta_e_map(reference: np.ndarray, picture: np.ndarray) -> np.ndarray:
     )
 
 
-def _pictures(title: str, rows: Sequence[Row], best: str, quality: int) -> str:
-    """Of the frame in which the levels differ most: every row's picture and its error map."""
-    reference = next((r for r in rows if r.level == best), None)
-    if reference is None or not reference.pictures:
-        return ""
-    frame = max(
+def most_different(rows: Sequence[Row], reference: Row) -> int:
+    """The frame in which the levels differ most."""
+    return max(
         reference.pictures,
         key=lambda i: max(
             (r.by_frame[i].p99 for r in rows if i in r.by_frame), default=0.0
         ),
     )
-    figures = []
-    for r in rows:
-        if frame not in r.pictures:
-            continue
-        d = r.by_frame[frame]
-        caption = (
-            f"{r.level}{' (paper)' if r.formula == 'paper' else ''}: mean {d.mean:.2f}, 99"
-            f" % {d.p99:.0f}"
-        )
-        figures.append(figure(r.pictures[frame], caption, quality))
-        if r is not reference:
-            pair = reference.pictures[frame], r.pictures[frame]
-            figures.append(figure(error_map(*pair), f"{r.level}: error × {TIMES}", quality))
-            figures.append(
-                figure(
-                    delta_e_map(*pair), f"{r.level}: ΔE2000, 0 to {MOST_DELTA_E}", quality
-                )
-            )
-    return section(f"{title}, frame {frame}", f'<div class="side">{"".join(figures)}</div>')
 
 
 FLOOR = 0.02  # grey levels: what is drawn for none
@@ -223,7 +105,8 @@ def effect_plot(rows: Sequence[Row]) -> bytes:
     """Mean and 99th percentile of each level of one effect; the other formula's point is a
     diamond.
     """
-    fig, axis = _axis(6.4, 3.4)
+    fig = drawing(6.4, 3.4)
+    axis = fig.subplots()
     rows = [r for r in rows if r.level != LEFT_OUT]
     own = [r for r in rows if r.formula == rows[0].formula]
     other = [r for r in rows if r.formula != rows[0].formula]
@@ -246,12 +129,13 @@ def effect_plot(rows: Sequence[Row]) -> bytes:
         [(r, r.level if r in own else f"{r.formula} {r.level}") for r in rows],
         (4, -11),
     )
-    return _finished(fig, axis, f"{rows[0].name}: error against its own reference")
+    return _finished(fig, f"{rows[0].name}: error against its own reference")
 
 
 def pipeline_plot(rows: Sequence[Row]) -> bytes:
     """Whole pipelines, the front of those that no other beats joined by a line."""
-    fig, axis = _axis(7.6, 4.2)
+    fig = drawing(7.6, 4.2)
+    axis = fig.subplots()
     axis.plot(
         *_points(front([r for r in rows if not r.formula])),
         "-",
@@ -268,7 +152,7 @@ def pipeline_plot(rows: Sequence[Row]) -> bytes:
         [(r, f"{r.formula} {r.level}".strip()) for r in rows if r.level != "mixed"],
         (5, 5),
     )
-    return _finished(fig, axis, "Whole pipelines against everything at reference")
+    return _finished(fig, "Whole pipelines against everything at reference")
 
 
 def _points(rows: Sequence[Row], worst: bool = False) -> tuple[list[float], list[float]]:
@@ -286,21 +170,13 @@ def _named(axis: Any, rows: Sequence[tuple[Row, str]], aside: tuple[int, int]) -
         )
 
 
-def _axis(width: float, height: float) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
-    fig = Figure(figsize=(width, height), layout="constrained")
-    return fig, fig.subplots()
-
-
-def _finished(fig: Any, axis: Any, title: str) -> bytes:
+def _finished(fig: Any, title: str) -> bytes:
+    (axis,) = fig.axes
     axis.axhline(SEEN_MEAN, color=PREDICTED, lw=0.8, ls=":")
-    axis.set(xscale="log", yscale="log")
-    axis.set_xlabel("ms per frame, one core", fontsize=8)
-    axis.set_ylabel("grey levels", fontsize=8)
-    axis.set_title(title, fontsize=9, loc="left", color=INK)
+    axis.set(xscale="log", yscale="log", title=title)
+    axis.set(xlabel="ms per frame, one core", ylabel="grey levels")
     axis.margins(0.12)
-    axis.legend(frameon=False, labelcolor=INK, fontsize=7, loc="upper right")
+    axis.legend(loc="upper right")
     return png(fig)
 
 

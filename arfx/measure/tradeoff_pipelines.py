@@ -11,7 +11,7 @@ import numpy as np
 
 from arfx.core.cost import Prediction, measured
 from arfx.measure.difference import Difference
-from arfx.measure.steps import PreparedStages
+from arfx.measure.steps import FrameRenderer
 from arfx.plan.levels import Option, way_down
 
 QUALITIES = ("draft", "standard", "high", "reference")
@@ -26,7 +26,7 @@ class Row:
 
     formula : which the stage ran under;  flicker : of this and of the reference, grey
     levels from a frame to the next
-    prepared : of its stages, None = the job's"""
+    frames : what renders them, none = the job's"""
 
     name: str
     level: str
@@ -36,7 +36,7 @@ class Row:
     flicker: tuple[float, float] | None = None
     pictures: dict[int, np.ndarray] = field(default_factory=dict)
     levels: Mapping[str, str] = field(default_factory=dict)
-    prepared: PreparedStages | None = None
+    frames: Mapping[int, FrameRenderer] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:

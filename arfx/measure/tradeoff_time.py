@@ -13,15 +13,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import stdtrit
 
-from arfx.core.cost import Prediction, measured, sum_independent, with_spread
+from arfx.core.cost import Prediction, sum_independent, with_spread
 from arfx.core.rect import Rect
 from arfx.measure.steps import Chain, FrameRenderer, StageRun
+from arfx.plan.levels import sum_correlated
 
 At = tuple[str, str]  # stage, level
 TILES, TILE_S, TINY_PX = (
@@ -110,13 +111,7 @@ class Times:
         """Mean over the frames; None = not timed."""
         if at in self.tiles:
             each = [self.tiles[at].over(areas) for areas in self.areas[at]]
-            n = len(each)
-            mean = Prediction(
-                *(
-                    sum(getattr(p, k) for p in each) / n
-                    for k in ("seconds", "low_s", "high_s")
-                )
-            )
+            mean = sum_correlated(each).times(1 / len(each))
         elif at in self.whole:
             mean = with_spread(float(np.mean(self.whole[at])), LEAST_SPREAD)
         else:
@@ -125,10 +120,6 @@ class Times:
         return (
             sum_independent([mean, with_spread(added, LEAST_SPREAD)]) if added > 0 else mean
         )
-
-    def of_chain(self, chain: Iterable[At]) -> Prediction:
-        """Of all steps of a frame; what was not timed counts as nothing."""
-        return sum_independent([self.of(at) or measured(0.0) for at in chain])
 
     def run(self, run: StageRun, out: Rect) -> float:
         start = self.clock()

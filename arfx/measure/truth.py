@@ -69,8 +69,8 @@ def pose_errors(
         return {"frames": 0}
     return {
         "frames": int(have.sum()),
-        "rotation_deg": _spread(rotation[have]),
-        "position_mm": _spread(position[have]),
+        "rotation_deg": quantiles(rotation[have], median=50, p95=95, max=100),
+        "position_mm": quantiles(position[have], median=50, p95=95, max=100),
         "corner_px": float(np.sqrt(np.nanmean((error**2).sum(-1)))),
         "tremble_px": _jitter(error, shots),
         "lag_frames": _lag(error, projected, shots),
@@ -78,12 +78,9 @@ def pose_errors(
     }
 
 
-def _spread(values: np.ndarray) -> dict[str, float]:
-    return {
-        "median": float(np.median(values)),
-        "p95": float(np.percentile(values, 95)),
-        "max": float(values.max()),
-    }
+def quantiles(values: Sequence[float] | np.ndarray, **percent: float) -> dict[str, float]:
+    """By name, at so many percent of the values."""
+    return {name: float(np.percentile(values, q)) for name, q in percent.items()}
 
 
 def _jitter(error: np.ndarray, shots: np.ndarray) -> float | None:
@@ -317,16 +314,12 @@ def light_errors(
         "frames": frames,
         "measured": len(angles) + false * (not angles),
         "false": int(false),
+        "bias_grey": float(np.median(bias)),
     }
-    out["bias_grey"] = float(np.median(bias))
     if irradiance:
-        out["irradiance"] = {
-            "median": float(np.median(irradiance)),
-            "p95": float(np.percentile(irradiance, 95)),
-        }
+        out["irradiance"] = quantiles(irradiance, median=50, p95=95)
     if angles:
-        spread = (float(np.percentile(angles, q)) for q in (50, 90, 100))
-        out["direction_deg"] = dict(zip(("median", "p90", "max"), spread, strict=True))
+        out["direction_deg"] = quantiles(angles, median=50, p90=90, max=100)
         out["size_deg"] = float(np.median(sizes))
     return out
 

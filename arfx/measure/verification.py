@@ -5,7 +5,6 @@ bounds beside it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import cv2
 import numpy as np
 
 from arfx.analyse.markers.detect import dictionary
+from arfx.analyse.pose.planar import both_poses
 from arfx.config.load import load
 from arfx.core import interrupt
 from arfx.core.camera import Camera
@@ -21,14 +21,15 @@ from arfx.core.facts import read_facts
 from arfx.core.marker import MarkerSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.pose import Pose
+from arfx.core.waiting import Notice, Progress
 from arfx.errors import ConfigError, InputError, NothingToDoError
 from arfx.measure.truth import compare, exceeded, world_key
-from arfx.media.cameras import load_camera
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.run.folder import JobFolder
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
+from arfx.run.planned import ClipAnalysis
 from arfx.synth.clip import make_clip
 from arfx.synth.description import load_scene
 from arfx.synth.truth import read_truth
@@ -49,8 +50,8 @@ class Verified:
 def verify(
     folder: Path,
     work: Path,
-    progress: Callable[[str, int, int | None], None],
-    notice: Callable[[str], None],
+    progress: Progress,
+    notice: Notice,
     workers: int = 1,
 ) -> Verified:
     """Verify a folder made by `arfx synth`, or a scene folder (scene.toml), which is
@@ -102,22 +103,18 @@ def verify(
             f"{made}: the clip has {len(facts)} frames, its truth {len(truth.frames)}",
             "make it again",
         )
-    meta = json.loads(job.frames.read_text(encoding="utf-8"))
-    world = {k: Pose.from_json(v) for k, v in meta["world_from_marker"].items()}
-    key = world_key(world, truth)
+    analysed = ClipAnalysis.read(job)
+    key = world_key(analysed.world_from_marker, truth)
     family, number = key.split(":")
-    assert config.input.clip is not None and config.input.camera is not None
-    info = probe(config.input.clip)
-    camera = load_camera(config.input.camera).scaled_to(
-        info.width, info.height, info.pixel_aspect
-    )
+    assert config.input.clip is not None
+    inputs = json.loads(job.inputs.read_text(encoding="utf-8"))
     plain = single_frame_poses(
         config.input.clip,
-        camera,
+        Camera.from_json(inputs["camera"]),
         MarkerSpec(family, int(number), truth.header["markers"][key]),
     )
-    figures = compare(facts, world, truth, plain)
-    figures["static"] = meta["static"]
+    figures = compare(facts, analysed.world_from_marker, truth, plain)
+    figures["static"] = analysed.static
     figures["time_error_s"] = max(
         abs(f.time_s - t.time_s) for f, t in zip(facts, truth.frames, strict=True)
     )
@@ -154,22 +151,13 @@ def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[P
 def _pose(
     detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, marker: MarkerSpec
 ) -> Pose | None:
-    corners, ids, _ = detector.detectMarkers(luma)
-    for found, number in zip(
-        corners, [] if ids is None else np.asarray(ids).ravel(), strict=False
-    ):
-        if number != marker.id:
-            continue
-        points = np.asarray(found, float).reshape(4, 2)
-        ok, rotations, translations, _ = cv2.solvePnPGeneric(
-            marker.corners_m,
-            camera.normalised(points),
-            np.eye(3),
-            None,
-            flags=cv2.SOLVEPNP_IPPE_SQUARE,
+    quads, ids, _ = detector.detectMarkers(luma)
+    poses = (
+        pose
+        for quad, (number,) in zip(quads, () if ids is None else ids, strict=False)
+        if number == marker.id
+        for pose in both_poses(
+            marker.corners_m, camera.normalised(np.asarray(quad[0], float))
         )
-        if ok:
-            return Pose.from_rotvec(
-                np.asarray(rotations[0]).ravel(), np.asarray(translations[0]).ravel()
-            )
-    return None
+    )
+    return next(poses, None)

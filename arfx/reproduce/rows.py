@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from arfx.measure.report_html import INK, drawing
+
 HOLDS, DIFFERS, UNDERIVED = "holds", "differs, explained", "cannot be derived"
 VERDICTS = (HOLDS, DIFFERS, UNDERIVED)
 BEFORE, PRINTED, CORRECTED, REFERENCE = (
@@ -47,10 +49,6 @@ class Row:
     verdict: str = DIFFERS
 
     def __post_init__(self) -> None:
-        if self.verdict not in VERDICTS:
-            raise ValueError(
-                f"{self.item}: {self.verdict!r} is none of {', '.join(VERDICTS)}"
-            )
         if self.verdict != HOLDS and not self.reason.strip():
             raise ValueError(f"{self.item}: the verdict {self.verdict!r} has no reason")
         for value in (self.printed, self.paper_formula, self.corrected):
@@ -112,7 +110,7 @@ def compared(
 
 def shown(
     item: str,
-    printed: str,
+    printed: Value,
     paper_formula: float | str,
     corrected: float | str | None,
     holds: bool,
@@ -131,6 +129,20 @@ def shown(
         unit,
         verdict,
     )
+
+
+def said(
+    item: str,
+    printed: Value,
+    values: Value | Sequence[Value],
+    holds: bool,
+    reason: str = "",
+    unit: str = "",
+) -> Row:
+    """values : by the printed and by the corrected method, or by the printed one alone;
+    otherwise as `shown`"""
+    of_paper, corrected = values if isinstance(values, (tuple, list)) else (values, None)
+    return shown(item, printed, of_paper, corrected, holds, reason, unit)
 
 
 def both(values: Iterable[float]) -> tuple[float, float]:
@@ -161,24 +173,6 @@ class Figure:
     title: str
     pictures: Mapping[str, np.ndarray]
 
-    def __post_init__(self) -> None:
-        for name, picture in self.pictures.items():
-            if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-                raise ValueError(
-                    f"{self.item}: picture {name!r} is {picture.dtype} {picture.shape}"
-                )
-        if (
-            len(
-                {
-                    p.shape
-                    for name, p in self.pictures.items()
-                    if name in (PRINTED, CORRECTED, REFERENCE)
-                }
-            )
-            > 1
-        ):
-            raise ValueError(f"{self.item}: pictures that are compared have one size")
-
 
 @dataclass(frozen=True, eq=False)
 class Plot:
@@ -203,12 +197,8 @@ def bars(
     printed method, corrected …).
 
     A pair is drawn from its first to its second value, None is left out."""
-    from matplotlib.figure import Figure as Drawing
-
-    drawing = Drawing(
-        figsize=(7.6, 0.8 + 0.22 * len(labels) * (len(series) + 1)), layout="constrained"
-    )
-    axis = drawing.subplots()
+    figure = drawing(7.6, 0.8 + 0.22 * len(labels) * (len(series) + 1))
+    axis = figure.subplots()
     height = 0.8 / len(series)
     for k, (name, values) in enumerate(series.items()):
         ends = [
@@ -237,10 +227,10 @@ def bars(
                 )
     axis.set_yticks(np.arange(len(labels)), labels)
     axis.invert_yaxis()
-    axis.set_xlabel(unit, fontsize=8)
+    axis.set_xlabel(unit)
     axis.margins(x=0.12)
-    axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot(item, title, drawing)
+    axis.legend()
+    return Plot(item, title, figure)
 
 
 def curves(
@@ -253,20 +243,15 @@ def curves(
     """A plot of values over x, a colour for each series, from that of the printed method on.
 
     labels : of the axes"""
-    from matplotlib.figure import Figure as Drawing
-
-    drawing = Drawing(figsize=(7.6, 3.2), layout="constrained")
-    axis = drawing.subplots()
+    figure = drawing(7.6, 3.2)
+    axis = figure.subplots()
     for (name, values), colour in zip(series.items(), COLOURS[1:], strict=False):
         axis.plot(x, values, label=name, color=colour)
-    axis.set_xlabel(labels[0], fontsize=8)
-    axis.set_ylabel(labels[1], fontsize=8)
-    axis.set_ylim(0)
-    axis.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return Plot(item, title, drawing)
+    axis.set(xlabel=labels[0], ylabel=labels[1], ylim=0)
+    axis.legend()
+    return Plot(item, title, figure)
 
 
-INK = "#7d8590"  # readable on white and on nearly black
 COLOURS = (
     "#8b949e",
     "#d9822b",

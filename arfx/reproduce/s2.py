@@ -39,6 +39,7 @@ from arfx.reproduce.rows import (
     Row,
     compared,
     curves,
+    said,
     shown,
 )
 from arfx.reproduce.work import Work
@@ -48,6 +49,8 @@ from arfx.stages.dof.optics import CircleOfConfusion
 N, C, F, L = 11.0, 0.035, 200.0, 2500.0  # of the paper's example, mm
 LENS, OTHER = Lens(F, N, L), 5000.0
 AT = CircleOfConfusion(1e-3 * LENS.coc_mm_per_dioptre, 1e3 / L, math.inf, 1.0)
+# what fraction of a pixel's light each row of a blur circle gets
+DISC_ROWS = disc(3.0).sum(1)
 L_LESS_F = "(4) and (5) have L where (3) implies L - F"
 
 
@@ -65,46 +68,39 @@ def rows(work: Work) -> Iterator[Item]:
 
 def _circle() -> Iterator[Item]:
     """(1) to (3), (7)."""
-    true = float(circle_of_confusion_mm(OTHER, LENS))
-    found = {
-        "equation (1)": (
-            "V_A/U_A |U_B - U_A|/U_B D",
-            eq1_circle(eq2_picture(F, L), L, OTHER, F / N),
-        ),
-        "equation (3)": ("F²/(U_A - F) |U_B - U_A|/(N U_B)", eq3_circle(F, N, L, OTHER)),
-        "equation (7)": ("F²/(U - F) |L - U|/(N L)", float(eq7_circle(1e3 / OTHER, AT))),
-    }
-    picture, by_circle = (
-        eq2_picture(F, L),
-        LENS.coc_at_infinity_mm * L / (F / N),
-    )  # C of infinity is D v / u
-    for item, (printed, value) in found.items():
-        if item == "equation (3)":
-            same = math.isclose(picture, by_circle, rel_tol=1e-9)
-            yield shown(
-                "equation (2)", "1/f = 1/u + 1/v", picture, by_circle, same, "", "mm"
-            )
-        same = math.isclose(value, true, rel_tol=1e-9)
-        yield shown(
-            item,
-            f"C = {printed}",
-            value,
+    true, infinite = float(circle_of_confusion_mm(OTHER, LENS)), LENS.coc_at_infinity_mm
+    picture = eq2_picture(F, L)
+    for item, printed, value, right in (
+        (
+            "equation (1)",
+            "C = V_A/U_A |U_B - U_A|/U_B D",
+            eq1_circle(picture, L, OTHER, F / N),
             true,
-            same,
-            f"circle of a thing at {OTHER:g} mm",
-            "mm",
-        )
-    infinite = eq3_circle(F, N, L, 1e12)
-    same = math.isclose(infinite, LENS.coc_at_infinity_mm, rel_tol=1e-6)
-    yield shown(
-        "equation (3), infinitely far",
-        "F²/(N (U_A - F))",
-        infinite,
-        LENS.coc_at_infinity_mm,
-        same,
-        "",
-        "mm",
-    )
+        ),
+        # C of infinity is D v / u
+        ("equation (2)", "1/f = 1/u + 1/v", picture, infinite * L / (F / N)),
+        (
+            "equation (3)",
+            "C = F²/(U_A - F) |U_B - U_A|/(N U_B)",
+            eq3_circle(F, N, L, OTHER),
+            true,
+        ),
+        (
+            "equation (7)",
+            "C = F²/(U - F) |L - U|/(N L)",
+            float(eq7_circle(1e3 / OTHER, AT)),
+            true,
+        ),
+    ):
+        yield _same(item, printed, value, right)
+    item, far = "equation (3), infinitely far", eq3_circle(F, N, L, 1e12)
+    yield _same(item, "F²/(N (U_A - F))", far, infinite, 1e-6)
+
+
+def _same(item: str, printed: str, value: float, other: float, within: float = 1e-9) -> Row:
+    """Two lengths, mm. within : as a fraction"""
+    same = math.isclose(value, other, rel_tol=within)
+    return said(item, printed, (value, other), same, "another length", "mm")
 
 
 def _limits() -> Iterator[Item]:
@@ -148,8 +144,7 @@ def _limits() -> Iterator[Item]:
         "mm",
     )
     squared = 2 * F**2 * N * C * L**2 / (F**4 - (N * C * L) ** 2)
-    same = math.isclose(squared, parts, rel_tol=1e-12)
-    yield shown("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, same, "", "mm")
+    yield _same("equation (6), L squared", "ΔL1 + ΔL2", squared, parts, 1e-12)
     here, true_mm = hyperfocal(N, C, F), depth_of_field(LENS, C).hyperfocal_mm
     why = f"{L_LESS_F}; (5) has its pole there"
     yield Row("equation (5), hyperfocal distance", "F²/(N C)", here, true_mm, why, "mm")
@@ -279,21 +274,19 @@ def _blur_factor() -> Iterator[Item]:
         for f in (blur_factor(far, (0.0, 2.0), AT), AT.radius_px(far))
     ]
     words = ["rises" if r else "does not rise" for r in rises]
-    yield shown(
+    yield said(
         "section 3, blur with distance from the focus",
         "rises",
-        words[0],
-        words[1],
+        words,
         all(rises),
         "not everywhere",
     )
     a = blur_factor(np.array([0.0, 1e3 / L, 50.0]), (0.1, 2.0), AT)
     span = f"{a.min():g} to {a.max():g}"
-    yield shown(
+    yield said(
         "section 3.4, range of α",
         "0 to 1",
         span,
-        None,
         span == "0 to 1",
         "outside of it",
     )
@@ -324,8 +317,8 @@ def _blur_factor() -> Iterator[Item]:
     ]
     same = f"{float(circle_of_confusion_mm(OTHER, LENS)):.4f} mm with both"
     why = "one thing's blur changes with the far plane"
-    words = [f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m", same]
-    yield Row("section 3.2, a of a thing at 5 m", "one value", words[0], words[1], why)
+    ours = f"{one[0]:.3f} with z_far = 6 m, {one[1]:.3f} with 1000 m"
+    yield Row("section 3.2, a of a thing at 5 m", "one value", ours, same, why)
     wide = replace(AT, px_per_dioptre=AT.px_per_dioptre * N / 2)
     ratio = float(
         blur_factor(np.array([0.2]), (0.0, 0.5), wide)[0]
@@ -362,7 +355,7 @@ def _luminance() -> Iterator[Item]:
     expected = float((more / more.sum() * around[around > 100]).sum())
     same = math.isclose(result, expected, rel_tol=1e-5)
     item = "equation (8), 100 among 100, 120, 90, 180, 100, 60, 100, 140"
-    yield shown(item, "weights 20/140, 80/140, 40/140", result, None, same, "")
+    yield said(item, "weights 20/140, 80/140, 40/140", result, same)
     even = np.full((3, 3, 3), 100, np.float32)
     kept = float(
         eq8_bleed(even - np.where(np.arange(9).reshape(3, 3, 1) == 4, 0, 50), flat)[1, 1, 0]
@@ -371,7 +364,7 @@ def _luminance() -> Iterator[Item]:
     dot = np.zeros((9, 9, 3), np.float32)
     dot[4, 4] = 1
     made = float(eq8_bleed(dot, np.ones((9, 9), np.float32))[..., 0].sum())
-    disc = float(_disc_rows(3).sum())
+    disc = float(DISC_ROWS.sum())
     why = (
         "each neighbour takes the white pixel's whole value: light is made from nothing,"
         " and reaches one pixel. A disc keeps it"
@@ -379,11 +372,6 @@ def _luminance() -> Iterator[Item]:
     yield Row(
         "equation (8), light of one white pixel", 1.0, made, disc, why, "white pixels"
     )
-
-
-def _disc_rows(radius_px: int) -> np.ndarray:
-    """What fraction of a pixel's light each row of a blur circle gets."""
-    return disc(float(radius_px)).sum(1)
 
 
 def _blocks() -> Iterator[Item]:
@@ -466,7 +454,7 @@ def _blend() -> Iterator[Item]:
         "half of the edge stays as sharp as before; a disc of 3 px steps by no more than"
         " one of its rows holds"
     )
-    disc = float(_disc_rows(3).max())
+    disc = float(DISC_ROWS.max())
     yield Row(
         "equation (9), sharp edge left at α = 1/2",
         "weighted mean",
@@ -478,11 +466,10 @@ def _blend() -> Iterator[Item]:
     sharp = sharp_range(AT, F, C)
     inside = float(within_depth_of_field(np.array([AT.focus]), sharp, 0.5)[0])
     outside = float(within_depth_of_field(np.array([AT.focus + 0.1]), sharp, 0.5)[0])
-    yield shown(
+    yield said(
         "section 3.4, factor inside the depth of field",
         "2/3",
         inside,
-        None,
         abs(inside - 2 / 3) < 1e-9,
     )
     yield compared("section 3.4, factor outside", "1", outside)

@@ -9,7 +9,6 @@ import numpy as np
 
 from arfx.core.colour import SRGB, yuv_from_rgb
 from arfx.core.layers import Layer
-from arfx.papers import CORRECTED as BY_CORRECTED
 from arfx.papers import PAPER
 from arfx.papers.s2_dof import PrintedDof
 from arfx.reproduce.rows import (
@@ -20,6 +19,7 @@ from arfx.reproduce.rows import (
     Figure,
     Item,
     Row,
+    said,
     shown,
 )
 from arfx.reproduce.s2_scene import (
@@ -37,7 +37,7 @@ from arfx.reproduce.work import Shot, Work
 from arfx.stages import STAGES
 from arfx.synth.description import DepthInput
 
-GAUSSIAN = "gaussian"
+GAUSSIAN = "Gaussian filter of figure 12"
 BRIGHTER = 8  # grey levels above the wall, from which a pixel belongs to a bright point
 OPEN_LENS = "the tracer's own open lens"
 NO_CAMERA = (
@@ -45,36 +45,30 @@ NO_CAMERA = (
     " both balls are real"
 )
 BALLS_M = {"real": ((-0.13, 0.08, 0.04), 0.04), "virtual": ((0.0, 0.0, BALL_M), BALL_M)}
-Pictures = Mapping[str, np.ndarray]  # by formula
+Pictures = Mapping[str, np.ndarray]  # of the desk: BEFORE, GAUSSIAN, and the usual ones
 
 
 def rows(work: Work) -> Iterator[Item]:
     scene = desk(work)
-    clip, photo = work.clip(scene), photograph(work, scene)
-    shot = desk_shot(work, clip, ball_model(work))
-    before = shot.renderer.image(shot.up_to("composite"))
-    after = {
-        PAPER: shot.picture(),
-        **{formula: under(shot, formula).picture() for formula in (GAUSSIAN, BY_CORRECTED)},
+    shot = desk_shot(work, work.clip(scene), ball_model(work))
+    made = {
+        BEFORE: shot.renderer.image(shot.up_to("composite")),
+        GAUSSIAN: under(shot, "gaussian").picture(),
+        PRINTED: shot.picture(),
+        CORRECTED: under(shot, CORRECTED).picture(),
+        REFERENCE: photograph(work, scene),
     }
+    photo = {REFERENCE: made[REFERENCE]}
     yield from _diagrams()
     yield Row(
         "figure 4", "photographs with depth of field", OPEN_LENS, OPEN_LENS, NO_CAMERA
     )
-    yield Figure(
-        "figure 4",
-        "bright points spread over what is dark around them",
-        {REFERENCE: photo},
-    )
-    yield from _coordinates(shot, before, np.array(scene.shot[0].path.position_m))
-    yield from _steps(shot, before, after, photo)
-    yield from _points(shot, before, after, photo)
-    closed = {
-        formula: under(shot, formula, aperture_px=0.4).picture()
-        for formula in (PAPER, BY_CORRECTED)
-    }
-    yield from _in_focus(before, closed)
-    yield from _out_of_focus(shot, before, after, photo)
+    yield Figure("figure 4", "bright points spread over what is dark around them", photo)
+    yield from _coordinates(shot, made[BEFORE], np.array(scene.shot[0].path.position_m))
+    yield from _steps(shot, made)
+    yield from _points(shot, made)
+    yield from _in_focus(shot, made[BEFORE])
+    yield from _out_of_focus(shot, made)
     bare = work.clip(
         scene.model_copy(update={"depth": DepthInput(), "samples": 1})
     )  # no real thing stands before the model
@@ -85,7 +79,7 @@ def rows(work: Work) -> Iterator[Item]:
         {
             BEFORE: room.renderer.image(room.up_to("composite")),
             PRINTED: room.picture(),
-            CORRECTED: under(room, BY_CORRECTED).picture(),
+            CORRECTED: under(room, CORRECTED).picture(),
         },
     )
 
@@ -107,7 +101,6 @@ def _diagrams() -> Iterator[Item]:
         order,
         order,
         ends,
-        "",
     )
 
 
@@ -136,9 +129,7 @@ def _coordinates(shot: Shot, picture: np.ndarray, camera_m: np.ndarray) -> Itera
     )
 
 
-def _steps(
-    shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray
-) -> Iterator[Item]:
+def _steps(shot: Shot, made: Pictures) -> Iterator[Item]:
     """Figures 6 and 9 to 11: what the printed method keeps and makes on its way."""
     stage = shot.renderer.prepared.stages["dof"]
     assert isinstance(stage, PrintedDof)
@@ -154,13 +145,11 @@ def _steps(
         f"depth {1 / dioptre.max():.2f}-{1 / dioptre.min():.2f} m, blur factor"
         f" {a.min():.2f}-{a.max():.2f}, luminance"
     )
-    yield shown(
+    yield said(
         "figure 6",
         "depth with blur factor; luminance",
         span,
-        None,
         bool(0 <= a.min() <= a.max() <= 1),
-        "",
     )
     textures = {
         "depth, nearer is brighter": dioptre / dioptre.max(),
@@ -173,13 +162,12 @@ def _steps(
         {name: _bytes(np.dstack([t] * 3)) for name, t in textures.items()},
     )
     yield shown("figure 9", "the scene before", "a scene of the project", "the same", True)
-    yield Figure("figure 9", "before", {BEFORE: before})
-    apart = _levels(blurred, before)
-    yield shown(
+    yield Figure("figure 9", "before", {BEFORE: made[BEFORE]})
+    apart = _levels(blurred, made[BEFORE])
+    yield said(
         "figure 10",
         "blurred all over",
         f"{apart:.1f} grey levels from figure 9",
-        None,
         apart > 0.5,
         "nothing was blurred",
     )
@@ -188,16 +176,8 @@ def _steps(
         "mean filter and bleeding (8), before the blend",
         {"printed, blurred all over": blurred},
     )
-    yield from _beside_photograph(
-        "figure 11", "sharp and blurred picture blended by (9)", before, after, photo
-    )
-
-
-def _beside_photograph(
-    item: str, title: str, before: np.ndarray, after: Pictures, photo: np.ndarray
-) -> Iterator[Item]:
     sharp, printed, corrected = (
-        _levels(p, photo) for p in (before, after[PAPER], after[BY_CORRECTED])
+        _levels(made[name], made[REFERENCE]) for name in (BEFORE, PRINTED, CORRECTED)
     )
     why = (
         f"without blur it is {sharp:.1f} away. The printed filter has one size, here 7 px,"
@@ -205,137 +185,94 @@ def _beside_photograph(
         " discs that grow with the distance"
     )
     values = [f"{x:.1f} grey levels from the photograph" for x in (printed, corrected)]
-    yield shown(item, "like a camera", values[0], values[1], False, why)
-    pictures = {
-        BEFORE: before,
-        PRINTED: after[PAPER],
-        CORRECTED: after[BY_CORRECTED],
-        REFERENCE: photo,
-    }
-    yield Figure(item, title, pictures)
+    yield said("figure 11", "like a camera", values, False, why)
+    yield Figure(
+        "figure 11", "sharp and blurred picture blended by (9)", _without_gaussian(made)
+    )
 
 
-def _points(
-    shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray
-) -> Iterator[Item]:
+def _without_gaussian(pictures: Pictures) -> Pictures:
+    return {name: picture for name, picture in pictures.items() if name != GAUSSIAN}
+
+
+def _points(shot: Shot, made: Pictures) -> Iterator[Item]:
     """Figures 12 and 13: the Gaussian filter and the printed method, beside one another."""
     ends = np.array([(x, WALL_M, z) for x, z in POINTS_M])
     at = shot.job.scene.camera.project(shot.renderer.facts.pose.apply(ends))
-    made = {"before": before, **after, "photograph": photo}
     area = {name: _spread(picture, at) for name, picture in made.items()}
     words = {name: f"bright points of {px:.0f} px each" for name, px in area.items()}
-    levels = f"{_levels(after[GAUSSIAN], photo):.1f} grey levels from the photograph"
-    spread = area[GAUSSIAN] > area["before"]
-    yield shown(
+    apart = _levels(made[GAUSSIAN], made[REFERENCE])
+    yield said(
         "figure 12",
         "Gaussian filter",
-        f"{words[GAUSSIAN]}, {levels}",
-        None,
-        spread,
+        f"{words[GAUSSIAN]}, {apart:.1f} grey levels from the photograph",
+        area[GAUSSIAN] > area[BEFORE],
         "nothing was spread",
     )
     yield Figure(
         "figure 12",
         "the Gaussian filter that the paper compares itself with",
         {
-            BEFORE: before,
-            "by dof.formula = gaussian": after[GAUSSIAN],
-            REFERENCE: photo,
+            BEFORE: made[BEFORE],
+            "by dof.formula = gaussian": made[GAUSSIAN],
+            REFERENCE: made[REFERENCE],
         },
     )
-    more = min(area[PAPER], area[BY_CORRECTED]) > area[GAUSSIAN]
-    found = f"{words[PAPER]}, Gaussian {area[GAUSSIAN]:.0f} px"
-    true = f"{words[BY_CORRECTED]}, photograph {area['photograph']:.0f} px"
     yield shown(
         "figure 13",
         "bright points spread more than in figure 12",
-        found,
-        true,
-        more,
+        f"{words[PRINTED]}, Gaussian {area[GAUSSIAN]:.0f} px",
+        f"{words[CORRECTED]}, photograph {area[REFERENCE]:.0f} px",
+        min(area[PRINTED], area[CORRECTED]) > area[GAUSSIAN],
         "they do not spread more",
     )
-    low, high = at.min(0), at.max(0)
-    pad = 0.06 * before.shape[1]
-    x0, y0, x1, y1 = (int(v) for v in (*np.maximum(low - pad, 0), *(high + pad)))
-    near = {
-        name: cv2.resize(p[y0:y1, x0:x1], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
-        for name, p in made.items()
+    pad = 0.06 * made[BEFORE].shape[1]
+    low, high = np.maximum(at.min(0) - pad, 0).astype(int), (at.max(0) + pad).astype(int)
+    part = np.s_[low[1] : high[1], low[0] : high[0]]
+    near = {name: p[part].repeat(2, 0).repeat(2, 1) for name, p in made.items()}
+    yield Figure("figure 13", "the bright points, twice as large", near)
+
+
+def _in_focus(shot: Shot, before: np.ndarray) -> Iterator[Item]:
+    closed = {
+        name: under(shot, formula, aperture_px=0.4).picture()
+        for name, formula in ((PRINTED, PAPER), (CORRECTED, CORRECTED))
     }
-    yield Figure(
-        "figure 13",
-        "the bright points, twice as large",
-        {
-            BEFORE: near["before"],
-            "Gaussian filter of figure 12": near[GAUSSIAN],
-            PRINTED: near[PAPER],
-            CORRECTED: near[BY_CORRECTED],
-            REFERENCE: near["photograph"],
-        },
-    )
-
-
-def _in_focus(before: np.ndarray, closed: Pictures) -> Iterator[Item]:
-    changed = [
-        float((picture != before).mean())
-        for picture in (closed[PAPER], closed[BY_CORRECTED])
-    ]
+    changed = [float((picture != before).mean()) for picture in closed.values()]
     words = [f"{100 * c:.0f} % of the pixels blurred" for c in changed]
-    yield shown(
+    yield said(
         "figure 14",
         "all in focus, nothing blurred",
-        words[0],
-        words[1],
+        words,
         not any(changed),
         "some pixels changed",
     )
-    pictures = {PRINTED: closed[PAPER], CORRECTED: closed[BY_CORRECTED]}
-    yield Figure("figure 14", "a real and a virtual (blue) ball, all in focus", pictures)
+    yield Figure("figure 14", "a real and a virtual (blue) ball, all in focus", closed)
 
 
-def _out_of_focus(
-    shot: Shot, before: np.ndarray, after: Pictures, photo: np.ndarray
-) -> Iterator[Item]:
-    made = {**after, "photograph": photo}
-    camera = shot.job.scene.camera
-    pose = shot.renderer.facts.pose
-    kept: dict[str, list[float]] = {name: [] for name in made}
-    for centre, radius_m in BALLS_M.values():
-        middle = pose.apply(np.array([centre]))
-        at, radius = camera.project(middle)[0], camera.fx * radius_m / middle[0, 2]
+def _out_of_focus(shot: Shot, made: Pictures) -> Iterator[Item]:
+    camera, before = shot.job.scene.camera, made[BEFORE]
+    kept: dict[str, list[str]] = {name: [] for name in made}
+    for ball, (centre, radius_m) in BALLS_M.items():
+        middle = shot.renderer.facts.pose.apply(np.array([centre]))
+        where = camera.project(middle)[0], camera.fx * radius_m / middle[0, 2]
         for name, picture in made.items():
-            kept[name].append(
-                _steepest(picture, at, radius) / _steepest(before, at, radius)
-            )
-    words = {
-        name: ", ".join(f"{w} {100 * k:.0f} %" for w, k in zip(BALLS_M, of, strict=True))
-        for name, of in kept.items()
-    }
+            share = _steepest(picture, *where) / _steepest(before, *where)
+            kept[name].append(f"{ball} {100 * share:.0f} %")
+    words = {name: ", ".join(of) for name, of in kept.items()}
     why = (
-        f"of its steepness a ball's outline keeps in the photograph: {words['photograph']}."
+        f"of its steepness a ball's outline keeps in the photograph: {words[REFERENCE]}."
         " As printed outlines stay, since what stands in front does not flow into what is"
         " behind, and the sharp picture shows through the blend"
     )
-    said = "both balls blurred alike"
-    yield shown(
-        "figure 15",
-        said,
-        f"outline keeps: {words[PAPER]}",
-        f"outline keeps: {words[BY_CORRECTED]}",
-        False,
-        why,
-    )
-    pictures = {
-        BEFORE: before,
-        PRINTED: after[PAPER],
-        CORRECTED: after[BY_CORRECTED],
-        REFERENCE: photo,
-    }
-    (x0, y0), (x1, y1) = (
-        np.array(before.shape[1::-1]) * f for f in ((0.1, 0.4), (0.7, 0.85))
-    )
+    found = [f"outline keeps: {words[name]}" for name in (PRINTED, CORRECTED)]
+    yield said("figure 15", "both balls blurred alike", found, False, why)
+    height, width = before.shape[:2]
+    part = np.s_[
+        int(0.4 * height) : int(0.85 * height), int(0.1 * width) : int(0.7 * width)
+    ]
     near = {
-        name: np.ascontiguousarray(p[int(y0) : int(y1), int(x0) : int(x1)])
-        for name, p in pictures.items()
+        name: np.ascontiguousarray(p[part]) for name, p in _without_gaussian(made).items()
     }
     yield Figure(
         "figure 15",

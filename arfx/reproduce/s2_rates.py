@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from arfx.core.machine import usable_cores
 from arfx.papers import CORRECTED, PAPER
-from arfx.reproduce.rows import DIFFERS, UNDERIVED, Item, Row, bars, compared, shown
+from arfx.reproduce.rows import UNDERIVED, Item, Row, bars, compared, said
 from arfx.reproduce.s2_scene import ball_model, moving_desk, moving_settings, room_model
 from arfx.reproduce.work import Timed, Work, frames_of, median_s
 
@@ -82,16 +82,7 @@ def _of_dof(timed: dict[tuple[str, str], Timed], mode: str) -> str:
 
 
 def _rate(item: str, printed: float, here: list[float], why: str) -> Row:
-    holds = min(here) >= printed
-    return Row(
-        item,
-        printed,
-        here[0],
-        here[1],
-        "" if holds else why,
-        "fps",
-        "holds" if holds else DIFFERS,
-    )
+    return said(item, printed, here, min(here) >= printed, why, "fps")
 
 
 def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
@@ -107,7 +98,7 @@ def _machine(peaks_mb: list[float], size: tuple[int, int]) -> Iterator[Item]:
     why = "the process with all its libraries needs more than the authors' machine had"
     holds = max(printed, corrected) <= PC_MB
     words = [f"at most {mb:.0f} MB used" for mb in (printed, corrected)]
-    yield shown("section 4, memory of the machine", "2 GB", words[0], words[1], holds, why)
+    yield said("section 4, memory of the machine", "2 GB", words, holds, why)
     used = f"{size[0]}*{size[1]}"
     yield compared(
         "section 4, resolution",

@@ -21,8 +21,10 @@ from arfx.reproduce.rows import (
     Figure,
     Item,
     Row,
+    both,
     compared,
     curves,
+    said,
     shown,
 )
 from arfx.reproduce.s3_scene import FLAT, OBJECTS, Shown, corrected, picture, printed
@@ -57,9 +59,9 @@ def rows(work: Work) -> Iterator[Item]:
 
 def frame_rows(frame: Shown) -> Iterator[Item]:
     seen = [name for name, where in frame.objects().items() if where.any()]
-    item, said = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
+    item, words = "figure 3, AR frame", f"{', '.join(seen)}, from one model file"
     yield shown(
-        item, "virtual objects in the camera's frame", said, said, seen == list(OBJECTS)
+        item, "virtual objects in the camera's frame", words, words, seen == list(OBJECTS)
     )
     yield Figure(
         item,
@@ -140,11 +142,10 @@ def cell_rows(frame: Shown) -> Iterator[Item]:
                 * np.abs(mean_colours(image, [found], len(area))[0] - exact)[area > 0].max()
             )
         )
-    yield shown(
+    yield said(
         item,
         "the mean of the cell's pixels",
-        errors[0],
-        errors[1],
+        errors,
         max(errors) < 0.01,
         unit="grey levels off it at most",
     )
@@ -174,7 +175,7 @@ def depth_rows(frame: Shown, work: Work) -> Iterator[Item]:
     item = "section 3.1.2, nearer is finer"
     unit = f"area of a cell of a plane at {depth[-1]:.2f} m / at {depth[0]:.2f} m"
     ratios = float(by_cones[-1] / by_cones[0]), float(by_density[-1] / by_density[0])
-    yield shown(item, "nearer is finer", *ratios, False, why, unit)
+    yield said(item, "nearer is finer", ratios, False, why, unit)
     yield curves(
         item,
         "cells on a plane",
@@ -246,9 +247,7 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
         )
     why = f"corrected, a step is a ramp of {RAMP:g} in n · l, so that it does not crawl"
     counts = [float(len(np.unique(tones.round(4)))) for tones in (hard, soft)]
-    yield compared(
-        "toon listing, discrete intensities", "3", counts[0], counts[1], "tones", why
-    )
+    yield compared("toon listing, discrete intensities", "3", *both(counts), "tones", why)
 
     where, shares = np.any(list(frame.objects().values()), axis=0), []
     for stage in (printed(frame), corrected()):
@@ -257,16 +256,15 @@ def toon_rows(frame: Shown) -> Iterator[Item]:
             measure.printed_edges(frame.toon_shaded(stage), p)[where].mean(),
         )
         shares.append((float(pair[0]), float(pair[1])))
-    said = [
+    words = [
         f"{toon:.1%} of the objects' pixels; {smooth:.1%} shaded smoothly"
         for smooth, toon in shares
     ]
     item, why = "section 3.2, toon in place of Gouraud shading", "a soft step is no edge"
-    yield shown(
+    yield said(
         item,
         "edges that stand out more",
-        said[0],
-        said[1],
+        words,
         all(b > a for a, b in shares),
         why,
     )
@@ -295,10 +293,10 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     )
     item = "equation (4), pixels of an edge that flip"
     flips = measure.flips(work.scaled(12, 4))
-    yield shown(
+    yield said(
         item,
         "an edge, or none",
-        *flips,
+        flips,
         False,
         why,
         "share from frame to frame, noise 2/255, at the worst contrast",
@@ -321,19 +319,19 @@ def edge_rows(frame: Shown, work: Work) -> Iterator[Item]:
     outlines["outlines of real things"] = frame.real_outlines(), why
     for name, (where, why) in outlines.items():
         found = measure.share_near(where, edges), measure.share_near(where, lines > DRAWN)
-        yield shown(
+        yield said(
             f"{item}, {name}",
             "found",
-            *found,
+            found,
             min(found) > 0.95,
             why,
             "share of it with an edge within 2 px",
         )
     black = float(edges.mean()), float((lines > DRAWN).mean())
-    yield shown(
+    yield said(
         item,
         "outlines of virtual and real things",
-        *black,
+        black,
         min(black) > 0,
         unit="share of the frame's pixels",
     )
@@ -363,11 +361,10 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
     done, made = np.where(edges[..., None], 0, cells), frame.painted(stage)
     item = "figure 6, from the frame to the picture"
     apart = float(255 * np.abs(done - made).max())
-    yield shown(
+    yield said(
         item,
         "cells, with the edges over them",
         apart,
-        None,
         apart < 0.5,
         unit="grey levels from these steps",
     )
@@ -381,7 +378,7 @@ def picture_rows(frame: Shown) -> Iterator[Item]:
         "the paper has no measure of how well real and virtual agree; the values are how"
         " much the frame has changed in the mean"
     )
-    yield Row(item, "real and virtual agree", change[0], change[1], why, "grey levels")
+    yield Row(item, "real and virtual agree", *both(change), why, "grey levels")
     yield Figure(
         item,
         "the result",
@@ -410,10 +407,10 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         made, ours = measure.still_frames(frame, frames, of_printed, of_corrected)
         item = f"section 2, coherence at rest, {name}"
         errors = (measure.mean_squared(made), measure.mean_squared(ours))
-        yield shown(
+        yield said(
             item,
             "good",
-            *errors,
+            errors,
             False,
             at_rest,
             "squared error between frames, noise 2/255",
@@ -429,24 +426,24 @@ def time_rows(frame: Shown, work: Work) -> Iterator[Item]:
         )
         errors = measure.pan_errors(frame.scene, frames, of_printed, of_corrected)
         item = f"section 2, coherence in a pan, {name}"
-        yield shown(
+        yield said(
             item,
             "good",
-            *errors,
+            errors,
             False,
             in_pan,
             "squared error along the motion, noise 2/255",
         )
-    both = (frame.ready(stage) for stage in (printed(frame), corrected()))
     rates = [
-        1 / median_s(partial(frame.paint_anew, ready), work.scaled(5, 1)) for ready in both
+        1 / median_s(partial(frame.paint_anew, frame.ready(stage)), work.scaled(5, 1))
+        for stage in (printed(frame), corrected())
     ]
     rect = frame.layers.rect
     why = (
         "no rate, size or machine is printed; the values are of the stage alone, at"
         f" {rect.width} × {rect.height} on a processor"
     )
-    yield Row("section 2, speed", "real time", rates[0], rates[1], why, "frames/s")
+    yield Row("section 2, speed", "real time", *both(rates), why, "frames/s")
 
 
 def _not_stated(

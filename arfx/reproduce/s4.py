@@ -17,10 +17,10 @@ from arfx.core.colour import SRGB
 from arfx.core.cube import CubeMap, look_up
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.papers.s4_environment import FACE_PX, mip_level, step3_environment, step3_mipmap
-from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row
+from arfx.reproduce.rows import BEFORE, CORRECTED, PRINTED, Figure, Item, Row, said
 from arfx.reproduce.s4_cones import cones
 from arfx.reproduce.s4_pictures import on_the_plane, pictures
-from arfx.reproduce.s4_scenes import LAMP, room, said, settings
+from arfx.reproduce.s4_scenes import LAMP, room, settings
 from arfx.reproduce.s4_volumes import volumes
 from arfx.reproduce.work import Work
 from arfx.stages.gi.health import seam_ratio
@@ -204,9 +204,7 @@ def environment() -> Iterator[Row]:
         "steps across edges of the cube / within faces",
     )
     item = f"step 3, levels of the mip chain of {FACE_PX}² texels a face"
-    yield said(
-        item, "several", (float(len(mipmap)), None), len(mipmap) == 8, "some are missing"
-    )
+    yield said(item, "several", float(len(mipmap)), len(mipmap) == 8, "some are missing")
     for half_deg in (1, 5, 15, 30):
         level = mip_level(half_deg, FACE_PX)
         texel = 4**level * 4 * np.pi / (6 * FACE_PX**2)
@@ -216,7 +214,7 @@ def environment() -> Iterator[Row]:
         yield said(
             item,
             "by the aperture of the cone",
-            (level, None),
+            level,
             abs(texel / cone - 1) < 1e-9,
             wrong,
         )

@@ -12,8 +12,8 @@ from arfx.core.stage import JobView, Stage
 from arfx.papers.s4_cones import WIDE_DEG, six_cones
 from arfx.papers.s4_environment import step3_mipmap
 from arfx.papers.s4_gi import PrintedGi, PrintedGiParams, Surfels, wide_cones
-from arfx.reproduce.rows import Row
-from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, said, settings
+from arfx.reproduce.rows import Row, said
+from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, settings
 from arfx.reproduce.s4_volumes import N, ray, small
 from arfx.reproduce.work import Work
 from arfx.run.summary import picture
@@ -87,7 +87,7 @@ def through() -> Row:
     return said(
         "step 4, environment through a half opaque ceiling, over what cones let through",
         "weighted by what the cone hides",
-        (share, None),
+        share,
         abs(share - 1) < 1e-3 and left < 0.99,
         "not weighted so",
     )

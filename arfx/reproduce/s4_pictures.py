@@ -27,6 +27,7 @@ from arfx.reproduce.rows import (
     Item,
     Row,
     bars,
+    said,
 )
 from arfx.reproduce.s4_mirror import mirrored_room
 from arfx.reproduce.s4_scenes import (
@@ -35,7 +36,6 @@ from arfx.reproduce.s4_scenes import (
     Settings,
     flat_scene,
     room,
-    said,
     settings,
     under,
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from arfx.papers import PAPER
-from arfx.reproduce.rows import Row, Value, shown
 from arfx.reproduce.work import Clip, Work
 
 _FLAT = """
@@ -76,20 +75,6 @@ lamps = [{{ azimuth_deg = 148, elevation_deg = 52, rgb = [0.42, 0.40, 0.36], ang
 """
 LAMP, FLAT_LAMP = (148, 52, 0.42, 0.40, 0.36), (60, 45, 0.5, 0.5, 0.5)  # of the two scenes
 Settings = dict[str, dict[str, object]]
-
-
-def said(
-    item: str,
-    printed: str,
-    values: Sequence[Value],
-    holds: bool,
-    reason: str = "",
-    unit: str = "",
-) -> Row:
-    """values : by the printed and by the corrected method;  otherwise as `shown`"""
-    of_paper, corrected = values
-    assert of_paper is not None
-    return shown(item, printed, of_paper, corrected, holds, reason, unit)
 
 
 def flat_scene(work: Work) -> Clip:

@@ -16,8 +16,8 @@ from arfx.papers.s4_plane import real_and_virtual, real_scene, step1_mesh
 from arfx.papers.s4_shadow_maps import shadow_maps, step2_radiance
 from arfx.papers.s4_volumes import Volumes, octree_of, step2_volumes
 from arfx.papers.s4_voxels import Volume
-from arfx.reproduce.rows import Item, Row, bars
-from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, said, settings, under
+from arfx.reproduce.rows import Item, Row, bars, said
+from arfx.reproduce.s4_scenes import FLAT_LAMP, flat_scene, settings, under
 from arfx.reproduce.work import Work, shot_of
 from arfx.stages.gi.reference_scene import RayScene
 
@@ -52,7 +52,7 @@ def light(scene: Scene) -> Iterator[Row]:
     yield said(
         "step 2, V_η: normal of the plane's voxels",
         "voxels hold normals",
-        (tilt, None),
+        tilt,
         tilt < 1,
         "they do not",
         "degrees off",
@@ -63,7 +63,7 @@ def light(scene: Scene) -> Iterator[Row]:
     yield said(
         "step 2, R_ρ: light of the real scene's points",
         "light that meets the real scene",
-        (off, None),
+        off,
         off < 1e-4,
         "not albedo x light x cosine",
         "relative error",
@@ -72,7 +72,7 @@ def light(scene: Scene) -> Iterator[Row]:
     yield said(
         "step 2, R_μ: texels that differ from R_ρ and do not show the object",
         "with the virtual object added",
-        (float((apart & ~shows).mean()), None),
+        float((apart & ~shows).mean()),
         not (apart & ~shows).any() and apart.any(),
         "others changed",
         "of 1",
@@ -83,7 +83,7 @@ def light(scene: Scene) -> Iterator[Row]:
     yield said(
         "step 2, split injection: V_Δ in the object's shadow",
         "light of R_ρ positive, of R_μ negative",
-        (shadow, None),
+        shadow,
         shadow > 0,
         "not positive",
         "red, radiance",
@@ -92,7 +92,7 @@ def light(scene: Scene) -> Iterator[Row]:
     yield said(
         "step 2, split injection: V_Δ on the lit object",
         "light of R_ρ positive, of R_μ negative",
-        (given, None),
+        given,
         given < 0,
         "not negative",
         "red, radiance",
@@ -101,7 +101,7 @@ def light(scene: Scene) -> Iterator[Row]:
     yield said(
         "equation V_Δ = V_ρ - V_μ: voxels in which it does not hold",
         "V_Δ = V_ρ - V_μ",
-        (wrong, None),
+        wrong,
         wrong == 0,
         "points of light in one voxel overwrite each other, and split injection overwrites"
         " others than the two volumes do; the corrected method adds light up by area and"
@@ -148,7 +148,7 @@ def filtering() -> Iterator[Row]:
     yield said(
         "step 2, filter steps of an octree of 5 levels",
         "n - 1",
-        (passes, None),
+        passes,
         passes == 4.0,
         "not 4",
     )
@@ -193,7 +193,7 @@ def memory(work: Work) -> Iterator[Item]:
         yield said(
             f"step 2, memory of the volumes at {n}³ voxels",
             "empty voxels are not stored",
-            (printed[-1], None),
+            printed[-1],
             printed[-1] < 0.2 * dense[-1],
             "as much as arrays of all voxels",
             f"MB; arrays of all voxels {dense[-1]:.4g}",

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,31 +19,29 @@ from arfx.config.load import load, merge
 from arfx.config.sections import JobConfig
 from arfx.core import interrupt
 from arfx.core.layers import Layer
-from arfx.core.plan import FramePlan
+from arfx.core.waiting import Notice, Progress
 from arfx.errors import RenderError
 from arfx.measure.bench import WALL
-from arfx.measure.steps import Chain, FrameRenderer, PreparedStages
+from arfx.measure.steps import Chain, FrameRenderer, PreparedStages, open_frames
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.papers import CORRECTED, PAPER
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
 from arfx.run.job import Options, plan_job, process
+from arfx.run.memory import peak_mb
 from arfx.run.parameters import parameters
 from arfx.run.planned import Job
-from arfx.run.source import real_depth_layer
 from arfx.synth.clip import make_clip
 from arfx.synth.description import SceneFile, parse_scene
 
 Settings = Mapping[str, Mapping[str, Any]]  # of a job file: section, key, value
-Progress = Callable[[str, int, int | None], None]
 # GLB, y up, about one unit wide: teapot, apple and aeroplane of table 1 of Tan, Chen, Sun 2009;
 # teapot, cube and rabbit of figure 5 of Jia, Tang 2013; what shows indirect light, and blur
 MODELS = Path(__file__).with_name("models")
 # of a timed job: rendered before, so that imports, compiled code and first contacts are not
 # counted
 WARM_FRAMES = 2
-SAMPLED_S = 0.01  # how often memory is looked at
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,7 @@ class Work:
     folder: Path
     short: bool = False
     progress: Progress = lambda phase, done, total: None
-    notice: Callable[[str], None] = lambda message: None
+    notice: Notice = lambda message: None
     _made: dict[str, Any] = field(default_factory=dict)
 
     def scaled(self, full: Any, short: Any) -> Any:
@@ -187,7 +184,7 @@ class Work:
 
     def apart(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """What a module's function returns in a new process; arguments and result can be
-        pickled. `Memory` measures there. Raises RenderError where the process dies."""
+        pickled. Raises RenderError where the process dies."""
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
         from concurrent.futures.process import BrokenProcessPool
@@ -217,30 +214,14 @@ def frames_of(path: Path) -> list[np.ndarray]:
 
 
 def shot_of(job: Job, index: int) -> Shot:
-    facts, plan = job.facts[index], job.plan.frames[index]
+    plan = job.plan.frames[index]
     if not plan.steps:
         raise RenderError(
             f"frame {index} of {job.inputs.info.path} shows no object: nothing is rendered"
             " in it"
         )
-    camera = job.inputs.camera
-    with ClipReader(job.inputs.info) as reader:
-        frame = next(f for f in reader.frames() if f.pts == job.analysed.pts[index])
-        depth = (
-            None
-            if job.inputs.depth is None
-            else real_depth_layer(job.inputs.depth, facts, frame, camera, camera.rect)
-        )
-        plate = frame.linear(camera.rect)
-    renderer = FrameRenderer(
-        facts,
-        plate,
-        plan,
-        camera.rect,
-        PreparedStages(job.scene, job.stages),
-        real_depth_m=depth,
-    )
-    return Shot(job, renderer, _chain(plan))
+    frames = open_frames(job, [index], PreparedStages(job.scene, job.stages))
+    return Shot(job, frames[index], tuple((s.stage, s.level) for s in plan.steps))
 
 
 def median_s(work: Callable[[], Any], repeats: int = 5) -> float:
@@ -257,18 +238,14 @@ def timed_job(folder: Path, fps: float, formula: str, settings: Settings) -> Tim
     time is taken. fps : of the clip"""
     start_mb = psutil.Process().memory_info().rss / 2**20
     report: dict[str, Any] = {}
-    with Memory() as memory:
-        for more in ({"input": {"end": f"{(WARM_FRAMES - 0.5) / fps}s"}}, {}):
-            config = _config(
-                folder,
-                formula,
-                merge(settings, more),
-                folder.parent / f"timed-{formula}.mkv",
-            )
-            report = process(
-                config, Options(overwrite=True, workers=1, notice=lambda message: None)
-            )
-            interrupt.resume()
+    for more in ({"input": {"end": f"{(WARM_FRAMES - 0.5) / fps}s"}}, {}):
+        config = _config(
+            folder, formula, merge(settings, more), folder.parent / f"timed-{formula}.mkv"
+        )
+        report = process(
+            config, Options(overwrite=True, workers=1, notice=lambda message: None)
+        )
+        interrupt.resume()
     spent, frames = report["timing"], report["output"]["frames"]
     seconds = sum(
         spent[f"{phase}_s"] for phase in ("decode", "analyse", "render", "encode")
@@ -276,35 +253,7 @@ def timed_job(folder: Path, fps: float, formula: str, settings: Settings) -> Tim
     stages = {
         s["name"]: s["measured_s"] / frames for s in report["stages"] if s["frames_run"]
     }
-    return Timed(frames / seconds, stages, memory.peak_mb, start_mb)
-
-
-class Memory:
-    """Most memory that this process holds while the body runs: resident set, looked at
-    every SAMPLED_S. A context manager.
-
-    What the system records (ru_maxrss) counts the parent's memory of a process that was
-    just started."""
-
-    def __init__(self) -> None:
-        self.peak_mb = 0.0
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="memory", daemon=True)
-
-    def __enter__(self) -> Memory:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self._done.set()
-        self._thread.join()
-
-    def _watch(self) -> None:
-        process = psutil.Process()
-        while True:
-            self.peak_mb = max(self.peak_mb, process.memory_info().rss / 2**20)
-            if self._done.wait(SAMPLED_S):
-                return
+    return Timed(frames / seconds, stages, peak_mb(), start_mb)
 
 
 def _config(folder: Path, formula: str, settings: Settings, output: Path) -> JobConfig:
@@ -320,10 +269,6 @@ def _config(folder: Path, formula: str, settings: Settings, output: Path) -> Job
         merge(tree, {"output": {"path": str(output), "codec": "ffv1"}}),
         kinds,
     )
-
-
-def _chain(plan: FramePlan) -> Chain:
-    return tuple((step.stage, step.level) for step in plan.steps)
 
 
 def _digest(*parts: Any) -> str:

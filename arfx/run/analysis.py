@@ -15,6 +15,7 @@ from typing import Any
 from arfx.analyse.fold import Analysis, AnalysisJob
 from arfx.analyse.folds import Analyser
 from arfx.core import codec
+from arfx.core.waiting import Progress
 from arfx.media.clip import ClipInfo
 from arfx.media.frames import (
     ClipReader,
@@ -23,7 +24,7 @@ from arfx.media.frames import (
     late_frames,
     missing_frames,
 )
-from arfx.run.executors import Results, Task, run_serial
+from arfx.run.executors import Done, Results, Task, run_serial
 from arfx.run.folder import JobFolder, digest, write
 from arfx.run.source import release
 from arfx.run.stretches import (
@@ -37,12 +38,11 @@ from arfx.run.stretches import (
     made,
     whole,
 )
-from arfx.run.times import STRETCH, WorkLog
+from arfx.run.times import ANALYSIS, STRETCH, WorkLog
 from arfx.run.worker import who
 
-Progress = Callable[[str, int, int | None], None]
 # (tasks, how many there are at most, frames of the clip, progress, a worker can begin anywhere)
-Run = Callable[[Iterator[Task], int, int, Callable[[int], None]], Results]
+Run = Callable[[Iterator[Task], int, int, Done], Results]
 
 
 @dataclass(frozen=True)
@@ -50,25 +50,18 @@ class AnalysisPass:
     """pts : presentation times of the frames to render, in the clip's time base;  keys :
     which of them decoding can begin at
     truncated : a message where the file ends in damage;  careful, missing, damaged : as of
-    `ClipAnalysis`
-    seconds : of decoding and analysing, by all processes;  walls : of the earlier ones (`WorkLog`)
-    stretches : keys of their rows there"""
+    `ClipAnalysis`"""
 
     analysis: Analysis
     pts: list[int]
     keys: list[int]
     truncated: str | None
-    seconds: Mapping[str, float]
-    walls: Mapping[str, float]
-    stretches: list[str]
     careful: bool
     missing: list[tuple[float, int]]
     damaged: bool = False
 
 
-def in_order(
-    tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
-) -> Results:
+def in_order(tasks: Iterator[Task], count: int, frames: int, progress: Done) -> Results:
     """The stretches one after the other, in this thread."""
     return run_serial(tasks, progress, analyse_stretch)
 
@@ -93,17 +86,19 @@ def analyse_clip(
     span, log = Span(info, *span_s), log or WorkLog(folder.timings)
     with ClipReader(info) as reader:
         times = reader.times()
-    stretches, stated = cut(span, times), [] if times is None else times.pts
-    damaged = reader.damaged
+
+    def joined(stretches: Stretches, run: Run) -> AnalysisPass:
+        clip = replace(job, length_s=stretches.length_s)
+        context = Context(clip, wanted, span, stretches)
+        done = _Pass(context, progress, folder, key, log)
+        return done.done(run, [] if times is None else times.pts)
+
+    stretches, damaged = cut(span, times), reader.damaged
     try:
-        found = _Pass(span, stretches, job, wanted, progress, folder, key, log).done(
-            run if stretches.seeks else in_order, stated
-        )
+        found = joined(stretches, run if stretches.seeks else in_order)
     except FrameTimesError as e:  # what the packets say of the frames is not so
         damaged = isinstance(e, FrameDamageError)
-        found = _Pass(span, whole(span), job, wanted, progress, folder, key, log).done(
-            in_order, stated
-        )
+        found = joined(whole(span), in_order)
     return replace(found, damaged=damaged)
 
 
@@ -112,19 +107,16 @@ class _Pass:
 
     def __init__(
         self,
-        span: Span,
-        stretches: Stretches,
-        job: AnalysisJob,
-        wanted: Collection[str],
+        context: Context,
         progress: Progress,
         folder: JobFolder,
         key: str,
         log: WorkLog,
     ) -> None:
-        self.stretches, self.folder, self.key, self.log = stretches, folder, key, log
-        job = replace(job, length_s=stretches.length_s)
-        self.context = Context(job, wanted, span, stretches)
-        self.analyser = Analyser(job, wanted)
+        stretches = context.stretches
+        self.context, self.stretches = context, stretches
+        self.folder, self.key, self.log = folder, key, log
+        self.analyser = Analyser(context.job, context.wanted)
         self.pts, self.keys = list[int](), list[int]()
         self.before, self.ended, self.truncated = stretches.before, False, None
         self.seconds: Any = Counter()
@@ -192,15 +184,13 @@ class _Pass:
             Analysis(frame_span=(times, self.before, self.ended and not truncated))
         )
         self.seconds.update({"analyse": time.perf_counter() - start})
+        self.log.note(ANALYSIS, self.key, self.seconds, self.walls, stretches=self.names)
         self._progress("analyse", len(self.pts), len(self.pts))
         return AnalysisPass(
             analysis,
             self.pts,
             self.keys,
             truncated,
-            self.seconds,
-            self.walls,
-            self.names,
             self.stretches.careful,
             [(since_s(t), count) for t, count in missing],
         )

@@ -190,16 +190,13 @@ def _of(job: BatchJob, options: Options) -> Options:
 @contextlib.contextmanager
 def _folders_for(output: Path) -> Iterator[None]:
     """The folder that an output lies in, made. One that is empty afterwards goes again."""
-    folder, made = place(output).parent, []
-    while not folder.exists():
-        made.append(folder)
-        folder = folder.parent
+    folder = place(output).parent
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
-        place(output).parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise ConfigError(
-            f"output folder {place(output).parent} cannot be made: {e.strerror}",
-            "name another with -o",
+            f"output folder {folder} cannot be made: {e.strerror}", "name another with -o"
         ) from None
     try:
         yield

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import json
 import re
 from collections.abc import Mapping
 from itertools import pairwise
@@ -20,6 +19,7 @@ from arfx.core.cost import load_prices
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.errors import ConfigError
 from arfx.plan.errors import shipped_errors
+from arfx.run.pages import render
 from arfx.run.parameters import parameters
 from arfx.stages import ALWAYS, ON_DEPTH, STAGES
 from arfx.stages.raster.record import EXTRA_OUTPUTS, OUTPUTS
@@ -42,12 +42,6 @@ WRITES = {
     "gi": ["shadow", "virtual"],
     "hide": ["coverage", "virtual"],
 }
-_INTRO = """# Stages and settings
-
-Made by `arfx stages all`. In a job file a setting stands in the table of its section; on the
-command line it is `--set SECTION.NAME=VALUE`. A level's error is its mean difference to
-`reference` in grey levels of 255: upper end of what was found on many clips, nine in ten of
-which lie below."""
 
 
 def sections() -> list[str]:
@@ -195,18 +189,12 @@ def _plain(default: Any) -> Any:
 
 def overview() -> str:
     """All stages in running order and the other sections, one line each, in Markdown."""
-    lines = ["| stage | runs | levels | what |", "|---|---|---|---|"]
-    for d in map(describe, STAGES):
-        levels = ", ".join(e["level"] for e in d["levels"])
-        lines.append(f"| `{d['name']}` | {_when(d)} | {levels} | {_summary(d)} |")
-    return "\n".join(
-        [
-            *lines,
-            "",
-            "Other sections of a job file: "
-            + ", ".join(f"`{s}`" for s in sections())
-            + ".",
-        ]
+    return render(
+        "run/overview.jinja",
+        stages=map(describe, STAGES),
+        sections=sections(),
+        runs=_when,
+        summary=_summary,
     )
 
 
@@ -228,52 +216,10 @@ def text(d: dict[str, Any], prices: bool = True) -> str:
 
     d : as `describe`;  prices : with those that hold on this machine
     """
-    name, lines = d["name"], [f"## {d['name']}", ""]
-    if d["about"]:
-        lines += [d["about"], ""]
-    if "levels" in d:
-        lines.append(
-            f"- Runs: {_when(d)}"
-            + ("" if d["always"] else f" (`--pipeline {name}`, or any of its settings)")
-        )
-        lines += [
-            f"- {key.capitalize()}: {', '.join(d[key]) or 'nothing'}"
-            for key in ("writes", "facts")
-        ]
-        lines += [f"- Level `{e['level']}`: {_of_level(e, prices)}" for e in d["levels"]]
-        if prices:
-            lines.append(
-                f"- Prices: {d['prices']}, for a frame (mpx: millions of pixels); `arfx"
-                " bench --calibrate` makes its own"
-            )
-        lines.append("")
-    for s in d["settings"]:
-        value = "" if s["default"] is None else f" = {json.dumps(s['default'])}"
-        option = f" (`{s['option']}`)" if s.get("option") else ""
-        formula = f', with `formula = "{s["formula"]}"`' if "formula" in s else ""
-        lines.append(
-            f"- `{name}.{s['name']}{value}`, {s['type']}{option}{formula}: {s['text']}"
-        )
-    return "\n".join([*lines, *([] if d["settings"] else ["It has no settings."])])
-
-
-def _of_level(entry: dict[str, Any], prices: bool) -> str:
-    error = (
-        "error not measured"
-        if entry["error"] is None
-        else f"error {entry['error']:g} grey levels"
-    )
-    if not prices:
-        return error
-    if entry["price_ms"] is None:
-        return f"{error}; price unknown"
-    return (
-        f"{error};"
-        f" {' + '.join(f'{ms:.3g} {term}' for term, ms in entry['price_ms'].items()) or '0'} ms"
-    )
+    return render("run/stage.jinja", d=d, prices=prices, runs=_when).rstrip()
 
 
 def page() -> str:
     """docs/stages.md: everything, without this machine's prices."""
-    every = (text(describe(name), prices=False) for name in [*STAGES, *sections()])
-    return "\n\n".join([_INTRO, overview(), *every]) + "\n"
+    texts = [text(describe(name), prices=False) for name in [*STAGES, *sections()]]
+    return render("run/stages.jinja", overview=overview(), texts=texts) + "\n"

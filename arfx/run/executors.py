@@ -26,6 +26,7 @@ from arfx.errors import RenderError
 from arfx.run.schedule import steal, work_queues
 from arfx.run.source import release
 
+Done = Callable[[int], None]  # is told how many frames are done
 # arguments of a work; of a chunk and a stretch: folder, key, first, last, target
 Task = tuple[Any, ...]
 # work(*task, tick, alone=False): a function of a module; tick() after every frame
@@ -33,9 +34,7 @@ Work = Callable[..., dict[str, Any]]
 Results = Generator[dict[str, Any], None, None]  # to be closed: that stops the workers
 
 
-def run_serial(
-    tasks: Iterable[Task], progress: Callable[[int], None], work: Work
-) -> Results:
+def run_serial(tasks: Iterable[Task], progress: Done, work: Work) -> Results:
     """Work in this process, in order. progress : called with the number of frames done."""
     done = 0
 
@@ -58,7 +57,7 @@ class _StoppedError(Exception):
 def run_threads(
     tasks: Sequence[Task],
     workers: int,
-    progress: Callable[[int], None],
+    progress: Done,
     work: Work,
 ) -> Results:
     """Work in `workers` threads of this process, in any order.
@@ -71,7 +70,7 @@ def run_threads(
 def _in_threads(
     tasks: Sequence[Task],
     crew: Sequence[Work],
-    progress: Callable[[int], None],
+    progress: Done,
     stop: Callable[[], None] = lambda: None,
 ) -> Results:
     """A thread for each of the crew, who works. stop : called on the way out, unless all is done"""
@@ -233,7 +232,7 @@ class Processes:
         self,
         tasks: Sequence[Task],
         workers: int,
-        progress: Callable[[int], None],
+        progress: Done,
         work: Work,
     ) -> Results:
         """Work in `workers` processes, in any order.

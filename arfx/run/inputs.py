@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +21,7 @@ from arfx.core.pose import Pose, rotation_from_euler_deg, rotation_from_quaterni
 from arfx.core.real_depth import RealPlane
 from arfx.core.scene import Placement, Scene
 from arfx.core.units import MAX_LENGTH_M, length_m
-from arfx.core.waiting import wait_for
+from arfx.core.waiting import Progress, wait_for
 from arfx.errors import ConfigError, InputError
 from arfx.media.cameras import (
     calibration_claims,
@@ -57,9 +57,7 @@ class Inputs:
     prints: Mapping[str, np.ndarray]
 
 
-def open_inputs(
-    config: JobConfig, progress: Callable[[str, int, int | None], object] = lambda *_: None
-) -> Inputs:
+def open_inputs(config: JobConfig, progress: Progress = lambda *_: None) -> Inputs:
     """Probe, load and check. progress : as of `wait_for`, while the model is read
     Raises ConfigError for what is missing, InputError for what cannot be read."""
     check_complete(config)
@@ -330,7 +328,5 @@ def _wpilib_layout(document: dict) -> dict[str, Pose]:
             invalid="ignore"
         ):  # what is not finite is refused with the other poses
             r = rotation_from_quaternion(*(float(q[k]) for k in "WXYZ")) @ swap
-        out[f"36h11:{int(tag['ID'])}"] = Pose(
-            r, np.array([float(t["x"]), float(t["y"]), float(t["z"])])
-        )
+        out[f"36h11:{int(tag['ID'])}"] = Pose(r, np.array([t[k] for k in "xyz"], float))
     return out

@@ -21,7 +21,7 @@ from arfx.core.plan import FramePlan
 from arfx.core.scene import Scene
 from arfx.core.stage import Stage
 from arfx.core.toml_text import to_toml
-from arfx.core.waiting import wait_for
+from arfx.core.waiting import Notice, Progress, wait_for
 from arfx.errors import JobInterruptedError, counted
 from arfx.media.join import join_chunks
 from arfx.media.output import check_times
@@ -31,7 +31,7 @@ from arfx.run.analysis import Run, analyse_clip
 from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster, open_cluster
-from arfx.run.executors import Processes, Results, Task, Work, run_serial, run_threads
+from arfx.run.executors import Done, Processes, Results, Task, Work, run_serial, run_threads
 from arfx.run.folder import MARK, JobFolder, Lines, disk_error, pick_previews, write
 from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
@@ -44,16 +44,13 @@ from arfx.run.predict import JobSize, choose, level_policy
 from arfx.run.schedule import Chunk, borders, find_chunk
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
-from arfx.run.times import ANALYSIS, CHUNK, TimeSpent, WorkLog
+from arfx.run.times import CHUNK, TimeSpent, WorkLog
 from arfx.run.worker import keep_memory, render_chunk
 
 # 160 frames of 720p: about as long as it takes to start a process and load its kernels
 SHORT_JOB_PX = 150_000_000
 # beyond this many, threads wait for each other in the interpreter: processes instead
 MOST_THREADS = 4
-
-
-Progress = Callable[[str, int, int | None], None]
 
 
 @dataclass
@@ -79,7 +76,7 @@ class Options:
     executor: ClusterSpec | None = None
     map_path: Sequence[PathMap] = ()
     progress: Progress = lambda phase, done, total: None
-    notice: Callable[[str], None] = print
+    notice: Notice = print
     processes: Processes = field(default_factory=Processes)
 
 
@@ -286,9 +283,7 @@ def _analyse(
     )
     span = (config.input.start, config.input.end)
 
-    def run_here(
-        tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
-    ) -> Results:
+    def run_here(tasks: Iterator[Task], count: int, frames: int, progress: Done) -> Results:
         here = options  # a cluster's workers are not
         if options.workers is not None:
             here = replace(options, workers=min(options.workers, usable_cores()))
@@ -349,7 +344,6 @@ def _analyse(
         done.missing,
         done.damaged,
     ).write(folder)
-    log.note(ANALYSIS, analysis_key, done.seconds, done.walls, stretches=done.stretches)
 
 
 def _results(
@@ -357,7 +351,7 @@ def _results(
     tasks: Iterator[Task],
     count: int,
     pixels: int,
-    progress: Callable[[int], None],
+    progress: Done,
     options: Options,
 ) -> Results:
     """Of the tasks, `count` at most, by this machine's workers. pixels : of all frames"""

@@ -22,6 +22,7 @@ from typing import Any
 
 from arfx.core import compiled, interrupt
 from arfx.core.machine import usable_cores
+from arfx.core.waiting import Notice, Progress
 from arfx.errors import RenderError
 from arfx.run.compiler import compile_kernels_only
 from arfx.run.executors import Processes, run_serial
@@ -32,8 +33,6 @@ MANIFEST = Path(__file__).with_suffix(".json")
 # jobs call
 JOB, SYNTH = "job", "synth"
 PROCESS_S = 4.0  # of compiling, for each process: it takes one or two seconds to start
-Progress = Callable[[str, int, int | None], None]
-Notice = Callable[[str], None]
 _AHEAD = threading.Event()  # while kernels are compiled ahead in this process
 
 
@@ -206,9 +205,5 @@ def warn_if_unlisted(notice: Notice) -> Iterator[None]:
         def on_end(self, ended: event.Event) -> None:
             pass
 
-    listener = Listener()
-    event.register("numba:compile", listener)
-    try:
+    with event.install_listener("numba:compile", Listener()):
         yield
-    finally:
-        event.unregister("numba:compile", listener)

@@ -47,9 +47,7 @@ LONG = {
     "arfx/analyse/light/static_frame.py": 549,
     "arfx/analyse/markers/pattern.py": 527,
     "arfx/analyse/pose/fold.py": 576,
-    "arfx/measure/report_html.py": 476,
-    "arfx/measure/tradeoff.py": 548,
-    "arfx/measure/tradeoff_html.py": 475,
+    "arfx/measure/tradeoff.py": 505,
     "arfx/media/cameras.py": 496,
     "arfx/media/clip.py": 446,
     "arfx/media/frames.py": 423,
@@ -57,9 +55,9 @@ LONG = {
     "arfx/media/kernels.py": 430,
     "arfx/media/output.py": 418,
     "arfx/reproduce/s1_equations.py": 536,
-    "arfx/reproduce/s2.py": 503,
-    "arfx/reproduce/s3.py": 477,
-    "arfx/run/job.py": 465,
+    "arfx/reproduce/s2.py": 490,
+    "arfx/reproduce/s3.py": 472,
+    "arfx/run/job.py": 461,
     "arfx/synth/description.py": 416,
 }
 MODULES = sorted(

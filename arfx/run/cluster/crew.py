@@ -87,14 +87,13 @@ class Crew:
         reasons = [m.refused for m in self.members.values()]
         return "; ".join(dict.fromkeys(filter(None, reasons))) if all(reasons) else ""
 
-    def gathered(self, tick: Callable[[], object] = lambda: None) -> bool:
-        """Wait until all workers that are there have answered. Whether one may work."""
+    def gathered(self, tick: Callable[[], object] = lambda: None) -> None:
+        """Wait until all workers that are there have answered."""
         self.look()
         while any(m.refused is None for m in self.members.values()):
             tick()
             time.sleep(0.05)
             self.look()
-        return self.slots > 0
 
     def check(self) -> None:
         """Raises RenderError where every worker that there is has been refused."""

@@ -14,7 +14,7 @@ from arfx.errors import RenderError
 from arfx.run.cluster import remote
 from arfx.run.cluster.crew import Crew, check_connection, lost
 from arfx.run.cluster.store import Store
-from arfx.run.executors import Results, Task
+from arfx.run.executors import Done, Results, Task
 from arfx.run.folder import JobFolder
 
 ROUND_S = 0.05
@@ -37,14 +37,12 @@ class Dispatch:
         own: Callable[[], bool] | None,
         notice: Callable[[str], None],
     ) -> None:
-        self._client, self._crew, self._job, self._store = client, crew, job, store
+        self._client, self.crew, self._job, self._store = client, crew, job, store
         self._own, self._notice = own, notice
         self._frames: dict[int, int] = {}  # done, by the first frame of a task
         self._worked, self._said_waiting = time.monotonic(), False
 
-    def results(
-        self, tasks: Sequence[Task], progress: Callable[[int], None], workers: int
-    ) -> Results:
+    def results(self, tasks: Sequence[Task], progress: Done, workers: int) -> Results:
         """workers : how many there may be
 
         Raises RenderError: a chunk that lost too many workers, no worker that may render,
@@ -61,7 +59,7 @@ class Dispatch:
         waiting = {self._submit(run): run for run in runs}
         try:
             while waiting:
-                self._crew.look()
+                self.crew.look()
                 self._check_crew()
                 for future in [f for f in waiting if f.done()]:
                     run = waiting.pop(future)
@@ -127,17 +125,17 @@ class Dispatch:
             time.sleep(ROUND_S)
 
     def _check_crew(self) -> None:
-        if self._crew.slots:
+        if self.crew.slots:
             self._worked, self._said_waiting = time.monotonic(), False
             return
-        self._crew.check()
+        self.crew.check()
         if self._own is not None:
             if not self._own() or time.monotonic() - self._worked > START_S:
                 raise RenderError(
                     "no worker of the local cluster starts",
                     "--workers N renders without a cluster",
                 )
-        elif not self._crew.members and not self._said_waiting:
+        elif not self.crew.members and not self._said_waiting:
             self._notice("the cluster has no worker: waiting for one")
             self._said_waiting = True
 

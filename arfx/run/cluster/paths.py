@@ -60,8 +60,4 @@ def places(path: Path, maps: Sequence[PathMap]) -> tuple[str, ...]:
         for m in sorted(maps, key=lambda m: -len(m.here.parts))
         if (there := m.of(path)) is not None
     ]
-    return (
-        *(p for p in found if not is_url(p)),
-        str(path),
-        *(p for p in found if is_url(p)),
-    )
+    return tuple(sorted([*found, str(path)], key=is_url))

@@ -26,7 +26,7 @@ from arfx.run.cluster.paths import PathMap, is_url, places
 from arfx.run.cluster.remote import JobReference
 from arfx.run.cluster.spec import ADDRESS, LOCAL, ClusterSpec, library
 from arfx.run.cluster.store import Store
-from arfx.run.executors import Results, Task
+from arfx.run.executors import Done, Results, Task
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import Inputs
 from arfx.run.parameters import pipeline
@@ -64,13 +64,11 @@ class Cluster:
             crew.check()  # before any work, if none of its workers can be used
             self.workers = crew.slots or 1
 
-    def render(
-        self, tasks: Sequence[Task], progress: Callable[[int], None], job: Job
-    ) -> Results:
+    def render(self, tasks: Sequence[Task], progress: Done, job: Job) -> Results:
         """Render the tasks of a job whose folder this process holds; see `Dispatch.results`."""
         suffix = chunk_suffix(job.inputs.output)
-        with self._placed(job.inputs, job.folder, job.key, suffix) as placed:
-            yield from self._results(tasks, progress, job.inputs, *placed)
+        with self._dispatch(job.inputs, job.folder, job.key, suffix) as dispatch:
+            yield from dispatch.results(tasks, progress, self.workers)
 
     def analysing(self, inputs: Inputs, folder: JobFolder, key: str, here: Run) -> Run:
         """Has the stretches of a job analysed.
@@ -79,69 +77,47 @@ class Cluster:
         for, facts differ in their last digits.
         key : of the analysis;  here : how this machine does it where all are refused"""
 
-        def run(
-            tasks: Iterator[Task], count: int, frames: int, progress: Callable[[int], None]
-        ) -> Results:
+        def run(tasks: Iterator[Task], count: int, frames: int, progress: Done) -> Results:
             if count <= 1:
                 yield from here(tasks, count, frames, progress)
                 return
-            with self._placed(inputs, folder, key, None) as placed:
-                crew = self._crew(inputs, placed[0], lambda _: None)
-                crew.gathered(lambda: progress(0))
-                if why := crew.refusal():
+            with self._dispatch(inputs, folder, key, None) as dispatch:
+                dispatch.crew.gathered(lambda: progress(0))
+                if why := dispatch.crew.refusal():
                     self._notice(f"this machine analyses the clip alone: {why}")
                     yield from here(tasks, count, frames, progress)
                 else:
-                    yield from self._results([*tasks], progress, inputs, *placed, crew)
+                    yield from dispatch.results([*tasks], progress, self.workers)
 
         return run
 
-    def _crew(
-        self, inputs: Inputs, job: JobReference, notice: Callable[[str], None]
-    ) -> Crew:
-        plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
-        return Crew(self._client, environment(plugins, job.suffix is None), job, notice)
-
-    def _results(
-        self,
-        tasks: Sequence[Task],
-        progress: Callable[[int], None],
-        inputs: Inputs,
-        job: JobReference,
-        store: Store | None,
-        crew: Crew | None = None,
-    ) -> Results:
-        crew = crew or self._crew(inputs, job, self._notice)
-        dispatch = Dispatch(self._client, crew, job, store, self._own, self._notice)
-        with contextlib.closing(dispatch.results(tasks, progress, self.workers)) as results:
-            yield from results
-
     @contextlib.contextmanager
-    def _placed(
-        self,
-        inputs: Inputs,
-        folder: JobFolder,
-        key: str,
-        suffix: str | None,
-    ) -> Iterator[tuple[JobReference, Store | None]]:
-        """Where workers find a job, and the store if there is one: with the job's files in
-        it, emptied when the body is done.
+    def _dispatch(
+        self, inputs: Inputs, folder: JobFolder, key: str, suffix: str | None
+    ) -> Iterator[Dispatch]:
+        """A job placed where workers find it. If that is a store, the job's files are put
+        there, and it is emptied when the body is done.
+
+        key, suffix : as of `JobReference`
         """
         folders = places(folder.path.absolute(), self._maps)
+        seen, rendering = (
+            [there for there in folders if not is_url(there)],
+            suffix is not None,
+        )
         store = next(
             (Store(f"{there.rstrip('/')}/{key}") for there in folders if is_url(there)),
             None,
         )
         if store is not None:
-            store.put_job(folder, suffix is not None)
-        seen = tuple(there for there in folders if not is_url(there)) + (
-            (store.url,) if store is not None else ()
-        )
-        run, files = (
-            f"arfx-{uuid.uuid4().hex}",
-            bundles(inputs, self._maps, suffix is not None),
-        )
-        yield JobReference(run, key, suffix, seen, files), store
+            store.put_job(folder, rendering)
+            seen.append(store.url)
+        files = bundles(inputs, self._maps, rendering)
+        job = JobReference(f"arfx-{uuid.uuid4().hex}", key, suffix, tuple(seen), files)
+        plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
+        notice = self._notice if rendering else lambda _: None
+        crew = Crew(self._client, environment(plugins, not rendering), job, notice)
+        yield Dispatch(self._client, crew, job, store, self._own, self._notice)
         if store is not None:
             store.take_previews(folder.previews)
             store.remove()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from arfx.measure import batch
-from arfx.measure.report_html import jpeg
+from arfx.run.pages import jpeg
 
 
 def row(

@@ -13,6 +13,8 @@ import pytest
 from arfx.core.layers import Layer
 from arfx.core.stage import Demand, Stage
 from arfx.errors import ConfigError
+from arfx.measure import bench as bench_module
+from arfx.measure import costs
 from arfx.measure.bench import bench
 from arfx.measure.bench_scene import ball, bench_scene
 
@@ -38,7 +40,11 @@ class Sleeper(Stage):
         return {Layer.IMAGE: view[Layer.IMAGE] * 0.5}
 
 
-STAGES: dict[str, type] = {"sleeper": Sleeper}
+@pytest.fixture
+def sleeper(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one stage that there is."""
+    for module in (bench_module, costs):
+        monkeypatch.setattr(module, "STAGES", {"sleeper": Sleeper})
 
 
 def test_the_ball_has_6000_triangles_that_face_outwards() -> None:
@@ -68,8 +74,9 @@ def test_it_covers_a_tenth_of_the_picture(size: tuple[int, int]) -> None:
     assert at.plate.shape == (size[1], size[0], 3) and at.plate.dtype == np.float32
 
 
+@pytest.mark.usefixtures("sleeper")
 def test_rows_order_levels_by_their_cost() -> None:
-    rows = bench([(128, 96)], stages=STAGES)
+    rows = bench([(128, 96)])
     assert [(r["stage"], r["level"], r["size"]) for r in rows] == [
         ("sleeper", le, "128x96") for le in Sleeper.levels
     ]
@@ -82,14 +89,16 @@ def test_rows_order_levels_by_their_cost() -> None:
         )
 
 
+@pytest.mark.usefixtures("sleeper")
 def test_a_stage_or_level_can_be_singled_out() -> None:
-    rows = bench([(128, 96), (96, 128)], level="draft", stages=STAGES)
+    rows = bench([(128, 96), (96, 128)], level="draft")
     assert [(r["level"], r["size"]) for r in rows] == [
         ("draft", "128x96"),
         ("draft", "96x128"),
     ]
 
 
+@pytest.mark.usefixtures("sleeper")
 @pytest.mark.parametrize(
     ("what", "said"),
     [
@@ -102,5 +111,5 @@ def test_what_is_unknown_is_said_with_what_is_known(
     what: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(ConfigError) as e:
-        bench(**{"sizes": [(128, 96)], "stages": STAGES, **what})
+        bench(**{"sizes": [(128, 96)], **what})
     assert said in e.value.hint

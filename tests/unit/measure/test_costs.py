@@ -6,6 +6,7 @@ import time
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from arfx.measure import costs, costs_output
 from arfx.measure.bench import Runs, Stopwatch, bench
 from arfx.measure.costs import calibrate, fit, save_prices
 from arfx.media.codecs import CODECS
+from tests.unit.measure.test_bench import sleeper  # noqa: F401
 
 
 def runs(noise: float, count: int = 12, outliers: int = 0) -> Runs:
@@ -70,36 +72,43 @@ def test_few_runs_are_priced_by_pixels_with_a_wide_interval() -> None:
         fit(few, ("mfaces",))
 
 
-def test_calibration_times_what_it_prices(tmp_path) -> None:
-    from tests.unit.measure.test_bench import STAGES
+@pytest.fixture
+def no_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(costs, "time_output", lambda *_: None)
 
-    prices = calibrate(stages=STAGES, output=False, limit_s=2.0)
+
+@pytest.mark.usefixtures("no_output", "sleeper")
+def test_calibration_times_what_it_prices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prices = calibrate(limit_s=2.0)
     at = {
         k: prices.predict(f"sleeper/{k}", {"frames": 1.0, "mpx": 0.05, "object_mpx": 0.03})
         for k in ("draft", "standard")
     }
     assert at["draft"].seconds < at["standard"].seconds < 0.2
     assert "encode h264" not in prices.prices and "raster/draft" not in prices.prices
-    back = load_prices(save_prices(prices, tmp_path / "cache" / "costs.json"))
+    monkeypatch.setattr(costs, "prices_file", lambda: tmp_path / "cache" / "costs.json")
+    back = load_prices(save_prices(prices))
     assert back.calibrated and set(back.prices) == set(prices.prices)
 
 
+@pytest.mark.usefixtures("no_output")
 def test_what_there_is_no_time_for_keeps_the_shipped_price_and_its_wide_interval() -> None:
-    prices = calibrate(output=False, limit_s=0.0)
+    prices = calibrate(limit_s=0.0)
     assert set(prices.prices) == {k for k in shipped_prices().prices if "/" in k}
     assert all(p.spread >= UNCALIBRATED for p in prices.prices.values())
-    alone = calibrate(output=False, limit_s=0.0, stage="dof")
+    alone = calibrate(limit_s=0.0, stage="dof")
     assert {k.removeprefix("prepare ").split("/")[0] for k in alone.prices} == {"dof"}
 
 
 def test_a_scene_that_is_too_small_for_a_stage_is_passed_over(monkeypatch) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setattr(costs, "SCENES", ((64, 64, 0.1, (20, 19), "ball", False),))
     monkeypatch.setattr(costs, "SLOW_SCENES", ())
-    assert all(
-        p.spread >= UNCALIBRATED
-        for p in calibrate(output=False, stage="dof").prices.values()
-    ), "as it was shipped"
-    assert calibrate(output=False, stage="raster").prices["raster/draft"].runs > 0
+    assert all(p.spread >= UNCALIBRATED for p in calibrate(stage="dof").prices.values()), (
+        "as it was shipped"
+    )
+    assert calibrate(stage="raster").prices["raster/draft"].runs > 0
     with pytest.raises(ConfigError, match="64x64 px there is nothing for dof"):
         bench([(64, 64)], "dof")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ import pytest
 from arfx.errors import ConfigError
 from arfx.measure import machine
 from arfx.measure.machine import Check, essentials_work, examine
+from arfx.media.codecs import CODECS
 
 
 def test_this_machine_is_examined_in_every_respect(tmp_path: Path) -> None:
@@ -28,10 +30,14 @@ def test_this_machine_is_examined_in_every_respect(tmp_path: Path) -> None:
     assert all(c.fix for c in checks if not c.ok) and not any(c.fix for c in checks if c.ok)
 
 
-def test_an_encoder_that_does_not_work_is_found_out() -> None:
-    assert machine._encode_fails("libx264", "yuv420p", ".nut", {}) == ""
-    assert "nosuchcodec" in machine._encode_fails("nosuchcodec", "yuv420p", ".nut", {})
-    assert machine._encode_fails("prores_ks", "yuv420p", ".mkv", {"profile": "77"})
+def test_an_encoder_that_does_not_work_is_found_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    broken = replace(CODECS["ffv1"], encoder="nosuchcodec")
+    monkeypatch.setitem(CODECS, "ffv1", broken)  # type: ignore[misc]
+    checks = {c.name: c for c in machine._codecs()}
+    assert "nosuchcodec" in checks["ffv1"].detail and "av" in checks["ffv1"].fix
+    assert checks["h264"].ok and checks["h264"].essential and checks["png"].ok
 
 
 def test_a_missing_package_has_its_fix(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts, MarkerSi
 from arfx.core.pose import Pose
 from arfx.errors import InputError, RenderError
 from arfx.measure.report import finite, read_report, write_report
-from arfx.measure.report_html import full_page, light_told, number
+from arfx.run.pages import number, render
 
 REPORT = {
     "input": {"path": "/clips/a<b>&.mp4", "frames": 6, "seconds": 0.2, "width": 64, "height": 48, "fps": 30.0, "vfr": False,
@@ -185,24 +185,20 @@ def test_numbers_read_well() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
 def test_a_pipe_in_a_job_folder_is_not_waited_for(tmp_path: Path) -> None:
-    for name in ("job.toml", "report.json"):
-        (tmp_path / name).write_text("{}")
-    os.mkfifo(tmp_path / "timings.jsonl")
-    with pytest.raises(InputError, match=r"timings\.jsonl is not a file"):
+    (tmp_path / "job.toml").write_text("")
+    os.mkfifo(tmp_path / "report.json")
+    with pytest.raises(InputError, match=r"report\.json"):
         read_report(tmp_path)
 
 
-def test_a_likely_light_is_told_with_its_doubt_and_its_spans() -> None:
-    text = light_told(REPORT["light"])
+def test_a_likely_light_is_told_with_its_doubt_and_its_spans(tmp_path: Path) -> None:
+    text = write_report(tmp_path, REPORT, six(), []).read_text()
     assert (
         "Likely: the simplest light" in text and "two lamps up to 30 degrees apart" in text
     )
     assert "0.10 – 0.20" in text and "0.5, 0.4, 0.3" in text
 
 
-def test_placeholders_in_a_title_are_text() -> None:
-    page = full_page("@BODY@ and @TITLE@", ["the body of @TITLE@"])
-    assert (
-        "<title>@BODY@ and @TITLE@</title>" in page
-        and page.count("the body of @TITLE@") == 1
-    )
+def test_what_controls_a_template_or_a_terminal_is_text() -> None:
+    page = render("measure/page.html", title="{{ title }} <b>\x1b[2J")
+    assert "<title>{{ title }} &lt;b&gt;\\x1b[2J</title>" in page

@@ -20,7 +20,7 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import FrameRenderer, PreparedStages, chain_of, window_of
-from arfx.measure.tradeoff import Measurements, _Work
+from arfx.measure.tradeoff import Measurements, Setup, _Work
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, page, recommendation
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front, level_sets, worth_showing
@@ -276,14 +276,22 @@ def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
     stages, usual = stages_of(params, names), dict.fromkeys(names, "standard")
     frame: Any = replace(tiny_frame(stages), slow=frozenset())
     work = _Work(
-        job, stages, [], {3: frame}, usual, usual, usual, frozenset(), {}, Times(), found()
+        job,
+        [],
+        Setup(frame.prepared, {3: frame}),
+        usual,
+        usual,
+        usual,
+        frozenset(),
+        {},
+        found(),
     )
     left = {n: level for n, level in usual.items() if n != "gi"}
-    assert work.frame(3, usual) is frame and work.frame(3, left) is work.frame(
-        3, dict(left)
-    )
+    assert work.setup(usual).frames[3] is frame
+    assert work.setup(left) is work.setup(dict(left))
     soft = [
-        work.frame(3, levels).prepared.stages["lightmap"].soft for levels in (usual, left)
+        work.setup(levels).frames[3].prepared.stages["lightmap"].soft
+        for levels in (usual, left)
     ]
     assert soft == [
         False,

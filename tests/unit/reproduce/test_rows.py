@@ -1,13 +1,11 @@
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from arfx.reproduce.rows import (
     DIFFERS,
     HOLDS,
     UNDERIVED,
-    Figure,
     Row,
     bars,
     compared,
@@ -49,19 +47,8 @@ def test_a_row_that_does_not_hold_says_why() -> None:
         compared("a", "58.7", 58.7428, 54.1451)
     with pytest.raises(ValueError, match="no reason"):
         compared("a", "126.746", None, reason=" ")
-    with pytest.raises(ValueError, match="none of"):
-        Row("a", 1.0, 1.0, 1.0, verdict="maybe")
     with pytest.raises(ValueError, match="not finite"):
         Row("a", 1.0, float("inf"), 1.0, verdict=HOLDS)
-
-
-def test_pictures_that_are_compared_have_one_size() -> None:
-    small, large = np.zeros((4, 5, 3), np.uint8), np.zeros((8, 5, 3), np.uint8)
-    assert Figure("a", "", {"before": large, "printed": small, "corrected": small})
-    with pytest.raises(ValueError, match="one size"):
-        Figure("a", "", {"printed": small, "corrected": large})
-    with pytest.raises(ValueError, match="float"):
-        Figure("a", "", {"before": small.astype(float)})
 
 
 def test_bars_draw_ranges_and_leave_out_what_is_not_known() -> None:
