@@ -54,7 +54,6 @@ LONG = {
     "arfx/media/clip.py": 446,
     "arfx/media/frames.py": 423,
     "arfx/media/join.py": 401,
-    "arfx/media/kernels.py": 430,
     "arfx/media/output.py": 418,
     "arfx/reproduce/s1_equations.py": 536,
     "arfx/reproduce/s2.py": 503,
