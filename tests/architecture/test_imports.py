@@ -50,7 +50,7 @@ LONG = {
     "arfx/measure/report_html.py": 476,
     "arfx/measure/tradeoff.py": 548,
     "arfx/measure/tradeoff_html.py": 475,
-    "arfx/media/cameras.py": 496,
+    "arfx/media/cameras.py": 406,
     "arfx/media/clip.py": 446,
     "arfx/media/frames.py": 423,
     "arfx/media/join.py": 401,
