@@ -7,6 +7,7 @@ keeps its bits."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import av
@@ -28,29 +29,18 @@ SWS_MATRIX = {
 }
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One picture; never changes.
 
     index : number in the reader's order;  pts : in `time_base` units;  key : key frame.
     """
 
-    __slots__ = ("format", "index", "key", "picture", "pts")
-
-    def __init__(
-        self,
-        picture: av.VideoFrame,
-        form: FrameFormat,
-        index: int,
-        pts: int,
-        key: bool = False,
-    ) -> None:
-        self.picture, self.format, self.index, self.pts, self.key = (
-            picture,
-            form,
-            index,
-            pts,
-            key,
-        )
+    picture: av.VideoFrame
+    format: FrameFormat
+    index: int
+    pts: int
+    key: bool = False
 
     @property
     def time_s(self) -> float:

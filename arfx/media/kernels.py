@@ -222,7 +222,7 @@ def _spread(line):
 def _constants(f: FrameFormat) -> tuple[Any, ...]:
     """All of `Planes` but the planes."""
     layout = f.layout
-    luma, chroma = (*f.luma_steps, *f.legal[:2]), (*f.chroma_steps, *f.legal[2:])
+    luma, chroma = f.stored
     from_rgb = yuv_from_rgb(f.matrix)
     to_rgb = np.linalg.inv(from_rgb)
     if layout.kind == "rgb":  # as green, blue, red

@@ -19,11 +19,10 @@ import numpy as np
 from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
 
-_YUV = re.compile(
-    r"yuv(?P<kind>[ja]?)(?P<sub>420|422|444|440|411|410)p(?P<bits>9|10|12|14|16)?(le)?$"
+_NAME = re.compile(
+    r"(?P<kind>yuv[ja]?|gray|gbra?)(?P<sub>420|422|444|440|411|410)?p?"
+    r"(?P<bits>9|10|12|14|16)?(le)?"
 )
-_GRAY = re.compile(r"gray(?P<bits>9|10|12|14|16)?(le)?$")
-_GBR = re.compile(r"gbra?p(?P<bits>9|10|12|14|16)?(le)?$")
 _SUBSAMPLING = {
     "420": (1, 1),
     "422": (1, 0),
@@ -61,6 +60,10 @@ class PixelLayout:
         """The same planes without FFmpeg's deprecated j: the range is a tag, not a format."""
         return self.name.replace("yuvj", "yuv")
 
+    def holds(self, odd: tuple[bool, bool]) -> bool:
+        """Whether its chroma covers a picture of odd width, height."""
+        return not (odd[0] and self.sub_x) and not (odd[1] and self.sub_y)
+
     @property
     def peak(self) -> int:
         return (1 << self.depth) - 1
@@ -69,14 +72,12 @@ class PixelLayout:
 @cache
 def layout_named(name: str) -> PixelLayout | None:
     """The layout of a working format; None for every other format."""
-    if m := _YUV.match(name):
-        sx, sy = _SUBSAMPLING[m["sub"]]
-        return PixelLayout(name, "yuv", int(m["bits"] or 8), sx, sy, m["kind"] == "a")
-    if m := _GRAY.match(name):
-        return PixelLayout(name, "gray", int(m["bits"] or 8))
-    if m := _GBR.match(name):
-        return PixelLayout(name, "rgb", int(m["bits"] or 8), 0, 0, name.startswith("gbra"))
-    return None
+    m = _NAME.fullmatch(name)
+    if m is None or name.startswith("yuv") != bool(m["sub"]):
+        return None
+    kind = "yuv" if m["sub"] else "rgb" if name.startswith("gbr") else "gray"
+    sub, alpha = _SUBSAMPLING.get(m["sub"], (0, 0)), m["kind"] in ("yuva", "gbra")
+    return PixelLayout(name, kind, int(m["bits"] or 8), *sub, alpha)
 
 
 @cache
@@ -165,15 +166,6 @@ def repacked(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
     return out
 
 
-# (transpose, flip_x, flip_y) by degrees counter-clockwise, without a mirror
-_DEGREES = {
-    (False, False, False): 0,
-    (True, False, True): 90,
-    (False, True, True): 180,
-    (True, True, False): 270,
-}
-
-
 @dataclass(frozen=True)
 class Orientation:
     """upright = flips of (the transpose of) coded. All eight orientations of a rectangle."""
@@ -187,14 +179,7 @@ class Orientation:
         """Counter-clockwise rotation from coded to upright, 0, 90, 180 or 270; of a
         mirrored one, that before the mirror.
         """
-        key = (self.transpose, self.flip_x, self.flip_y)
-        return _DEGREES.get(
-            key, _DEGREES.get((self.transpose, not self.flip_x, self.flip_y), 0)
-        )
-
-    @property
-    def mirrored(self) -> bool:
-        return (self.transpose, self.flip_x, self.flip_y) not in _DEGREES
+        return 90 * self.transpose + 180 * (self.transpose != self.flip_y)
 
     def upright(self, coded: np.ndarray) -> np.ndarray:
         """View of coded (h, w, ...) as it is shown."""
@@ -254,38 +239,21 @@ class FrameFormat:
         """Whether chroma lies on the left, and on the top, luma sample of its group (else
         in the middle).
         """
-        return (
-            self.chroma_location
-            in (
-                "left",
-                "topleft",
-            ),
-            self.chroma_location == "topleft",
-        )
+        where = self.chroma_location
+        return where in ("left", "topleft"), where == "topleft"
 
     @property
-    def luma_steps(self) -> tuple[float, float]:
-        """(offset, steps from black to white) of stored luma, grey or RGB samples.
+    def stored(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Of luma, grey or RGB samples, and of chroma: the value of 0, steps up to 1 (of chroma
+        from -0.5 to 0.5), lowest and highest legal value.
 
-        Source: ITU-R BT.601/709/2020.
-        """
-        up = 1 << (self.layout.depth - 8)
-        return (
-            (0.0, float(self.layout.peak)) if self.full_range else (16.0 * up, 219.0 * up)
-        )
-
-    @property
-    def chroma_steps(self) -> tuple[float, float]:
-        """(value of no chroma, steps from -0.5 to 0.5)."""
-        up = 1 << (self.layout.depth - 8)
-        return 128.0 * up, float(self.layout.peak) if self.full_range else 224.0 * up
-
-    @property
-    def legal(self) -> tuple[int, int, int, int]:
-        """Lowest and highest legal luma, lowest and highest legal chroma."""
+        Source: ITU-R BT.601/709/2020."""
         up, peak = 1 << (self.layout.depth - 8), self.layout.peak
-        return (
-            (0, peak, 0, peak)
-            if self.full_range
-            else (16 * up, 235 * up, 16 * up, 240 * up)
+        if self.full_range:
+            return (0, peak, 0, peak), (128 * up, peak, 0, peak)
+        return (16 * up, 219 * up, 16 * up, 235 * up), (
+            128 * up,
+            224 * up,
+            16 * up,
+            240 * up,
         )

@@ -59,7 +59,7 @@ def frame(
     )  # fmt: skip
     picture = av.VideoFrame(width, height, name)
     rng = np.random.default_rng(seed)
-    low, high, c_low, c_high = form.legal
+    (_, _, low, high), (_, _, c_low, c_high) = form.stored
     for k, p in enumerate(planes_of(picture, layout)):
         lo, hi = (c_low, c_high) if k and layout.kind == "yuv" else (low, high)
         if smooth:
@@ -78,11 +78,12 @@ def reference_linear(f: Frame) -> np.ndarray:
     """The coded picture by the textbook, in float64, with np.interp between chroma positions."""
     lay, form = f.format.layout, f.format
     p = [a.astype(float) for a in planes_of(f.picture, lay)]
-    y = (p[0][: form.height, : form.width] - form.luma_steps[0]) / form.luma_steps[1]
+    luma, chroma = form.stored
+    y = (p[0][: form.height, : form.width] - luma[0]) / luma[1]
     out = [y]
     for c in p[1:3]:
         cw, ch = -(-form.width >> lay.sub_x), -(-form.height >> lay.sub_y)
-        c = (c[:ch, :cw] - form.chroma_steps[0]) / form.chroma_steps[1]
+        c = (c[:ch, :cw] - chroma[0]) / chroma[1]
         for axis, (n, sub, cosited) in enumerate(
             [
                 (form.height, lay.sub_y, form.cosited[1]),
@@ -253,7 +254,9 @@ def test_display_matrices() -> None:
     assert orientation_of((0, one, 0, -one, 0, 0, 0, 0, 1 << 30))[0].rotation_deg == 270
     assert orientation_of((0, -one, 0, one, 0, 0, 0, 0, 1 << 30))[0].rotation_deg == 90
     assert orientation_of((-one, 0, 0, 0, -one, 0, 0, 0, 1 << 30))[0].rotation_deg == 180
-    assert orientation_of((-one, 0, 0, 0, one, 0, 0, 0, 1 << 30))[0].mirrored
+    assert orientation_of((-one, 0, 0, 0, one, 0, 0, 0, 1 << 30))[0] == Orientation(
+        flip_x=True
+    )
     assert orientation_of((46341, 46341, 0, -46341, 46341, 0, 0, 0, 1 << 30))[1] is False
 
 
