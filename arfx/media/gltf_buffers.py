@@ -43,7 +43,7 @@ class Buffers:
         """A file beside the model, or what is written in the address itself. Raises InputError."""
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
-        return self._folder.get(uri)
+        return self._folder.read(uri)
 
     def view(self, number: int) -> bytes:
         """The bytes of a view."""

@@ -59,11 +59,8 @@ class GltfMaterials:
     """The materials of a file, each made where it is first asked for."""
 
     def __init__(self, file: ModelFile, buffers: Buffers) -> None:
-        self._header, self._textures, self._notices = (
-            file.header,
-            file.textures,
-            file.notices,
-        )
+        self._header, self._textures = file.header, file.textures
+        self._folder, self._notices = file.folder, file.notices
         self._buffers = buffers
         self._images: dict[int, Any] = {}
         self._materials: dict[int, Material] = {}
@@ -214,7 +211,7 @@ class GltfMaterials:
         if number not in self._images:
             image = self._header["images"][number]
             try:
-                self._images[number] = self._textures.open(self._content(image))
+                self._images[number] = self._folder.picture(self._content(image))
             except InputError:  # it is in the folder's left_out
                 self._images[number] = None
         return self._textures.of(self._images[number])

@@ -6,12 +6,10 @@ trimesh is given bytes and asks here for whatever they name: buffers, MTL files,
 from __future__ import annotations
 
 import contextlib
-import functools
+import io
 import os
 import re
-import threading
 import unicodedata
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -22,13 +20,13 @@ from arfx.errors import InputError
 # What Pillow may open: left to itself it also takes formats for which it starts other
 # programs (EPS: Ghostscript).
 PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
-_pillow_lock = threading.RLock()
 
 
 class ModelFolder:
     """Answers trimesh as one of its resolvers.
 
-    files : all that was read;  left_out : by name, why it was not.
+    files : all that was read;  left_out : by name, why it was not;  refused : why pictures
+    could not be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,18 +35,43 @@ class ModelFolder:
         self.folder = path.absolute().parent.resolve()
         self.files: list[Path] = [path]
         self.left_out: dict[str, str] = {}
+        self.refused: list[str] = []
         self.memory: dict[
             str, bytes
         ] = {}  # by name, what was made from the file and is in none
         self._names: dict[Path, dict[str, str]] = {}
 
     def get(self, name: str) -> bytes:
+        """A picture, for trimesh, which itself would open any kind; or what is in the memory.
+
+        Raises InputError.
+        """
+        if name in self.memory:
+            return self.memory[name]
+        data = self.read(name)
+        if self.picture(data) is None:
+            raise InputError(f"model {self.path} refers to {name}, which is no picture")
+        return data
+
+    __getitem__ = get
+
+    def picture(self, content: bytes) -> Any:
+        """Pillow's picture of one of PICTURES; None: it is none of these, or damaged."""
+        from PIL import Image
+
+        try:
+            return Image.open(io.BytesIO(content), formats=PICTURES)
+        except Exception as e:  # whatever its header holds
+            unknown = isinstance(e, Image.UnidentifiedImageError)
+            kinds = "not a picture of the kinds that are read: " + ", ".join(PICTURES)
+            self.refused.append(kinds if unknown else str(e))
+            return None
+
+    def read(self, name: str) -> bytes:
         """The file that a model calls `name`.
 
         Raises InputError: not in the folder, not a regular file, too large.
         """
-        if name in self.memory:
-            return self.memory[name]
         try:
             found = self.find(name)
             data = read_bytes(found, "model part")
@@ -58,8 +81,6 @@ class ModelFolder:
         if found not in self.files:
             self.files.append(found)
         return data
-
-    __getitem__ = get
 
     def find(self, name: str) -> Path:
         """Exporters write names with %20, in quotation marks, in other case, with umlauts
@@ -114,31 +135,3 @@ class ModelFolder:
 
 def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
-
-
-@contextlib.contextmanager
-def restrict_pillow(refused: list[str]) -> Iterator[None]:
-    """While it lasts Pillow opens PICTURES alone, for whoever calls it; trimesh has no
-    option for it.
-    refused : gets the reason of each picture that could not be opened"""
-    from PIL import Image
-
-    def only_known(source: Any, mode: Any = "r", formats: Any = None) -> Any:
-        try:
-            return given(source, mode, formats=PICTURES if formats is None else formats)
-        except Image.UnidentifiedImageError:
-            refused.append(
-                "not a " + ", ".join(PICTURES[:-1]) + f" or {PICTURES[-1]} picture"
-            )
-            raise
-        except Exception as e:
-            refused.append(str(e))
-            raise
-
-    with _pillow_lock:
-        given = Image.open
-        Image.open = functools.wraps(given)(only_known)  # type: ignore[assignment]
-        try:
-            yield
-        finally:
-            Image.open = given

@@ -3,7 +3,6 @@ what is not drawn."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import numpy as np
 
 from arfx.core.model import Material, Texture
 from arfx.errors import InputError
-from arfx.media.model_files import PICTURES
 
 _BRIGHTEST = 1e6  # emission, where white paper in full light is 1
 MAX_TEXELS = (
@@ -50,16 +48,6 @@ class Textures:
         # The picture too: its id stays unique while it lives.
         self._arrays: dict[int, tuple[Any, np.ndarray]] = {}
         self._texels = 0
-
-    def open(self, content: bytes) -> Any:
-        """The Pillow picture in a file; None: there is none (model_files.restrict_pillow tells
-        why)."""
-        from PIL import Image
-
-        try:
-            return Image.open(io.BytesIO(content), formats=PICTURES)
-        except (OSError, ValueError, SyntaxError):
-            return None
 
     def of(self, image: Any) -> np.ndarray | None:
         """(h, w, 4) uint8 of a Pillow picture, None for None.

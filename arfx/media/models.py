@@ -17,7 +17,7 @@ from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import check_gltf, gltf_header
 from arfx.media.gltf_parts import GltfScene
-from arfx.media.model_files import ModelFolder, restrict_pillow
+from arfx.media.model_files import ModelFolder
 from arfx.media.model_limits import check_faces, check_parts, stated_faces
 from arfx.media.model_materials import Textures, not_drawn
 from arfx.media.model_parts import FileMesh, ModelFile, part_of
@@ -100,16 +100,14 @@ def _kind(path: Path, data: bytes) -> str:
 
 
 def _read(file: ModelFile) -> list[Part]:
-    refused: list[str] = []
     named = 0
-    notices, left_out = file.notices, file.folder.left_out
-    with restrict_pillow(refused):
-        if file.header:
-            parts = _parts(GltfScene(file), file)
-        else:
-            scene = TrimeshScene(file)
-            named = scene.textures_named
-            parts = _parts(scene, file)
+    notices, left_out, refused = file.notices, file.folder.left_out, file.folder.refused
+    if file.header:
+        parts = _parts(GltfScene(file), file)
+    else:
+        scene = TrimeshScene(file)
+        named = scene.textures_named
+        parts = _parts(scene, file)
     file.textures.close()
     drawn = int(any(p.material.base_texture is not None for p in parts))
     if named > 1 or (named > drawn and not (refused or left_out)):

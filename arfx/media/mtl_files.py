@@ -86,7 +86,7 @@ class MtlMaterials:
         """Of a file beside the model; None: it is not there or no picture, which others tell."""
         if name not in self._pictures:
             try:
-                image = self.textures.open(self.folder.get(name))
+                image = self.folder.picture(self.folder.read(name))
             except InputError:  # it is in the folder's left_out
                 image = None
             self._pictures[name] = self.textures.of(image)

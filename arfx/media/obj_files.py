@@ -121,7 +121,7 @@ def _lines_of_materials(
     alike: dict[str, list[str]] = {}  # but for their case
     for file in files:
         with contextlib.suppress(InputError):  # it is in folder.left_out
-            text = decoded(folder.get(file)).replace("\\\n", " ")
+            text = decoded(folder.read(file)).replace("\\\n", " ")
             for block in re.split(r"(?mi)^\s*newmtl\b", text)[1:]:
                 name, *lines = block.splitlines()
                 exact.setdefault(_key(name), lines)
