@@ -109,13 +109,15 @@ _PICTURES = (
     b"%!PS",
 )
 SUFFIX_CONTAINER = {
-    ".mp4": "mp4",
     ".m4v": "mp4",
+    ".mp4": "mp4",
     ".mkv": "matroska",
     ".mov": "mov",
     ".webm": "webm",
 }
-CONTAINER_SUFFIX = {"mp4": ".mp4", "matroska": ".mkv", "mov": ".mov", "webm": ".webm"}
+CONTAINER_SUFFIX = {
+    name: suffix for suffix, name in SUFFIX_CONTAINER.items()
+}  # the last one
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.errors import RenderError
 from arfx.media.planes import FrameFormat, Orientation, copy_picture, planes_of
 
-MIN_SPARSE_RATIO = (
-    3  # pixels of a rectangle for each that is wanted, from which these alone are converted
-)
+# pixels of a rectangle for each that is wanted, from which these alone are converted
+MIN_SPARSE_RATIO = 8
 SWS_MATRIX = {
     "bt709": "ITU709",
     "bt601": "ITU601",

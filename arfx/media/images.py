@@ -12,7 +12,6 @@ import importlib
 import io
 import re
 import struct
-import threading
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -39,7 +38,6 @@ HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
 _DEPTH_CHANNELS = (b"Z", b"V", b"Y", b"R")
-_pillow_lock = threading.Lock()
 _HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
 
@@ -259,7 +257,7 @@ def exif_turn(path: Path) -> int:
 
 
 def check_pixels(data: bytes, path: Path, kind: str) -> None:
-    """Raises InputError: of no known format, or with more pixels than MOST_PIXELS[kind]."""
+    """Raises InputError: of no known format, or with more pixels than MAX_PIXELS[kind]."""
     _check_size(lambda: _sizes(data), path, kind)
 
 
@@ -326,15 +324,9 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
         ]
     from PIL import Image
 
-    with _pillow_lock:
-        given, Image.MAX_IMAGE_PIXELS = (
-            Image.MAX_IMAGE_PIXELS,
-            None,
-        )  # it would warn of what is allowed here
-        try:
-            with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
-                return [picture.size]
-        except Image.UnidentifiedImageError:
-            return []
-        finally:
-            Image.MAX_IMAGE_PIXELS = given
+    Image.MAX_IMAGE_PIXELS = None  # MAX_PIXELS holds, of which it would warn
+    try:
+        with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
+            return [picture.size]
+    except Image.UnidentifiedImageError:
+        return []

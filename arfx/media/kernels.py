@@ -22,7 +22,6 @@ from arfx.media.lines import (
     add_chroma,
     add_to_line,
     bits_of,
-    chroma_place,
     coded_line,
     curved,
     decode_curve,
@@ -53,23 +52,18 @@ def _read_lines(p: Planes, rect, out, scratch):
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
 def read_at(p: Planes, pixels, out):
     """out (n, 3) = `read` of single pixels (n, 2), x and y, coded."""
-    (width, height), (sx, sy), m = p.size, p.steps, p.rgb_from_planes
-    value = np.empty(3, np.float32)
-    for k in range(pixels.shape[0]):
+    _read_pixels(p, pixels, out, np.empty((3, 2 + MARGIN), np.float32))
+
+
+@line_kernel(fastmath=FAST)
+def _read_pixels(p: Planes, pixels, out, scratch):
+    line, k, n = out.reshape(-1), 0, pixels.shape[0]
+    while k < n:
         x, row = pixels[k, 0], pixels[k, 1]
-        i0, i1, across = chroma_place(x, p.middle[0], sx, -(-width >> sx))
-        r0, r1, down = chroma_place(row, p.middle[1], sy, -(-height >> sy))
-        value[0] = (np.float32(p.planes[0][row, x]) - p.stored[0][0]) / p.stored[0][1]
-        for c in range(1, 3):
-            above, below = p.planes[c][r0], p.planes[c][r1]
-            left, right = np.float32(above[i0]), np.float32(above[i1])
-            left += down * (np.float32(below[i0]) - left)
-            right += down * (np.float32(below[i1]) - right)
-            left += across * (right - left)
-            value[c] = (left - p.stored[c][0]) / p.stored[c][1]
-        for c in range(3):
-            out[k, c] = m[c][0] * value[0] + m[c][1] * value[1] + m[c][2] * value[2]
-    line = out.reshape(-1)
+        pair = k + 1 < n and pixels[k + 1, 0] == x + 1 and pixels[k + 1, 1] == row
+        end = k + 1 + pair
+        coded_line(p, row, x, scratch, line[3 * k : 3 * end])
+        k = end
     for i in range(line.shape[0]):
         line[i] = curved(line[i], p.decoding)
 

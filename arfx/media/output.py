@@ -30,7 +30,6 @@ from arfx.media.photos import WRITTEN
 from arfx.media.planes import layout_named
 
 MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
-_DEFAULT_CODEC = {"mp4": "h264", "mov": "h264", "matroska": "h264", "webm": "av1"}
 _PATTERN = re.compile(
     r"((?:[^%]|%%)*)%0?\d{0,2}d((?:[^%]|%%)*)"
 )  # one number of at most 99 digits
@@ -219,7 +218,7 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
             f"{path}: unknown output format {suffix or '(no extension)'!r}", hint
         )
     container = SUFFIX_CONTAINER[suffix]
-    return container, CODECS[name or _DEFAULT_CODEC[container]]
+    return container, CODECS[name or ("av1" if container == "webm" else "h264")]
 
 
 def names_sequence(path: Path) -> bool:
