@@ -216,7 +216,7 @@ def _spread(line):
 def _constants(f: FrameFormat) -> tuple[Any, ...]:
     """All of `Planes` but the planes."""
     layout = f.layout
-    luma, chroma = f.stored
+    luma, chroma = ((zero, 1 / n, n, *legal) for zero, n, *legal in f.stored)
     from_rgb = yuv_from_rgb(f.matrix)
     to_rgb = np.linalg.inv(from_rgb)
     if layout.kind == "rgb":  # as green, blue, red

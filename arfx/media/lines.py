@@ -33,8 +33,8 @@ class Planes(NamedTuple):
     planes : whole lines of luma, Cb and Cr, of green, blue and red, or three times of grey
     size : columns and rows of the picture;  steps : log2 of the chroma step (x, y)
     middle : (x, y) 0 where chroma lies on the left/top luma sample of its group, 0.5 in its
-    middle;  stored : (3, 4) of each plane's samples: that of 0, steps up to 1, lowest and
-    highest legal one
+    middle;  stored : (3, 5) of each plane's samples: that of 0, size of a step, steps up to 1,
+    lowest and highest legal one
     rgb_from_planes, planes_from_rgb : (3, 3), coded;  decoding, encoding : for `curved`
     across, down : weights of the luma samples from 2^step - 1 before to 2^step - 1 behind a
     group's first one in its chroma"""
@@ -144,7 +144,7 @@ def coded_line(p: Planes, row, x0, scratch, out):
     a, b = max(-first, 0), min(n, -(-width >> sx) - first)
     samples = scratch[2, :n]
     for c in range(1, 3):
-        plane, zero, scale = p.planes[c], p.stored[c][0], _F(1) / p.stored[c][1]
+        plane, zero, scale = p.planes[c], p.stored[c][0], p.stored[c][1]
         above, below = plane[r0, first + a : first + b], plane[r1, first + a : first + b]
         inner = samples[a:b]
         for i in range(b - a):
@@ -154,7 +154,7 @@ def coded_line(p: Planes, row, x0, scratch, out):
         _upsample(samples, sx, p.middle[0], scratch[c - 1])
     start = x0 - ((x0 >> sx) << sx)
     luma, u, v = p.planes[0][row, x0 : x0 + w], scratch[0, start:], scratch[1, start:]
-    zero, scale, m = p.stored[0][0], _F(1) / p.stored[0][1], p.rgb_from_planes
+    zero, scale, m = p.stored[0][0], p.stored[0][1], p.rgb_from_planes
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
     for k in range(w):
         i, y = np.uintp(k) * three, (_F(luma[k]) - zero) * scale
@@ -186,7 +186,7 @@ def _upsample(samples, step, middle, out):
 def _add_steps(line, differences, stored):
     """Differences (n,) in steps, rounded, to stored samples; legal ones stay legal, others
     go no further out."""
-    scale, low, high = stored[1], stored[2], stored[3]
+    scale, low, high = stored[2], stored[3], stored[4]
     for k in range(differences.shape[0]):
         old = _F(line[k])
         new = old + np.rint(differences[k] * scale)
