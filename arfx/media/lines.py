@@ -153,11 +153,17 @@ def coded_line(p: Planes, row, x0, scratch, out):
         samples[0], samples[n - 1] = samples[a], samples[b - 1]
         _upsample(samples, sx, p.middle[0], scratch[c - 1])
     start = x0 - ((x0 >> sx) << sx)
-    luma, u, v = p.planes[0][row, x0 : x0 + w], scratch[0, start:], scratch[1, start:]
-    zero, scale, m = p.stored[0][0], p.stored[0][1], p.rgb_from_planes
+    luma = p.planes[0][row, x0 : x0 + w]
+    _to_rgb(
+        luma, scratch[0, start:], scratch[1, start:], p.stored[0], p.rgb_from_planes, out
+    )
+
+
+@line_kernel(fastmath=False)  # so sums of three products are rounded alike everywhere
+def _to_rgb(luma, u, v, stored, m, out):
     one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
-    for k in range(w):
-        i, y = np.uintp(k) * three, (_F(luma[k]) - zero) * scale
+    for k in range(luma.shape[0]):
+        i, y = np.uintp(k) * three, (_F(luma[k]) - stored[0]) * stored[1]
         out[i] = m[0][0] * y + m[0][1] * u[k] + m[0][2] * v[k]
         out[i + one] = m[1][0] * y + m[1][1] * u[k] + m[1][2] * v[k]
         out[i + two] = m[2][0] * y + m[2][1] * u[k] + m[2][2] * v[k]
