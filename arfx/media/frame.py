@@ -7,7 +7,7 @@ keeps its bits."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import av
@@ -73,33 +73,28 @@ class Frame:
 
     def rgb8(self) -> np.ndarray:
         """(h, w, 3) uint8 R'G'B' of the whole upright picture, for looking at."""
-        f = self.format
-        full = 2 if f.full_range else 1
-        shown = self.picture.reformat(
-            format="rgb24",
-            src_colorspace=SWS_MATRIX.get(f.matrix),
-            src_color_range=full,
-            dst_color_range=2,
-        )
-        return np.ascontiguousarray(f.orientation.upright(shown.to_ndarray()))
+        return np.ascontiguousarray(self._rgb24())
 
     def reduced(self, width: int) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of the whole upright picture, at most `width` px
         wide; averaged in coded values.
         """
+        f, small = self.format, min(1.0, width / self.rect.width)
+        width, height = (max(round(side * small), 1) for side in (f.width, f.height))
+        coded = self._rgb24(width=width, height=height, interpolation="AREA")
+        return np.take(f.transfer.decode(np.arange(256) / 255).astype(np.float32), coded)
+
+    def _rgb24(self, **how: Any) -> np.ndarray:
+        """The whole upright picture. how : as of `reformat`"""
         f = self.format
-        small = min(1.0, width / self.rect.width)
         shown = self.picture.reformat(
-            max(round(f.width * small), 1),
-            max(round(f.height * small), 1),
-            "rgb24",
-            interpolation="AREA",
+            format="rgb24",
             src_colorspace=SWS_MATRIX.get(f.matrix),
             src_color_range=2 if f.full_range else 1,
             dst_color_range=2,
+            **how,
         )
-        coded = f.orientation.upright(shown.to_ndarray())
-        return np.take(f.transfer.decode(np.arange(256) / 255).astype(np.float32), coded)
+        return f.orientation.upright(shown.to_ndarray())
 
     def _coded(self, rect: Rect) -> Rect:
         if rect.empty or not self.rect.contains(rect):
@@ -117,7 +112,7 @@ class Frame:
 
         r = self._coded(rect)
         out = np.empty((r.height, r.width, 3), np.float32)
-        kernels.read(self._stored(self.picture), kernels.corners(r), out)
+        kernels.read(self._stored(self.picture), astuple(r), out)
         return np.ascontiguousarray(self.format.orientation.upright(out))
 
     def linear_at(self, pixels: np.ndarray) -> np.ndarray:
@@ -171,8 +166,8 @@ class Frame:
         picture = copy_picture(self.picture, f.layout)
         kernels.dim(
             self._stored(picture),
-            kernels.corners(r),
-            kernels.corners(h),
+            astuple(r),
+            astuple(h),
             kernels.read_only(f.orientation.coded(transmittance)),
             np.float32(opacity),
             bias.astype(np.float32),
@@ -216,7 +211,7 @@ class Frame:
         if columns is None:
             columns = np.tile(np.array([0, r.width], np.int32), (r.height, 1))
         light = (kernels.read_only(f.orientation.coded(x)) for x in (before, after))
-        if bad := kernels.edit(self._stored(picture), kernels.corners(r), columns, *light):
+        if bad := kernels.edit(self._stored(picture), astuple(r), columns, *light):
             raise RenderError(
                 f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not"
                 " finite numbers"

@@ -94,8 +94,13 @@ def load_image(path: Path) -> np.ndarray:
     rgb = np.repeat(raw[..., None], 3, -1) if raw.ndim == 2 else raw[..., 2::-1]
     if rgb.dtype.kind == "f":
         return np.ascontiguousarray(rgb, np.float32)
-    peak = (1 << 8 * rgb.dtype.itemsize) - 1
-    return np.take(SRGB.decode(np.linspace(0, 1, peak + 1)).astype(np.float32), rgb)
+    return _linear(rgb)
+
+
+def _linear(coded: np.ndarray) -> np.ndarray:
+    """float32 of whole numbers in sRGB."""
+    values = np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)
+    return np.take(SRGB.decode(values).astype(np.float32), coded)
 
 
 def load_print(path: Path) -> tuple[np.ndarray, float]:
@@ -105,14 +110,9 @@ def load_print(path: Path) -> tuple[np.ndarray, float]:
 
     rgb = decode_picture(Path(path), "pattern", cv2.IMREAD_COLOR)[..., ::-1]
     h, w = rgb.shape[:2]
-    linear: np.ndarray = np.take(
-        SRGB.decode(np.linspace(0, 1, 256)).astype(np.float32), rgb
-    )
-    if max(h, w) > PRINT_PX:
-        size = (
-            max(round(w * PRINT_PX / max(h, w)), 1),
-            max(round(h * PRINT_PX / max(h, w)), 1),
-        )
+    linear = _linear(rgb)
+    if (small := PRINT_PX / max(h, w)) < 1:
+        size = max(round(w * small), 1), max(round(h * small), 1)
         linear = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
     return linear, h / w
 

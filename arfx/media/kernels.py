@@ -15,7 +15,6 @@ import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
 from arfx.core.compiled import FAST, line_kernel
-from arfx.core.rect import Rect
 from arfx.media.lines import (
     MARGIN,
     Planes,
@@ -247,10 +246,6 @@ def stored(planes: list[np.ndarray], f: FrameFormat) -> Planes:
     """The planes of a picture, for the functions above."""
     y, u, v = (planes * 3)[:3]
     return Planes((y, u, v), *_constants(f))
-
-
-def corners(r: Rect) -> tuple[int, int, int, int]:
-    return r.x0, r.y0, r.x1, r.y1
 
 
 def read_only(array: np.ndarray) -> np.ndarray:

@@ -57,9 +57,8 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     header = gltf_header(data, kind, path)
     check_faces(stated_faces(data, kind), path)
     folder = ModelFolder(path)
-    log = logging.getLogger("trimesh")
-    level = log.level
-    log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
+    # its warnings come back as our own messages
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
         with np.errstate(all="ignore"):
             notices = check_gltf(header, path)
@@ -74,8 +73,6 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
         what = (own and str(e).split("\n")[0][:300]) or "its values do not fit together"
         hint = "the file is damaged or not what its name says"
         raise InputError(f"cannot read model {path} ({what})", hint) from e
-    finally:
-        log.setLevel(level)
     if not parts:
         hint = "a mesh with triangles is needed; points and lines cannot be rendered"
         raise InputError(f"model {path} has no faces", hint)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property
+from typing import Any
 
 import av
 import numpy as np
@@ -147,21 +148,19 @@ def _keep_time(picture: av.VideoFrame, out: av.VideoFrame) -> None:
         out.time_base = picture.time_base
 
 
-def repacked(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
-    """The picture in the working format; itself when it already is in it."""
-    if picture.format.name == layout.name:
+def repacked(picture: av.VideoFrame, name: str, **how: Any) -> av.VideoFrame:
+    """The picture in the format of that name; itself when it already is in it.
+
+    how : it is converted, as of `reformat`; nothing = all but the layout of samples stays"""
+    given = picture.format.name
+    if given == name:
         return picture
-    held = layout_named(picture.format.name)
-    if held is not None and held.plain_name == layout.plain_name:
+    held = layout_named(given)
+    if held is not None and held.plain_name == name.replace("yuvj", "yuv"):
         return copy_picture(picture, held)
-    out = picture.reformat(
-        format=layout.name,
-        src_colorspace=picture.colorspace,
-        dst_colorspace=picture.colorspace,
-        src_color_range=picture.color_range,
-        dst_color_range=picture.color_range,
-        interpolation="POINT",
-    )
+    kept = {"src_colorspace": picture.colorspace, "dst_colorspace": picture.colorspace}
+    kept |= {"src_color_range": picture.color_range, "dst_color_range": picture.color_range}
+    out = picture.reformat(format=name, **(how or kept | {"interpolation": "POINT"}))
     _keep_time(picture, out)
     return out
 
