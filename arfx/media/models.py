@@ -17,8 +17,7 @@ from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import check_gltf, gltf_header
 from arfx.media.gltf_parts import GltfScene
-from arfx.media.model_files import ModelFolder
-from arfx.media.model_limits import check_faces, check_parts, stated_faces
+from arfx.media.model_files import ModelFolder, check_faces, check_parts, stated_faces
 from arfx.media.model_materials import Textures, not_drawn
 from arfx.media.model_parts import FileMesh, ModelFile, part_of
 from arfx.media.trimesh_models import TrimeshScene
@@ -62,7 +61,7 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     try:
         with np.errstate(all="ignore"):
             notices = check_gltf(header, path)
-            parts = _read(ModelFile(data, kind, header, folder, Textures(path), notices))
+            parts = _read(ModelFile(data, kind, header, folder, Textures(folder), notices))
     except ArfxError:
         raise
     except ImportError as e:

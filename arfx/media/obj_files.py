@@ -18,8 +18,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import Material
 from arfx.errors import InputError
-from arfx.media.model_files import ModelFolder
-from arfx.media.model_limits import check_faces, check_parts
+from arfx.media.model_files import ModelFolder, check_faces, check_parts
 from arfx.media.model_parts import ModelFile
 from arfx.media.mtl_files import MtlMaterials
 

@@ -114,13 +114,11 @@ def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[np.ndarray]:
     """Every plane as a whole-line array (rows, line length in samples), padding at the
     right included; views.
     """
-    out = []
-    for p in picture.planes:
-        size = layout.dtype.itemsize
-        rows = p.buffer_size // p.line_size
-        line = np.frombuffer(p, layout.dtype, count=rows * p.line_size // size)  # type: ignore[call-overload]
-        out.append(line.reshape(rows, p.line_size // size)[: p.height])
-    return out
+    kind = layout.dtype
+    return [
+        np.frombuffer(p, kind).reshape(-1, p.line_size // kind.itemsize)[: p.height]  # type: ignore[call-overload]
+        for p in picture.planes
+    ]
 
 
 def chroma_size(layout: PixelLayout, width: int, height: int) -> tuple[int, int]:
