@@ -7,7 +7,7 @@ keeps its bits."""
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import av
@@ -108,11 +108,9 @@ class Frame:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly
         below 0 and above 1 occur. Any two rectangles agree where they meet. Raises
         RenderError if rect is empty or leaves the picture."""
-        from arfx.media import kernels
-
-        r = self._coded(rect)
+        r, (kernels, planes) = self._coded(rect), self._stored(self.picture)
         out = np.empty((r.height, r.width, 3), np.float32)
-        kernels.read(self._stored(self.picture), astuple(r), out)
+        kernels.read(planes, astuple(r), out)
         return np.ascontiguousarray(self.format.orientation.upright(out))
 
     def linear_at(self, pixels: np.ndarray) -> np.ndarray:
@@ -126,18 +124,16 @@ class Frame:
         rect = Rect(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
         if not self.row_by_row or self._coded(rect).area < MIN_SPARSE_RATIO * len(pixels):
             return np.ascontiguousarray(self.linear(rect)[y - rect.y0, x - rect.x0])
-        from arfx.media import kernels
-
         out = np.empty((len(pixels), 3), np.float32)
-        kernels.read_at(
-            self._stored(self.picture), np.ascontiguousarray(pixels, np.int32), out
-        )
+        kernels, planes = self._stored(self.picture)
+        kernels.read_at(planes, np.ascontiguousarray(pixels, np.int32), out)
         return out
 
     def _stored(self, picture: av.VideoFrame) -> Any:
-        from arfx.media import kernels
+        from arfx.media import kernels  # whose compiler takes long to load
 
-        return kernels.stored(planes_of(picture, self.format.layout), self.format)
+        planes = planes_of(picture, self.format.layout)
+        return kernels, kernels.stored(planes, self.format)
 
     def dimmed(
         self,
@@ -161,18 +157,17 @@ class Frame:
                 f"frame {self.index}: {transmittance.shape} shares of light for"
                 f" {rect.to_json()}"
             )
-        from arfx.media import kernels
-
         picture = copy_picture(self.picture, f.layout)
+        kernels, planes = self._stored(picture)
         kernels.dim(
-            self._stored(picture),
+            planes,
             astuple(r),
             astuple(h),
             kernels.read_only(f.orientation.coded(transmittance)),
             np.float32(opacity),
             bias.astype(np.float32),
         )
-        return Frame(picture, f, self.index, self.pts, self.key)
+        return replace(self, picture=picture)
 
     @property
     def row_by_row(self) -> bool:
@@ -205,15 +200,14 @@ class Frame:
                 f"frame {self.index}: edit of {shape} pixels given {before.shape} before,"
                 f" {after.shape} after"
             )
-        from arfx.media import kernels
-
         picture = self.picture if in_place else copy_picture(self.picture, f.layout)
         if columns is None:
             columns = np.tile(np.array([0, r.width], np.int32), (r.height, 1))
+        kernels, planes = self._stored(picture)
         light = (kernels.read_only(f.orientation.coded(x)) for x in (before, after))
-        if bad := kernels.edit(self._stored(picture), astuple(r), columns, *light):
+        if bad := kernels.edit(planes, astuple(r), columns, *light):
             raise RenderError(
                 f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not"
                 " finite numbers"
             )
-        return Frame(picture, f, self.index, self.pts, self.key)
+        return replace(self, picture=picture)

@@ -48,11 +48,7 @@ def write_png(path: Path, rgb: np.ndarray) -> None:
     """
     import cv2
 
-    if rgb.dtype not in (np.uint8, np.uint16):
-        raise RenderError(f"{path}: PNG holds 8 or 16 bits, not {rgb.dtype}")
-    ok, data = cv2.imencode(".png", rgb[..., ::-1] if rgb.ndim == 3 else rgb)
-    if not ok:
-        raise RenderError(f"{path}: the image cannot be encoded as PNG")
+    _, data = cv2.imencode(".png", rgb[..., ::-1] if rgb.ndim == 3 else rgb)
     _write(path, data.tobytes())
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
@@ -53,23 +52,14 @@ class Planes(NamedTuple):
 
 
 @intrinsic
-def bits_of(_context: Any, _value: Any) -> Any:
-    """The bits of a float32 as int32."""
+def bits_of(_context: Any, value: Any) -> Any:
+    """The bits of a float32 as int32, and those of an int32 as float32."""
+    kind = types.int32 if value == types.float32 else types.float32
 
-    def made(_: Any, builder: Any, __: Any, arguments: Any) -> Any:
-        return builder.bitcast(arguments[0], ir.IntType(32))
+    def made(context: Any, builder: Any, _: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], context.get_value_type(kind))
 
-    return types.int32(types.float32), made
-
-
-@intrinsic
-def _float_of(_context: Any, _bits: Any) -> Any:
-    """The float32 of these bits."""
-
-    def made(_: Any, builder: Any, __: Any, arguments: Any) -> Any:
-        return builder.bitcast(arguments[0], ir.FloatType())
-
-    return types.float32(types.int32), made
+    return kind(value), made
 
 
 @line_kernel(fastmath=FAST, error_model="numpy")
@@ -78,7 +68,7 @@ def power_of(base, power):
     one, middle, shift = _F(1), _I(0x3F3504F3), _I(23)  # the bits of sqrt(1/2)
     bits = bits_of(max(base, _F(1e-30)))
     exponent = _I(_I(bits - middle) >> shift)
-    m = _float_of(_I(bits - _I(exponent << shift)))  # sqrt(1/2) .. sqrt(2)
+    m = bits_of(_I(bits - _I(exponent << shift)))  # sqrt(1/2) .. sqrt(2)
     z = (m - one) / (m + one)
     q = z * z
     series = _F(0.577078016) + q * (_F(0.412198583) + q * _F(0.320598898))
@@ -90,7 +80,7 @@ def power_of(base, power):
     two = _F(0.00961812911) + f * (_F(0.00133335581) + f * _F(0.000154035304))
     two = _F(0.240226507) + f * (_F(0.0555041087) + f * two)
     two = one + f * (_F(0.693147181) + f * two)  # 2^f
-    return two * _float_of(_I(_I(bits_of(whole) + _I(127)) << shift))
+    return two * bits_of(_I(_I(bits_of(whole) + _I(127)) << shift))
 
 
 @line_kernel(fastmath=FAST, error_model="numpy")
