@@ -5,6 +5,7 @@ COLMAP model; recognised by content.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import io
 import re
 import struct
@@ -51,21 +52,22 @@ _OTHERS = {
         "write camera_matrix, distortion_coefficients, image_width, image_height as YAML",
     ),
 }
-# COLMAP's numbers of its models -> name and number of parameters. Source: COLMAP,
-# src/colmap/sensor/models.h
-_COLMAP = (
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
-)
+# COLMAP's models in the order of their numbers -> their parameters. Sources: COLMAP,
+# src/colmap/sensor/models.h; its documentation, "Camera Models".
+COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": "f cx cy",
+    "PINHOLE": "fx fy cx cy",
+    "SIMPLE_RADIAL": "f cx cy k1",
+    "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "FOV": "fx fy cx cy omega",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
+    "RADIAL_FISHEYE": "f cx cy k1 k2",
+    "THIN_PRISM_FISHEYE": "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1",
+}
+COLMAP_LEFT_OUT = ("FOV", "THIN_PRISM_FISHEYE")  # OpenCV has nothing like them
 
 
 class _Loader(yaml.SafeLoader):
@@ -115,18 +117,16 @@ def read_document(path: Path, where: str) -> Mapping[str, Any] | list[list[str]]
 
 def _unpacked(data: bytes, where: str) -> bytes:
     limit = int(LIMITS["camera file"][0] * MIB)
-    packed = zlib.decompressobj(31)
     try:
-        out = packed.decompress(data, limit + 1)
-    except zlib.error as e:
+        with gzip.open(io.BytesIO(data)) as file:
+            out = file.read(limit + 1)
+    except (OSError, EOFError, zlib.error) as e:
         raise InputError(f"camera file {where} is a damaged gzip file: {e}") from None
     if len(out) > limit:
         raise InputError(
             f"camera file {where} unpacks to more than {limit} bytes",
             f"supported: {SUPPORTED}",
         )
-    if not packed.eof:
-        raise InputError(f"camera file {where} is a damaged gzip file: its end is missing")
     return out
 
 
@@ -154,7 +154,8 @@ def _colmap_binary(data: bytes) -> list[list[str]] | None:
         (count,), at = struct.unpack_from("<Q", data), 8
         while at < len(data):
             number, model, width, height = struct.unpack_from("<IIQQ", data, at)
-            name, parameters = _COLMAP[model]
+            name, names = list(COLMAP_MODELS.items())[model]
+            parameters = len(names.split())
             values = struct.unpack_from(f"<{parameters}d", data, at + 24)
             rows.append([str(number), name, *map(str, (width, height, *values))])
             at += 24 + 8 * parameters

@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,12 @@ import yaml
 from arfx.core.camera import BROWN, FISHEYE, Camera
 from arfx.core.guard import atomic_write
 from arfx.errors import InputError
-from arfx.media.camera_documents import SUPPORTED, read_document
+from arfx.media.camera_documents import (
+    COLMAP_LEFT_OUT,
+    COLMAP_MODELS,
+    SUPPORTED,
+    read_document,
+)
 
 # Every name that the formats above give to the same thing, lower case, without underscores.
 MATRIX_NAMES = ("cameramatrix", "cameraintrinsics", "intrinsicmatrix", "k", "mtx")
@@ -55,32 +60,8 @@ BROWN_WORDS = {
     "radial",
     "perspective",
 }
-# COLMAP model -> (names of its parameters, our model). Source: COLMAP documentation,
-# "Camera Models".
-COLMAP_MODELS: dict[str, tuple[str, str]] = {
-    "SIMPLE_PINHOLE": ("f cx cy", BROWN),
-    "PINHOLE": ("fx fy cx cy", BROWN),
-    "SIMPLE_RADIAL": ("f cx cy k1", BROWN),
-    "RADIAL": ("f cx cy k1 k2", BROWN),
-    "OPENCV": ("fx fy cx cy k1 k2 p1 p2", BROWN),
-    "FULL_OPENCV": ("fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6", BROWN),
-    "SIMPLE_RADIAL_FISHEYE": ("f cx cy k1", FISHEYE),
-    "RADIAL_FISHEYE": ("f cx cy k1 k2", FISHEYE),
-    "OPENCV_FISHEYE": ("fx fy cx cy k1 k2 k3 k4", FISHEYE),
-}
-# Limits of calibrations: what is surely wrong is refused, what is unusual is reported.
 _SHAPE = "fx 0 cx / 0 fy cy / 0 0 1, row by row"
 _LARGEST_PX = 65536
-_FOCAL = (
-    0.02,
-    2000.0,
-)  # focal length as a fraction of the longer side: 175 degrees of view, a hundredth of a degree
-_USUAL_FOCAL = (0.15, 100.0)
-_ASPECT, _USUAL_ASPECT = 10.0, 1.5  # of the pixels: anamorphic video reaches 2
-_CENTRE = 5.0  # picture sides by which a crop of a picture may lie off its principal point
-_COEFFICIENT = 1e6
-# share of the picture with a viewing direction: a full circle of a fisheye lens has 0.55
-_USUAL_VISIBLE, _MIN_VISIBLE = 0.5, 0.05
 COLMAP_CENTRE_PX = (
     0.5  # the middle of the top left pixel is (0.5, 0.5) there and (0, 0) here
 )
@@ -100,14 +81,15 @@ def load_camera(path: str | Path) -> Camera:
     where = str(path)
     document = read_document(file, where)
     if isinstance(document, list):
-        return _from_colmap(document, chosen, where)
+        row = _choose({r[0]: r for r in document}, chosen, where)
+        return _from_names(_names_of_colmap(row, where), where)
     camchain = {
         k: v for k, v in document.items() if isinstance(v, Mapping) and "intrinsics" in v
     }
     if camchain:
-        return _from_kalibr(_choose(camchain, chosen, where), where)
-    if "intrinsics" in document and "distortion_coeffs" in document:
-        return _from_kalibr(document, where)
+        document = _choose(camchain, chosen, where)
+    if camchain or {"intrinsics", "distortion_coeffs"} <= document.keys():
+        document = _names_of_kalibr(document, where)
     return _from_names(document, where)
 
 
@@ -125,99 +107,64 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         raise _error(where, f"the camera matrix has {matrix.size} numbers", "9, row by row")
     found = _numbers(_first(flat, DISTORTION_NAMES), where, "the distortion coefficients")
     distortion = np.zeros(0) if found is None else found
-    word = str(_first(flat, MODEL_NAMES) or "").lower()
+    word = str(_first(flat, MODEL_NAMES) or "")
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
-    fisheye = word in FISHEYE_WORDS or str(flat.get("fisheyemodel", 0)) == "1"
-    if not fisheye and word not in BROWN_WORDS:
+    fisheye = word.lower() in FISHEYE_WORDS or str(flat.get("fisheyemodel", 0)) == "1"
+    if not fisheye and word.lower() not in BROWN_WORDS:
         raise _error(
             where,
             f"lens model {word!r} is not supported",
             "plumb_bob, rational_polynomial, equidistant",
         )
-    return _camera(
+    if not fisheye and 0 < distortion.size < 4:  # "k1" or "k1, k2": the rest is zero
+        distortion = np.append(distortion, np.zeros(4 - distortion.size))
+    if fisheye and distortion.size > 4 and not np.any(distortion[4:]):
+        distortion = distortion[:4]
+    camera = Camera(
+        *_size(flat, where),
         matrix.reshape(3, 3),
         distortion,
-        _size(flat, where),
         FISHEYE if fisheye else BROWN,
         where,
     )
+    _check(camera)
+    return camera
 
 
-def _from_kalibr(entry: Mapping[str, Any], where: str) -> Camera:
+def _names_of_kalibr(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Source: Kalibr wiki, "Yaml formats" and "Supported models"."""
-    projection, lens = (
-        str(entry.get("camera_model", "pinhole")),
-        str(entry.get("distortion_model", "none")),
-    )
-    models = {"radtan": BROWN, "none": BROWN, "equidistant": FISHEYE}
-    if projection != "pinhole" or lens not in models:
-        raise _error(
-            where,
-            f"Kalibr model {projection}-{lens} is not supported",
-            "pinhole with radtan, equidistant or none",
-        )
     k = _numbers(entry["intrinsics"], where, "intrinsics")
-    d = _numbers(entry.get("distortion_coeffs", []), where, "distortion_coeffs")
     if k is None or k.size != 4:
         raise _error(where, "pinhole intrinsics are 4 numbers", "fx, fy, cx, cy")
-    flat = {"resolution": entry.get("resolution")}
-    return _camera(
-        _matrix(*k),
-        np.zeros(0) if d is None else d,
-        _size(flat, where),
-        models[lens],
-        where,
-    )
+    lens = str(entry.get("distortion_model", "none"))
+    projection = str(entry.get("camera_model", "pinhole"))
+    return {
+        "k": _matrix(*k),
+        "d": entry.get("distortion_coeffs"),
+        "model": lens if projection == "pinhole" else f"{projection}-{lens}",
+        "size": entry.get("resolution"),
+    }
 
 
-def _from_colmap(rows: list[list[str]], chosen: str, where: str) -> Camera:
-    row = _choose({r[0]: r for r in rows}, chosen, where)
-    if row[1] not in COLMAP_MODELS:
-        raise _error(
-            where,
-            f"COLMAP model {row[1]} has no OpenCV equivalent",
-            ", ".join(COLMAP_MODELS),
-        )
-    names, model = COLMAP_MODELS[row[1]][0].split(), COLMAP_MODELS[row[1]][1]
-    values = _numbers(row[2:], where, f"camera {row[0]}")
-    if values is None or values.size != 2 + len(names):
-        raise _error(
-            where,
-            f"{row[1]} has {len(row) - 4} parameters",
-            f"{len(names)}: {' '.join(names)}",
-        )
-    p = dict(zip(names, values[2:], strict=True))
-    matrix = _matrix(
-        p.get("fx", p.get("f")),
-        p.get("fy", p.get("f")),
-        p["cx"] - COLMAP_CENTRE_PX,
-        p["cy"] - COLMAP_CENTRE_PX,
-    )
-    order = (
-        ("k1", "k2", "k3", "k4")
-        if model == FISHEYE
-        else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    )
-    last = 8 if "k6" in p else 4
-    distortion = np.array([p.get(n, 0.0) for n in order[:last]])
-    return _camera(matrix, distortion, _size({"size": row[2:4]}, where), model, where)
-
-
-def _camera(
-    matrix: np.ndarray,
-    distortion: np.ndarray,
-    size: tuple[int, int],
-    model: str,
-    where: str,
-) -> Camera:
-    if model == BROWN and 0 < distortion.size < 4:  # "k1" or "k1, k2": the rest is zero
-        distortion = np.concatenate([distortion, np.zeros(4 - distortion.size)])
-    if model == FISHEYE and distortion.size > 4 and not np.any(distortion[4:]):
-        distortion = distortion[:4]
-    _check_matrix(matrix, where)
-    camera = Camera(*size, matrix, distortion, model, where)
-    _check_camera(camera)
-    return camera
+def _names_of_colmap(row: list[str], where: str) -> dict[str, Any]:
+    name, fisheye = row[1], row[1].endswith("FISHEYE")
+    names = COLMAP_MODELS.get(name, "").split()
+    values = _numbers(row[4:], where, f"camera {row[0]}")
+    if values is None or name in COLMAP_LEFT_OUT or not names:
+        able = ", ".join(n for n in COLMAP_MODELS if n not in COLMAP_LEFT_OUT)
+        raise _error(where, f"COLMAP model {name} has no OpenCV equivalent", able)
+    if values.size != len(names):
+        what = f"{name} has {values.size} parameters"
+        raise _error(where, what, f"{len(names)}: {' '.join(names)}")
+    p = dict(zip(names, values, strict=True))
+    order = ("k1 k2 k3 k4" if fisheye else "k1 k2 p1 p2 k3 k4 k5 k6").split()
+    fx, fy = (p.get(n, p.get("f")) for n in ("fx", "fy"))
+    return {
+        "k": _matrix(fx, fy, p["cx"] - COLMAP_CENTRE_PX, p["cy"] - COLMAP_CENTRE_PX),
+        "d": [p.get(n, 0.0) for n in order[: 8 if "k6" in p else 4]],
+        "model": "fisheye" if fisheye else "opencv",
+        "size": row[2:4],
+    }
 
 
 def _choose(cameras: Mapping[str, Any], chosen: str, where: str) -> Any:
@@ -237,7 +184,7 @@ def _size(flat: Mapping[str, Any], where: str) -> tuple[int, int]:
     width, height = _first(flat, WIDTH_NAMES), _first(flat, HEIGHT_NAMES)
     if isinstance(stated, Mapping):
         width, height = stated.get("width"), stated.get("height")
-    elif isinstance(stated, Sequence) and not isinstance(stated, str) and len(stated) == 2:
+    elif isinstance(stated, list) and len(stated) == 2:
         width, height = stated
     if width is None or height is None:
         hint = (
@@ -352,103 +299,79 @@ def _error(where: str, what: str, hint: str) -> InputError:
     return InputError(f"camera file {where}: {what}", hint)
 
 
-def _check_matrix(m: np.ndarray, where: str) -> None:
-    """m : (3, 3). Raises InputError where its zeros and ones are misplaced; other values
-    are not checked.
-    """
-    if not np.isfinite(m).all():
-        return  # Camera says so
-    size = max(abs(m[0, 0]), abs(m[1, 1]), 1e-300)
-    last = m[2]
-    if abs(last[2] - 1) > 1e-6 or np.abs(last[:2]).max() > 1e-6:
-        if np.abs(m[:2, 2]).max() <= 1e-6 and abs(last[2] - 1) <= 1e-6:
-            raise _error(
-                where,
-                f"the camera matrix is transposed, its last row is {_row(last)}",
-                f"as rows: {_SHAPE}",
-            )
-        raise _error(
-            where, f"the camera matrix's last row is {_row(last)}, not 0 0 1", _SHAPE
-        )
-    if abs(m[0, 1]) > 1e-6 * size:
-        raise _error(
-            where, f"the camera matrix has skew {m[0, 1]:g}", "calibrate without skew"
-        )
-    if abs(m[1, 0]) > 1e-6 * size:
-        raise _error(where, f"the camera matrix holds {m[1, 0]:g} where 0 belongs", _SHAPE)
-
-
-def _check_camera(camera: Camera) -> None:
-    """Raises InputError: numbers that no camera has."""
-    where, side = camera.source, max(camera.width, camera.height)
+def _check(camera: Camera) -> None:
+    """Raises InputError: a matrix of another shape, numbers that no camera has."""
+    m, where, side = camera.matrix, camera.source, max(camera.width, camera.height)
+    last, off = np.abs(m[2] - (0, 0, 1)) > 1e-6, 1e-6 * max(camera.fx, camera.fy)
+    row = " ".join(f"{v:g}" for v in m[2])
+    what = f"a picture of {camera.width}x{camera.height}"
     if side > _LARGEST_PX:
-        raise _error(
-            where,
-            f"a picture of {camera.width}x{camera.height}",
-            f"at most {_LARGEST_PX} px a side",
-        )
-    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
-        if not _FOCAL[0] * side <= focal <= _FOCAL[1] * side:
-            hint = (
-                f"a focal length in pixels, {_FOCAL[0] * side:g} to {_FOCAL[1] * side:g}"
-                f" here; often about {side}"
-            )
-            raise _error(
-                where,
-                f"{name} is {focal:g} px for a picture of {camera.width}x{camera.height}",
-                hint,
-            )
-    if not 1 / _ASPECT <= camera.fx / camera.fy <= _ASPECT:
-        raise _error(
-            where,
-            f"fx {camera.fx:g} and fy {camera.fy:g} are far apart",
-            "pixels are nearly square",
-        )
-    for name, at, length in (
-        ("cx", camera.cx, camera.width),
-        ("cy", camera.cy, camera.height),
-    ):
-        if not -_CENTRE * length <= at <= (1 + _CENTRE) * length:
-            what = f"the principal point's {name} is {at:g} px, far outside the picture"
-            raise _error(where, what, f"near the middle: {length / 2:g}")
-    if camera.distortion.size and np.abs(camera.distortion).max() > _COEFFICIENT:
-        raise _error(
-            where,
-            f"a distortion coefficient is {np.abs(camera.distortion).max():g}",
-            "calibrate again",
-        )
-    if _visible_fraction(camera) < _MIN_VISIBLE:
-        raise _error(
-            where,
-            "with its distortion almost no pixel has a viewing direction",
-            "calibrate again",
-        )
+        raise _error(where, what, f"at most {_LARGEST_PX} px a side")
+    if last.any() and not last[2] and np.abs(m[:2, 2]).max() <= 1e-6:
+        what = f"the camera matrix is transposed, its last row is {row}"
+        raise _error(where, what, f"as rows: {_SHAPE}")
+    if last.any():
+        raise _error(where, f"the camera matrix's last row is {row}, not 0 0 1", _SHAPE)
+    if abs(m[0, 1]) > off:
+        what = f"the camera matrix has skew {m[0, 1]:g}"
+        raise _error(where, what, "calibrate without skew")
+    if abs(m[1, 0]) > off:
+        raise _error(where, f"the camera matrix holds {m[1, 0]:g} where 0 belongs", _SHAPE)
+    for value, (low, high), what, hint, _, _ in _measures(camera):
+        if not low <= value <= high:
+            raise _error(where, what, hint)
 
 
 def camera_warnings(camera: Camera) -> list[str]:
     """Notices of what is unusual and may be meant."""
-    out, side = [], max(camera.width, camera.height)
-    if not 1 / _USUAL_ASPECT <= camera.fx / camera.fy <= _USUAL_ASPECT:
-        out.append(
-            f"fx {camera.fx:g} and fy {camera.fy:g} px differ much: are the pixels that"
-            " oblong?"
+    doubts = {
+        doubt: None
+        for value, _, _, _, (low, high), doubt in _measures(camera)
+        if not low <= value <= high
+    }
+    return [f"camera calibration {camera.source}: {text}" for text in doubts]
+
+
+def _measures(camera: Camera) -> Iterator[tuple[Any, ...]]:
+    """Of each number its value, between what it may be, else what is wrong and what would be
+    right, between what it usually is, and else what to doubt."""
+    size, side = (camera.width, camera.height), max(camera.width, camera.height)
+    wide = f"{camera.width}x{camera.height}"
+    unusual = f"a focal length of {camera.fx:g} px is unusual for {wide}"
+    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
+        low, high = 0.02, 2000.0  # 175 degrees of view, a hundredth of a degree
+        what = f"{name} is {focal:g} px for a picture of {wide}"
+        hint = (
+            f"a focal length in pixels, {low * side:g} to {high * side:g} here; often about"
+            f" {side}"
         )
-    if not all(
-        _USUAL_FOCAL[0] * side <= f <= _USUAL_FOCAL[1] * side
-        for f in (camera.fx, camera.fy)
-    ):
-        out.append(
-            f"a focal length of {camera.fx:g} px is unusual for"
-            f" {camera.width}x{camera.height}"
-        )
-    if not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
-        out.append(
-            f"the principal point {camera.cx:g}, {camera.cy:g} lies outside the picture: is"
-            " it a crop?"
-        )
-    if (seen := _visible_fraction(camera)) < _USUAL_VISIBLE:
-        out.append(f"the distortion holds for {seen:.0%} of the picture only")
-    return [f"camera calibration {camera.source}: {text}" for text in out]
+        yield focal / side, (low, high), what, hint, (0.15, 100.0), unusual
+    both = f"fx {camera.fx:g} and fy {camera.fy:g}"
+    what, doubt = (
+        f"{both} are far apart",
+        f"{both} px differ much: are the pixels that oblong?",
+    )
+    # anamorphic video reaches 2
+    usual = 1 / 1.5, 1.5
+    yield camera.fx / camera.fy, (0.1, 10.0), what, "pixels are nearly square", usual, doubt
+    doubt = (
+        f"the principal point {camera.cx:g}, {camera.cy:g} lies outside the picture: is it a"
+        " crop?"
+    )
+    for name, at, length in zip(("cx", "cy"), camera.matrix[:2, 2], size, strict=True):
+        what = f"the principal point's {name} is {at:g} px, far outside the picture"
+        hint = f"near the middle: {length / 2:g}"
+        yield at / length, (-5.0, 6.0), what, hint, (0.0, 1.0), doubt
+    again, most = "calibrate again", (0.0, 1e6)
+    worst = np.abs(camera.distortion).max(initial=0.0)
+    yield worst, most, f"a distortion coefficient is {worst:g}", again, most, ""
+    what = "with its distortion almost no pixel has a viewing direction"
+    x, y = np.meshgrid(*(np.linspace(0, n - 1, 17) for n in size))
+    with np.errstate(all="ignore"):
+        seen = np.isfinite(camera.normalised(np.stack([x, y], -1))).all(-1).mean()
+    doubt = f"the distortion holds for {seen:.0%} of the picture only"
+    # a full circle of a fisheye lens has 0.55
+    yield seen, (0.05, 1.0), what, again, (0.5, 1.0), doubt
 
 
 def calibration_claims(path: str | Path) -> dict[str, Any]:
@@ -481,16 +404,3 @@ def claim_warnings(camera: Camera, claims: Mapping[str, Any]) -> list[str]:
         " again"
     )
     return [f"camera calibration {camera.source}: {text}"]
-
-
-def _visible_fraction(camera: Camera) -> float:
-    """Share of the picture's pixels that have a viewing direction."""
-    x, y = np.meshgrid(
-        np.linspace(0, camera.width - 1, 17), np.linspace(0, camera.height - 1, 17)
-    )
-    with np.errstate(all="ignore"):
-        return float(np.isfinite(camera.normalised(np.stack([x, y], -1))).all(-1).mean())
-
-
-def _row(values: np.ndarray) -> str:
-    return " ".join(f"{v:g}" for v in values)

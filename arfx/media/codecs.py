@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+from av.codec.codec import find_best_pix_fmt_of_list
 
 from arfx.core.machine import preserve_scheduling
 from arfx.core.opener import ffmpeg_url, regular
@@ -108,13 +109,15 @@ _PICTURES = (
     b"%!PS",
 )
 SUFFIX_CONTAINER = {
-    ".mp4": "mp4",
     ".m4v": "mp4",
+    ".mp4": "mp4",
     ".mkv": "matroska",
     ".mov": "mov",
     ".webm": "webm",
 }
-CONTAINER_SUFFIX = {"mp4": ".mp4", "matroska": ".mkv", "mov": ".mov", "webm": ".webm"}
+CONTAINER_SUFFIX = {
+    name: suffix for suffix, name in SUFFIX_CONTAINER.items()
+}  # the last one
 
 
 @dataclass(frozen=True)
@@ -232,42 +235,15 @@ def supported_codecs(container: str) -> frozenset[str]:
 
 
 def nearest_format(
-    layout: PixelLayout, formats: tuple[str, ...], odd: tuple[bool, bool], refuses_odd: bool
-) -> str | None:
-    """The encoder's format that loses least of a source layout; None if none holds the
-    picture's size.
-    odd : the coded width, height are odd;  refuses_odd : the codec cannot hold odd sizes
-    with subsampled chroma
-    Least loss first: colour kept, chroma resolution kept, depth kept, then nothing added.
-    """
-
-    def price(name: str) -> tuple[int, ...] | None:
-        f = layout_named(name)
-        if f is None or (refuses_odd and ((odd[0] and f.sub_x) or (odd[1] and f.sub_y))):
-            return None
-        colour = layout.kind != "gray" and f.kind == "gray"
-        model = (layout.kind == "rgb") != (f.kind == "rgb")
-        chroma = (
-            max(f.sub_x - layout.sub_x, 0) + max(f.sub_y - layout.sub_y, 0)
-            if f.kind != "gray"
-            else 0
-        )
-        finer = (
-            max(layout.sub_x - f.sub_x, 0)
-            + max(layout.sub_y - f.sub_y, 0)
-            + (layout.kind == "gray" and f.kind != "gray")
-        )
-        return (
-            int(colour),
-            max(layout.depth - f.depth, 0),
-            chroma,
-            int(model),
-            finer,
-            abs(f.depth - layout.depth),
-        )
-
-    priced = [(p, n) for n in formats if (p := price(n)) is not None]
-    return min(priced)[1] if priced else None
+    layout: PixelLayout, codec: Codec, odd: tuple[bool, bool]
+) -> PixelLayout | None:
+    """The codec's format that loses least of a source layout, as FFmpeg reckons it; None if
+    none holds the picture's size.
+    odd : the coded width, height are odd"""
+    known = {name: layout_named(name) for name in codec.formats}
+    able = [n for n, f in known.items() if f and (codec.lossless or f.holds(odd))]
+    best, _ = find_best_pix_fmt_of_list(able, layout.plain_name)
+    return None if best is None else known[best.name]
 
 
 def open_video(path: Path, kind: str = "clip") -> Any:

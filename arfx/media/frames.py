@@ -132,7 +132,7 @@ class ClipReader:
         index = first_index
         for picture, pts in self._pictures(first_pts, last_pts):
             yield Frame(
-                repacked(picture, self._format.layout),
+                repacked(picture, self._format.layout.name),
                 self._format,
                 index,
                 pts,

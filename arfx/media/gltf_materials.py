@@ -11,8 +11,7 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, OPAQUE, REPEAT, Material, Texture
-from arfx.errors import InputError
-from arfx.media.gltf_buffers import Buffers
+from arfx.media.gltf import Buffers
 from arfx.media.model_materials import check_material, resized, unit
 from arfx.media.model_parts import ModelFile
 
@@ -59,13 +58,8 @@ class GltfMaterials:
     """The materials of a file, each made where it is first asked for."""
 
     def __init__(self, file: ModelFile, buffers: Buffers) -> None:
-        self._header, self._textures, self._notices = (
-            file.header,
-            file.textures,
-            file.notices,
-        )
-        self._buffers = buffers
-        self._images: dict[int, Any] = {}
+        self._header, self._textures = file.header, file.textures
+        self._buffers, self._notices = buffers, file.notices
         self._materials: dict[int, Material] = {}
         primitives = [
             p for mesh in file.header.get("meshes", []) for p in mesh["primitives"]
@@ -211,18 +205,11 @@ class GltfMaterials:
         number = texture.get("extensions", {}).get(_WEBP, texture).get("source")
         if number is None:
             return None
-        if number not in self._images:
-            image = self._header["images"][number]
-            try:
-                self._images[number] = self._textures.open(self._content(image))
-            except InputError:  # it is in the folder's left_out
-                self._images[number] = None
-        return self._textures.of(self._images[number])
-
-    def _content(self, image: dict[str, Any]) -> bytes:
-        if "bufferView" in image:
-            return self._buffers.view(image["bufferView"])
-        return self._buffers.file(image["uri"])
+        image, of = self._header["images"][number], self._buffers
+        view = image.get("bufferView")
+        return self._textures.read(
+            number, lambda: of.file(image["uri"]) if view is None else of.view(view)
+        )
 
 
 def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:

@@ -12,9 +12,9 @@ from arfx.core.model import Material
 from arfx.core.numerics import normalise
 from arfx.core.pose import rotation_from_quaternion
 from arfx.errors import InputError
-from arfx.media.gltf_buffers import Buffers, shares
+from arfx.media.gltf import Buffers, shares
 from arfx.media.gltf_materials import GltfMaterials
-from arfx.media.model_limits import check_faces, check_parts
+from arfx.media.model_files import check_faces, check_parts
 from arfx.media.model_materials import plain_material
 from arfx.media.model_parts import FileMesh, ModelFile
 

@@ -12,7 +12,6 @@ import importlib
 import io
 import re
 import struct
-import threading
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -39,7 +38,6 @@ HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
 _DEPTH_CHANNELS = (b"Z", b"V", b"Y", b"R")
-_pillow_lock = threading.Lock()
 _HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
 
 
@@ -50,11 +48,7 @@ def write_png(path: Path, rgb: np.ndarray) -> None:
     """
     import cv2
 
-    if rgb.dtype not in (np.uint8, np.uint16):
-        raise RenderError(f"{path}: PNG holds 8 or 16 bits, not {rgb.dtype}")
-    ok, data = cv2.imencode(".png", rgb[..., ::-1] if rgb.ndim == 3 else rgb)
-    if not ok:
-        raise RenderError(f"{path}: the image cannot be encoded as PNG")
+    _, data = cv2.imencode(".png", rgb[..., ::-1] if rgb.ndim == 3 else rgb)
     _write(path, data.tobytes())
 
 
@@ -96,8 +90,13 @@ def load_image(path: Path) -> np.ndarray:
     rgb = np.repeat(raw[..., None], 3, -1) if raw.ndim == 2 else raw[..., 2::-1]
     if rgb.dtype.kind == "f":
         return np.ascontiguousarray(rgb, np.float32)
-    peak = (1 << 8 * rgb.dtype.itemsize) - 1
-    return np.take(SRGB.decode(np.linspace(0, 1, peak + 1)).astype(np.float32), rgb)
+    return _linear(rgb)
+
+
+def _linear(coded: np.ndarray) -> np.ndarray:
+    """float32 of whole numbers in sRGB."""
+    values = np.linspace(0, 1, 1 << 8 * coded.dtype.itemsize)
+    return np.take(SRGB.decode(values).astype(np.float32), coded)
 
 
 def load_print(path: Path) -> tuple[np.ndarray, float]:
@@ -107,14 +106,9 @@ def load_print(path: Path) -> tuple[np.ndarray, float]:
 
     rgb = decode_picture(Path(path), "pattern", cv2.IMREAD_COLOR)[..., ::-1]
     h, w = rgb.shape[:2]
-    linear: np.ndarray = np.take(
-        SRGB.decode(np.linspace(0, 1, 256)).astype(np.float32), rgb
-    )
-    if max(h, w) > PRINT_PX:
-        size = (
-            max(round(w * PRINT_PX / max(h, w)), 1),
-            max(round(h * PRINT_PX / max(h, w)), 1),
-        )
+    linear = _linear(rgb)
+    if (small := PRINT_PX / max(h, w)) < 1:
+        size = max(round(w * small), 1), max(round(h * small), 1)
         linear = cv2.resize(linear, size, interpolation=cv2.INTER_AREA)
     return linear, h / w
 
@@ -259,7 +253,7 @@ def exif_turn(path: Path) -> int:
 
 
 def check_pixels(data: bytes, path: Path, kind: str) -> None:
-    """Raises InputError: of no known format, or with more pixels than MOST_PIXELS[kind]."""
+    """Raises InputError: of no known format, or with more pixels than MAX_PIXELS[kind]."""
     _check_size(lambda: _sizes(data), path, kind)
 
 
@@ -326,15 +320,9 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
         ]
     from PIL import Image
 
-    with _pillow_lock:
-        given, Image.MAX_IMAGE_PIXELS = (
-            Image.MAX_IMAGE_PIXELS,
-            None,
-        )  # it would warn of what is allowed here
-        try:
-            with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
-                return [picture.size]
-        except Image.UnidentifiedImageError:
-            return []
-        finally:
-            Image.MAX_IMAGE_PIXELS = given
+    Image.MAX_IMAGE_PIXELS = None  # MAX_PIXELS holds, of which it would warn
+    try:
+        with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
+            return [picture.size]
+    except Image.UnidentifiedImageError:
+        return []

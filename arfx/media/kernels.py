@@ -2,428 +2,254 @@
 they are called.
 
 Nothing is clipped when reading: values beyond black and white (limited range, out-of-gamut
-chroma) come out below 0 and above 1."""
+chroma) come out below 0 and above 1. RGB and grey go the same way, with another matrix."""
 
-# mypy: disable-error-code="no-untyped-def, index, assignment"
+# mypy: disable-error-code="no-untyped-def, index, assignment, call-arg"
 from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
 
 import numba
 import numpy as np
 
 from arfx.core.colour import yuv_from_rgb
 from arfx.core.compiled import FAST, line_kernel
-from arfx.core.rect import Rect
-from arfx.media.dimming import dim_luma
 from arfx.media.lines import (
-    Chroma,
-    Luma,
+    MARGIN,
     Planes,
-    add_steps,
-    apply_curve,
-    chroma_span,
-    clipped_differences,
+    add_chroma,
+    add_to_line,
+    bits_of,
     coded_line,
+    curved,
     decode_curve,
     encode_curve,
-    line_scratch,
-    reduce_line,
-    taps,
-    to_luma_and_chroma,
+    limited,
+    power_of,
 )
-from arfx.media.planes import FrameFormat, chroma_size
+from arfx.media.planes import FrameFormat
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def linear_from_yuv(planes: Planes, rect, curve, out):
+def read(p: Planes, rect, out):
     """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1).
     Chroma is interpolated linearly between its true positions, from samples outside the
     rectangle too."""
-    scratch = line_scratch(11, rect[2] - rect[0])
-    _linear_lines(planes, rect, curve, out, scratch)
+    _read_lines(p, rect, out, np.empty((3, out.shape[1] + MARGIN), np.float32))
 
 
 @line_kernel(fastmath=FAST)
-def _linear_lines(planes: Planes, rect, curve, out, scratch):
-    # a line at a time in steps without branches, of which the compiler makes vector code
-    x0, y0, x1, y1 = rect
-    w, (c0, c1) = x1 - x0, chroma_span(x0, x1, planes.steps[0], planes.chroma_size[0])
-    coded, light = scratch[:3], scratch[3:6]
-    samples, cb, cr, base, mantissa = (
-        scratch[6, : c1 - c0],
-        scratch[7, :w],
-        scratch[8, :w],
-        scratch[9],
-        scratch[10],
-    )
-    for j in range(y1 - y0):
-        coded_line(planes, y0 + j, x0, samples, cb, cr, coded)
-        for c in range(3):
-            apply_curve(coded[c, :w], curve, base, mantissa, light[c])
-        for k in range(w):
-            out[j, k, 0], out[j, k, 1], out[j, k, 2] = light[0, k], light[1, k], light[2, k]
+def _read_lines(p: Planes, rect, out, scratch):
+    for j in range(out.shape[0]):
+        line = out[j].reshape(-1)
+        coded_line(p, rect[1] + j, rect[0], scratch, line)
+        for i in range(line.shape[0]):
+            line[i] = curved(line[i], p.decoding)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def linear_at_yuv(planes: Planes, pixels, curve, out):
-    """out (n, 3) = linear_from_yuv of single pixels (n, 2), x and y, coded."""
-    y, u, v, (sx, sy), cosited, (cw, ch), (yo, yf, co, cf), (rv, gu, gv, bu) = planes
-    zero = np.float32(0)
-    coded = np.empty((3, len(pixels)), np.float32)
-    for k in range(len(pixels)):
+def read_at(p: Planes, pixels, out):
+    """out (n, 3) = `read` of single pixels (n, 2), x and y, coded."""
+    _read_pixels(p, pixels, out, np.empty((3, 2 + MARGIN), np.float32))
+
+
+@line_kernel(fastmath=FAST)
+def _read_pixels(p: Planes, pixels, out, scratch):
+    line, k, n = out.reshape(-1), 0, pixels.shape[0]
+    while k < n:
         x, row = pixels[k, 0], pixels[k, 1]
-        p = (
-            np.float32(x / (1 << sx))
-            if cosited[0]
-            else np.float32((x + 0.5) / (1 << sx) - 0.5)
-        )
-        q = (
-            np.float32(row / (1 << sy))
-            if cosited[1]
-            else np.float32((row + 0.5) / (1 << sy) - 0.5)
-        )
-        p, q = min(max(p, zero), np.float32(cw - 1)), min(max(q, zero), np.float32(ch - 1))
-        i0, r0 = np.int32(p), np.int32(q)
-        i1, r1 = min(i0 + 1, cw - 1), min(r0 + 1, ch - 1)
-        t, f = p - np.float32(i0), q - np.float32(r0)
-        a, b = np.float32(u[r0, i0]), np.float32(u[r1, i0])
-        c, d = np.float32(u[r0, i1]), np.float32(u[r1, i1])
-        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
-        cb = left + t * (right - left)
-        a, b = np.float32(v[r0, i0]), np.float32(v[r1, i0])
-        c, d = np.float32(v[r0, i1]), np.float32(v[r1, i1])
-        left, right = (a + f * (b - a) - co) * cf, (c + f * (d - c) - co) * cf
-        cr = left + t * (right - left)
-        luma = (np.float32(y[row, x]) - yo) * yf
-        coded[0, k], coded[1, k], coded[2, k] = (
-            luma + rv * cr,
-            luma - gu * cb - gv * cr,
-            luma + bu * cb,
-        )
-    light, base, mantissa = (
-        np.empty_like(coded[0]),
-        np.empty_like(coded[0]),
-        np.empty_like(coded[0]),
-    )
-    for c in range(3):
-        apply_curve(coded[c], curve, base, mantissa, light)
-        for k in range(len(light)):
-            out[k, c] = light[k]
+        pair = k + 1 < n and pixels[k + 1, 0] == x + 1 and pixels[k + 1, 1] == row
+        end = k + 1 + pair
+        coded_line(p, row, x, scratch, line[3 * k : 3 * end])
+        k = end
+    for i in range(line.shape[0]):
+        line[i] = curved(line[i], p.decoding)
+
+
+@line_kernel(fastmath=FAST)
+def _not_finite(before, after):
+    """How many pixels of two lines (3 m,) have a value with all bits of its exponent set."""
+    infinite, bad = np.int32(0x7F800000), 0
+    for k in range(before.shape[0] // 3):
+        highest = np.int32(0)
+        for c in range(3):
+            i = np.uintp(3) * np.uintp(k) + np.uintp(c)
+            highest = max(
+                highest, bits_of(before[i]) & infinite, bits_of(after[i]) & infinite
+            )
+        bad += highest == infinite
+    return bad
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def _all_finite(before, after):
-    """Whether all float32 with these bits are finite: none has all bits of its exponent set."""
-    infinite, highest = np.int32(0x7F800000), np.int32(0)
-    for k in range(before.shape[0]):
-        highest = max(highest, max(before[k] & infinite, after[k] & infinite))
-    return highest < infinite
+def edit(p: Planes, rect, columns, before, after):
+    """Adds the difference of two pictures to the planes in place.
+
+    rect : x0, y0, x1, y1;  columns : (h, 2), outside of which nothing is looked at, from x0
+    before, after : (h, w, 3) float32 linear light
+    Only chroma samples on the grid inside the rectangle, grown to that grid, can change.
+    Returns how many pixels of `after` or `before` are not finite; their lines are left alone.
+    """
+    w = rect[2] - rect[0]
+    work = np.empty(3 * w, np.float32), np.empty((3, w + 2 * MARGIN), np.float32)
+    sums, corner = _no_sums(p, rect)
+    bad = _edit_lines(p, rect, columns, before, after, work, sums, corner)
+    add_chroma(p, sums, corner)
+    return bad
 
 
 @numba.njit(cache=True, nogil=True)
-def _zero_nonfinite(before, after, clean_before, clean_after):
-    """Copies both lines with 0 for pixels that have a value that is not finite; returns how
-    many.
-    """
-    infinite, bad = np.int32(0x7F800000), 0
-    for k in range(0, before.shape[0], 3):
-        nonfinite = False
-        for c in range(k, k + 3):
-            nonfinite |= ((before[c] & infinite) == infinite) | (
-                (after[c] & infinite) == infinite
-            )
-        bad += nonfinite
-        for c in range(k, k + 3):
-            clean_before[c] = np.int32(0) if nonfinite else before[c]
-            clean_after[c] = np.int32(0) if nonfinite else after[c]
-    return bad
-
-
-@numba.njit(cache=True, nogil=True, fastmath=FAST)
-def edit_luma(
-    y,
-    rect,
-    columns,
-    before_bits,
-    after_bits,
-    curve,
-    luma: Luma,
-    step,
-    cosited,
-    chroma: Chroma,
-):
-    """Adds the luma difference to plane y in place; sets the chroma differences of each
-    line, reduced to chroma columns.
-
-    rect : x0, y0, x1, y1;  columns : (h, 2), outside of which nothing is looked at, from x0
-    *_bits : (h, w, 3) float32 linear light as int32;  step : log2 of the chroma step across
-    cosited : a chroma sample lies on the left luma sample and takes a tent of differences,
-    else a box
-    chroma : of the columns from x0 >> step on
-    Beyond the rectangle the difference is zero, beyond the picture its edge goes on.
-    Returns how many pixels of `after` or `before` are not finite; those are left alone."""
-    w = rect[2] - rect[0]
-    scratch, clean = line_scratch(5, 3 * w), np.empty((2, 3 * w), np.int32)
-    tapped = taps(step, cosited and step > 0)
-    wide = np.empty(
-        (2, (chroma.lines.shape[2] << step) + tapped[1] - tapped[0]), np.float32
-    )
-    work = tapped, wide, scratch, clean
-    return _edit_lines(
-        y, rect, columns, before_bits, after_bits, curve, luma, step, chroma, work
-    )
+def _no_sums(p: Planes, rect):
+    """(2, h, n) float32 zeros of a rectangle's chroma, and its first (column, row)."""
+    (sx, sy), (x0, y0, x1, y1) = p.steps, rect
+    c0, r0 = x0 >> sx, y0 >> sy
+    return np.zeros((2, -(-y1 >> sy) - r0, -(-x1 >> sx) - c0), np.float32), (c0, r0)
 
 
 @line_kernel(fastmath=FAST)
-def _edit_lines(
-    y, rect, columns, before_bits, after_bits, curve, luma: Luma, step, chroma: Chroma, work
-):
-    (low_tap, high_tap, weights), wide, scratch, clean = work
-    to_yuv, factor, low, high, picture_width = luma
-    lines, changed_columns = chroma
-    x0, y0, _, y1 = rect
-    h, n = y1 - y0, lines.shape[2]
+def _span(a, b, first, last):
+    """The first of the values from `first` to `last` that differs, and the one behind the
+    last."""
+    while first < last and a[first] == b[first]:
+        first += 1
+    while last > first and a[last - 1] == b[last - 1]:
+        last -= 1
+    return first, last
+
+
+@line_kernel(fastmath=FAST)
+def _edit_lines(p: Planes, rect, columns, before, after, work, sums, corner):
+    differences, scratch = work
     bad = 0
-    before, after, base, mantissa, dy = (
-        scratch[0],
-        scratch[1],
-        scratch[2],
-        scratch[3],
-        scratch[4],
-    )
-    start = ((x0 >> step) << step) + low_tap  # luma column of the first tap
-    # a line at a time from the first pixel that changes to the last, in steps of which the
-    # compiler makes vector code (it does not where they stand together in one function); a
-    # pixel between them that does not change has difference 0
-    for j in range(h):
-        b, a = before_bits[j].reshape(-1), after_bits[j].reshape(-1)
-        first, last = 3 * columns[j, 0], 3 * columns[j, 1]
-        if not _all_finite(b[first:last], a[first:last]):
-            bad += _zero_nonfinite(
-                b[first:last], a[first:last], clean[0, first:last], clean[1, first:last]
-            )
-            b, a = clean[0], clean[1]
-        while first < last and b[first] == a[first]:
-            first += 1
-        while last > first and b[last - 1] == a[last - 1]:
-            last -= 1
+    for j in range(before.shape[0]):
+        b, a = before[j].reshape(-1), after[j].reshape(-1)
+        first, last = _span(b, a, 3 * columns[j, 0], 3 * columns[j, 1])
         first, last = first // 3, (last + 2) // 3
-        changed_columns[j, 0], changed_columns[j, 1] = 0, 0
-        m = last - first
-        if m <= 0:
+        b, a = b[3 * first : 3 * last], a[3 * first : 3 * last]
+        found = _not_finite(b, a)
+        bad += found
+        if found or last <= first:
             continue
-        apply_curve(b[3 * first : 3 * last].view(np.float32), curve, base, mantissa, before)
-        apply_curve(a[3 * first : 3 * last].view(np.float32), curve, base, mantissa, after)
-        clipped_differences(before[: 3 * m], after)
-        wide[:] = 0
-        at = x0 + first - start
-        to_luma_and_chroma(
-            after, to_yuv, dy[:m], wide[0, at : at + m], wide[1, at : at + m]
-        )
-        add_steps(y[y0 + j, x0 + first : x0 + last], dy[:m], factor, low, high)
-        c0 = max(((x0 + first - high_tap + 1) >> step) - (x0 >> step), 0)
-        c1 = min(((x0 + last - 1 - low_tap) >> step) + 1 - (x0 >> step), n)
-        changed_columns[j, 0], changed_columns[j, 1] = c0, c1
-        for c in range(2):
-            if x0 + first == 0:
-                wide[c, :at] = wide[c, at]
-            if x0 + last == picture_width:
-                wide[c, at + m :] = wide[c, at + m - 1]
-            reduce_line(wide[c, c0 << step :], step, weights, lines[c, j, c0:c1])
+        d = differences[: b.shape[0]]
+        for i in range(b.shape[0]):
+            d[i] = limited(curved(b[i], p.encoding), curved(a[i], p.encoding))
+        add_to_line(p, rect[1] + j, rect[0] + first, d, scratch, sums, corner)
     return bad
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST)
-def edit_chroma(plane, lines, changed_columns, rect, height, steps, cosited, factor, legal):
-    """Adds the chroma differences that `edit_luma` left, (h, n) in their changed columns,
-    to one chroma plane in place.
-    height : of the picture;  legal : lowest, highest stored value
-    cosited : a sample lies on the top luma sample of its group, else in the middle
-    Only samples on the grid inside the rectangle, grown to that grid, can change."""
-    total = np.empty(lines.shape[1], np.float32)
-    tapped = taps(steps[1], cosited and steps[1] > 0)
-    _edit_chroma_lines(
-        plane, lines, changed_columns, rect, height, steps, factor, legal, tapped, total
-    )
+def dim(p: Planes, rect, hole, transmittance, opacity, bias):
+    """Less light on what the picture shows, in place: no picture in linear light is made.
+
+    rect, hole : x0, y0, x1, y1, coded; inside `hole` nothing changes;  transmittance : (h,
+    w, 3 or 1), of linear light
+    opacity : how much of that change is shown;  bias : (3,) linear, what is no light and stays
+
+    Without bias no linear value is needed: a coded value c above the transfer function's
+    toe stands for ((c + a) / (1 + a))^power, so a fraction k of that light is coded
+    k^(1/power) (c + a) - a, and one on the toe's line k c; the larger of the two (the
+    smaller, of more light than there was) is off by at most .3 grey levels of 255, just
+    above the toe."""
+    w = rect[2] - rect[0]
+    lines = np.ones((5, 3 * w), np.float32)
+    for c in range(3):
+        lines[4, c::3] = bias[c]
+    work = lines, np.empty((3, w + 2 * MARGIN), np.float32)
+    sums, corner = _no_sums(p, rect)
+    _dim_lines(p, rect, hole, transmittance, opacity, work, sums, corner)
+    add_chroma(p, sums, corner)
 
 
 @line_kernel(fastmath=FAST)
-def _edit_chroma_lines(
-    plane, lines, changed_columns, rect, height, steps, factor, legal, tapped, total
-):
-    x0, y0, _, y1 = rect
-    sx, sy = steps
-    ca, n = x0 >> sx, lines.shape[1]
-    low_tap, high_tap, weights = tapped
-    for r in range(y0 >> sy, -(-y1 >> sy)):
-        a, b = n, 0
-        for k in range(low_tap, high_tap):
-            yy = min(max((r << sy) + k, 0), height - 1)
-            if y0 <= yy < y1 and changed_columns[yy - y0, 1] > changed_columns[yy - y0, 0]:
-                a, b = (
-                    min(a, changed_columns[yy - y0, 0]),
-                    max(b, changed_columns[yy - y0, 1]),
-                )
-        if b <= a:
-            continue
-        total[a:b] = 0
-        for k in range(low_tap, high_tap):
-            yy = min(max((r << sy) + k, 0), height - 1)
-            if y0 <= yy < y1:
-                from_, to = changed_columns[yy - y0, 0], changed_columns[yy - y0, 1]
-                weight, line = weights[k - low_tap], lines[yy - y0]
-                for i in range(from_, to):
-                    total[i] += line[i] * weight
-        add_steps(plane[r, ca + a : ca + b], total[a:b], factor, legal[0], legal[1])
+def _dim_lines(p: Planes, rect, hole, transmittance, opacity, work, sums, corner):
+    lines, scratch = work
+    whole, shares, roots, coded, bias = lines[0], lines[1], lines[2], lines[3], lines[4]
+    biased = bias[0] != 0 or bias[1] != 0 or bias[2] != 0
+    (x0, y0, x1, _), channels, one = rect, transmittance.shape[2], np.float32(1)
+    power, toe = p.encoding[4], p.encoding[6]
+    for j in range(transmittance.shape[0]):
+        row, given = y0 + j, transmittance[j].reshape(-1)
+        first, last = _span(given, whole, 0, (x1 - x0) * channels)
+        first, last = first // channels, -(-last // channels)
+        h0 = h1 = last
+        if hole[1] <= row < hole[3]:
+            h0 = min(max(hole[0] - x0, first), last)
+            h1 = min(max(hole[2] - x0, first), last)
+        for a, b in ((first, h0), (h1, last)):
+            if a >= b:
+                continue
+            t, k = given[a * channels : b * channels], shares[: 3 * (b - a)]
+            m, c = roots[: 3 * (b - a)], coded[: 3 * (b - a)]
+            coded_line(p, row, x0 + a, scratch, c)
+            for i in range(t.shape[0]):
+                k[i] = max(one + opacity * (t[i] - one), np.float32(0))
+            if not biased:
+                for i in range(t.shape[0]):
+                    m[i] = power_of(k[i], power)
+            if channels == 1:
+                _spread(k)
+                _spread(m)
+            if biased:
+                for i in range(c.shape[0]):
+                    m[i] = bias[i] + k[i] * (curved(c[i], p.decoding) - bias[i])
+                for i in range(c.shape[0]):
+                    c[i] = limited(c[i], curved(m[i], p.encoding))
+            else:
+                for i in range(c.shape[0]):
+                    v = abs(c[i])
+                    above, below = m[i] * (v + toe) - toe, k[i] * v
+                    new = max(above, below) if k[i] <= one else min(above, below)
+                    c[i] = limited(c[i], new if c[i] >= 0 else -new)
+            add_to_line(p, row, x0 + a, c, scratch, sums, corner)
 
 
-def read_yuv(planes: list[np.ndarray], f: FrameFormat, r: Rect) -> np.ndarray:
-    """(h, w, 3) float32 linear RGB of a coded rectangle."""
-    out = np.empty((r.height, r.width, 3), np.float32)
-    linear_from_yuv(
-        _kernel_planes(planes, f), (r.x0, r.y0, r.x1, r.y1), decode_curve(f.transfer), out
-    )
-    return out
+@line_kernel(fastmath=FAST)
+def _spread(line):
+    """The first third of the values, each three times in place of all."""
+    for k in range(line.shape[0] // 3 - 1, -1, -1):
+        line[3 * k] = line[3 * k + 1] = line[3 * k + 2] = line[k]
 
 
-def read_yuv_at(planes: list[np.ndarray], f: FrameFormat, pixels: np.ndarray) -> np.ndarray:
-    """(n, 3) float32 linear RGB of coded pixels (n, 2), x and y."""
-    out = np.empty((len(pixels), 3), np.float32)
-    linear_at_yuv(
-        _kernel_planes(planes, f),
-        np.ascontiguousarray(pixels, np.int32),
-        decode_curve(f.transfer),
-        out,
-    )
-    return out
+@lru_cache(maxsize=8)
+def _constants(f: FrameFormat) -> tuple[Any, ...]:
+    """All of `Planes` but the planes."""
+    layout = f.layout
+    luma, chroma = ((zero, 1 / n, n, *legal) for zero, n, *legal in f.stored)
+    from_rgb = yuv_from_rgb(f.matrix)
+    to_rgb = np.linalg.inv(from_rgb)
+    if layout.kind == "rgb":  # as green, blue, red
+        from_rgb, chroma = np.eye(3)[[1, 2, 0]], luma
+        to_rgb = from_rgb.T
+    elif layout.kind == "gray":  # three times the same plane: no difference of "chroma"
+        from_rgb, to_rgb = from_rgb * [[1], [0], [0]], np.ones((3, 3)) * [1, 0, 0]
+    steps, weights = (layout.sub_x, layout.sub_y), []
+    for step, cosited in zip(steps, f.cosited, strict=True):
+        n = 1 << step
+        away = np.arange(1 - n, n)
+        share = (n - abs(away)) / n**2 if cosited else (away >= 0) / n
+        weights.append(share.astype(np.float32))
+    middle = [0 if cosited else 0.5 for cosited in f.cosited]
+    rows = (to_rgb, from_rgb), (decode_curve(f.transfer), encode_curve(f.transfer))
+    tuples = (middle, (luma, chroma, chroma), *rows[0], *rows[1])
+    return (f.width, f.height), steps, *map(_float32, tuples), *weights
 
 
-def edit_yuv(
-    planes: list[np.ndarray],
-    f: FrameFormat,
-    r: Rect,
-    columns: np.ndarray | None,
-    before: np.ndarray,
-    after: np.ndarray,
-) -> int:
-    """As `Frame.edited`, in place and coded. Returns how many pixels are not finite."""
-    whole = (
-        np.tile(np.array([0, r.width], np.int32), (r.height, 1))
-        if columns is None
-        else columns
-    )
-    chroma = _chroma(r, f)
-    bad = edit_luma(
-        planes[0],
-        (r.x0, r.y0, r.x1, r.y1),
-        _bits(whole),
-        _bits(before),
-        _bits(after),
-        encode_curve(f.transfer),
-        _luma(f),
-        f.layout.sub_x,
-        f.cosited[0],
-        chroma,
-    )
-    _edit_chroma(planes, f, r, chroma)
-    return int(bad)
+def _float32(values: Any) -> Any:
+    """Nested tuples of them: the compiler knows that nobody writes to these."""
+    if np.ndim(values):
+        return tuple(map(_float32, values))
+    return np.float32(values)
 
 
-def dim_yuv(
-    planes: list[np.ndarray],
-    f: FrameFormat,
-    r: Rect,
-    hole: Rect,
-    transmittance: np.ndarray,
-    opacity: float,
-    bias: np.ndarray,
-) -> None:
-    """As `Frame.dimmed`, in place and coded."""
-    _, _, alpha, power = f.transfer.curve
-    curves = (
-        decode_curve(f.transfer),
-        encode_curve(f.transfer),
-        np.array([1 / power, alpha - 1], np.float32),
-    )
-    chroma = _chroma(r, f)
-    dim_luma(
-        _kernel_planes(planes, f),
-        (r.x0, r.y0, r.x1, r.y1),
-        (hole.x0, hole.y0, hole.x1, hole.y1),
-        _read_only(transmittance),
-        np.float32(opacity),
-        bias.astype(np.float32),
-        curves,
-        _luma(f),
-        chroma,
-    )
-    _edit_chroma(planes, f, r, chroma)
+def stored(planes: list[np.ndarray], f: FrameFormat) -> Planes:
+    """The planes of a picture, for the functions above."""
+    y, u, v = (planes * 3)[:3]
+    return Planes((y, u, v), *_constants(f))
 
 
-def _kernel_planes(planes: list[np.ndarray], f: FrameFormat) -> Planes:
-    to_rgb, (yo, yn), (co, cn) = (
-        np.linalg.inv(yuv_from_rgb(f.matrix)),
-        f.luma_steps,
-        f.chroma_steps,
-    )
-    scale = np.float32(yo), np.float32(1 / yn), np.float32(co), np.float32(1 / cn)
-    matrix = (
-        np.float32(to_rgb[0, 2]),
-        np.float32(-to_rgb[1, 1]),
-        np.float32(-to_rgb[1, 2]),
-        np.float32(to_rgb[2, 1]),
-    )
-    y, u, v = planes[:3]
-    return Planes(
-        y,
-        u,
-        v,
-        (f.layout.sub_x, f.layout.sub_y),
-        f.cosited,
-        chroma_size(f.layout, f.width, f.height),
-        scale,
-        matrix,
-    )
-
-
-def _luma(f: FrameFormat) -> Luma:
-    return Luma(
-        yuv_from_rgb(f.matrix).astype(np.float32),
-        np.float32(f.luma_steps[1]),
-        *f.legal[:2],
-        f.width,
-    )
-
-
-def _chroma(r: Rect, f: FrameFormat) -> Chroma:
-    columns = -(-r.x1 >> f.layout.sub_x) - (r.x0 >> f.layout.sub_x)
-    return Chroma(
-        np.empty((2, r.height, columns), np.float32), np.empty((r.height, 2), np.int32)
-    )
-
-
-def _edit_chroma(planes: list[np.ndarray], f: FrameFormat, r: Rect, chroma: Chroma) -> None:
-    rect, steps = (r.x0, r.y0, r.x1, r.y1), (f.layout.sub_x, f.layout.sub_y)
-    for plane, lines in zip(planes[1:3], chroma.lines, strict=True):
-        edit_chroma(
-            plane,
-            lines,
-            chroma.changed_columns,
-            rect,
-            f.height,
-            steps,
-            f.cosited[1],
-            np.float32(f.chroma_steps[1]),
-            f.legal[2:],
-        )
-
-
-def _bits(array: np.ndarray) -> np.ndarray:
-    """A contiguous array of 32 bits as int32, not to be written."""
-    return _read_only(array.view(np.int32))
-
-
-def _read_only(array: np.ndarray) -> np.ndarray:
+def read_only(array: np.ndarray) -> np.ndarray:
     """A view that is not to be written: whoever made the array, it is one type to the compiler."""
-    out = array.view()
+    out = np.ascontiguousarray(array, np.float32).view()
     out.flags.writeable = False
     return out

@@ -1,4 +1,5 @@
-"""The files that a model is made of: only from its own folder, and every picture of a known kind.
+"""The files that a model is made of: only from its own folder, of bounded size, every picture of
+a known kind.
 
 trimesh is given bytes and asks here for whatever they name: buffers, MTL files, textures.
 """
@@ -6,12 +7,10 @@ trimesh is given bytes and asks here for whatever they name: buffers, MTL files,
 from __future__ import annotations
 
 import contextlib
-import functools
+import io
 import os
 import re
-import threading
 import unicodedata
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -19,16 +18,24 @@ from urllib.parse import unquote
 from arfx.core.opener import read_bytes
 from arfx.errors import InputError
 
+# Of all instances together: 1.5 GB while the edges are looked for.
+MAX_FACES = 5_000_000
+# Mesh instances: each is a part with a transform of its own, a hundred parts take a second.
+MAX_PARTS = 10_000
+_FACES_OF = {
+    "ply": rb"\belement\s+face\s+(\d+)",
+    "off": rb"OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d+)",
+}
 # What Pillow may open: left to itself it also takes formats for which it starts other
 # programs (EPS: Ghostscript).
 PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
-_pillow_lock = threading.RLock()
 
 
 class ModelFolder:
     """Answers trimesh as one of its resolvers.
 
-    files : all that was read;  left_out : by name, why it was not.
+    files : all that was read;  left_out : by name, why it was not;  refused : why pictures
+    could not be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,18 +44,43 @@ class ModelFolder:
         self.folder = path.absolute().parent.resolve()
         self.files: list[Path] = [path]
         self.left_out: dict[str, str] = {}
+        self.refused: list[str] = []
         self.memory: dict[
             str, bytes
         ] = {}  # by name, what was made from the file and is in none
         self._names: dict[Path, dict[str, str]] = {}
 
     def get(self, name: str) -> bytes:
+        """A picture, for trimesh, which itself would open any kind; or what is in the memory.
+
+        Raises InputError.
+        """
+        if name in self.memory:
+            return self.memory[name]
+        data = self.read(name)
+        if self.picture(data) is None:
+            raise InputError(f"model {self.path} refers to {name}, which is no picture")
+        return data
+
+    __getitem__ = get
+
+    def picture(self, content: bytes) -> Any:
+        """Pillow's picture of one of PICTURES; None: it is none of these, or damaged."""
+        from PIL import Image
+
+        try:
+            return Image.open(io.BytesIO(content), formats=PICTURES)
+        except Exception as e:  # whatever its header holds
+            unknown = isinstance(e, Image.UnidentifiedImageError)
+            kinds = "not a picture of the kinds that are read: " + ", ".join(PICTURES)
+            self.refused.append(kinds if unknown else str(e))
+            return None
+
+    def read(self, name: str) -> bytes:
         """The file that a model calls `name`.
 
         Raises InputError: not in the folder, not a regular file, too large.
         """
-        if name in self.memory:
-            return self.memory[name]
         try:
             found = self.find(name)
             data = read_bytes(found, "model part")
@@ -58,8 +90,6 @@ class ModelFolder:
         if found not in self.files:
             self.files.append(found)
         return data
-
-    __getitem__ = get
 
     def find(self, name: str) -> Path:
         """Exporters write names with %20, in quotation marks, in other case, with umlauts
@@ -116,29 +146,27 @@ def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-@contextlib.contextmanager
-def restrict_pillow(refused: list[str]) -> Iterator[None]:
-    """While it lasts Pillow opens PICTURES alone, for whoever calls it; trimesh has no
-    option for it.
-    refused : gets the reason of each picture that could not be opened"""
-    from PIL import Image
+def check_faces(count: int, path: Path) -> None:
+    """Raises InputError."""
+    if count > MAX_FACES:
+        raise InputError(
+            f"model {path} has {count} faces", f"at most {MAX_FACES}: simplify it first"
+        )
 
-    def only_known(source: Any, mode: Any = "r", formats: Any = None) -> Any:
-        try:
-            return given(source, mode, formats=PICTURES if formats is None else formats)
-        except Image.UnidentifiedImageError:
-            refused.append(
-                "not a " + ", ".join(PICTURES[:-1]) + f" or {PICTURES[-1]} picture"
-            )
-            raise
-        except Exception as e:
-            refused.append(str(e))
-            raise
 
-    with _pillow_lock:
-        given = Image.open
-        Image.open = functools.wraps(given)(only_known)  # type: ignore[assignment]
-        try:
-            yield
-        finally:
-            Image.open = given
+def check_parts(count: int, path: Path) -> None:
+    """Raises InputError."""
+    if count > MAX_PARTS:
+        raise InputError(
+            f"model {path} has {count} parts or materials",
+            f"at most {MAX_PARTS}: join them first",
+        )
+
+
+def stated_faces(data: bytes, kind: str) -> int:
+    """As the file's beginning says; counted where it says nothing."""
+    if kind == "stl":
+        declared = int.from_bytes(data[80:84], "little")
+        return declared if len(data) >= 84 + 50 * declared else data.count(b"endfacet")
+    found = re.search(_FACES_OF[kind], data[:65536]) if kind in _FACES_OF else None
+    return int(found[1][:18]) if found else 0

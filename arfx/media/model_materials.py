@@ -3,7 +3,7 @@ what is not drawn."""
 
 from __future__ import annotations
 
-import io
+import contextlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from arfx.core.model import Material, Texture
 from arfx.errors import InputError
-from arfx.media.model_files import PICTURES
+from arfx.media.model_files import ModelFolder
 
 _BRIGHTEST = 1e6  # emission, where white paper in full light is 1
 MAX_TEXELS = (
@@ -45,21 +45,22 @@ def plain_material(has_colours: bool, double_sided: bool) -> Material:
 class Textures:
     """The pictures of a model as arrays, each decoded once. path : of the model, for messages"""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, folder: ModelFolder) -> None:
+        self.path, self._folder = folder.path, folder
+        self._named: dict[Any, np.ndarray | None] = {}
         # The picture too: its id stays unique while it lives.
         self._arrays: dict[int, tuple[Any, np.ndarray]] = {}
         self._texels = 0
 
-    def open(self, content: bytes) -> Any:
-        """The Pillow picture in a file; None: there is none (model_files.restrict_pillow tells
-        why)."""
-        from PIL import Image
-
-        try:
-            return Image.open(io.BytesIO(content), formats=PICTURES)
-        except (OSError, ValueError, SyntaxError):
-            return None
+    def read(self, name: Any, content: Callable[[], bytes]) -> np.ndarray | None:
+        """(h, w, 4) uint8 of the picture of that name in the model; None: it is not there or no
+        picture, which the folder tells. Raises InputError as `of`, which see."""
+        if name not in self._named:
+            image = None
+            with contextlib.suppress(InputError):
+                image = self._folder.picture(content())
+            self._named[name] = self.of(image)
+        return self._named[name]
 
     def of(self, image: Any) -> np.ndarray | None:
         """(h, w, 4) uint8 of a Pillow picture, None for None.

@@ -14,8 +14,7 @@ from arfx.core.numerics import normalise
 from arfx.errors import InputError
 from arfx.media.model_files import ModelFolder
 from arfx.media.model_materials import Textures
-from arfx.media.model_normals import smooth_by_angle
-from arfx.media.model_tangents import with_tangents
+from arfx.media.model_normals import smooth_by_angle, with_tangents
 
 # Squared double area below which a triangle has no plane, as a fraction of the model's extent to
 # the fourth power: float32 coordinates are exact to 6e-8 of the extent, a height below is rounding.

@@ -17,8 +17,7 @@ from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf import check_gltf, gltf_header
 from arfx.media.gltf_parts import GltfScene
-from arfx.media.model_files import ModelFolder, restrict_pillow
-from arfx.media.model_limits import check_faces, check_parts, stated_faces
+from arfx.media.model_files import ModelFolder, check_faces, check_parts, stated_faces
 from arfx.media.model_materials import Textures, not_drawn
 from arfx.media.model_parts import FileMesh, ModelFile, part_of
 from arfx.media.trimesh_models import TrimeshScene
@@ -57,13 +56,12 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     header = gltf_header(data, kind, path)
     check_faces(stated_faces(data, kind), path)
     folder = ModelFolder(path)
-    log = logging.getLogger("trimesh")
-    level = log.level
-    log.setLevel(logging.CRITICAL)  # its warnings come back as our own messages
+    # its warnings come back as our own messages
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
         with np.errstate(all="ignore"):
             notices = check_gltf(header, path)
-            parts = _read(ModelFile(data, kind, header, folder, Textures(path), notices))
+            parts = _read(ModelFile(data, kind, header, folder, Textures(folder), notices))
     except ArfxError:
         raise
     except ImportError as e:
@@ -74,8 +72,6 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
         what = (own and str(e).split("\n")[0][:300]) or "its values do not fit together"
         hint = "the file is damaged or not what its name says"
         raise InputError(f"cannot read model {path} ({what})", hint) from e
-    finally:
-        log.setLevel(level)
     if not parts:
         hint = "a mesh with triangles is needed; points and lines cannot be rendered"
         raise InputError(f"model {path} has no faces", hint)
@@ -100,16 +96,14 @@ def _kind(path: Path, data: bytes) -> str:
 
 
 def _read(file: ModelFile) -> list[Part]:
-    refused: list[str] = []
     named = 0
-    notices, left_out = file.notices, file.folder.left_out
-    with restrict_pillow(refused):
-        if file.header:
-            parts = _parts(GltfScene(file), file)
-        else:
-            scene = TrimeshScene(file)
-            named = scene.textures_named
-            parts = _parts(scene, file)
+    notices, left_out, refused = file.notices, file.folder.left_out, file.folder.refused
+    if file.header:
+        parts = _parts(GltfScene(file), file)
+    else:
+        scene = TrimeshScene(file)
+        named = scene.textures_named
+        parts = _parts(scene, file)
     file.textures.close()
     drawn = int(any(p.material.base_texture is not None for p in parts))
     if named > 1 or (named > drawn and not (refused or left_out)):

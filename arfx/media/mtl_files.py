@@ -15,7 +15,6 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
-from arfx.errors import InputError
 from arfx.media.model_files import ModelFolder
 from arfx.media.model_materials import (
     Textures,
@@ -43,7 +42,6 @@ class MtlMaterials:
     def __init__(self, folder: ModelFolder, textures: Textures) -> None:
         self.folder, self.textures = folder, textures
         self.lost: dict[str, None] = {}
-        self._pictures: dict[str, np.ndarray | None] = {}
 
     def material(self, name: str, lines: Iterable[str]) -> Material:
         """Of the lines below `newmtl`.
@@ -81,16 +79,6 @@ class MtlMaterials:
             sheen_roughness=_SHEEN_ROUGHNESS,
         )
         return check_material(material, self.textures.path)
-
-    def picture(self, name: str) -> np.ndarray | None:
-        """Of a file beside the model; None: it is not there or no picture, which others tell."""
-        if name not in self._pictures:
-            try:
-                image = self.textures.open(self.folder.get(name))
-            except InputError:  # it is in the folder's left_out
-                image = None
-            self._pictures[name] = self.textures.of(image)
-        return self._pictures[name]
 
 
 class _Statements:
@@ -139,7 +127,8 @@ class _Statements:
         for option, words in options.items():
             if option not in _READ and words[:1] != ["off"]:
                 self._made_by.lost[f"{option} of {written}"] = None
-        picture = self._made_by.picture(name) if name else None
+        by = self._made_by
+        picture = by.textures.read(name, lambda: by.folder.read(name)) if name else None
         if picture is None:
             return None, 1.0
         scale, offset = [1.0, 1.0], [0.0, 0.0]

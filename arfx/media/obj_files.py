@@ -18,8 +18,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import Material
 from arfx.errors import InputError
-from arfx.media.model_files import ModelFolder
-from arfx.media.model_limits import check_faces, check_parts
+from arfx.media.model_files import ModelFolder, check_faces, check_parts
 from arfx.media.model_parts import ModelFile
 from arfx.media.mtl_files import MtlMaterials
 
@@ -121,7 +120,7 @@ def _lines_of_materials(
     alike: dict[str, list[str]] = {}  # but for their case
     for file in files:
         with contextlib.suppress(InputError):  # it is in folder.left_out
-            text = decoded(folder.get(file)).replace("\\\n", " ")
+            text = decoded(folder.read(file)).replace("\\\n", " ")
             for block in re.split(r"(?mi)^\s*newmtl\b", text)[1:]:
                 name, *lines = block.splitlines()
                 exact.setdefault(_key(name), lines)

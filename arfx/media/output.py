@@ -30,7 +30,6 @@ from arfx.media.photos import WRITTEN
 from arfx.media.planes import layout_named
 
 MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
-_DEFAULT_CODEC = {"mp4": "h264", "mov": "h264", "matroska": "h264", "webm": "av1"}
 _PATTERN = re.compile(
     r"((?:[^%]|%%)*)%0?\d{0,2}d((?:[^%]|%%)*)"
 )  # one number of at most 99 digits
@@ -219,7 +218,7 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
             f"{path}: unknown output format {suffix or '(no extension)'!r}", hint
         )
     container = SUFFIX_CONTAINER[suffix]
-    return container, CODECS[name or _DEFAULT_CODEC[container]]
+    return container, CODECS[name or ("av1" if container == "webm" else "h264")]
 
 
 def names_sequence(path: Path) -> bool:
@@ -302,7 +301,7 @@ def _pixel_format(
 ) -> str:
     formats, source = codec.formats, info.layout
     odd = (info.coded_width % 2 == 1, info.coded_height % 2 == 1)
-    refuses_odd = not codec.lossless
+    size = f"{info.coded_width}x{info.coded_height}"
     if asked := settings.pixel_format:
         held = layout_named(asked)
         if held is None or held.plain_name not in formats:
@@ -310,29 +309,22 @@ def _pixel_format(
                 f"codec {codec.name} cannot write pixel format {asked!r}",
                 "one of " + ", ".join(formats),
             )
-        if refuses_odd and ((odd[0] and held.sub_x) or (odd[1] and held.sub_y)):
+        if not (codec.lossless or held.holds(odd)):
             raise ConfigError(
-                f"pixel format {asked} needs even sizes, the clip is"
-                f" {info.coded_width}x{info.coded_height}",
-                "use yuv444p",
+                f"pixel format {asked} needs even sizes, the clip is {size}", "use yuv444p"
             )
         return held.plain_name
     if source.alpha:
         notices.append("the clip's transparency is not written")
-    fmt = nearest_format(source, formats, odd, refuses_odd)
-    size = f"{info.coded_width}x{info.coded_height}"
-    if fmt is None:
+    target = nearest_format(source, codec, odd)
+    if target is None:
         able = [
-            n
-            for n, c in CODECS.items()
-            if c.containers and nearest_format(source, c.formats, odd, not c.lossless)
+            n for n, c in CODECS.items() if c.containers and nearest_format(source, c, odd)
         ]
         raise ConfigError(
             f"codec {codec.name} cannot write the odd picture size {size}",
             f"one of {', '.join(able)}",
         )
-    target = layout_named(fmt)
-    assert target is not None
     if (
         target.kind == "yuv"
         and source.kind == "yuv"
@@ -352,7 +344,7 @@ def _pixel_format(
             f"{source.depth}-bit samples are written with {target.depth} bits: {codec.name}"
             " has no more"
         )
-    return fmt
+    return target.name
 
 
 def _further_streams(

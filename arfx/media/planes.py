@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property
+from typing import Any
 
 import av
 import numpy as np
@@ -19,11 +20,10 @@ import numpy as np
 from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
 
-_YUV = re.compile(
-    r"yuv(?P<kind>[ja]?)(?P<sub>420|422|444|440|411|410)p(?P<bits>9|10|12|14|16)?(le)?$"
+_NAME = re.compile(
+    r"(?P<kind>yuv[ja]?|gray|gbra?)(?P<sub>420|422|444|440|411|410)?p?"
+    r"(?P<bits>9|10|12|14|16)?(le)?"
 )
-_GRAY = re.compile(r"gray(?P<bits>9|10|12|14|16)?(le)?$")
-_GBR = re.compile(r"gbra?p(?P<bits>9|10|12|14|16)?(le)?$")
 _SUBSAMPLING = {
     "420": (1, 1),
     "422": (1, 0),
@@ -61,6 +61,10 @@ class PixelLayout:
         """The same planes without FFmpeg's deprecated j: the range is a tag, not a format."""
         return self.name.replace("yuvj", "yuv")
 
+    def holds(self, odd: tuple[bool, bool]) -> bool:
+        """Whether its chroma covers a picture of odd width, height."""
+        return not (odd[0] and self.sub_x) and not (odd[1] and self.sub_y)
+
     @property
     def peak(self) -> int:
         return (1 << self.depth) - 1
@@ -69,14 +73,12 @@ class PixelLayout:
 @cache
 def layout_named(name: str) -> PixelLayout | None:
     """The layout of a working format; None for every other format."""
-    if m := _YUV.match(name):
-        sx, sy = _SUBSAMPLING[m["sub"]]
-        return PixelLayout(name, "yuv", int(m["bits"] or 8), sx, sy, m["kind"] == "a")
-    if m := _GRAY.match(name):
-        return PixelLayout(name, "gray", int(m["bits"] or 8))
-    if m := _GBR.match(name):
-        return PixelLayout(name, "rgb", int(m["bits"] or 8), 0, 0, name.startswith("gbra"))
-    return None
+    m = _NAME.fullmatch(name)
+    if m is None or name.startswith("yuv") != bool(m["sub"]):
+        return None
+    kind = "yuv" if m["sub"] else "rgb" if name.startswith("gbr") else "gray"
+    sub, alpha = _SUBSAMPLING.get(m["sub"], (0, 0)), m["kind"] in ("yuva", "gbra")
+    return PixelLayout(name, kind, int(m["bits"] or 8), *sub, alpha)
 
 
 @cache
@@ -112,13 +114,11 @@ def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[np.ndarray]:
     """Every plane as a whole-line array (rows, line length in samples), padding at the
     right included; views.
     """
-    out = []
-    for p in picture.planes:
-        size = layout.dtype.itemsize
-        rows = p.buffer_size // p.line_size
-        line = np.frombuffer(p, layout.dtype, count=rows * p.line_size // size)  # type: ignore[call-overload]
-        out.append(line.reshape(rows, p.line_size // size)[: p.height])
-    return out
+    kind = layout.dtype
+    return [
+        np.frombuffer(p, kind).reshape(-1, p.line_size // kind.itemsize)[: p.height]  # type: ignore[call-overload]
+        for p in picture.planes
+    ]
 
 
 def chroma_size(layout: PixelLayout, width: int, height: int) -> tuple[int, int]:
@@ -146,32 +146,21 @@ def _keep_time(picture: av.VideoFrame, out: av.VideoFrame) -> None:
         out.time_base = picture.time_base
 
 
-def repacked(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
-    """The picture in the working format; itself when it already is in it."""
-    if picture.format.name == layout.name:
+def repacked(picture: av.VideoFrame, name: str, **how: Any) -> av.VideoFrame:
+    """The picture in the format of that name; itself when it already is in it.
+
+    how : it is converted, as of `reformat`; nothing = all but the layout of samples stays"""
+    given = picture.format.name
+    if given == name:
         return picture
-    held = layout_named(picture.format.name)
-    if held is not None and held.plain_name == layout.plain_name:
+    held = layout_named(given)
+    if held is not None and held.plain_name == name.replace("yuvj", "yuv"):
         return copy_picture(picture, held)
-    out = picture.reformat(
-        format=layout.name,
-        src_colorspace=picture.colorspace,
-        dst_colorspace=picture.colorspace,
-        src_color_range=picture.color_range,
-        dst_color_range=picture.color_range,
-        interpolation="POINT",
-    )
+    kept = {"src_colorspace": picture.colorspace, "dst_colorspace": picture.colorspace}
+    kept |= {"src_color_range": picture.color_range, "dst_color_range": picture.color_range}
+    out = picture.reformat(format=name, **(how or kept | {"interpolation": "POINT"}))
     _keep_time(picture, out)
     return out
-
-
-# (transpose, flip_x, flip_y) by degrees counter-clockwise, without a mirror
-_DEGREES = {
-    (False, False, False): 0,
-    (True, False, True): 90,
-    (False, True, True): 180,
-    (True, True, False): 270,
-}
 
 
 @dataclass(frozen=True)
@@ -187,14 +176,7 @@ class Orientation:
         """Counter-clockwise rotation from coded to upright, 0, 90, 180 or 270; of a
         mirrored one, that before the mirror.
         """
-        key = (self.transpose, self.flip_x, self.flip_y)
-        return _DEGREES.get(
-            key, _DEGREES.get((self.transpose, not self.flip_x, self.flip_y), 0)
-        )
-
-    @property
-    def mirrored(self) -> bool:
-        return (self.transpose, self.flip_x, self.flip_y) not in _DEGREES
+        return 90 * self.transpose + 180 * (self.transpose != self.flip_y)
 
     def upright(self, coded: np.ndarray) -> np.ndarray:
         """View of coded (h, w, ...) as it is shown."""
@@ -254,38 +236,21 @@ class FrameFormat:
         """Whether chroma lies on the left, and on the top, luma sample of its group (else
         in the middle).
         """
-        return (
-            self.chroma_location
-            in (
-                "left",
-                "topleft",
-            ),
-            self.chroma_location == "topleft",
-        )
+        where = self.chroma_location
+        return where in ("left", "topleft"), where == "topleft"
 
     @property
-    def luma_steps(self) -> tuple[float, float]:
-        """(offset, steps from black to white) of stored luma, grey or RGB samples.
+    def stored(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Of luma, grey or RGB samples, and of chroma: the value of 0, steps up to 1 (of chroma
+        from -0.5 to 0.5), lowest and highest legal value.
 
-        Source: ITU-R BT.601/709/2020.
-        """
-        up = 1 << (self.layout.depth - 8)
-        return (
-            (0.0, float(self.layout.peak)) if self.full_range else (16.0 * up, 219.0 * up)
-        )
-
-    @property
-    def chroma_steps(self) -> tuple[float, float]:
-        """(value of no chroma, steps from -0.5 to 0.5)."""
-        up = 1 << (self.layout.depth - 8)
-        return 128.0 * up, float(self.layout.peak) if self.full_range else 224.0 * up
-
-    @property
-    def legal(self) -> tuple[int, int, int, int]:
-        """Lowest and highest legal luma, lowest and highest legal chroma."""
+        Source: ITU-R BT.601/709/2020."""
         up, peak = 1 << (self.layout.depth - 8), self.layout.peak
-        return (
-            (0, peak, 0, peak)
-            if self.full_range
-            else (16 * up, 235 * up, 16 * up, 240 * up)
+        if self.full_range:
+            return (0, peak, 0, peak), (128 * up, peak, 0, peak)
+        return (16 * up, 219 * up, 16 * up, 235 * up), (
+            128 * up,
+            224 * up,
+            16 * up,
+            240 * up,
         )

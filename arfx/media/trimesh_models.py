@@ -12,7 +12,7 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, MASK, OPAQUE, Material
-from arfx.media.model_limits import check_parts
+from arfx.media.model_files import check_parts
 from arfx.media.model_materials import check_material, plain_material, unit
 from arfx.media.model_parts import FileMesh, ModelFile
 from arfx.media.obj_files import ObjFile, decoded, read_obj

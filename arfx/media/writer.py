@@ -23,7 +23,7 @@ from arfx.media.codecs import CODECS, create_container, open_encoder
 from arfx.media.frame import SWS_MATRIX, Frame
 from arfx.media.images import write_exr, write_failed, write_png
 from arfx.media.output import OutputPlan
-from arfx.media.planes import copy_picture, layout_named
+from arfx.media.planes import repacked
 
 _DEEPEST_REORDER = 16  # H.264 and H.265 allow at most 16 frames of reordering
 
@@ -154,14 +154,9 @@ class ChunkWriter:
         formats agree.
         """
         f, plan = frame.format, self.plan
-        picture, name = frame.picture, self._stream.pix_fmt
-        if picture.format.name == name:
-            return picture
-        layout = layout_named(picture.format.name)
-        if layout is not None and layout.plain_name == name:
-            return copy_picture(picture, layout)
-        return picture.reformat(
-            format=name,
+        return repacked(
+            frame.picture,
+            self._stream.pix_fmt,
             src_colorspace=SWS_MATRIX[f.matrix],
             dst_colorspace=SWS_MATRIX[plan.matrix],
             src_color_range=2 if f.full_range else 1,

@@ -17,7 +17,7 @@ from PIL import Image, ImageOps
 from arfx.errors import InputError
 from arfx.media.clip import probe
 from arfx.media.codecs import CONTAINERS, check_size
-from arfx.media.depth_frames import open_frames
+from arfx.media.depth_maps import open_frames
 from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks
 from arfx.media.output import plan_output

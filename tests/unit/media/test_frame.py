@@ -15,7 +15,7 @@ from arfx.core.colour import SRGB, Transfer, yuv_from_rgb
 from arfx.core.rect import Rect
 from arfx.errors import RenderError
 from arfx.media.frame import Frame
-from arfx.media.lines import apply_curve, encode_curve
+from arfx.media.lines import curved, encode_curve
 from arfx.media.planes import (
     FrameFormat,
     Orientation,
@@ -59,7 +59,7 @@ def frame(
     )  # fmt: skip
     picture = av.VideoFrame(width, height, name)
     rng = np.random.default_rng(seed)
-    low, high, c_low, c_high = form.legal
+    (_, _, low, high), (_, _, c_low, c_high) = form.stored
     for k, p in enumerate(planes_of(picture, layout)):
         lo, hi = (c_low, c_high) if k and layout.kind == "yuv" else (low, high)
         if smooth:
@@ -78,11 +78,12 @@ def reference_linear(f: Frame) -> np.ndarray:
     """The coded picture by the textbook, in float64, with np.interp between chroma positions."""
     lay, form = f.format.layout, f.format
     p = [a.astype(float) for a in planes_of(f.picture, lay)]
-    y = (p[0][: form.height, : form.width] - form.luma_steps[0]) / form.luma_steps[1]
+    luma, chroma = form.stored
+    y = (p[0][: form.height, : form.width] - luma[0]) / luma[1]
     out = [y]
     for c in p[1:3]:
         cw, ch = -(-form.width >> lay.sub_x), -(-form.height >> lay.sub_y)
-        c = (c[:ch, :cw] - form.chroma_steps[0]) / form.chroma_steps[1]
+        c = (c[:ch, :cw] - chroma[0]) / chroma[1]
         for axis, (n, sub, cosited) in enumerate(
             [
                 (form.height, lay.sub_y, form.cosited[1]),
@@ -133,11 +134,9 @@ def test_curves_follow_the_transfer(transfer: str) -> None:
     v = np.concatenate([np.linspace(0, 1, 500), np.geomspace(1e-9, 50, 500)]).astype(
         np.float32
     )
-    got, room = np.empty_like(v), np.empty((2, len(v)), np.float32)
-    apply_curve(v, encode_curve(t), *room, got)
+    curve = tuple(np.float32(x) for x in encode_curve(t))
+    got, minus = (np.array([curved(x, curve) for x in sign * v]) for sign in (1, -1))
     assert np.abs(got - t.encode(v.astype(float))).max() < 1e-5
-    minus = np.empty_like(v)
-    apply_curve(-v, encode_curve(t), *room, minus)
     assert (minus == -got).all()
 
 
@@ -255,7 +254,9 @@ def test_display_matrices() -> None:
     assert orientation_of((0, one, 0, -one, 0, 0, 0, 0, 1 << 30))[0].rotation_deg == 270
     assert orientation_of((0, -one, 0, one, 0, 0, 0, 0, 1 << 30))[0].rotation_deg == 90
     assert orientation_of((-one, 0, 0, 0, -one, 0, 0, 0, 1 << 30))[0].rotation_deg == 180
-    assert orientation_of((-one, 0, 0, 0, one, 0, 0, 0, 1 << 30))[0].mirrored
+    assert orientation_of((-one, 0, 0, 0, one, 0, 0, 0, 1 << 30))[0] == Orientation(
+        flip_x=True
+    )
     assert orientation_of((46341, 46341, 0, -46341, 46341, 0, 0, 0, 1 << 30))[1] is False
 
 

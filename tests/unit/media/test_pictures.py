@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
-from PIL import Image
 
 from arfx.errors import InputError
 from arfx.media.depth_maps import open_depth
@@ -118,15 +117,6 @@ def test_depth_that_is_a_device_or_a_pipe_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "pipe", Path("/dev/zero")):
         with pytest.raises(InputError, match="not a depth map"):
             open_depth(path)
-
-
-def test_pillow_is_still_whole_after_models_were_read(tmp_path: Path) -> None:
-    from arfx.media.model_files import restrict_pillow
-
-    given = Image.open
-    with restrict_pillow([]):
-        assert Image.open is not given
-    assert Image.open is given
 
 
 @pytest.mark.parametrize("after", [[8], [122, 8]])

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from arfx.core.model import CLAMP, MIRROR, REPEAT, TEXTURE_SLOTS, Material, Part, Texture
-from arfx.media.model_tangents import corner_tangents, with_tangents
+from arfx.media.model_normals import corner_tangents, with_tangents
 from arfx.media.models import load_model
 from tests.unit.media.test_gltf_whole import CORNERS, SQUARE, Writer
 
