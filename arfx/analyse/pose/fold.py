@@ -340,7 +340,7 @@ def solve(
         else:
             info = information(rotation[at], translation[at], part)
             covariance[at] = np.linalg.pinv(info, hermitian=True)
-        known = replace(part, weight=(part.weight > 0) / views.common_px[at, None] ** 2)
+        known = part._replace(weight=(part.weight > 0) / views.common_px[at, None] ** 2)
         common = np.linalg.pinv(
             information(rotation[at], translation[at], known), hermitian=True
         ).reshape(-1, 36)
@@ -376,7 +376,7 @@ def solve(
         )
     if path.dropped:
         notices.append(
-            f"{len(path.dropped)} sightings contradict the other markers of their frame and"
+            f"{path.dropped} sightings contradict the other markers of their frame and"
             " are not used"
         )
     gap = status.count(INTERPOLATED)
@@ -397,7 +397,7 @@ def solve(
         flips_resolved=int(path.flips),
         sigma_factor=views.sigma_factor,
         duplicates=duplicates,
-        dropped=len(path.dropped),
+        dropped=path.dropped,
         static_evidence=evidence,
         map=placed,
         motion_noise=[d.tolist() for d in density],

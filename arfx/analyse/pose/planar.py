@@ -9,7 +9,7 @@ Source: docs/methods/pose.md#planar."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -25,8 +25,7 @@ HUBER_SIGMA = 3.0  # residuals beyond it count linearly
 _CONVERGED = 1e-9  # change of the cost, relative to 1 + cost
 
 
-@dataclass(frozen=True)
-class Observed:
+class Observed(NamedTuple):
     """Corners seen in n frames, at most p in each.
 
     points_m : (n, p, 3) world (or marker) coordinates;  ideal : (n, p, 2) normalised;
@@ -39,12 +38,7 @@ class Observed:
     weight: np.ndarray
 
     def take(self, index: np.ndarray) -> Observed:
-        return Observed(
-            self.points_m[index],
-            self.ideal[index],
-            self.px_per_ideal[index],
-            self.weight[index],
-        )
+        return Observed(*(a[index] for a in self))
 
 
 def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
