@@ -83,8 +83,8 @@ def filter_chain(
     """Kalman filter along n states of s numbers. Returns the log evidence, up to a constant.
 
     start (s, s) : covariance of the first state;  move, noise (n - 1, s, s), shift (n - 1, s)
-    rows (n, m, s), values (n, m) : a state's measurements, independent and of unit noise; a
-    row of zeros measures nothing
+    rows (n, m, r), values (n, m) : measurements of a state's first r numbers, independent and
+    of unit noise; a row of zeros measures nothing
     ahead_x, means (n, s), ahead_p, covs (n, s, s) : filled with the states before and after
     their own measurements
 
@@ -106,9 +106,9 @@ def filter_chain(
         for j in range(values.shape[1]):
             row, value = rows[k, j], values[k, j]
             for i in range(len(x)):
-                shared[i] = _dot(p[i], row)
-            spread = 1.0 + _dot(shared, row)
-            missed = value - _dot(x, row)
+                shared[i] = _dot(row, p[i])
+            spread = 1.0 + _dot(row, shared)
+            missed = value - _dot(row, x)
             log -= 0.5 * (np.log(spread) + missed**2 / spread - value**2)
             for i in range(len(x)):
                 x[i] += shared[i] * (missed / spread)
