@@ -91,40 +91,30 @@ class BackgroundFlow(Stateful):
         """markers : rectangles that hold configured or other markers;  fresh : a marker was
         measured in this frame.
         """
-        if time_s - self._time_s < INTERVAL_S:
+        since = time_s - self._time_s
+        if since < INTERVAL_S:
             return
         recent = (
             self._image is not None
-            and time_s - self._time_s < 3 * INTERVAL_S
+            and since < 3 * INTERVAL_S
             and max(map(len, self._points)) >= _MIN_POINTS
         )
-        if not fresh and not recent:
-            self._image, self._time_s = None, -np.inf
-            return
         factor = max(1, luma.shape[1] // WIDTH_PX)
-        small = _reduced(luma, factor)
+        small = _reduced(luma, factor) if fresh or recent else luma
         if recent:
             self._follow(index, small, factor)
-        if not fresh:
-            self._image, self._time_s = None, -np.inf
-            return
-        if int(time_s / INTERVAL_S) % self._stride:
-            self._image, self._time_s = None, time_s
+        self._image, self._time_s = None, time_s if fresh else -np.inf
+        if not fresh or int(time_s / INTERVAL_S) % self._stride:
             return
         mask = np.full(small.shape, 255, np.uint8)
         for r in markers:
-            grown = r.pad(max(r.width, r.height) // 3)
-            part = Rect(
-                grown.x0 // factor,
-                grown.y0 // factor,
-                grown.x1 // factor + 1,
-                grown.y1 // factor + 1,
-            )
-            mask[part.clip(Rect.of(small.shape[1], small.shape[0])).slices] = 0
+            r = r.pad(max(r.width, r.height) // 3)
+            rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
+            mask[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = 0
         self._points = [
             _corners(view, POINTS, mask) for view in (small, _local_contrast(small))
         ]
-        self._image, self._index, self._time_s = small, index, time_s
+        self._image, self._index = small, index
 
     def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
         assert self._image is not None
@@ -192,26 +182,18 @@ def decide_static(
     posed = [
         s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()
     ]
-    every = [np.zeros((0, 2)), *(end for s in posed for end in (s.here, s.there))]
-    ideal = np.split(
-        camera.normalised(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1]
-    )[1:]
     rest, along, moves = [], [], []
-    for s, from_, to in zip(posed, ideal[::2], ideal[1::2], strict=True):
+    for s in posed:
+        from_, to = camera.normalised(np.stack([s.here, s.there]))
         a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
         still, way = STILL_PX * s.pixel_px, np.linalg.norm(s.there - s.here, axis=1)
-        rest.append(float((way < still).mean()))
+        rest.append((way < still).mean())
         missed = camera.fx * epipolar_distance(
             from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2])
         )
-        along.append(float((missed < 2 * still + DRIFT * way).mean()))
-        moves.append(
-            float(
-                np.linalg.norm(
-                    camera.project(b.translation_m) - camera.project(a.translation_m)
-                )
-            )
-        )
+        along.append((missed < 2 * still + DRIFT * way).mean())
+        moved = camera.project(np.stack([a.translation_m, b.translation_m]))
+        moves.append(np.linalg.norm(np.diff(moved, axis=0)))
     evidence = {
         "samples": float(len(rest)),
         "at_rest": float(np.mean(rest)) if rest else 0.0,
@@ -260,21 +242,19 @@ class RestCheck(Stateful):
 
     def step(self, time_s: float, luma: np.ndarray) -> None:
         """luma : (h, w) uint8"""
-        if time_s < self._next_s and self._first is not None and self.rests:
+        if time_s < self._next_s:
             return
         self._next_s = time_s + INTERVAL_S
-        self._factor = factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
-        small = _reduced(luma, factor)
-        if self._first is None:
-            value = small.astype(np.float32)
-            off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
-            contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
-            self._first, self._points = (
-                small,
-                _corners(small, REST_POINTS, contrast.astype(np.uint8)),
-            )
+        self._factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
+        small = _reduced(luma, self._factor)
+        if self._first is not None:
+            self._compare(small)
             return
-        self._compare(small)
+        value = small.astype(np.float32)
+        off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
+        contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
+        self._first = small
+        self._points = _corners(small, REST_POINTS, contrast.astype(np.uint8))
 
     def join(self, later: RestCheck) -> None:
         if self._first is None:
@@ -296,12 +276,8 @@ class RestCheck(Stateful):
             return
         there, good, _ = cv2.calcOpticalFlowPyrLK(self._first, small, self._points, None)  # type: ignore[call-overload]
         away = np.linalg.norm(there - self._points, axis=1)
-        away = np.where(
-            good.ravel() > 0, away, np.inf
-        )  # a corner that is lost may have left the picture
+        away[good.ravel() == 0] = np.inf  # a corner that is lost may have left the picture
         seen = away[np.isfinite(away)]
-        self.moved_px = max(
-            self.moved_px, self._factor * float(np.median(seen)) if len(seen) else 0.0
-        )
-        if (away < REST_PX).mean() < REST_FRACTION:
-            self.rests = False
+        if len(seen):
+            self.moved_px = max(self.moved_px, self._factor * float(np.median(seen)))
+        self.rests &= bool((away < REST_PX).mean() >= REST_FRACTION)
