@@ -139,7 +139,6 @@ class RealPlanes(Fold):
         if maps is None or not clip.summary["depth"]["known"]:
             return clip
         camera, sparse = self.job.camera, list[tuple[np.ndarray, Pose]]()
-        used: set[int] = set()
         for f in spread(
             [
                 f
@@ -148,15 +147,10 @@ class RealPlanes(Fold):
             ]
         ):
             depth, pose = f.real_depth, f.camera_from_world
-            if not (maps.still and depth.map in used and pose == sparse[0][1]):
-                used.add(depth.map)
-                sparse.append(
-                    (
-                        maps.load(depth.map, camera.width, camera.height)
-                        * np.float32(depth.scale),
-                        pose,
-                    )
-                )
+            if maps.still and sparse and pose == sparse[0][1]:
+                continue
+            map_ = maps.load(depth.map, camera.width, camera.height)
+            sparse.append((map_ * np.float32(depth.scale), pose))
         return replace(
             clip, real_planes=tuple(p.real_plane() for p in scene_planes(sparse, camera))
         )

@@ -225,15 +225,12 @@ def _connected(cloud: Cloud, rows: np.ndarray) -> np.ndarray:
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
-    if len(rows) < 2:
+    if not len(rows):
         return rows
-    position = np.full(len(cloud.points), -1)
-    position[rows] = np.arange(len(rows))
-    near = position[cloud.neighbours[rows]]
-    there = near >= 0
-    ends = np.append(0, there.sum(1).cumsum())
-    graph = csr_matrix((np.ones(ends[-1]), near[there], ends), (len(rows), len(rows)))
-    part = connected_components(graph, directed=False)[1]
+    count, near = cloud.neighbours.shape
+    ends = np.arange(0, count * near + 1, near)
+    graph = csr_matrix((np.ones(ends[-1]), cloud.neighbours.ravel(), ends), (count, count))
+    part = connected_components(graph[rows][:, rows], directed=False)[1]
     size = np.bincount(part)
     return np.asarray(rows[size[part] >= PART * size.max()])
 
@@ -350,10 +347,11 @@ def scene_planes(
     """
     out: list[ScenePlane] = []
     for depth, pose in maps:
-        cloud = cloud_of(depth, camera)
+        if (cloud := cloud_of(depth, camera)) is None:
+            continue
         size, world_from_camera = np.array(depth.shape[1::-1]), pose.inverse()
         margin = BORDER * size.max()
-        for found in find_planes(cloud) if cloud is not None else ():
+        for found in find_planes(cloud):
             rows = found.inliers
             at = cloud.pixels[rows]
             cosine = np.abs(cloud.rays[rows] @ found.normal)

@@ -194,17 +194,17 @@ def with_depth(
     else take them at their word
     Raises InputError for a map that cannot be read, and where no map holds a valid pixel.
     """
-    used = sorted({k for k in of_frames if k is not None})
+    frames_of: dict[int, list[int]] = {}
+    for n, k in enumerate(of_frames):
+        if k is not None:
+            frames_of.setdefault(k, []).append(n)
+    used = sorted(frames_of)
     if not used:
         raise InputError(
             f"depth {maps.path}: no map was taken near the time of any frame",
             "--set input.depth_start shifts them",
         )
     size = camera.width, camera.height
-    frames_of: dict[int, list[int]] = {}
-    for n, k in enumerate(of_frames):
-        if k is not None:
-            frames_of.setdefault(k, []).append(n)
 
     def read(number: int) -> tuple[str, np.ndarray | None, float, list[np.ndarray]]:
         """Of one map its digest, `tile_ranges` before scaling (None = nothing was
@@ -219,39 +219,34 @@ def with_depth(
         ]
         return maps.digest(number), tiles, 1 - known, ratios
 
-    readings = {}
+    readings = []
     with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
-        for done, (number, reading) in enumerate(
-            zip(used, pool.map(read, used), strict=True), 1
-        ):
-            readings[number] = reading
-            progress("depth", done, len(used))
-    if all(tiles is None for _, tiles, _, _ in readings.values()):
+        for reading in pool.map(read, used):
+            readings.append(reading)
+            progress("depth", len(readings), len(used))
+    if all(tiles is None for _, tiles, _, _ in readings):
         raise InputError(
             f"depth {maps.path} holds no valid pixel: all are 0, not finite or the largest"
             " value",
             "is it depth?",
         )
     scale = (
-        depth_scale([r for *_, ratios in readings.values() for r in ratios])
+        depth_scale([r for *_, ratios in readings for r in ratios])
         if align
         else DepthScale(True, "taken as stated")
     )
-    out, got = list(facts), 0
-    if scale.known:
-        for n, k in enumerate(of_frames):
-            if k is not None and (tiles := readings[k][1]) is not None:
-                tiles = (tiles / scale.scale).astype(np.float32)
-                out[n] = out[n].with_(
-                    real_depth=RealDepth.of(
-                        k, scale.scale, readings[k][0], tiles, scale.noise
-                    )
-                )
-                got += 1
+    out = list(facts)
+    for number, (digest, tiles, _, _) in zip(used, readings, strict=True):
+        if scale.known and tiles is not None:
+            tiles = (tiles / scale.scale).astype(np.float32)
+            depth = RealDepth.of(number, scale.scale, digest, tiles, scale.noise)
+            for n in frames_of[number]:
+                out[n] = out[n].with_(real_depth=depth)
+    got = sum(f.real_depth is not None for f in out)
     paired = (
         "one map for all" if maps.still else "order" if maps.times_s is None else "time"
     )
-    holes = float(np.mean([reading[2] for reading in readings.values()]))
+    holes = float(np.mean([reading[2] for reading in readings]))
     summary = {
         "path": str(maps.path),
         "maps": maps.count,

@@ -100,10 +100,9 @@ def with_advection(
                 carried = _sampled(detail, nodes + back - last_back, nodes)
                 seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(carried, 0, 255)
             detail = seen
-            begins = back is None or step is None or step.key
-            last_back = 0 * last_back if begins else back
-            if begins:
-                key, then = field, now
+            last_back = np.zeros(nodes.shape) if back is None else back
+            if back is None or step is None or step.key:
+                last_back, key, then = np.zeros(nodes.shape), field, now
                 if flow is not None and step is not None and not step.key:
                     # a cut that the flow did not notice: the key frame's nodes lie where
                     # this frame's flow says

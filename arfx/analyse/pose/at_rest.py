@@ -164,10 +164,16 @@ def _local_contrast(image: np.ndarray) -> np.ndarray:
     """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves
     it nearly as it was.
     """
-    value = image.astype(np.float32)
-    off = value - cv2.blur(value, (NEAR_PX, NEAR_PX))
-    size = np.sqrt(np.maximum(cv2.blur(off * off, (NEAR_PX, NEAR_PX)), 0)) + FLAT
+    off, square = _contrast(image, NEAR_PX)
+    size = np.sqrt(np.maximum(square, 0)) + FLAT
     return np.clip(128 + 48 * off / size, 0, 255).astype(np.uint8)
+
+
+def _contrast(image: np.ndarray, window_px: int) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) float32 difference to the mean of the neighbourhood; mean square of that in it."""
+    value, window = image.astype(np.float32), (window_px, window_px)
+    off = value - cv2.blur(value, window)
+    return off, cv2.blur(off * off, window)
 
 
 def decide_static(
@@ -250,11 +256,8 @@ class RestCheck(Stateful):
         if self._first is not None:
             self._compare(small)
             return
-        value = small.astype(np.float32)
-        off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
-        contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
-        self._first = small
-        self._points = _corners(small, REST_POINTS, contrast.astype(np.uint8))
+        mask = (_contrast(small, _WINDOW_PX)[1] > _NOISE**2).astype(np.uint8)
+        self._first, self._points = small, _corners(small, REST_POINTS, mask)
 
     def join(self, later: RestCheck) -> None:
         if self._first is None:

@@ -34,7 +34,6 @@ from arfx.analyse.pose.planar import (
 from arfx.analyse.pose.smooth import smooth_poses
 from arfx.analyse.pose.visibility import (
     find_cuts,
-    frame_statuses,
     opacities,
     visible_intervals,
     without_flickers,
@@ -283,7 +282,9 @@ def solve(
     path = world_path(views.frames, layout.world_from_marker, keys, shot, times)
     every = visible_intervals(path.measured, shot, times, params.max_gap_s)
     present = without_flickers(every, path.measured, shot)
-    status = frame_statuses(path.measured, present)
+    opacity = opacities(present, shot)
+    told = np.where(path.measured, MEASURED, INTERPOLATED)
+    status = np.where(opacity > 0, told, ABSENT).tolist()
     rotation, translation = path.rotation.copy(), path.translation.copy()
     covariance = np.zeros((len(records), 6, 6))
     density = []
@@ -298,15 +299,10 @@ def solve(
                 rotation[k], translation[k] = pose.rotation, pose.translation_m
         part = path.observed.take(at)
         if params.smoothing > 0 and len(at) > 1:
-            s = smooth_poses(
+            rotation[at], translation[at], covariance[at], noise = smooth_poses(
                 rotation[at], translation[at], part, times[at], params.smoothing
             )
-            rotation[at], translation[at], covariance[at] = (
-                s.rotation,
-                s.translation_m,
-                s.covariance,
-            )
-            density.append(s.density)
+            density.append(noise.tolist())
         else:
             info = information(rotation[at], translation[at], part)
             covariance[at] = np.linalg.pinv(info, hermitian=True)
@@ -322,7 +318,6 @@ def solve(
     seen, on = path.observed, path.measured
     raw_px = rms_px(residuals(path.rotation, path.translation, seen), seen.weight)
     smooth_px = rms_px(residuals(rotation, translation, seen), seen.weight)
-    opacity = opacities(present, shot).tolist()
     facts = []
     for k, r in enumerate(records):
         here = status[k] != ABSENT
@@ -338,7 +333,7 @@ def solve(
                 raw,
                 covariance[k] if here else None,
                 float(smooth_px[k]) if on[k] else None,
-                opacity[k],
+                float(opacity[k]),
                 tuple(
                     _with_choice(m, layout.world_from_marker, raw)
                     for m in views.sightings[k]
@@ -351,7 +346,7 @@ def solve(
     d = np.sqrt(
         np.maximum(np.einsum("nii->ni", info), 1e-30)
     )  # each parameter in units of its own precision
-    size = np.linalg.svd(info / d[:, :, None] / d[:, None], compute_uv=False)
+    condition = np.linalg.cond(info / d[:, :, None] / d[:, None])
     static, evidence = params.static, dict[str, float]()
     if static == "auto":
         poses = {
@@ -372,14 +367,14 @@ def solve(
         facts,
         keys,
         reprojection_px={"raw": raw_errors, "smoothed": _quantiles(smooth_px[on])},
-        pose_condition=_quantiles(divide(size[:, 0], size[:, -1], where_zero=np.inf)),
+        pose_condition=_quantiles(condition),
         flips_resolved=path.flips,
         sigma_factor=views.sigma_factor,
         duplicates=len(again),
         dropped=path.dropped,
         static_evidence=evidence,
         map=placed,
-        motion_noise=[d.tolist() for d in density],
+        motion_noise=density,
     )
     misfit, usual = (
         raw_errors["median"] or 0.0,
@@ -429,6 +424,7 @@ def figures(
     keys : of the markers
     """
     count = Counter(f.status for f in facts)
+    seen = Counter(m.key for f in facts for m in f.markers)
     ratios = _ambiguities(facts)
     return {
         "frames": len(facts),
@@ -444,9 +440,7 @@ def figures(
         "sigma_px": _quantiles([m.sigma_px for f in facts for m in f.markers]),
         "ambiguity_ratio": _quantiles(ratios),
         "ambiguous_sightings": int((ratios < 4.0).sum()),
-        "markers_seen": {
-            k: sum(any(m.key == k for m in f.markers) for f in facts) for k in keys
-        },
+        "markers_seen": {k: seen[k] for k in keys},
         "rivals": 0,
         "dropped": 0,
         "map": {"given": True, "frames": 0, "unmapped": []},

@@ -64,16 +64,11 @@ class MarkerMap:
 
 
 def map_markers(frames: Sequence[Sequence[View]], keys: Sequence[str]) -> MarkerMap:
-    """frames : the markers of each frame (ones without solutions are ignored);  keys :
-    configured order.
-    """
-    usable = [[v for v in views if v.solutions] for views in frames]
-    present = [k for k in keys if any(v.key == k for views in usable for v in views)]
+    """frames : the markers of each frame;  keys : configured order."""
+    present = [k for k in keys if any(v.key == k for views in frames for v in views)]
     if not present:
         return MarkerMap({})
-    together = [
-        {v.key: v for v in views} for views in usable if len({v.key for v in views}) > 1
-    ]
+    together = [f for f in ({v.key: v for v in views} for views in frames) if len(f) > 1]
     start = _spanning_tree(together, present)
     unmapped = tuple(k for k in present if k not in start)
     if len(start) == 1:
@@ -173,7 +168,7 @@ def _adjust(
         seen = seen._replace(points_m=np.broadcast_to(world, seen.points_m.shape))
         r = residuals(rotation, translation, seen)
         rho, factor = huber_cost(r, seen.weight)
-        before, cost = cost, rho.sum()
+        before, cost = cost, float(rho.sum())
         if abs(before - cost) < 1e-10 * (1 + cost):
             break
         root = np.sqrt(seen.weight * factor)[..., None]
@@ -200,13 +195,9 @@ def _adjust(
     rms = float(np.sqrt(np.mean(rms_px(r, seen.weight) ** 2)))
     # a centre moves by rotation x centre + translation of the left perturbation
     lever = np.concatenate([-skew(map_t), np.tile(np.eye(3), (m, 1, 1))], 2)
-    covariance = np.linalg.pinv(reduced)
-    spread = {keys[0]: 0.0}
-    for i, key in enumerate(keys[1:]):
-        block = covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]
-        spread[key] = float(
-            np.sqrt(max(np.trace(lever[i + 1] @ block @ lever[i + 1].T), 0.0))
-        )
+    covariance = np.linalg.pinv(reduced).reshape(m - 1, 6, m - 1, 6)
+    square = np.einsum("iaj,ijik,iak->i", lever[1:], covariance, lever[1:])
+    spread = dict(zip(keys, [0.0, *np.sqrt(np.maximum(square, 0)).tolist()], strict=True))
     poses = {k: Pose(map_r[i], map_t[i]) for i, k in enumerate(keys)}
     return MarkerMap(poses, unmapped, n, rms, spread, condition(reduced))
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -135,26 +136,16 @@ def _evidence(chain: Chain, trial: np.ndarray) -> float:
     return evidence(chain, np.broadcast_to(trial[GROUP], (len(chain.dt_s), AXES)))
 
 
-@dataclass(frozen=True)
-class Smoothed:
-    """rotation (n, 3, 3), translation_m (n, 3), covariance (n, 6, 6) of the left
-    perturbation [rad, m] in the camera frame; density (5,) learned noise, median over the
-    shot, of GROUPS."""
-
-    rotation: np.ndarray
-    translation_m: np.ndarray
-    covariance: np.ndarray
-    density: np.ndarray
-
-
 def smooth_poses(
     rotation: np.ndarray,
     translation: np.ndarray,
     seen: Observed,
     times_s: np.ndarray,
     strength: float = 1.0,
-) -> Smoothed:
-    """Smooth n frames of one shot.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth n frames of one shot: rotation (n, 3, 3), translation (n, 3), covariance
+    (n, 6, 6) of the left perturbation [rad, m] in the camera frame, and the learned noise
+    (5,) by group, median over the shot.
 
     rotation, translation : start, also in frames without corners (any sensible in-between)
     seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on
@@ -185,23 +176,48 @@ def smooth_poses(
     to_left = _to_left(_position(path.rotation, path.translation, centre)[0])
     covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
     middle = np.median(density[:, _FIRST], axis=0)
-    return Smoothed(path.rotation, path.translation, covariance, middle)
+    return path.rotation, path.translation, covariance, middle
 
 
+@dataclass
 class _Path:
-    """Poses, and the problem linearised at them."""
+    """Poses of frames that are dt (n - 1,) s apart, and the problem linearised at them."""
 
-    def __init__(
-        self,
-        rotation: np.ndarray,
-        translation: np.ndarray,
-        seen: Observed,
-        dt: np.ndarray,
-        centre: np.ndarray,
-    ) -> None:
-        self.rotation, self.translation = rotation, translation
-        self.seen, self.dt, self.centre = seen, dt, centre
-        self.chain = _chain(rotation, translation, seen, centre, dt)
+    rotation: np.ndarray
+    translation: np.ndarray
+    seen: Observed
+    dt: np.ndarray
+    centre: np.ndarray
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The corners, linearised here (QR); and constant velocity between frames:
+        Log(R_k+1 R_k^T) and the place's difference, minus dt times the velocity.
+        """
+        rotation, translation, seen, dt = (
+            self.rotation,
+            self.translation,
+            self.seen,
+            self.dt,
+        )
+        p, position = _position(rotation, translation, self.centre)
+        r = residuals(rotation, translation, seen)
+        _, factor = huber_cost(r, seen.weight)
+        root = np.sqrt(seen.weight * factor)[..., None]
+        j = jacobian(rotation, translation, seen) @ _to_left(p)[:, None]
+        own, rows = np.linalg.qr((j * root[..., None]).reshape(len(p), -1, 6))
+        values = -np.einsum("nki,nk->ni", own, (r * root).reshape(len(p), -1))
+        turn = rotvec_from_rotation(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
+        bend = (
+            skew(turn) / 2
+        )  # inverse Jacobians of SO(3), left and right, to second order in the turn between frames
+        after = np.tile(np.eye(12), (len(dt), 1, 1))
+        before = -after - dt[:, None, None] * np.eye(12, k=6)
+        after[:, :3, :3] -= bend
+        before[:, :3, :3] -= bend
+        offset = np.hstack([turn, np.diff(position, axis=0), np.zeros((len(dt), 6))])
+        shake = _shake((position[1:] + position[:-1]) / 2)
+        return linked(rows, values, before, after, offset, dt, shake)
 
     def iterated(self, density: np.ndarray, passes: int) -> _Path:
         """Smoothed and linearised anew, up to `passes` times."""
@@ -270,36 +286,6 @@ def _apply_step(
     p = np.stack([position[:, 0] * z, position[:, 1] * z, z], -1)
     turned = rotation_from_rotvec(step[:, :3]) @ rotation
     return turned, p - turned @ centre
-
-
-def _chain(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    seen: Observed,
-    centre: np.ndarray,
-    dt: np.ndarray,
-) -> Chain:
-    """The corners, linearised here (QR); and constant velocity between frames:
-    Log(R_k+1 R_k^T) and the place's difference, minus dt times the velocity.
-    """
-    p, position = _position(rotation, translation, centre)
-    r = residuals(rotation, translation, seen)
-    _, factor = huber_cost(r, seen.weight)
-    root = np.sqrt(seen.weight * factor)[..., None]
-    j = jacobian(rotation, translation, seen) @ _to_left(p)[:, None]
-    own, rows = np.linalg.qr((j * root[..., None]).reshape(len(p), -1, 6))
-    values = -np.einsum("nki,nk->ni", own, (r * root).reshape(len(p), -1))
-    turn = rotvec_from_rotation(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
-    bend = (
-        skew(turn) / 2
-    )  # inverse Jacobians of SO(3), left and right, to second order in the turn between frames
-    after = np.tile(np.eye(12), (len(dt), 1, 1))
-    before = -after - dt[:, None, None] * np.eye(12, k=6)
-    after[:, :3, :3] -= bend
-    before[:, :3, :3] -= bend
-    offset = np.hstack([turn, np.diff(position, axis=0), np.zeros((len(dt), 6))])
-    shake = _shake((position[1:] + position[:-1]) / 2)
-    return linked(rows, values, before, after, offset, dt, shake)
 
 
 def _shake(position: np.ndarray) -> np.ndarray:

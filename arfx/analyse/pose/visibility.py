@@ -14,7 +14,7 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, Fold, Stateful
 from arfx.core.camera import Camera
-from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
+from arfx.core.facts import FrameFacts
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -60,16 +60,6 @@ def without_flickers(
         if not (a > 0 and b < n and shot[a - 1] == shot[a] and shot[b] == shot[b - 1])
         or measured[a:b].sum() >= MIN_FRAMES
     ]
-
-
-def frame_statuses(measured: np.ndarray, present: Sequence[tuple[int, int]]) -> list[str]:
-    """Status of every frame."""
-    out = [ABSENT] * len(measured)
-    for first, end in present:
-        out[first:end] = [
-            MEASURED if measured[k] else INTERPOLATED for k in range(first, end)
-        ]
-    return out
 
 
 def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray) -> np.ndarray:
@@ -213,9 +203,11 @@ def jitter_px(
     both exist, with a marker that is in all three, and evenly spaced (to 20 %)."""
     position = {}
     for f in facts:
-        both = f.camera_from_world, f.raw_camera_from_world
-        if None not in both:
-            position[f.index] = camera.project(both[raw].apply(points_m))
+        smoothed, single = f.camera_from_world, f.raw_camera_from_world
+        if smoothed is not None and single is not None:
+            position[f.index] = camera.project(
+                (single if raw else smoothed).apply(points_m)
+            )
     moved, relative = np.full((2, len(facts)), np.nan)
     for k, three in enumerate(zip(facts, facts[1:], facts[2:], strict=False), 1):
         a, b, c = three

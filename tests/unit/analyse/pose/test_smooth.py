@@ -186,7 +186,7 @@ def test_rest_is_smoothed_as_rest_in_a_clip_that_also_moves() -> None:
 
 
 def test_links_between_turned_frames_are_the_derivative() -> None:
-    from arfx.analyse.pose.smooth import _apply_step, _chain
+    from arfx.analyse.pose.smooth import _apply_step, _Path
 
     poses = [
         tilted([0.2, 0.1, 0], [0.1, 0, 1.0]),
@@ -203,12 +203,12 @@ def test_links_between_turned_frames_are_the_derivative() -> None:
     blank = [np.zeros((2, 4, *shape)) for shape in ((3,), (2,), (2, 2), ())]
 
     def shift(r: np.ndarray, t: np.ndarray) -> np.ndarray:
-        here = _chain(r, t, Observed(*blank), centre, dt)
+        here = _Path(r, t, Observed(*blank), dt, centre).chain
         return -(np.linalg.inv(here.gate[0]) @ here.shift[0])[
             :6
         ]  # Log of the turn and the change of place
 
-    before = _chain(rotation, translation, Observed(*blank), centre, dt)
+    before = _Path(rotation, translation, Observed(*blank), dt, centre).chain
     after_inverse = np.linalg.inv(before.gate[0])
     back = -after_inverse @ before.move[0]
     predicted = (
