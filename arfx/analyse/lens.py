@@ -98,18 +98,14 @@ def _deviation(
         (slope * window * middle).sum(1), (slope * window).sum(1), where_zero=np.nan
     )
     ok = np.isfinite(centre) & (np.abs(centre) < half / 2)
-    if ok.sum() < len(where) // 2:
-        return np.nan
-    curve = np.polyfit(where[ok], centre[ok], 2)
-    off = np.abs(np.polyval(curve, where) - centre)
-    ok &= off <= max(3 * float(np.median(off[ok])), 0.1)
-    if ok.sum() < len(where) // 2:
-        return np.nan
-    shift = np.polyval(np.polyfit(where[ok], centre[ok], 2), where[ok])
-    mean = np.mean(
-        [np.interp(middle, middle - s, g) for s, g in zip(shift, slope[ok], strict=True)],
-        axis=0,
-    )
+    for _ in range(2):
+        if ok.sum() < len(where) // 2:
+            return np.nan
+        edge, shift = ok, np.polyval(np.polyfit(where[ok], centre[ok], 2), where)
+        off = np.abs(shift - centre)
+        ok = ok & (off <= max(3 * float(np.median(off[ok])), 0.1))
+    aligned = zip(shift[edge], slope[edge], strict=True)
+    mean = np.mean([np.interp(middle, middle - s, g) for s, g in aligned], axis=0)
     s = half / 4
     for _ in range(_ROUNDS):
         w = min(max(_WINDOWS * s, 1.0), half / 2)

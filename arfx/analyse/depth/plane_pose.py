@@ -77,13 +77,11 @@ class PlanePose(Fold):
             for k, p in zip(numbers, poses, strict=True)
             if k is not None and p is not None
         ]
-        both = [(k, pose) for k, pose, taken in known if taken] or [
-            (k, pose) for k, pose, _ in known
-        ]
+        both = [p for p in known if p[2]] or known
         if maps.still and given is None:
             both = both[:1]
         planes = scene_planes(
-            [(maps.load(k, camera.width, camera.height), p) for k, p in spread(both)],
+            [(maps.load(k, camera.width, camera.height), p) for k, p, _ in spread(both)],
             camera,
         )
         level = facing_up(planes, [p[0] for p in poses if p is not None])

@@ -5,7 +5,7 @@ Source: docs/methods/calibration.md#depth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Analysis, Fold, Maps
+from arfx.analyse.fold import Analysis, AnalysisJob, Fold, Maps
 from arfx.core.camera import Camera
 from arfx.core.codec import Document
 from arfx.core.facts import MEASURED, FrameFacts
@@ -60,24 +60,10 @@ class Depth(Fold):
     needs = ("pose",)
 
     def finish(self, clip: Analysis) -> Analysis:
-        job = self.job
-        if job.depth is None:
+        maps = self.job.depth
+        if maps is None:
             return clip
-        of_frames = job.depth.of_frames(*clip.frame_span)
-        facts, about = with_depth(
-            clip.facts,
-            job.depth,
-            of_frames,
-            clip.world_from_marker,
-            job.camera,
-            job.align,
-            job.progress,
-        )
-        return clip.adding(
-            facts,
-            None if about["known"] else f"the real depth is not used: {about['reason']}",
-            depth=about,
-        )
+        return with_depth(clip, self.job, maps, maps.of_frames(*clip.frame_span))
 
     @staticmethod
     def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
@@ -180,18 +166,11 @@ def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
 
 
 def with_depth(
-    facts: Sequence[FrameFacts],
-    maps: Maps,
-    of_frames: Sequence[int | None],
-    world_from_marker: Mapping[str, Pose],
-    camera: Camera,
-    align: bool,
-    progress: Callable[[str, int, int | None], None],
-) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
+    clip: Analysis, job: AnalysisJob, maps: Maps, of_frames: Sequence[int | None]
+) -> Analysis:
     """The facts with `real_depth`, and a summary for the report.
 
-    of_frames : number of each frame's map;  align : scale the maps to the markers' planes,
-    else take them at their word
+    of_frames : number of each frame's map
     Raises InputError for a map that cannot be read, and where no map holds a valid pixel.
     """
     frames_of: dict[int, list[int]] = {}
@@ -204,6 +183,7 @@ def with_depth(
             f"depth {maps.path}: no map was taken near the time of any frame",
             "--set input.depth_start shifts them",
         )
+    facts, camera = clip.facts, job.camera
     size = camera.width, camera.height
 
     def read(number: int) -> tuple[str, np.ndarray | None, float, list[np.ndarray]]:
@@ -214,7 +194,7 @@ def with_depth(
         known = float((depth > 0).mean())
         tiles = tile_ranges(depth, size) if known > 0 else None
         ratios = [
-            print_ratios(depth, facts[n], world_from_marker, camera)
+            print_ratios(depth, facts[n], clip.world_from_marker, camera)
             for n in frames_of[number]
         ]
         return maps.digest(number), tiles, 1 - known, ratios
@@ -223,7 +203,7 @@ def with_depth(
     with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
         for reading in pool.map(read, used):
             readings.append(reading)
-            progress("depth", len(readings), len(used))
+            job.progress("depth", len(readings), len(used))
     if all(tiles is None for _, tiles, _, _ in readings):
         raise InputError(
             f"depth {maps.path} holds no valid pixel: all are 0, not finite or the largest"
@@ -232,7 +212,7 @@ def with_depth(
         )
     scale = (
         depth_scale([r for *_, ratios in readings for r in ratios])
-        if align
+        if job.align
         else DepthScale(True, "taken as stated")
     )
     out = list(facts)
@@ -256,4 +236,5 @@ def with_depth(
         "holes": holes,
         **scale.to_json(),
     }
-    return tuple(out), summary
+    notice = None if scale.known else f"the real depth is not used: {scale.reason}"
+    return clip.adding(out, notice, depth=summary)

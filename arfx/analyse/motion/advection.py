@@ -155,7 +155,7 @@ def _with_pose(
     camera_from_anchor"""
     anchor_from_camera = now.inverse()
     eye, d = anchor_from_camera.translation_m, rays @ anchor_from_camera.rotation.T
-    far = divide(np.full(d.shape[:-1], -eye[2]), d[..., 2], where_zero=np.nan)
+    far = divide(-eye[2], d[..., 2], where_zero=np.nan)
     on_plane = eye + d * np.where(far > 0, far, np.nan)[..., None]
     distance = np.linalg.norm(on_plane[..., :2], axis=-1)[..., None]
     step = camera.project(then.apply(on_plane)) - nodes

@@ -188,22 +188,22 @@ def decide_static(
     posed = [
         s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()
     ]
-    rest, along, moves = [], [], []
+    told = []
     for s in posed:
         from_, to = camera.normalised(np.stack([s.here, s.there]))
         a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
         still, way = STILL_PX * s.pixel_px, np.linalg.norm(s.there - s.here, axis=1)
-        rest.append((way < still).mean())
         missed = camera.fx * epipolar_distance(
             from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2])
         )
-        along.append((missed < 2 * still + DRIFT * way).mean())
+        along = (missed < 2 * still + DRIFT * way).mean()
         moved = camera.project(np.stack([a.translation_m, b.translation_m]))
-        moves.append(np.linalg.norm(np.diff(moved, axis=0)))
+        told.append(((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0))))
+    rest, along, moves = np.array(told).reshape(-1, 3).T
     evidence = {
-        "samples": float(len(rest)),
-        "at_rest": float(np.mean(rest)) if rest else 0.0,
-        "with_marker": float(np.mean(along)) if along else 0.0,
+        "samples": float(len(told)),
+        "at_rest": float(rest.mean()) if told else 0.0,
+        "with_marker": float(along.mean()) if told else 0.0,
         "marker_moves_px": float(np.nanmedian(moves)) if np.isfinite(moves).any() else 0.0,
     }
     otherwise = "marker" if evidence["with_marker"] > 0.6 else "both"
@@ -239,9 +239,8 @@ class RestCheck(Stateful):
     carried = frozenset({"_next_s"})
 
     def __init__(self) -> None:
-        self._first: np.ndarray | None = None
-        self._points = np.zeros((0, 2), np.float32)
-        self._factor = 1  # clip px in one of the reduced picture
+        # reduced, its corners, and clip px in one of its own
+        self._first: tuple[np.ndarray, np.ndarray, int] | None = None
         self._next_s = -np.inf
         self.rests = True
         self.moved_px = 0.0
@@ -251,36 +250,33 @@ class RestCheck(Stateful):
         if time_s < self._next_s:
             return
         self._next_s = time_s + INTERVAL_S
-        self._factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
-        small = _reduced(luma, self._factor)
+        factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
+        small = _reduced(luma, factor)
         if self._first is not None:
-            self._compare(small)
+            self._compare(small, *self._first)
             return
         mask = (_contrast(small, _WINDOW_PX)[1] > _NOISE**2).astype(np.uint8)
-        self._first, self._points = small, _corners(small, REST_POINTS, mask)
+        self._first = small, _corners(small, REST_POINTS, mask), factor
 
     def join(self, later: RestCheck) -> None:
         if self._first is None:
-            self._first, self._points, self._factor = (
-                later._first,
-                later._points,
-                later._factor,
-            )
+            self._first = later._first
         elif later._first is not None and self.rests:
-            self._compare(later._first)
+            self._compare(later._first[0], *self._first)
         self.moved_px = max(self.moved_px, later.moved_px)
         self.rests &= later.rests
 
-    def _compare(self, small: np.ndarray) -> None:
-        assert self._first is not None
+    def _compare(
+        self, small: np.ndarray, first: np.ndarray, points: np.ndarray, factor: int
+    ) -> None:
         if (
-            len(self._points) < _LEAST_POINTS
+            len(points) < _LEAST_POINTS
         ):  # nothing to see: nothing that could tell of a motion
             return
-        there, good, _ = cv2.calcOpticalFlowPyrLK(self._first, small, self._points, None)  # type: ignore[call-overload]
-        away = np.linalg.norm(there - self._points, axis=1)
+        there, good, _ = cv2.calcOpticalFlowPyrLK(first, small, points, None)  # type: ignore[call-overload]
+        away = np.linalg.norm(there - points, axis=1)
         away[good.ravel() == 0] = np.inf  # a corner that is lost may have left the picture
         seen = away[np.isfinite(away)]
         if len(seen):
-            self.moved_px = max(self.moved_px, self._factor * float(np.median(seen)))
+            self.moved_px = max(self.moved_px, factor * float(np.median(seen)))
         self.rests &= bool((away < REST_PX).mean() >= REST_FRACTION)

@@ -199,10 +199,7 @@ class Views:
         shared = shared_px(corners, blur, cells)
         rough = np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)
         candidates = hypotheses(points, ideal, scale, rough)
-        best = np.array(
-            [bool(c) and s < 1.0 for c, s in zip(candidates, sigma, strict=True)]
-        )
-        told = np.flatnonzero(best)
+        told = np.array([i for i, c in enumerate(candidates) if c and sigma[i] < 1.0], int)
         poses = stack([candidates[i][0].camera_from_marker for i in told])
         every = Observed(points, ideal, scale, np.ones((len(seen), 4)))
         keys = np.array([s.key for _, s in seen])

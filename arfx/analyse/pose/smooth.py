@@ -57,19 +57,10 @@ _UNSURE_RAD = (
 )
 
 
-def learn_density(chain: Chain, density: np.ndarray | None, local: bool) -> np.ndarray:
-    """(n - 1, AXES) densities.
-
-    density : what was learned for the shot, None at first;  local : also let it change with
-    time"""
+def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
+    """(n - 1, AXES) densities: those of the shot (groups,), and how they change with time."""
     n = len(chain.rows)
-    if n < 3:
-        return np.full((n - 1, AXES), 1e-2)
-    if density is None:
-        shot = _density_of_shot(chain)
-    else:
-        shot = np.exp(np.median(np.log(density[:, _FIRST]), axis=0))
-    if not local or n <= _WINDOW + _CONTEXT:
+    if n <= _WINDOW + _CONTEXT:
         return np.tile(shot[GROUP], (n - 1, 1))
     centres = np.unique(
         np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW)))
@@ -82,7 +73,7 @@ def learn_density(chain: Chain, density: np.ndarray | None, local: bool) -> np.n
         def total(trial: np.ndarray) -> float:
             return _evidence(part, trial) - _HOLD * np.abs(np.log10(trial / shot)).sum()
 
-        return _ascend(total, shot, range(SHAKE + int(shot[SHAKE] > LEAST)), _FAR)[1]
+        return _ascend(total, shot, range(SHAKE + 1), _FAR)[1]
 
     values = np.log(parallel_map(of_window, centres.tolist()))
     at = np.arange(n - 1) + 0.5
@@ -111,6 +102,8 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     and of a camera that shakes.
     """
     n = len(chain.rows)
+    if n < 3:
+        return np.full(SHAKE + 1, 1e-2)
     blocks = [chain]
     if n > _BLOCK * _BLOCKS:
         starts = np.linspace(0, n - _BLOCK, _BLOCKS).astype(int).tolist()
@@ -161,13 +154,13 @@ def smooth_poses(
     # path finds the one between.
     attempts = []
     for stiff in (False, True) if raw.typical_turn_error() > _UNSURE_RAD else (False,):
-        path, density = raw, None
+        path = raw
         if stiff:
             path = path.iterated(np.broadcast_to(_STIFF, (len(dt), AXES)), 2 * PASSES)
-        for local in (False, True):
-            density = learn_density(path.chain, density, local)
-            path = path.iterated(density, PASSES)
-        assert density is not None
+        shot = _density_of_shot(path.chain)
+        path = path.iterated(np.tile(shot[GROUP], (len(dt), 1)), PASSES)
+        density = _density_over_time(path.chain, shot)
+        path = path.iterated(density, PASSES)
         attempts.append((path.likelihood(density), path, density))
     _, path, density = max(attempts, key=lambda a: a[0])
     density = np.clip(density / max(strength**3, 1e-200), LEAST, MOST)

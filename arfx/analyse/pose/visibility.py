@@ -149,10 +149,12 @@ def find_cuts(
         # such a frame
         if any(before_last[i] < DISSIMILAR / 2 for i in (k, k + 1) if 2 <= i < n):
             continue
-        near = [before[i] for i in range(max(1, k - 4), min(n, k + 5)) if i != k]
+        near, beside = (
+            [before[i] for i in range(max(1, k - reach), min(n, k + reach + 1)) if i != k]
+            for reach in (4, 1)
+        )
         if near and before[k] < _STANDS_OUT * float(np.median(near)):
             continue
-        beside = [before[i] for i in (k - 1, k + 1) if 1 <= i < n]
         if beside and min(beside) > _CALM * before[k]:
             continue  # the midst of a quick move
         cuts.append(k)
