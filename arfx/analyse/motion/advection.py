@@ -78,8 +78,7 @@ def with_advection(
     number, key, then = 0, nodes, None
     detail, last_back = np.zeros((*nodes.shape[:2], 1)), np.zeros(nodes.shape)
     last: FrameFacts | None = None
-    fields: list[AdvectionField] = []
-    of_frame = []
+    out = []
     for f in facts:
         step = by_index.get(f.index)
         cut = last is not None and f.shot != last.shot
@@ -109,20 +108,18 @@ def with_advection(
                     key, then = _sampled(field, nodes - flow, nodes), None
             x, y = nodes[0, 0].astype(int).tolist()
             rows, columns, _ = nodes.shape
-            fields.append(
-                AdvectionField(
-                    number,
-                    GRID_PX,
-                    (x, y),
-                    (rows, columns),
-                    pack_positions(*np.moveaxis(field, -1, 0)),
-                    pack_detail(detail[..., 0]),
-                    pose,
-                )
+            made = AdvectionField(
+                number,
+                GRID_PX,
+                (x, y),
+                (rows, columns),
+                pack_positions(*np.moveaxis(field, -1, 0)),
+                pack_detail(detail[..., 0]),
+                pose,
             )
         last = f
-        of_frame.append(len(fields) - 1)
-    return tuple(f.with_(advection=fields[k]) for f, k in zip(facts, of_frame, strict=True))
+        out.append(f.with_(advection=made))
+    return tuple(out)
 
 
 def _sampled(a: np.ndarray, places: np.ndarray, nodes: np.ndarray) -> np.ndarray:

@@ -117,23 +117,18 @@ class BackgroundMotion(Stateful):
         )
         self.size = (w, h)
         found = None if self._reference is None else _back(small, self._reference, w, h)
-        if found is None:
-            self._reference, self._last = small, 0.0
-            self.steps.append(MotionStep(index, None, True, _detail(small, w, h)))
-            return
-        back, agreed = found
-        back = np.round(back * STEPS_PER_PX) / STEPS_PER_PX
-        inside = (slice(BORDER, -BORDER),) * 2
-        moved = np.linalg.norm((back - self._last)[inside], axis=-1)
-        if float(np.quantile(moved, 0.9)) <= HOLD_PX and not last:
-            return
-        far = (
-            last
-            or float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_FRACTION * w
-            or agreed < _CHANGED
-        )
+        back, far = None, True
+        if found is not None:
+            back, agreed = found
+            back = np.round(back * STEPS_PER_PX) / STEPS_PER_PX
+            inside = (slice(BORDER, -BORDER),) * 2
+            moved = np.linalg.norm((back - self._last)[inside], axis=-1)
+            if float(np.quantile(moved, 0.9)) <= HOLD_PX and not last:
+                return
+            way = float(np.median(np.linalg.norm(back[inside], axis=-1)))
+            far = last or way > KEY_FRACTION * w or agreed < _CHANGED
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
-        self._last = 0.0 if far else back
+        self._last = 0.0 if far or back is None else back
         if far:
             self._reference = small
 

@@ -68,7 +68,7 @@ def linked(
 def smooth_chain(chain: Chain, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean (n, 12) and covariance (n, 12, 12) of every state given all measurements.
 
-    density : (n - 1, 7)
+    density : (n - 1, 7), or (7,) for all links
     """
     _, ahead_x, ahead_p, means, covs = _filter(chain, density)
     # gain^T = ahead^-1 move p, each axis scaled to its own size first
@@ -86,7 +86,7 @@ def smooth_chain(chain: Chain, density: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def evidence(chain: Chain, density: np.ndarray) -> float:
-    """Log evidence, up to a constant, of noise densities (n - 1, 7)."""
+    """Log evidence, up to a constant, of noise densities, as of smooth_chain."""
     return _filter(chain, density)[0]
 
 
@@ -97,7 +97,7 @@ def _filter(
 
     The noise is white acceleration over each link."""
     dt = chain.dt_s[:, None, None]
-    white = density[:, :6, None] * np.eye(6) + density[:, 6, None, None] * chain.shake
+    white = density[..., :6, None] * np.eye(6) + density[..., 6, None, None] * chain.shake
     gate = chain.gate[:, :6, :6]
     place = gate @ white
     both = place * dt**2 / 2

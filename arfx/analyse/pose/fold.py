@@ -207,6 +207,7 @@ class Views:
             residuals(*poses, every.take(told)), sigma[told], frame[told], keys[told]
         )
         px = np.hypot(np.maximum(sigma * self.sigma_factor, _LEAST_SIGMA_PX), shared)
+        every = every._replace(weight=np.repeat(px[:, None] ** -2.0, 4, 1))
         self.common_px = np.full(len(records), _COMMON_PX)
         np.maximum.at(self.common_px, frame, shared)
         untold = AGREE_CELLS * np.array([s.side_px for _, s in seen]) / cells
@@ -223,8 +224,7 @@ class Views:
         for i, (k, s) in enumerate(seen):
             solutions = tuple(h.camera_from_marker for h in candidates[i])
             if solutions:
-                view = View(s.key, points[i], ideal[i], scale[i], px[i], solutions)
-                self.frames[k].append(view)
+                self.frames[k].append(View(s.key, every.take(i), solutions))
             self.sightings[k].append(
                 MarkerSighting(
                     s.key, s.corners_px, float(px[i]), candidates[i], 0, s.inverted

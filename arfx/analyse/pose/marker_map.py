@@ -36,14 +36,11 @@ T = TypeVar("T")
 class View:
     """One marker in one frame, as the mapping needs it.
 
-    solutions : its planar poses, best first.
+    seen : without the axis of frames;  solutions : its planar poses, best first.
     """
 
     key: str
-    corners_m: np.ndarray
-    ideal: np.ndarray
-    px_per_ideal: np.ndarray
-    sigma_px: float
+    seen: Observed
     solutions: tuple[Pose, ...]
 
 
@@ -149,7 +146,7 @@ def _adjust(
 
     keys = list(start)
     n, m = len(frames), len(keys)
-    corners_m = {v.key: v.corners_m for views in frames for v in views}
+    corners_m = {v.key: v.seen.points_m for views in frames for v in views}
     local = np.stack([corners_m.get(k, np.zeros((4, 3))) for k in keys])
     seen = observe(frames, start, keys)
     first = []
@@ -214,7 +211,7 @@ def observe(
         for v in views:
             if v.key in keys:
                 at = k, keys.index(v.key)
-                out.points_m[at] = world_from_marker[v.key].apply(v.corners_m)
-                out.ideal[at], out.px_per_ideal[at] = v.ideal, v.px_per_ideal
-                out.weight[at] = v.sigma_px**-2.0
+                for whole, one in zip(out, v.seen, strict=True):
+                    whole[at] = one
+                out.points_m[at] = world_from_marker[v.key].apply(v.seen.points_m)
     return Observed(*(a.reshape(n, 4 * m, *a.shape[3:]) for a in out))

@@ -141,7 +141,7 @@ def world_path(
 
 
 def _extent(v: View) -> float:
-    return float(np.ptp(v.ideal[:, 0]) * np.ptp(v.ideal[:, 1]))
+    return float(np.ptp(v.seen.ideal, 0).prod())
 
 
 def _misses(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:

@@ -37,7 +37,7 @@ class Observed(NamedTuple):
     px_per_ideal: np.ndarray
     weight: np.ndarray
 
-    def take(self, index: np.ndarray) -> Observed:
+    def take(self, index: np.ndarray | int) -> Observed:
         return Observed(*(a[index] for a in self))
 
 

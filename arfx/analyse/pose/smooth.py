@@ -25,7 +25,6 @@ from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 # which turns the marker and moves it sideways at once. And of each group its first axis.
 GROUP, _FIRST = [0, 0, 1, 2, 2, 3, 4], [0, 2, 3, 5, 6]
 TURN, ROLL, SIDEWAYS, DISTANCE, SHAKE = range(5)
-AXES = 7
 # (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4
 # turns a frame by 20 degrees.
 LEAST, MOST = 1e-12, 1e4
@@ -58,10 +57,10 @@ _UNSURE_RAD = (
 
 
 def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
-    """(n - 1, AXES) densities: those of the shot (groups,), and how they change with time."""
+    """(1 or n - 1, 7) densities: those of the shot (groups,), and how they change with time."""
     n = len(chain.rows)
     if n <= _WINDOW + _CONTEXT:
-        return np.tile(shot[GROUP], (n - 1, 1))
+        return shot[None, GROUP]
     centres = np.unique(
         np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW)))
     )
@@ -71,7 +70,9 @@ def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
         part = chain.part(max(0, int(centre - reach)), int(centre + reach) + 1)
 
         def total(trial: np.ndarray) -> float:
-            return _evidence(part, trial) - _HOLD * np.abs(np.log10(trial / shot)).sum()
+            return (
+                evidence(part, trial[GROUP]) - _HOLD * np.abs(np.log10(trial / shot)).sum()
+            )
 
         return _ascend(total, shot, range(SHAKE + 1), _FAR)[1]
 
@@ -110,7 +111,7 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
         blocks = [chain.part(a, a + _BLOCK) for a in starts]
 
     def total(trial: np.ndarray) -> float:
-        return sum(_evidence(b, trial) for b in blocks)
+        return sum(evidence(b, trial[GROUP]) for b in blocks)
 
     _, shot = _ascend(total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), _ALL)
     moving, shot = _ascend(total, shot, range(SHAKE), _NEAR)
@@ -123,10 +124,6 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     if shaking > moving + _EARNED:
         return _ascend(total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), _NEXT)[1]
     return _ascend(total, shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), _NEXT)[1]
-
-
-def _evidence(chain: Chain, trial: np.ndarray) -> float:
-    return evidence(chain, np.broadcast_to(trial[GROUP], (len(chain.dt_s), AXES)))
 
 
 def smooth_poses(
@@ -156,9 +153,9 @@ def smooth_poses(
     for stiff in (False, True) if raw.typical_turn_error() > _UNSURE_RAD else (False,):
         path = raw
         if stiff:
-            path = path.iterated(np.broadcast_to(_STIFF, (len(dt), AXES)), 2 * PASSES)
+            path = path.iterated(_STIFF, 2 * PASSES)
         shot = _density_of_shot(path.chain)
-        path = path.iterated(np.tile(shot[GROUP], (len(dt), 1)), PASSES)
+        path = path.iterated(shot[GROUP], PASSES)
         density = _density_over_time(path.chain, shot)
         path = path.iterated(density, PASSES)
         attempts.append((path.likelihood(density), path, density))
