@@ -79,8 +79,7 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
         cKDTree,
     )  # 0.2 s with its kin, which a job without measured depth need not take
 
-    with np.errstate(all="ignore"):
-        known = np.isfinite(depth_m) & (depth_m > 0)
+    known = np.isfinite(depth_m) & (depth_m > 0)
     h, w = depth_m.shape
     step = max(1, int(np.sqrt(known.sum() / MOST_POINTS)))
     y, x = np.mgrid[step // 2 : h : step, step // 2 : w : step]

@@ -129,7 +129,7 @@ def print_ratios(
             height, camera.directions(pixels) @ normal
         )  # the plane's z along each pixel's ray
         ratio = divide(known, depth_m[y, x])
-        out.append(ratio[np.isfinite(ratio) & (ratio > 0)])
+        out.append(ratio[ratio > 0])
     return np.concatenate(out) if out else np.zeros(0)
 
 

@@ -221,9 +221,7 @@ def epipolar_distance(
     """
     far = np.column_stack([a, np.ones(len(a))]) @ b_from_a.rotation.T
     near = far + b_from_a.translation_m / max(nearest_m, LEAST_DEPTH_M)
-    p, q = (
-        divide(v[:, :2], np.repeat(v[:, 2:], 2, 1), where_zero=np.nan) for v in (far, near)
-    )
+    p, q = (divide(v[:, :2], v[:, 2:], where_zero=np.nan) for v in (far, near))
     d = q - p
     t = np.clip(divide(((b - p) * d).sum(1), (d * d).sum(1)), 0, 1)
     distance = np.linalg.norm(b - p - t[:, None] * d, axis=1)

@@ -155,8 +155,8 @@ def _adjust(
     ):  # from the planar solution that fits all its markers best
         candidates = camera_poses(views, start)
         one = seen.take(np.full(len(candidates), k))
-        cost, _ = huber_cost(residuals(*stack(candidates), one), one.weight)
-        first.append(candidates[int(cost.argmin())])
+        misfit, _ = huber_cost(residuals(*stack(candidates), one), one.weight)
+        first.append(candidates[int(misfit.argmin())])
     rotation, translation, _ = refine_poses(*stack(first), seen)
     map_r, map_t = stack([*start.values()])
     cost = np.inf
