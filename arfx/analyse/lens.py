@@ -60,22 +60,14 @@ def side_blurs(
     if min(light.shape) < 8:
         return out
     for side in range(4):
-        a, b = corners_px[side] - [x0, y0], corners_px[(side + 1) % 4] - [x0, y0]
+        before, a, b, after = np.roll(corners_px - [x0, y0], 1 - side, 0)
         along = normalise(b - a)
         across = np.array([-along[1], along[0]])
         # a cell is less deep across the side than it is long where the print is tilted, the
         # less the farther the side
-        before, after = corners_px[side - 1], corners_px[(side + 2) % 4]
-        deep = min(
-            abs(float((before - corners_px[side]) @ across)),
-            abs(float((after - corners_px[(side + 1) % 4]) @ across)),
-        )
-        deep *= min(
-            float(
-                divide(float(np.linalg.norm(b - a)), float(np.linalg.norm(after - before)))
-            ),
-            1.0,
-        )
+        deep = min(abs(float((before - a) @ across)), abs(float((after - b) @ across)))
+        nearer = divide(np.linalg.norm(b - a), np.linalg.norm(after - before))
+        deep *= min(float(nearer), 1.0)
         half = min(_HALF_CELLS * deep / cells, _MOST_HALF_PX)
         count = int(half / _STEP_PX)
         if count < 8:
@@ -106,34 +98,25 @@ def _deviation(
         (slope * window * middle).sum(1), (slope * window).sum(1), where_zero=np.nan
     )
     ok = np.isfinite(centre) & (np.abs(centre) < half / 2)
-    if ok.sum() < len(where) // 2:
-        return np.nan
-    curve = np.polyfit(where[ok], centre[ok], 2)
-    off = np.abs(np.polyval(curve, where) - centre)
-    ok &= off <= max(3 * float(np.median(off[ok])), 0.1)
-    if ok.sum() < len(where) // 2:
-        return np.nan
-    shift = np.polyval(np.polyfit(where[ok], centre[ok], 2), where[ok])
-    mean = np.mean(
-        [np.interp(middle, middle - s, g) for s, g in zip(shift, slope[ok], strict=True)],
-        axis=0,
-    )
+    for _ in range(2):
+        if ok.sum() < len(where) // 2:
+            return np.nan
+        edge, shift = ok, np.polyval(np.polyfit(where[ok], centre[ok], 2), where)
+        off = np.abs(shift - centre)
+        ok = ok & (off <= max(3 * float(np.median(off[ok])), 0.1))
+    aligned = zip(shift[edge], slope[edge], strict=True)
+    mean = np.mean([np.interp(middle, middle - s, g) for s, g in aligned], axis=0)
     s = half / 4
     for _ in range(_ROUNDS):
         w = min(max(_WINDOWS * s, 1.0), half / 2)
         g = mean * np.exp(-0.5 * (middle / w) ** 2)
         mass = g.sum()
-        if not mass > 0:
+        first = divide((g * middle).sum(), mass)
+        second = divide((g * (middle - first) ** 2).sum(), mass)
+        variance = divide(1.0, divide(1.0, second) - 1 / w**2, where_zero=half**2)
+        if not (mass > 0 and 0 < variance < half**2):
             return np.nan
-        first = (g * middle).sum() / mass
-        second = (g * (middle - first) ** 2).sum() / mass
-        s = (
-            float(np.sqrt(divide(1.0, divide(1.0, second) - 1 / w**2, where_zero=half**2)))
-            if second > 0
-            else np.nan
-        )
-        if not 0 < s < half:
-            return np.nan
+        s = float(np.sqrt(variance))
     stray = np.abs(mean[np.abs(middle) > 3 * s]).sum() / np.abs(mean).sum()
     return (
         s
@@ -199,24 +182,16 @@ def footage_lens(
             or key not in world_from_marker
         ):
             continue
-        shift = corners - last[1] if last is not None and last[0] == number - 1 else None
+        follows = last is not None and last[0] == number - 1
+        shift = corners - last[1] if follows else np.zeros((4, 2))
         z = (fact.camera_from_world @ world_from_marker[key]).apply(corners_m[key])[:, 2]
-        for side in range(4):
-            a, b = side, (side + 1) % 4
-            if not np.isfinite(blurs[side]) or min(z[a], z[b]) <= 0:
-                continue
-            along = normalise(corners[b] - corners[a])
-            normal = np.array([-along[1], along[0]])
-            across = 0.0 if shift is None else float(np.abs(shift[[a, b]] @ normal).max())
-            if across <= MOST_MOTION_PX:
-                rows.append(
-                    (
-                        number,
-                        float(np.mean(1 / (z[a] + (z[b] - z[a]) * FRACTIONS))),
-                        blurs[side],
-                        across,
-                    )
-                )
+        for side in np.flatnonzero(np.isfinite(blurs)):
+            ends = [side, (side + 1) % 4]
+            (a, b), along = z[ends], normalise(corners[ends[1]] - corners[side])
+            across = np.abs(shift[ends] @ [-along[1], along[0]]).max()
+            if min(a, b) > 0 and across <= MOST_MOTION_PX:
+                dioptre = np.mean(1 / (a + (b - a) * FRACTIONS))
+                rows.append((number, dioptre, blurs[side], across))
     frame, dioptre, blur, moved = (
         np.array(rows, float).reshape(-1, 4).T
     )  # of every usable side

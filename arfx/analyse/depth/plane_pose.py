@@ -77,13 +77,11 @@ class PlanePose(Fold):
             for k, p in zip(numbers, poses, strict=True)
             if k is not None and p is not None
         ]
-        both = [(k, pose) for k, pose, taken in known if taken] or [
-            (k, pose) for k, pose, _ in known
-        ]
+        both = [p for p in known if p[2]] or known
         if maps.still and given is None:
             both = both[:1]
         planes = scene_planes(
-            [(maps.load(k, camera.width, camera.height), p) for k, p in spread(both)],
+            [(maps.load(k, camera.width, camera.height), p) for k, p, _ in spread(both)],
             camera,
         )
         level = facing_up(planes, [p[0] for p in poses if p is not None])
@@ -139,7 +137,6 @@ class RealPlanes(Fold):
         if maps is None or not clip.summary["depth"]["known"]:
             return clip
         camera, sparse = self.job.camera, list[tuple[np.ndarray, Pose]]()
-        used: set[int] = set()
         for f in spread(
             [
                 f
@@ -148,15 +145,10 @@ class RealPlanes(Fold):
             ]
         ):
             depth, pose = f.real_depth, f.camera_from_world
-            if not (maps.still and depth.map in used and pose == sparse[0][1]):
-                used.add(depth.map)
-                sparse.append(
-                    (
-                        maps.load(depth.map, camera.width, camera.height)
-                        * np.float32(depth.scale),
-                        pose,
-                    )
-                )
+            if maps.still and sparse and pose == sparse[0][1]:
+                continue
+            map_ = maps.load(depth.map, camera.width, camera.height)
+            sparse.append((map_ * np.float32(depth.scale), pose))
         return replace(
             clip, real_planes=tuple(p.real_plane() for p in scene_planes(sparse, camera))
         )

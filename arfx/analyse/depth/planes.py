@@ -79,8 +79,7 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
         cKDTree,
     )  # 0.2 s with its kin, which a job without measured depth need not take
 
-    with np.errstate(all="ignore"):
-        known = np.isfinite(depth_m) & (depth_m > 0)
+    known = np.isfinite(depth_m) & (depth_m > 0)
     h, w = depth_m.shape
     step = max(1, int(np.sqrt(known.sum() / MOST_POINTS)))
     y, x = np.mgrid[step // 2 : h : step, step // 2 : w : step]
@@ -94,7 +93,7 @@ def cloud_of(depth_m: np.ndarray, camera: Camera) -> Cloud | None:
     points = ray * divide(z, ray[:, 2])[:, None]
     distance, index = cKDTree(points).query(points, NEIGHBOURS, workers=-1)
     near = points[index]
-    same = np.abs(near[..., 2] - z[:, None, None][..., 0]) < JUMP * z[:, None]
+    same = np.abs(near[..., 2] - z[:, None]) < JUMP * z[:, None]
     weight = same / np.maximum(same.sum(1, keepdims=True), 1)
     centred = near - (near * weight[..., None]).sum(1, keepdims=True)
     spread = np.einsum("nki,nkj,nk->nij", centred, centred, weight)
@@ -149,10 +148,8 @@ def find_planes(cloud: Cloud) -> list[FoundPlane]:
         seeds = np.flatnonzero(free & (cloud.flat >= FLAT))
         if len(seeds) < LEAST_FRACTION * count:
             break
-        best = _best_hypothesis(
-            cloud, free, rng.choice(seeds, min(HYPOTHESES, len(seeds)), replace=False)
-        )
-        found = None if best is None else _refined(cloud, free, *best)
+        chosen = rng.choice(seeds, min(HYPOTHESES, len(seeds)), replace=False)
+        found = _refined(cloud, free, *_likeliest(cloud, free, chosen))
         if found is None:
             break
         normal, offset, rows = found
@@ -184,31 +181,28 @@ def _on(cloud: Cloud, rows: np.ndarray, normal: np.ndarray, offset: float) -> np
     return np.asarray(rows[near & (np.abs(cloud.normals[rows] @ normal) > FACING)])
 
 
-def _best_hypothesis(
+def _likeliest(
     cloud: Cloud, free: np.ndarray, seeds: np.ndarray
-) -> tuple[np.ndarray, float] | None:
-    """The hypothesis with the most points; the best few are refitted to what lies on them
-    before they are compared.
+) -> tuple[np.ndarray, float]:
+    """Of planes by the neighbours of the seeds that with the most points; the best few are
+    refitted to what lies on them before they are compared.
     """
-    scored = []
     sparse = np.flatnonzero(free)
     sparse = sparse[:: max(1, len(sparse) // SCORED)]
-    for s in seeds:
-        rows = cloud.neighbours[s]
-        normal, offset = _fit(cloud.points[rows], np.ones(len(rows)))
-        scored.append((len(_on(cloud, sparse, normal, offset)), normal, offset))
-    scored.sort(key=lambda c: -c[0])
-    best: tuple[int, np.ndarray, float] | None = None
-    for _, normal, offset in scored[:8]:
+
+    def support(plane: tuple[np.ndarray, float]) -> int:
+        return len(_on(cloud, sparse, *plane))
+
+    near = cloud.points[cloud.neighbours[seeds]]
+    hypotheses = [_fit(points, np.ones(len(points))) for points in near]
+    best = sorted(hypotheses, key=support, reverse=True)[:8]
+    for k, plane in enumerate(best):
         for _ in range(3):
-            rows = _on(cloud, sparse, normal, offset)
+            rows = _on(cloud, sparse, *plane)
             if len(rows) < 8:
                 break
-            normal, offset = _fit(cloud.points[rows], cloud.noise_m[rows] ** -2)
-        n = len(_on(cloud, sparse, normal, offset))
-        if best is None or n > best[0]:
-            best = n, normal, offset
-    return None if best is None or best[0] < 8 else best[1:]
+            plane = best[k] = _fit(cloud.points[rows], cloud.noise_m[rows] ** -2)
+    return max(best, key=support)
 
 
 def _refined(
@@ -230,15 +224,12 @@ def _connected(cloud: Cloud, rows: np.ndarray) -> np.ndarray:
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import connected_components
 
-    if len(rows) < 2:
+    if not len(rows):
         return rows
-    position = np.full(len(cloud.points), -1)
-    position[rows] = np.arange(len(rows))
-    near = position[cloud.neighbours[rows]]
-    there = near >= 0
-    ends = np.append(0, there.sum(1).cumsum())
-    graph = csr_matrix((np.ones(ends[-1]), near[there], ends), (len(rows), len(rows)))
-    part = connected_components(graph, directed=False)[1]
+    count, near = cloud.neighbours.shape
+    ends = np.arange(0, count * near + 1, near)
+    graph = csr_matrix((np.ones(ends[-1]), cloud.neighbours.ravel(), ends), (count, count))
+    part = connected_components(graph[rows][:, rows], directed=False)[1]
     size = np.bincount(part)
     return np.asarray(rows[size[part] >= PART * size.max()])
 
@@ -259,18 +250,10 @@ class PlaneMask:
         return float(self.mask.sum() * self.cell_m**2)
 
     @property
-    def extent_m(self) -> tuple[float, float, float, float]:
-        rows, columns = np.flatnonzero(self.mask.any(1)), np.flatnonzero(self.mask.any(0))
-        x, y = (
-            self.low_m[0] + columns[[0, -1]] * self.cell_m,
-            self.low_m[1] + rows[[0, -1]] * self.cell_m,
-        )
-        return (
-            float(x[0]),
-            float(y[0]),
-            float(x[1] + self.cell_m),
-            float(y[1] + self.cell_m),
-        )
+    def extent_m(self) -> np.ndarray:
+        """(4,) x0, y0, x1, y1"""
+        at = np.argwhere(self.mask)[:, ::-1]
+        return np.tile(self.low_m, 2) + self.cell_m * np.append(at.min(0), at.max(0) + 1)
 
     @property
     def middle_m(self) -> np.ndarray:
@@ -295,10 +278,9 @@ def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
         float(np.quantile(spacing_m, 0.75)), float((high - low).max()) / MOST_CELLS, 1e-4
     )
     pad = int(np.ceil(CLOSED)) + 1
-    size = np.ceil((high - low) / cell).astype(int) + 1 + 2 * pad
-    at = np.clip(((positions_m - low) / cell).astype(int) + pad, 0, size - 1)
-    count = np.zeros((size[1], size[0]), np.uint8)
-    count[at[:, 1], at[:, 0]] = 1
+    x, y = ((positions_m - low) / cell).astype(int).T + pad
+    count = np.zeros((y.max() + 1 + pad, x.max() + 1 + pad), np.uint8)
+    count[y, x] = 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pad - 1, 2 * pad - 1))
     mask = cv2.morphologyEx(count, cv2.MORPH_CLOSE, disc)
     smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM) > 0.5
@@ -332,25 +314,24 @@ class ScenePlane:
         positions = self.points @ axes
         seen = mask_of(positions[:, :2], self.spacing_m)
         height, middle = self.offset_m, seen.middle_m
-        centred = PlaneMask(seen.mask, seen.low_m - middle, seen.cell_m)
         pose = Pose(axes, axes @ np.array([middle[0], middle[1], height]))
         residual_mm = 1e3 * float(np.sqrt(((positions[:, 2] - height) ** 2).mean()))
-        ends = self._ends(positions[:, :2])
+        x0, y0, x1, y1 = (seen.extent_m - np.tile(middle, 2)).tolist()
         return RealPlane(
             pose,
-            centred.extent_m,
-            centred.area_m2,
+            (x0, y0, x1, y1),
+            seen.area_m2,
             residual_mm,
             len(positions),
             self.frames,
-            ends,
+            self._ends(positions[:, :2]),
         )
 
     def _ends(self, positions: np.ndarray) -> tuple[bool, bool, bool, bool]:
         """Of the sides x0, y0, x1, y1 of what was seen: whether the plane ends there.
         places (n, 2), plane axes
         """
-        low, high = np.quantile(positions, 0.005, 0), np.quantile(positions, 0.995, 0)
+        low, high = np.quantile(positions, (0.005, 0.995), 0)
         rim = RIM * (high - low)
         near = np.hstack([positions < low + rim, positions > high - rim]).T
         a, b, c, d = (bool(n.any()) and float(self.cut[n].mean()) < CUT for n in near)
@@ -365,22 +346,24 @@ def scene_planes(
     """
     out: list[ScenePlane] = []
     for depth, pose in maps:
-        if (cloud := cloud_of(depth, camera)) is not None:
-            size, world_from_camera = np.array(depth.shape[1::-1]), pose.inverse()
-            for found in find_planes(cloud):
-                rows, margin = found.inliers, BORDER * max(depth.shape)
-                at, points = cloud.pixels[rows], cloud.points[rows]
-                cosine = np.abs(cloud.rays[rows] @ found.normal)
-                plane = ScenePlane(
-                    world_from_camera.rotation @ found.normal,
-                    world_from_camera.apply(points),
-                    divide(cloud.spacing_m[rows], np.clip(cosine, 0.2, 1)),
-                    ((at < margin) | (at > size - 1 - margin)).any(1),
-                    world_from_camera.rotation[:, 0],
-                    float(np.median(cloud.noise_m[rows])),
-                    1,
-                )
-                _join(out, plane)
+        if (cloud := cloud_of(depth, camera)) is None:
+            continue
+        size, world_from_camera = np.array(depth.shape[1::-1]), pose.inverse()
+        margin = BORDER * size.max()
+        for found in find_planes(cloud):
+            rows = found.inliers
+            at = cloud.pixels[rows]
+            cosine = np.abs(cloud.rays[rows] @ found.normal)
+            plane = ScenePlane(
+                world_from_camera.rotation @ found.normal,
+                world_from_camera.apply(cloud.points[rows]),
+                divide(cloud.spacing_m[rows], np.clip(cosine, 0.2, 1)),
+                ((at < margin) | (at > size - 1 - margin)).any(1),
+                world_from_camera.rotation[:, 0],
+                float(np.median(cloud.noise_m[rows])),
+                1,
+            )
+            _join(out, plane)
     return sorted(out, key=lambda p: -len(p.points))
 
 
@@ -389,20 +372,19 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
     for k, old in enumerate(planes):
         near = SAME_M + SAME_NOISES * max(old.noise_m, new.noise_m)
         gap = max(
-            abs(float(new.points.mean(0) @ old.normal) - old.offset_m),
-            abs(float(old.points.mean(0) @ new.normal) - new.offset_m),
+            abs(float(a.points.mean(0) @ b.normal) - b.offset_m)
+            for a, b in ((new, old), (old, new))
         )
         if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
-            fraction = len(old.points) / (len(old.points) + len(new.points))
-            planes[k] = ScenePlane(
-                normalise(fraction * old.normal + (1 - fraction) * new.normal),
-                np.concatenate([old.points, new.points]),
-                np.concatenate([old.spacing_m, new.spacing_m]),
-                np.concatenate([old.cut, new.cut]),
-                old.right,
-                fraction * old.noise_m + (1 - fraction) * new.noise_m,
-                old.frames + new.frames,
+            points, spacing, cut = (
+                np.concatenate([getattr(p, name) for p in (old, new)])
+                for name in ("points", "spacing_m", "cut")
             )
+            fraction = len(old.points) / len(points)
+            normal = normalise(fraction * old.normal + (1 - fraction) * new.normal)
+            noise_m = fraction * old.noise_m + (1 - fraction) * new.noise_m
+            frames = old.frames + new.frames
+            planes[k] = ScenePlane(normal, points, spacing, cut, old.right, noise_m, frames)
             return
     planes.append(new)
 

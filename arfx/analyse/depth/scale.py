@@ -5,7 +5,7 @@ Source: docs/methods/calibration.md#depth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Analysis, Fold, Maps
+from arfx.analyse.fold import Analysis, AnalysisJob, Fold, Maps
 from arfx.core.camera import Camera
 from arfx.core.codec import Document
 from arfx.core.facts import MEASURED, FrameFacts
@@ -60,24 +60,10 @@ class Depth(Fold):
     needs = ("pose",)
 
     def finish(self, clip: Analysis) -> Analysis:
-        job = self.job
-        if job.depth is None:
+        maps = self.job.depth
+        if maps is None:
             return clip
-        of_frames = job.depth.of_frames(*clip.frame_span)
-        facts, about = with_depth(
-            clip.facts,
-            job.depth,
-            of_frames,
-            clip.world_from_marker,
-            job.camera,
-            job.align,
-            job.progress,
-        )
-        return clip.adding(
-            facts,
-            None if about["known"] else f"the real depth is not used: {about['reason']}",
-            depth=about,
-        )
+        return with_depth(clip, self.job, maps, maps.of_frames(*clip.frame_span))
 
     @staticmethod
     def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
@@ -143,7 +129,7 @@ def print_ratios(
             height, camera.directions(pixels) @ normal
         )  # the plane's z along each pixel's ray
         ratio = divide(known, depth_m[y, x])
-        out.append(ratio[np.isfinite(ratio) & (ratio > 0)])
+        out.append(ratio[ratio > 0])
     return np.concatenate(out) if out else np.zeros(0)
 
 
@@ -180,31 +166,25 @@ def depth_scale(ratios: Sequence[np.ndarray]) -> DepthScale:
 
 
 def with_depth(
-    facts: Sequence[FrameFacts],
-    maps: Maps,
-    of_frames: Sequence[int | None],
-    world_from_marker: Mapping[str, Pose],
-    camera: Camera,
-    align: bool,
-    progress: Callable[[str, int, int | None], None],
-) -> tuple[tuple[FrameFacts, ...], dict[str, Any]]:
+    clip: Analysis, job: AnalysisJob, maps: Maps, of_frames: Sequence[int | None]
+) -> Analysis:
     """The facts with `real_depth`, and a summary for the report.
 
-    of_frames : number of each frame's map;  align : scale the maps to the markers' planes,
-    else take them at their word
+    of_frames : number of each frame's map
     Raises InputError for a map that cannot be read, and where no map holds a valid pixel.
     """
-    used = sorted({k for k in of_frames if k is not None})
+    frames_of: dict[int, list[int]] = {}
+    for n, k in enumerate(of_frames):
+        if k is not None:
+            frames_of.setdefault(k, []).append(n)
+    used = sorted(frames_of)
     if not used:
         raise InputError(
             f"depth {maps.path}: no map was taken near the time of any frame",
             "--set input.depth_start shifts them",
         )
+    facts, camera = clip.facts, job.camera
     size = camera.width, camera.height
-    frames_of: dict[int, list[int]] = {}
-    for n, k in enumerate(of_frames):
-        if k is not None:
-            frames_of.setdefault(k, []).append(n)
 
     def read(number: int) -> tuple[str, np.ndarray | None, float, list[np.ndarray]]:
         """Of one map its digest, `tile_ranges` before scaling (None = nothing was
@@ -214,44 +194,39 @@ def with_depth(
         known = float((depth > 0).mean())
         tiles = tile_ranges(depth, size) if known > 0 else None
         ratios = [
-            print_ratios(depth, facts[n], world_from_marker, camera)
+            print_ratios(depth, facts[n], clip.world_from_marker, camera)
             for n in frames_of[number]
         ]
         return maps.digest(number), tiles, 1 - known, ratios
 
-    readings = {}
+    readings = []
     with ThreadPoolExecutor(min(usable_cores(), 4)) as pool:
-        for done, (number, reading) in enumerate(
-            zip(used, pool.map(read, used), strict=True), 1
-        ):
-            readings[number] = reading
-            progress("depth", done, len(used))
-    if all(tiles is None for _, tiles, _, _ in readings.values()):
+        for reading in pool.map(read, used):
+            readings.append(reading)
+            job.progress("depth", len(readings), len(used))
+    if all(tiles is None for _, tiles, _, _ in readings):
         raise InputError(
             f"depth {maps.path} holds no valid pixel: all are 0, not finite or the largest"
             " value",
             "is it depth?",
         )
     scale = (
-        depth_scale([r for *_, ratios in readings.values() for r in ratios])
-        if align
+        depth_scale([r for *_, ratios in readings for r in ratios])
+        if job.align
         else DepthScale(True, "taken as stated")
     )
-    out, got = list(facts), 0
-    if scale.known:
-        for n, k in enumerate(of_frames):
-            if k is not None and (tiles := readings[k][1]) is not None:
-                tiles = (tiles / scale.scale).astype(np.float32)
-                out[n] = out[n].with_(
-                    real_depth=RealDepth.of(
-                        k, scale.scale, readings[k][0], tiles, scale.noise
-                    )
-                )
-                got += 1
+    out = list(facts)
+    for number, (digest, tiles, _, _) in zip(used, readings, strict=True):
+        if scale.known and tiles is not None:
+            tiles = (tiles / scale.scale).astype(np.float32)
+            depth = RealDepth.of(number, scale.scale, digest, tiles, scale.noise)
+            for n in frames_of[number]:
+                out[n] = out[n].with_(real_depth=depth)
+    got = sum(f.real_depth is not None for f in out)
     paired = (
         "one map for all" if maps.still else "order" if maps.times_s is None else "time"
     )
-    holes = float(np.mean([reading[2] for reading in readings.values()]))
+    holes = float(np.mean([reading[2] for reading in readings]))
     summary = {
         "path": str(maps.path),
         "maps": maps.count,
@@ -261,4 +236,5 @@ def with_depth(
         "holes": holes,
         **scale.to_json(),
     }
-    return tuple(out), summary
+    notice = None if scale.known else f"the real depth is not used: {scale.reason}"
+    return clip.adding(out, notice, depth=summary)

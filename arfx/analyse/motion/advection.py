@@ -28,7 +28,6 @@ _NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
 AROUND = (
     2.4  # sizes of the marker: within this, its pose gives the motion better than the flow
 )
-Field = tuple[np.ndarray, np.ndarray]
 
 
 class Advection(Fold):
@@ -45,7 +44,7 @@ class Advection(Fold):
         self._motion.step(frame.index, frame.luma)
 
     def end(self, frame: AnalysisFrame) -> None:
-        self._motion.end(frame.index, frame.luma)
+        self._motion.step(frame.index, frame.luma, True)
 
     def join(self, later: Self, shift: int) -> None:
         self._motion.join(later._motion, shift)
@@ -74,142 +73,107 @@ def with_advection(
     believed more than the flow, up to this far, and less and less up to twice as far; 0 = flow only
     """
     by_index = {s.index: s for s in steps}
-    gx, gy = node_positions(camera.width, camera.height)
-    rays = camera.directions(np.stack([gx, gy], -1)) if reach_m > 0 else None
-    number, u, v = 0, gx, gy
+    nodes = node_positions(camera.width, camera.height)
+    rays = camera.directions(nodes) if reach_m > 0 else None
+    number, key, then = 0, nodes, None
+    detail, last_back = np.zeros((*nodes.shape[:2], 1)), np.zeros(nodes.shape)
     last: FrameFacts | None = None
-    key: tuple[np.ndarray, np.ndarray, Pose | None] = gx, gy, None
-    detail, last_back = np.zeros(gx.shape), np.zeros((*gx.shape, 2))
-    fields: list[AdvectionField] = []
-    of_frame = []
+    out = []
     for f in facts:
         step = by_index.get(f.index)
         cut = last is not None and f.shot != last.shot
         if last is None or cut or step is not None:
             number += last is not None
-            back = (
-                None
-                if step is None or step.back is None or last is None or cut
-                else step.back.astype(float)
-            )
+            pose = f.camera_from_world
+            now = None if pose is None else pose @ world_from_anchor
+            flow = None if step is None or step.back is None else step.back.astype(float)
+            back = None if last is None or cut else flow
+            seen = 0 * detail if step is None else step.detail[..., None].astype(float)
             if back is None:
-                u, v = gx + _NEW_SHOT_PX * number, gy
+                field = nodes + np.array([_NEW_SHOT_PX * number, 0.0])
             else:
-                if rays is not None:
-                    back = _with_pose(
-                        back,
-                        gx,
-                        gy,
-                        rays,
-                        f.camera_from_world,
-                        key[2],
-                        camera,
-                        world_from_anchor,
-                        reach_m,
-                    )
-                u, v = relaxed(*_at(key[:2], gx + back[..., 0], gy + back[..., 1], gx, gy))
-            if step is not None:
-                seen = step.detail.astype(float)
-                if (
-                    back is not None
-                ):  # carried along with the things, a little of what is seen now each time
-                    x, y = (
-                        gx + back[..., 0] - last_back[..., 0],
-                        gy + back[..., 1] - last_back[..., 1],
-                    )
-                    seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(
-                        _sampled(detail, x, y, gx, gy), 0, 255
-                    )
-                detail = seen
-                last_back = np.zeros_like(last_back) if step.key or back is None else back
-            elif cut:  # unnoticed by the flow: there was nothing to see
-                detail, last_back = np.zeros(gx.shape), np.zeros_like(last_back)
-            if step is not None and step.key:
-                key = u, v, f.camera_from_world
-            elif back is None:
-                # a cut that the flow did not notice: the key frame's nodes lie where this
-                # frame's flow says
-                key = (u, v, f.camera_from_world)
-                if step is not None and step.back is not None:
-                    key = (
-                        *_at(
-                            (u, v), gx - step.back[..., 0], gy - step.back[..., 1], gx, gy
-                        ),
-                        None,
-                    )
-            origin, shape = (int(gx[0, 0]), int(gy[0, 0])), (u.shape[0], u.shape[1])
-            fields.append(
-                AdvectionField(
-                    number,
-                    GRID_PX,
-                    origin,
-                    shape,
-                    pack_positions(u, v),
-                    pack_detail(detail),
-                    f.camera_from_world,
-                )
+                if rays is not None and now is not None and then is not None:
+                    back = _with_pose(back, nodes, rays, now, then, camera, reach_m)
+                field = relaxed(_sampled(key, nodes + back, nodes))
+                # carried along with the things, a little of what is seen now each time
+                carried = _sampled(detail, nodes + back - last_back, nodes)
+                seen = _NEW_DETAIL * seen + (1 - _NEW_DETAIL) * np.clip(carried, 0, 255)
+            detail = seen
+            last_back = np.zeros(nodes.shape) if back is None else back
+            if back is None or step is None or step.key:
+                last_back, key, then = np.zeros(nodes.shape), field, now
+                if flow is not None and step is not None and not step.key:
+                    # a cut that the flow did not notice: the key frame's nodes lie where
+                    # this frame's flow says
+                    key, then = _sampled(field, nodes - flow, nodes), None
+            x, y = nodes[0, 0].astype(int).tolist()
+            rows, columns, _ = nodes.shape
+            made = AdvectionField(
+                number,
+                GRID_PX,
+                (x, y),
+                (rows, columns),
+                pack_positions(*np.moveaxis(field, -1, 0)),
+                pack_detail(detail[..., 0]),
+                pose,
             )
         last = f
-        of_frame.append(len(fields) - 1)
-    return tuple(f.with_(advection=fields[k]) for f, k in zip(facts, of_frame, strict=True))
+        out.append(f.with_(advection=made))
+    return tuple(out)
 
 
-def _sampled(
-    a: np.ndarray, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray
-) -> np.ndarray:
-    """`a` at places between its nodes, bilinear, linear beyond its border."""
+def _sampled(a: np.ndarray, places: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """`a` (gh, gw, k) at places (gh, gw, 2) between its nodes, bilinear, linear beyond its
+    border."""
     from scipy.interpolate import RegularGridInterpolator
 
-    nodes = gy[:, 0], gx[0]
-    beyond = {"bounds_error": False, "fill_value": None}
-    return RegularGridInterpolator(nodes, a, **beyond)((y, x))
-
-
-def _at(
-    field: Field, x: np.ndarray, y: np.ndarray, gx: np.ndarray, gy: np.ndarray
-) -> Field:
-    return _sampled(field[0], x, y, gx, gy), _sampled(field[1], x, y, gx, gy)
+    axes = nodes[:, 0, 1], nodes[0, :, 0]
+    return np.stack(
+        [
+            RegularGridInterpolator(axes, one, bounds_error=False, fill_value=None)(
+                places[..., ::-1]
+            )
+            for one in np.moveaxis(a, -1, 0)
+        ],
+        -1,
+    )
 
 
 def _with_pose(
     back: np.ndarray,
-    gx: np.ndarray,
-    gy: np.ndarray,
+    nodes: np.ndarray,
     rays: np.ndarray,
-    now: Pose | None,
-    then: Pose | None,
+    now: Pose,
+    then: Pose,
     camera: Camera,
-    world_from_anchor: Pose,
     reach_m: float,
 ) -> np.ndarray:
-    """The steps back, near the anchor those of points of its plane."""
-    if now is None or then is None:
-        return back
-    anchor_from_camera = (now @ world_from_anchor).inverse()
+    """The steps back, near the anchor those of points of its plane. now, then :
+    camera_from_anchor"""
+    anchor_from_camera = now.inverse()
     eye, d = anchor_from_camera.translation_m, rays @ anchor_from_camera.rotation.T
-    far = divide(np.full(d.shape[:-1], -eye[2]), d[..., 2], where_zero=np.nan)
+    far = divide(-eye[2], d[..., 2], where_zero=np.nan)
     on_plane = eye + d * np.where(far > 0, far, np.nan)[..., None]
-    distance = np.linalg.norm(on_plane[..., :2], axis=-1)
-    before = camera.project(
-        (then @ world_from_anchor).apply(np.where(np.isfinite(on_plane), on_plane, 0.0))
-    )
-    step = before - np.stack([gx, gy], -1)
-    known = np.isfinite(distance) & np.isfinite(step).all(-1)
-    share = np.where(known, np.clip(2 - np.where(known, distance, 0) / reach_m, 0, 1), 0)[
-        ..., None
-    ]
-    return back + share * (np.where(known[..., None], step, back) - back)
+    distance = np.linalg.norm(on_plane[..., :2], axis=-1)[..., None]
+    step = camera.project(then.apply(on_plane)) - nodes
+    pull = np.clip(2 - distance / reach_m, 0, 1) * (step - back)
+    return back + np.where(np.isfinite(pull), pull, 0)
 
 
-def relaxed(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The field without folds and a little straighter. Linear fields stay as they are."""
-    u, v = u + _RELAX * _bend(u), v + _RELAX * _bend(v)
+def relaxed(field: np.ndarray) -> np.ndarray:
+    """The field (gh, gw, 2) without folds and a little straighter. Linear fields stay as
+    they are."""
+    field = field + _RELAX * _bend(field)
     for _ in range(40):
-        det = np.stack(determinants(u, v))
+        det = determinants(field)
         if det.min() > _LEAST_DET * max(float(np.median(det)), 1e-6):
-            return u, v
-        u, v = u + 0.5 * _bend(u), v + 0.5 * _bend(v)
-    return _straight(u), _straight(v)
+            return field
+        field = field + 0.5 * _bend(field)
+    # the nearest linear one
+    y, x = np.mgrid[0 : field.shape[0], 0 : field.shape[1]]
+    terms = np.stack([np.ones(x.size), x.ravel(), y.ravel()], -1)
+    fit, *_ = np.linalg.lstsq(terms, field.reshape(-1, 2), rcond=None)
+    return (terms @ fit).reshape(field.shape)
 
 
 def _bend(a: np.ndarray) -> np.ndarray:
@@ -222,22 +186,12 @@ def _bend(a: np.ndarray) -> np.ndarray:
     return out / 2
 
 
-def _straight(a: np.ndarray) -> np.ndarray:
-    """The plane through a."""
-    y, x = np.indices(a.shape)
-    terms = np.stack([np.ones(a.size), x.ravel(), y.ravel()], -1)
-    fit, *_ = np.linalg.lstsq(terms, a.ravel(), rcond=None)
-    return (terms @ fit).reshape(a.shape)
-
-
-def determinants(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the two triangles of every quad, in units of GRID_PX^2: how many px of the thing
-    lie in one of the picture.
+def determinants(field: np.ndarray) -> np.ndarray:
+    """(2, gh - 1, gw - 1) of the two triangles of every quad, in units of GRID_PX^2: how
+    many px of the thing lie in one of the picture.
     """
-    a = (u[:-1, 1:] - u[:-1, :-1]) * (v[1:, :-1] - v[:-1, :-1]) - (
-        v[:-1, 1:] - v[:-1, :-1]
-    ) * (u[1:, :-1] - u[:-1, :-1])
-    b = (u[1:, 1:] - u[1:, :-1]) * (v[1:, 1:] - v[:-1, 1:]) - (v[1:, 1:] - v[1:, :-1]) * (
-        u[1:, 1:] - u[:-1, 1:]
+    right, down = np.diff(field, axis=1), np.diff(field, axis=0)
+    sides = (right[:-1], down[:, :-1]), (right[1:], down[:, 1:])
+    return np.stack([a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0] for a, b in sides]) / (
+        GRID_PX**2
     )
-    return a / GRID_PX**2, b / GRID_PX**2

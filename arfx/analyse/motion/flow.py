@@ -13,6 +13,7 @@ blur of 1280 x 720) a frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -70,14 +71,15 @@ class MotionStep:
     detail: np.ndarray
 
 
-def node_positions(width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """(x, y) (gh, gw) float64 px of the nodes: every GRID_PX, and BORDER of them outside on
-    each side.
+def node_positions(width: int, height: int) -> np.ndarray:
+    """(gh, gw, 2) x, y px of the nodes: every GRID_PX, and BORDER of them outside on each
+    side.
     """
-    x = (np.arange(-(-width // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
-    y = (np.arange(-(-height // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
-    gx, gy = np.meshgrid(x, y)
-    return gx, gy
+    x, y = (
+        (np.arange(-(-size // GRID_PX) + 1 + 2 * BORDER) - BORDER) * float(GRID_PX)
+        for size in (width, height)
+    )
+    return np.stack(np.meshgrid(x, y), -1)
 
 
 class BackgroundMotion(Stateful):
@@ -88,18 +90,10 @@ class BackgroundMotion(Stateful):
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
         self._reference: np.ndarray | None = None
-        self._last: np.ndarray | None = (
-            None  # back of the last epoch, None where that is the key frame
+        self._last: np.ndarray | float = (
+            0.0  # back of the last epoch, 0 where that is the key
         )
         self.size = (0, 0)
-
-    def step(self, index: int, luma: np.ndarray) -> None:
-        """Take the next frame. luma : (h, w) uint8."""
-        self._take(index, luma, False)
-
-    def end(self, index: int, luma: np.ndarray) -> None:
-        """The stretch is over; its last step leads to the first frame of the next, a key frame."""
-        self._take(index, luma, True)
 
     def join(self, later: BackgroundMotion, shift: int) -> None:
         steps = shifted(
@@ -112,38 +106,29 @@ class BackgroundMotion(Stateful):
         )
         self.size = later.size if later.steps else self.size
 
-    def _take(self, index: int, luma: np.ndarray, key: bool) -> None:
+    def step(self, index: int, luma: np.ndarray, last: bool = False) -> None:
+        """Take the next frame. luma : (h, w) uint8;  last : the stretch is over, and this
+        is the first frame of the next, a key frame"""
         h, w = luma.shape
         factor = max(w / WIDTH_PX, 1.0)
         small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
         small = np.ascontiguousarray(
             cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA)
         )
-        found = (
-            _back(small, self._reference, w, h)
-            if self._reference is not None and self.size == (w, h)
-            else None
-        )
         self.size = (w, h)
-        if found is None:
-            self._reference, self._last = small, None
-            self.steps.append(MotionStep(index, None, True, _detail(small, w, h)))
-            return
-        back, agreed = found
-        back = np.round(back * STEPS_PER_PX) / STEPS_PER_PX
-        inside = (slice(BORDER, -BORDER),) * 2
-        moved = np.linalg.norm(
-            (back if self._last is None else back - self._last)[inside], axis=-1
-        )
-        if float(np.quantile(moved, 0.9)) <= HOLD_PX and not key:
-            return
-        far = (
-            key
-            or float(np.median(np.linalg.norm(back[inside], axis=-1))) > KEY_FRACTION * w
-            or agreed < _CHANGED
-        )
+        found = None if self._reference is None else _back(small, self._reference, w, h)
+        back, far = None, True
+        if found is not None:
+            back, agreed = found
+            back = np.round(back * STEPS_PER_PX) / STEPS_PER_PX
+            inside = (slice(BORDER, -BORDER),) * 2
+            moved = np.linalg.norm((back - self._last)[inside], axis=-1)
+            if float(np.quantile(moved, 0.9)) <= HOLD_PX and not last:
+                return
+            way = float(np.median(np.linalg.norm(back[inside], axis=-1)))
+            far = last or way > KEY_FRACTION * w or agreed < _CHANGED
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
-        self._last = None if far else back
+        self._last = 0.0 if far or back is None else back
         if far:
             self._reference = small
 
@@ -155,24 +140,21 @@ def _back(
     directions agree), or None where the two frames have nothing in common."""
     h, w = small.shape
     if min(h, w) < 16 or np.array_equal(small, reference):  # DIS needs a patch or two
-        return np.zeros((*node_positions(width, height)[0].shape, 2), np.float32), 1.0
+        return np.zeros(node_positions(width, height).shape, np.float32), 1.0
     dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)  # type: ignore[attr-defined]
     dis.setFinestScale(0)
     back = dis.calc(small, reference, None)
     there = dis.calc(reference, small, None)
     x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
     to_x, to_y = x + back[..., 0], y + back[..., 1]
-    again = cv2.remap(there, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    again, before = (
+        cv2.remap(a, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for a in (there, reference)
+    )
     apart = np.linalg.norm(back + again, axis=-1)
     agree = apart < _AGREE_PX + _AGREE_FRACTION * np.linalg.norm(back, axis=-1)
-    before = cv2.remap(
-        reference, to_x, to_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
     agree &= np.abs(before.astype(np.float32) - small) < 40
-    slope = np.hypot(
-        cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25),
-        cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25),
-    )
+    slope = _slope(small)
     textured = slope > _GRADIENT
     agreed = float(agree[textured].mean()) if textured.sum() > 50 else 1.0
     if agreed < _LOST:
@@ -190,13 +172,29 @@ def _back(
     ), agreed
 
 
+def _slope(small: np.ndarray) -> np.ndarray:
+    """(h, w) grey levels per px."""
+    return np.hypot(*(cv2.Sobel(small, cv2.CV_32F, x, 1 - x, scale=0.25) for x in (1, 0)))
+
+
+def _places(width: int, height: int, w: int, h: int) -> tuple[np.ndarray, Any]:
+    """Of the nodes in the small frame (h, w): x, y (gh, gw, 2), and the index of the pixels
+    next to them.
+    """
+    places = (node_positions(width, height) + 0.5) / [width / w, height / h] - 0.5
+    x, y = (
+        np.clip(np.round(p).astype(int), 0, size - 1)
+        for p, size in ((places[0, :, 0], w), (places[:, 0, 1], h))
+    )
+    return places, np.ix_(y, x)
+
+
 def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> np.ndarray:
     """Flow of the small frame at the nodes, px of the frame: the affine motion of what is
     trusted, and what differs from it spread from where it is trusted."""
     h, w = trust.shape
-    gx, gy = node_positions(width, height)
-    sx, sy = width / w, height / h
-    y, x = np.mgrid[0:h, 0:w].astype(np.float64)
+    places, at = _places(width, height, w, h)
+    y, x = np.mgrid[0:h, 0:w]
     terms = np.stack([np.ones((h, w)), x / w, y / h], -1)
     few = (
         slice(None, None, 2),
@@ -209,45 +207,27 @@ def _at_nodes(back: np.ndarray, trust: np.ndarray, width: int, height: int) -> n
         normal = (some * robust[:, None]).T @ some + np.diag([1e-3, 1.0, 1.0])
         motion = np.linalg.solve(normal, (some * robust[:, None]).T @ moved)
         robust = weight / (1 + (np.linalg.norm(moved - some @ motion, axis=1) / 0.5) ** 2)
-    residual = back - terms @ motion
     # onto the nodes: the mean of what lies around each, by trust; then outwards from node to node
-    u, v = ((gx + 0.5) / sx - 0.5), ((gy + 0.5) / sy - 0.5)
-    column = np.clip(np.round(u[0]).astype(int), 0, w - 1)
-    row = np.clip(np.round(v[:, 0]).astype(int), 0, h - 1)
-    reach = max(GRID_PX / sx / 2, 0.5)
-    blur = lambda a: cv2.GaussianBlur(a, (0, 0), reach, borderType=cv2.BORDER_CONSTANT)  # noqa: E731
-    density = blur(trust.astype(np.float64))[np.ix_(row, column)]
-    moved = np.stack(
-        [blur(residual[..., c] * trust)[np.ix_(row, column)] for c in range(2)], -1
+    rest = np.dstack([back - terms @ motion, np.ones((h, w))]) * trust[..., None]
+    reach = max(GRID_PX * w / width / 2, 0.5)
+    sums = cv2.GaussianBlur(rest, (0, 0), reach, borderType=cv2.BORDER_CONSTANT)[at]
+    sums += 0.3 * cv2.GaussianBlur(
+        sums, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE
     )
-
-    def spread(a: np.ndarray) -> np.ndarray:
-        return cv2.GaussianBlur(a, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE)
-
-    moved = moved + 0.3 * spread(moved)
-    density = density + 0.3 * spread(density)
-    rest = moved / (density + 0.01)[..., None]
-    whole = np.stack([np.ones(u.shape), (u / w), (v / h)], -1) @ motion
-    out: np.ndarray = ((whole + rest) * [sx, sy]).astype(np.float32)
-    return np.clip(out, -2000, 2000)
+    whole = motion[0] + places / [w, h] @ motion[1:]
+    out = (whole + sums[..., :2] / (sums[..., 2:] + 0.01)) * [width / w, height / h]
+    return np.clip(out.astype(np.float32), -2000, 2000)
 
 
 def _detail(small: np.ndarray, width: int, height: int) -> np.ndarray:
     """(gh, gw) uint8: mean slope of the small frame around each node, as a share of _STEEP;
     slopes of noise count nothing.
     """
-    slope = np.hypot(
-        cv2.Sobel(small, cv2.CV_32F, 1, 0, scale=0.25),
-        cv2.Sobel(small, cv2.CV_32F, 0, 1, scale=0.25),
-    )
-    density = np.clip((slope - _NOISE) / (_STEEP - _NOISE), 0, 1)
+    density = np.clip((_slope(small) - _NOISE) / (_STEEP - _NOISE), 0, 1)
     h, w = small.shape
     reach = max(_DETAIL_NODES * GRID_PX * w / width, 0.5)
     around = cv2.GaussianBlur(density, (0, 0), reach, borderType=cv2.BORDER_REPLICATE)
-    gx, gy = node_positions(width, height)
-    column = np.clip(np.round((gx[0] + 0.5) * w / width - 0.5).astype(int), 0, w - 1)
-    row = np.clip(np.round((gy[:, 0] + 0.5) * h / height - 0.5).astype(int), 0, h - 1)
-    return np.round(255 * around[np.ix_(row, column)]).astype(np.uint8)
+    return np.round(255 * around[_places(width, height, w, h)[1]]).astype(np.uint8)
 
 
 def refined(
@@ -271,32 +251,23 @@ def refined(
         cv2.GaussianBlur(a.astype(np.float32), (0, 0), _FINE_PX) for a in (small, reference)
     )
     sums = _normal_equations(now, then, trust > 0, back, first, pitch)
-    mean_x, mean_y, mean_e = (divide(sums[..., k], sums[..., 8]) for k in (5, 6, 7))
-    of_x, of_y = sums[..., 5], sums[..., 6]  # taken out: the means around each node
-    centred = sums[..., :5] - np.stack(
-        [of_x * mean_x, of_x * mean_y, of_y * mean_y, of_x * mean_e, of_y * mean_e], -1
-    )
-    gh, gw = centred.shape[:2]
+    means = divide(sums[..., 5:8], sums[..., 8:])  # around each node: taken out
+    sums = sums[..., :5] - sums[..., [5, 5, 6, 5, 6]] * means[..., [0, 1, 1, 2, 2]]
+    gh, gw = sums.shape[:2]
     y, x = np.mgrid[0:gh, 0:gw] / np.array([gh, gw]).reshape(2, 1, 1) - 0.5
-    terms = np.stack([np.ones((gh, gw)), x, y], -1).reshape(-1, 3)
-    xx, xy, yy, xe, ye = centred.reshape(
-        -1, 5
-    ).T  # the affine motion that the nodes ask for together, at each of them
-    of = lambda weight: (terms * weight[:, None]).T @ terms  # noqa: E731
-    normal = np.block([[of(xx), of(xy)], [of(xy), of(yy)]]) + _PRIOR * np.eye(6)
-    motion = np.linalg.solve(normal, np.concatenate([terms.T @ xe, terms.T @ ye]))
-    affine = (terms @ motion.reshape(2, 3).T).reshape(gh, gw, 2)
-    spread = cv2.GaussianBlur(
-        centred, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE
+    terms = np.stack([np.ones((gh, gw)), x, y], -1)
+    slopes = sums[..., [0, 1, 1, 2]].reshape(gh, gw, 2, 2)
+    # the affine motion that the nodes ask for together, at each of them
+    normal = np.einsum("yxij,yxp,yxq->ipjq", slopes, terms, terms).reshape(6, 6)
+    asked = np.einsum("yxi,yxp->ip", sums[..., 3:], terms).ravel()
+    motion = np.linalg.solve(normal + _PRIOR * np.eye(6), asked)
+    affine = terms @ motion.reshape(2, 3).T
+    sums += _NEIGHBOURS * cv2.GaussianBlur(
+        sums, (0, 0), _SPREAD_NODES, borderType=cv2.BORDER_REPLICATE
     )
-    xx, xy, yy, xe, ye = np.moveaxis(centred + _NEIGHBOURS * spread, -1, 0)
-    ex, ey = (
-        xe - xx * affine[..., 0] - xy * affine[..., 1],
-        ye - xy * affine[..., 0] - yy * affine[..., 1],
-    )
-    xx, yy = xx + _PRIOR, yy + _PRIOR
-    det = xx * yy - xy * xy  # _PRIOR^2 at least: without it a sum of squares
-    step = affine + np.stack([yy * ex - xy * ey, xx * ey - xy * ex], -1) / det[..., None]
+    slopes = sums[..., [0, 1, 1, 2]].reshape(gh, gw, 2, 2)
+    left = sums[..., 3:, None] - slopes @ affine[..., None]
+    step = affine + np.linalg.solve(slopes + _PRIOR * np.eye(2), left)[..., 0]
     return back + np.clip(step, -_MOST_PX, _MOST_PX)
 
 

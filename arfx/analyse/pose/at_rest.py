@@ -91,40 +91,30 @@ class BackgroundFlow(Stateful):
         """markers : rectangles that hold configured or other markers;  fresh : a marker was
         measured in this frame.
         """
-        if time_s - self._time_s < INTERVAL_S:
+        since = time_s - self._time_s
+        if since < INTERVAL_S:
             return
         recent = (
             self._image is not None
-            and time_s - self._time_s < 3 * INTERVAL_S
+            and since < 3 * INTERVAL_S
             and max(map(len, self._points)) >= _MIN_POINTS
         )
-        if not fresh and not recent:
-            self._image, self._time_s = None, -np.inf
-            return
         factor = max(1, luma.shape[1] // WIDTH_PX)
-        small = _reduced(luma, factor)
+        small = _reduced(luma, factor) if fresh or recent else luma
         if recent:
             self._follow(index, small, factor)
-        if not fresh:
-            self._image, self._time_s = None, -np.inf
-            return
-        if int(time_s / INTERVAL_S) % self._stride:
-            self._image, self._time_s = None, time_s
+        self._image, self._time_s = None, time_s if fresh else -np.inf
+        if not fresh or int(time_s / INTERVAL_S) % self._stride:
             return
         mask = np.full(small.shape, 255, np.uint8)
         for r in markers:
-            grown = r.pad(max(r.width, r.height) // 3)
-            part = Rect(
-                grown.x0 // factor,
-                grown.y0 // factor,
-                grown.x1 // factor + 1,
-                grown.y1 // factor + 1,
-            )
-            mask[part.clip(Rect.of(small.shape[1], small.shape[0])).slices] = 0
+            r = r.pad(max(r.width, r.height) // 3)
+            rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
+            mask[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = 0
         self._points = [
             _corners(view, POINTS, mask) for view in (small, _local_contrast(small))
         ]
-        self._image, self._index, self._time_s = small, index, time_s
+        self._image, self._index = small, index
 
     def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
         assert self._image is not None
@@ -174,10 +164,16 @@ def _local_contrast(image: np.ndarray) -> np.ndarray:
     """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves
     it nearly as it was.
     """
-    value = image.astype(np.float32)
-    off = value - cv2.blur(value, (NEAR_PX, NEAR_PX))
-    size = np.sqrt(np.maximum(cv2.blur(off * off, (NEAR_PX, NEAR_PX)), 0)) + FLAT
+    off, square = _contrast(image, NEAR_PX)
+    size = np.sqrt(np.maximum(square, 0)) + FLAT
     return np.clip(128 + 48 * off / size, 0, 255).astype(np.uint8)
+
+
+def _contrast(image: np.ndarray, window_px: int) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) float32 difference to the mean of the neighbourhood; mean square of that in it."""
+    value, window = image.astype(np.float32), (window_px, window_px)
+    off = value - cv2.blur(value, window)
+    return off, cv2.blur(off * off, window)
 
 
 def decide_static(
@@ -192,30 +188,22 @@ def decide_static(
     posed = [
         s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()
     ]
-    every = [np.zeros((0, 2)), *(end for s in posed for end in (s.here, s.there))]
-    ideal = np.split(
-        camera.normalised(np.concatenate(every)), np.cumsum([len(e) for e in every])[:-1]
-    )[1:]
-    rest, along, moves = [], [], []
-    for s, from_, to in zip(posed, ideal[::2], ideal[1::2], strict=True):
+    told = []
+    for s in posed:
+        from_, to = camera.normalised(np.stack([s.here, s.there]))
         a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
         still, way = STILL_PX * s.pixel_px, np.linalg.norm(s.there - s.here, axis=1)
-        rest.append(float((way < still).mean()))
         missed = camera.fx * epipolar_distance(
             from_, to, b @ a.inverse(), NEAREST * float(b.translation_m[2])
         )
-        along.append(float((missed < 2 * still + DRIFT * way).mean()))
-        moves.append(
-            float(
-                np.linalg.norm(
-                    camera.project(b.translation_m) - camera.project(a.translation_m)
-                )
-            )
-        )
+        along = (missed < 2 * still + DRIFT * way).mean()
+        moved = camera.project(np.stack([a.translation_m, b.translation_m]))
+        told.append(((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0))))
+    rest, along, moves = np.array(told).reshape(-1, 3).T
     evidence = {
-        "samples": float(len(rest)),
-        "at_rest": float(np.mean(rest)) if rest else 0.0,
-        "with_marker": float(np.mean(along)) if along else 0.0,
+        "samples": float(len(told)),
+        "at_rest": float(rest.mean()) if told else 0.0,
+        "with_marker": float(along.mean()) if told else 0.0,
         "marker_moves_px": float(np.nanmedian(moves)) if np.isfinite(moves).any() else 0.0,
     }
     otherwise = "marker" if evidence["with_marker"] > 0.6 else "both"
@@ -233,9 +221,7 @@ def epipolar_distance(
     """
     far = np.column_stack([a, np.ones(len(a))]) @ b_from_a.rotation.T
     near = far + b_from_a.translation_m / max(nearest_m, LEAST_DEPTH_M)
-    p, q = (
-        divide(v[:, :2], np.repeat(v[:, 2:], 2, 1), where_zero=np.nan) for v in (far, near)
-    )
+    p, q = (divide(v[:, :2], v[:, 2:], where_zero=np.nan) for v in (far, near))
     d = q - p
     t = np.clip(divide(((b - p) * d).sum(1), (d * d).sum(1)), 0, 1)
     distance = np.linalg.norm(b - p - t[:, None] * d, axis=1)
@@ -251,57 +237,44 @@ class RestCheck(Stateful):
     carried = frozenset({"_next_s"})
 
     def __init__(self) -> None:
-        self._first: np.ndarray | None = None
-        self._points = np.zeros((0, 2), np.float32)
-        self._factor = 1  # clip px in one of the reduced picture
+        # reduced, its corners, and clip px in one of its own
+        self._first: tuple[np.ndarray, np.ndarray, int] | None = None
         self._next_s = -np.inf
         self.rests = True
         self.moved_px = 0.0
 
     def step(self, time_s: float, luma: np.ndarray) -> None:
         """luma : (h, w) uint8"""
-        if time_s < self._next_s and self._first is not None and self.rests:
+        if time_s < self._next_s:
             return
         self._next_s = time_s + INTERVAL_S
-        self._factor = factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
+        factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
         small = _reduced(luma, factor)
-        if self._first is None:
-            value = small.astype(np.float32)
-            off = value - cv2.blur(value, (_WINDOW_PX, _WINDOW_PX))
-            contrast = cv2.blur(off * off, (_WINDOW_PX, _WINDOW_PX)) > _NOISE**2
-            self._first, self._points = (
-                small,
-                _corners(small, REST_POINTS, contrast.astype(np.uint8)),
-            )
+        if self._first is not None:
+            self._compare(small, *self._first)
             return
-        self._compare(small)
+        mask = (_contrast(small, _WINDOW_PX)[1] > _NOISE**2).astype(np.uint8)
+        self._first = small, _corners(small, REST_POINTS, mask), factor
 
     def join(self, later: RestCheck) -> None:
         if self._first is None:
-            self._first, self._points, self._factor = (
-                later._first,
-                later._points,
-                later._factor,
-            )
+            self._first = later._first
         elif later._first is not None and self.rests:
-            self._compare(later._first)
+            self._compare(later._first[0], *self._first)
         self.moved_px = max(self.moved_px, later.moved_px)
         self.rests &= later.rests
 
-    def _compare(self, small: np.ndarray) -> None:
-        assert self._first is not None
+    def _compare(
+        self, small: np.ndarray, first: np.ndarray, points: np.ndarray, factor: int
+    ) -> None:
         if (
-            len(self._points) < _LEAST_POINTS
+            len(points) < _LEAST_POINTS
         ):  # nothing to see: nothing that could tell of a motion
             return
-        there, good, _ = cv2.calcOpticalFlowPyrLK(self._first, small, self._points, None)  # type: ignore[call-overload]
-        away = np.linalg.norm(there - self._points, axis=1)
-        away = np.where(
-            good.ravel() > 0, away, np.inf
-        )  # a corner that is lost may have left the picture
+        there, good, _ = cv2.calcOpticalFlowPyrLK(first, small, points, None)  # type: ignore[call-overload]
+        away = np.linalg.norm(there - points, axis=1)
+        away[good.ravel() == 0] = np.inf  # a corner that is lost may have left the picture
         seen = away[np.isfinite(away)]
-        self.moved_px = max(
-            self.moved_px, self._factor * float(np.median(seen)) if len(seen) else 0.0
-        )
-        if (away < REST_PX).mean() < REST_FRACTION:
-            self.rests = False
+        if len(seen):
+            self.moved_px = max(self.moved_px, factor * float(np.median(seen)))
+        self.rests &= bool((away < REST_PX).mean() >= REST_FRACTION)

@@ -27,37 +27,21 @@ def sort(v):  # pragma: no cover - compiled
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def solve_in_place(a, b):  # pragma: no cover - compiled
-    """b becomes a^-1 b for a (n, n), b (n, m); a is used up. Returns log |det a|; a
-    singular a leaves NaN.
+    """b becomes a^-1 b for a (n, n) symmetric and positive, which needs no pivots, b (n, m); a
+    is used up. A singular a leaves NaN.
     """
     n, m = b.shape
-    log_det = 0.0
     for c in range(n):
-        pivot, size = c, abs(a[c, c])
-        for r in range(c + 1, n):
-            if abs(a[r, c]) > size:
-                pivot, size = r, abs(a[r, c])
-        if pivot != c:
-            for k in range(c, n):
-                a[c, k], a[pivot, k] = a[pivot, k], a[c, k]
-            for k in range(m):
-                b[c, k], b[pivot, k] = b[pivot, k], b[c, k]
-        log_det += np.log(size)
-        for r in range(c + 1, n):
-            fraction = a[r, c] / a[c, c]
-            if fraction != 0.0:
-                for k in range(c + 1, n):
+        for r in range(n):
+            if r != c:
+                fraction = a[r, c] / a[c, c]
+                for k in range(c, n):
                     a[r, k] -= fraction * a[c, k]
                 for k in range(m):
                     b[r, k] -= fraction * b[c, k]
-    for c in range(n - 1, -1, -1):
-        for r in range(c + 1, n):
-            fraction = a[c, r]
-            for k in range(m):
-                b[c, k] -= fraction * b[r, k]
+    for c in range(n):
         for k in range(m):
             b[c, k] /= a[c, c]
-    return log_det
 
 
 @numba.njit(cache=True, nogil=True)
@@ -83,8 +67,8 @@ def filter_chain(
     """Kalman filter along n states of s numbers. Returns the log evidence, up to a constant.
 
     start (s, s) : covariance of the first state;  move, noise (n - 1, s, s), shift (n - 1, s)
-    rows (n, m, s), values (n, m) : a state's measurements, independent and of unit noise; a
-    row of zeros measures nothing
+    rows (n, m, r), values (n, m) : measurements of a state's first r numbers, independent and
+    of unit noise; a row of zeros measures nothing
     ahead_x, means (n, s), ahead_p, covs (n, s, s) : filled with the states before and after
     their own measurements
 
@@ -106,9 +90,9 @@ def filter_chain(
         for j in range(values.shape[1]):
             row, value = rows[k, j], values[k, j]
             for i in range(len(x)):
-                shared[i] = _dot(p[i], row)
-            spread = 1.0 + _dot(shared, row)
-            missed = value - _dot(x, row)
+                shared[i] = _dot(row, p[i])
+            spread = 1.0 + _dot(row, shared)
+            missed = value - _dot(row, x)
             log -= 0.5 * (np.log(spread) + missed**2 / spread - value**2)
             for i in range(len(x)):
                 x[i] += shared[i] * (missed / spread)

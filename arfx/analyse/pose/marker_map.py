@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,28 +22,25 @@ from arfx.analyse.pose.planar import (
     residuals,
     rms_px,
     stack,
-    view_jacobian,
 )
-from arfx.core.numerics import EPS_DEPTH_M, condition
+from arfx.core.numerics import condition
 from arfx.core.pose import Pose, skew
 
 # frames that the adjustment uses, evenly spread over those with two or more markers
 MAX_FRAMES = 200
 _VOTERS, _JUDGES = 40, 60
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class View:
     """One marker in one frame, as the mapping needs it.
 
-    solutions : its planar poses, best first.
+    seen : without the axis of frames;  solutions : its planar poses, best first.
     """
 
     key: str
-    corners_m: np.ndarray
-    ideal: np.ndarray
-    px_per_ideal: np.ndarray
-    sigma_px: float
+    seen: Observed
     solutions: tuple[Pose, ...]
 
 
@@ -62,50 +61,38 @@ class MarkerMap:
 
 
 def map_markers(frames: Sequence[Sequence[View]], keys: Sequence[str]) -> MarkerMap:
-    """frames : the markers of each frame (ones without solutions are ignored);  keys :
-    configured order.
-    """
-    usable = [[v for v in views if v.solutions] for views in frames]
-    present = [k for k in keys if any(v.key == k for views in usable for v in views)]
+    """frames : the markers of each frame;  keys : configured order."""
+    present = [k for k in keys if any(v.key == k for views in frames for v in views)]
     if not present:
         return MarkerMap({})
-    together = [
-        {v.key: v for v in views} for views in usable if len({v.key for v in views}) > 1
-    ]
+    together = [f for f in ({v.key: v for v in views} for views in frames) if len(f) > 1]
     start = _spanning_tree(together, present)
     unmapped = tuple(k for k in present if k not in start)
     if len(start) == 1:
         return MarkerMap(start, unmapped)
-    chosen = [f for f in together if sum(k in start for k in f) > 1]
-    if len(chosen) > MAX_FRAMES:
-        chosen = [
-            chosen[i]
-            for i in np.linspace(0, len(chosen) - 1, MAX_FRAMES).round().astype(int)
-        ]
-    return _adjust(chosen, start, unmapped)
+    chosen = [[*f.values()] for f in together if sum(k in start for k in f) > 1]
+    return _adjust(_evenly(chosen, MAX_FRAMES), start, unmapped)
+
+
+def _evenly(items: Sequence[T], most: int) -> list[T]:
+    at = np.linspace(0, len(items) - 1, most).round().astype(int)
+    return [items[k] for k in np.unique(at)]
 
 
 def _spanning_tree(together: list[dict[str, View]], present: list[str]) -> dict[str, Pose]:
     """Grow the map from the first marker along the pairs that agree best."""
-    edges: dict[tuple[str, str], tuple[float, Pose]] = {}
+
+    @cache
+    def edge(a: str, b: str) -> tuple[float, Pose]:
+        return _relative_pose([f for f in together if a in f and b in f], a, b)
+
     out = {present[0]: Pose.identity()}
-    while len(out) < len(present):
-        best: tuple[float, str, Pose] | None = None
-        for a in out:
-            for b in present:
-                if b in out:
-                    continue
-                if (a, b) not in edges:
-                    edges[a, b] = _relative_pose(
-                        [f for f in together if a in f and b in f], a, b
-                    )
-                misfit, a_from_b = edges[a, b]
-                if np.isfinite(misfit) and (best is None or misfit < best[0]):
-                    best = (misfit, b, out[a] @ a_from_b)
-        if best is None:
-            break
-        out[best[1]] = best[2]
-    return out
+    while True:
+        ends = ((edge(a, b)[0], a, b) for a in out for b in present if b not in out)
+        misfit, a, b = min(ends, default=(np.inf, "", ""))
+        if misfit == np.inf:
+            return out
+        out[b] = out[a] @ edge(a, b)[1]
 
 
 def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float, Pose]:
@@ -116,120 +103,98 @@ def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float
     together is preferred."""
     if not frames:
         return np.inf, Pose.identity()
-    sampled = [
-        frames[i]
-        for i in np.unique(np.linspace(0, len(frames) - 1, _VOTERS).round().astype(int))
-    ]
-    judges = [
-        frames[i]
-        for i in np.unique(np.linspace(0, len(frames) - 1, _JUDGES).round().astype(int))
-    ]
     candidates = [
-        pa.inverse() @ pb for f in sampled for pa in f[a].solutions for pb in f[b].solutions
+        pa.inverse() @ pb
+        for f in _evenly(frames, _VOTERS)
+        for pa in f[a].solutions
+        for pb in f[b].solutions
     ]
-    corners = np.stack(
-        [c.apply(frames[0][b].corners_m) for c in candidates]
-    )  # (c, 4, 3) in a
-    error = np.empty((len(candidates), len(judges)))
-    for k, f in enumerate(judges):
-        distances = []
-        s = f[b].px_per_ideal
-        for p in f[a].solutions:
-            q = p.apply(corners)
-            d = q[..., :2] / np.maximum(q[..., 2:], EPS_DEPTH_M) - f[b].ideal
-            x, y = (s[:, i, 0] * d[..., 0] + s[:, i, 1] * d[..., 1] for i in range(2))
-            distances.append(np.sqrt((x * x + y * y).mean(-1)))
-        error[:, k] = np.min(distances, axis=0)
-    typical = np.median(error, axis=1)
+    rotation, translation = stack(candidates)
+    error = []
+    for f in _evenly(frames, _JUDGES):
+        seen = observe([[f[b]]], {b: Pose.identity()}, [b])
+        missed = [
+            rms_px(
+                residuals(p.rotation @ rotation, p.apply(translation), seen), seen.weight
+            )
+            for p in f[a].solutions
+        ]
+        error.append(np.min(missed, axis=0))
+    typical = np.median(error, axis=0)
     best = int(typical.argmin())
     return float(typical[best] / np.sqrt(len(frames))), candidates[best]
 
 
+def camera_poses(
+    views: Iterable[View], world_from_marker: Mapping[str, Pose]
+) -> list[Pose]:
+    """camera_from_world by each planar solution of each mapped marker."""
+    return [
+        p @ world_from_marker[v.key].inverse()
+        for v in views
+        if v.key in world_from_marker
+        for p in v.solutions
+    ]
+
+
 def _adjust(
-    frames: list[dict[str, View]], start: dict[str, Pose], unmapped: tuple[str, ...]
+    frames: list[list[View]], start: dict[str, Pose], unmapped: tuple[str, ...]
 ) -> MarkerMap:
+    """Gauss-Newton. What a frame's own pose explains of its corners is projected out (QR);
+    the rest is for the map."""
+    from scipy.linalg import block_diag
+
     keys = list(start)
     n, m = len(frames), len(keys)
-    corners_m = {v.key: v.corners_m for frame in frames for v in frame.values()}
+    corners_m = {v.key: v.seen.points_m for views in frames for v in views}
     local = np.stack([corners_m.get(k, np.zeros((4, 3))) for k in keys])
-    seen = observe([frame.values() for frame in frames], start, keys)
-    map_r, map_t = stack([*start.values()])
-    now, first = _placed(seen, map_r, map_t, local), []
-    for k, frame in enumerate(
+    seen = observe(frames, start, keys)
+    first = []
+    for k, views in enumerate(
         frames
     ):  # from the planar solution that fits all its markers best
-        candidates = [
-            p @ start[key].inverse()
-            for key, v in frame.items()
-            if key in start
-            for p in v.solutions
-        ]
-        one = now.take(np.full(len(candidates), k))
-        first.append(
-            candidates[
-                int(huber_cost(residuals(*stack(candidates), one), one.weight)[0].argmin())
-            ]
-        )
-    rotation, translation, _ = refine_poses(*stack(first), now)
-    damping, cost = 1e-6, np.inf
-    reduced = np.eye(6 * (m - 1))
+        candidates = camera_poses(views, start)
+        one = seen.take(np.full(len(candidates), k))
+        misfit, _ = huber_cost(residuals(*stack(candidates), one), one.weight)
+        first.append(candidates[int(misfit.argmin())])
+    rotation, translation, _ = refine_poses(*stack(first), seen)
+    map_r, map_t = stack([*start.values()])
+    cost = np.inf
     for _ in range(30):
-        now = _placed(seen, map_r, map_t, local)
-        r = residuals(rotation, translation, now)
-        rho, factor = huber_cost(r, now.weight)
-        if abs(cost - rho.sum()) < 1e-10 * (1 + rho.sum()):
+        world = (local @ np.swapaxes(map_r, 1, 2) + map_t[:, None]).reshape(1, -1, 3)
+        seen = seen._replace(points_m=np.broadcast_to(world, seen.points_m.shape))
+        r = residuals(rotation, translation, seen)
+        rho, factor = huber_cost(r, seen.weight)
+        before, cost = cost, float(rho.sum())
+        if abs(before - cost) < 1e-10 * (1 + cost):
             break
-        cost = float(rho.sum())
-        w = now.weight * factor
-        jf = jacobian(rotation, translation, now)
-        # (n, p, 2, 6) px per left perturbation, in world axes, of the marker that carries
-        # the corner
-        world = now.points_m
-        q = np.einsum("nij,npj->npi", rotation, world) + translation[:, None]
+        root = np.sqrt(seen.weight * factor)[..., None]
+        frame_j = jacobian(rotation, translation, seen)
+        # px per left perturbation, in world axes, of the marker that carries the corner
         lever = np.concatenate(
             [-skew(world), np.broadcast_to(np.eye(3), (*world.shape, 3))], -1
         )
-        jm = now.px_per_ideal @ view_jacobian(q) @ rotation[:, None] @ lever
-        jfw = np.swapaxes((jf * w[..., None, None]).reshape(n, 8 * m, 6), 1, 2)
-        hff = jfw @ jf.reshape(n, 8 * m, 6)
-        gf = (jfw @ r.reshape(n, 8 * m, 1))[..., 0]
-        jmw = (jm * w[..., None, None]).reshape(n, m, 8, 6)
-        hfm = np.swapaxes(jf.reshape(n, m, 8, 6), 2, 3) @ jmw
-        hmm = (np.swapaxes(jmw, 2, 3) @ jm.reshape(n, m, 8, 6)).sum(0)
-        gm = (np.swapaxes(jmw, 2, 3) @ r.reshape(n, m, 8, 1))[..., 0].sum(0)
-        hff = hff + np.einsum("nii->ni", hff)[:, :, None] * damping * np.eye(6)
-        inverse = np.linalg.inv(hff)
-        couple = np.swapaxes(hfm, 2, 3) @ inverse[:, None]  # (n, m, 6, 6)
-        left, middle = (
-            couple.transpose(1, 2, 0, 3).reshape(6 * m, 6 * n),
-            hfm.transpose(0, 2, 1, 3).reshape(6 * n, 6 * m),
+        map_j = frame_j[..., 3:] @ rotation[:, None] @ lever
+        own, upper = np.linalg.qr((frame_j * root[..., None]).reshape(n, -1, 6))
+        of_map = (map_j * root[..., None]).reshape(n, m, 8, 6)
+        own, missed = own.reshape(n, m, 8, 6), (r * root).reshape(n, m, 8)
+        shared = np.einsum("nmai,nmaj->nimj", own, of_map).reshape(6 * n, 6 * m)
+        explained = np.einsum("nmai,nma->ni", own, missed).ravel()
+        normal = (
+            block_diag(*np.einsum("nmai,nmaj->mij", of_map, of_map)) - shared.T @ shared
         )
-        reduced_full = -(left @ middle).reshape(m, 6, m, 6)
-        for i in range(m):
-            reduced_full[i, :, i, :] += hmm[i] * (1 + damping * np.eye(6))
-        reduced = reduced_full[1:, :, 1:, :].reshape(
-            6 * (m - 1), -1
-        )  # the first marker is the world: it stays
-        right = (gm - np.einsum("nmij,nj->mi", couple, gf))[1:].reshape(-1)
-        step_m = np.zeros((m, 6))
-        step_m[1:] = -np.linalg.solve(reduced, right).reshape(m - 1, 6)
-        step_f = -np.einsum(
-            "nij,nj->ni", inverse, gf + np.einsum("nmij,mj->ni", hfm, step_m)
-        )
-        map_r, map_t = apply_step(map_r, map_t, step_m)
-        rotation, translation = apply_step(rotation, translation, step_f)
-    now = _placed(seen, map_r, map_t, local)
-    rms = float(
-        np.sqrt(np.mean(rms_px(residuals(rotation, translation, now), now.weight) ** 2))
-    )
-    covariance = np.linalg.pinv(reduced)
-    spread = {keys[0]: 0.0}
-    for i, key in enumerate(keys[1:]):
-        # centre moves by rotation x centre + translation of the left perturbation
-        c = map_t[i + 1]
-        lever = np.concatenate([-skew(c), np.eye(3)], 1)
-        block = covariance[6 * i : 6 * i + 6, 6 * i : 6 * i + 6]
-        spread[key] = float(np.sqrt(max(np.trace(lever @ block @ lever.T), 0.0)))
+        right = np.einsum("nmai,nma->mi", of_map, missed).ravel() - shared.T @ explained
+        reduced = normal[6:, 6:]  # the first marker is the world: it stays
+        step = np.append(np.zeros(6), -np.linalg.solve(reduced, right[6:]))
+        frame_step = -np.linalg.solve(upper, (explained + shared @ step).reshape(n, 6, 1))
+        map_r, map_t = apply_step(map_r, map_t, step.reshape(m, 6))
+        rotation, translation = apply_step(rotation, translation, frame_step[..., 0])
+    rms = float(np.sqrt(np.mean(rms_px(r, seen.weight) ** 2)))
+    # a centre moves by rotation x centre + translation of the left perturbation
+    lever = np.concatenate([-skew(map_t), np.tile(np.eye(3), (m, 1, 1))], 2)
+    covariance = np.linalg.pinv(reduced).reshape(m - 1, 6, m - 1, 6)
+    square = np.einsum("iaj,ijik,iak->i", lever[1:], covariance, lever[1:])
+    spread = dict(zip(keys, [0.0, *np.sqrt(np.maximum(square, 0)).tolist()], strict=True))
     poses = {k: Pose(map_r[i], map_t[i]) for i, k in enumerate(keys)}
     return MarkerMap(poses, unmapped, n, rms, spread, condition(reduced))
 
@@ -240,29 +205,13 @@ def observe(
     keys: Sequence[str],
 ) -> Observed:
     """The corners of these markers, four places per key."""
-    slot = {k: i for i, k in enumerate(keys)}
-    n, p = len(frames), 4 * max(len(slot), 1)
-    out = Observed(
-        np.zeros((n, p, 3)), np.zeros((n, p, 2)), np.zeros((n, p, 2, 2)), np.zeros((n, p))
-    )
+    n, m = len(frames), max(len(keys), 1)
+    out = Observed(*(np.zeros((n, m, 4, *s)) for s in ((3,), (2,), (2, 2), ())))
     for k, views in enumerate(frames):
         for v in views:
-            if v.key in slot:
-                part = slice(4 * slot[v.key], 4 * slot[v.key] + 4)
-                out.points_m[k, part] = world_from_marker[v.key].apply(v.corners_m)
-                out.ideal[k, part], out.px_per_ideal[k, part] = v.ideal, v.px_per_ideal
-                out.weight[k, part] = v.sigma_px**-2.0
-    return out
-
-
-def _placed(
-    seen: Observed, map_r: np.ndarray, map_t: np.ndarray, local: np.ndarray
-) -> Observed:
-    """The same observations with the corners where the map now puts them, in world coordinates."""
-    world = (np.einsum("mij,mpj->mpi", map_r, local) + map_t[:, None]).reshape(1, -1, 3)
-    return Observed(
-        np.broadcast_to(world, seen.points_m.shape),
-        seen.ideal,
-        seen.px_per_ideal,
-        seen.weight,
-    )
+            if v.key in keys:
+                at = k, keys.index(v.key)
+                for whole, one in zip(out, v.seen, strict=True):
+                    whole[at] = one
+                out.points_m[at] = world_from_marker[v.key].apply(v.seen.points_m)
+    return Observed(*(a.reshape(n, 4 * m, *a.shape[3:]) for a in out))

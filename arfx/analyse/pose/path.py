@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, pairwise
 
 import numpy as np
 
-from arfx.analyse.pose.marker_map import View, observe
+from arfx.analyse.pose.marker_map import View, camera_poses, observe
 from arfx.analyse.pose.planar import Observed, refine_poses, residuals, stack
 from arfx.core.numerics import divide
-from arfx.core.pose import Pose, rotation_angle_rad, rotvec_from_rotation
+from arfx.core.pose import Pose, rotvec_from_rotation
 
 # a hand turns a marker, or a camera, about this fast; faster is possible, and costs more
 TURN_RAD_S = 1.0
@@ -32,30 +33,34 @@ _STARTS = 2  # markers (the largest in the frame) whose solutions start a joint 
 
 
 def choose_path(
-    candidates: Sequence[Sequence[Pose]],
-    costs: Sequence[Sequence[float]],
-    times_s: Sequence[float],
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    cost: np.ndarray,
+    index: np.ndarray,
+    times_s: np.ndarray,
+    shot: np.ndarray,
 ) -> list[int]:
-    """Index of the chosen candidate in every frame.
+    """Which candidate is chosen in every frame that has one.
 
-    candidates : per frame, one or more poses;  costs : their misfit, half of chi squared;
-    times_s : frame times
-    O(frames * candidates^2). An empty sequence gives an empty path."""
-    if not candidates:
-        return []
-    poses = [stack([*c]) for c in candidates]
-    total = np.asarray(costs[0], float)
-    back: list[np.ndarray] = []
-    for k in range(1, len(candidates)):
-        (r0, t0), (r1, t1) = poses[k - 1], poses[k]
-        dt = times_s[k] - times_s[k - 1]
-        every = total[:, None] + move_costs(r0[:, None], t0[:, None], r1, t1, dt)
+    rotation (c, 3, 3), translation (c, 3) : of the candidates;  cost (c,) : their misfit,
+    half of chi squared;  index (c,) : their frames, rising
+    times_s, shot : of every frame; across a cut any move is free
+    O(frames * candidates^2)."""
+    groups = np.split(np.arange(len(index)), np.flatnonzero(np.diff(index)) + 1)
+    total, back = cost[groups[0]], []
+    for a, b in pairwise(groups):
+        k, m = index[a[0]], index[b[0]]
+        dt = times_s[m] - times_s[k]
+        move = move_costs(
+            rotation[a, None], translation[a, None], rotation[b], translation[b], dt
+        )
+        every = total[:, None] + (shot[k] == shot[m]) * move
         back.append(every.argmin(0))
-        total = every.min(0) + np.asarray(costs[k], float)
+        total = every.min(0) + cost[b]
     path = [int(total.argmin())]
     for pointers in reversed(back):
         path.append(int(pointers[path[-1]]))
-    return path[::-1]
+    return [int(g[i]) for g, i in zip(groups, reversed(path), strict=True)]
 
 
 def move_costs(
@@ -77,14 +82,14 @@ class WorldPath:
     identity where not measured
     measured : (n,);  observed : all corners that count;  flips : frames in which the best
     single-frame solution was not
-    the right one;  dropped : (frame, key) of inconsistent sightings"""
+    the right one;  dropped : how many inconsistent sightings"""
 
     rotation: np.ndarray
     translation: np.ndarray
     measured: np.ndarray
     observed: Observed
-    flips: int
-    dropped: tuple[tuple[int, str], ...]
+    flips: int = 0
+    dropped: int = 0
 
 
 def world_path(
@@ -97,118 +102,53 @@ def world_path(
     """frames : markers of each frame;  shot : number of each frame's shot: no path runs
     across a cut.
     """
-    mapped = [k for k in keys if k in world_from_marker]
-    seen = observe(frames, world_from_marker, mapped)
-    owner, start = [], []
-    for k, views in enumerate(frames):
-        usable = sorted(
-            (v for v in views if v.key in world_from_marker and v.solutions), key=_extent
-        )
-        for v in usable[-_STARTS:]:
-            for pose in v.solutions:
-                owner.append(k)
-                start.append(pose @ world_from_marker[v.key].inverse())
+    seen = observe(frames, world_from_marker, [k for k in keys if k in world_from_marker])
     n = len(frames)
-    rotation, translation = np.broadcast_to(np.eye(3), (n, 3, 3)).copy(), np.zeros((n, 3))
-    index = np.array(owner, int)
-    measured = np.zeros(n, bool)
-    if not owner:
-        return WorldPath(rotation, translation, measured, seen, 0, ())
-    measured[index] = True
-    r, t = stack(start)
-    r, t, cost = refine_poses(r, t, seen.take(index))
-    flips = 0
-    frames_of = np.flatnonzero(measured)  # whose candidates follow each other in `index`
-    begins = dict(zip(frames_of.tolist(), np.searchsorted(index, frames_of), strict=True))
-    ends = dict(
-        zip(
-            frames_of.tolist(), np.searchsorted(index, frames_of, side="right"), strict=True
-        )
+    rotation, translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+    largest = [sorted(views, key=_extent)[::-1] for views in frames]
+    starts = [camera_poses(views[:_STARTS], world_from_marker) for views in largest]
+    index = np.repeat(np.arange(n), [*map(len, starts)])
+    measured = np.bincount(index, minlength=n) > 0
+    if not measured.any():
+        return WorldPath(rotation, translation, measured, seen)
+    r, t, cost = refine_poses(*stack(list(chain(*starts))), seen.take(index))
+    cost = np.where(t[:, 2] > 0, cost, 1e9)
+    path = choose_path(r, t, cost, index, times_s, shot)
+    rotation[measured], translation[measured] = r[path], t[path]
+    order = np.lexsort((cost, index))
+    alone = r[order[np.unique(index, return_index=True)[1]]]
+    turn = rotvec_from_rotation(r[path] @ np.swapaxes(alone, 1, 2))
+    flips = int((np.linalg.norm(turn, axis=1) > FLIP_RAD).sum())
+    # Markers that contradict the others of their frame, another print of the id or a misread,
+    # lose their weight. Where the joint pose misses a marker, the pose of each single one is
+    # asked how many others agree with it; the largest agreement stays, on a tie that of the
+    # larger print.
+    there = seen.weight[:, ::4] > 0
+    missed = (_misses(rotation, translation, seen) > 1).any(1) & (there.sum(1) > 1)
+    again, dropped = np.flatnonzero(missed), 0
+    for k in again:
+        one = stack(camera_poses(largest[k], world_from_marker))
+        # a single marker says less about its neighbours than all together: three times the gate
+        agree = _misses(*one, seen.take(np.full(len(one[0]), k))) <= 3
+        best = (agree & there[k]).sum(1).argmax()
+        rotation[k], translation[k] = one[0][best], one[1][best]
+        seen.weight[k] *= agree[best].repeat(4)
+        dropped += int((there[k] & ~agree[best]).sum())
+    rotation[again], translation[again], _ = refine_poses(
+        rotation[again], translation[again], seen.take(again)
     )
-    _, first = np.unique(shot[frames_of], return_index=True)  # no shot comes twice
-    for part in np.split(frames_of, first[1:]):
-        at = part.tolist()
-        groups = [np.arange(begins[k], ends[k]) for k in at]
-        poses = [[Pose(r[i], t[i]) for i in g] for g in groups]
-        costs = [[float(cost[i]) if t[i, 2] > 0 else 1e9 for i in g] for g in groups]
-        path = choose_path(poses, costs, [float(times_s[k]) for k in at])
-        for k, group, candidates, misfit, pick in zip(
-            at, groups, poses, costs, path, strict=True
-        ):
-            rotation[k], translation[k] = r[group[pick]], t[group[pick]]
-            alone = int(np.argmin(misfit))
-            flips += int(
-                alone != pick
-                and rotation_angle_rad(candidates[alone], candidates[pick]) > FLIP_RAD
-            )
-    dropped = _drop_inconsistent(
-        rotation, translation, seen, frames, world_from_marker, mapped, measured
-    )
-    if dropped:
-        again = np.array(sorted({k for k, _ in dropped}))
-        rotation[again], translation[again], _ = refine_poses(
-            rotation[again], translation[again], seen.take(again)
-        )
-    return WorldPath(rotation, translation, measured, seen, flips, tuple(dropped))
+    return WorldPath(rotation, translation, measured, seen, flips, dropped)
 
 
 def _extent(v: View) -> float:
-    return float(np.ptp(v.ideal[:, 0]) * np.ptp(v.ideal[:, 1]))
+    return float(np.ptp(v.seen.ideal, 0).prod())
 
 
-def _drop_inconsistent(
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    seen: Observed,
-    frames: Sequence[Sequence[View]],
-    world_from_marker: Mapping[str, Pose],
-    keys: Sequence[str],
-    measured: np.ndarray,
-) -> list[tuple[int, str]]:
-    """Take the weight from markers that contradict the others of their frame: another print
-    of the id, a misread.
-
-    Where the joint pose misses a marker, the pose of each single marker is asked how many
-    others agree with it; the largest agreement stays, on a tie that of the larger print.
-    Changes the frame's start in rotation and translation."""
-    slots = {k: slice(4 * i, 4 * i + 4) for i, k in enumerate(keys)}
-
-    def misses(r: np.ndarray, t: np.ndarray, one: Observed) -> dict[str, float]:
-        error = np.linalg.norm(residuals(r[None], t[None], one)[0], axis=-1)
-        there = {k: p for k, p in slots.items() if one.weight[0, p].all()}
-        gate = {
-            k: max(GATE_PX, GATE_SIGMA / float(np.sqrt(one.weight[0, p].mean())))
-            for k, p in there.items()
-        }
-        return {
-            k: float(np.sqrt((error[p] ** 2).mean())) / gate[k] for k, p in there.items()
-        }
-
-    out: list[tuple[int, str]] = []
-    for k in map(int, np.flatnonzero(measured & ((seen.weight > 0).sum(1) > 4))):
-        one = seen.take(np.array([k]))
-        if max(misses(rotation[k], translation[k], one).values()) <= 1:
-            continue
-        views = sorted(
-            (v for v in frames[k] if v.key in slots and v.solutions),
-            key=_extent,
-            reverse=True,
-        )
-        candidates = [
-            p @ world_from_marker[v.key].inverse() for v in views for p in v.solutions
-        ]
-        # a single marker says less about its neighbours than all together: three times the gate
-        agree = [
-            [key for key, m in misses(p.rotation, p.translation_m, one).items() if m <= 3]
-            for p in candidates
-        ]
-        best = max(range(len(candidates)), key=lambda i: (len(agree[i]), -i))
-        rotation[k], translation[k] = (
-            candidates[best].rotation,
-            candidates[best].translation_m,
-        )
-        for key, part in slots.items():
-            if one.weight[0, part].any() and key not in agree[best]:
-                seen.weight[k, part] = 0.0
-                out.append((int(k), key))
-    return out
+def _misses(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+    """(n, markers) by how much each misses the pose, in sizes of the gate; 0 where it is
+    not there.
+    """
+    squares = (residuals(rotation, translation, seen) ** 2).sum(2)
+    gate = np.maximum(GATE_PX, divide(GATE_SIGMA, np.sqrt(seen.weight[:, ::4])))
+    rms = np.sqrt(squares.reshape(*gate.shape, 4).mean(2))
+    return np.where(seen.weight[:, ::4] > 0, rms / gate, 0)

@@ -9,7 +9,7 @@ Source: docs/methods/pose.md#planar."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -25,8 +25,7 @@ HUBER_SIGMA = 3.0  # residuals beyond it count linearly
 _CONVERGED = 1e-9  # change of the cost, relative to 1 + cost
 
 
-@dataclass(frozen=True)
-class Observed:
+class Observed(NamedTuple):
     """Corners seen in n frames, at most p in each.
 
     points_m : (n, p, 3) world (or marker) coordinates;  ideal : (n, p, 2) normalised;
@@ -38,13 +37,8 @@ class Observed:
     px_per_ideal: np.ndarray
     weight: np.ndarray
 
-    def take(self, index: np.ndarray) -> Observed:
-        return Observed(
-            self.points_m[index],
-            self.ideal[index],
-            self.px_per_ideal[index],
-            self.weight[index],
-        )
+    def take(self, index: np.ndarray | int) -> Observed:
+        return Observed(*(a[index] for a in self))
 
 
 def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
@@ -73,20 +67,12 @@ def residuals(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> 
 def jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
     """(n, p, 2, 6) px per left perturbation of the pose."""
     q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
-    return (
-        seen.px_per_ideal
-        @ view_jacobian(q)
-        @ np.concatenate([-skew(q), np.broadcast_to(np.eye(3), (*q.shape, 3))], -1)
-    )
-
-
-def view_jacobian(q: np.ndarray) -> np.ndarray:
-    """(..., 2, 3) of (x/z, y/z) with respect to the point, camera coordinates (..., 3)."""
     z = np.maximum(q[..., 2], EPS_DEPTH_M)
-    out = np.zeros((*q.shape[:-1], 2, 3))
-    out[..., 0, 0] = out[..., 1, 1] = 1 / z
-    out[..., 0, 2], out[..., 1, 2] = -q[..., 0] / z**2, -q[..., 1] / z**2
-    return out
+    view = np.zeros((*q.shape[:-1], 2, 3))  # of (x/z, y/z), by the point
+    view[..., 0, 0] = view[..., 1, 1] = 1 / z
+    view[..., 2] = -q[..., :2] / (z**2)[..., None]
+    turned = np.concatenate([-skew(q), np.broadcast_to(np.eye(3), (*q.shape, 3))], -1)
+    return seen.px_per_ideal @ view @ turned
 
 
 def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,36 +4,34 @@ Gauss-Newton on SE(3).
 Axes: rotation about the camera's x, y, z; the position of the markers' centre as x/z, y/z and ln z.
 Each linearised problem is a chain (chain.py), its noise by maximum likelihood. State per
 frame: 6 position-like and 6 velocity-like numbers, each axis accelerated by noise of its
-own density; a seventh density accelerates several axes at once (Links.shake).
+own density; a seventh density accelerates several axes at once (Chain.shake).
 Source: docs/methods/pose.md#smoothing."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from arfx.analyse.pose.chain import Links, evidence, link, smooth_chain
-from arfx.analyse.pose.planar import Observed, huber_cost, residuals, view_jacobian
+from arfx.analyse.pose.chain import Chain, evidence, linked, smooth_chain
+from arfx.analyse.pose.planar import Observed, huber_cost, jacobian, residuals
 from arfx.core.parallel import parallel_map
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 
-# Axes whose noise is one number: turning about the picture's two axes, about the line of
-# sight; sideways; distance; and the camera's turning about itself (Links.shake), which
-# turns the marker and moves it sideways at once.
-GROUPS = ((0, 1), (2,), (3, 4), (5,), (6,))
+# Of each axis, the group that shares its noise: turning about the picture's two axes, about
+# the line of sight; sideways; distance; and the camera's turning about itself (Chain.shake),
+# which turns the marker and moves it sideways at once. And of each group its first axis.
+GROUP, _FIRST = [0, 0, 1, 2, 2, 3, 4], [0, 2, 3, 5, 6]
 TURN, ROLL, SIDEWAYS, DISTANCE, SHAKE = range(5)
-AXES = 7
 # (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4
 # turns a frame by 20 degrees.
 LEAST, MOST = 1e-12, 1e4
-_GRID = 10.0 ** np.arange(-12, 5)
 # Factors on a value, for what is tried beside it.
-_FAR, _NEAR, _NEXT = (
-    10.0 ** np.arange(-5, 6),
-    10.0 ** np.arange(-2, 3),
-    10.0 ** np.array([-1, -0.5, 0, 0.5, 1]),
+_ALL, _FAR, _NEAR, _NEXT = (
+    10.0 ** np.arange(-reach, reach + step, step)
+    for reach, step in ((16, 1), (5, 1), (2, 1), (1, 0.5))
 )
 _BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
 _WINDOW, _CONTEXT = 24, 18  # frames
@@ -58,129 +56,74 @@ _UNSURE_RAD = (
 )
 
 
-def learn_density(
-    measured: np.ndarray,
-    info_vector: np.ndarray,
-    links: Links,
-    density: np.ndarray | None,
-    local: bool,
-) -> np.ndarray:
-    """(n - 1, AXES) densities.
-
-    measured, info_vector, links : as for smooth_chain;  density : what was learned for the
-    shot, None at first
-    local : also let it change with time"""
-    n = len(measured)
-    if n < 3:
-        return np.full((max(n - 1, 0), AXES), 1e-2)
-    if density is None:
-        shot = _density_of_shot(measured, info_vector, links)
-    else:
-        shot = np.exp([np.median(np.log(density[:, list(g)])) for g in GROUPS])
-    if not local or n <= _WINDOW + _CONTEXT:
-        return _axes(np.repeat(shot[None], n - 1, 0))
+def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
+    """(1 or n - 1, 7) densities: those of the shot (groups,), and how they change with time."""
+    n = len(chain.rows)
+    if n <= _WINDOW + _CONTEXT:
+        return shot[None, GROUP]
     centres = np.unique(
         np.linspace(_WINDOW / 2, n - 1 - _WINDOW / 2, max(2, round(n / _WINDOW)))
     )
 
     def of_window(centre: float) -> np.ndarray:
-        a = max(0, int(centre - _WINDOW / 2 - _CONTEXT / 2))
-        b = min(n, int(centre + _WINDOW / 2 + _CONTEXT / 2) + 1)
-        value = shot.copy()
-        for i in range(SHAKE + 1 if shot[SHAKE] > LEAST else SHAKE):
-            near = _scaled(shot[i], _FAR)
-            trial = np.repeat(value[None], len(near), 0)
-            trial[:, i] = near
-            total = _evidence(measured, info_vector, links, a, b, trial) - _HOLD * np.abs(
-                np.log10(near / shot[i])
+        reach = _WINDOW / 2 + _CONTEXT / 2
+        part = chain.part(max(0, int(centre - reach)), int(centre + reach) + 1)
+
+        def total(trial: np.ndarray) -> float:
+            return (
+                evidence(part, trial[GROUP]) - _HOLD * np.abs(np.log10(trial / shot)).sum()
             )
-            value[i] = near[int(total.argmax())]
-        return value
 
-    values = np.stack(parallel_map(of_window, centres.tolist()))
+        return _ascend(total, shot, range(SHAKE + 1), _FAR)[1]
+
+    values = np.log(parallel_map(of_window, centres.tolist()))
     at = np.arange(n - 1) + 0.5
-    smooth = np.stack(
-        [np.interp(at, centres, np.log(values[:, i])) for i in range(len(GROUPS))], -1
-    )
-    return _axes(np.exp(smooth))
+    smooth = np.stack([np.interp(at, centres, v) for v in values.T], -1)
+    return np.exp(smooth)[:, GROUP]
 
 
-def _density_of_shot(
-    measured: np.ndarray, info_vector: np.ndarray, links: Links
-) -> np.ndarray:
+def _ascend(
+    total: Callable[[np.ndarray], float],
+    value: np.ndarray,
+    order: Iterable[int],
+    factors: np.ndarray,
+) -> tuple[float, np.ndarray]:
+    """Total and values (groups,) when one group after the other has taken its best."""
+    for i in order:
+        near = np.unique(np.clip(value[i] * factors, LEAST, MOST))
+        trial = np.repeat(value[None], len(near), 0)
+        trial[:, i] = near
+        totals = [total(t) for t in trial]
+        value = trial[int(np.argmax(totals))]
+    return max(totals), value
+
+
+def _density_of_shot(chain: Chain) -> np.ndarray:
     """(groups,) one value each for a shot: the likelier of a marker that moves on its own
     and of a camera that shakes.
     """
-    n = len(measured)
-    blocks = [(0, n)]
+    n = len(chain.rows)
+    if n < 3:
+        return np.full(SHAKE + 1, 1e-2)
+    blocks = [chain]
     if n > _BLOCK * _BLOCKS:
-        blocks = [(int(a), int(a) + _BLOCK) for a in np.linspace(0, n - _BLOCK, _BLOCKS)]
+        starts = np.linspace(0, n - _BLOCK, _BLOCKS).astype(int).tolist()
+        blocks = [chain.part(a, a + _BLOCK) for a in starts]
 
-    def ascend(
-        shot: np.ndarray, order: Sequence[int], grid: np.ndarray | None = None
-    ) -> tuple[float, np.ndarray]:
-        """Evidence and values when one group after the other has taken its best; grid :
-        factors, None = the whole range
-        """
-        shot, best = shot.copy(), -np.inf
-        for i in order:
-            near = _GRID if grid is None else _scaled(shot[i], grid)
-            trial = np.repeat(shot[None], len(near), 0)
-            trial[:, i] = near
-            total = np.sum(
-                [_evidence(measured, info_vector, links, a, b, trial) for a, b in blocks],
-                axis=0,
-            )
-            shot[i], best = near[int(total.argmax())], float(total.max())
-        return best, shot
+    def total(trial: np.ndarray) -> float:
+        return sum(evidence(b, trial[GROUP]) for b in blocks)
 
-    _, shot = ascend(np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE))
-    moving, shot = ascend(shot, range(SHAKE), _NEAR)
+    _, shot = _ascend(total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), _ALL)
+    moving, shot = _ascend(total, shot, range(SHAKE), _NEAR)
     # what was sideways motion is now the shake: from the one peak no single number leads to
     # the other
     start = shot.copy()
     start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
-    _, other = ascend(start, (SIDEWAYS, TURN, DISTANCE))
-    shaking, other = ascend(other, (SHAKE, ROLL, SIDEWAYS, TURN), _NEAR)
+    _, other = _ascend(total, start, (SIDEWAYS, TURN, DISTANCE), _ALL)
+    shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), _NEAR)
     if shaking > moving + _EARNED:
-        return ascend(other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), _NEXT)[1]
-    return ascend(shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), _NEXT)[1]
-
-
-def _scaled(value: float, factors: np.ndarray) -> np.ndarray:
-    return np.unique(np.clip(value * factors, LEAST, MOST))
-
-
-def _axes(groups: np.ndarray) -> np.ndarray:
-    """(..., groups) to (..., AXES)."""
-    out = np.empty((*groups.shape[:-1], AXES))
-    for i, g in enumerate(GROUPS):
-        out[..., list(g)] = groups[..., i : i + 1]
-    return out
-
-
-def _evidence(
-    measured: np.ndarray,
-    info_vector: np.ndarray,
-    links: Links,
-    a: int,
-    b: int,
-    trial: np.ndarray,
-) -> np.ndarray:
-    density = np.broadcast_to(_axes(trial)[:, None], (len(trial), b - a - 1, AXES))
-    return evidence(measured[a:b], info_vector[a:b], links.part(a, b), density)
-
-
-@dataclass(frozen=True)
-class Smoothed:
-    """rotation (n, 3, 3), translation_m (n, 3), covariance (n, 6, 6) of the left
-    perturbation [rad, m] in the camera frame; density (5,) learned noise, median over the
-    shot, of GROUPS."""
-
-    rotation: np.ndarray
-    translation_m: np.ndarray
-    covariance: np.ndarray
-    density: np.ndarray
+        return _ascend(total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), _NEXT)[1]
+    return _ascend(total, shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), _NEXT)[1]
 
 
 def smooth_poses(
@@ -189,8 +132,10 @@ def smooth_poses(
     seen: Observed,
     times_s: np.ndarray,
     strength: float = 1.0,
-) -> Smoothed:
-    """Smooth n frames of one shot.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth n frames of one shot: rotation (n, 3, 3), translation (n, 3), covariance
+    (n, 6, 6) of the left perturbation [rad, m] in the camera frame, and the learned noise
+    (5,) by group, median over the shot.
 
     rotation, translation : start, also in frames without corners (any sensible in-between)
     seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on
@@ -199,91 +144,95 @@ def smooth_poses(
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
     dt = np.clip(np.diff(times_s), 1e-4, LONGEST_STEP_S)
-    raw = _Chain(rotation, translation, seen, dt, centre)
+    raw = _Path(rotation, translation, seen, dt, centre)
     # Twice: from the raw poses, and from a path that hardly moves. Where the corners do not
     # fix a tilt (a frontal
     # marker) raw poses lie in the wrong valleys, each sure of itself, and only the stiff
     # path finds the one between.
     attempts = []
     for stiff in (False, True) if raw.typical_turn_error() > _UNSURE_RAD else (False,):
-        chain, density = raw, None
+        path = raw
         if stiff:
-            chain = chain.iterated(np.broadcast_to(_STIFF, (len(dt), AXES)), 2 * PASSES)
-        for local in (False, True):
-            density = learn_density(*chain.measurement, chain.links, density, local)
-            chain = chain.iterated(density, PASSES)
-        assert density is not None
-        attempts.append((chain.likelihood(density), chain, density))
-    _, chain, density = max(attempts, key=lambda a: a[0])
-    if strength != 1.0:
-        density = np.clip(density / max(strength**3, 1e-200), LEAST, MOST)
-    chain = chain.iterated(density, PASSES)
-    _, covariance = smooth_chain(*chain.measurement, chain.links, density)
-    p, _ = _position(chain.rotation, chain.translation, centre)
-    to_left = np.zeros(
-        (len(p), 6, 6)
-    )  # from a step in this module's axes to the left perturbation of the pose
-    to_left[:, :3, :3] = np.eye(3)
-    to_left[:, 3:, :3] = skew(p)
-    to_left[:, 3:, 3:] = _position_jacobian(p)
+            path = path.iterated(_STIFF, 2 * PASSES)
+        shot = _density_of_shot(path.chain)
+        path = path.iterated(shot[GROUP], PASSES)
+        density = _density_over_time(path.chain, shot)
+        path = path.iterated(density, PASSES)
+        attempts.append((path.likelihood(density), path, density))
+    _, path, density = max(attempts, key=lambda a: a[0])
+    density = np.clip(density / max(strength**3, 1e-200), LEAST, MOST)
+    path = path.iterated(density, PASSES)
+    _, covariance = smooth_chain(path.chain, density)
+    to_left = _to_left(_position(path.rotation, path.translation, centre)[0])
     covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
-    middle = (
-        np.array([np.median(density[:, list(group)]) for group in GROUPS])
-        if len(dt)
-        else np.zeros(len(GROUPS))
-    )
-    return Smoothed(chain.rotation, chain.translation, covariance, middle)
+    middle = np.median(density[:, _FIRST], axis=0)
+    return path.rotation, path.translation, covariance, middle
 
 
-class _Chain:
-    """The problem linearised at one set of poses."""
+@dataclass
+class _Path:
+    """Poses of frames that are dt (n - 1,) s apart, and the problem linearised at them."""
 
-    def __init__(
-        self,
-        rotation: np.ndarray,
-        translation: np.ndarray,
-        seen: Observed,
-        dt: np.ndarray,
-        centre: np.ndarray,
-    ) -> None:
-        self.rotation, self.translation, self.seen, self.dt, self.centre = (
-            rotation,
-            translation,
-            seen,
-            dt,
-            centre,
+    rotation: np.ndarray
+    translation: np.ndarray
+    seen: Observed
+    dt: np.ndarray
+    centre: np.ndarray
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The corners, linearised here (QR); and constant velocity between frames:
+        Log(R_k+1 R_k^T) and the place's difference, minus dt times the velocity.
+        """
+        rotation, translation, seen, dt = (
+            self.rotation,
+            self.translation,
+            self.seen,
+            self.dt,
         )
-        self.measurement = _measurement(rotation, translation, seen, centre)
-        self.links = _links(rotation, translation, centre, dt)
+        p, position = _position(rotation, translation, self.centre)
+        r = residuals(rotation, translation, seen)
+        _, factor = huber_cost(r, seen.weight)
+        root = np.sqrt(seen.weight * factor)[..., None]
+        j = jacobian(rotation, translation, seen) @ _to_left(p)[:, None]
+        own, rows = np.linalg.qr((j * root[..., None]).reshape(len(p), -1, 6))
+        values = -np.einsum("nki,nk->ni", own, (r * root).reshape(len(p), -1))
+        turn = rotvec_from_rotation(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
+        bend = (
+            skew(turn) / 2
+        )  # inverse Jacobians of SO(3), left and right, to second order in the turn between frames
+        after = np.tile(np.eye(12), (len(dt), 1, 1))
+        before = -after - dt[:, None, None] * np.eye(12, k=6)
+        after[:, :3, :3] -= bend
+        before[:, :3, :3] -= bend
+        offset = np.hstack([turn, np.diff(position, axis=0), np.zeros((len(dt), 6))])
+        shake = _shake((position[1:] + position[:-1]) / 2)
+        return linked(rows, values, before, after, offset, dt, shake)
 
-    def iterated(self, density: np.ndarray, passes: int) -> _Chain:
+    def iterated(self, density: np.ndarray, passes: int) -> _Path:
         """Smoothed and linearised anew, up to `passes` times."""
-        chain = self
+        path = self
         for _ in range(passes):
-            mean, _ = smooth_chain(*chain.measurement, chain.links, density)
+            mean, _ = smooth_chain(path.chain, density)
             step = mean[:, :6]
             # linearisation holds for about .3 rad: a frame that wants more gets there in
             # several passes
             size = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
             step = step * np.minimum(1.0, 0.3 / np.maximum(size, 1e-12))
-            chain = _Chain(
-                *_apply_step(chain.rotation, chain.translation, step, self.centre),
-                self.seen,
-                self.dt,
-                self.centre,
-            )
+            moved = _apply_step(path.rotation, path.translation, step, self.centre)
+            path = _Path(*moved, self.seen, self.dt, self.centre)
             if (
                 np.abs(step).max() < 1e-6
             ):  # rad, or shares of the distance: a thousandth of a pixel
                 break
-        return chain
+        return path
 
     def typical_turn_error(self) -> float:
         """Median over the frames seen of the largest standard deviation of a turn, radians."""
-        info = self.measurement[0]
-        info = info[np.einsum("nii->n", info) > 0]
-        scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", info), 1e-30))
-        spread = np.linalg.pinv(info * scale[:, :, None] * scale[:, None], hermitian=True)
+        rows = self.chain.rows[self.chain.rows.any((1, 2))]
+        scale = 1 / np.sqrt(np.maximum((rows**2).sum(1), 1e-30))
+        scaled = rows * scale[:, None]
+        spread = np.linalg.pinv(np.swapaxes(scaled, 1, 2) @ scaled, hermitian=True)
         return float(
             np.sqrt(np.median((np.einsum("nii->ni", spread) * scale**2)[:, :3].max(1)))
         )
@@ -294,7 +243,7 @@ class _Chain:
         """
         r = residuals(self.rotation, self.translation, self.seen)
         cost, _ = huber_cost(r, self.seen.weight)
-        return float(evidence(*self.measurement, self.links, density[None])[0] - cost.sum())
+        return float(evidence(self.chain, density) - cost.sum())
 
 
 def _position(
@@ -306,11 +255,15 @@ def _position(
     return p, np.stack([p[:, 0] / z, p[:, 1] / z, np.log(z)], -1)
 
 
-def _position_jacobian(p: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) of the camera point with respect to x/z, y/z, ln z."""
-    out = np.zeros((len(p), 3, 3))
-    out[:, 0, 0] = out[:, 1, 1] = p[:, 2]
-    out[:, :, 2] = p
+def _to_left(p: np.ndarray) -> np.ndarray:
+    """(n, 6, 6) from a step in this module's axes to the left perturbation of the pose.
+
+    p : (n, 3) centre in camera coordinates"""
+    out = np.zeros((len(p), 6, 6))
+    out[:, :3, :3] = np.eye(3)
+    out[:, 3:, :3] = skew(p)
+    out[:, 3:, 3:5] = p[:, 2, None, None] * np.eye(3, 2)
+    out[:, 3:, 5] = p
     return out
 
 
@@ -325,55 +278,15 @@ def _apply_step(
     return turned, p - turned @ centre
 
 
-def _measurement(
-    rotation: np.ndarray, translation: np.ndarray, seen: Observed, centre: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Information (n, 6, 6) and right-hand side (n, 6) of the corners, linearised here."""
-    p, _ = _position(rotation, translation, centre)
-    arm = np.einsum("nij,npj->npi", rotation, seen.points_m - centre)
-    view = seen.px_per_ideal @ view_jacobian(arm + p[:, None])
-    j = np.concatenate([view @ -skew(arm), view @ _position_jacobian(p)[:, None]], -1)
-    r = residuals(rotation, translation, seen)
-    _, factor = huber_cost(r, seen.weight)
-    jw = j * (seen.weight * factor)[..., None, None]
-    return np.einsum("npki,npkj->nij", jw, j), -np.einsum("npki,npk->ni", jw, r)
-
-
-def _links(
-    rotation: np.ndarray, translation: np.ndarray, centre: np.ndarray, dt: np.ndarray
-) -> Links:
-    """Constant velocity between frames: Log(R_k+1 R_k^T) and the place's difference, minus
-    dt times the velocity.
-    """
-    n = len(dt)
-    _, position = _position(rotation, translation, centre)
-    turn = rotvec_from_rotation(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
-    bend = (
-        skew(turn) / 2
-    )  # inverse Jacobians of SO(3), left and right, to second order in the turn between frames
-    before, after = np.zeros((n, 12, 12)), np.zeros((n, 12, 12))
-    i = np.arange(6)
-    after[:, i, i] = 1
-    before[:, i, i] = -1
-    after[:, :3, :3] -= bend
-    before[:, :3, :3] -= bend
-    before[:, i, i + 6] = -dt[:, None]
-    after[:, i + 6, i + 6] = 1
-    before[:, i + 6, i + 6] = -1
-    offset = np.zeros((n, 12))
-    offset[:, :3], offset[:, 3:6] = turn, np.diff(position, axis=0)
-    return link(before, after, offset, dt, _shake((position[1:] + position[:-1]) / 2))
-
-
 def _shake(position: np.ndarray) -> np.ndarray:
     """(n, 6, 6) covariance of a camera that turns by 1 rad^2 about its own x and y, seen at
     place (n, 3).
 
     The hand that holds a camera turns it far more than it carries it: the marker turns and
     moves, both at once."""
-    x, y, axes = position[:, 0], position[:, 1], np.zeros((len(position), 6, 2))
-    axes[:, 0, 0] = axes[:, 1, 1] = 1
-    axes[:, 3] = np.stack([-x * y, 1 + x * x], -1)
-    axes[:, 4] = np.stack([-1 - y * y, x * y], -1)
-    axes[:, 5] = np.stack([y, -x], -1)
+    x, y = position[:, 0], position[:, 1]
+    one, none = np.ones_like(x), np.zeros_like(x)
+    turn_x = np.stack([one, none, none, -x * y, -1 - y * y, y], -1)
+    turn_y = np.stack([none, one, none, 1 + x * x, x * y, -x], -1)
+    axes = np.stack([turn_x, turn_y], -1)
     return axes @ np.swapaxes(axes, 1, 2) + _LOOSE * np.eye(6)

@@ -14,9 +14,8 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, Fold, Stateful
 from arfx.core.camera import Camera
-from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
-from arfx.core.numerics import EPS_DEPTH_M, divide
-from arfx.core.pose import Pose
+from arfx.core.facts import FrameFacts
+from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 
@@ -29,7 +28,6 @@ DISSIMILAR = 0.45
 _STANDS_OUT = 3.0
 # of a cut's dissimilarity: on one side of it at least, frames follow each other with less
 _CALM = 0.6
-_AT_ONCE = 1 << 14  # points that are projected at a time: they stay in the cache
 # above this many vertices their convex hull is taken once: it projects to the same box
 _HULL_POINTS = 400
 
@@ -40,17 +38,11 @@ def visible_intervals(
     """Half-open ranges of frames in which the object is present: from one measured frame to
     another of the same shot, with no gap between two measured frames longer than max_gap_s
     beyond the clip's own frame distance."""
-    out: list[tuple[int, int]] = []
-    for k in np.flatnonzero(measured).tolist():
-        last = out[-1][1] - 1 if out else k
-        bridged = (
-            bool(out)
-            and shot[last] == shot[k]
-            and (k == last + 1 or times_s[k] - times_s[last] <= max_gap_s)
-        )
-        first = out.pop()[0] if bridged else k
-        out.append((first, k + 1))
-    return out
+    on = np.flatnonzero(measured)
+    a, b = on[:-1], on[1:]
+    gap = (b > a + 1) & (times_s[b] - times_s[a] > max_gap_s)
+    parts = np.split(on, np.flatnonzero(gap | (shot[a] != shot[b])) + 1)
+    return [(int(p[0]), int(p[-1]) + 1) for p in parts if len(p)]
 
 
 def without_flickers(
@@ -70,16 +62,6 @@ def without_flickers(
     ]
 
 
-def frame_statuses(measured: np.ndarray, present: Sequence[tuple[int, int]]) -> list[str]:
-    """Status of every frame."""
-    out = [ABSENT] * len(measured)
-    for first, end in present:
-        out[first:end] = [
-            MEASURED if measured[k] else INTERPOLATED for k in range(first, end)
-        ]
-    return out
-
-
 def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray) -> np.ndarray:
     """(n,) 0..1: 1 inside a stretch, ramping over its first and last frames where an
     absence follows in the same shot.
@@ -89,12 +71,12 @@ def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray) -> np.ndarra
     n = len(shot)
     out = np.zeros(n)
     for first, end in present:
-        k = np.arange(first, end)
-        out[k] = 1
+        rise, fade = np.arange(1, end - first + 1) / (FADE_FRAMES + 1), np.ones(end - first)
         if first > 0 and shot[first - 1] == shot[first]:
-            out[k] = np.minimum(out[k], (k - first + 1) / (FADE_FRAMES + 1))
+            fade = np.minimum(fade, rise)
         if end < n and shot[end] == shot[end - 1]:
-            out[k] = np.minimum(out[k], (end - k) / (FADE_FRAMES + 1))
+            fade = np.minimum(fade, rise[::-1])
+        out[first:end] = fade
     return out
 
 
@@ -140,18 +122,14 @@ def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:
     """1 - correlation of two pictures of one size; flat pictures are compared by their
     level alone.
     """
-    x, y = a.ravel().astype(float), b.ravel().astype(float)
-    level_x, level_y = float(x.mean()), float(y.mean())
-    x -= level_x
-    y -= level_y
+    levels = float(a.mean()), float(b.mean())
+    x, y = (v.ravel() - level for v, level in zip((a, b), levels, strict=True))
     sx, sy = math.sqrt(x @ x / x.size), math.sqrt(y @ y / y.size)
-    if sx < 2.0 or sy < 2.0:  # less contrast than noise: no structure to compare
-        return (
-            0.0
-            if sx < 2.0 and sy < 2.0 and abs(level_x - level_y) < 20
-            else float(sx > 8.0 or sy > 8.0)
-        )
-    return 1.0 - float(divide(x @ y / x.size, sx * sy))
+    least, most = sorted((sx, sy))
+    if least < 2.0:  # less contrast than noise: no structure to compare
+        same = most < 2.0 and abs(levels[0] - levels[1]) < 20
+        return 0.0 if same else float(most > 8.0)
+    return 1.0 - float(x @ y / (x.size * sx * sy))
 
 
 def find_cuts(
@@ -171,10 +149,12 @@ def find_cuts(
         # such a frame
         if any(before_last[i] < DISSIMILAR / 2 for i in (k, k + 1) if 2 <= i < n):
             continue
-        near = [before[i] for i in range(max(1, k - 4), min(n, k + 5)) if i != k]
+        near, beside = (
+            [before[i] for i in range(max(1, k - reach), min(n, k + reach + 1)) if i != k]
+            for reach in (4, 1)
+        )
         if near and before[k] < _STANDS_OUT * float(np.median(near)):
             continue
-        beside = [before[i] for i in (k - 1, k + 1) if 1 <= i < n]
         if beside and min(beside) > _CALM * before[k]:
             continue  # the midst of a quick move
         cuts.append(k)
@@ -202,20 +182,13 @@ def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, .
     frame; EMPTY where the model is out of view. A model that reaches behind the camera may
     cover the whole frame."""
     points = _outline(scene.model_points_m)
-    seen = [f for f in facts if f.camera_from_world is not None]
-    regions: list[tuple[Rect, tuple[float, float]]] = []
-    step = max(_AT_ONCE // len(points), 1)
-    for start in range(0, len(seen), step):
-        regions += _seen_boxes(
-            _seen_from([f.camera_from_world for f in seen[start : start + step]], points),
-            scene.camera,
-        )
-    found = iter(regions)
-    pairs = [
-        (f, *((EMPTY, (0.0, 0.0)) if f.camera_from_world is None else next(found)))
-        for f in facts
-    ]
-    return tuple(f.with_(model_box=box, depth_range_m=depth) for f, box, depth in pairs)
+    out = []
+    for f in facts:
+        box, depth = EMPTY, (0.0, 0.0)
+        if f.camera_from_world is not None:
+            box, depth = _seen_box(f.camera_from_world.apply(points), scene.camera)
+        out.append(f.with_(model_box=box, depth_range_m=depth))
+    return tuple(out)
 
 
 def jitter_px(
@@ -230,18 +203,13 @@ def jitter_px(
     smoothing
     NaN but for the middle of unbroken triples of one shot in which raw and smoothed poses
     both exist, with a marker that is in all three, and evenly spaced (to 20 %)."""
-    posed = [
-        f
-        for f in facts
-        if f.camera_from_world is not None and f.raw_camera_from_world is not None
-    ]
-    projected = camera.project(
-        _seen_from(
-            [f.raw_camera_from_world if raw else f.camera_from_world for f in posed],
-            points_m,
-        )
-    )
-    position = dict(zip((f.index for f in posed), projected, strict=True))
+    position = {}
+    for f in facts:
+        smoothed, single = f.camera_from_world, f.raw_camera_from_world
+        if smoothed is not None and single is not None:
+            position[f.index] = camera.project(
+                (single if raw else smoothed).apply(points_m)
+            )
     moved, relative = np.full((2, len(facts)), np.nan)
     for k, three in enumerate(zip(facts, facts[1:], facts[2:], strict=False), 1):
         a, b, c = three
@@ -250,34 +218,21 @@ def jitter_px(
         first, second = b.time_s - a.time_s, c.time_s - b.time_s
         if abs(first - second) > 0.2 * max(first, second):
             continue
-        bend = position[a.index] - 2 * position[b.index] + position[c.index]
+        bend = np.diff([position[f.index] for f in three], 2, axis=0)[0]
         keys = set.intersection(*({m.key for m in f.markers} for f in three))
         if not np.isfinite(bend).any() or not keys:
             continue
-        corners = [[m.corners_px for m in f.markers if m.key in keys] for f in three]
-        centre = [np.sum(c, axis=(0, 1)) / (4 * len(c)) for c in corners]
-        moved[k], relative[k] = (
-            _rms(bend),
-            _rms(bend - (centre[0] - 2 * centre[1] + centre[2])),
-        )
+        centres = [
+            np.mean([m.corners_px for m in f.markers if m.key in keys], axis=(0, 1))
+            for f in three
+        ]
+        moved[k], relative[k] = _rms(bend), _rms(bend - np.diff(centres, 2, axis=0))
     return moved, relative
 
 
 def _rms(offsets_px: np.ndarray) -> float:
     """Of the lengths of offsets (n, 2), those that are not known left out."""
     return float(np.sqrt(2 * np.nanmean(offsets_px * offsets_px)))
-
-
-def _seen_from(poses: Sequence[Pose | None], points_m: np.ndarray) -> np.ndarray:
-    """(poses, n, 3) world points (n, 3) in the coordinates of every camera. In memory x, y
-    and z are apart: what follows looks along the points, and is many times as fast there as
-    over triples."""
-    known = [p for p in poses if p is not None]
-    if not known:
-        return np.zeros((0, *np.shape(points_m)))
-    out: np.ndarray = np.stack([p.rotation for p in known]) @ np.asarray(points_m).T
-    out += np.stack([p.translation_m for p in known])[..., None]
-    return np.swapaxes(out, 1, 2)
 
 
 def _outline(points: np.ndarray) -> np.ndarray:
@@ -294,33 +249,18 @@ def _outline(points: np.ndarray) -> np.ndarray:
         return points
 
 
-def _seen_boxes(q: np.ndarray, camera: Camera) -> list[tuple[Rect, tuple[float, float]]]:
-    """Box and depth range of points (frames, n, 3) in camera coordinates, frame by frame."""
-    px = camera.project(q)
-    low, high = px.min(1), px.max(1)  # not numbers where one point is none
-    known = np.isfinite(low).all(1) & np.isfinite(high).all(1)
-    near, far = q[..., 2].min(1).tolist(), q[..., 2].max(1).tolist()
-    out = []
-    for k in range(len(q)):
-        if not known[k]:
-            out.append(_partly_seen(q[k], px[k], camera))
-            continue
-        box = Rect.around(np.stack([low[k], high[k]]), 1.0).clip(camera.rect)
-        out.append((box, (0.0, 0.0) if box.empty else (near[k], far[k])))
-    return out
+def _seen_box(q: np.ndarray, camera: Camera) -> tuple[Rect, tuple[float, float]]:
+    """Box and depth range of points (n, 3) in camera coordinates.
 
-
-def _partly_seen(
-    q: np.ndarray, px: np.ndarray, camera: Camera
-) -> tuple[Rect, tuple[float, float]]:
-    """Of one frame in which some points (n, 3) have no place px (n, 2) in the picture.
-
-    Behind the camera or beyond the lens's fold: such a point says nothing about where the
+    A point behind the camera or beyond the lens's fold says nothing about where the
     surface between it and a visible one ends, so the frame bounds it. If none is visible
     the model is out of view or around the camera."""
-    ahead = q[:, 2] > EPS_DEPTH_M
-    if not ahead.any():
+    px, ahead = camera.project(q), q[:, 2] > EPS_DEPTH_M
+    known = np.isfinite(px).all(1)
+    box = camera.rect if known.any() or not ahead.all() else EMPTY
+    if known.all():
+        box = Rect.around(px, 1.0).clip(camera.rect)
+    if box.empty or not ahead.any():
         return EMPTY, (0.0, 0.0)
-    box = camera.rect if np.isfinite(px).all(1).any() or (~ahead).any() else EMPTY
     depth = q[ahead, 2]
-    return box, (0.0, 0.0) if box.empty else (float(depth.min()), float(depth.max()))
+    return box, (float(depth.min()), float(depth.max()))

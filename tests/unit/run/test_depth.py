@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.depth.scale import with_depth
+from arfx.analyse.fold import Analysis, AnalysisJob
 from arfx.errors import InputError
 from arfx.media.depth_maps import open_depth
 from tests.scenes import facts, scene
@@ -24,9 +26,10 @@ def test_facts_say_which_map_and_what_is_in_it(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((60, 80), metres * 1000, np.uint16))
     maps = open_depth(tmp_path)
     frames = [facts(s, index=k) for k in range(4)]
-    out, told = with_depth(
-        frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, False, quiet
-    )
+    clip = Analysis(tuple(frames), s.world_from_marker)
+    job = AnalysisJob((), s.camera, align=False, progress=quiet)
+    found = with_depth(clip, job, maps, [0, 1, 2, None])
+    out, told = found.facts, found.summary["depth"]
     assert (
         told["known"]
         and told["frames_with"] == 2
@@ -37,32 +40,17 @@ def test_facts_say_which_map_and_what_is_in_it(tmp_path: Path) -> None:
     assert second is not None and second.map == 1 and second.digest == maps.digest(1)
     assert second.dioptre_range == pytest.approx((0.5, 0.5), rel=2e-3)
     assert out[2].real_depth is None and out[3].real_depth is None
-    refused, told = with_depth(
-        frames, maps, [0, 1, 2, None], s.world_from_marker, s.camera, True, quiet
-    )
-    assert not told["known"] and all(f.real_depth is None for f in refused)
+    refused = with_depth(clip, replace(job, align=True), maps, [0, 1, 2, None])
+    assert not refused.summary["depth"]["known"] and len(refused.notices) == 1
+    assert all(f.real_depth is None for f in refused.facts)
 
 
 def test_depth_that_holds_nothing_is_an_error(tmp_path: Path) -> None:
     s = scene()
     cv2.imwrite(str(tmp_path / "none.png"), np.zeros((60, 80), np.uint16))
+    clip = Analysis((facts(s),), s.world_from_marker)
+    job, maps = AnalysisJob((), s.camera, progress=quiet), open_depth(tmp_path / "none.png")
     with pytest.raises(InputError, match="no valid pixel"):
-        with_depth(
-            [facts(s)],
-            open_depth(tmp_path / "none.png"),
-            [0],
-            s.world_from_marker,
-            s.camera,
-            True,
-            quiet,
-        )
+        with_depth(clip, job, maps, [0])
     with pytest.raises(InputError, match="near the time of any frame"):
-        with_depth(
-            [facts(s)],
-            open_depth(tmp_path / "none.png"),
-            [None],
-            s.world_from_marker,
-            s.camera,
-            True,
-            quiet,
-        )
+        with_depth(clip, job, maps, [None])

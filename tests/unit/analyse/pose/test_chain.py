@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.pose.chain import DIM, evidence, link, smooth_chain
+from arfx.analyse.pose.chain import DIM, Chain, evidence, linked, smooth_chain
 from arfx.analyse.pose.kernels import solve_in_place
 
 N = 6
@@ -35,6 +35,18 @@ def problem() -> tuple:
     density = 10.0 ** RNG.uniform(-3, 1, (N - 1, 7))
     axes = RNG.normal(0, 1, (N - 1, 6, 2))
     return measured, pull, before, after, offset, density, axes @ np.swapaxes(axes, 1, 2)
+
+
+def chain(measured: np.ndarray, pull: np.ndarray, *links: np.ndarray) -> Chain:
+    """Information (n, 6, 6) and right-hand side (n, 6) as measurements of unit noise."""
+    size = np.sqrt(np.einsum("nii->ni", measured)) + 1e-300
+    value, axes = np.linalg.eigh(measured / size[:, :, None] / size[:, None])
+    root = np.sqrt(np.where(value > 1e-14, value, 0))
+    rows = root[:, :, None] * np.swapaxes(axes, 1, 2) * size[:, None]
+    along = np.einsum("nji,nj->ni", axes, pull / size)
+    return linked(
+        rows, np.divide(along, root, where=root > 0, out=np.zeros_like(root)), *links
+    )
 
 
 def dense(measured: np.ndarray, pull: np.ndarray, before: np.ndarray, after: np.ndarray, offset: np.ndarray,
@@ -68,8 +80,8 @@ def dense(measured: np.ndarray, pull: np.ndarray, before: np.ndarray, after: np.
 
 def test_smoother_and_evidence_are_those_of_the_whole_problem() -> None:
     measured, pull, before, after, offset, density, shake = problem()
-    links = link(before, after, offset, DT, shake)
-    mean, cov = smooth_chain(measured, pull, links, density)
+    seen = chain(measured, pull, before, after, offset, DT, shake)
+    mean, cov = smooth_chain(seen, density)
     expected, dense_cov, log = dense(measured, pull, before, after, offset, density, shake)
     np.testing.assert_allclose(mean, expected, rtol=1e-5, atol=5e-6)
     for k in range(N):
@@ -77,8 +89,8 @@ def test_smoother_and_evidence_are_those_of_the_whole_problem() -> None:
         np.testing.assert_allclose(cov[k], dense_cov[s, s], rtol=1e-4, atol=1e-6)
     other = density * 3
     _, _, log_other = dense(measured, pull, before, after, offset, other, shake)
-    got = evidence(measured, pull, links, np.stack([density, other]))
-    assert got[0] - got[1] == pytest.approx(log - log_other, rel=1e-5, abs=1e-4)
+    got = evidence(seen, density) - evidence(seen, other)
+    assert got == pytest.approx(log - log_other, rel=1e-5, abs=1e-4)
 
 
 @pytest.mark.parametrize("q", [1e-12, 1e-6, 1.0, 1e4])
@@ -91,14 +103,11 @@ def test_extreme_noise_stays_regular(q: float) -> None:
         np.tile(np.eye(DIM), (n - 1, 1, 1)),
     )
     before[:, i, i + 6] = -dt[:, None]
-    links = link(
-        before, after, np.zeros((n - 1, DIM)), dt, np.tile(np.eye(6), (n - 1, 1, 1))
-    )
+    links = before, after, np.zeros((n - 1, DIM)), dt, np.tile(np.eye(6), (n - 1, 1, 1))
     measured = np.tile(np.diag([1e2, 1e4, 1e6, 1e9, 1e9, 1e6]), (n, 1, 1))
     value = np.random.default_rng(0).normal(0, 1, (n, 6)) / np.sqrt(np.diag(measured[0]))
-    mean, cov = smooth_chain(
-        measured, np.einsum("nij,nj->ni", measured, value), links, np.full((n - 1, 7), q)
-    )
+    pull = np.einsum("nij,nj->ni", measured, value)
+    mean, cov = smooth_chain(chain(measured, pull, *links), np.full((n - 1, 7), q))
     assert np.isfinite(mean).all() and (np.linalg.eigvalsh(cov[:, :6, :6]) > 0).all()
     spread = np.sqrt(np.einsum("nii->ni", cov)[:, :6])
     assert (np.abs(mean[:, :6]) < 6 * spread + 1e-9).all()
@@ -119,26 +128,22 @@ def test_axes_that_are_all_but_bound_together_stay_regular() -> None:
     )
     before[:, i, i + 6] = -dt[:, None]
     together = np.array([[1, 0], [0, 1], [0, 0], [0, 1.1], [-1.1, 0], [0.1, -0.2]])
-    links = link(
-        before,
-        after,
-        np.zeros((n - 1, DIM)),
-        dt,
-        np.tile(together @ together.T + 1e-8 * np.eye(6), (n - 1, 1, 1)),
-    )
+    bound = np.tile(together @ together.T + 1e-8 * np.eye(6), (n - 1, 1, 1))
+    links = before, after, np.zeros((n - 1, DIM)), dt, bound
     size = np.array([1e2, 1e2, 1e3, 1e5, 1e5, 1e3])  # 1 / standard deviation
     rng = np.random.default_rng(1)
     pan = np.cumsum(rng.normal(0, 0.2, (n, 2)), 0)
     value = pan @ together.T + rng.normal(0, 1, (n, 6)) / size
     measured = np.tile(np.diag(size**2), (n, 1, 1))
-    mean, cov = smooth_chain(measured, value * size**2, links, np.tile(density, (n - 1, 1)))
+    seen = chain(measured, value * size**2, *links)
+    mean, cov = smooth_chain(seen, np.tile(density, (n - 1, 1)))
     assert (np.linalg.eigvalsh(cov[:, :6, :6] * np.outer(size, size)) > 0).all()
     error = (mean[:, :6] - pan @ together.T) * size
     assert (np.abs(error) < 6).all()
     assert (
         np.sqrt((error[:, :2] ** 2).mean()) < 0.3
     )  # a turn is known from the place, not from its own measurement alone
-    best = evidence(measured, value * size**2, links, np.tile(density, (1, n - 1, 1)))[0]
+    best = evidence(seen, np.tile(density, (n - 1, 1)))
     assert (
         best < 0.5 * (value**2 * size**2).sum()
     )  # no likelihood exceeds that of a perfect fit
@@ -150,18 +155,11 @@ def test_two_short_links_are_one_long_link() -> None:
         i = np.arange(6)
         before, after = np.tile(-np.eye(DIM), (n, 1, 1)), np.tile(np.eye(DIM), (n, 1, 1))
         before[:, i, i + 6] = -np.array(dt)[:, None]
-        links = link(
-            before,
-            after,
-            np.zeros((n, DIM)),
-            np.array(dt),
-            np.tile(np.ones((6, 6)), (n, 1, 1)),
-        )
+        links = before, after, np.zeros((n, DIM)), np.array(dt), np.ones((n, 6, 6))
         seen = np.zeros((n + 1, 6, 6))
         seen[0] = np.eye(6) * 1e6
-        return smooth_chain(
-            seen, np.zeros((n + 1, 6)), links, np.tile([1.0, 2, 3, 4, 5, 6, 0.5], (n, 1))
-        )[1][-1]
+        density = np.tile([1.0, 2, 3, 4, 5, 6, 0.5], (n, 1))
+        return smooth_chain(chain(seen, np.zeros((n + 1, 6)), *links), density)[1][-1]
 
     np.testing.assert_allclose(last([0.02, 0.05]), last([0.07]), rtol=1e-9)
 
@@ -169,11 +167,11 @@ def test_two_short_links_are_one_long_link() -> None:
 def test_systems_are_solved_as_by_numpy() -> None:
     rng = np.random.default_rng(5)
     for n in (1, 3, 6, 12):
-        a, b = rng.normal(0, 1, (n, n)), rng.normal(0, 1, (n, 4))
-        a[0, 0] = 0.0 if n > 1 else 2.0  # needs a pivot
+        root, b = rng.normal(0, 1, (n, n)), rng.normal(0, 1, (n, 4))
+        a = root @ root.T + 1e-3 * np.eye(n)
         x = b.copy()
-        log = solve_in_place(a.copy(), x)
-        np.testing.assert_allclose(x, np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
-        assert log == pytest.approx(np.linalg.slogdet(a)[1])
+        solve_in_place(a.copy(), x)
+        np.testing.assert_allclose(x, np.linalg.solve(a, b), rtol=1e-9, atol=1e-9)
     x = np.ones((2, 1))
-    assert not np.isfinite(solve_in_place(np.zeros((2, 2)), x)) and not np.isfinite(x).any()
+    solve_in_place(np.zeros((2, 2)), x)
+    assert not np.isfinite(x).any()

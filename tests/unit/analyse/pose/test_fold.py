@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from arfx.analyse.pose.at_rest import (
 )
 from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.path import choose_path, move_costs
+from arfx.analyse.pose.planar import stack
 from arfx.analyse.pose.visibility import (
     ShotDetector,
     dissimilarity,
@@ -138,6 +140,20 @@ def test_what_corners_are_misplaced_by_is_not_averaged_away() -> None:
     )
 
 
+def chosen(
+    poses: Sequence[Sequence[Pose]],
+    costs: Sequence[Sequence[float]],
+    times_s: Sequence[float] | np.ndarray,
+) -> list[int]:
+    """Which of each frame's poses, all frames of one shot."""
+    count = [*map(len, poses)]
+    index = np.repeat(np.arange(len(poses)), count)
+    flat = stack([p for frame in poses for p in frame])
+    shot = np.zeros(len(poses))
+    path = choose_path(*flat, np.concatenate(costs), index, np.array(times_s), shot)
+    return [i - sum(count[:k]) for k, i in enumerate(path)]
+
+
 def test_path_is_the_cheapest_of_all() -> None:
     rng = np.random.default_rng(5)
     poses = [
@@ -161,8 +177,7 @@ def test_path_is_the_cheapest_of_all() -> None:
         return float(total)
 
     best = min(itertools.product(*(range(len(p)) for p in poses)), key=price)
-    assert tuple(choose_path(poses, costs, times)) == best
-    assert choose_path([], [], []) == []
+    assert tuple(chosen(poses, costs, times)) == best
 
 
 def test_path_stays_in_one_valley_against_small_misfits() -> None:
@@ -170,11 +185,11 @@ def test_path_stays_in_one_valley_against_small_misfits() -> None:
     this, other = tilted([0.3, 0, 0], [0, 0, 1]), tilted([-0.3, 0, 0], [0, 0, 1])
     costs = [[1.0, float(rng.choice([0.2, 1.5]))] for _ in range(20)]
     costs[0] = [0.0, 60.0]
-    assert choose_path([[this, other]] * 20, costs, T[:20].tolist()) == [0] * 20
+    assert chosen([[this, other]] * 20, costs, T[:20]) == [0] * 20
     costs[1:] = [[1.0, 1.5]] * 9 + [
         [60.0, 0.0]
     ] * 10  # a real change, with evidence, is followed
-    assert choose_path([[this, other]] * 20, costs, T[:20].tolist()) == [0] * 10 + [1] * 10
+    assert chosen([[this, other]] * 20, costs, T[:20]) == [0] * 10 + [1] * 10
 
 
 def test_cut_is_found_flash_and_pan_are_not() -> None:

@@ -13,6 +13,7 @@ from arfx.analyse.fold import Analysis
 from arfx.analyse.markers.detect import Record
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.fold import solve
+from arfx.analyse.pose.planar import Observed
 from arfx.analyse.pose.smooth import LEAST, SHAKE, SIDEWAYS
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -185,7 +186,7 @@ def test_rest_is_smoothed_as_rest_in_a_clip_that_also_moves() -> None:
 
 
 def test_links_between_turned_frames_are_the_derivative() -> None:
-    from arfx.analyse.pose.smooth import _apply_step, _links
+    from arfx.analyse.pose.smooth import _apply_step, _Path
 
     poses = [
         tilted([0.2, 0.1, 0], [0.1, 0, 1.0]),
@@ -199,13 +200,15 @@ def test_links_between_turned_frames_are_the_derivative() -> None:
     rng = np.random.default_rng(0)
     step = rng.normal(0, 1e-4, (2, 6))
 
+    blank = [np.zeros((2, 4, *shape)) for shape in ((3,), (2,), (2, 2), ())]
+
     def shift(r: np.ndarray, t: np.ndarray) -> np.ndarray:
-        here = _links(r, t, centre, dt)
+        here = _Path(r, t, Observed(*blank), dt, centre).chain
         return -(np.linalg.inv(here.gate[0]) @ here.shift[0])[
             :6
         ]  # Log of the turn and the change of place
 
-    before = _links(rotation, translation, centre, dt)
+    before = _Path(rotation, translation, Observed(*blank), dt, centre).chain
     after_inverse = np.linalg.inv(before.gate[0])
     back = -after_inverse @ before.move[0]
     predicted = (
