@@ -284,9 +284,7 @@ class PrintedLight(LightOfMarkers):
             ):  # one kind of print, without colour
                 rho = brightness(grey)
             return (
-                gain_and_bias(
-                    grey, albedo=rho, clipped=clipped, printed_bias=params.printed_bias
-                ),
+                gain_and_bias(grey, rho, clipped, params.printed_bias),
                 None,
             )
 

@@ -26,7 +26,7 @@ from arfx.analyse.fold import (
 )
 from arfx.analyse.light import patches
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
-from arfx.analyse.light.photometry import Photometry, Tolerances
+from arfx.analyse.light.photometry import Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.samples import place_samples
 from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
@@ -308,7 +308,7 @@ def solve_patches(
     params: LightParams,
 ) -> tuple[Photometry, LightReading | None]:
     """Bias and light out of patches, and another reading of them where prints are overexposed."""
-    photometry = photometry_of(intensity, variance, None, albedo, clipped, Tolerances())
+    photometry = photometry_of(intensity, variance, albedo, clipped)
     y, own, fit = patches.comparable(
         photometry, intensity, variance, patches.WHITE, clipped, albedo
     )

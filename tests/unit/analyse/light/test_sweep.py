@@ -21,6 +21,7 @@ from arfx.analyse.light.static_frame import LightReading, fit_temporal_model
 from arfx.core.numerics import normalise
 from arfx.papers.s1_gain import gain_and_bias
 
+RHO = np.where(WHITE, PAPER, INK)
 SCENES = int(os.environ.get("ARFX_SWEEP", "5"))
 FRAMES, SAMPLES = 90, 40
 TIMES = np.arange(FRAMES) / 15
@@ -227,7 +228,7 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
         mean, variance, clipped, bias = photographed(
             E, np.random.default_rng(seed), **noise
         )
-        p = solve(mean, variance, WHITE, None, clipped)
+        p = solve(mean, variance, RHO, clipped)
         assert np.isfinite(p.y).all() and np.isfinite(p.bias).all()
         y, own, on = comparable(p, mean, variance, WHITE, clipped)
         seen = p.seen
@@ -283,7 +284,7 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
             level = np.median(E)
             for p2, to in (
                 (p, out.bias_grey),
-                (gain_and_bias(mean[::3], WHITE), out.paper_bias_grey),
+                (gain_and_bias(mean[::3], RHO), out.paper_bias_grey),
             ):
                 to.append(
                     float(
