@@ -32,7 +32,7 @@ from arfx.analyse.light.hypotheses import MEASURED, REFUSED
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.light_map import UNKNOWN, Observation
 from arfx.analyse.light.photometry import Photometry
-from arfx.analyse.light.static_frame import Lights, StaticFrameLight, light_report
+from arfx.analyse.light.static_frame import Lights, StaticFrameLight
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.params import LightParams
 from arfx.core.cube import CubeMap, face_directions
@@ -255,9 +255,7 @@ class PrintedStaticFrameLight(StaticFrameLight):
         )
         verdict = MEASURED if middle.lights else REFUSED
         lights = {k: solution[i] for k, i in zip(self.frames, last, strict=True)}
-        return lights, light_report(
-            verdict, "marker", peaks, middle, **self.normal_statistics()
-        )
+        return lights, self.report(verdict, "marker", peaks, middle)
 
 
 class PrintedLight(LightOfMarkers):

@@ -27,6 +27,7 @@ from arfx.analyse.light.hypotheses import (
 )
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
+from arfx.core.numerics import arccos, normalise
 
 MODEL_ERROR, MOST_ERROR = (
     0.002,
@@ -48,7 +49,7 @@ _COSINE, _DOME = (
     np.pi * np.array([1, 2 / 3, 1 / 4]),
     np.pi * np.array([4 / 3, 2 / 3, 2 / 15]),
 )
-_AT_ONCE = 4096  # normals that are held against all others at a time: bounds memory
+_AT_ONCE = 1000  # normals, about, that are held against all others: bounds memory
 _SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
 
 
@@ -166,6 +167,12 @@ class LightFit:
         )
 
 
+def span_deg(normals: np.ndarray) -> float:
+    """Widest angle between unit normals (k, 3)."""
+    few = normals[:: max(1, len(normals) // _AT_ONCE)]
+    return float(np.degrees(arccos((few @ normals.T).min(initial=1.0))))
+
+
 def best_verdict(fits: Iterable[LightFit]) -> str:
     """Of several fits, that of which most is known."""
     return min(
@@ -200,15 +207,10 @@ def fit(
             np.zeros((1, 3)),
             ignored=count,
         )
-    unit = s.normals / np.linalg.norm(s.normals, axis=1, keepdims=True)
-    apart = min(
-        float((unit[k : k + _AT_ONCE] @ unit.T).min())
-        for k in range(0, len(unit), _AT_ONCE)
-    )
-    span_deg = float(np.degrees(np.arccos(np.clip(apart, -1, 1))))
+    span = span_deg(normalise(s.normals))
     about: dict[str, Any] = {
         "condition": min(s.condition(), 1e12),
-        "span_deg": span_deg,
+        "span_deg": span,
         "ignored": s.ignored,
     }
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
@@ -220,11 +222,10 @@ def fit(
     def refused(why: str, **more: Any) -> LightFit:
         return LightFit(REFUSED, why, seen, seen, **about, **more)
 
-    narrow = span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION
-    if span_deg < LEAST_SPAN_DEG or narrow:
+    narrow = span < NARROW_DEG and about["condition"] > MOST_CONDITION
+    if span < LEAST_SPAN_DEG or narrow:
         return refused(
-            f"one normal only, as far as poses are known: all lie within {span_deg:.2g}"
-            " degrees"
+            f"one normal only, as far as poses are known: all lie within {span:.2g} degrees"
         )
     if len(s.normals) < 4:
         return refused(
@@ -295,7 +296,7 @@ def fit(
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
         reason += f"; the second {_words(known[1])}"
-    reason += f"; normals over {span_deg:.0f} degrees"
+    reason += f"; normals over {span:.0f} degrees"
     return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
 
 

@@ -26,12 +26,11 @@ from arfx.analyse.fold import (
 )
 from arfx.analyse.light import patches
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
-from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.samples import place_samples
 from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
 from arfx.analyse.light.static_frame import (
-    LightReading,
     Readings,
     StaticFrameLight,
     light_from_direction,
@@ -309,15 +308,7 @@ def solve_patches(
 ) -> tuple[Photometry, LightReading | None]:
     """Bias and light out of patches, and another reading of them where prints are overexposed."""
     photometry = photometry_of(intensity, variance, albedo, clipped)
-    y, own, fit = patches.comparable(
-        photometry, intensity, variance, patches.WHITE, clipped, albedo
-    )
-    used = photometry.seen
-    return photometry, (
-        None
-        if y is photometry.y and fit is used
-        else LightReading(y[used], own[used], fit[used])
-    )
+    return photometry, patches.comparable(photometry, intensity, variance, clipped, albedo)
 
 
 def with_light(
@@ -506,13 +497,5 @@ def _readings(
         np.array([r[1] for r in rows]).reshape(-1, 3),
     )
     used = photometry.seen
-    return (
-        Readings(
-            frames[used],
-            normals[used],
-            photometry.y[used],
-            photometry.var_y_own[used],
-            other,
-        ),
-        photometry,
-    )
+    light = [r.at(used) for r in (photometry.reading, other) if r is not None]
+    return Readings(frames[used], normals[used], light), photometry

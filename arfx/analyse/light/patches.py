@@ -12,14 +12,14 @@ a marker of 270 px.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.samples import PATCHES, SamplePoints, half_step, within
 from arfx.analyse.markers.detect import marker_cells
 from arfx.core.codec import serialisable
@@ -251,45 +251,33 @@ def comparable(
     p: Photometry,
     intensity: np.ndarray,
     variance: np.ndarray,
-    white: np.ndarray,
     clipped: np.ndarray,
-    albedo: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(light y (t, 3), its own variance (t, 3), (t,) readings of one kind, for a fit over
-    normals). Arguments as for `solve`.
+    albedo: np.ndarray,
+) -> LightReading | None:
+    """Readings of one kind where p's are not, None = they are. Arguments as for `solve`.
 
-    albedo : (t, p, 3), None = that of a marker's ink for all dark patches"""
-    overexposed = p.seen & (np.where(white, clipped, 0).sum(1) > OVEREXPOSED * white.sum())
-    fraction = float(overexposed.sum()) / max(int(p.seen.sum()), 1)
-    if not overexposed.any() or (fraction <= FEW and not p.determined.all()):
-        return p.y, p.var_y_own, p.seen
-    if fraction <= FEW:
-        return p.y, p.var_y_own, p.seen & ~overexposed
-    value, variance = intensity[:, ~white] - p.bias, variance[:, ~white]  # by the ink alone
-    if albedo is not None:  # as if all of them were of one ink
-        scale = divide(albedo[:, ~white].mean((0, 1)), albedo[:, ~white])
-        value, variance = value * scale, variance * scale**2
+    albedo : (t, p, 3)"""
+    overexposed = p.seen & (clipped[:, WHITE].sum(1) > OVEREXPOSED * WHITE.sum())
+    few = overexposed.sum() <= FEW * p.seen.sum()
+    if not overexposed.any() or (few and not p.determined.all()):
+        return None
+    if few:
+        return replace(p.reading, fit=p.seen & ~overexposed)
+    # by the ink alone, as if all of it were of one
+    albedo, variance = albedo[:, ~WHITE], variance[:, ~WHITE]
+    scale = divide(albedo.mean((0, 1)), albedo)
+    value, variance = (intensity[:, ~WHITE] - p.bias) * scale, variance * scale**2
     fine = np.isfinite(value) & np.isfinite(variance) & (variance > 0)
-    inked = fine.any(1)
-    middle = np.where(
-        inked,
-        np.nanmedian(np.where(inked[:, None], np.where(fine, value, np.nan), 0.0), 1),
-        0.0,
-    )
-    off = np.abs(np.where(fine, value - middle[:, None], 0)) / np.sqrt(
-        np.where(fine, variance, 1)
-    )
-    w = np.where(fine, divide(1.0, np.where(fine, variance, 1)), 0) * np.minimum(
-        1, divide(_OUT, off, where_zero=1.0)
-    )
+    middle = np.ma.median(np.ma.array(value, mask=~fine), axis=1).filled(0)
+    value, variance = np.where(fine, value, 0), np.where(fine, variance, 1)
+    off = np.abs(value - middle[:, None]) / np.sqrt(variance)
+    w = fine / variance * np.minimum(1, divide(_OUT, off, where_zero=1.0))
     total = w.sum(1)
-    y = divide((w * np.where(fine, value, 0)).sum(1), total) / p.ink
+    y = divide((w * value).sum(1), total * p.ink)
     own = divide(1.0, total * p.ink**2) * p.misfit**2
-    known = (inked & np.isfinite(y)).all(1)
-    return (
-        np.where(known[:, None], y, p.y),
-        np.where(known[:, None], own, p.var_y_own),
-        p.seen & known,
+    known = p.seen & (total * p.ink > 0).all(1)
+    return LightReading(
+        np.where(known[:, None], y, p.y), np.where(known[:, None], own, p.var_y_own), known
     )
 
 

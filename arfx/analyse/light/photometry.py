@@ -43,6 +43,20 @@ _HUBER, _PASSES, _INK_STEPS = 1.345, 25, 4
 
 
 @dataclass(frozen=True, eq=False)
+class LightReading:
+    """y, variance : (k, 3) radiance of a white surface, and its variance;  fit : (k,) bool,
+    readings of one kind, for a fit over normals
+    """
+
+    y: np.ndarray
+    variance: np.ndarray
+    fit: np.ndarray
+
+    def at(self, rows: np.ndarray) -> LightReading:
+        return LightReading(self.y[rows], self.variance[rows], self.fit[rows])
+
+
+@dataclass(frozen=True, eq=False)
 class Photometry:
     """Solution over t observations (a marker in a frame). All finite.
 
@@ -74,6 +88,10 @@ class Photometry:
     misfit: np.ndarray
     clipped: float
     ignored: int
+
+    @property
+    def reading(self) -> LightReading:
+        return LightReading(self.y, self.var_y_own, self.seen)
 
 
 class Tolerances(NamedTuple):
