@@ -112,11 +112,8 @@ class LightMap:
         """
         x, v = seen.irradiance, seen.variance
         fine = (np.isfinite(seen.normals) & np.isfinite(x) & np.isfinite(v)).all(1)
-        sphere = icosphere(LEVEL)
-        face, weights = sphere.locate(seen.normals[fine])
-        corners, x, v = sphere.faces[face], x[fine], v[fine]
-        expected = np.einsum("kj,kjc->kc", weights, self.value[corners])
-        spread = np.einsum("kj,kjc->kc", weights, self.variance[corners])
+        near, x, v = icosphere(LEVEL).nearest(seen.normals[fine]), x[fine], v[fine]
+        expected, spread = self.value[near], self.variance[near]
         off = x - expected
         z = off / np.sqrt(spread + np.maximum(v, 0) + 1e-24)
         z[np.abs(off) <= STEP_LEAST * np.maximum(np.abs(expected), np.abs(x))] = 0

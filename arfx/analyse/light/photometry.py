@@ -185,7 +185,7 @@ def assemble(
         text,
         y.T,
         own.T,
-        seen.any(0),
+        np.asarray(seen.any(0)),
         bias,
         bias_95,
         ink,
@@ -213,7 +213,7 @@ def _solve_channel(
     cells as another ink would, so that one found is no better an answer than the stated one.)
     """
     usable = w0 > 0
-    seen = usable.any(1)
+    seen = np.asarray(usable.any(1))
     count, unknowns = int(usable.sum()), int(seen.sum()) + 1
     spare = count - unknowns
     if not count:
@@ -288,7 +288,7 @@ def _solve_channel(
             column = of_light - rho * ((w * rho * of_light).sum(1) * inverse)[:, None]
             both = float((w * column).sum())
             of_ink = float((w * column * column).sum()) + prior
-            left = 1 - divide(both * both, remaining * of_ink, where_zero=1.0)
+            left = 1 - float(divide(both * both, remaining * of_ink, where_zero=1.0))
             if (
                 left < 1e-10
             ):  # neither does the light change nor does noise make the prior weigh
@@ -339,7 +339,7 @@ def fallback(
     """Bias 0 assumed; light from the brightest albedo's patches, of a frame's others where
     it has none of them.
     """
-    seen = (w > 0).any(1)
+    seen = np.asarray((w > 0).any(1))
     usable = np.where(w > 0, rho, -1.0)
     take = w * (usable >= usable.max(1, keepdims=True) * (1 - 1e-2))
     information = (take * rho * rho).sum(1)
