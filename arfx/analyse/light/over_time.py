@@ -61,7 +61,7 @@ class Span:
     start_s: float
     stop_s: float
     fit: LightFit
-    group: int
+    group: int = 0
 
 
 def fit_over_time(
@@ -144,7 +144,7 @@ def fit_over_time(
 
     constant = run(every)
     if constant.model_error <= _GOOD_ERROR and drift(times, n, E) <= _MOST_DRIFT:
-        return CONSTANT, [Span(start, stop, constant, 0)]
+        return CONSTANT, [Span(start, stop, constant)]
     breaks_s = [
         *breaks_s,
         *(j for j in jumps(times, E) if all(abs(j - b) > _WINDOW_S for b in breaks_s)),
@@ -159,7 +159,7 @@ def fit_over_time(
         if holds(found, lit[group].astype(int)):
             dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
             spans = [
-                Span(a, b, found if on else dark, 0)
+                Span(a, b, found if on else dark)
                 for on, (a, b) in zip(lit, pairwise(segments), strict=True)
             ]
             held.append((SWITCHED, found, spans))
@@ -170,7 +170,7 @@ def fit_over_time(
                 continue
             pumped = _exposure_drift_fit(times, n, E, v, params)
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
-                return SHARED, [Span(start, stop, pumped, 0)]
+                return SHARED, [Span(start, stop, pumped)]
         elif len(edges) < 3 or any(
             f.verdict == MEASURED or len(f.lights) == 1 for _, f, _ in held
         ):
@@ -213,17 +213,17 @@ def fit_over_time(
     spans = []  # one light of its own in each segment, or two for all: the former is simpler
     for (a, b), found, ok in zip(pairwise(segments), alone, steady, strict=True):
         if ok:
-            spans.append(Span(a, b, found, 0))
+            spans.append(Span(a, b, found))
             continue
         for c, d in pairwise(window_edges(a, b, (), LONGEST_WINDOW_S)):
             inside = between(c, d)
-            spans.append(Span(c, d, confirmed(run(inside), inside, (c + d) / 2), 0))
+            spans.append(Span(c, d, confirmed(run(inside), inside, (c + d) / 2)))
     if any(s.fit.claimed for s in spans):
         return WINDOWS, spans
     last = confirmed(constant, every, (start + stop) / 2)
     if not last.claimed and not best_refusal.claimed:
         last = replace(last, reason=best_refusal.reason)
-    return CONSTANT, [Span(start, stop, last, 0)]
+    return CONSTANT, [Span(start, stop, last)]
 
 
 def switches(
@@ -232,9 +232,8 @@ def switches(
     """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where
     steps do not go down and up in turn.
 
-    What a step does is seen from the observations right before and after it."""
-    light, order = np.asarray(irradiance, float).mean(1), np.argsort(times_s, kind="stable")
-    t, light = times_s[order], light[order]
+    What a step does is seen from the observations, times ascending, right before and after it."""
+    light, t = irradiance.mean(1), times_s
     signs = []
     for edge in edges[1:-1]:
         at = int(np.searchsorted(t, edge))
@@ -292,13 +291,11 @@ def window_edges(
 
 
 def _mean_lengths(times: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """(frames,) length of each frame's mean normal: below 1 where its normals are apart."""
-    frame = np.unique(times, return_inverse=True)[1]
-    mean = (
-        np.stack([np.bincount(frame, n[:, i]) for i in range(3)], 1)
-        / np.bincount(frame)[:, None]
-    )
-    return np.asarray(np.linalg.norm(mean, axis=1))
+    """(frames,) length of each frame's mean normal: below 1 where its normals are apart.
+
+    times : ascending"""
+    _, first, count = np.unique(times, return_index=True, return_counts=True)
+    return np.linalg.norm(np.add.reduceat(n, first) / count[:, None], axis=1)
 
 
 def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:

@@ -231,19 +231,18 @@ def stack(patches: Sequence[Patches]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN
     where nothing was measured.
     """
-    shape = (len(patches), PATCHES, 3)
-    intensity, variance, clipped = (
-        np.full(shape, np.nan),
-        np.full(shape, np.nan),
-        np.zeros(shape[:2]),
+    seen, clipped = (
+        np.array([getattr(p, of) for p in patches]).reshape(-1, PATCHES)
+        for of in ("count", "clipped")
     )
-    for i, p in enumerate(patches):
-        seen = p.count > 0
-        intensity[i, seen], variance[i, seen], clipped[i] = (
-            p.mean[seen],
-            p.variance[seen],
-            p.clipped,
+    intensity, variance = (
+        np.where(
+            seen[..., None] > 0,
+            np.array([getattr(p, of) for p in patches]).reshape(-1, PATCHES, 3),
+            np.nan,
         )
+        for of in ("mean", "variance")
+    )
     return intensity, variance, clipped
 
 
@@ -281,31 +280,22 @@ def comparable(
     )
 
 
-def quadrant_radiance(
-    mean: np.ndarray, count: np.ndarray, bias: np.ndarray, albedo: np.ndarray | None = None
-) -> np.ndarray:
-    """(..., 4) light of paper in the print's quadrants (top left, top right, bottom left,
-    bottom right), NaN = not seen.
-
-    mean (..., 8, 3), count (..., 8), albedo (..., 8, 3) : of Patches"""
-    white = slice(PATCHES // 2, PATCHES)
-    light, seen = (mean[..., white, :] - bias).mean(-1), count[..., white] > 0
-    if albedo is not None:
-        mean_albedo = albedo[..., white, :].mean(-1)
-        light, seen = light / np.maximum(mean_albedo, DIM), seen & (mean_albedo >= DIM)
+def quadrant_radiance(patches: Patches, bias: np.ndarray) -> np.ndarray:
+    """(4,) light of paper in the print's quadrants (top left, top right, bottom left,
+    bottom right), NaN = not seen. bias : (3,) of the camera
+    """
+    light, seen = (patches.mean[WHITE] - bias).mean(-1), patches.count[WHITE] > 0
+    if patches.albedo is not None:
+        albedo = patches.albedo[WHITE].mean(-1)
+        light, seen = light / np.maximum(albedo, DIM), seen & (albedo >= DIM)
     return np.where(seen, light, np.nan)
 
 
-def clearly_shadowed(light: np.ndarray) -> np.ndarray:
-    """(...) whether a quadrant is clearly darker than the brightest one.
-
-    light : (..., 4) of `quadrant_radiance`
+def clearly_shadowed(light: np.ndarray) -> bool:
+    """Whether a quadrant is clearly darker than the brightest one; nothing is clear where
+    one was not seen. light : (4,) of `quadrant_radiance`
     """
-    low, high = (
-        light.min(-1),
-        light.max(-1),
-    )  # NaN where a quarter was not seen: nothing is clear there
-    return (high > 0) & (low <= LEAST_LEFT * high)
+    return bool(0 < light.max() >= light.min() / LEAST_LEFT)
 
 
 def real_shadow(light: np.ndarray, corners_m: np.ndarray) -> PlaneShadow | None:

@@ -53,7 +53,7 @@ class Samples:
     channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective :
     number of independent values
-    ignored : observations;  gamma : exponent that has been taken out of the values
+    gamma : exponent that has been taken out of the values
     lit : (k,) share of the lamps that is on, 0..1"""
 
     normals: np.ndarray
@@ -62,7 +62,6 @@ class Samples:
     starts: np.ndarray
     scale: np.ndarray
     effective: float
-    ignored: int
     gamma: float
     lit: np.ndarray
 
@@ -167,9 +166,7 @@ def gather(
     starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
     if lit is not None:
         starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]
-    return Samples(
-        N, X, 1 / variance_of_mean, starts, scale, effective, int((~fine).sum()), 1.0, on
-    )
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, 1.0, on)
 
 
 def _mean(

@@ -20,7 +20,7 @@ from arfx.analyse.light.fit import best_verdict, span_deg
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import kalman_pass
+from arfx.analyse.light.light_map import DRIFT_PER_S
 from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
@@ -50,6 +50,7 @@ AMBIENT, DIRECT = (
 )  # radiance of a white surface without, and from a facing light, where only a direction is given
 ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
+_PASSES = 2
 JUMP = 0.15  # of the factor's logarithm from one frame to the next: a switch, not a drift
 UNKNOWN = light_map.UNKNOWN  # variance
 MOST_GAINS = 200  # in the report
@@ -178,16 +179,15 @@ class StaticFrameLight:
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
         self.readings = [light.at(mine) for light in readings.light]
         self.reading = self.readings[0]
-        lit, first, self.which = np.unique(
-            self.numbers, return_index=True, return_inverse=True
-        )  # which : reading's row of lit
+        # first : reading of each lit frame
+        lit, self.first = np.unique(self.numbers, return_index=True)
         self.lit, self.at_s = lit.tolist(), self.times_s(lit)
         self.observations = [
             light_map.Observation(
                 time_s, self.normals[a:b], self.reading.y[a:b], self.reading.variance[a:b]
             )
             for time_s, (a, b) in zip(
-                self.at_s.tolist(), pairwise([*first.tolist(), len(mine)]), strict=True
+                self.at_s.tolist(), pairwise([*self.first.tolist(), len(mine)]), strict=True
             )
         ]
         self.kinds = light_map.changes(self.observations)
@@ -284,13 +284,9 @@ class StaticFrameLight:
                 np.median(measured, 0) if len(measured) else np.array(Light().ambient_rgb)
             )
             return Light(triple(level), (), "ambient"), "ambient"
-        poses = {
-            sample.frame: self.facts[sample.frame].camera_from_world for sample in samples
-        }
         turns = [
-            self.static_from_world[k] @ pose.rotation.T
-            for k, pose in poses.items()
-            if pose is not None
+            self.static_from_world[k] @ self.facts[k].pose.rotation.T
+            for k in (sample.frame for sample in samples)
         ]
         n = self.normals[shows]
         up = normalise((n if len(n) else -np.array([t[:, 2] for t in turns])).sum(0))
@@ -321,12 +317,7 @@ class StaticFrameLight:
             divide(made, self.reading.variance + (MODEL_ERROR * made) ** 2),
             0,
         )
-        fraction, shown = (
-            np.stack(
-                [np.bincount(self.which, (weight * a)[:, c], count) for c in range(3)], -1
-            )
-            for a in (made, y)
-        )
+        fraction, shown = (np.add.reduceat(weight * a, self.first) for a in (made, y))
         factors, variance = (
             divide(shown, fraction, where_zero=1.0),
             divide(1.0, fraction, where_zero=UNKNOWN),
@@ -413,20 +404,26 @@ def smoothed(
     variance: np.ndarray,
     step: np.ndarray,
 ) -> np.ndarray:
-    """(n, 3) values of a random walk seen with noise, from all of the past and the future
-    (Kalman filters from both ends).
+    """(n, 3) values of a random walk seen with noise, from all of the past and the future.
 
     time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk
     begins anew there"""
-    m0, v0 = kalman_pass(time_s, value, variance, step)
-    ends = np.append(step[1:], False)
-    m1, v1 = kalman_pass(time_s[::-1], value[::-1], variance[::-1], ends[::-1])
-    m1, v1 = m1[::-1], v1[::-1]
-    weights = np.stack([divide(1.0, v) * (v < UNKNOWN) for v in (v0, v1, variance)])
-    total = weights.sum(0)
-    return np.where(
-        total > 0, divide((weights * np.stack([m0, m1, value])).sum(0), total), value
-    )
+    from scipy.linalg import solveh_banded
+
+    waits = DRIFT_PER_S**2 * np.maximum(np.diff(time_s), 1e-6)[:, None]
+    out = value
+    for _ in range(_PASSES):  # what is expected of it goes with its size
+        size = np.maximum(np.abs(out[1:] * out[:-1]), 1e-12)
+        tie = np.where(step[1:, None], 0.0, 1 / (waits * size))
+        bands = np.zeros((2, *value.shape))
+        bands[0, 1:] = -tie
+        bands[1] = 1 / variance
+        bands[1, 1:] += tie
+        bands[1, :-1] += tie
+        out = np.stack(
+            [solveh_banded(bands[..., c], (value / variance)[:, c]) for c in range(3)], 1
+        )
+    return out
 
 
 def used_spans(spans: Sequence[Span]) -> np.ndarray:
