@@ -174,6 +174,7 @@ class LightOnPlane(LightOfMarkers):
     plane is."""
 
     needs = ("pose",)
+    given = LightOfMarkers.given | {"_markers", "readings"}
 
     def __init__(self, job: AnalysisJob, pose: Fold) -> None:
         super().__init__(job, None, pose)

@@ -17,7 +17,6 @@ MARGIN, MOST_MARGIN = 0.2, 0.45
 # A bilinear sample has 4/9 of a pixel's noise variance, on average; samples nearer than 1.5
 # px have that noise in common.
 SHARED_PX2 = 9 / 4
-FARTHEST_PX = 1e6  # beyond, no place in a picture is known to a pixel
 LEAST_STEP_PX = 1.25  # between samples: nearer ones tell next to nothing more
 BLURS = 2.5  # margin in standard deviations of the blur
 MOST_SAMPLES = 5  # per cell and axis
@@ -77,13 +76,17 @@ def place_samples(
     side = np.roll(quad, -1, 0) - quad
     after = np.roll(side, -1, 0)
     turns = np.sign(side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]).sum()
-    if abs(turns) != 4 or np.abs(quad).max() > FARTHEST_PX:
+    if abs(turns) != 4:
         none = np.zeros((0, 2))
         return SamplePoints(
             none.astype(np.int32), none, np.zeros(0, int), np.zeros((0, 3)), (*last,)
         )
-    unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
-    turn = cv2.getPerspectiveTransform(unit, quad.astype(np.float32))
+    # unit square to quadrilateral (Heckbert 1989, eq. 2.10)
+    q0, q1, q2, q3 = quad
+    g, h = np.linalg.solve(np.stack([q1 - q2, q3 - q2], 1), q0 - q1 + q2 - q3)
+    turn = np.ones((3, 3))
+    turn[:2] = np.stack([q1 - q0 + g * q1, q3 - q0 + h * q3, q0], 1)
+    turn[2, :2] = g, h
     # how the plane is stretched at the middle
     x, y, depth = turn @ [0.5, 0.5, 1]
     stretch = (turn[:2, :2] - np.outer([x / depth, y / depth], turn[2, :2])) / depth / n
