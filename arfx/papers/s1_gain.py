@@ -21,13 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.analyse.light.photometry import (
-    INK,
-    PAPER,
+    UNUSABLE,
     Photometry,
     assemble,
     fallback,
-    of_channels,
-    weights,
+    weighted,
 )
 from arfx.core.numerics import divide
 
@@ -67,9 +65,8 @@ def eq6_smallest_vector(
     """One channel. intensity : (t, p), NaN = not measured;  albedo : (p,) or (t, p). Frames
     without any patch get y = 0.
 
-    Up to `dense` frames by singular value decomposition; beyond, by the normal matrix,
-    whose x part is diagonal: its smallest eigenvalue is the smallest root of a secular
-    equation in the 2 x 2 rest, O(frames x patches), and good to half as many digits. The
+    Up to `dense` frames by singular value decomposition; beyond, by the normal matrix, which
+    is sparse: O(frames x patches), and good to half as many digits. The
     vector is biased where I is noisy, and depends on the units of I.
 
     Raises ValueError where no patch is finite."""
@@ -95,7 +92,7 @@ def eq6_smallest_vector(
         s = np.append(s, np.zeros(max(frames + 2 - len(s), 0)))
         v, smallest, null = vt[-1], float(s[-1]), NULL
     else:
-        v, s = _secular(grey, r, m)
+        v, s = _sparse(grey, r, m)
         smallest, null = float(s[-1]), 1e3 * NULL
     nullity = int((s <= null * s[0]).sum())
     v = v * (np.sign(v[0]) or 1.0)
@@ -131,113 +128,64 @@ def brightness(intensity: np.ndarray) -> np.ndarray:
 
 def gain_and_bias(
     intensity: np.ndarray,
-    white: np.ndarray | None = None,
-    albedo: np.ndarray | None = None,
+    albedo: np.ndarray,
     clipped: np.ndarray | None = None,
     printed_bias: bool = False,
-    ink: float = INK,
-    paper: float = PAPER,
 ) -> Photometry:
     """(4) to (6) for all channels, arguments as in photometry.solve. No variances: the
     paper has none; those reported are of the residuals. printed_bias : b = 1/b' in place of
     b'/g' (y stays as solved)."""
-    value = np.asarray(intensity, float)
-    if albedo is None:
-        albedo = np.where(np.asarray(white), paper, ink)
-    every = of_channels(albedo, value.shape)
-    w, _, ignored = weights(value, None, every)
+    channels, ignored = weighted(intensity, None, albedo)
     parts = []
-    for c in range(3):
-        grey, weight, rho = (
-            np.where(w[..., c] > 0, value[..., c], 0.0),
-            w[..., c],
-            every[..., c],
-        )
-        if not weight.any():
-            parts.append(
-                fallback(
-                    grey,
-                    weight,
-                    rho,
-                    "no patch is usable: all are clipped, missing or not finite",
-                    0,
-                    1e12,
-                )
-            )
-            continue
-        solution = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
+    for grey, weight, rho in channels:
         seen = weight.any(1)
-        one = solution.nullity < 2
-        why = (
-            "only noise singles out the solution"
-            if one
-            else f"the system has nullity {solution.nullity}, not 1"
-        )
-        # g' = 0: b' and x alone, of one albedo
-        blank = abs(solution.gain) > 1e8 * float(np.abs(grey).max()) or solution.gain == 0
-        part = fallback(grey, weight, rho, why, solution.rank, solution.condition)
-        if one and not blank and solution.gap > LEAST_GAP:
-            b = solution.bias_printed if printed_bias else solution.bias
-            residual = (grey - rho * solution.y[:, None] - solution.bias) * weight
-            spread = float(
-                (residual**2).sum() / max((weight > 0).sum() - seen.sum() - 1, 1)
+        part = fallback(grey, weight, rho, UNUSABLE, 0)
+        if seen.any():
+            solution = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
+            one = solution.nullity < 2
+            why = (
+                "only noise singles out the solution"
+                if one
+                else f"the system has nullity {solution.nullity}, not 1"
             )
-            own = np.where(
-                seen, divide(spread, (weight * rho * rho).sum(1)), part["var_y_own"]
+            part = part._replace(
+                reason=why, rank=solution.rank, condition=solution.condition
             )
-            part |= {
-                "y": solution.y,
-                "var_y_own": own,
-                "bias": b,
-                "bias_95": (b, b),
-                "determined": True,
-                "reason": "",
-                "misfit": float(np.sqrt(spread)),
-            }
-        parts.append(part | {"unknowns": int(seen.sum()) + 2})
-    share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
-    return assemble(parts, share, ignored)
+            # g' = 0: b' and x alone, of one albedo
+            blank = solution.gain == 0 or abs(solution.gain) > 1e8 * np.abs(grey).max()
+            if one and not blank and solution.gap > LEAST_GAP:
+                b = solution.bias_printed if printed_bias else solution.bias
+                residual = (grey - rho * solution.y[:, None] - solution.bias) * weight
+                spread = float((residual**2).sum() / max(weight.sum() - seen.sum() - 1, 1))
+                own = divide(spread, (weight * rho * rho).sum(1))
+                part = part._replace(
+                    y=solution.y,
+                    var_y_own=np.where(seen, own, part.var_y_own),
+                    bias=b,
+                    bias_95=(b, b),
+                    determined=True,
+                    reason="",
+                    misfit=float(np.sqrt(spread)),
+                )
+        parts.append(part._replace(unknowns=int(seen.sum()) + 2))
+    return assemble(parts, clipped, ignored)
 
 
-def _secular(
+def _sparse(
     grey: np.ndarray, r: np.ndarray, m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(smallest singular vector (t + 2,), a few singular values, largest first, the two
-    smallest last).
+    """(smallest singular vector (t + 2,), singular values: an upper bound of the largest, and
+    the two smallest, largest first), by the two smallest eigenvalues of the normal matrix,
+    whose x part is diagonal."""
+    from scipy.sparse import block_array, diags_array
+    from scipy.sparse.linalg import eigsh
 
-    The normal matrix is [[G, F], [F^T, D]] with G 2 x 2 and D diagonal. Below the smallest
-    of D its eigenvalues are the roots of the eigenvalues of G - l - F (D - l)^-1 F^T, which
-    fall with l."""
-    G = np.array([[(grey * grey).sum(), -(grey * m).sum()], [-(grey * m).sum(), m.sum()]])
-    F = np.stack([-(r * grey).sum(1), (r * m).sum(1)])
-    D = (r * r).sum(1)
-
-    from scipy.optimize import brentq  # 50 ms, of every job's start
-
-    def rest(low: float) -> np.ndarray:
-        return G - low * np.eye(2) - (F / (D - low)) @ F.T
-
-    end = float(D.min()) * (1 - 1e-9)
-    roots = []
-    for k in range(2):
-        at = [float(np.linalg.eigvalsh(rest(low))[k]) for low in (0.0, end)]
-        if at[0] <= 0:
-            roots.append(0.0)
-        elif at[1] < 0:
-            roots.append(
-                float(
-                    brentq(
-                        lambda low, k=k: np.linalg.eigvalsh(rest(low))[k],
-                        0.0,
-                        end,
-                        xtol=1e-300,
-                        rtol=1e-14,
-                    )
-                )
-            )
-        else:
-            roots.append(end)
-    vector = np.linalg.eigh(rest(roots[0]))[1][:, 0]
-    v = np.concatenate([vector, -(F.T @ vector) / (D - roots[0])])
-    largest = np.array([float(np.trace(G)) + float(D.sum())]) ** 0.5  # an upper bound
-    return v / np.linalg.norm(v), np.append(largest, np.sqrt(np.maximum(roots[::-1], 0)))
+    head = np.array([[(grey * grey).sum(), -grey.sum()], [-grey.sum(), m.sum()]])
+    cross = np.stack([-(r * grey).sum(1), (r * m).sum(1)])
+    normal = block_array(
+        [[head, cross], [cross.T, diags_array((r * r).sum(1))]], format="csc"
+    )
+    largest = float(normal.trace())
+    values, vectors = eigsh(normal, 2, sigma=-1e-12 * largest, v0=np.ones(len(grey) + 2))
+    order = np.argsort(values)
+    return vectors[:, order[0]], np.sqrt(np.maximum([largest, *values[order[::-1]]], 0))

@@ -18,7 +18,7 @@ read, are left to the corrected fold. Its errors: docs/methods/light.md#errata."
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
@@ -30,9 +30,9 @@ from arfx.analyse.fold import Analysis
 from arfx.analyse.light.fold import LightOfMarkers, with_light
 from arfx.analyse.light.hypotheses import MEASURED, REFUSED
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import UNKNOWN, Observation
+from arfx.analyse.light.light_map import Observation
 from arfx.analyse.light.photometry import Photometry
-from arfx.analyse.light.static_frame import Lights, StaticFrameLight, light_report
+from arfx.analyse.light.static_frame import Lights, StaticFrameLight
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.params import LightParams
 from arfx.core.cube import CubeMap, face_directions
@@ -186,18 +186,6 @@ def eq9_lights(M: np.ndarray, n: np.ndarray, I_c: float, epsilon_deg: float) -> 
     return np.array(lights, int)
 
 
-def usable(seen: Observation) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """(normal (3,), light (3,)) of each reading that is finite and known."""
-    for n, x, variance in zip(seen.normals, seen.irradiance, seen.variance, strict=True):
-        length = float(np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]))
-        if (
-            np.isfinite([length, *x, *variance]).all()
-            and length > 0
-            and ((variance >= 0) & (variance < UNKNOWN)).all()
-        ):
-            yield n / length, x
-
-
 def lights_of(
     seen: Sequence[Observation], params: PrintedLightParams
 ) -> tuple[list[Light], list[np.ndarray], np.ndarray]:
@@ -210,7 +198,7 @@ def lights_of(
     out, cubes = [], []
     beyond = np.zeros(3)
     for o in seen:
-        readings = [(turn @ n, x) for n, x in usable(o)]
+        readings = [(turn @ n, x) for n, x, _ in zip(*o.usable, strict=True)]
         for n, x in readings:
             map_.add(n, x)
         M = map_.of_middles
@@ -255,9 +243,7 @@ class PrintedStaticFrameLight(StaticFrameLight):
         )
         verdict = MEASURED if middle.lights else REFUSED
         lights = {k: solution[i] for k, i in zip(self.frames, last, strict=True)}
-        return lights, light_report(
-            verdict, "marker", peaks, middle, **self.normal_statistics()
-        )
+        return lights, self.report(verdict, "marker", peaks, middle)
 
 
 class PrintedLight(LightOfMarkers):
@@ -284,9 +270,7 @@ class PrintedLight(LightOfMarkers):
             ):  # one kind of print, without colour
                 rho = brightness(grey)
             return (
-                gain_and_bias(
-                    grey, albedo=rho, clipped=clipped, printed_bias=params.printed_bias
-                ),
+                gain_and_bias(grey, rho, clipped, params.printed_bias),
                 None,
             )
 

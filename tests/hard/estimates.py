@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from arfx.analyse.light.fit import REFUSED, fit
-from arfx.analyse.light.photometry import MEASURED, solve
+from arfx.analyse.light.photometry import EXACT, MEASURED, solve
 from arfx.analyse.pose.planar import Observed, hypotheses, information
 from arfx.core.lens_fit import lens_from_blur
 from arfx.core.marker import MarkerSpec
@@ -59,7 +59,7 @@ def _bias(delta: float, formula: str, data: Data) -> Answer | None:
             else Answer(float(np.abs(found.bias - _BIAS).max()))
         )
     variance = np.full(seen.shape, _READING_SIGMA**2) if data.camera else None
-    solved = solve(seen, variance, albedo=rho)
+    solved = solve(seen, variance, rho, tolerances=EXACT)
     if solved.verdict != MEASURED:
         return None
     return Answer(

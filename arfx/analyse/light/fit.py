@@ -27,6 +27,7 @@ from arfx.analyse.light.hypotheses import (
 )
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, gather, refine
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
+from arfx.core.numerics import arccos, normalise
 
 MODEL_ERROR, MOST_ERROR = (
     0.002,
@@ -45,10 +46,10 @@ NARROW_DEG, MOST_CONDITION = (
 # Shares of degree 0, 1, 2 of max(c, 0) and of ((c + 1) / 2)^2: their Legendre coefficients
 # times 4 pi / (2 l + 1)
 _COSINE, _DOME = (
-    np.pi * np.array([1, 2 / 3, 1 / 4]),
-    np.pi * np.array([4 / 3, 2 / 3, 2 / 15]),
+    np.pi * np.repeat(of_degree, (1, 3, 5))
+    for of_degree in ([1, 2 / 3, 1 / 4], [4 / 3, 2 / 3, 2 / 15])
 )
-_AT_ONCE = 4096  # normals that are held against all others at a time: bounds memory
+_AT_ONCE = 1000  # normals, about, that are held against all others: bounds memory
 _SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
 
 
@@ -92,7 +93,6 @@ class LightFit:
     misfit : chi squared over its degrees of freedom, under a systematic error of model_error
     gamma : exponent found in the values
     condition : of [1, n], columns of length 1, at most 1e12;  span_deg : of the normals;
-    ignored : observations
     """
 
     verdict: str
@@ -105,7 +105,6 @@ class LightFit:
     gamma: float = 1.0
     condition: float = 1e12
     span_deg: float = 0.0
-    ignored: int = 0
 
     def irradiance(self, normals: np.ndarray, group: int = 0) -> np.ndarray:
         """(..., 3) at unit normals (..., 3): ambient light and `lights`."""
@@ -146,7 +145,7 @@ class LightFit:
         soft, ambient = np.zeros((9, 3)), np.array(self.ambient_rgb[group])
         soft[0] = ambient * np.sqrt(4 * np.pi)
         for li in rest:
-            fraction = np.repeat((_DOME if li.dome else _COSINE), (1, 3, 5))
+            fraction = _DOME if li.dome else _COSINE
             soft += (fraction * harmonics(li.direction))[:, None] * li.rgb[group]
             ambient = ambient + li.rgb[group] * (1 / 3 if li.dome else 1 / 4)
         lamps = (
@@ -164,6 +163,12 @@ class LightFit:
             "marker",
             tuple(triple(row) for row in soft) if rest else (),
         )
+
+
+def span_deg(normals: np.ndarray) -> float:
+    """Widest angle between unit normals (k, 3)."""
+    few = normals[:: max(1, len(normals) // _AT_ONCE)]
+    return float(np.degrees(arccos((few @ normals.T).min(initial=1.0))))
 
 
 def best_verdict(fits: Iterable[LightFit]) -> str:
@@ -185,31 +190,19 @@ def fit(
     variance : (k, 3), of noise alone
     (an error that all share, as the bias has, is ambient light here);  group : (k,) int:
     directions are shared by all
-    groups, amplitudes are each group's own. What is not finite is left out and counted.
+    groups, amplitudes are each group's own. What is not finite is left out.
     Nothing non-finite leaves.
     lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
     are shared by all groups too
     """
     s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
     if s is None:
-        count = int(np.size(normals) // 3)
-        return LightFit(
-            REFUSED,
-            "no usable observation",
-            np.zeros((1, 3)),
-            np.zeros((1, 3)),
-            ignored=count,
-        )
-    unit = s.normals / np.linalg.norm(s.normals, axis=1, keepdims=True)
-    apart = min(
-        float((unit[k : k + _AT_ONCE] @ unit.T).min())
-        for k in range(0, len(unit), _AT_ONCE)
-    )
-    span_deg = float(np.degrees(np.arccos(np.clip(apart, -1, 1))))
+        none = np.zeros((1, 3))
+        return LightFit(REFUSED, "no usable observation", none, none)
+    span = span_deg(normalise(s.normals))
     about: dict[str, Any] = {
         "condition": min(s.condition(), 1e12),
-        "span_deg": span_deg,
-        "ignored": s.ignored,
+        "span_deg": span,
     }
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
     seen = (
@@ -220,11 +213,10 @@ def fit(
     def refused(why: str, **more: Any) -> LightFit:
         return LightFit(REFUSED, why, seen, seen, **about, **more)
 
-    narrow = span_deg < NARROW_DEG and about["condition"] > MOST_CONDITION
-    if span_deg < LEAST_SPAN_DEG or narrow:
+    narrow = span < NARROW_DEG and about["condition"] > MOST_CONDITION
+    if span < LEAST_SPAN_DEG or narrow:
         return refused(
-            f"one normal only, as far as poses are known: all lie within {span_deg:.2g}"
-            " degrees"
+            f"one normal only, as far as poses are known: all lie within {span:.2g} degrees"
         )
     if len(s.normals) < 4:
         return refused(
@@ -295,7 +287,7 @@ def fit(
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
         reason += f"; the second {_words(known[1])}"
-    reason += f"; normals over {span_deg:.0f} degrees"
+    reason += f"; normals over {span:.0f} degrees"
     return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -26,12 +26,11 @@ from arfx.analyse.fold import (
 )
 from arfx.analyse.light import patches
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
-from arfx.analyse.light.photometry import Photometry, Tolerances
+from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.samples import place_samples
 from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
 from arfx.analyse.light.static_frame import (
-    LightReading,
     Readings,
     StaticFrameLight,
     light_from_direction,
@@ -75,10 +74,10 @@ class LightOfMarkers(Fold):
     """readings : (frame, marker key, Patches) in order"""
 
     name = "light"
-    needs = ("markers", "pose")
+    needs: ClassVar[tuple[str, ...]] = ("markers", "pose")
     given = frozenset({"job", "_meters"})
 
-    def __init__(self, job: AnalysisJob, markers: Markers, pose: Fold) -> None:
+    def __init__(self, job: AnalysisJob, markers: Markers | None, pose: Fold) -> None:
         super().__init__(job)
         self._markers = markers
         ink, paper = job.light.ink, job.light.paper
@@ -95,13 +94,14 @@ class LightOfMarkers(Fold):
         self._surroundings = EnvironmentSamples(job.length_s)
 
     @property
-    def samples(self) -> list[EnvironmentSample]:
+    def samples(self) -> list[Any]:
         return self._surroundings.samples
 
     def step(self, frame: AnalysisFrame) -> None:
-        picture, seen = frame.picture, self._markers.detections
-        if picture is None:
+        picture = frame.picture
+        if picture is None or self._markers is None:
             return
+        seen = self._markers.detections
         for s in seen:
             if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
                 continue
@@ -117,17 +117,12 @@ class LightOfMarkers(Fold):
                 )
             )
         if seen:
-            corners_px, width = (
-                max(seen, key=lambda s: s.side_px).corners_px,
-                picture.rect.width,
+            quad, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
+            self._surroundings.step(
+                frame.time_s,
+                picture,
+                lambda small: environment_sample(frame.index, small, quad, width),
             )
-
-            def sample(small: np.ndarray) -> EnvironmentSample:
-                return environment_sample(
-                    frame.index, small, (corners_px + 0.5) * (small.shape[1] / width) - 0.5
-                )
-
-            self._surroundings.step(frame.time_s, picture, sample)
 
     def join(self, later: Self, shift: int) -> None:
         self.readings += shifted(later.readings, shift)
@@ -142,13 +137,11 @@ class LightOfMarkers(Fold):
     def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
         light = summary["light"]
         photometry = light["photometry"]
-        condition = max((c for c in photometry["condition"] if c is not None), default=None)
-        ok = photometry["verdict"] == "measured"
         yield Check(
             "photometry condition number",
-            condition,
+            max((c for c in photometry["condition"] if c is not None), default=None),
             1e6,
-            ok,
+            photometry["verdict"] == "measured",
             f"bias taken for 0: {photometry['reason']}",
         )
         if "verdict" not in light:  # no frame with a pose that lasts
@@ -176,41 +169,31 @@ class LightOfMarkers(Fold):
         )
 
 
-class LightOnPlane(Fold):
+class LightOnPlane(LightOfMarkers):
     """Where there is no marker: small pictures are kept until it is known where in them the
-    plane is.
+    plane is."""
 
-    pictures : (frame, small picture) in order"""
-
-    name = "light"
     needs = ("pose",)
-    given = frozenset({"job", "samples"})
+    given = LightOfMarkers.given | {"_markers", "readings"}
 
     def __init__(self, job: AnalysisJob, pose: Fold) -> None:
-        super().__init__(job)
-        self.samples: list[EnvironmentSample] = []
-        self._pictures = EnvironmentSamples(job.length_s)
+        super().__init__(job, None, pose)
 
     def step(self, frame: AnalysisFrame) -> None:
         if frame.picture is not None:
-            self._pictures.step(
+            self._surroundings.step(
                 frame.time_s, frame.picture, lambda small: (frame.index, small)
             )
 
-    def join(self, later: Self, shift: int) -> None:
-        self._pictures.join(later._pictures, shift)
-
     def finish(self, clip: Analysis) -> Analysis:
-        camera = self.job.camera
-        for k, small in self._pictures.samples:
-            pose = clip.facts[k].camera_from_world
-            quad = (
-                None if pose is None else camera.project(pose.apply(clip.anchor.corners_m))
-            )
-            if quad is not None and np.isfinite(quad).all():
-                quad = (quad + 0.5) * (small.shape[1] / camera.width) - 0.5
-                self.samples.append(environment_sample(k, small, quad))
-        return with_light(clip, (), self.samples, self.job.light, self.job.panorama)
+        camera, pictures = self.job.camera, self.samples
+        self._surroundings.samples = []
+        for k, small in pictures:
+            if (pose := clip.facts[k].camera_from_world) is not None:
+                quad = camera.project(pose.apply(clip.anchor.corners_m))
+                if np.isfinite(quad).all():
+                    self.samples.append(environment_sample(k, small, quad, camera.width))
+        return super().finish(clip)
 
 
 class EnvironmentSamples(Stateful):
@@ -236,11 +219,9 @@ class EnvironmentSamples(Stateful):
     ) -> None:
         """width : of the small picture, at most"""
         if self._next_s is None:  # at once, unless not every stretch has one
-            self._next_s = (
-                -np.inf
-                if self._interval_s == SURROUNDINGS_S
-                else self._interval_s * np.ceil(time_s / self._interval_s)
-            )
+            self._next_s = time_s
+            if self._interval_s > SURROUNDINGS_S:
+                self._next_s = self._interval_s * np.ceil(time_s / self._interval_s)
         if time_s < self._next_s:
             return
         self._next_s = time_s + self._interval_s
@@ -258,7 +239,7 @@ class Environment(Fold):
     name = "environment"
     needs = ("light",)
 
-    def __init__(self, job: AnalysisJob, light: LightOfMarkers | LightOnPlane) -> None:
+    def __init__(self, job: AnalysisJob, light: LightOfMarkers) -> None:
         super().__init__(job)
         self._light = light
         self._looks = EnvironmentSamples(job.length_s)
@@ -308,16 +289,8 @@ def solve_patches(
     params: LightParams,
 ) -> tuple[Photometry, LightReading | None]:
     """Bias and light out of patches, and another reading of them where prints are overexposed."""
-    photometry = photometry_of(intensity, variance, None, albedo, clipped, Tolerances())
-    y, own, fit = patches.comparable(
-        photometry, intensity, variance, patches.WHITE, clipped, albedo
-    )
-    used = photometry.seen
-    return photometry, (
-        None
-        if y is photometry.y and fit is used
-        else LightReading(y[used], own[used], fit[used])
-    )
+    photometry = photometry_of(intensity, variance, albedo, clipped)
+    return photometry, patches.comparable(photometry, intensity, variance, clipped, albedo)
 
 
 def with_light(
@@ -356,12 +329,8 @@ def with_light(
     )  # frames whose lamps are known: what they do not light lies in a real shadow
     # frames that share one static frame: the whole clip, or each shot where the camera's
     # axes are the static ones
-    shared = (
-        [[*group] for _, group in groupby(posed, lambda k: facts[k].shot)]
-        if turns
-        else [[*posed]]
-    )
-    for shots in filter(None, shared):
+    for _, group in groupby(posed, lambda k: facts[k].shot if turns else 0):
+        shots = [*group]
         part = static_frame_light(shots, facts, static_from_world, readings, params)
         light, stated, why = None, False, f"environment {params.environment} given"
         if panorama is not None:
@@ -390,32 +359,23 @@ def with_light(
     shaded = {}
     for frame, key, cells in patch_readings:
         if frame in known and key == anchor.key:
-            radiance = patches.quadrant_radiance(
-                cells.mean, cells.count, bias, cells.albedo
-            )
+            radiance = patches.quadrant_radiance(cells, bias)
             if found := patches.real_shadow(radiance, anchor.corners_m):
                 shaded[frame] = found
-    lit = (
-        (
-            f
-            if k not in out
-            else f.with_(
-                light=out[k].turned(static_from_world[k].T) if turns else out[k],
-                bias_rgb=triple(bias),
-                plane_shadow=shaded.get(k),
-            )
+    lit = list(facts)
+    for k, light in out.items():
+        lit[k] = facts[k].with_(
+            light=light.turned(static_from_world[k].T) if turns else light,
+            bias_rgb=triple(bias),
+            plane_shadow=shaded.get(k),
         )
-        for k, f in enumerate(facts)
-    )
     known_bias, p = bool(photometry.determined.all()), photometry
     summary = {
         "frames_with_real_shadow": len(shaded),
         "formula": params.formula,
-        "gain": (
-            None
-            # gain and light are known as a product only; over time, where they change together:
-            # static_frame.py
-        ),
+        # it and the light are known as a product only; over time, where they change together:
+        # static_frame.py
+        "gain": None,
         "bias": p.bias.tolist() if known_bias else None,
         "bias_ci95": p.bias_95.tolist() if known_bias else None,
         "clipped_fraction": p.clipped,
@@ -487,14 +447,10 @@ def _readings(
             rows.append((frame, static_from_world[frame] @ marker.rotation[:, 2], cells))
     # a print partly in a real shadow does not show the lamps' light; where most prints are,
     # nothing else is left
-    quarters = [
-        patches.quadrant_radiance(p.mean, p.count, np.zeros(3), p.albedo)
-        for _, _, p in rows
-    ]
     lit = [
         row
-        for row, light in zip(rows, quarters, strict=True)
-        if not patches.clearly_shadowed(light)
+        for row in rows
+        if not patches.clearly_shadowed(patches.quadrant_radiance(row[2], np.zeros(3)))
     ]
     rows = lit if 2 * len(lit) > len(rows) else rows
     seen = [p for _, _, p in rows]
@@ -506,13 +462,5 @@ def _readings(
         np.array([r[1] for r in rows]).reshape(-1, 3),
     )
     used = photometry.seen
-    return (
-        Readings(
-            frames[used],
-            normals[used],
-            photometry.y[used],
-            photometry.var_y_own[used],
-            other,
-        ),
-        photometry,
-    )
+    light = [r.at(used) for r in (photometry.reading, other) if r is not None]
+    return Readings(frames[used], normals[used], light), photometry

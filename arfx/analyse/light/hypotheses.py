@@ -17,7 +17,7 @@ import numpy as np
 
 from arfx.analyse.light import search
 from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, Model, Samples
-from arfx.core.numerics import angle_between
+from arfx.core.numerics import angle_between, divide
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
@@ -199,23 +199,26 @@ class LightHypotheses:
         """Of one light of the chosen model, degrees, over all exponents that are within the
         bound.
         """
-        best, bound = self.best[self.count].dirs[light], self.bound()
         out = 0.0
-        for prior, models in self.nodes:
+        for bound, models in self._within():
             model = models[self.count][0]
-            if prior + model.chi2 <= bound:
-                off = np.where(
-                    model.soft < DOME, np.degrees(angle_between(model.dirs, best)), np.inf
-                )
+            if model.chi2 <= bound:
+                off = self._off_deg(model, light)
                 near = int(off.argmin())
-                out = max(
-                    out,
-                    min(
-                        float(off[near]) + search.cone_deg(model, near, bound - prior),
-                        NO_CONE_DEG,
-                    ),
-                )
+                beyond = search.cone_deg(model, near, bound)
+                out = max(out, min(float(off[near]) + beyond, NO_CONE_DEG))
         return out
+
+    def _within(self) -> Iterator[tuple[float, list[list[Model]]]]:
+        """(chi squared that is no worse, models by count) of each exponent."""
+        bound = self.bound()
+        for prior, models in self.nodes:
+            yield bound - prior, models
+
+    def _off_deg(self, model: Model, light: int) -> np.ndarray:
+        """(q,) of the model's lights from one of the chosen model's; a dome's is inf."""
+        off = angle_between(model.dirs, self.best[self.count].dirs[light])
+        return np.where(model.soft < DOME, np.degrees(off), np.inf)
 
     def assess(self, light: int) -> Assessment:
         """Of one light of the chosen model. light : its row in best.dirs
@@ -269,10 +272,9 @@ class LightHypotheses:
         """(samples, chi squared that is no worse) of the exponents under which two free
         lights may do in place of one.
         """
-        bound = self.bound()
-        for prior, models in self.nodes:
-            if self.count == 2 or prior + min(m.chi2 for m in models[2]) <= bound:
-                yield models[self.count][0].at, bound - prior
+        for bound, models in self._within():
+            if self.count == 2 or min(m.chi2 for m in models[2]) <= bound:
+                yield models[self.count][0].at, bound
 
     def _farthest_pair(self, light: int) -> tuple[float, float]:
         """(ring beyond the farthest on which two lamps in its place explain the data as
@@ -324,18 +326,15 @@ class LightHypotheses:
 
     def _farthest_minimum(self, light: int) -> float:
         """Degrees from the light to the farthest minimum that is no worse."""
-        best, bound, out = self.best[self.count], self.bound(), 0.0
-        for prior, models in self.nodes:
-            for m in models[self.count]:
-                if prior + m.chi2 <= bound:
-                    points = m.dirs[m.soft < DOME]
-                    off = (
-                        float(np.degrees(angle_between(points, best.dirs[light]).min()))
-                        if len(points)
-                        else NO_CONE_DEG
-                    )
-                    out = max(out, off)
-        return out
+        return max(
+            (
+                min(float(self._off_deg(m, light).min()), NO_CONE_DEG)
+                for bound, models in self._within()
+                for m in models[self.count]
+                if m.chi2 <= bound
+            ),
+            default=0.0,
+        )
 
 
 def _up_to(degrees: float, ring_deg: float) -> str:
@@ -350,12 +349,11 @@ def _lowest(cost: dict[float, float]) -> float:
     """Minimum of the parabola through the lowest of evenly spaced costs and its neighbours,
     kept between these.
     """
-    steps = sorted(cost)
-    i = int(np.argmin([cost[k] for k in steps]))
+    steps, costs = np.array(sorted(cost.items())).T
+    i = int(costs.argmin())
     if i in (0, len(steps) - 1):
-        return steps[i]
-    a, b, c = (cost[steps[i + k]] for k in (-1, 0, 1))
-    bend = a - 2 * b + c
-    return steps[i] + (steps[i + 1] - steps[i]) * (
-        0.5 * (a - c) / bend if bend > 0 else 0.0
+        return float(steps[i])
+    a, b, c = costs[i - 1 : i + 2]
+    return float(
+        steps[i] + (steps[i + 1] - steps[i]) * divide(0.5 * (a - c), a - 2 * b + c)
     )

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arfx.analyse.light.icosphere import icosphere
-from arfx.core.numerics import divide
+from arfx.core.numerics import divide, normalise
 
 UNKNOWN = 1e12  # variance of what no observation has reached
 REACH = 1e-6  # weight below which an observation does not count
@@ -41,6 +41,13 @@ class Observation:
     normals: np.ndarray
     irradiance: np.ndarray
     variance: np.ndarray
+
+    @property
+    def usable(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(unit normals, irradiance, variance) of the readings that are finite and known."""
+        n, x, v = normalise(self.normals), self.irradiance, self.variance
+        fine = n.any(1) & (np.isfinite(x) & (v >= 0) & (v < UNKNOWN)).all(1)
+        return n[fine], x[fine], v[fine]
 
 
 def changes(seen: Sequence[Observation]) -> np.ndarray:
@@ -87,22 +94,18 @@ class LightMap:
 
     def add(self, seen: Observation) -> None:
         """One reading after the other; what is not finite, or not known, is left out."""
-        length = np.linalg.norm(seen.normals, axis=1)
-        v = seen.variance
-        usable = np.isfinite(length) & (length > 0)
-        usable &= (np.isfinite(seen.irradiance) & (v >= 0) & (v < UNKNOWN)).all(1)
-        for k in np.flatnonzero(usable):
-            cosine = np.clip(self.vertices @ (seen.normals[k] / length[k]), -1, 1)
+        for n, x, v in zip(*seen.usable, strict=True):
+            cosine = np.clip(self.vertices @ n, -1, 1)
             weight = np.exp(-(np.arccos(cosine) ** 2) / (2 * self.blur_rad**2))
             near = (cosine > 0) & (weight > REACH)
             cosine, weight = cosine[near, None], weight[near, None]
             # what another normal may receive beside this one
-            blind = (1 - cosine**2) * seen.irradiance[k] ** 2 / 3
-            noise = v[k] / weight + blind
+            blind = (1 - cosine**2) * x**2 / 3
+            noise = v / weight + blind
             old, value = self.variance[near], self.value[near]
             first = old >= UNKNOWN
             gain = np.where(first, 1.0, divide(old, old + noise))
-            self.value[near] = value + gain * (seen.irradiance[k] - value)
+            self.value[near] = value + gain * (x - value)
             sharper = np.maximum((1 - gain) * old, np.minimum(old, blind))
             self.variance[near] = np.where(first, noise, sharper)
 
@@ -110,15 +113,11 @@ class LightMap:
         """-1 or 1: darker or brighter than the map beyond its and the frame's uncertainty;
         0: neither, or nothing known.
         """
-        x, v = seen.irradiance, seen.variance
-        fine = (np.isfinite(seen.normals) & np.isfinite(x) & np.isfinite(v)).all(1)
-        sphere = icosphere(LEVEL)
-        face, weights = sphere.locate(seen.normals[fine])
-        corners, x, v = sphere.faces[face], x[fine], v[fine]
-        expected = np.einsum("kj,kjc->kc", weights, self.value[corners])
-        spread = np.einsum("kj,kjc->kc", weights, self.variance[corners])
+        n, x, v = seen.usable
+        near = icosphere(LEVEL).nearest(n)
+        expected, spread = self.value[near], self.variance[near]
         off = x - expected
-        z = off / np.sqrt(spread + np.maximum(v, 0) + 1e-24)
+        z = off / np.sqrt(spread + v + 1e-24)
         z[np.abs(off) <= STEP_LEAST * np.maximum(np.abs(expected), np.abs(x))] = 0
         sure = (spread < UNKNOWN / 1e3).all(1)
         if not sure.any():
@@ -126,26 +125,3 @@ class LightMap:
         farthest = np.take_along_axis(z, np.abs(z).argmax(1)[:, None], 1)
         middle = float(np.median(farthest[sure]))
         return int(np.sign(middle)) if abs(middle) > STEP_SIGMA else 0
-
-
-def kalman_pass(
-    times_s: np.ndarray, value: np.ndarray, variance: np.ndarray, begins: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """A Kalman filter of a random walk: mean and variance (n, 3) before each value is taken
-    in.
-
-    times_s (n,), either way;  value, variance (n, 3), UNKNOWN = not seen;  begins (n,) : the
-    walk begins anew there"""
-    means, spreads = np.empty(value.shape), np.empty(value.shape)
-    mean, spread = np.zeros(3), np.full(3, UNKNOWN)
-    waits = np.abs(np.diff(times_s, prepend=times_s[:1]))
-    for k, wait in enumerate(waits):
-        spread = np.minimum(spread + DRIFT_PER_S**2 * wait * mean**2, UNKNOWN)
-        if begins[k]:
-            spread = np.full(3, UNKNOWN)
-        means[k], spreads[k] = mean, spread
-        seen = variance[k] < UNKNOWN
-        gain = np.where(seen, divide(spread, spread + variance[k]), 0)
-        mean = mean + gain * (value[k] - mean)
-        spread = np.where(seen, gain * variance[k], spread)
-    return means, spreads

@@ -192,21 +192,13 @@ def _solve_amplitudes(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def evaluate(
-    seen: Observations, dirs, columns: Columns, amp, residual, contribution
+    seen: Observations, dirs, columns: Columns, A, B, amp, residual
 ):  # pragma: no cover - compiled
-    """Chi squared of one set of directions with the best amplitudes; amp and residual are filled.
+    """Chi squared of one set of directions with the best amplitudes.
 
-    contribution (g, m + 1) : filled with the sum of what each column gives, times weight"""
-    starts, k = seen.starts, seen.normals.shape[1]
-    A, B = np.empty((columns.lights + 1, k)), np.empty((columns.lights + 1, k))
+    Filled: A (m + 1, k), see `_fill_columns`; B, A times weight; amp; residual"""
     _fill_columns(seen, dirs, columns, A)
-    chi = _solve_amplitudes(seen, A, B, amp, residual)
-    for g in range(len(starts) - 1):
-        for p in range(columns.lights + 1):
-            contribution[g, p] = 0.0
-            for i in range(starts[g], starts[g + 1]):
-                contribution[g, p] += B[p, i]
-    return chi
+    return _solve_amplitudes(seen, A, B, amp, residual)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -216,15 +208,7 @@ def scan(seen: Observations, many, columns: Columns, out):  # pragma: no cover -
     amp, residual = np.empty((len(seen.starts) - 1, 3, m + 1)), np.empty((3, k))
     A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
     for n in range(len(many)):
-        _fill_columns(seen, many[n], columns, A)
-        out[n] = _solve_amplitudes(seen, A, B, amp, residual)
-
-
-@numba.njit(cache=True, nogil=True)
-def _copy(a, out):  # pragma: no cover - compiled
-    """out[:] = a, for which numba would compile a message about shapes for seconds."""
-    for i in range(len(a)):
-        out[i] = a[i]
+        out[n] = evaluate(seen, many[n], columns, A, B, amp, residual)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -241,6 +225,14 @@ def _turn(v, w, out):  # pragma: no cover - compiled
     z = a * v[2] + b * (w[0] * v[1] - w[1] * v[0]) + d * w[2]
     n = np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = x / n, y / n, z / n
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _turn_bodies(dirs, body, step, trial):  # pragma: no cover - compiled
+    """trial = dirs, each body's turned by three rows of `step` (n, 1)."""
+    for i in range(len(dirs)):
+        if body[i] >= 0:
+            _turn(dirs[i], step[3 * body[i] : 3 * body[i] + 3, 0], trial[i])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -261,27 +253,20 @@ def refine(
     amp = np.empty((len(seen.starts) - 1, 3, m + 1))
     r0, r1 = np.empty((3, k)), np.empty((3, k))
     A, B = np.empty((m + 1, k)), np.empty((m + 1, k))
-    _fill_columns(seen, dirs, columns, A)
-    best = _solve_amplitudes(seen, A, B, amp, r0)
+    best = evaluate(seen, dirs, columns, A, B, amp, r0)
     if n == 0:
         return best
     J = np.empty((n, 3 * k))
     H, g, M, step = np.empty((n, n)), np.empty(n), np.empty((n, n)), np.empty((n, 1))
-    trial = np.empty((q, 3))
-    w = np.empty(3)
+    trial = dirs.copy()
     damping, h = 1e-3, 5e-4
     for _ in range(passes):
         before = r0.reshape(-1)
         for p in range(n):
-            for i in range(3):
-                w[i] = h if i == p % 3 else 0.0
-            for i in range(q):
-                if body[i] == p // 3:
-                    _turn(dirs[i], w, trial[i])
-                else:
-                    _copy(dirs[i], trial[i])
-            _fill_columns(seen, trial, columns, A)
-            _solve_amplitudes(seen, A, B, amp, r1)
+            for s in range(n):
+                step[s, 0] = h if s == p else 0.0
+            _turn_bodies(dirs, body, step, trial)
+            evaluate(seen, trial, columns, A, B, amp, r1)
             after = r1.reshape(-1)
             row = J[p]
             for i in range(3 * k):
@@ -306,24 +291,18 @@ def refine(
             length = 0.0
             for p in range(n):
                 length += step[p, 0] ** 2
-            length = np.sqrt(length)
-            if length > 0.35:
-                for p in range(n):
-                    step[p, 0] *= 0.35 / length
-            for i in range(q):
-                if body[i] >= 0:
-                    _turn(dirs[i], step[3 * body[i] : 3 * body[i] + 3, 0], trial[i])
-                else:
-                    _copy(dirs[i], trial[i])
-            _fill_columns(seen, trial, columns, A)
-            chi = _solve_amplitudes(seen, A, B, amp, r1)
+            shorter = min(1.0, 0.35 / np.sqrt(length))
+            for p in range(n):
+                step[p, 0] *= shorter
+            _turn_bodies(dirs, body, step, trial)
+            chi = evaluate(seen, trial, columns, A, B, amp, r1)
             if chi < best:
                 moved = best - chi > gain * best + 1e-9
                 best = chi
                 for i in range(q):
-                    _copy(trial[i], dirs[i])
-                for c in range(3):
-                    _copy(r1[c], r0[c])
+                    for c in range(3):
+                        dirs[i, c] = trial[i, c]
+                r0, r1 = r1, r0
                 damping = max(damping / 5, 1e-9)
                 break
             damping *= 6

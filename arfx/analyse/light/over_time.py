@@ -61,52 +61,31 @@ class Span:
     start_s: float
     stop_s: float
     fit: LightFit
-    group: int
+    group: int = 0
 
 
 def fit_over_time(
     times_s: np.ndarray,
     normals: np.ndarray,
     irradiance: np.ndarray,
-    variance: np.ndarray | None = None,
+    variance: np.ndarray,
     breaks_s: Sequence[float] = (),
     params: Params = Params(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span]]:
     """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from
     the first to the last observation).
 
-    times_s : (k,) of each observation, any order;  normals, irradiance, variance : (k, 3)
-    as in fit.fit
+    times_s : (k,) of each observation, one at least, any order;  normals, irradiance,
+    variance : (k, 3) as in fit.fit, finite
     breaks_s : times at which the light steps (light_map.changes); no span crosses one
-    Observations without a finite time are left out.
     """
-    times = np.asarray(times_s, float).ravel()
-    n, E = (
-        np.asarray(normals, float).reshape(-1, 3),
-        np.asarray(irradiance, float).reshape(-1, 3),
-    )
-    v = (
-        np.zeros(E.shape)
-        if variance is None
-        else np.broadcast_to(np.asarray(variance, float), E.shape)
-    )
-    fine = (
-        np.isfinite(times)
-        & np.isfinite(n).all(1)
-        & np.isfinite(E).all(1)
-        & np.isfinite(v).all(1)
-    )
-    n, E, v = n[fine], E[fine], v[fine]
-    if not fine.any():
-        return CONSTANT, [
-            Span(0.0, 0.0, replace(fit(n, E, v, None, params), ignored=len(fine)), 0)
-        ]
-    order = np.argsort(times[fine], kind="stable")  # what lies between two times is a slice
-    times, n, E, v = times[fine][order], n[order], E[order], v[order]
+    order = np.argsort(times_s, kind="stable")  # what lies between two times is a slice
+    times, n, E, v = (a[order] for a in (times_s, normals, irradiance, variance))
+    start, stop, every = float(times[0]), float(times[-1]), slice(0, len(times))
 
     def run(
-        rows: np.ndarray | slice,
-        group: np.ndarray | None,
+        rows: slice,
+        group: np.ndarray | None = None,
         lit: np.ndarray | None = None,
         lights: int = 2,
     ) -> LightFit:
@@ -121,46 +100,56 @@ def fit_over_time(
     agree_deg = params.limit_deg if several else min(params.limit_deg, _AGREE_DEG)
 
     def confirmed(
-        found: LightFit, halves: Sequence[np.ndarray | slice], group: np.ndarray | None
+        found: LightFit, rows: slice, middle_s: float, group: np.ndarray | None = None
     ) -> LightFit:
-        """By halves that say where the lights are, if there are as many."""
+        """With its first light's cone widened to what the halves say, up to and from a
+        time: beyond agree_deg likely, beyond the limit refused.
+        """
         if not found.claimed:
             return found
-        return _confirmed(
+        middle = int(np.searchsorted(times, middle_s, side="right"))
+        middle = min(max(middle, rows.start), rows.stop)
+        first, off = found.lights[0], 0.0
+        for half in (slice(rows.start, middle), slice(middle, rows.stop)):
+            lights = run(half, group, None, len(found.lights)).lights
+            apart = [angle_between(li.direction, first.direction) for li in lights]
+            off = max(off, float(np.degrees(min(apart, default=np.inf))))
+        if off <= agree_deg:
+            first = replace(first, confidence_deg=max(first.confidence_deg, off))
+            return replace(found, lights=(first, *found.lights[1:]))
+        likely = params.likely and found.model_error <= _GOOD_ERROR
+        if off > (params.limit_deg if likely else agree_deg):
+            why = (
+                "the light or the exposure changes, and no two parts of the clip agree on a"
+                " direction"
+            )
+            return replace(
+                found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb
+            )
+        doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
+        first = doubted(first, max(first.confidence_deg, 2 * off), 2 * off, doubt)
+        return replace(
             found,
-            [run(rows, group, None, len(found.lights)) for rows in halves],
-            agree_deg,
-            params,
+            verdict=LIKELY,
+            reason=f"{found.reason}; {doubt}",
+            lights=(first, *found.lights[1:]),
         )
 
     def holds(
-        found: LightFit, group: np.ndarray | None, rows: np.ndarray | slice = slice(None)
+        found: LightFit, group: np.ndarray | None = None, rows: slice = every
     ) -> bool:
         if not found.claimed or found.model_error > _GOOD_ERROR:
             return False
         return drift(times[rows], n[rows], E[rows], group) <= _MOST_DRIFT
 
-    def between(a: float, b: float) -> slice:
-        """From a up to b; the last observation is in the last one."""
-        return slice(
-            int(np.searchsorted(times, a)),
-            len(times) if b == stop else int(np.searchsorted(times, b)),
-        )
-
-    every = np.ones(len(times), bool)
-    start, stop = float(times.min()), float(times.max())
-    late = times > (start + stop) / 2
-    constant = run(every, None)
+    constant = run(every)
     if constant.model_error <= _GOOD_ERROR and drift(times, n, E) <= _MOST_DRIFT:
-        return CONSTANT, [Span(start, stop, constant, 0)]
+        return CONSTANT, [Span(start, stop, constant)]
     breaks_s = [
         *breaks_s,
         *(j for j in jumps(times, E) if all(abs(j - b) > _WINDOW_S for b in breaks_s)),
     ]
-    segments, windows = (
-        window_edges(start, stop, breaks_s, np.inf),
-        window_edges(start, stop, breaks_s, LONGEST_WINDOW_S),
-    )
+    segments = window_edges(start, stop, breaks_s, np.inf)
     # the account whose refusal says most: the first that explains what was seen
     best_refusal = constant
     held: list[tuple[str, LightFit, list[Span]]] = []  # accounts that explain it
@@ -169,45 +158,37 @@ def fit_over_time(
         found = run(every, group, lit)
         if holds(found, lit[group].astype(int)):
             dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
-            fits = [found if on else dark for on in lit]
-            held.append(
-                (
-                    SWITCHED,
-                    found,
-                    [
-                        Span(a, b, f, 0)
-                        for f, (a, b) in zip(fits, pairwise(segments), strict=True)
-                    ],
-                )
-            )
-    for name, edges in ((SEGMENTS, segments), (SHARED, windows)):
-        if held and (
-            name == SHARED or held[0][1].verdict == MEASURED or len(held[0][1].lights) == 1
+            spans = [
+                Span(a, b, found if on else dark)
+                for on, (a, b) in zip(lit, pairwise(segments), strict=True)
+            ]
+            held.append((SWITCHED, found, spans))
+    for name, window_s in ((SEGMENTS, np.inf), (SHARED, LONGEST_WINDOW_S)):
+        edges = window_edges(start, stop, breaks_s, window_s)
+        if name == SHARED:
+            if held:
+                continue
+            pumped = _exposure_drift_fit(times, n, E, v, params)
+            if pumped is not None and pumped.model_error <= _GOOD_ERROR:
+                return SHARED, [Span(start, stop, pumped)]
+        elif len(edges) < 3 or any(
+            f.verdict == MEASURED or len(f.lights) == 1 for _, f, _ in held
         ):
             continue
         group = _group(times, edges)
-        if name == SEGMENTS and len(edges) < 3:
-            continue
-        if name == SHARED:
-            pumped = _exposure_drift_fit(times, n, E, v, params)
-            if pumped is not None and pumped.model_error <= _GOOD_ERROR:
-                return SHARED, [Span(start, stop, pumped, 0)]
-        shared = run(every, group)
-        best_refusal = (
-            shared
-            if shared.model_error <= _GOOD_ERROR < best_refusal.model_error
-            else best_refusal
-        )
-        if holds(shared, group):
+        found = run(every, group)
+        if found.model_error <= _GOOD_ERROR < best_refusal.model_error:
+            best_refusal = found
+        if holds(found, group):
             if name == SHARED:
-                shared = confirmed(shared, [~late, late], group)
-            if shared.claimed:
+                found = confirmed(found, every, (start + stop) / 2, group)
+            if found.claimed:
                 present = np.unique(group)  # the groups that fit numbers
                 spans = [
-                    Span(a, b, shared, int(np.abs(present - g).argmin()))
+                    Span(a, b, found, int(np.abs(present - g).argmin()))
                     for g, (a, b) in enumerate(pairwise(edges))
                 ]
-                held.append((name, shared, spans))
+                held.append((name, found, spans))
     name, best, spans = min(
         held,
         key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)),
@@ -215,35 +196,34 @@ def fit_over_time(
     )
     if best is not None and len(best.lights) == 1:
         return name, spans
+
+    def between(a: float, b: float) -> slice:
+        """From a up to b; the last observation is in the last one."""
+        return slice(*np.searchsorted(times, [a, b] if b < stop else [a, np.inf]).tolist())
+
     pieces = [between(a, b) for a, b in pairwise(segments)]
-    alone = [run(rows, None) for rows in pieces]
+    alone = [run(rows) for rows in pieces]
     steady = [holds(f, None, rows) for f, rows in zip(alone, pieces, strict=True)]
-    simple = (
+    if best is not None and not all(
         ok and len(f.lights) == 1
         for f, rows, ok in zip(alone, pieces, steady, strict=True)
         if rows.stop - rows.start >= _LEAST_PIECE
-    )
-    if best is not None and not all(simple):
+    ):
         return name, spans
     spans = []  # one light of its own in each segment, or two for all: the former is simpler
     for (a, b), found, ok in zip(pairwise(segments), alone, steady, strict=True):
         if ok:
-            spans.append(Span(a, b, found, 0))
+            spans.append(Span(a, b, found))
             continue
         for c, d in pairwise(window_edges(a, b, (), LONGEST_WINDOW_S)):
             inside = between(c, d)
-            middle = min(
-                max(int(np.searchsorted(times, (c + d) / 2, side="right")), inside.start),
-                inside.stop,
-            )
-            halves = [slice(inside.start, middle), slice(middle, inside.stop)]
-            spans.append(Span(c, d, confirmed(run(inside, None), halves, None), 0))
+            spans.append(Span(c, d, confirmed(run(inside), inside, (c + d) / 2)))
     if any(s.fit.claimed for s in spans):
         return WINDOWS, spans
-    last = confirmed(constant, [~late, late], None)
+    last = confirmed(constant, every, (start + stop) / 2)
     if not last.claimed and not best_refusal.claimed:
         last = replace(last, reason=best_refusal.reason)
-    return CONSTANT, [Span(start, stop, last, 0)]
+    return CONSTANT, [Span(start, stop, last)]
 
 
 def switches(
@@ -252,9 +232,8 @@ def switches(
     """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where
     steps do not go down and up in turn.
 
-    What a step does is seen from the observations right before and after it."""
-    light, order = np.asarray(irradiance, float).mean(1), np.argsort(times_s, kind="stable")
-    t, light = times_s[order], light[order]
+    What a step does is seen from the observations, times ascending, right before and after it."""
+    light, t = irradiance.mean(1), times_s
     signs = []
     for edge in edges[1:-1]:
         at = int(np.searchsorted(t, edge))
@@ -312,13 +291,11 @@ def window_edges(
 
 
 def _mean_lengths(times: np.ndarray, n: np.ndarray) -> np.ndarray:
-    """(frames,) length of each frame's mean normal: below 1 where its normals are apart."""
-    frame = np.unique(times, return_inverse=True)[1]
-    mean = (
-        np.stack([np.bincount(frame, n[:, i]) for i in range(3)], 1)
-        / np.bincount(frame)[:, None]
-    )
-    return np.asarray(np.linalg.norm(mean, axis=1))
+    """(frames,) length of each frame's mean normal: below 1 where its normals are apart.
+
+    times : ascending"""
+    _, first, count = np.unique(times, return_index=True, return_counts=True)
+    return np.linalg.norm(np.add.reduceat(n, first) / count[:, None], axis=1)
 
 
 def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
@@ -332,62 +309,23 @@ def _exposure_drift_fit(
     does not hold, or is refused.
 
     A second light is left soft: what the factors are off by looks like one."""
-    g = gains(times, n, E) if len(times) else None
-    if g is None:
+    if (g := gains(times, n, E)) is None:
         return None
-    frame, found = np.unique(times, return_inverse=True)[1], None
-    rough = replace(params, gamma_sigma=0.0)
-    for p in (
-        rough,
-        params,
-    ):  # harmonics bend where a lamp sets: the factors once more, from the lights themselves
+    frame = np.unique(times, return_inverse=True)[1]
+    # harmonics bend where a lamp sets: the factors once more, from the lights themselves
+    for p in (replace(params, gamma_sigma=0.0), params):
         found = fit(n, E / g[:, None], v / g[:, None] ** 2, None, p)
         if not found.claimed:
             return None
         g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
         if not (g > 1e-3).all():
             return None
-    if found is None or drift(times, n, E / g[:, None]) > _MOST_DRIFT:
+    if drift(times, n, E / g[:, None]) > _MOST_DRIFT:
         return None
     soft = (
         replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED) for li in found.lights[1:]
     )
     return replace(found, lights=(found.lights[0], *soft))
-
-
-def _confirmed(
-    found: LightFit, halves: Sequence[LightFit], agree_deg: float, params: Params
-) -> LightFit:
-    """`found` with its first light's cone widened to what the halves say: beyond agree_deg
-    likely, beyond the limit refused.
-    """
-    first, off = found.lights[0], 0.0
-    for half in halves:
-        apart = [angle_between(li.direction, first.direction) for li in half.lights]
-        off = max(off, float(np.degrees(min(apart, default=np.inf))))
-    if off > (
-        params.limit_deg
-        if params.likely and found.model_error <= _GOOD_ERROR
-        else agree_deg
-    ):
-        why = (
-            "the light or the exposure changes, and no two parts of the clip agree on a"
-            " direction"
-        )
-        return replace(
-            found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb
-        )
-    if off <= agree_deg:
-        first = replace(first, confidence_deg=max(first.confidence_deg, off))
-        return replace(found, lights=(first, *found.lights[1:]))
-    doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
-    first = doubted(first, max(first.confidence_deg, 2 * off), 2 * off, doubt)
-    return replace(
-        found,
-        verdict=LIKELY,
-        reason=f"{found.reason}; {doubt}",
-        lights=(first, *found.lights[1:]),
-    )
 
 
 def drift(

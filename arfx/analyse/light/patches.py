@@ -12,14 +12,14 @@ a marker of 270 px.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.samples import PATCHES, SamplePoints, half_step, within
 from arfx.analyse.markers.detect import marker_cells
 from arfx.core.codec import serialisable
@@ -231,19 +231,18 @@ def stack(patches: Sequence[Patches]) -> tuple[np.ndarray, np.ndarray, np.ndarra
     """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN
     where nothing was measured.
     """
-    shape = (len(patches), PATCHES, 3)
-    intensity, variance, clipped = (
-        np.full(shape, np.nan),
-        np.full(shape, np.nan),
-        np.zeros(shape[:2]),
+    seen, clipped = (
+        np.array([getattr(p, of) for p in patches]).reshape(-1, PATCHES)
+        for of in ("count", "clipped")
     )
-    for i, p in enumerate(patches):
-        seen = p.count > 0
-        intensity[i, seen], variance[i, seen], clipped[i] = (
-            p.mean[seen],
-            p.variance[seen],
-            p.clipped,
+    intensity, variance = (
+        np.where(
+            seen[..., None] > 0,
+            np.array([getattr(p, of) for p in patches]).reshape(-1, PATCHES, 3),
+            np.nan,
         )
+        for of in ("mean", "variance")
+    )
     return intensity, variance, clipped
 
 
@@ -251,73 +250,52 @@ def comparable(
     p: Photometry,
     intensity: np.ndarray,
     variance: np.ndarray,
-    white: np.ndarray,
     clipped: np.ndarray,
-    albedo: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(light y (t, 3), its own variance (t, 3), (t,) readings of one kind, for a fit over
-    normals). Arguments as for `solve`.
+    albedo: np.ndarray,
+) -> LightReading | None:
+    """Readings of one kind where p's are not, None = they are. Arguments as for `solve`.
 
-    albedo : (t, p, 3), None = that of a marker's ink for all dark patches"""
-    overexposed = p.seen & (np.where(white, clipped, 0).sum(1) > OVEREXPOSED * white.sum())
-    fraction = float(overexposed.sum()) / max(int(p.seen.sum()), 1)
-    if not overexposed.any() or (fraction <= FEW and not p.determined.all()):
-        return p.y, p.var_y_own, p.seen
-    if fraction <= FEW:
-        return p.y, p.var_y_own, p.seen & ~overexposed
-    value, variance = intensity[:, ~white] - p.bias, variance[:, ~white]  # by the ink alone
-    if albedo is not None:  # as if all of them were of one ink
-        scale = divide(albedo[:, ~white].mean((0, 1)), albedo[:, ~white])
-        value, variance = value * scale, variance * scale**2
+    albedo : (t, p, 3)"""
+    overexposed = p.seen & (clipped[:, WHITE].sum(1) > OVEREXPOSED * WHITE.sum())
+    few = overexposed.sum() <= FEW * p.seen.sum()
+    if not overexposed.any() or (few and not p.determined.all()):
+        return None
+    if few:
+        return replace(p.reading, fit=p.seen & ~overexposed)
+    # by the ink alone, as if all of it were of one
+    albedo, variance = albedo[:, ~WHITE], variance[:, ~WHITE]
+    scale = divide(albedo.mean((0, 1)), albedo)
+    value, variance = (intensity[:, ~WHITE] - p.bias) * scale, variance * scale**2
     fine = np.isfinite(value) & np.isfinite(variance) & (variance > 0)
-    inked = fine.any(1)
-    middle = np.where(
-        inked,
-        np.nanmedian(np.where(inked[:, None], np.where(fine, value, np.nan), 0.0), 1),
-        0.0,
-    )
-    off = np.abs(np.where(fine, value - middle[:, None], 0)) / np.sqrt(
-        np.where(fine, variance, 1)
-    )
-    w = np.where(fine, divide(1.0, np.where(fine, variance, 1)), 0) * np.minimum(
-        1, divide(_OUT, off, where_zero=1.0)
-    )
+    middle = np.ma.median(np.ma.array(value, mask=~fine), axis=1).filled(0)
+    value, variance = np.where(fine, value, 0), np.where(fine, variance, 1)
+    off = np.abs(value - middle[:, None]) / np.sqrt(variance)
+    w = fine / variance * np.minimum(1, divide(_OUT, off, where_zero=1.0))
     total = w.sum(1)
-    y = divide((w * np.where(fine, value, 0)).sum(1), total) / p.ink
+    y = divide((w * value).sum(1), total * p.ink)
     own = divide(1.0, total * p.ink**2) * p.misfit**2
-    known = (inked & np.isfinite(y)).all(1)
-    return (
-        np.where(known[:, None], y, p.y),
-        np.where(known[:, None], own, p.var_y_own),
-        p.seen & known,
+    known = p.seen & (total * p.ink > 0).all(1)
+    return LightReading(
+        np.where(known[:, None], y, p.y), np.where(known[:, None], own, p.var_y_own), known
     )
 
 
-def quadrant_radiance(
-    mean: np.ndarray, count: np.ndarray, bias: np.ndarray, albedo: np.ndarray | None = None
-) -> np.ndarray:
-    """(..., 4) light of paper in the print's quadrants (top left, top right, bottom left,
-    bottom right), NaN = not seen.
-
-    mean (..., 8, 3), count (..., 8), albedo (..., 8, 3) : of Patches"""
-    white = slice(PATCHES // 2, PATCHES)
-    light, seen = (mean[..., white, :] - bias).mean(-1), count[..., white] > 0
-    if albedo is not None:
-        mean_albedo = albedo[..., white, :].mean(-1)
-        light, seen = light / np.maximum(mean_albedo, DIM), seen & (mean_albedo >= DIM)
+def quadrant_radiance(patches: Patches, bias: np.ndarray) -> np.ndarray:
+    """(4,) light of paper in the print's quadrants (top left, top right, bottom left,
+    bottom right), NaN = not seen. bias : (3,) of the camera
+    """
+    light, seen = (patches.mean[WHITE] - bias).mean(-1), patches.count[WHITE] > 0
+    if patches.albedo is not None:
+        albedo = patches.albedo[WHITE].mean(-1)
+        light, seen = light / np.maximum(albedo, DIM), seen & (albedo >= DIM)
     return np.where(seen, light, np.nan)
 
 
-def clearly_shadowed(light: np.ndarray) -> np.ndarray:
-    """(...) whether a quadrant is clearly darker than the brightest one.
-
-    light : (..., 4) of `quadrant_radiance`
+def clearly_shadowed(light: np.ndarray) -> bool:
+    """Whether a quadrant is clearly darker than the brightest one; nothing is clear where
+    one was not seen. light : (4,) of `quadrant_radiance`
     """
-    low, high = (
-        light.min(-1),
-        light.max(-1),
-    )  # NaN where a quarter was not seen: nothing is clear there
-    return (high > 0) & (low <= LEAST_LEFT * high)
+    return bool(0 < light.max() >= light.min() / LEAST_LEFT)
 
 
 def real_shadow(light: np.ndarray, corners_m: np.ndarray) -> PlaneShadow | None:

@@ -10,6 +10,7 @@ frames about .25 s.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -36,8 +37,23 @@ WORST_BIAS = (
 )
 # of the bright patches' median that has to be light: less is haze, or no print at all
 LEAST_CONTRAST = 0.05
-ENOUGH = 100  # frames that tell how much the bias depends on what is not known
-_HUBER, _PASSES = 1.345, 25
+MOST_CONDITION = 1e12  # that is told
+UNUSABLE = "no patch is usable: all are clipped, missing or not finite"
+_HUBER, _PASSES, _INK_STEPS = 1.345, 25, 4
+
+
+@dataclass(frozen=True, eq=False)
+class LightReading:
+    """y, variance : (k, 3) radiance of a white surface, and its variance;  fit : (k,) bool,
+    readings of one kind, for a fit over normals
+    """
+
+    y: np.ndarray
+    variance: np.ndarray
+    fit: np.ndarray
+
+    def at(self, rows: np.ndarray) -> LightReading:
+        return LightReading(self.y[rows], self.variance[rows], self.fit[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +89,10 @@ class Photometry:
     clipped: float
     ignored: int
 
+    @property
+    def reading(self) -> LightReading:
+        return LightReading(self.y, self.var_y_own, self.seen)
+
 
 class Tolerances(NamedTuple):
     """What is not exactly as stated. ink_sigma : standard deviation of the ink's albedo
@@ -84,388 +104,247 @@ class Tolerances(NamedTuple):
     steps: float = STEPS
 
 
+USUAL, EXACT = Tolerances(), Tolerances(0, 0, 0)
+
+
+class Channel(NamedTuple):
+    """One channel of a Photometry, and why its bias is assumed, "" = it is not."""
+
+    y: np.ndarray
+    var_y_own: np.ndarray
+    seen: np.ndarray
+    ink: float
+    rank: int
+    unknowns: int
+    condition: float
+    reason: str = ""
+    determined: bool = False
+    bias: float = 0.0
+    bias_95: tuple[float, float] = (-1.96 * ASSUMED_BIAS, 1.96 * ASSUMED_BIAS)
+    misfit: float = 1.0
+
+
 def solve(
     intensity: np.ndarray,
-    variance: np.ndarray | None = None,
-    white: np.ndarray | None = None,
-    albedo: np.ndarray | None = None,
+    variance: np.ndarray | None,
+    albedo: np.ndarray,
     clipped: np.ndarray | None = None,
-    tolerances: Tolerances | None = None,
+    tolerances: Tolerances = USUAL,
 ) -> Photometry:
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None =
     equal and unknown
-    white : (p,) bool, or albedo : (p,), (t, p) or (t, p, 3) in its place;  clipped : (t, p)
-    shares, for the report
-    tolerances : go into bias_95; None = the usual ones, with `albedo` given none
-    Raises ValueError for wrong shapes."""
-    value = np.asarray(intensity, float)
-    frames, patches, _ = value.shape
-    if albedo is None:
-        if white is None or np.shape(white) != (patches,):
-            raise ValueError("white (p,) or albedo is needed")
-        albedo, tolerances = np.where(white, PAPER, INK), tolerances or Tolerances()
-    ink_sigma, transfer, steps = tolerances or Tolerances(0.0, 0.0, 0.0)
-    every = of_channels(albedo, value.shape)
-    weight, known_noise, ignored = weights(value, variance, every)
-    fraction = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
-    parts = []
-    for c in range(3):
-        grey, w, rho = (
-            np.where(weight[..., c] > 0, value[..., c], 0.0),
-            weight[..., c],
-            every[..., c],
-        )
-        dark = (
-            rho < (rho.min(1, keepdims=True) + rho.max(1, keepdims=True)) / 2
-            if rho.size
-            else np.zeros(rho.shape, bool)
-        )
-        part = solve_robust(grey, w, rho, dark, known_noise, ink_sigma)
-        if part["determined"] and transfer > 0:
-            # the interval is moved to what the bias is under other exponents of the camera's curve
-            sparse, found = slice(None, None, max(1, frames // ENOUGH)), []
-            few, size = grey[sparse], np.maximum(np.abs(grey[sparse]), 1e-4)
-            for exponent in (1.0, 1 / (1 - transfer), 1 / (1 + transfer)):
-                few_w = w[sparse] / (exponent * size ** (exponent - 1)) ** 2
-                bent = np.sign(few) * np.abs(few) ** exponent
-                found.append(
-                    solve_channel(bent, few_w, rho[sparse], dark[sparse], known_noise, 0.0)
-                )
-            off = [
-                f["bias"] - found[0]["bias"]
-                for f in found
-                if f["determined"] and found[0]["determined"]
-            ] or [0.0]
-            part["bias_95"] = part["bias_95"][0] + min(off), part["bias_95"][1] + max(off)
-        if part["determined"] and steps > 0:
-            level = float(np.median(grey[dark & (w > 0)]))
-            # linear light per coded value: sRGB's slope, of which all curves are near enough
-            slope = (
-                float(2.4 / 1.055 * max(level, 0.0) ** (1 - 1 / 2.4))
-                if level > 0.0031
-                else 1 / 12.92
-            )
-            (low, high), middle = part["bias_95"], part["bias"]
-            low, high = (
-                float(np.hypot(away, steps / 255 * slope))
-                for away in (middle - low, high - middle)
-            )
-            part["bias_95"] = middle - low, middle + high
-        parts.append(part)
-    return assemble(parts, fraction, ignored)
+    albedo : (p,), (t, p) or (t, p, 3);  clipped : (t, p) shares, for the report
+    tolerances : go into bias_95"""
+    channels, ignored = weighted(intensity, variance, albedo)
+    known = variance is not None
+    return assemble(
+        [_solve_channel(*c, known, tolerances) for c in channels], clipped, ignored
+    )
 
 
-def of_channels(albedo: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Albedo (p,), (t, p) or (t, p, 3) as (t, p, 3)."""
-    a = np.asarray(albedo, float)
-    return np.broadcast_to(a if a.ndim == 3 else a[..., None], shape)
-
-
-def weights(
-    value: np.ndarray, variance: np.ndarray | None, rho: np.ndarray
-) -> tuple[np.ndarray, bool, int]:
-    """((t, p, 3) inverse variances, 0 = not usable; whether variances are known; number of
-    patches that are not finite).
-
-    rho : (t, p, 3) albedos"""
+def weighted(
+    intensity: np.ndarray, variance: np.ndarray | None, albedo: np.ndarray
+) -> tuple[list[tuple[np.ndarray, np.ndarray, np.ndarray]], int]:
+    """([values, 0 where not usable; inverse variances, 0 = not usable, else 1 if unknown;
+    albedos: each (t, p)] by channel, number of patches that are not finite). Arguments as
+    for `solve`.
+    """
+    value, rho = np.asarray(intensity, float), np.asarray(albedo, float)
+    rho = np.broadcast_to(rho if rho.ndim == 3 else rho[..., None], value.shape)
     fine = np.isfinite(value) & np.isfinite(rho)
     ignored = int((~np.isfinite(value)).any(-1).sum())
-    if variance is None:
-        return fine.astype(float), False, ignored
-    v = np.asarray(variance, float)
-    fine &= np.isfinite(v) & (v >= 0)
-    usual = float(np.median(v[fine])) if fine.any() else 1.0
-    floor = max(1e-4 * usual, 1e-18)  # no patch outweighs the usual one by more than 10,000
-    return np.where(fine, 1 / np.maximum(np.where(fine, v, 1), floor), 0.0), True, ignored
+    weight = np.ones(value.shape)
+    if variance is not None:
+        v = np.asarray(variance, float)
+        fine &= np.isfinite(v) & (v >= 0)
+        usual = float(np.median(v[fine])) if fine.any() else 1.0
+        # no patch outweighs the usual one by more than 10,000
+        weight = divide(1.0, np.maximum(v, max(1e-4 * usual, 1e-18)))
+    arrays = np.where(fine, value, 0.0), np.where(fine, weight, 0.0), rho
+    by_channel = (np.moveaxis(a, -1, 0) for a in arrays)
+    return list(zip(*by_channel, strict=True)), ignored
 
 
-def assemble(parts: list[dict], clipped: float, ignored: int) -> Photometry:
+def assemble(
+    parts: Sequence[Channel], clipped: np.ndarray | None, ignored: int
+) -> Photometry:
     """A Photometry of the channels' results."""
-    reasons = {p["reason"] for p in parts}
-    fine = all(p["determined"] for p in parts)
-    text = (
-        "; ".join(sorted(r for r in reasons if r))
-        or "two albedos, bias and light determined"
-    )
+    fine = all(p.determined for p in parts)
+    text = "two albedos, bias and light determined"
     if not fine:
         channels = "".join(
-            name for name, p in zip("RGB", parts, strict=True) if not p["determined"]
+            name for name, p in zip("RGB", parts, strict=True) if not p.determined
         )
-        text = f"{channels}: {text}; bias 0 assumed, light from the bright patches alone"
-    columns = {k: np.stack([p[k] for p in parts], -1) for k in ("y", "var_y_own")}
-    rows = {
-        k: np.array([p[k] for p in parts])
-        for k in ("bias", "ink", "determined", "rank", "unknowns", "condition", "misfit")
-    }
+        reasons = "; ".join(sorted({p.reason for p in parts if p.reason}))
+        text = f"{channels}: {reasons}; bias 0 assumed, light from the bright patches alone"
+    y, own, seen, ink, rank, unknowns, condition, _, determined, bias, bias_95, misfit = (
+        map(np.array, zip(*parts, strict=True))
+    )
     return Photometry(
         MEASURED if fine else DEGENERATE,
         text,
-        seen=np.any([p["seen"] for p in parts], 0),
-        **columns,
-        **rows,
-        bias_95=np.array([p["bias_95"] for p in parts]),
-        clipped=clipped,
-        ignored=ignored,
+        y.T,
+        own.T,
+        np.asarray(seen.any(0)),
+        bias,
+        bias_95,
+        ink,
+        determined,
+        rank,
+        unknowns,
+        condition,
+        misfit,
+        float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0,
+        ignored,
     )
 
 
-def solve_robust(
+def _solve_channel(
     grey: np.ndarray,
     w0: np.ndarray,
     rho: np.ndarray,
-    dark: np.ndarray,
     known: bool,
-    ink_sigma: float,
-) -> dict:
-    """Shared bias. grey, w0, rho : (t, p) values, inverse variances (0 = not usable),
-    albedos;  dark : (t, p) bool, ink
+    tolerances: Tolerances,
+) -> Channel:
+    """Shared bias. grey, w0, rho : as of `weighted`;  known : the variances are
 
-    known : the variances are
-    ink_sigma : deviation of the ink's albedo from that in rho, 0 = exact. The solution
-    takes the stated ink; the interval
-        holds what an ink with this prior, solved for beside the bias, makes of the bias
-        too. (Gloss and glare bend dark cells as another ink would, so that one found is no
-        better an answer than the stated one.)
+    The solution takes the stated ink; the interval holds what an ink with its tolerance as
+    prior, solved for beside the bias, makes of the bias too. (Gloss and glare bend dark
+    cells as another ink would, so that one found is no better an answer than the stated one.)
     """
-    part = solve_channel(grey, w0, rho, dark, known, 0.0)
-    if ink_sigma == 0 or not part["determined"]:
-        return part
-    sparse = slice(None, None, max(1, len(grey) // ENOUGH))
-    other = solve_channel(
-        grey[sparse], w0[sparse], rho[sparse], dark[sparse], known, ink_sigma
-    )
-    (low, high), bright = part["bias_95"], float(np.median(part["y"][part["seen"]]))
-    if other["determined"] and other["ink"] != part["ink"]:
-        low, high = min(low, other["bias_95"][0]), max(high, other["bias_95"][1])
-    else:
-        low, high = low - 1.96 * ink_sigma * bright, high + 1.96 * ink_sigma * bright
-    return part | {"bias_95": (low, high)}
-
-
-def _refusal(
-    level: float, half: float, noise: float, bright: float, doubt: float, contrast: float
-) -> str:
-    """Why a solution says nothing, "" = it does. level, noise : of the picture;  half :
-    width of the bias's interval
-    bright, doubt : irradiance and three deviations of it;  contrast : between a print's cells
-    """
-    if level <= 0 or half > WORST_BIAS * level:
-        why = "no light" if level <= noise else "albedos too alike"
-        return (
-            f"{why}: the bias would be uncertain by {half:.2g} at a level of"
-            f" {max(level, 0):.2g}"
-        )
-    if bright < -doubt:
-        return "dark cells are brighter than bright ones"
-    return "bright and dark cells look alike" if contrast < LEAST_CONTRAST * level else ""
-
-
-def solve_channel(
-    grey: np.ndarray,
-    w0: np.ndarray,
-    rho: np.ndarray,
-    dark: np.ndarray,
-    known: bool,
-    ink_sigma: float,
-) -> dict:
-    """As `solve_robust`. ink_sigma : above 0 the ink is an unknown with this prior"""
-    seen = (w0 > 0).any(1)
-    count = int((w0 > 0).sum())
-    both = bool((w0[dark] > 0).any() and (w0[~dark] > 0).any())
-    one_ink = both and ink_sigma > 0
-    unknowns = int(seen.sum()) + 1
+    usable = w0 > 0
+    seen = np.asarray(usable.any(1))
+    count, unknowns = int(usable.sum()), int(seen.sum()) + 1
     spare = count - unknowns
     if not count:
-        return fallback(
-            grey,
-            w0,
-            rho,
-            "no patch is usable: all are clipped, missing or not finite",
-            0,
-            1e12,
-        )
-    w, scale = w0.copy(), 1.0
-    k = stated = float(rho[dark].mean()) if both else 0.0
-    b, joint = 0.0, None
+        return fallback(grey, w0, rho, UNUSABLE, 0)
+
+    def misfit(z: np.ndarray) -> float:
+        """z : sizes of residuals, in their stated deviations"""
+        usual = float(np.median(z[usable])) / 0.6745
+        return max(float(known), usual * np.sqrt(count / spare) if spare > 0 else 0.0)
+
+    w = w0
     for i in range(_PASSES):
-        r = np.where(dark, rho + (k - stated), rho) if one_ink else rho
-        A, B, C = (w * r * r).sum(1), (w * r).sum(1), w.sum(1)
-        inverse = divide(1.0, A)
-        y0, lean = (w * r * grey).sum(1) * inverse, B * inverse  # y = y0 - lean * b
-        remaining = float((C - B * lean).sum())
-        fraction = remaining / max(float(C.sum()), 1e-300)
+        inverse = divide(1.0, (w * rho * rho).sum(1))
+        lean = (w * rho).sum(1) * inverse
+        apart = 1 - rho * lean[:, None]  # of the bias, every y_t eliminated
+        remaining = float((w * apart).sum())
+        fraction = remaining / max(float(w.sum()), 1e-300)
         if fraction < LEAST_FRACTION:
-            return fallback(
-                grey,
-                w0,
-                rho,
-                "all usable patches have one albedo",
-                unknowns - 1,
-                1e12,
-            )
-        before = b
-        b = float((w * (grey - r * y0[:, None])).sum()) / remaining
-        y = y0 - lean * b
-        # for an ink that is known about, its first pass is one without it: the noise's
-        # scale makes the prior's weight
-        if one_ink and i:
-            prior = (scale / ink_sigma) ** 2
-            joint = _ink_step(grey, w, r, dark, inverse, b, y, prior, stated - k)
-            if joint is not None:
-                b, k = b + joint[0], k + joint[1]
-                r = np.where(dark, rho + (k - stated), rho)
-                y = divide((w * r * (grey - b)).sum(1), (w * r * r).sum(1))
-        z = (grey - r * y[:, None] - b) * np.sqrt(w0)
-        size = (
-            float(np.median(np.abs(z[w0 > 0]))) / 0.6745 * np.sqrt(count / spare)
-            if spare > 0
-            else 0.0
-        )
-        scale = max(1.0, size) if known else size
-        last, w = w, w0 * np.minimum(1.0, divide(_HUBER * scale, np.abs(z), where_zero=1.0))
-        settled = (
-            abs(b - before) <= 1e-6 * max(abs(b), 1e-3 * float(np.abs(grey).max()))
-            if one_ink
-            else True
-        )
-        if np.abs(w - last).max() <= 1e-6 * w0.max() and settled and i:
+            why = "all usable patches have one albedo"
+            return fallback(grey, w0, rho, why, unknowns - 1)
+        b = float((w * apart * grey).sum()) / remaining
+        y = (w * rho * (grey - b)).sum(1) * inverse
+        residual = grey - rho * y[:, None] - b
+        z = np.abs(residual) * np.sqrt(w0)
+        scale = misfit(z)
+        last, w = w, w0 * np.minimum(1.0, divide(_HUBER * scale, z, where_zero=1.0))
+        if i and np.abs(w - last).max() <= 1e-6 * w0.max():
             break
-    r = np.where(dark, rho + (k - stated), rho) if one_ink else rho
-    residual = grey - r * y[:, None] - b
-    if joint is None:
-        influence = (
-            w * residual * np.where(w > 0, 1 - r * lean[:, None], 0) / remaining
-        )  # on b, y_t eliminated
-        noise_b = (
-            scale**2 / remaining
-        )  # if all residuals are independent; or by patch, or by frame
-    else:
-        slope = (
-            np.where(dark, y[:, None], 0.0)
-            - r * ((w * r * np.where(dark, y[:, None], 0.0)).sum(1) * inverse)[:, None]
-        )
-        inverse_S = joint[2]
-        influence = (
-            w
-            * residual
-            * (inverse_S[0, 0] * (1 - r * lean[:, None]) + inverse_S[0, 1] * slope)
-        )
-        noise_b = scale**2 * float(inverse_S[0, 0])
     groups = np.count_nonzero((w > 0).any(0))
-    if spare > 0:
-        noise_b = max(
-            noise_b,
-            (influence.sum(0) ** 2).sum() * groups / max(groups - 1, 1),
-            (influence.sum(1) ** 2).sum(),
-        )
-    quantile = _quantile(spare)
-    top = np.where(w0 > 0, grey, -np.inf).max(1)
-    level = float(np.median(top[seen]))
-    bright = float(np.median(y[seen]))
-    half = quantile * float(np.sqrt(noise_b))
-    condition = float(
-        np.sqrt(
-            (1 + np.sqrt(1 - min(fraction, 1.0)))
-            / (1 - np.sqrt(1 - min(fraction, 1.0 - 1e-16)))
-        )
-    )
-    own = np.where(seen, scale**2 * inverse, 0)
-    noise = 3 * float(np.sqrt(divide(1.0, np.median(w0[w0 > 0])))) * known
-    doubt = 3 * float(np.sqrt(np.median(own[seen]) + lean[seen].max() ** 2 * noise_b))
-    why = _refusal(level, half, noise, bright, doubt, bright * float(np.abs(rho).max()))
-    if why:
-        return fallback(grey, w0, rho, why, unknowns, condition)
-    return {
-        "y": np.where(seen, y, 0.0),
-        "var_y_own": np.where(seen, own, UNKNOWN_VARIANCE),
-        "seen": seen,
-        "bias": b,
-        "bias_95": (b - half, b + half),
-        "ink": (
-            k if one_ink else float(rho[dark].mean()) if dark.any() else float(rho.min())
-        ),
-        "determined": True,
-        "rank": unknowns,
-        "unknowns": unknowns,
-        "condition": min(condition, 1e12),
-        "misfit": scale,
-        "reason": "",
-    }
 
+    def deviation(residual: np.ndarray, column: np.ndarray, factor: float) -> float:
+        """Of b: the residuals are independent, or by patch, or by frame."""
+        influence = w * residual * column
+        variance = misfit(np.abs(residual) * np.sqrt(w0)) ** 2 * factor
+        if spare > 0:
+            by_patch = (influence.sum(0) ** 2).sum() * groups / max(groups - 1, 1)
+            variance = max(variance, by_patch, (influence.sum(1) ** 2).sum())
+        return float(np.sqrt(variance))
 
-def _quantile(spare: float) -> float:
-    """Of Student's distribution, two-sided 95 %."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(spare, 0.975)) if spare > 0 else 1.96
-
-
-def _ink_step(
-    grey: np.ndarray,
-    w: np.ndarray,
-    r: np.ndarray,
-    dark: np.ndarray,
-    inverse: np.ndarray,
-    b: float,
-    y: np.ndarray,
-    prior: float,
-    off: float,
-) -> tuple[float, float, np.ndarray] | None:
-    """Gauss-Newton step of (b, ink) with every y_t eliminated, and the inverse of their
-    normal matrix; None where singular.
-
-    prior : weight of the ink's stated albedo;  off : how far that is from the present one
-    """
-    jac = np.stack(
-        [np.ones_like(r), np.where(dark, y[:, None], 0.0)], -1
-    )  # of the model, by b and ink
-    cross = np.einsum("tp,tpi->ti", w * r, jac)
-    S = np.einsum("tp,tpi,tpj->ij", w, jac, jac) - np.einsum(
-        "t,ti,tj->ij", inverse, cross, cross
+    quantile = float(stdtrit(spare, 0.975)) if spare > 0 else 1.96
+    noise_b = deviation(residual, apart / remaining, 1 / remaining)
+    half = quantile * noise_b
+    level = float(np.median(np.where(usable, grey, -np.inf).max(1)[seen]))
+    bright = float(np.median(y[seen]))
+    root = np.sqrt(1 - min(fraction, 1.0 - 1e-16))
+    condition = float(np.sqrt((1 + root) / (1 - root)))
+    own = np.where(seen, scale**2 * inverse, UNKNOWN_VARIANCE)
+    noise = 3 * float(np.sqrt(divide(1.0, np.median(w0[usable])))) * known
+    doubt = 3 * float(np.hypot(np.sqrt(np.median(own[seen])), lean[seen].max() * noise_b))
+    why = ""
+    if level <= 0 or half > WORST_BIAS * level:
+        why = "no light" if level <= noise else "albedos too alike"
+        why += (
+            f": the bias would be uncertain by {half:.2g} at a level of {max(level, 0):.2g}"
+        )
+    elif bright < -doubt:
+        why = "dark cells are brighter than bright ones"
+    elif bright * float(np.abs(rho).max()) < LEAST_CONTRAST * level:
+        why = "bright and dark cells look alike"
+    if why:
+        return fallback(grey, w0, rho, why, unknowns, condition)
+    dark = rho < (rho.min(1, keepdims=True) + rho.max(1, keepdims=True)) / 2
+    ink_sigma, transfer, steps = tolerances
+    low, high = b - half, b + half
+    if ink_sigma > 0:
+        off, wide, light = 0.0, half + 1.96 * ink_sigma * bright, y
+        prior = (scale / ink_sigma) ** 2
+        for _ in range(_INK_STEPS):
+            of_light = np.where(dark, light[:, None], 0.0)
+            column = of_light - rho * ((w * rho * of_light).sum(1) * inverse)[:, None]
+            both = float((w * column).sum())
+            of_ink = float((w * column * column).sum()) + prior
+            left = 1 - float(divide(both * both, remaining * of_ink, where_zero=1.0))
+            if (
+                left < 1e-10
+            ):  # neither does the light change nor does noise make the prior weigh
+                break
+            change = float((w * column * residual).sum()) / (of_ink * left)  # of the ink
+            off = -both * change / remaining
+            light = y - (w * rho * (off + change * of_light)).sum(1) * inverse
+            rest = residual - off * apart - change * column
+            bent = (apart - column * (both / of_ink)) / (remaining * left)
+            wide = quantile * deviation(rest, bent, 1 / (remaining * left))
+        low, high = min(low, b + off - wide), max(high, b + off + wide)
+    # the interval is moved to what the bias is under other exponents of the camera's curve
+    moved = [0.0]
+    for exponent in (1 / (1 - transfer), 1 / (1 + transfer)):
+        curved = np.sign(grey) * np.abs(grey) ** exponent
+        moved.append(float((w * apart * (curved - grey)).sum()) / remaining)
+    # linear light per coded value: sRGB's slope, of which all curves are near enough
+    ink_level = max(float(np.median(grey[dark & usable])), 0.0031)
+    step = steps / 255 * 2.4 / 1.055 * ink_level ** (1 - 1 / 2.4)
+    low, high = (
+        b + sign * float(np.hypot(away, step))
+        for sign, away in ((-1, b - low - min(moved)), (1, high + max(moved) - b))
     )
-    residual = grey - r * y[:, None] - b
-    g = np.einsum("tp,tpi->i", w * residual, jac) - cross.T @ (
-        (w * r * residual).sum(1) * inverse
-    )
-    S[1, 1] += prior
-    g[1] += prior * off
-    scale = np.sqrt(np.maximum(np.diag(S), 0))
-    if not scale.all() or not np.isfinite(S).all():
-        return None
-    unit = S / np.outer(scale, scale)
-    if np.linalg.eigvalsh(unit)[0] < 1e-10:
-        return None
-    step = np.linalg.solve(unit, g / scale) / scale
-    return (
-        float(step[0]),
-        float(np.clip(step[1], -0.05, 0.05)),
-        np.linalg.inv(unit) / np.outer(scale, scale),
+    return Channel(
+        np.where(seen, y, 0.0),
+        own,
+        seen,
+        float(rho[dark].mean()),
+        unknowns,
+        unknowns,
+        min(condition, MOST_CONDITION),
+        "",
+        True,
+        b,
+        (low, high),
+        scale,
     )
 
 
 def fallback(
-    grey: np.ndarray, w: np.ndarray, rho: np.ndarray, why: str, rank: int, condition: float
-) -> dict:
+    grey: np.ndarray,
+    w: np.ndarray,
+    rho: np.ndarray,
+    why: str,
+    rank: int,
+    condition: float = MOST_CONDITION,
+) -> Channel:
     """Bias 0 assumed; light from the brightest albedo's patches, of a frame's others where
     it has none of them.
     """
-    seen = (w > 0).any(1)
+    seen = np.asarray((w > 0).any(1))
     usable = np.where(w > 0, rho, -1.0)
-    take = w * (usable >= usable.max(1, keepdims=True) * (1 - 1e-2)) if rho.size else w
+    take = w * (usable >= usable.max(1, keepdims=True) * (1 - 1e-2))
     information = (take * rho * rho).sum(1)
     y = divide((take * rho * grey).sum(1), information)
-    own = np.where(seen & (information > 0), divide(1.0, information), UNKNOWN_VARIANCE)
-    return {
-        "y": y,
-        "var_y_own": own,
-        "seen": seen,
-        "bias": 0.0,
-        "bias_95": (-1.96 * ASSUMED_BIAS, 1.96 * ASSUMED_BIAS),
-        "ink": float(rho.min()) if rho.size else 0.0,
-        "determined": False,
-        "rank": rank,
-        "unknowns": int(seen.sum()) + 1,
-        "condition": min(condition, 1e12),
-        "misfit": 1.0,
-        "reason": why,
-    }
+    own = divide(1.0, information, where_zero=UNKNOWN_VARIANCE)
+    condition, unknowns = min(condition, MOST_CONDITION), int(seen.sum()) + 1
+    ink = float(rho.min(initial=INK))
+    return Channel(y, own, seen, ink, rank, unknowns, condition, why)

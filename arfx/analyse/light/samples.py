@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from arfx.core.numerics import HALF_GREY, divide
+from arfx.core.numerics import HALF_GREY
 
 # black top left, top right, bottom left, bottom right, then white in the same order
 PATCHES = 8
@@ -76,7 +76,7 @@ def place_samples(
     side = np.roll(quad, -1, 0) - quad
     after = np.roll(side, -1, 0)
     turns = np.sign(side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]).sum()
-    if abs(turns) != 4 or columns < 1 or rows < 1:
+    if abs(turns) != 4:
         none = np.zeros((0, 2))
         return SamplePoints(
             none.astype(np.int32), none, np.zeros(0, int), np.zeros((0, 3)), (*last,)
@@ -84,11 +84,12 @@ def place_samples(
     # unit square to quadrilateral (Heckbert 1989, eq. 2.10)
     q0, q1, q2, q3 = quad
     g, h = np.linalg.solve(np.stack([q1 - q2, q3 - q2], 1), q0 - q1 + q2 - q3)
-    along_u, along_v = q1 - q0 + g * q1, q3 - q0 + h * q3
+    turn = np.ones((3, 3))
+    turn[:2] = np.stack([q1 - q0 + g * q1, q3 - q0 + h * q3, q0], 1)
+    turn[2, :2] = g, h
     # how the plane is stretched at the middle
-    d = 1 + (g + h) / 2
-    middle = (q0 + (along_u + along_v) / 2) / d
-    stretch = np.stack([along_u - middle * g, along_v - middle * h], 1) / d / n
+    x, y, depth = turn @ [0.5, 0.5, 1]
+    stretch = (turn[:2, :2] - np.outer([x / depth, y / depth], turn[2, :2])) / depth / n
     wide_px, cell_px = np.linalg.svd(stretch, compute_uv=False)
     margin = float(np.clip(BLURS * blur_px / max(cell_px, 1e-6), MARGIN, MOST_MARGIN))
     inner = 1 - 2 * margin
@@ -103,27 +104,22 @@ def place_samples(
         (column[:, None, None] + inside_cell) / n,
     )
     patch = 4 * white[row, column].astype(int)[:, None, None] + 2 * (v >= 0.5) + (u >= 0.5)
-    u, v, patch = u.reshape(-1, 1), v.reshape(-1, 1), patch.ravel()
-    depth = g * u + h * v + 1
-    at = divide(along_u * u + along_v * v + q0, depth)
-    inside = (depth[:, 0] > 0) & ((at >= 0) & (at <= last)).all(1)
-    at = at[inside]
+    place = np.stack([u, v], -1).reshape(-1, 1, 2)
+    at = cv2.perspectiveTransform(place, turn)[:, 0]
+    inside = ((at >= 0) & (at <= last)).all(1)
+    at, place = at[inside], place[inside]
     corner = np.minimum(at.astype(np.int32), np.maximum(last - 1, 0)).astype(np.int32)
-    even = np.ones((len(at), 3))
+    even: np.ndarray = np.ones((len(at), 3))
     if scale is not None and len(at):
-        size = len(scale)
-        unit = np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float32) - 0.5
-        turn = cv2.getPerspectiveTransform(quad.astype(np.float32), unit.astype(np.float32))
-        place = cv2.perspectiveTransform(at[:, None], turn).astype(np.float32)
-        even = cv2.remap(
-            scale,
-            place[..., 0],
-            place[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )[:, 0].astype(float)
+        on_map = (place * len(scale) - 0.5).astype(np.float32)
+        x, y = on_map[..., 0], on_map[..., 1]
+        even = cv2.remap(scale, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[
+            :, 0
+        ]
     shared = max(1.0, SHARED_PX2 / max(per_sample, 1e-6))
-    return SamplePoints(corner, at - corner, patch[inside], even, (*last,), shared, leak)
+    return SamplePoints(
+        corner, at - corner, patch.ravel()[inside], even, (*last,), shared, leak
+    )
 
 
 def half_step(level: np.ndarray | float) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from arfx.analyse.light import model as light_model
 from arfx.analyse.light.icosphere import icosphere
-from arfx.core.numerics import angle_between, condition, divide
+from arfx.core.numerics import angle_between, condition, divide, normalise
 
 FINE, COARSE = (
     4,
@@ -53,7 +53,7 @@ class Samples:
     channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective :
     number of independent values
-    ignored : observations;  gamma : exponent that has been taken out of the values
+    gamma : exponent that has been taken out of the values
     lit : (k,) share of the lamps that is on, 0..1"""
 
     normals: np.ndarray
@@ -62,7 +62,6 @@ class Samples:
     starts: np.ndarray
     scale: np.ndarray
     effective: float
-    ignored: int
     gamma: float
     lit: np.ndarray
 
@@ -167,9 +166,7 @@ def gather(
     starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
     if lit is not None:
         starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]
-    return Samples(
-        N, X, 1 / variance_of_mean, starts, scale, effective, int((~fine).sum()), 1.0, on
-    )
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, 1.0, on)
 
 
 def _mean(
@@ -216,15 +213,10 @@ class Model:
     @cached_property
     def _evaluated(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         q, s = len(self.dirs), self.at
-        amp, residual, contribution = (
-            np.empty((s.groups, 3, q + 1)),
-            np.empty((3, len(s.normals))),
-            np.empty((s.groups, q + 1)),
-        )
-        light_model.evaluate(
-            s.data, self.dirs, _each(self.soft), amp, residual, contribution
-        )
-        return amp, residual, contribution
+        amp, residual = np.empty((s.groups, 3, q + 1)), np.empty((3, len(s.normals)))
+        A, B = np.empty((2, q + 1, len(s.normals)))
+        light_model.evaluate(s.data, self.dirs, _each(self.soft), A, B, amp, residual)
+        return amp, residual, np.add.reduceat(B, s.starts[:-1], axis=1).T
 
 
 def _each(soft: np.ndarray) -> light_model.Columns:
@@ -404,13 +396,8 @@ def two_in_place(
 
 def cone_directions(d: np.ndarray, radius_deg: float, turn: float = 0.0) -> np.ndarray:
     """(12, 3) directions at `radius_deg` from the unit vector d, at AZIMUTHS + turn."""
-    x, y, z = d.tolist()
-    across = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))[
-        int(np.abs(d).argmin())
-    ]  # d x the axis farthest from it
-    length = np.sqrt(across[0] ** 2 + across[1] ** 2 + across[2] ** 2)
-    p, q, r = (c / length for c in across)
-    basis = np.array([[p, q, r], [y * r - z * q, z * p - x * r, x * q - y * p]])
+    across = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
+    basis = np.stack([across, np.cross(d, across)])
     a, azimuth = np.radians(radius_deg), AZIMUTHS + turn
     return np.cos(a) * d + np.sin(a) * (
         np.stack([np.cos(azimuth), np.sin(azimuth)], -1) @ basis

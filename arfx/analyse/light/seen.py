@@ -180,21 +180,19 @@ class _Posed:
     ) -> _Posed:
         pose, light = f.pose, f.light
         assert light is not None
-        static = pose.rotation if still_camera else np.eye(3)
+        static, rotation = np.eye(3), pose.rotation
+        if still_camera:
+            static, rotation = rotation, static
         level = light.mean_radiance
-        picture = divide(
-            np.clip(look.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None), level
-        )
-        lamps = tuple(static @ li.unit for li in light.lights)
-        rotation = np.eye(3) if still_camera else pose.rotation
+        shown = np.clip(look.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None)
         return _Posed(
             f.time_s,
-            picture.astype(np.float32),
+            divide(shown, level).astype(np.float32),
             level,
             camera,
             rotation,
             pose.apply(centre_m),
-            lamps,
+            tuple(static @ li.unit for li in light.lights),
         )
 
     def seen(
@@ -240,28 +238,17 @@ def _inverse_radius(looks: Sequence[_Posed], up: np.ndarray) -> float:
     ]
     d = face_directions(SWEEP_PX).reshape(-1, 3)
     d = d[d @ up > 0]
-    cost, inverse = (
-        [],
-        np.array(NEARNESSES)
-        / max(float(np.mean([np.linalg.norm(look.centre_m) for look in looks])), 1e-9),
-    )
+    distance_m = float(np.mean([np.linalg.norm(look.centre_m) for look in looks]))
+    cost, inverse = [], np.array(NEARNESSES) / max(distance_m, 1e-9)
     for inverse_radius in inverse:
-        total, first, second, several = (
-            np.zeros(len(d)),
-            np.zeros((len(d), 3)),
-            np.zeros((len(d), 3)),
-            np.zeros(len(d)),
+        rgb, weight = map(
+            np.array, zip(*(look.seen(d, inverse_radius) for look in chosen), strict=True)
         )
-        for look in chosen:
-            rgb, weight = look.seen(d, inverse_radius)
-            total += weight
-            several += weight > 0
-            first += weight[:, None] * np.sqrt(
-                rgb
-            )  # as it looks: a lamp does not outweigh the room
-            second += weight[:, None] * rgb
-        varied = (second - divide(first**2, total[:, None])).sum(1)
-        twice = several > 1
+        total, weights = weight.sum(0), weight[..., None]
+        # as it looks: a lamp does not outweigh the room
+        first = (weights * np.sqrt(rgb)).sum(0)
+        varied = ((weights * rgb).sum(0) - divide(first**2, total[:, None])).sum(1)
+        twice = (weight > 0).sum(0) > 1
         cost.append(
             float(divide(varied[twice].sum(), total[twice].sum(), where_zero=np.inf))
         )
@@ -278,11 +265,8 @@ def _maps(
 ) -> list[np.ndarray]:
     """(6, n, n, 4) float32 at each of `times`: radiance times the fourth, how well it is known."""
     d = face_directions(FACE_PX).reshape(-1, 3)
-    sums, lasting = (
-        np.zeros((len(times), len(d), 4), np.float32),
-        np.zeros((len(d), 4), np.float32),
-    )
-    known = np.zeros(len(d))
+    sums, known = np.zeros((len(times), len(d), 4), np.float32), np.zeros(len(d))
+    lasting = np.zeros((len(d), 4), np.float32)
     for look in looks:
         rgb, weight = look.seen(d, inverse_radius)
         known = np.maximum(known, weight)
@@ -292,15 +276,12 @@ def _maps(
         for k in np.flatnonzero(near > LASTING):
             sums[k] += np.float32(near[k]) * row
     out = []
-    for one in sums:
-        one = one + lasting
-        rgb = divide(one[:, :3], one[:, 3:])
-        rgba = (
-            np.concatenate([rgb, np.ones_like(rgb[:, :1])], 1) * known[:, None]
-        ).reshape(6, FACE_PX, FACE_PX, 4)
-        most = np.append(
-            BRIGHT * divide(rgba[..., :3].sum((0, 1, 2)), known.sum()), 1
-        ).astype(np.float32)
+    for one in sums + lasting:
+        rgba = np.ones(one.shape)
+        rgba[:, :3] = divide(one[:, :3], one[:, 3:])
+        rgba = (rgba * known[:, None]).reshape(6, FACE_PX, FACE_PX, 4)
+        mean = divide(rgba[..., :3].sum((0, 1, 2)), known.sum())
+        most = np.append(BRIGHT * mean, 1).astype(np.float32)
         out.append(np.clip(_filled(rgba.astype(np.float32), most), 0, [6e4, 6e4, 6e4, 1]))
     return out
 

@@ -7,7 +7,7 @@ are equirectangular, z up: the middle column looks along x, the left half holds 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 
 from arfx.analyse.light import light_map
-from arfx.analyse.light.fit import best_verdict
+from arfx.analyse.light.fit import best_verdict, span_deg
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import kalman_pass
+from arfx.analyse.light.light_map import DRIFT_PER_S
 from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
@@ -30,6 +30,7 @@ from arfx.analyse.light.over_time import (
     Span,
     fit_over_time,
 )
+from arfx.analyse.light.photometry import LightReading
 from arfx.analyse.light.surroundings import (
     OUTSTANDING,
     EnvironmentSample,
@@ -49,6 +50,7 @@ AMBIENT, DIRECT = (
 )  # radiance of a white surface without, and from a facing light, where only a direction is given
 ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
+_PASSES = 2
 JUMP = 0.15  # of the factor's logarithm from one frame to the next: a switch, not a drift
 UNKNOWN = light_map.UNKNOWN  # variance
 MOST_GAINS = 200  # in the report
@@ -93,10 +95,8 @@ def light_from_panorama(picture: np.ndarray) -> Light:
     azimuth = np.pi - (np.arange(2 * ROWS) + 0.5) / ROWS * np.pi
     e, a = np.meshgrid(elevation, azimuth, indexing="ij")
     direction = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
-    edges = np.sin(np.pi / 2 - np.arange(ROWS + 1) / ROWS * np.pi)
-    solid = np.repeat(
-        ((edges[:-1] - edges[1:]) * np.pi / ROWS)[:, None], 2 * ROWS, 1
-    )  # steradians of the pixels
+    # steradians of the pixels
+    solid = 2 * np.pi / ROWS * np.sin(np.pi / 2 / ROWS) * np.cos(e)
     power = small.mean(-1) * solid
     lamps, rest = [], small.copy()
     out = (small.mean(-1) > OUTSTANDING * power.sum() / solid.sum()).astype(np.uint8)
@@ -146,28 +146,14 @@ def fitted_to(
 
 
 @dataclass(frozen=True, eq=False)
-class LightReading:
-    """Another reading of the same light.
-
-    y, variance : (k, 3);  fit : (k,) where it can be compared with the others
-    """
-
-    y: np.ndarray
-    variance: np.ndarray
-    fit: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Readings:
     """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, STATIC axes
-    y : (k, 3) radiance of a white surface there;  variance : (k, 3) of it
-    alone : of one kind of cells alone (patches.comparable), where prints are overexposed"""
+    light : what a white surface shows there; behind it the same of one kind of cells alone
+    (patches.comparable), where prints are overexposed"""
 
     frame: np.ndarray
     normal: np.ndarray
-    y: np.ndarray
-    variance: np.ndarray
-    alone: LightReading | None = None
+    light: Sequence[LightReading]
 
 
 class StaticFrameLight:
@@ -191,29 +177,23 @@ class StaticFrameLight:
         mine = np.flatnonzero(np.isin(readings.frame, self.frames))
         mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
-        self.y, self.variance, alone = (
-            readings.y[mine],
-            readings.variance[mine],
-            readings.alone,
-        )
-        self.alone = (
-            None
-            if alone is None
-            else LightReading(alone.y[mine], alone.variance[mine], alone.fit[mine])
-        )
-        lit, first, self.which = np.unique(
-            self.numbers, return_index=True, return_inverse=True
-        )  # which : reading's row of lit
-        self.lit = lit.tolist()
+        self.readings = [light.at(mine) for light in readings.light]
+        self.reading = self.readings[0]
+        # first : reading of each lit frame
+        lit, self.first = np.unique(self.numbers, return_index=True)
+        self.lit, self.at_s = lit.tolist(), self.times_s(lit)
         self.observations = [
             light_map.Observation(
-                facts[k].time_s, self.normals[a:b], self.y[a:b], self.variance[a:b]
+                time_s, self.normals[a:b], self.reading.y[a:b], self.reading.variance[a:b]
             )
-            for k, (a, b) in zip(
-                self.lit, pairwise([*first.tolist(), len(mine)]), strict=True
+            for time_s, (a, b) in zip(
+                self.at_s.tolist(), pairwise([*self.first.tolist(), len(mine)]), strict=True
             )
         ]
         self.kinds = light_map.changes(self.observations)
+
+    def times_s(self, frames: Iterable[int]) -> np.ndarray:
+        return np.array([self.facts[k].time_s for k in frames])
 
     def from_markers(
         self, rests: bool, samples: Sequence[EnvironmentSample]
@@ -225,75 +205,47 @@ class StaticFrameLight:
         if not self.lit:
             soft, source = self._surroundings(samples)
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
-            return dict.fromkeys(self.frames, soft), light_report(
-                REFUSED, source, why, soft
-            )
-        breaks = [
-            self.facts[k].time_s
-            for k, kind in zip(self.lit, self.kinds, strict=True)
-            if kind == light_map.STEP
-        ]
-        times = np.array([self.facts[k].time_s for k in self.numbers])
-        everything = LightReading(self.y, self.variance, np.ones(len(times), bool))
+            return dict.fromkeys(self.frames, soft), self.report(REFUSED, source, why, soft)
+        breaks = self.at_s[self.kinds == light_map.STEP].tolist()
         fit_params = FitParams(self.params.most_lights, likely=self.params.claims == LIKELY)
-        model, spans, better = fit_temporal_model(
-            times,
-            self.normals,
-            everything,
-            self.alone,
-            breaks,
-            fit_params,
+        model, spans, self.reading = fit_temporal_model(
+            self.times_s(self.numbers), self.normals, self.readings, breaks, fit_params
         )
-        if better is not None:
-            self.y, self.variance = better.y, better.variance
-        longest = spans[np.argmax([s.stop_s - s.start_s for s in spans])].fit
-        normals = self.normal_statistics(longest.span_deg)
-        known = [s for s in spans if s.fit.claimed]
-        if known and rests:
-            soft, _ = self._surroundings(samples)
-            at = (
-                np.searchsorted(
-                    [s.start_s for s in spans],
-                    [self.facts[k].time_s for k in self.frames],
-                    side="right",
-                )
-                - 1
-            )
+        longest = max(spans, key=lambda s: s.stop_s - s.start_s).fit
+        soft, source = self._surroundings(samples)
+        if rests and any(s.fit.claimed for s in spans):
+            starts = [s.start_s for s in spans]
+            at = np.searchsorted(starts, self.times_s(self.frames), side="right") - 1
             use = used_spans(spans)
             lights = self._follow(
                 [soft, *(s.fit.light(s.group) for s in spans)],
                 use[np.clip(at, 0, None)] + 1,
             )
             best = max(
-                known,
+                (s for s in spans if s.fit.claimed),
                 key=lambda s: (s.fit.told(s.group)[0] != REFUSED, s.stop_s - s.start_s),
             )
             verdict, why = best.fit.told(best.group)
             why += f"; {_TEMPORAL_MODELS[model]}"
-            report = light_report(
-                verdict, "marker", why, best.fit.light(best.group), **normals
-            )
-            gain = self._relative_gain(lights) if model == SHARED else None
-            told = [span_report(s, k >= 0) for s, k in zip(spans, use, strict=True)]
+            light = best.fit.light(best.group)
+            report = self.report(verdict, "marker", why, light, longest.span_deg)
             return lights, report | {
                 "gamma": best.fit.gamma,
                 "account": model,
-                "gain": gain,
-                "spans": told,
+                "gain": self._relative_gain(lights) if model == SHARED else None,
+                "spans": [span_report(s, k >= 0) for s, k in zip(spans, use, strict=True)],
             }
         why = (
             longest.reason
             if rests
             else "camera and marker both move: no frame is known in which a light rests"
         )
-        soft, source = self._surroundings(samples)
         lights = self._follow([soft])
         shaped = "soft light from the picture's surroundings, brighter from above"
         used = shaped if source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
-        return lights, light_report(
-            REFUSED, source, f"{why}; used instead: {used}", middle, **normals
-        )
+        why += f"; used instead: {used}"
+        return lights, self.report(REFUSED, source, why, middle, longest.span_deg)
 
     def _relative_gain(self, lights: Lights) -> list[dict[str, float]]:
         """Brightness of at most MOST_GAINS frames, over its median."""
@@ -313,14 +265,11 @@ class StaticFrameLight:
     ) -> tuple[Lights, dict[str, Any]]:
         """A light that the user gave, as bright in each frame as the markers show."""
         if not self.lit:
-            return dict.fromkeys(self.frames, light), light_report(
-                ASSUMED, light.source, why, light
-            )
-        typical = fitted_to(light, self.normals, self.y, stated)
-        lights = self._follow([typical])
-        return lights, light_report(
-            ASSUMED, light.source, why, typical, **self.normal_statistics()
-        )
+            lights, typical = dict.fromkeys(self.frames, light), light
+        else:
+            typical = fitted_to(light, self.normals, self.reading.y, stated)
+            lights = self._follow([typical])
+        return lights, self.report(ASSUMED, light.source, why, typical)
 
     def _surroundings(self, samples: Sequence[EnvironmentSample]) -> tuple[Light, str]:
         """(soft light of this static frame, "environment" or "ambient"): mean of all
@@ -328,20 +277,16 @@ class StaticFrameLight:
         """
         mine = set(self.frames)
         samples = [sample for sample in samples if sample.frame in mine]
-        shows = self.y.sum(1) > 0
-        measured = self.y[shows]
+        shows = self.reading.y.sum(1) > 0
+        measured = self.reading.y[shows]
         if not samples:
             level = (
                 np.median(measured, 0) if len(measured) else np.array(Light().ambient_rgb)
             )
             return Light(triple(level), (), "ambient"), "ambient"
-        poses = {
-            sample.frame: self.facts[sample.frame].camera_from_world for sample in samples
-        }
         turns = [
-            self.static_from_world[k] @ pose.rotation.T
-            for k, pose in poses.items()
-            if pose is not None
+            self.static_from_world[k] @ self.facts[k].pose.rotation.T
+            for k in (sample.frame for sample in samples)
         ]
         n = self.normals[shows]
         up = normalise((n if len(n) else -np.array([t[:, 2] for t in turns])).sum(0))
@@ -360,29 +305,24 @@ class StaticFrameLight:
         Factors are smoothed over both past and
         future, but never over a step of the light; frames without a reading take that
         between those before and after, up to a step."""
-        count = len(self.lit)
+        count, y = len(self.lit), self.reading.y
         of_frame = np.zeros(len(self.frames), int) if of_frame is None else of_frame
         of_reading = of_frame[np.searchsorted(self.frames, self.numbers)]
-        bright = float(np.percentile(self.y.max(1), 90)) if len(self.y) else 0.0
-        made = np.zeros(self.y.shape)
+        bright = float(np.percentile(y.max(1), 90))
+        made = np.zeros(y.shape)
         for i, model in enumerate(models):
             made[of_reading == i] = model.radiance(self.normals[of_reading == i])
         weight = np.where(
             made > LEAST_SEEN * bright,
-            divide(made, self.variance + (MODEL_ERROR * made) ** 2),
+            divide(made, self.reading.variance + (MODEL_ERROR * made) ** 2),
             0,
         )
-        fraction, shown = (
-            np.stack(
-                [np.bincount(self.which, (weight * a)[:, c], count) for c in range(3)], -1
-            )
-            for a in (made, self.y)
-        )
+        fraction, shown = (np.add.reduceat(weight * a, self.first) for a in (made, y))
         factors, variance = (
             divide(shown, fraction, where_zero=1.0),
             divide(1.0, fraction, where_zero=UNKNOWN),
         )
-        at = np.array([self.facts[k].time_s for k in self.lit])
+        at, now = self.at_s, self.times_s(self.frames)
         # the factors change by more than JUMP from one to the next, in all channels, and stay so
         size = np.log(np.maximum(np.abs(factors), 1e-6))
         before, here, later = size[:-1], size[1:], np.concatenate([size[2:], size[-1:]])
@@ -398,7 +338,6 @@ class StaticFrameLight:
         )
         after = np.searchsorted(self.lit, self.frames)
         last, first = np.minimum(after, count - 1), np.clip(after - 1, 0, count - 1)
-        now = np.array([self.facts[k].time_s for k in self.frames])
         fraction = np.clip(
             divide(now - at[first], at[last] - at[first], where_zero=1.0), 0, 1
         )
@@ -406,65 +345,57 @@ class StaticFrameLight:
         every = factors[first] + fraction[:, None] * (factors[last] - factors[first])
         return {self.frames[r]: models[i].scaled(every[r]) for r, i in enumerate(of_frame)}
 
-    def normal_statistics(self, span_deg: float | None = None) -> dict[str, Any]:
-        """What was seen, and how well it separates ambient light from a direction."""
+    def report(
+        self,
+        verdict: str,
+        source: str,
+        reason: str,
+        light: Light,
+        normal_span_deg: float | None = None,
+    ) -> dict[str, Any]:
+        """What the summary says of a light: also what was seen, and how well it separates
+        ambient light from a direction.
+        """
         n = self.normals
-        if span_deg is None:
-            span_deg = (
-                float(
-                    np.degrees(
-                        np.arccos(np.clip((n[:: max(1, len(n) // 500)] @ n.T).min(), -1, 1))
-                    )
-                )
-                if len(n)
-                else 0.0
-            )
-        cells = icosphere(3).nearest(n)
         rows = np.column_stack([np.ones(len(n)), n])
         size = np.linalg.svd(divide(rows, np.linalg.norm(rows, axis=0)), compute_uv=False)
-        condition = (
-            float(divide(size[0], size[-1], where_zero=np.inf))
-            if len(size) == 4
-            else np.inf
-        )
+        condition = float(divide(size[0], size[-1])) if len(size) == 4 else 0.0
+        document = light.to_json()
         return {
-            "normals_seen": len(set(cells.tolist())),
-            "normal_span_deg": span_deg,
-            "rank": int((size > 1e-2 * size[0]).sum()),
-            "condition": condition if condition < 1e12 else None,
+            "source": source,
+            "normals_seen": len(np.unique(icosphere(3).nearest(n))),
+            "normal_span_deg": span_deg(n) if normal_span_deg is None else normal_span_deg,
+            "rank": int((size > 1e-2 * size.max(initial=0)).sum()),
+            "condition": condition if 0 < condition < 1e12 else None,
+            "ambient_rgb": document["ambient_rgb"],
+            "lights": document["lights"],
+            "verdict": verdict,
+            "reason": reason,
         }
 
 
 def fit_temporal_model(
     times_s: np.ndarray,
     normals: np.ndarray,
-    reading: LightReading,
-    alone: LightReading | None,
+    readings: Sequence[LightReading],
     breaks_s: Sequence[float],
     params: FitParams = FitParams(),  # noqa: B008 - frozen
-) -> tuple[str, list[Span], LightReading | None]:
-    """(account, spans, the readings that tell it if not the first): `alone` where it says
-    more than all cells.
+) -> tuple[str, list[Span], LightReading]:
+    """(account, spans, the reading that tells it): a later one where it says more than the
+    first.
     """
-    account, spans = fit_over_time(
-        times_s, normals, reading.y, reading.variance, breaks_s, params
-    )
-    verdict = best_verdict(s.fit for s in spans)
-    if alone is None or not alone.fit.any() or verdict == MEASURED:
-        return account, spans, None
-    on = alone.fit
-    again, other = fit_over_time(
-        times_s[on],
-        normals[on],
-        alone.y[on],
-        alone.variance[on],
-        breaks_s,
-        params,
-    )
-    better = best_verdict(s.fit for s in other)
-    if better == MEASURED or better != verdict == REFUSED:
-        return again, other, alone
-    return account, spans, None
+    verdict = ""  # so far
+    for reading in readings:
+        on = reading.fit
+        if verdict == MEASURED or not on.any():
+            break
+        account, spans = fit_over_time(
+            times_s[on], normals[on], reading.y[on], reading.variance[on], breaks_s, params
+        )
+        better = best_verdict(s.fit for s in spans)
+        if better == MEASURED or (verdict in ("", REFUSED) and better != verdict):
+            found, verdict = (account, spans, reading), better
+    return found
 
 
 def smoothed(
@@ -473,37 +404,26 @@ def smoothed(
     variance: np.ndarray,
     step: np.ndarray,
 ) -> np.ndarray:
-    """(n, 3) values of a random walk seen with noise, from all of the past and the future
-    (Kalman filters from both ends).
+    """(n, 3) values of a random walk seen with noise, from all of the past and the future.
 
     time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk
     begins anew there"""
-    m0, v0 = kalman_pass(time_s, value, variance, step)
-    ends = np.append(step[1:], False)
-    m1, v1 = kalman_pass(time_s[::-1], value[::-1], variance[::-1], ends[::-1])
-    m1, v1 = m1[::-1], v1[::-1]
-    weights = np.stack([divide(1.0, v) * (v < UNKNOWN) for v in (v0, v1, variance)])
-    total = weights.sum(0)
-    return np.where(
-        total > 0, divide((weights * np.stack([m0, m1, value])).sum(0), total), value
-    )
+    from scipy.linalg import solveh_banded
 
-
-def light_report(
-    verdict: str, source: str, reason: str, light: Light, **more: Any
-) -> dict[str, Any]:
-    """What the summary says of a light."""
-    document = light.to_json()
-    normals = {"normals_seen": 0, "normal_span_deg": 0.0, "rank": 0, "condition": None}
-    return {
-        "source": source,
-        **normals,
-        **more,
-        "ambient_rgb": document["ambient_rgb"],
-        "lights": document["lights"],
-        "verdict": verdict,
-        "reason": reason,
-    }
+    waits = DRIFT_PER_S**2 * np.maximum(np.diff(time_s), 1e-6)[:, None]
+    out = value
+    for _ in range(_PASSES):  # what is expected of it goes with its size
+        size = np.maximum(np.abs(out[1:] * out[:-1]), 1e-12)
+        tie = np.where(step[1:, None], 0.0, 1 / (waits * size))
+        bands = np.zeros((2, *value.shape))
+        bands[0, 1:] = -tie
+        bands[1] = 1 / variance
+        bands[1, 1:] += tie
+        bands[1, :-1] += tie
+        out = np.stack(
+            [solveh_banded(bands[..., c], (value / variance)[:, c]) for c in range(3)], 1
+        )
+    return out
 
 
 def used_spans(spans: Sequence[Span]) -> np.ndarray:

@@ -150,11 +150,12 @@ class EnvironmentSample:
 
 
 def environment_sample(
-    frame: int, picture: np.ndarray, quad: np.ndarray
+    frame: int, picture: np.ndarray, quad: np.ndarray, width: int
 ) -> EnvironmentSample:
-    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame;  quad : (4, 2) a
-    marker's corners in its pixels
+    """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame, made smaller;  quad :
+    (4, 2) a marker's corners in the frame's pixels;  width : of the frame
     """
+    quad = (quad + 0.5) * (picture.shape[1] / width) - 0.5
     middle = quad.mean(0)
     fraction = np.linspace(0, 1, 8, endpoint=False)[:, None]
     sides = np.concatenate(
@@ -275,37 +276,27 @@ def with_environment(
 
     still_camera : the static frame is the camera's, else the world's;  world_from_anchor : (3, 3)
     """
-    bias = np.array(
-        next((f.bias_rgb for f in facts if f.light is not None), (0.0, 0.0, 0.0))
-    )  # is no light
-
-    def cube_map(faces: np.ndarray, plane_rgb: np.ndarray | None) -> CubeMap:
-        return CubeMap.of(np.maximum(faces, 0), None, plane_rgb)
-
-    if panorama is not None:
-        faces = turned(
-            from_panorama(panorama, PANORAMA_PX), np.asarray(world_from_anchor).T
-        )
-        given = cube_map(faces, None)
-        return tuple(
-            f if f.camera_from_world is None else f.with_(environment=given) for f in facts
-        )
-    by_shot: dict[int, list[np.ndarray]] = {}
+    # is no light
+    bias = np.array(next((f.bias_rgb for f in facts if f.light is not None), (0.0,) * 3))
+    seen: dict[int, list[EnvironmentSample]] = {}
+    whole: dict[int, CubeMap] = {}
     for sample in samples:
-        f = facts[sample.frame]
-        if f.camera_from_world is not None:
-            cube = np.clip(sample.cube - bias, 0, None)
-            by_shot.setdefault(f.shot, []).append(
-                cube if still_camera else turned(cube, f.camera_from_world.rotation)
+        if facts[sample.frame].camera_from_world is not None:
+            seen.setdefault(facts[sample.frame].shot, []).append(sample)
+    if panorama is not None:
+        faces = from_panorama(panorama, PANORAMA_PX)
+        given = CubeMap.of(turned(faces, np.asarray(world_from_anchor).T), None, None)
+        whole, still_camera = dict.fromkeys((f.shot for f in facts), given), False
+    else:
+        for shot, looks in seen.items():
+            cubes = [np.clip(look.cube - bias, 0, None) for look in looks]
+            if not still_camera:
+                turns = (facts[look.frame].pose.rotation for look in looks)
+                cubes = [turned(cube, t) for cube, t in zip(cubes, turns, strict=True)]
+            plane = np.mean([look.plane for look in looks], 0)
+            whole[shot] = CubeMap.of(
+                np.mean(cubes, 0), None, np.clip(plane - bias, 0, None)
             )
-    planes = {
-        shot: np.mean([s.plane for s in samples if facts[s.frame].shot == shot], 0)
-        for shot in by_shot
-    }
-    whole = {
-        shot: cube_map(np.mean(cubes, 0), np.clip(planes[shot] - bias, 0, None))
-        for shot, cubes in by_shot.items()
-    }
     out = []
     for f in facts:
         pose, environment = f.camera_from_world, whole.get(f.shot)

@@ -20,7 +20,7 @@ from arfx.analyse.light.light_map import (
     changes,
 )
 from arfx.papers.s1_light import LightMap as PrintedMap
-from arfx.papers.s1_light import eq8_weight, usable
+from arfx.papers.s1_light import eq8_weight
 
 UP = np.array([[0.0, 0, 1]])
 
@@ -146,7 +146,7 @@ def test_what_is_not_finite_is_left_out(where: str) -> None:
         n[:] = 0
     light.add(Observation(0.0, n, x, v))
     assert (light.value == value).all() and (light.variance == variance).all()
-    assert not list(usable(Observation(0.0, n, x, v)))
+    assert not len(Observation(0.0, n, x, v).usable[0])
 
 
 def test_a_frame_of_nan_or_without_observations_is_bridged() -> None:

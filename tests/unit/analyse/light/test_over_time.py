@@ -141,7 +141,7 @@ def told(
     times = np.repeat(np.arange(100) / 25, len(tilts))
     normals = np.tile(tilts, (100, 1))
     light = np.where(times > 1.98, 2.0, 1.0)[:, None] * np.ones(3)
-    account, spans = fit_over_time(times, normals, light, None, (), params)
+    account, spans = fit_over_time(times, normals, light, 0 * light, (), params)
     return account, spans[0].fit
 
 

@@ -4,6 +4,7 @@ light and bias that they tell.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -112,12 +113,12 @@ def test_texture_within_a_patch_is_no_noise() -> None:
 def test_quarters_of_other_albedos_are_no_shadow() -> None:
     p = seen_under(LIGHTS[-1])
     assert p.albedo is not None
-    light = quadrant_radiance(p.mean, p.count, BIAS, p.albedo)
+    light = quadrant_radiance(p, BIAS)
     assert np.ptp(light) < 0.03 * light.mean()
-    plain = quadrant_radiance(p.mean, p.count, BIAS)
+    plain = quadrant_radiance(replace(p, albedo=None), BIAS)
     assert np.ptp(plain) > 2 * np.ptp(light) * plain.mean() / light.mean()
     dim = np.where(np.arange(8)[:, None] == 4, 0.1, p.albedo)
-    assert np.isnan(quadrant_radiance(p.mean, p.count, BIAS, dim)[0]), (
+    assert np.isnan(quadrant_radiance(replace(p, albedo=dim), BIAS)[0]), (
         "a dark quarter tells nothing"
     )
 

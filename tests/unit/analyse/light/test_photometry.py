@@ -12,6 +12,7 @@ import pytest
 from arfx.analyse.light.patches import WHITE, comparable
 from arfx.analyse.light.photometry import (
     DEGENERATE,
+    EXACT,
     INK,
     MEASURED,
     PAPER,
@@ -35,9 +36,6 @@ def clip(
     return rho[None, :, None] * y[:, None] + bias + rng.normal(0, noise, (frames, len(rho), 3)) if noise else (
         rho[None, :, None] * y[:, None] + bias
     ), y  # fmt: skip
-
-
-EXACT = Tolerances(0, 0, 0)  # print and curve are as stated
 
 
 def finite(p: Photometry) -> bool:
@@ -64,13 +62,13 @@ def test_nullity_of_the_papers_system(
 def test_bias_without_noise_is_exact_in_both_formulas(scale: float) -> None:
     y = np.random.default_rng(0).uniform(60, 230, (25, 3))
     grey = (RHO[None, :, None] * y[:, None] + 12) * scale / 255
-    for p in (solve(grey, white=WHITE), gain_and_bias(grey, white=WHITE)):
+    for p in (solve(grey, None, RHO), gain_and_bias(grey, RHO)):
         assert p.verdict == MEASURED and finite(p)
         assert np.abs(p.bias * 255 / scale - 12).max() < 1e-9
         assert np.abs(p.y * 255 / scale - y).max() < 1e-8
-    one = solve(grey[:1], white=WHITE)  # a single frame is enough
+    one = solve(grey[:1], None, RHO)  # a single frame is enough
     assert one.verdict == MEASURED and np.abs(one.bias * 255 / scale - 12).max() < 1e-9
-    printed = gain_and_bias(grey, white=WHITE, printed_bias=True)  # 1/b' in place of b'/g'
+    printed = gain_and_bias(grey, RHO, printed_bias=True)  # 1/b' in place of b'/g'
     assert np.abs(printed.bias * 255 / scale - 12).min() > 1
 
 
@@ -90,7 +88,7 @@ def test_the_papers_vector_is_biased_by_noise_and_by_the_units_and_least_squares
     many = []
     for rng in map(np.random.default_rng, range(60)):
         grey = rho * rng.uniform(80, 200, (60, 1)) + 12 + rng.normal(0, 2, (60, 8))
-        many.append(float(solve(np.repeat(grey[..., None], 3, 2), albedo=rho).bias[0]))
+        many.append(float(solve(np.repeat(grey[..., None], 3, 2), None, rho).bias[0]))
     assert 11 < np.median(many) < 13  # 11.9
 
 
@@ -99,7 +97,7 @@ def test_the_interval_of_the_bias_holds_the_truth(noise: float) -> None:
     hit, wide = [], []
     for seed in range(150):
         grey, _ = clip(frames=6, noise=noise, seed=seed)
-        p = solve(grey, np.full(grey.shape, noise**2), WHITE, tolerances=EXACT)
+        p = solve(grey, np.full(grey.shape, noise**2), RHO, tolerances=EXACT)
         assert p.verdict == MEASURED
         hit += list((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02))
         wide.append(np.ptp(p.bias_95, axis=1).mean())
@@ -115,13 +113,13 @@ def test_the_inks_tolerance_is_in_the_interval() -> None:
         rho=np.where(WHITE, 0.87, 0.044), noise=1e-4, low=0.6, high=0.6
     )  # other print than assumed
     p = solve(
-        grey, np.full(grey.shape, 1e-8), WHITE, tolerances=Tolerances(transfer=0, steps=0)
+        grey, np.full(grey.shape, 1e-8), RHO, tolerances=Tolerances(transfer=0, steps=0)
     )
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
     assert (
         np.abs(p.bias - 0.02).max() > 1e-3 and 0.01 < np.ptp(p.bias_95, axis=1).max() < 0.04
     )
-    exact = solve(grey, np.full(grey.shape, 1e-8), WHITE, tolerances=EXACT)
+    exact = solve(grey, np.full(grey.shape, 1e-8), RHO, tolerances=EXACT)
     assert not ((exact.bias_95[:, 0] < 0.02) & (exact.bias_95[:, 1] > 0.02)).all()
 
 
@@ -131,7 +129,7 @@ def test_another_ink_is_in_the_interval_where_the_light_changes_too() -> None:
         p = solve(
             grey,
             np.full(grey.shape, 2.5e-7) if known else None,
-            WHITE,
+            RHO,
             tolerances=Tolerances(transfer=0, steps=0),
         )
         assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all() and np.ptp(
@@ -142,12 +140,12 @@ def test_another_ink_is_in_the_interval_where_the_light_changes_too() -> None:
 def test_a_curve_of_another_exponent_is_in_the_interval() -> None:
     for exponent in (0.93, 1.07):
         grey, _ = clip(rho=np.where(WHITE, 0.85, 0.06), noise=2e-4)
-        p = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), WHITE)
+        p = solve(np.abs(grey) ** exponent, np.full(grey.shape, 1e-7), RHO)
         assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all(), exponent
         narrow = solve(
             np.abs(grey) ** exponent,
             np.full(grey.shape, 1e-7),
-            WHITE,
+            RHO,
             tolerances=Tolerances(transfer=0, steps=0),
         )
         assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).any()
@@ -161,14 +159,14 @@ def test_a_codecs_steps_are_in_the_interval() -> None:
     p = solve(
         off,
         np.full(grey.shape, 4e-8),
-        WHITE,
+        RHO,
         tolerances=Tolerances(ink_sigma=0, transfer=0),
     )
     assert (
         np.abs(p.bias - 0.02).max() > 1e-3
         and ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
     )
-    narrow = solve(off, np.full(grey.shape, 4e-8), WHITE, tolerances=EXACT)
+    narrow = solve(off, np.full(grey.shape, 4e-8), RHO, tolerances=EXACT)
     assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).all()
 
 
@@ -201,9 +199,9 @@ def test_degenerate_systems_are_reported_and_nothing_non_finite_leaves(
         np.full(broken.shape, 1e-6 if case != "no contrast" else 1e-2) if known else None
     )
     p = (
-        solve(broken, variance, WHITE)
+        solve(broken, variance, RHO)
         if formula == "corrected"
-        else gain_and_bias(broken, WHITE)
+        else gain_and_bias(broken, RHO)
     )
     assert finite(p)
     if formula == "paper" and case in (
@@ -230,10 +228,13 @@ def test_albedos_that_hardly_differ_are_degenerate_beside_noise(difference: floa
     rho = np.where(WHITE, 0.5 + difference, 0.5)
     for noise, seed in [(n, s) for n in (1e-3, 1e-2) for s in range(20)]:
         grey, _ = clip(rho=rho, noise=noise, seed=seed)
-        assert solve(grey, np.full(grey.shape, noise**2), albedo=rho).verdict == DEGENERATE
-        assert solve(grey, None, albedo=rho).verdict == DEGENERATE
+        assert (
+            solve(grey, np.full(grey.shape, noise**2), rho, tolerances=EXACT).verdict
+            == DEGENERATE
+        )
+        assert solve(grey, None, rho, tolerances=EXACT).verdict == DEGENERATE
     grey, _ = clip(rho=rho)
-    exact = solve(grey, None, albedo=rho)
+    exact = solve(grey, None, rho, tolerances=EXACT)
     if difference:  # without noise they are two equations
         assert exact.verdict == MEASURED and np.abs(exact.bias - 0.02).max() < 1e-8
     else:
@@ -244,7 +245,7 @@ def test_a_nan_in_a_patch_costs_that_patch_alone() -> None:
     grey, y = clip(noise=0.0005)
     broken = grey.copy()
     broken[3, 2], broken[5, 6, 1], broken[7] = np.nan, np.inf, np.nan
-    p = solve(broken, np.full(grey.shape, 0.0005**2), WHITE)
+    p = solve(broken, np.full(grey.shape, 0.0005**2), RHO)
     assert p.verdict == MEASURED and finite(p) and p.ignored == 10
     assert not p.seen[7] and (p.var_y_own[7] == UNKNOWN_VARIANCE).all() and not p.y[7].any()
     assert np.abs(p.bias - 0.02).max() < 1e-3 and np.abs(p.y - y)[p.seen].max() < 5e-3
@@ -253,7 +254,7 @@ def test_a_nan_in_a_patch_costs_that_patch_alone() -> None:
 def test_one_channel_that_is_clipped_does_not_take_the_others_along() -> None:
     grey, y = clip(noise=0.0005)
     grey[:, WHITE, 0] = np.nan
-    p = solve(grey, np.full(grey.shape, 0.0005**2), WHITE)
+    p = solve(grey, np.full(grey.shape, 0.0005**2), RHO)
     assert (
         p.verdict == DEGENERATE
         and p.determined.tolist() == [False, True, True]
@@ -270,7 +271,7 @@ def test_highlights_on_some_patches_do_little() -> None:
     grey, y = clip(frames=60, noise=0.001)
     rng = np.random.default_rng(0)
     hit = (rng.uniform(size=grey.shape[:2]) < 0.12)[..., None]
-    p = solve(grey + 0.3 * hit, np.full(grey.shape, 1e-6), WHITE)
+    p = solve(grey + 0.3 * hit, np.full(grey.shape, 1e-6), RHO)
     plain = [
         np.polyfit(np.repeat(y[:, c], 4), (grey + 0.3 * hit)[:, ~WHITE, c].ravel(), 1)[1]
         for c in range(3)
@@ -283,11 +284,9 @@ def test_highlights_on_some_patches_do_little() -> None:
 
 def test_shares_of_clipped_samples_are_reported() -> None:
     grey, _ = clip()
-    assert solve(
-        grey, None, WHITE, clipped=np.full((40, 8), 0.05)
-    ).clipped == pytest.approx(0.05)
-    with pytest.raises(ValueError, match="albedo"):
-        solve(grey)
+    assert solve(grey, None, RHO, clipped=np.full((40, 8), 0.05)).clipped == pytest.approx(
+        0.05
+    )
 
 
 def test_the_large_system_of_the_paper_gives_what_the_dense_one_gives() -> None:
@@ -315,9 +314,9 @@ def test_time_is_linear_in_frames(formula: str) -> None:
         for _ in range(3):
             start = time.perf_counter()
             p = (
-                solve(grey, variance, WHITE)
+                solve(grey, variance, RHO)
                 if formula == "corrected"
-                else gain_and_bias(grey, WHITE)
+                else gain_and_bias(grey, RHO)
             )
             best = min(best, time.perf_counter() - start)
         assert np.abs(p.bias - 0.02).max() < 1e-3
@@ -338,8 +337,10 @@ def test_overexposed_readings_are_left_out_or_all_are_read_from_the_ink(
     clipped[:overexposed, WHITE] = 1.0
     grey[:overexposed, WHITE] = np.nan
     variance = np.full(grey.shape, 1e-10)
-    p = solve(grey, variance, WHITE, clipped=clipped)
-    light, _own, fit = comparable(p, grey, variance, WHITE, clipped)
+    p = solve(grey, variance, RHO, clipped=clipped)
+    rho = np.broadcast_to(RHO[:, None], grey.shape)
+    alone = comparable(p, grey, variance, clipped, rho) or p.reading
+    light, fit = alone.y, alone.fit
     for c in range(3):
         line = np.polyfit(y[fit, c], light[fit, c], 1)
         assert line[0] == pytest.approx(1.2 if of_ink else 1.0, abs=0.03)

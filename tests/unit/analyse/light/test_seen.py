@@ -50,7 +50,9 @@ def analysed(
     clip: Clip, still_camera: bool = False
 ) -> tuple[tuple[FrameFacts, ...], dict[str, np.ndarray]]:
     samples = [
-        environment_sample(look.frame, look.picture.astype(float), QUAD)
+        environment_sample(
+            look.frame, look.picture.astype(float), QUAD, look.picture.shape[1]
+        )
         for look in clip.looks
     ]
     guessed = with_environment(clip.facts, samples, still_camera, None, np.eye(3))

@@ -17,10 +17,12 @@ from arfx.analyse.light.fit import LightFit
 from arfx.analyse.light.hypotheses import MEASURED
 from arfx.analyse.light.patches import WHITE, comparable, cut_off
 from arfx.analyse.light.photometry import INK, PAPER, solve
-from arfx.analyse.light.static_frame import LightReading, fit_temporal_model
+from arfx.analyse.light.static_frame import fit_temporal_model
 from arfx.core.numerics import normalise
 from arfx.papers.s1_gain import gain_and_bias
 
+RHO = np.where(WHITE, PAPER, INK)
+ALBEDO = np.broadcast_to(RHO[:, None], (1000, 8, 3))
 SCENES = int(os.environ.get("ARFX_SWEEP", "5"))
 FRAMES, SAMPLES = 90, 40
 TIMES = np.arange(FRAMES) / 15
@@ -227,17 +229,12 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
         mean, variance, clipped, bias = photographed(
             E, np.random.default_rng(seed), **noise
         )
-        p = solve(mean, variance, WHITE, None, clipped)
+        p = solve(mean, variance, RHO, clipped)
         assert np.isfinite(p.y).all() and np.isfinite(p.bias).all()
-        y, own, on = comparable(p, mean, variance, WHITE, clipped)
+        alone = comparable(p, mean, variance, clipped, ALBEDO[: len(mean)])
         seen = p.seen
-        alone = (
-            None
-            if y is p.y and on is p.seen
-            else LightReading(y[seen], own[seen], on[seen])
-        )
-        every = LightReading(p.y[seen], p.var_y_own[seen], on[seen])
-        _, spans, _ = fit_temporal_model(times[seen], normals[seen], every, alone, breaks)
+        light = [r.at(seen) for r in (p.reading, alone) if r is not None]
+        _, spans, _ = fit_temporal_model(times[seen], normals[seen], light, breaks)
         out.scenes += 1
         low, high = p.bias_95.T
         out.bias_held.append(float(np.mean((low <= bias) & (bias <= high))))
@@ -283,7 +280,7 @@ def run(kind: str, known: bool, scenes: int = SCENES) -> Tally:
             level = np.median(E)
             for p2, to in (
                 (p, out.bias_grey),
-                (gain_and_bias(mean[::3], WHITE), out.paper_bias_grey),
+                (gain_and_bias(mean[::3], RHO), out.paper_bias_grey),
             ):
                 to.append(
                     float(
