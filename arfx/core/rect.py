@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arfx.core.codec import Plain
+
 
 @dataclass(frozen=True, slots=True)
-class Rect:
+class Rect(Plain):
     """Half-open pixel rectangle, origin top left: x in [x0, x1), y in [y0, y1)."""
 
     x0: int

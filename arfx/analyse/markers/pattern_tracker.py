@@ -30,7 +30,6 @@ from arfx.analyse.markers.tracker import (
     SEARCH_INTERVAL_S,
 )
 from arfx.core.camera import Camera
-from arfx.core.codec import serialisable
 
 # of a frame that is searched at full resolution; larger ones are reduced to so many
 WHOLE_PX = 2.1e6
@@ -38,7 +37,6 @@ _TRUSTED_S = 0.1  # for so long a print moves on as it did
 _PAIR_S = 0.3  # longest time between two sightings that tell a speed
 
 
-@serialisable
 @dataclass
 class PatternTrack:
     """Where a print was last: ideal (4, 2) normalised coordinates of its corners, without

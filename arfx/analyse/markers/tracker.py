@@ -20,7 +20,6 @@ import numpy as np
 from arfx.analyse.fold import Stateful
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.params import AnalyseParams
-from arfx.core.codec import serialisable
 from arfx.core.rect import Rect
 
 # while a marker is missing, the whole frame is searched at full resolution at least this often
@@ -38,7 +37,6 @@ SHRINK = (
 SURE_PX = 32.0
 
 
-@serialisable
 @dataclass
 class Track:
     """Where a marker was last: quad_px (4, 2), its speed px/s, when, and for how many
