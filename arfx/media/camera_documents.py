@@ -114,7 +114,7 @@ def read_document(path: Path, where: str) -> Mapping[str, Any] | list[list[str]]
 
 
 def _unpacked(data: bytes, where: str) -> bytes:
-    limit = int(LIMITS["camera file"][0] * MIB)
+    limit = int(LIMITS["camera file"] * MIB)
     packed = zlib.decompressobj(31)
     try:
         out = packed.decompress(data, limit + 1)

@@ -240,13 +240,18 @@ def frame_features(luma: np.ndarray, most_px: float) -> Features:
     scale = max(float(np.sqrt(h * w / most_px)), 1.0)
     size = max(round(w / scale), 1), max(round(h / scale), 1)
     small = luma if scale == 1 else cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-    keypoints, descriptors = cv2.SIFT.create(
-        FRAME_FEATURES, contrastThreshold=_FAINT
-    ).detectAndCompute(small, None)
-    if descriptors is None:
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), scale)
-    at = np.array([k.pt for k in keypoints])
+    at, descriptors = _sift(small, FRAME_FEATURES)
     return Features((at + 0.5) * [w / size[0], h / size[1]] - 0.5, descriptors, scale)
+
+
+def _sift(image: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """(places (n, 2) px, descriptors (n, 128)) of an image's features."""
+    keypoints, descriptors = cv2.SIFT.create(
+        most, contrastThreshold=_FAINT
+    ).detectAndCompute(image, None)
+    if descriptors is None:
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
+    return np.array([k.pt for k in keypoints]), descriptors
 
 
 def _described(
@@ -277,12 +282,8 @@ def _described(
     seen = cv2.warpAffine(
         soft, affine, tuple(size.tolist()), borderMode=cv2.BORDER_REPLICATE
     )
-    keypoints, descriptors = cv2.SIFT.create(
-        FEATURES, contrastThreshold=_FAINT
-    ).detectAndCompute(seen, None)
-    if descriptors is None:
-        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    at = (np.array([k.pt for k in keypoints]) - affine[:, 2]) @ np.linalg.inv(m).T
+    at, descriptors = _sift(seen, FEATURES)
+    at = (at - affine[:, 2]) @ np.linalg.inv(m).T
     units = (at + 0.5) / [w, h]
     inside = ((units > 0) & (units < 1)).all(1)
     return units[inside], descriptors[inside]
