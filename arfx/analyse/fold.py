@@ -246,18 +246,11 @@ def shifted(items: Sequence[T], shift: int) -> list[T]:
     """Tuples and dataclasses whose first field is the number of a frame, with `shift` added
     to it.
     """
-    if not shift:
-        return list(items)
-    moved = list[Any]()
-    item: Any
-    for item in items:
+
+    def moved(item: Any) -> Any:
         if isinstance(item, tuple):
-            moved.append((item[0] + shift, *item[1:]))
-        else:
-            moved.append(replace(item, **_shifted_first(item, shift)))
-    return moved
+            return (item[0] + shift, *item[1:])
+        first = fields(item)[0].name
+        return replace(item, **{first: getattr(item, first) + shift})
 
-
-def _shifted_first(item: Any, shift: int) -> dict[str, int]:
-    name = fields(item)[0].name
-    return {name: getattr(item, name) + shift}
+    return [moved(item) for item in items] if shift else list(items)

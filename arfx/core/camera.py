@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from arfx.core.codec import Document, serialisable
+from arfx.core.codec import Array, Document
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.errors import InputError
@@ -20,7 +20,6 @@ BROWN = "brown"
 FISHEYE = "fisheye"  # OpenCV fisheye k1..k4 (Kannala-Brandt, also "equidistant")
 
 
-@serialisable
 @dataclass(frozen=True, eq=False)
 class Camera(Document):
     """Intrinsics of one picture size.
@@ -32,8 +31,8 @@ class Camera(Document):
 
     width: int
     height: int
-    matrix: np.ndarray
-    distortion: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    matrix: Array
+    distortion: Array = field(default_factory=lambda: np.zeros(0))
     model: str = BROWN
     source: str = ""
     guessed: bool = False

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arfx.core.codec import Plain
 from arfx.errors import ConfigError
 
 # BT.709's 1.099 and 0.018 unrounded (BT.2020 table 4): rounded, the curve steps back at the joint.
@@ -25,7 +26,7 @@ LUMA_COEFFICIENTS = {
 
 
 @dataclass(frozen=True)
-class Transfer:
+class Transfer(Plain):
     """A transfer function by name: srgb, bt709, bt1886 or gamma:X (X > 0)."""
 
     name: str = "srgb"

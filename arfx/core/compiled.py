@@ -13,6 +13,7 @@ import atexit
 import contextlib
 import functools
 import hashlib
+import inspect
 import os
 import platform
 import shutil
@@ -22,7 +23,7 @@ import tempfile
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
 from arfx.core.machine import cache_folder, instructions
@@ -164,8 +165,8 @@ def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
             sys.modules.get(function.__globals__[name].__module__), "__file__", None
         ):
             yield _file_digest(file)
-    names = sorted(_names(function.__code__) & function.__globals__.keys())
-    for value in _closure_values(function) + [function.__globals__[name] for name in names]:
+    names = inspect.getclosurevars(function)
+    for value in (*names.nonlocals.values(), *names.globals.values()):
         called = getattr(value, "py_func", None)
         if called is not None:
             if called.__module__.partition(".")[0] in _PACKAGES:
@@ -179,20 +180,6 @@ def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
             yield f"{value.dtype} {value.shape}".encode() + value.tobytes()
         elif isinstance(value, bool | int | float | complex | str | tuple):
             yield repr(value).encode()
-
-
-def _closure_values(function: FunctionType) -> list[Any]:
-    cells = []
-    for cell in function.__closure__ or ():
-        with contextlib.suppress(ValueError):  # empty: nothing is compiled in
-            cells.append(cell.cell_contents)
-    return cells
-
-
-def _names(code: CodeType) -> set[str]:
-    return set(code.co_names).union(
-        *(_names(c) for c in code.co_consts if isinstance(c, CodeType))
-    )
 
 
 @functools.cache

@@ -11,13 +11,11 @@ new_lights 1 where the frame's light is not one that was met before"""
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import platform
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from arfx.core.codec import Document
 from arfx.core.machine import cache_folder, processor_name, usable_cores
@@ -87,12 +85,19 @@ class Price(Document):
     spread: float
     runs: int = 0
 
+    def __post_init__(self) -> None:
+        """Raises ValueError for what is no price."""
+        if not all(
+            t in TERMS and math.isfinite(c) and c >= 0 for t, c in self.coefficients.items()
+        ):
+            raise ValueError("a price of unknown terms, or below 0")
+
     def seconds(self, terms: Mapping[str, float]) -> float:
         return float(sum(c * terms.get(t, 0.0) for t, c in self.coefficients.items()))
 
 
 @dataclass(frozen=True)
-class Prices:
+class Prices(Document):
     """The price list. prices : by "stage/level", "prepare stage/level", "edit", "encode
     codec", "join"
     threads : how many worked at once when it was fitted;  source : where it comes from, in words
@@ -100,11 +105,17 @@ class Prices:
     UNCALIBRATED at least
     alone : time of one that works alone, as a fraction of its time among `threads`"""
 
-    prices: Mapping[str, Price] = field(default_factory=dict)
+    prices: Mapping[str, Price]
     threads: int = 1
     source: str = "shipped defaults"
     calibrated: bool = False
     alone: float = 1.0
+    format: int = FORMAT
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for a list of another format."""
+        if self.format != FORMAT or not 0 < self.alone <= 1:
+            raise ValueError("price list of another format")
 
     def predict(self, key: str, terms: Mapping[str, float]) -> Prediction | None:
         """None = not known."""
@@ -119,39 +130,6 @@ class Prices:
         """These, but for one stage, which `own` prices."""
         source = f"{self.source.partition(';')[0]}; {stage} {own.source}"
         return replace(self, prices={**self.prices, **own.prices}, source=source)
-
-    def to_json(self) -> dict[str, Any]:
-        return {
-            "format": FORMAT,
-            "threads": self.threads,
-            "source": self.source,
-            "alone": self.alone,
-            "calibrated": self.calibrated,
-            "prices": {k: p.to_json() for k, p in sorted(self.prices.items())},
-        }
-
-    @staticmethod
-    def from_json(d: Mapping[str, Any], calibrated: bool) -> Prices:
-        """Raises ValueError, KeyError or TypeError for what is not a price list of this format."""
-        if d["format"] != FORMAT:
-            raise ValueError("price list of another format")
-        prices = {key: Price.from_json(p) for key, p in d["prices"].items()}
-        for key, p in prices.items():
-            if not all(
-                t in TERMS and math.isfinite(c) and c >= 0
-                for t, c in p.coefficients.items()
-            ):
-                raise ValueError(f"price of {key}")
-        alone = float(d.get("alone", 1.0))
-        if not 0 < alone <= 1:
-            raise ValueError("price list: alone")
-        return Prices(
-            prices,
-            int(d["threads"]),
-            str(d["source"]),
-            calibrated and bool(d.get("calibrated", True)),
-            alone,
-        )
 
 
 def prices_file() -> Path:
@@ -170,12 +148,10 @@ def load_prices(file: Path | None = None) -> Prices:
     with contextlib.suppress(
         OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError
     ):
-        return Prices.from_json(
-            json.loads((file or prices_file()).read_text(encoding="utf-8")), calibrated=True
-        )
+        return Prices.from_line((file or prices_file()).read_text(encoding="utf-8"))
     return shipped_prices()
 
 
 def shipped_prices() -> Prices:
     text = Path(__file__).with_name("default_costs.json").read_text(encoding="utf-8")
-    return Prices.from_json(json.loads(text), calibrated=False)
+    return Prices.from_line(text)

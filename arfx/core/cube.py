@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from arfx.core.codec import Document
 from arfx.core.numerics import divide, normalise
@@ -66,18 +67,11 @@ def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(n, 3) radiance in directions (n, 3), axes of the cube (6, size, size, 3): linear
     between the texels of a face.
     """
-    last = faces.shape[1] - 1
-    face, u, v = on_cube(np.asarray(directions, float))
-    x, y = (np.clip((t + 1) / 2 * (last + 1) - 0.5, 0, last) for t in (u, v))
-    i, j = (
-        np.minimum(x.astype(int), max(last - 1, 0)),
-        np.minimum(y.astype(int), max(last - 1, 0)),
-    )
-    i1, j1 = np.minimum(i + 1, last), np.minimum(j + 1, last)
-    fx, fy = (x - i)[:, None], (y - j)[:, None]
-    top = faces[face, j, i] * (1 - fx) + faces[face, j, i1] * fx
-    return np.asarray(
-        top * (1 - fy) + (faces[face, j1, i] * (1 - fx) + faces[face, j1, i1] * fx) * fy
+    face, *across = on_cube(np.asarray(directions, float))
+    u, v = ((t + 1) / 2 * faces.shape[1] - 0.5 for t in across)
+    channels = np.moveaxis(np.asarray(faces, float), -1, 0)
+    return np.stack(
+        [map_coordinates(c, (face, v, u), order=1, mode="nearest") for c in channels], -1
     )
 
 

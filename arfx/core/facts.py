@@ -10,10 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from arfx.core.advection import AdvectionField
-from arfx.core.codec import Document
+from arfx.core.codec import Array, Document
 from arfx.core.cube import CubeMap, SeenEnvironment
 from arfx.core.guard import atomic_write
 from arfx.core.lens_fit import LensFit
@@ -48,7 +46,7 @@ class MarkerSighting(Document):
     """
 
     key: str
-    corners_px: np.ndarray
+    corners_px: Array
     sigma_px: float
     hypotheses: tuple[Hypothesis, ...] = ()
     chosen: int = 0
@@ -107,7 +105,7 @@ class FrameFacts(Document):
     status: str = ABSENT
     camera_from_world: Pose | None = None
     raw_camera_from_world: Pose | None = None
-    pose_covariance: np.ndarray | None = None
+    pose_covariance: Array | None = None
     reprojection_px: float | None = None
     opacity: float = 0.0
     markers: tuple[MarkerSighting, ...] = ()

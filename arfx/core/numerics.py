@@ -14,9 +14,6 @@ import numpy as np
 # Shortest vector with a direction: float64 rounding (2.2e-16) of coordinates up to 1e4 m
 # leaves 2e-12 m of noise.
 EPS_LENGTH = 1e-12
-# Below this angle sin(x)/x and friends use their series: the dropped term x^4/120 is then
-# under 1e-18.
-EPS_ANGLE = 1e-4
 # Nearest projected point: nothing physical is closer, and focal lengths up to 1e5 px stay
 # finite in float32.
 EPS_DEPTH_M = 1e-4

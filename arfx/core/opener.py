@@ -20,28 +20,26 @@ from typing import Any
 from arfx.errors import ConfigError, InputError
 
 MIB = 1 << 20
-# kind of file, as messages call it -> (largest size in MiB, why this much)
-LIMITS: dict[str, tuple[float, str]] = {
-    "clip": (1 << 24, "read frame by frame: 16 TiB, the largest file of ext4"),
-    "depth": (1 << 24, "read map by map, as a clip"),
-    "depth map": (256, "8192 x 4096 px of 32-bit float twice over"),
-    "model": (1024, "millions of faces as binary arrays"),
-    "model part": (1024, "buffers and textures of a model, as the model itself"),
-    "image": (512, "an environment of 8192 x 4096 px of 32-bit float RGB, with room"),
-    "picture": (512, "a camera's largest raw-sized TIFF"),
-    "pattern": (256, "a print's picture: a page scanned at 600 dpi, uncompressed"),
-    "camera file": (
-        0.25,
-        "a hundred times a calibration; YAML takes seconds and 100 MB for that much",
-    ),
-    "job file": (1, "thousands of settings"),
-    "manifest": (64, "a hundred thousand clips with settings of their own"),
-    "scene": (1, "thousands of objects"),
-    "marker map": (8, "tens of thousands of markers"),
-    "poses": (256, "a million lines"),
-    "truth": (256, "a hundred thousand frames of a synthetic clip"),
-    "report": (4096, "facts of hours of video, about 2 kB a frame"),
-    "tradeoff": (64, "every level of every stage on thousands of frames"),
+# kind of file, as messages call it -> largest size in MiB
+LIMITS = {
+    "clip": 1 << 24,  # read frame by frame: 16 TiB, the largest file of ext4
+    "depth": 1 << 24,  # read map by map, as a clip
+    "depth map": 256,  # 8192 x 4096 px of 32-bit float twice over
+    "model": 1024,  # millions of faces as binary arrays
+    "model part": 1024,  # buffers and textures of a model, as the model itself
+    "image": 512,  # an environment of 8192 x 4096 px of 32-bit float RGB, with room
+    "picture": 512,  # a camera's largest raw-sized TIFF
+    "pattern": 256,  # a print's picture: a page scanned at 600 dpi, uncompressed
+    # a hundred times a calibration; YAML takes seconds and 100 MB for that much
+    "camera file": 0.25,
+    "job file": 1,  # thousands of settings
+    "manifest": 64,  # a hundred thousand clips with settings of their own
+    "scene": 1,  # thousands of objects
+    "marker map": 8,  # tens of thousands of markers
+    "poses": 256,  # a million lines
+    "truth": 256,  # a hundred thousand frames of a synthetic clip
+    "report": 4096,  # facts of hours of video, about 2 kB a frame
+    "tradeoff": 64,  # every level of every stage on thousands of frames
 }
 # nesting of tables and lists in text: people write five; parsers and printers recurse
 MAX_NESTING = 64
@@ -109,7 +107,7 @@ def folder_entries(folder: Path, kind: str = "folder") -> list[Path]:
 def read_bytes(path: Path | str, kind: str) -> bytes:
     """The whole file. Raises InputError as `regular` does."""
     path = regular(path, kind)
-    limit = LIMITS[kind][0] * MIB
+    limit = LIMITS[kind] * MIB
     try:
         # not blocking: what was a file a moment ago may be a pipe now
         handle = os.open(
@@ -224,12 +222,12 @@ def _check_status(status: os.stat_result, path: Path, kind: str) -> None:
             else "is not a regular file (a device, pipe or socket)"
         )
         raise InputError(f"{kind} {path} {what}", "give a file")
-    if status.st_size > LIMITS[kind][0] * MIB:
+    if status.st_size > LIMITS[kind] * MIB:
         raise _too_large(path, kind, status.st_size)
 
 
 def _too_large(path: Path, kind: str, size: int) -> InputError:
-    limit, _ = LIMITS[kind]
+    limit = LIMITS[kind]
     return InputError(
         f"{kind} {path} holds more than {limit:g} MiB ({size / MIB:.3g} MiB)",
         f"at most {limit:g} MiB",

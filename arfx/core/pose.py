@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from arfx.core.numerics import EPS_ANGLE, normalise
+from arfx.core.codec import Plain
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -23,69 +24,28 @@ def skew(v: np.ndarray) -> np.ndarray:
 
 
 def rotation_from_rotvec(rotvec: np.ndarray) -> np.ndarray:
-    """Rodrigues: rotation vector (..., 3), radians, to matrix (..., 3, 3); series near zero."""
-    r = np.asarray(rotvec, float)
-    t2 = (r * r).sum(-1)[..., None, None]
-    t = np.sqrt(t2)
-    small = t < EPS_ANGLE
-    ts = np.where(small, 1.0, t)
-    a = np.where(small, 1 - t2 / 6, np.sin(ts) / ts)
-    b = np.where(small, 0.5 - t2 / 24, (1 - np.cos(ts)) / (ts * ts))
-    k = skew(r)
-    return np.eye(3) + a * k + b * (k @ k)
+    """Rotation vector (..., 3), radians, to matrix (..., 3, 3); exact near zero."""
+    return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
 
 
 def rotvec_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Matrix (..., 3, 3) to rotation vector of length <= pi, through a quaternion: stable
-    at 0 and pi.
-    """
-    q = quaternion_from_rotation(rotation)
-    q = np.where(q[..., :1] < 0, -q, q)
-    s = np.linalg.norm(q[..., 1:], axis=-1)
-    angle = 2 * np.arctan2(s, q[..., 0])
-    factor = np.where(
-        s < EPS_ANGLE, 2.0 + s * s / 3, angle / np.where(s < EPS_ANGLE, 1.0, s)
-    )
-    return q[..., 1:] * factor[..., None]
+    """Matrix (..., 3, 3) to rotation vector of length <= pi: stable at 0 and pi."""
+    return np.asarray(Rotation.from_matrix(rotation, assume_valid=True).as_rotvec())
 
 
-def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) to unit quaternion (..., 4), scalar first (Shepperd: the largest element
-    is the pivot).
-    """
-    m = np.asarray(rotation, float)
-    transposed = m.swapaxes(-1, -2)
-    trace = m.trace(axis1=-2, axis2=-1)[..., None]
-    products = np.empty((*m.shape[:-2], 4, 4))  # 4 q_i q_j
-    products[..., 0, 0] = 1 + trace[..., 0]
-    products[..., 1:, 1:] = m + transposed + (1 - trace[..., None]) * np.eye(3)
-    turn = (m - transposed)[..., [2, 0, 1], [1, 2, 0]]
-    products[..., 0, 1:] = products[..., 1:, 0] = turn
-    pick = products.diagonal(axis1=-2, axis2=-1).argmax(-1)[..., None, None]
-    return normalise(np.take_along_axis(products, pick, -2)[..., 0, :])
-
-
-def rotation_from_quaternion(w: float, x: float, y: float, z: float) -> np.ndarray:
-    """(3, 3) of a unit quaternion."""
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def rotation_from_quaternion(q: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) of unit quaternions (..., 4), scalar first."""
+    k = skew(q[..., 1:])
+    return np.asarray(np.eye(3) + 2 * (q[..., :1, None] * k + k @ k))
 
 
 def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:
     """Rotation about x, then y, then z (fixed axes), degrees."""
-    rx, ry, rz = (
-        rotation_from_rotvec(np.radians(a) * np.eye(3)[i]) for i, a in enumerate((x, y, z))
-    )
-    return rz @ ry @ rx
+    return np.asarray(Rotation.from_euler("xyz", (x, y, z), degrees=True).as_matrix())
 
 
 @dataclass(frozen=True)
-class Pose:
+class Pose(Plain):
     """A rigid transform: p_dest = rotation @ p_source + translation_m.
     rotation : (3, 3) float64, orthonormal, det +1
     translation_m : (3,) float64, metres"""

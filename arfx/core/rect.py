@@ -8,9 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arfx.core.codec import Plain
+
 
 @dataclass(frozen=True, slots=True)
-class Rect:
+class Rect(Plain):
     """Half-open pixel rectangle, origin top left: x in [x0, x1), y in [y0, y1)."""
 
     x0: int
@@ -99,18 +101,14 @@ class Rect:
             p = p[finite.all(1)]
         if not len(p):
             return EMPTY
-        x, y = (
-            p[:, 0],
-            p[:, 1],
-        )  # column by column: many times as fast as over the first axis of two columns
         limit = 1 << 24  # beyond any picture; keeps the integers small
-        x0, y0 = (
-            min(max(math.floor(float(v.min()) - pad_px + 0.5), -limit), limit)
-            for v in (x, y)
-        )
-        x1, y1 = (
-            min(max(math.floor(float(v.max()) + pad_px + 0.5), -limit), limit)
-            for v in (x, y)
+
+        def whole(px: float) -> int:
+            return min(max(math.floor(float(px) + 0.5), -limit), limit)
+
+        # column by column: many times as fast as over the first axis of two columns
+        (x0, x1), (y0, y1) = (
+            (whole(v.min() - pad_px), whole(v.max() + pad_px)) for v in (p[:, 0], p[:, 1])
         )
         return Rect(x0, y0, x1 + 1, y1 + 1)
 

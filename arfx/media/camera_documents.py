@@ -116,7 +116,7 @@ def read_document(path: Path, where: str) -> Mapping[str, Any] | list[list[str]]
 
 
 def _unpacked(data: bytes, where: str) -> bytes:
-    limit = int(LIMITS["camera file"][0] * MIB)
+    limit = int(LIMITS["camera file"] * MIB)
     try:
         with gzip.open(io.BytesIO(data)) as file:
             out = file.read(limit + 1)

@@ -140,10 +140,10 @@ def _parent_from_node(node: dict[str, Any]) -> np.ndarray:
     """(4, 4)."""
     if "matrix" in node:
         return np.array(node["matrix"], float).reshape(4, 4).T
-    x, y, z, w = normalise(np.array(node.get("rotation", (0, 0, 0, 1)), float))
+    turn = normalise(np.array(node.get("rotation", (0, 0, 0, 1)), float))
     scale = np.array(node.get("scale", (1, 1, 1)), float)
     out = np.eye(4)
-    out[:3, :3] = rotation_from_quaternion(w, x, y, z) * scale
+    out[:3, :3] = rotation_from_quaternion(np.roll(turn, 1)) * scale
     out[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return out
 

@@ -101,9 +101,7 @@ def load_poses(path: Path) -> CameraPath:
             raise InputError(f"{where}: {' '.join(words[:9])[:200]!r} is not a pose", hint)
     table = np.array([words for _, words in given], float)
     q = table[:, -4:] / np.linalg.norm(table[:, -4:], axis=1, keepdims=True)
-    turned = np.moveaxis(rotation_from_quaternion(*q.T[[3, 0, 1, 2]]), -1, 0).transpose(
-        0, 2, 1
-    )
+    turned = np.swapaxes(rotation_from_quaternion(np.roll(q, 1, 1)), 1, 2)
     moved = -np.einsum("nij,nj->ni", turned, table[:, -7:-4])
     poses = tuple(map(Pose, turned, moved))
     if columns == 7:

@@ -16,7 +16,7 @@ from arfx.core.stage import Demand, Stage, blamed
 ABSENT = "marker not visible"
 FORCED = "forced (no skipping)"
 NOTHING_BEFORE = "nothing before it changes a pixel"
-NO_PRICES = Prices()
+NO_PRICES = Prices({})
 
 
 def plan_frame(

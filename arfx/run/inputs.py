@@ -327,6 +327,6 @@ def _wpilib_layout(document: dict) -> dict[str, Pose]:
         with np.errstate(
             invalid="ignore"
         ):  # what is not finite is refused with the other poses
-            r = rotation_from_quaternion(*(float(q[k]) for k in "WXYZ")) @ swap
+            r = rotation_from_quaternion(np.array([float(q[k]) for k in "WXYZ"])) @ swap
         out[f"36h11:{int(tag['ID'])}"] = Pose(r, np.array([t[k] for k in "xyz"], float))
     return out

@@ -8,11 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from arfx.analyse.fold import PLANE, AnalysisJob
 from arfx.config.load import load
 from arfx.core.facts import read_facts, write_facts
-from arfx.core.pose import Pose, quaternion_from_rotation, rotation_from_euler_deg
+from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.run import analysis, stretches
 from arfx.run.folder import JobFolder
 from arfx.run.inputs import open_inputs
@@ -96,7 +97,7 @@ def test_given_poses_hold_it_in_place(
 ) -> None:
     """The given camera goes to the right: the object goes to the left."""
     turn = rotation_from_euler_deg(-90 - DOWN_DEG, 0, 0)
-    w, x, y, z = quaternion_from_rotation(turn)
+    x, y, z, w = Rotation.from_matrix(turn).as_quat()
     lines = [f"{0.005 * k} 0 {HEIGHT_M} {x} {y} {z} {w}" for k in range(18)]
     (tmp_path / "poses.txt").write_text("# camera in the world\n" + "\n".join(lines) + "\n")
     cv2.imwrite(str(tmp_path / "one.png"), depth_map())
@@ -125,7 +126,7 @@ def test_poses_sparser_than_frames_are_bridged(
     """A pose each sixth frame: the camera moves on evenly between them, and those frames
     are not called measured.
     """
-    w, x, y, z = quaternion_from_rotation(rotation_from_euler_deg(-90 - DOWN_DEG, 0, 0))
+    x, y, z, w = Rotation.from_euler("x", -90 - DOWN_DEG, degrees=True).as_quat()
     (tmp_path / "poses.txt").write_text(
         "".join(
             f"{k / 30} {0.005 * k} 0 {HEIGHT_M} {x} {y} {z} {w}\n" for k in (0, 6, 12, 18)

@@ -22,7 +22,6 @@ import numpy as np
 from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.samples import PATCHES, SamplePoints, half_step, within
 from arfx.analyse.markers.detect import marker_cells
-from arfx.core.codec import serialisable
 from arfx.core.facts import PlaneShadow
 from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import divide
@@ -39,7 +38,6 @@ _OUT = 2.5  # deviations from the median of a reading's ink patches, beyond whic
 LEAST_LEFT = 0.7
 
 
-@serialisable
 @dataclass(frozen=True, eq=False)
 class Patches:
     """One print in one frame. mean : (8, 3) linear RGB, 0 where count is 0

@@ -28,7 +28,6 @@ import numpy as np
 
 from arfx.analyse.light.surroundings import from_panorama, turned
 from arfx.core.camera import Camera
-from arfx.core.codec import serialisable
 from arfx.core.cube import SeenEnvironment, face_directions, resampled
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide, smoothstep
@@ -67,7 +66,6 @@ LAMP_DEG = 15.0  # around a lamp in which bright pixels are the lamp
 LAMP = (0.75, 0.95)  # linear light from which they are partly and wholly
 
 
-@serialisable
 @dataclass(frozen=True, eq=False)
 class Look:
     """A small picture of one frame. picture : (h, w, 3) float16, linear"""

@@ -24,7 +24,6 @@ import cv2
 import numpy as np
 
 from arfx.analyse.light.icosphere import icosphere
-from arfx.core.codec import serialisable
 from arfx.core.cube import CubeMap, face_directions, look_up, solid_angles
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, Light, harmonics
@@ -137,7 +136,6 @@ def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
     return DIFFUSE[:, None] * (basis.T @ faces.reshape(-1, 3))
 
 
-@serialisable
 @dataclass(frozen=True, eq=False)
 class EnvironmentSample:
     """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA

@@ -51,79 +51,50 @@ def refine_quad(
     the compiler take three times as long)"""
     samples = len(fractions)
     seen, slope = np.empty((2, 4, samples)), np.empty((4, samples, STEPS - 1))
-    ends, moved, window = np.empty((4, 2)), np.empty((4, 2)), np.empty(4)
+    ends = np.empty((4, 2))
     for i in range(len(quads)):
         quad, stats = quads[i], out[i]
-        wide, blur = 0, np.nan
-        for side in range(4):
-            window[side] = reach[i, side] / 2
-            if reach[i, side] > half[i, side]:
-                wide = WIDE_ITERATIONS
-        stats[OK] = 1.0
+        wide = WIDE_ITERATIONS if (reach[i] > half[i]).any() else 0
+        least = np.minimum(
+            np.maximum(WINDOW_FRACTION * half[i], WINDOW_PX[0]), WINDOW_PX[1]
+        )
+        window, stats[BLUR], stats[OK] = reach[i] / 2, np.nan, 1.0
         for k in range(ITERATIONS + wide):
             far = reach[i] if k < wide else half[i]
-            gain, blur, skew, inverted = _edges(
-                luma, table, quad, bend[i], far, window, blur, fractions, slope, seen
-            )
-            stats[BLUR], stats[GAIN], stats[SKEW], stats[INVERTED] = (
-                blur,
-                gain,
-                skew,
-                inverted,
-            )
-            if (
-                k < 3 + wide
-                # the blur's estimate settles; then the window is held, so that the fixed point
-                # is one
-            ):
+            _edges(luma, table, quad, bend[i], far, window, fractions, slope, seen, stats)
+            # the blur's estimate settles; then the window is held, so that the fixed point
+            # is one
+            if k < 3 + wide:
                 after = reach[i] if k + 1 < wide else half[i]
-                for side in range(4):
-                    least = min(
-                        max(WINDOW_FRACTION * half[i, side], WINDOW_PX[0]), WINDOW_PX[1]
-                    )
-                    window[side] = min(max(1.2 * blur, least), after[side] / 2)
+                window = np.minimum(np.maximum(1.2 * stats[BLUR], least), after / 2)
             stats[SPREAD] = _fit(seen, fractions, ends)
-            _meet(quad, ends, moved)
-            step = 0.0
-            finite = True
-            for c in range(4):
-                for j in range(2):
-                    finite = finite and np.isfinite(moved[c, j])
-                    step = max(step, abs(moved[c, j] - quad[c, j]))
-            if not (finite and gain > least_gain[i]):
+            moved = _meet(quad, ends)
+            step = np.abs(moved - quad).max()
+            if not (np.isfinite(moved).all() and stats[GAIN] > least_gain[i]):
                 stats[OK] = 0.0
                 break
-            for c in range(4):
-                quad[c, 0], quad[c, 1] = moved[c, 0], moved[c, 1]
+            quad[:] = moved
             if step <= CONVERGED_PX and k >= 2 + wide:
                 break
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _edges(
-    luma, table, quad, bend, half, window, blur, fractions, slope, seen
+    luma, table, quad, bend, half, window, fractions, slope, seen, stats
 ):  # pragma: no cover - compiled
     """Where the four edges are along their normals: seen (2, 4, SAMPLES), px inwards from
-    the chord; 1, or 0 where a normal shows too faint an edge.
+    the chord; 1, or 0 where a normal shows too faint an edge. Sets stats' GAIN, the least
+    slope of a side, BLUR, SKEW and INVERTED; its BLUR is NaN at first.
 
-    half, window : (4,) px of each side;  blur : NaN at first;  slope (4, SAMPLES, STEPS -
-    1) : work space
-    Returns the least slope of a side, the blur's standard deviation px, its skew, and 1.0
-    for white on black."""
+    half, window : (4,) px of each side;  slope (4, SAMPLES, STEPS - 1) : work space"""
     h, w = luma.shape
-    offset, there = seen[0], seen[1]
-    samples, steps = len(fractions), slope.shape[2] + 1
-    last_x, last_y = w - 1.001, h - 1.001
-    total = 0.0
+    steps = slope.shape[2] + 1
     for side in range(4):
+        ax, ay = quad[side]
+        cx, cy = quad[(side + 1) % 4] - quad[side]
+        nx, ny = _normal(cx, cy)
         spacing = 2 * half[side] / (steps - 1)
-        ax, ay = quad[side, 0], quad[side, 1]
-        cx, cy = quad[(side + 1) % 4, 0] - ax, quad[(side + 1) % 4, 1] - ay
-        length = np.sqrt(cx * cx + cy * cy)
-        nx, ny = 0.0, 0.0  # normal, to the inside of a clockwise quad
-        if length > 0:
-            nx, ny = -cy / length, cx / length
-        for m in range(samples):
+        for m in range(len(fractions)):
             mx, my = (
                 ax + cx * fractions[m] + bend[side, m, 0],
                 ay + cy * fractions[m] + bend[side, m, 1],
@@ -133,15 +104,7 @@ def _edges(
                 along = half[side] * (s / ((steps - 1) / 2) - 1)
                 # bilinear, in linear light, exact coordinates (cv2.remap rounds them to
                 # 1/32 px); borders are replicated
-                x, y = mx + nx * along, my + ny * along
-                if not x > 0:  # also NaN
-                    x = 0.0
-                elif x > last_x:
-                    x = last_x
-                if not y > 0:
-                    y = 0.0
-                elif y > last_y:
-                    y = last_y
+                x, y = _within(mx + nx * along, w), _within(my + ny * along, h)
                 xi, yi = int(x), int(y)
                 fx, fy = x - xi, y - yi
                 a, b = table[luma[yi, xi]], table[luma[yi, xi + 1]]
@@ -149,85 +112,81 @@ def _edges(
                 top = a + (b - a) * fx
                 light = top + (c + (d - c) * fx - top) * fy
                 if s:
-                    g = (before - light) / spacing
-                    slope[side, m, s - 1] = g
-                    total += g
+                    slope[side, m, s - 1] = (before - light) / spacing
                 before = light
-    inverted = 1.0 if total < 0 else 0.0  # else bright outside, dark inside: positive
-    sign = -1.0 if total < 0 else 1.0
-    mean, narrow, at, boost = (
-        np.zeros((4, steps - 1)),
-        np.empty((4, steps - 1)),
-        np.empty((4, steps - 1)),
-        np.ones(4),
-    )
+    stats[INVERTED] = 1.0 if slope.sum() < 0 else 0.0
+    if stats[INVERTED]:  # else bright outside, dark inside: positive
+        slope *= -1.0
+    centres = (np.arange(steps - 1) + 0.5) / ((steps - 1) / 2) - 1
+    mean, gain = np.empty((4, steps - 1)), np.inf
     for side in range(4):
-        if np.isfinite(
-            blur
-        ):  # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a displacement
-            boost[side] = min(
-                (blur * blur + window[side] * window[side]) / (window[side] * window[side]),
-                3.0,
-            )
-        for s in range(steps - 1):
-            at[side, s] = half[side] * ((s + 0.5) / ((steps - 1) / 2) - 1)
-            narrow[side, s] = np.exp(-0.5 * (at[side, s] / window[side]) ** 2)
-    gain, own, ordered = np.inf, np.empty(samples), np.empty(samples)
-    for side in range(4):
-        for m in range(samples):
-            own[m] = 0.0
-            for s in range(steps - 1):
-                own[m] += sign * slope[side, m, s] * narrow[side, s]
-            ordered[m] = own[m]
+        reach, wide = half[side], window[side] ** 2
+        at = reach * centres
+        narrow = np.exp(-0.5 / wide * at * at)
+        own = _product(slope[side], narrow)
+        ordered = own.copy()
         sort(ordered)
-        usual, count = ordered[3 * samples // 4], 0.0
-        for m in range(samples):
-            there[side, m] = 0.0 if usual > 0 and own[m] < _THERE * usual else 1.0
-            count += there[side, m]
-            for s in range(steps - 1):
-                mean[side, s] += there[side, m] * slope[side, m, s]
-        mass = 0.0
-        for s in range(steps - 1):
-            mean[side, s] *= sign / count
-            mass += mean[side, s] * narrow[side, s]
+        least = _THERE * ordered[3 * len(own) // 4]
+        there = 1.0 - ((least > 0) & (own < least))
+        mean[side] = _product(slope[side].T, there) / there.sum()
+        mass = (mean[side] * narrow).sum()
         gain = min(gain, mass)
-        for m in range(samples):
-            first = 0.0
-            for s in range(steps - 1):
-                first += slope[side, m, s] * narrow[side, s] * at[side, s]
-            e = sign * first / mass * boost[side]
-            offset[side, m] = (
-                min(max(e, -half[side]), half[side]) if np.isfinite(e) else 0.0
-            )
-    blur_px = _width(mean, at, half)
-    third, near = 0.0, np.empty(steps - 1)
+        off = _product(slope[side], narrow * at) / mass
+        if np.isfinite(stats[BLUR]):
+            # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a
+            # displacement
+            off *= min((stats[BLUR] ** 2 + wide) / wide, 3.0)
+        seen[0, side] = np.where(
+            np.isfinite(off), np.minimum(np.maximum(off, -reach), reach), 0.0
+        )
+        seen[1, side] = there
+    blur, third = _width(mean, centres, half), 0.0
     for side in range(4):
-        for s in range(steps - 1):
-            near[s] = mean[side, s] * np.exp(-0.5 * (at[side, s] / (1.5 * blur_px)) ** 2)
-        cube = _moments(near, at[side])[1]
+        at = half[side] * centres
+        near = np.exp(-0.5 / (1.5 * blur) ** 2 * at * at)
+        cube = _moments(mean[side] * near, at)[1]
         third += (cube if np.isfinite(cube) else 0.0) / 4
-    return gain, blur_px, third / blur_px**3, inverted
+    stats[GAIN], stats[BLUR], stats[SKEW] = gain, blur, third / blur**3
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _width(mean, at, half):  # pragma: no cover - compiled
-    """Standard deviation px of the mean profiles (4, s) at (4, s), median of the sides; the
-    window's narrowing is taken out.
+def _product(matrix, v):  # pragma: no cover - compiled
+    """matrix @ v; numpy's own waits for Python's lock."""
+    out = np.zeros(len(matrix))
+    for i in range(len(out)):
+        for j in range(len(v)):
+            out[i] += matrix[i, j] * v[j]
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _normal(x, y):  # pragma: no cover - compiled
+    """Unit normal of a side, to the inside of a clockwise quad; 0 where it has no length."""
+    length = np.sqrt(x * x + y * y)
+    return (-y / length, x / length) if length > 0 else (0.0, 0.0)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _within(x, size):  # pragma: no cover - compiled
+    """A coordinate between pixels of a picture of this size; NaN is 0."""
+    if not x > 0:
+        return 0.0
+    return x if x < size - 1.001 else size - 1.001
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _width(mean, centres, half):  # pragma: no cover - compiled
+    """Standard deviation px of the mean profiles (4, s) at half (4,) * centres (s,), median
+    of the sides; the window's narrowing is taken out.
     """
-    seen, wide = np.empty(4), np.empty(at.shape[1])
+    seen = np.ones(4)
     for side in range(4):
-        for s in range(len(wide)):
-            wide[s] = max(mean[side, s], 0.0) * np.exp(
-                -0.5 * (at[side, s] / (half[side] / 2)) ** 2
-            )
-        square = _moments(wide, at[side])[0]
-        own = 1 / (1 / square - 1 / (half[side] / 2) ** 2)
-        own = (
-            min(max(own, 0.04), half[side] ** 2)
-            if np.isfinite(own) and own > 0
-            else half[side] ** 2
-        )
-        seen[side] = own if np.isfinite(square) else 1.0
+        at, most = half[side] * centres, half[side] ** 2
+        profile = np.maximum(mean[side], 0.0) * np.exp(-2.0 * centres * centres)
+        square = _moments(profile, at)[0]
+        own = 1 / (1 / square - 4 / most)
+        if np.isfinite(square):
+            seen[side] = min(max(own, 0.04), most) if np.isfinite(own) and own > 0 else most
     sort(seen)
     return np.sqrt((seen[1] + seen[2]) / 2)
 
@@ -237,16 +196,10 @@ def _moments(profile, at):  # pragma: no cover - compiled
     """Means of the square and of the cube of `at` about its mean, under a profile; not
     finite where that sums up to nothing.
     """
-    total, first, square, cube = 0.0, 0.0, 0.0, 0.0
-    for s in range(len(at)):
-        total += profile[s]
-        first += profile[s] * at[s]
-    centre = first / total if np.isfinite(first / total) else 0.0
-    for s in range(len(at)):
-        d = at[s] - centre
-        square += profile[s] * (d * d)
-        cube += profile[s] * (d * (d * d))
-    return square / total, cube / total
+    total = profile.sum()
+    centre = (profile * at).sum() / total
+    d = at - (centre if np.isfinite(centre) else 0.0)
+    return (profile * d * d).sum() / total, (profile * d * d * d).sum() / total
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -254,20 +207,13 @@ def _fit(seen, f, ends):  # pragma: no cover - compiled
     """Robust line per side (iterated, Geman-McClure) through samples that are there: ends
     (4, 2) px; returns their spread px.
     """
-    samples, offset, there = len(f), seen[0], seen[1]
-    weight, size, ordered, scales = (
-        np.empty(samples),
-        np.empty(samples),
-        np.empty(samples),
-        np.empty(4),
-    )
+    scales = np.empty(4)
     for side in range(4):
-        v = offset[side]
-        for m in range(samples):
-            weight[m] = there[side, m]
+        v, there = seen[0, side], seen[1, side]
+        weight, absent = there, len(f) - int(there.sum())
         for k in range(_ROUNDS):
             w0, w1, w2, v0, v1 = 0.0, 0.0, 0.0, 0.0, 0.0
-            for m in range(samples):
+            for m in range(len(f)):
                 wf = weight[m] * f[m]
                 w0 += weight[m]
                 w1 += wf
@@ -279,43 +225,28 @@ def _fit(seen, f, ends):  # pragma: no cover - compiled
             if not (np.isfinite(at0) and np.isfinite(grade)):
                 at0, grade = 0.0, 0.0
             if k < _ROUNDS - 1:  # the last round only needs the line
-                absent = 0
-                for m in range(samples):
-                    size[m] = abs(v[m] - at0 - grade * f[m])
-                    ordered[m] = size[m] if there[side, m] > 0 else -1.0
-                    absent += there[side, m] == 0
+                size = np.abs(v - at0 - grade * f)
+                ordered = there * size + (there - 1.0)  # below 0 where there is none
                 sort(ordered)
-                scale = 1.4826 * ordered[(samples + absent) // 2] + 1e-3
-                for m in range(samples):
-                    weight[m] = there[side, m] / (1.0 + (size[m] / (2.5 * scale)) ** 2) ** 2
-                scales[side] = scale
+                scales[side] = 1.4826 * ordered[(len(f) + absent) // 2] + 1e-3
+                root = 1.0 + size * size / (2.5 * scales[side]) ** 2
+                weight = there / (root * root)
         ends[side, 0], ends[side, 1] = at0, at0 + grade
     sort(scales)
     return (scales[1] + scales[2]) / 2
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _meet(quad, ends, out):  # pragma: no cover - compiled
-    """Corners (4, 2) where the moved sides meet; NaN where two are parallel."""
-    p, d = np.empty((4, 2)), np.empty((4, 2))
+def _meet(quad, ends):  # pragma: no cover - compiled
+    """Corners (4, 2) where the moved sides meet; not finite where two are parallel."""
+    p, d, out = np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2))
     for side in range(4):
-        ax, ay = quad[side, 0], quad[side, 1]
-        bx, by = quad[(side + 1) % 4, 0], quad[(side + 1) % 4, 1]
-        length = np.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
-        nx, ny = 0.0, 0.0
-        if length > 0:
-            nx, ny = -(by - ay) / length, (bx - ax) / length
-        p[side, 0], p[side, 1] = ax + nx * ends[side, 0], ay + ny * ends[side, 0]
-        d[side, 0], d[side, 1] = (
-            bx + nx * ends[side, 1] - p[side, 0],
-            by + ny * ends[side, 1] - p[side, 1],
-        )
+        chord = quad[(side + 1) % 4] - quad[side]
+        normal = np.array(_normal(chord[0], chord[1]))
+        p[side] = quad[side] + normal * ends[side, 0]
+        d[side] = chord + normal * (ends[side, 1] - ends[side, 0])
     for side in range(4):
-        q, e = p[side - 1], d[side - 1]  # the side before: they meet in this corner
+        gap, e = p[side] - p[side - 1], d[side - 1]  # the side before: they meet here
         cross = e[0] * d[side, 1] - e[1] * d[side, 0]
-        fraction = (
-            (p[side, 0] - q[0]) * d[side, 1] - (p[side, 1] - q[1]) * d[side, 0]
-        ) / cross
-        if not np.isfinite(fraction):
-            fraction = np.nan
-        out[side, 0], out[side, 1] = q[0] + e[0] * fraction, q[1] + e[1] * fraction
+        out[side] = p[side - 1] + e * ((gap[0] * d[side, 1] - gap[1] * d[side, 0]) / cross)
+    return out

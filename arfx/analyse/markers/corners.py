@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Stateful
+from arfx.analyse.fold import Stateful, shifted
 from arfx.analyse.markers import corner_kernels as kernels
 from arfx.analyse.markers.corner_kernels import FRACTIONS, SAMPLES
 from arfx.analyse.markers.detect import Candidate, Detection, cells_per_side
@@ -99,38 +99,23 @@ def refine_corners(
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
     quad, stats, ok = start.copy(), np.zeros((n, 6)), np.zeros(n, bool)
-    if n and min(luma.shape) > 1:
-        light, bend = np.array(table, float), _bend(start, camera)
-        luma = luma.view()
-        luma.flags.writeable = False  # whoever made it, it is one type to the compiler
+    light, bend = np.array(table, float), _bend(start, camera)
+    luma = luma.view()
+    luma.flags.writeable = False  # whoever made it, it is one type to the compiler
+    far = (reach > half).any(1)
+
+    def attempt(rows: np.ndarray, reach: np.ndarray, least_gain: np.ndarray) -> None:
+        moved, found = start[rows], stats[rows]
         kernels.refine_quad(
-            luma,
-            light,
-            quad,
-            bend,
-            half,
-            half,
-            np.where((reach > half).any(1), FAINT, 0.0),
-            FRACTIONS,
-            stats,
-        )
-        ok = _clear(start, quad, stats, half, half)
-        again = np.flatnonzero(~ok & (reach > half).any(1))
-        if len(again):
-            far, far_stats = start[again], stats[again]
-            kernels.refine_quad(
-                luma,
-                light,
-                far,
-                bend[again],
-                half[again],
-                reach[again],
-                np.zeros(len(again)),
-                FRACTIONS,
-                far_stats,
-            )
-            ok[again] = _clear(start[again], far, far_stats, half[again], reach[again])
-            quad[again], stats[again] = far, far_stats
+            luma, light, moved, bend[rows], half[rows], reach[rows], least_gain[rows],
+            FRACTIONS, found,
+        )  # fmt: skip
+        ok[rows] = _clear(start[rows], moved, found, half[rows], reach[rows])
+        quad[rows], stats[rows] = moved, found
+
+    if min(luma.shape) > 1:
+        attempt(np.arange(n), half, np.where(far, FAINT, 0.0))
+        attempt(np.flatnonzero(~ok & far), reach, np.zeros(n))
     # a corner is where two lines meet, each known at its end to about twice the error of its mean
     sigma = np.maximum(2.0 * stats[:, kernels.SPREAD] / np.sqrt(SAMPLES), 0.01)
     return Corners(
@@ -263,13 +248,15 @@ class EdgeRefiner(Stateful):
             self._skews += [(float(a), float(b)) for a, b in both[np.isfinite(both).all(1)]]
             self._frames += 1
             self._other.append((frame, second))
-            if len(self._skews) >= SIGHTINGS or self._frames >= FRAMES:
-                self._decide(_transfer_of(self._skews))
+            self._decide()
         return first
 
-    def _decide(self, transfer: str) -> None:
-        self.transfer, self.table = transfer, linear_table(transfer)
-        self._other = self._other if transfer == CODE else []
+    def _decide(self) -> None:
+        """If there is enough to tell by."""
+        if len(self._skews) >= SIGHTINGS or self._frames >= FRAMES:
+            self.transfer = _transfer_of(self._skews)
+            self.table = linear_table(self.transfer)
+            self._other = self._other if self.transfer == CODE else []
 
     def settle(self, later: EdgeRefiner) -> str | None:
         """Decide with what the next stretch saw, if that is enough.
@@ -279,14 +266,13 @@ class EdgeRefiner(Stateful):
         if self.transfer == AUTO:
             self._skews += later._skews
             self._frames += later._frames
-            if len(self._skews) >= SIGHTINGS or self._frames >= FRAMES:
-                self._decide(_transfer_of(self._skews))
+            self._decide()
         return None if later.transfer in (AUTO, self.transfer) else self.transfer
 
     def join(self, later: EdgeRefiner, shift: int) -> None:
         """Add the next stretch, which is settled."""
         if self.transfer in (AUTO, CODE):
-            self._other += [(frame + shift, second) for frame, second in later._other]
+            self._other += shifted(later._other, shift)
 
     def corrections(self) -> list[tuple[int, tuple[Detection, ...]]]:
         """(frame, sightings) to replace, once, after a decision against what was assumed."""

@@ -17,7 +17,6 @@ from functools import cache
 import cv2
 import numpy as np
 
-from arfx.core.codec import serialisable
 from arfx.core.marker import opencv_name
 from arfx.core.rect import Rect
 
@@ -57,7 +56,6 @@ class Candidate:
         return mean_side(self.quad_px)
 
 
-@serialisable
 @dataclass(frozen=True)
 class Detection:
     """One marker print in one frame, refined.
@@ -80,7 +78,6 @@ class Detection:
         return mean_side(self.corners_px)
 
 
-@serialisable
 @dataclass(frozen=True)
 class Record:
     """One frame.

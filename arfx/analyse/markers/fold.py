@@ -132,11 +132,11 @@ class Markers(Fold):
         """Where the prints that are followed were, unless a search of that frame finds each
         of them.
         """
-        anew = self._tracker.anew(), self._patterns.anew()
-        found = anew[0].step(frame.time_s, frame.luma, None)
-        anew[1].step(frame.time_s, frame.luma, self.camera)
-        if self._tracker.led_on(found, frame.time_s) and self._patterns.led_on(
-            anew[1], frame.time_s
+        tracker, patterns = self._tracker.anew(), self._patterns.anew()
+        tracker.step(frame.time_s, frame.luma)
+        patterns.step(frame.time_s, frame.luma, self.camera)
+        if self._tracker.led_on(tracker, frame.time_s) and self._patterns.led_on(
+            patterns, frame.time_s
         ):
             return None
         return {"tracker": self._tracker.state(), "patterns": self._patterns.state()}

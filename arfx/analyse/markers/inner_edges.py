@@ -8,7 +8,6 @@ marker."""
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -25,29 +24,21 @@ _RIDGE = 1e-6 * np.eye(3)
 AGREE_CELLS = 0.05  # what the camera makes of edges moves lines by less
 
 
-class Lines(NamedTuple):
-    """Of one print, cells from its upper left corner.
-
-    middle : (k, 2);  normal : (k, 2) unit, to the brighter cell
-    """
-
-    middle: np.ndarray
-    normal: np.ndarray
-
-
 @cache
-def _lines(family: str, number: int) -> Lines:
-    bright = marker_cells(family, number)
-    middle, normal = [], []
+def _lines(family: str, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of one print, cells from its upper left corner: middles (k, 2), and unit normals (k,
+    2) to the brighter cell.
+    """
+    bright = marker_cells(family, number).astype(int)
+    middles, normals = [], []
     for axis in (0, 1):  # lines that a row crosses, then those that a column crosses
-        step = np.diff(bright.astype(int), axis=1 - axis)
-        for row, column in np.argwhere(step):
-            at = (column + 1.0, row + 0.5) if axis == 0 else (column + 0.5, row + 1.0)
-            middle.append(at)
-            normal.append(
-                np.array([1.0, 0.0] if axis == 0 else [0.0, 1.0]) * step[row, column]
-            )
-    return Lines(np.array(middle), np.array(normal))
+        step = np.diff(bright, axis=1 - axis)
+        row, column = np.nonzero(step)
+        middle = np.stack([column, row], 1) + 0.5
+        middle[:, axis] += 0.5
+        middles.append(middle)
+        normals.append(np.outer(step[row, column], np.eye(2)[axis]))
+    return np.concatenate(middles), np.concatenate(normals)
 
 
 def misplaced_px(
@@ -65,17 +56,16 @@ def misplaced_px(
     (256,) coded luma to light, 0..255
     """
     cells = cells_per_side(family)
-    lines = _lines(family, number)
-    if len(lines.middle) < LEAST_LINES or not np.isfinite(corners_px).all():
+    middle, normal = _lines(family, number)
+    if len(middle) < LEAST_LINES or not np.isfinite(corners_px).all():
         return 0.0
     square = np.array([[0, 0], [cells, 0], [cells, cells], [0, cells]], np.float32)
     h = cv2.getPerspectiveTransform(square, np.asarray(corners_px, np.float32))
     across = np.concatenate(
         [_ACROSS, [-0.5, 0.5]]
     )  # the last two: the middles of both cells
-    at = lines.middle[:, None] + across[:, None] * lines.normal[:, None]
-    px = np.concatenate([at, np.ones_like(at[..., :1])], -1) @ h.T
-    xy = (px[..., :2] / px[..., 2:]).astype(np.float32)
+    at = middle[:, None] + across[:, None] * normal[:, None]
+    xy = cv2.perspectiveTransform(at, h).astype(np.float32)
     light = table[
         cv2.remap(
             luma, xy[..., 0], xy[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -90,14 +80,14 @@ def misplaced_px(
     # of a line that is off by d the mean over -w to w is off by d / 2 w of the contrast
     level = divide(light[:, :-2].mean(1) - (dark + bright) / 2, contrast)
     off = -level * 2 * _ACROSS[-1]
-    plane = np.concatenate([np.ones((len(off), 1)), lines.middle / cells - 0.5], 1)
-    x, y = np.abs(lines.normal[:, 0]) > 0, np.abs(lines.normal[:, 1]) > 0
+    plane = np.concatenate([np.ones((len(off), 1)), middle / cells - 0.5], 1)
     ends = np.concatenate([np.ones((4, 1)), square / cells - 0.5], 1)
     shift, doubt = np.zeros((4, 2)), 0.0
-    for axis, mine in enumerate((x & clear, y & clear)):
+    for axis in (0, 1):
+        mine = clear & (normal[:, axis] != 0)
         if mine.sum() < LEAST_LINES // 3:
             return 0.0
-        signed, p = off[mine] * lines.normal[mine, axis], plane[mine]
+        signed, p = off[mine] * normal[mine, axis], plane[mine]
         weight = np.ones(len(signed))
         for _ in range(3):  # what covers cells moves their lines too
             weighted = p.T * weight
@@ -108,7 +98,5 @@ def misplaced_px(
         doubt = max(doubt, _DOUBT * scatter / np.sqrt(mine.sum()))
     if np.abs(shift).max() < max(AGREE_CELLS, doubt):
         return 0.0
-    moved = np.concatenate([square + shift, np.ones((4, 1))], 1) @ h.T
-    return float(
-        np.sqrt(((moved[:, :2] / moved[:, 2:] - corners_px) ** 2).sum(1).mean() / 2)
-    )
+    away = cv2.perspectiveTransform((square + shift)[None], h)[0] - corners_px
+    return float(np.sqrt((away**2).sum(1).mean() / 2))

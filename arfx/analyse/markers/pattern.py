@@ -62,6 +62,7 @@ _AGREEING, _SAME = (
     0.5,
     0.7,
 )  # share of corners; correlation of the even pictures: 0.66 where half of a print tells its turn
+_STEP = 1e-4  # of a homography's numbers, for its derivative
 _NODE_PX = 8  # between points for which lens distortion is computed
 
 
@@ -239,13 +240,18 @@ def frame_features(luma: np.ndarray, most_px: float) -> Features:
     scale = max(float(np.sqrt(h * w / most_px)), 1.0)
     size = max(round(w / scale), 1), max(round(h / scale), 1)
     small = luma if scale == 1 else cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
-    keypoints, descriptors = cv2.SIFT.create(
-        FRAME_FEATURES, contrastThreshold=_FAINT
-    ).detectAndCompute(small, None)
-    if descriptors is None:
-        return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), scale)
-    at = np.array([k.pt for k in keypoints])
+    at, descriptors = _sift(small, FRAME_FEATURES)
     return Features((at + 0.5) * [w / size[0], h / size[1]] - 0.5, descriptors, scale)
+
+
+def _sift(image: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """(places (n, 2) px, descriptors (n, 128)) of an image's features."""
+    keypoints, descriptors = cv2.SIFT.create(
+        most, contrastThreshold=_FAINT
+    ).detectAndCompute(image, None)
+    if descriptors is None:
+        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
+    return np.array([k.pt for k in keypoints]), descriptors
 
 
 def _described(
@@ -276,12 +282,8 @@ def _described(
     seen = cv2.warpAffine(
         soft, affine, tuple(size.tolist()), borderMode=cv2.BORDER_REPLICATE
     )
-    keypoints, descriptors = cv2.SIFT.create(
-        FEATURES, contrastThreshold=_FAINT
-    ).detectAndCompute(seen, None)
-    if descriptors is None:
-        return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-    at = (np.array([k.pt for k in keypoints]) - affine[:, 2]) @ np.linalg.inv(m).T
+    at, descriptors = _sift(seen, FEATURES)
+    at = (at - affine[:, 2]) @ np.linalg.inv(m).T
     units = (at + 0.5) / [w, h]
     inside = ((units > 0) & (units < 1)).all(1)
     return units[inside], descriptors[inside]
@@ -339,14 +341,14 @@ def _even(image: np.ndarray) -> np.ndarray:
 
 
 def _mapped(h: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Points (n, 2) under a homography; NaN on and beyond its horizon."""
-    p = np.concatenate([xy, np.ones((len(xy), 1))], 1) @ h.T
-    return np.where(p[:, 2:] > 1e-9, divide(p[:, :2], p[:, 2:]), np.nan)
+    """Points (n, 2) under homographies (..., 3, 3); NaN on and beyond a horizon."""
+    p = np.concatenate([xy, np.ones((len(xy), 1))], 1) @ np.swapaxes(h, -1, -2)
+    return np.where(p[..., 2:] > 1e-9, divide(p[..., :2], p[..., 2:]), np.nan)
 
 
 def _pixels(camera: Camera, ideal_from_unit: np.ndarray, unit: np.ndarray) -> np.ndarray:
     ideal = _mapped(ideal_from_unit, unit)
-    return camera.project(np.concatenate([ideal, np.ones((len(ideal), 1))], 1))
+    return camera.project(np.concatenate([ideal, np.ones_like(ideal[..., :1])], -1))
 
 
 def _cut_out(
@@ -419,21 +421,30 @@ def _aligned(
     if start is None or inside.sum() < needed:
         return None
     inside = inside.ravel() > 0
-    fit, covariance = _fitted(a[inside], b[inside], start, float(max(w, h)))
-    if not np.isfinite(fit).all():
+    # in units of the longer side: all numbers of the homography are of the size of 1
+    to_px = np.diag([float(max(w, h)), float(max(w, h)), 1.0])
+    start = np.linalg.inv(to_px) @ start @ to_px
+    numbers, covariance = _fitted(a[inside] / max(w, h), b[inside] / max(w, h), start)
+    if not np.isfinite(numbers).all():
         return None
-    unit_from_level = level.unit_from_level
-    new = ideal_from_level @ fit @ np.linalg.inv(unit_from_level)
+    start_from_unit = np.linalg.inv(level.unit_from_level @ to_px)
+
+    def moved_by(numbers: np.ndarray) -> np.ndarray:
+        fit = np.insert(numbers, 8, 1.0, axis=-1).reshape(*numbers.shape[:-1], 3, 3)
+        return np.asarray(ideal_from_level @ to_px @ fit @ start_from_unit)
+
+    new = moved_by(numbers)
     new = new / new[2, 2] if new[2, 2] else new
     corners = _pixels(camera, new, _CORNERS)
     if not plausible(corners):
         return None
-    return Alignment(
-        new,
-        corners,
-        _sigma_px(level, camera, ideal_from_level, fit, covariance),
-        float(inside.sum() / len(points)),
+    ahead, behind = (
+        _pixels(camera, moved_by(numbers + step * np.eye(8)), _CORNERS)
+        for step in (_STEP, -_STEP)
     )
+    slope = (ahead - behind) / (2 * _STEP)
+    sigma = float(np.sqrt(np.einsum("inc,ij,jnc->", slope, covariance, slope) / 8))
+    return Alignment(new, corners, sigma, float(inside.sum() / len(points)))
 
 
 def _followed(
@@ -448,80 +459,30 @@ def _followed(
     return np.where(np.asarray(ok) > 0, moved, -1e4).astype(np.float32)
 
 
-def _rows(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(n, 2, 8) of mapped points y (n, 2) by the first eight numbers of a homography at its
-    identity-like scale, x (n, 2).
-    """
-    one, zero = np.ones(len(x)), np.zeros(len(x))
-    u, v = y[:, 0], y[:, 1]
-    return np.stack(
-        [
-            np.stack(
-                [x[:, 0], x[:, 1], one, zero, zero, zero, -u * x[:, 0], -u * x[:, 1]], -1
-            ),
-            np.stack(
-                [zero, zero, zero, x[:, 0], x[:, 1], one, -v * x[:, 0], -v * x[:, 1]], -1
-            ),
-        ],
-        1,
-    )
-
-
 def _fitted(
-    a: np.ndarray, b: np.ndarray, start: np.ndarray, scale: float
+    a: np.ndarray, b: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Robust least squares: (homography of px, (8, 8) covariance of its numbers in units of
-    `scale`).
+    """Robust least squares for the homography from a (n, 2) to b (n, 2): (its first eight
+    numbers, the last is 1; their covariance (8, 8)).
     """
-    s = np.diag([1 / scale, 1 / scale, 1.0])
-    h = s @ start @ np.linalg.inv(s)
-    h = divide(h, h[2, 2])
-    a, b = a / scale, b / scale
+    h = divide(start, start[2, 2])
     normal, size = np.eye(8), 0.0
+    from_a = np.column_stack([a, np.ones(len(a))])
+    none = np.zeros_like(from_a)
     for _ in range(6):
-        p = np.concatenate([a, np.ones((len(a), 1))], 1) @ h.T
+        p = from_a @ h.T
         y = divide(p[:, :2], p[:, 2:])
-        j = divide(_rows(a, y), p[:, 2, None, None])
+        rows = [
+            np.column_stack([from_a, none, -y[:, :1] * a]),
+            np.column_stack([none, from_a, -y[:, 1:] * a]),
+        ]
+        j = divide(np.stack(rows, 1), p[:, 2, None, None])
         r = b - y
         length = np.linalg.norm(r, axis=1)
-        size = max(
-            1.4826 * float(np.median(length)) / 1.177, 1e-7
-        )  # of one coordinate: a Rayleigh median is 1.177 of it
+        # of one coordinate: a Rayleigh median is 1.177 of it
+        size = max(1.4826 * float(np.median(length)) / 1.177, 1e-7)
         weight = 1 / (1 + (length / (3 * size)) ** 2) ** 2
         normal = np.einsum("n,nki,nkj->ij", weight, j, j)
-        step = np.linalg.lstsq(normal, np.einsum("n,nki,nk->i", weight, j, r), rcond=None)[
-            0
-        ]
-        h = h + np.append(step, 0.0).reshape(3, 3)
-    return np.linalg.inv(s) @ h @ s, np.linalg.pinv(normal, hermitian=True) * size**2
-
-
-def _sigma_px(
-    level: Level,
-    camera: Camera,
-    ideal_from_level: np.ndarray,
-    fit: np.ndarray,
-    covariance: np.ndarray,
-) -> float:
-    """Standard deviation of the coordinates of the print's corners in the picture, root
-    mean square.
-    """
-    h, w = level.even.shape
-    scale = float(max(w, h))
-    at = _CORNERS * [w, h] - 0.5
-    y = _mapped(fit, at)
-    s = np.diag([1 / scale, 1 / scale, 1.0])
-    g = s @ fit @ np.linalg.inv(s)
-    p = np.concatenate([at / scale, np.ones((4, 1))], 1) @ divide(g, g[2, 2]).T
-    j = scale * divide(_rows(at / scale, y / scale), p[:, 2, None, None])  # px of the level
-    step = 0.5
-    to_px = np.stack(
-        [
-            _pixels(camera, ideal_from_level, y + d)
-            - _pixels(camera, ideal_from_level, y - d)
-            for d in np.eye(2) * step
-        ],
-        -1,
-    )
-    j = to_px @ j
-    return float(np.sqrt(np.einsum("nki,ij,nkj->", j, covariance, j) / 8))
+        right = np.einsum("n,nki,nk->i", weight, j, r)
+        h = h + np.append(np.linalg.lstsq(normal, right, rcond=None)[0], 0.0).reshape(3, 3)
+    return h.ravel()[:8], np.linalg.pinv(normal, hermitian=True) * size**2

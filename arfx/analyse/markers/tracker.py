@@ -20,7 +20,6 @@ import numpy as np
 from arfx.analyse.fold import Stateful
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.params import AnalyseParams
-from arfx.core.codec import serialisable
 from arfx.core.rect import Rect
 
 # while a marker is missing, the whole frame is searched at full resolution at least this often
@@ -36,38 +35,83 @@ SHRINK = (
 # with smaller sides it is a matter of luck, and of what else is in the picture, which
 # contour OpenCV takes
 SURE_PX = 32.0
+_TRUSTED_S = 0.1  # for so long a print moves on as it did
+_PAIR_S = 0.3  # longest time between two sightings that tell a speed
 
 
-@serialisable
 @dataclass
 class Track:
-    """Where a marker was last: quad_px (4, 2), its speed px/s, when, and for how many
-    frames it has been missing.
+    """Where a print was last: quad (4, 2), its corners, px or normalised; their speed per
+    second; when; and for how many frames it has been missing.
     """
 
-    quad_px: np.ndarray
-    speed_px_s: np.ndarray
+    quad: np.ndarray
+    speed: np.ndarray
     time_s: float
     missing: int = 0
 
     def predicted(self, time_s: float) -> np.ndarray:
-        """Centre of the marker at a time, px; speed is trusted for a tenth of a second only."""
-        return self.quad_px.mean(0) + self.speed_px_s * min(
-            max(time_s - self.time_s, 0.0), 0.1
-        )
+        """Its corners at a time; speed is trusted for a tenth of a second only."""
+        return self.quad + self.speed * min(max(time_s - self.time_s, 0.0), _TRUSTED_S)
 
     @property
-    def sides_px(self) -> np.ndarray:
-        return np.linalg.norm(self.quad_px - self.quad_px[[1, 2, 3, 0]], axis=1)
+    def sides(self) -> np.ndarray:
+        return np.linalg.norm(self.quad - self.quad[[1, 2, 3, 0]], axis=1)
 
     def rect(self, time_s: float) -> Rect:
-        centre, was = self.predicted(time_s), self.quad_px.mean(0)
-        spread = max(0.4 * float(self.sides_px.max()), 20.0) * (
+        shift = self.predicted(time_s).mean(0) - self.quad.mean(0)
+        spread = max(0.4 * float(self.sides.max()), 20.0) * (
             1 + 0.25 * min(self.missing, 4)
         )
-        return Rect.around(
-            self.quad_px + (centre - was), spread + 0.5 * float(np.abs(centre - was).max())
+        return Rect.around(self.quad + shift, spread + 0.5 * float(np.abs(shift).max()))
+
+
+class Tracks(Stateful):
+    """State from frame to frame of a search for prints.
+
+    tracks : by key;  frames : seen so far;  last_whole_s : of the last search at full
+    resolution
+    """
+
+    def __init__(self) -> None:
+        self.tracks: dict[str, Track] = {}
+        self.frames = 0
+        self.last_whole_s = -math.inf
+
+    def led_on(self, other: Tracks, time_s: float) -> bool:
+        """Whether `other`, which had seen nothing before, has just seen every print that is
+        followed here, where it was expected.
+        """
+        for key, track in self.tracks.items():
+            if track.missing:
+                continue
+            if (seen := other.tracks.get(key)) is None:
+                return False
+            away = seen.quad.mean(0) - track.predicted(time_s).mean(0)
+            if np.linalg.norm(away) > 0.5 * track.sides.mean():
+                return False
+        return True
+
+    def lately_lost(self, missing: Iterable[str]) -> bool:
+        """Whether one of these was there a few frames ago."""
+        return any(
+            key in self.tracks and self.tracks[key].missing < LOSS_SEARCH_FRAMES
+            for key in missing
         )
+
+    def follow(self, key: str, time_s: float, quad: np.ndarray | None) -> None:
+        """quad : where the print is now, None = not there"""
+        track = self.tracks.get(key)
+        if quad is None:
+            if track is not None:
+                track.missing += 1
+                if time_s - track.time_s > SEARCH_INTERVAL_S:
+                    del self.tracks[key]
+            return
+        speed = np.zeros((4, 2))
+        if track is not None and 0 < time_s - track.time_s < _PAIR_S:
+            speed = (quad - track.quad) / max(time_s - track.time_s, 1e-3)
+        self.tracks[key] = Track(quad, speed, time_s)
 
 
 @dataclass(frozen=True)
@@ -86,18 +130,15 @@ class Found:
     whole: bool
 
 
-class Tracker(Stateful):
+class Tracker(Tracks):
     """State from frame to frame of the search for the configured keys ("36h11:3")."""
 
     given = frozenset({"keys", "params", "detector"})
 
     def __init__(self, keys: Sequence[str], params: AnalyseParams) -> None:
+        super().__init__()
         self.keys = tuple(keys)
         self.params = params
-        self.tracks: dict[str, Track] = {}
-        self.frames = 0
-        self.last_whole_s = -math.inf
-        self.lost_frames = 0  # frames still to be searched whole after a loss
         self.nothing_before, self.nothing_here = (
             False,
             False,
@@ -108,21 +149,6 @@ class Tracker(Stateful):
     def anew(self) -> Tracker:
         """One that has seen nothing."""
         return Tracker(self.keys, self.params)
-
-    def led_on(self, found: Found, time_s: float) -> bool:
-        """Whether another one, which has seen nothing before, found every print that is
-        followed here, and no other one of the same key nearer to where it was expected."""
-        for key, track in self.tracks.items():
-            expected = track.predicted(time_s)
-            seen = [
-                c.quad_px.mean(0)
-                for c in (*found.sightings, *found.duplicates)
-                if c.key == key
-            ]
-            away = [float(np.linalg.norm(centre - expected)) for centre in seen]
-            if (away and away[0] > min(away)) or (not away and not track.missing):
-                return False
-        return True
 
     def step(
         self,
@@ -139,7 +165,7 @@ class Tracker(Stateful):
         every: list[Candidate] = []
         whole = False
         followed = list(self.tracks.values())
-        sure = all(t.missing == 0 and t.sides_px.min() >= SURE_PX for t in followed)
+        sure = all(t.missing == 0 and t.sides.min() >= SURE_PX for t in followed)
         if factor == 1 and (len(followed) < len(self.keys) or not sure):
             # a small frame is searched whole while one is missing, and where that could
             # find other ones
@@ -147,7 +173,7 @@ class Tracker(Stateful):
         rects = [t.rect(time_s).clip(frame) for t in followed]
         for part in _merged(rects):
             sides = [
-                t.sides_px.min()
+                t.sides.min()
                 for t, r in zip(followed, rects, strict=True)
                 if not r.clip(part).empty
             ]
@@ -155,14 +181,11 @@ class Tracker(Stateful):
                 luma, part, min_side_px=SHRINK * float(min(sides))
             )
         missing = [k for k in self.keys if k not in {c.key for c in every}]
-        newly_lost = any(t.missing == 0 for k, t in self.tracks.items() if k in missing)
         nothing_here, self.nothing_here = self.nothing_here, False
-        self.lost_frames = LOSS_SEARCH_FRAMES if newly_lost else self.lost_frames
         due = time_s - self.last_whole_s >= SEARCH_INTERVAL_S
-        if missing and (factor == 1 or due or newly_lost or self.lost_frames > 0):
+        if missing and (factor == 1 or due or self.lately_lost(missing)):
             every, whole = self.detector.search(luma), True
             self.last_whole_s = time_s
-            self.lost_frames = max(0, self.lost_frames - 1)
         elif missing and (
             len(missing) == len(self.keys) or self.frames % REDUCED_SEARCH_EVERY == 0
         ):
@@ -200,7 +223,8 @@ class Tracker(Stateful):
         return [] if self.nothing_here else on_reduced(luma)
 
     def _choose(self, time_s: float, every: list[Candidate], whole: bool) -> Found:
-        chosen, duplicates = [], []
+        chosen: list[Candidate] = []
+        duplicates: list[Candidate] = []
         for key in self.keys:
             seen: list[Candidate] = []
             # one candidate per place: two within half a side of each other are one print
@@ -210,29 +234,15 @@ class Tracker(Stateful):
                     for o in seen
                 ):
                     seen.append(c)
-            track = self.tracks.get(key)
-            if not seen:
-                if track is not None:
-                    track.missing += 1
-                    if time_s - track.time_s > SEARCH_INTERVAL_S:
-                        del self.tracks[key]
-                continue
-            speed, expected = (
-                np.zeros(2),
-                None if track is None else track.predicted(time_s),
-            )
-            if expected is None:
-                seen.sort(key=lambda c: -c.side_px)
-            else:  # two prints of one id: the one where this marker was expected
+            if track := self.tracks.get(key):
+                # two prints of one id: the one where this marker was expected
+                expected = track.predicted(time_s).mean(0)
                 seen.sort(key=lambda c: float(np.linalg.norm(c.quad_px.mean(0) - expected)))
-            best, *rest = seen
-            chosen.append(best)
-            duplicates += rest
-            if track is not None and 0 < time_s - track.time_s < 0.3:
-                speed = (best.quad_px.mean(0) - track.quad_px.mean(0)) / max(
-                    time_s - track.time_s, 1e-3
-                )
-            self.tracks[key] = Track(best.quad_px, speed, time_s)
+            else:
+                seen.sort(key=lambda c: -c.side_px)
+            chosen += seen[:1]
+            duplicates += seen[1:]
+            self.follow(key, time_s, seen[0].quad_px if seen else None)
         others = tuple(sorted({c.key for c in every} - set(self.keys)))
         return Found(tuple(chosen), tuple(duplicates), others, whole)
 

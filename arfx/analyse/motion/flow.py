@@ -20,7 +20,6 @@ import numpy as np
 
 from arfx.analyse.fold import Stateful, shifted
 from arfx.core.advection import STEPS_PER_PX
-from arfx.core.codec import serialisable
 from arfx.core.numerics import divide
 
 GRID_PX = 32  # pitch of the nodes (stages.watercolor.sites.GRID_PX)
@@ -55,7 +54,6 @@ _MOST_PX = 0.3  # of the small picture
 _RIM_PX = 3  # the interpolation and the band need that much around a pixel
 
 
-@serialisable
 @dataclass(frozen=True, eq=False)
 class MotionStep:
     """A frame at which a new epoch of advection begins. back (gh, gw, 2) float32 : what its

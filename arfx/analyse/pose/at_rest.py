@@ -16,7 +16,6 @@ import numpy as np
 
 from arfx.analyse.fold import Stateful
 from arfx.core.camera import Camera
-from arfx.core.codec import serialisable
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
@@ -51,7 +50,6 @@ _WINDOW_PX, _NOISE = (
 )  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
 
 
-@serialisable
 @dataclass(frozen=True, eq=False)
 class FlowSample:
     """Corners that were followed. index : number of the first frame;  frames : by so many

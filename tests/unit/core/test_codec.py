@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import pickle
 import struct
 import zlib
 from collections import Counter, OrderedDict
@@ -56,22 +58,19 @@ def test_a_random_generator_goes_on_where_it_was() -> None:
     assert identical(one.normal(size=9), two.normal(size=9))
 
 
-@dataclass
-class Unmarked:
-    x: int
-
-
-class Ints(list):  # type: ignore[type-arg]
-    pass
-
-
 @pytest.mark.parametrize(
-    "value", [Unmarked(1), Ints(), OrderedDict(), {1}, b"x", Path("x"), np.array([None]), np.array(["x"]), np.ma.array([1]), len],
-    ids=lambda v: type(v).__name__,
-)  # fmt: skip
-def test_other_types_are_refused_when_they_are_written(value: Any) -> None:
+    "value", [np.array([None]), np.array(["x"]), np.str_("x")], ids=repr
+)
+def test_arrays_without_numbers_are_refused_when_they_are_written(value: Any) -> None:
     with pytest.raises(TypeError, match="cannot be stored"):
         codec.dumps({"deep": [value]})
+
+
+def test_equal_values_give_equal_bytes() -> None:
+    """Whoever refers to whom: files are named after them."""
+    text, grid = "".join(["a", "b"]), np.eye(3)
+    apart = ["".join(["a", "b"]), "".join(["a", "b"]), grid, grid.copy()]
+    assert codec.dumps([text, text, grid, grid]) == codec.dumps(apart)
 
 
 def test_every_damage_is_seen() -> None:
@@ -84,31 +83,29 @@ def test_every_damage_is_seen() -> None:
             codec.loads(data)
 
 
+class Ints(list):  # type: ignore[type-arg]
+    pass
+
+
+class Runs:
+    def __reduce__(self) -> Any:
+        return os.system, ("false",)
+
+
 @pytest.mark.parametrize(
-    "tree",
-    [
-        '["os.system","x"]',
-        '["Camera",1]',
-        '["array","<f4","C",9]',
-        '["array","O","C",1]',
-        "[]",
-        "{",
-    ],
-)
-def test_what_is_whole_but_no_state_is_refused(tree: str) -> None:
-    body = zlib.compress(struct.pack("<Q", len(tree)) + tree.encode())
+    "value", [Runs(), OrderedDict(), Path("x"), len, Ints(), np.dtype("f4"), b"cut"],
+    ids=lambda v: type(v).__name__,
+)  # fmt: skip
+def test_what_is_whole_but_no_state_is_refused(value: Any) -> None:
+    """Nothing but classes of values is taken by its name, and none is called."""
+    body = zlib.compress(value if value == b"cut" else pickle.dumps([value]))
     with pytest.raises(ValueError, match="not a state of these classes"):
         codec.loads(codec.FORMAT + codec._digest(body) + body)
 
 
-def test_stored_classes_are_told_apart_by_their_names() -> None:
-    with pytest.raises(TypeError, match="Camera"):
-        codec.serialisable(dataclass(type("Camera", (), {})))
-
-
 @dataclass(frozen=True, eq=False)
 class Inner(codec.Document):
-    a: np.ndarray
+    a: codec.Array
     b: Annotated[np.ndarray, codec.Packed("<f2", "f4")]
 
 

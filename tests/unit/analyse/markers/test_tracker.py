@@ -181,7 +181,7 @@ def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
     assert (
         len(both.duplicates) == 1 and both.sightings[0].side_px > both.duplicates[0].side_px
     )
-    tracker.tracks[M.key].quad_px = both.duplicates[0].quad_px
+    tracker.tracks[M.key].quad = both.duplicates[0].quad_px
     tracker.last_whole_s = -9.0
     again = tracker._choose(3.03, [*both.sightings, *both.duplicates], True)
     assert np.array_equal(again.sightings[0].quad_px, both.duplicates[0].quad_px)
