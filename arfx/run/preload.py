@@ -11,8 +11,6 @@ from arfx.core.machine import collect_seldom
 
 collect_seldom()
 
-import trimesh  # noqa: E402, F401
-
 import arfx.run.stretches  # noqa: E402
 import arfx.run.worker  # noqa: E402, F401
 from arfx.papers import FORMULAS  # noqa: E402
