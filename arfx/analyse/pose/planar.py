@@ -8,7 +8,6 @@ Source: docs/methods/pose.md#planar."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -204,20 +203,20 @@ def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 
 def hypotheses(
-    corners_m: np.ndarray | Sequence[np.ndarray],
+    corners_m: np.ndarray,
     ideal: np.ndarray,
     px_per_ideal: np.ndarray,
     sigma_px: np.ndarray,
 ) -> list[tuple[Hypothesis, ...]]:
     """Refined hypotheses of n sightings, best first; none where no direction leads to a corner.
 
-    corners_m : n times (4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
+    corners_m : (n, 4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
     """
     out: list[tuple[Hypothesis, ...]] = [()] * len(corners_m)
     at = np.flatnonzero(np.isfinite(ideal).all((1, 2)))
     if not len(at):
         return out
-    points, ideal, px_per_ideal = np.stack(corners_m)[at], ideal[at], px_per_ideal[at]
+    points, ideal, px_per_ideal = np.asarray(corners_m)[at], ideal[at], px_per_ideal[at]
     n = len(points)
     every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
     of, (rotation, translation) = (
