@@ -66,7 +66,7 @@ def side_blurs(
         # a cell is less deep across the side than it is long where the print is tilted, the
         # less the farther the side
         deep = min(abs(float((before - a) @ across)), abs(float((after - b) @ across)))
-        nearer = divide(np.linalg.norm(b - a), np.linalg.norm(after - before))
+        nearer = divide(float(np.linalg.norm(b - a)), float(np.linalg.norm(after - before)))
         deep *= min(float(nearer), 1.0)
         half = min(_HALF_CELLS * deep / cells, _MOST_HALF_PX)
         count = int(half / _STEP_PX)
@@ -182,8 +182,9 @@ def footage_lens(
             or key not in world_from_marker
         ):
             continue
-        follows = last is not None and last[0] == number - 1
-        shift = corners - last[1] if follows else np.zeros((4, 2))
+        shift = np.zeros((4, 2))
+        if last is not None and last[0] == number - 1:
+            shift = corners - last[1]
         z = (fact.camera_from_world @ world_from_marker[key]).apply(corners_m[key])[:, 2]
         for side in np.flatnonzero(np.isfinite(blurs)):
             ends = [side, (side + 1) % 4]

@@ -453,17 +453,18 @@ def _ambiguities(facts: Sequence[FrameFacts]) -> np.ndarray:
 def _shots(records: Sequence[Record]) -> np.ndarray:
     followed = [False]
     for a, b in pairwise(records):
-        before = {s.key: s for s in a.detections}
+        known = {s.key: s for s in a.detections}
         # no corner moved by more than a quarter of the side: one marker, one shot
         followed.append(
             any(
-                (np.abs(s.corners_px - old.corners_px) ** 2).sum(1).max()
+                ((s.corners_px - old.corners_px) ** 2).sum(1).max()
                 < (0.25 * old.side_px) ** 2
                 for s in b.detections
-                if (old := before.get(s.key)) is not None
+                if (old := known.get(s.key)) is not None
             )
         )
-    cuts = find_cuts(*zip(*(r.dissimilarity for r in records), strict=True), followed)
+    before, before_last = zip(*(r.dissimilarity for r in records), strict=True)
+    cuts = find_cuts(before, before_last, followed)
     return np.cumsum(np.isin(np.arange(len(records)), cuts))
 
 

@@ -8,7 +8,6 @@ Source: docs/methods/pose.md#planar."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -80,10 +79,8 @@ def huber_cost(r: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarra
     exceeds HUBER_SIGMA.
     """
     d2 = (r * r).sum(-1) * weight
-    d = np.sqrt(d2)
-    over = d > HUBER_SIGMA
-    rho = np.where(over, 2 * HUBER_SIGMA * d - HUBER_SIGMA**2, d2)
-    return 0.5 * rho.sum(-1), np.where(over, HUBER_SIGMA / np.where(over, d, 1.0), 1.0)
+    factor = HUBER_SIGMA / np.maximum(np.sqrt(d2), HUBER_SIGMA)
+    return 0.5 * (d2 * factor * (2 - factor)).sum(-1), factor
 
 
 def refine_poses(
@@ -187,13 +184,14 @@ def frontal_poses(
     corners_m : (n, 4, 3);  ideal : (n, 4, 2);  towards : (n, 3) camera coordinates, for
     instance the rays through their middles
     """
-    side = np.linalg.norm(corners_m - corners_m[:, [1, 2, 3, 0]], axis=2).mean(1)
+    side, extent = (
+        np.linalg.norm(q - np.roll(q, -1, 1), axis=2).mean(1) for q in (corners_m, ideal)
+    )
     ray = np.concatenate([ideal.mean(1), np.ones((len(ideal), 1))], 1)
     across = (ideal[:, 1] - ideal[:, 0] + ideal[:, 2] - ideal[:, 3]) / 2
     out_of_print = -normalise(towards)
     right = np.concatenate([across, np.zeros((len(ideal), 1))], 1)
     right = normalise(right - out_of_print * (out_of_print * right).sum(1, keepdims=True))
-    extent = np.linalg.norm(ideal - ideal[:, [1, 2, 3, 0]], axis=2).mean(1)
     rotation = np.stack([right, np.cross(out_of_print, right), out_of_print], -1)
     return rotation, ray * divide(side, extent, where_zero=1.0)[:, None]
 
@@ -205,20 +203,20 @@ def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 
 def hypotheses(
-    corners_m: Sequence[np.ndarray],
+    corners_m: np.ndarray,
     ideal: np.ndarray,
     px_per_ideal: np.ndarray,
     sigma_px: np.ndarray,
 ) -> list[tuple[Hypothesis, ...]]:
     """Refined hypotheses of n sightings, best first; none where no direction leads to a corner.
 
-    corners_m : n times (4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
+    corners_m : (n, 4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
     """
     out: list[tuple[Hypothesis, ...]] = [()] * len(corners_m)
     at = np.flatnonzero(np.isfinite(ideal).all((1, 2)))
     if not len(at):
         return out
-    points, ideal, px_per_ideal = np.stack(corners_m)[at], ideal[at], px_per_ideal[at]
+    points, ideal, px_per_ideal = np.asarray(corners_m)[at], ideal[at], px_per_ideal[at]
     n = len(points)
     every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
     of, (rotation, translation) = (
