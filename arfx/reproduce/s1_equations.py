@@ -481,10 +481,7 @@ def off_deg(found: np.ndarray, lamps: np.ndarray) -> float | None:
     """Largest angle from a found direction to the nearest lamp; None where none is found."""
     if not len(found):
         return None
-    return max(
-        float(np.degrees(angle_between(np.tile(d, (len(lamps), 1)), lamps).min()))
-        for d in found
-    )
+    return max(float(np.degrees(angle_between(d, lamps).min())) for d in found)
 
 
 def one_lamp(seed: int, params: PrintedLightParams) -> tuple[float | None, float | None]:

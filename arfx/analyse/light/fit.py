@@ -90,9 +90,9 @@ class LightFit:
     lights : the one that gives most of what was seen first; of two only that must be known
     well: one
         whose direction is not has confidence_deg 180, and is soft light in `light()`
-    misfit : chi squared over its degrees of freedom, under a systematic error of model_error
+    model_error : systematic, relative
     gamma : exponent found in the values
-    condition : of [1, n], columns of length 1, at most 1e12;  span_deg : of the normals;
+    span_deg : of the normals;
     """
 
     verdict: str
@@ -100,10 +100,8 @@ class LightFit:
     ambient_rgb: np.ndarray
     seen_rgb: np.ndarray
     lights: tuple[FittedLight, ...] = ()
-    misfit: float = 0.0
     model_error: float = 0.0
     gamma: float = 1.0
-    condition: float = 1e12
     span_deg: float = 0.0
 
     def irradiance(self, normals: np.ndarray, group: int = 0) -> np.ndarray:
@@ -200,10 +198,7 @@ def fit(
         none = np.zeros((1, 3))
         return LightFit(REFUSED, "no usable observation", none, none)
     span = span_deg(normalise(s.normals))
-    about: dict[str, Any] = {
-        "condition": min(s.condition(), 1e12),
-        "span_deg": span,
-    }
+    about: dict[str, Any] = {"span_deg": span}
     groups = [slice(a, b) for a, b in pairwise(s.starts)]
     seen = (
         np.array([np.average(s.value[g], axis=0, weights=s.weight[g]) for g in groups])
@@ -213,7 +208,7 @@ def fit(
     def refused(why: str, **more: Any) -> LightFit:
         return LightFit(REFUSED, why, seen, seen, **about, **more)
 
-    narrow = span < NARROW_DEG and about["condition"] > MOST_CONDITION
+    narrow = span < NARROW_DEG and s.condition() > MOST_CONDITION
     if span < LEAST_SPAN_DEG or narrow:
         return refused(
             f"one normal only, as far as poses are known: all lie within {span:.2g} degrees"
@@ -239,11 +234,10 @@ def fit(
         return refused(
             f"no lights explain what was seen to better than {error:.1%}: exposure or light"
             " changed, or the surface is glossy",
-            misfit=misfit,
         )
     model, count = found.best[found.count], found.count
     s = model.at
-    about |= {"misfit": found.misfit(count), "gamma": s.gamma}
+    about["gamma"] = s.gamma
     if count == 0:
         return refused(
             "the light is even: no direction stands out, or it comes from behind all"

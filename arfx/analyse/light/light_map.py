@@ -1,5 +1,5 @@
 """Steps of the light, found with a map of irradiance by normal on the vertices of an
-icosphere, and brightness over time.
+icosphere.
 
 An observation weighs exp(-theta^2 / 2 s^2) where n.n' > 0, and updates by precision: a
 vertex's variance grows with time, so that light may change, and never falls below what an

@@ -97,23 +97,20 @@ def light_from_panorama(picture: np.ndarray) -> Light:
     direction = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1)
     # steradians of the pixels
     solid = 2 * np.pi / ROWS * np.sin(np.pi / 2 / ROWS) * np.cos(e)
-    power = small.mean(-1) * solid
-    lamps, rest = [], small.copy()
-    out = (small.mean(-1) > OUTSTANDING * power.sum() / solid.sum()).astype(np.uint8)
-    count, labels = cv2.connectedComponents(out, connectivity=8)
-    for left, right in labels[
-        :, [0, -1]
-    ]:  # connected over the panorama's left and right edge too
+    grey = small.mean(-1)
+    power = grey * solid
+    bright = grey > OUTSTANDING * power.sum() / solid.sum()
+    count, labels = cv2.connectedComponents(bright.astype(np.uint8), connectivity=8)
+    # connected over the panorama's left and right edge too
+    for left, right in labels[:, [0, -1]]:
         if left and right and left != right:
             labels[labels == right] = left
-    order = sorted(range(1, count), key=lambda k: -float(power[labels == k].sum()))
-    for k in order[:2]:
-        on = labels == k
-        if power[on].sum() < LEAST_FRACTION * power.sum():
+    shares = np.bincount(labels.ravel(), power.ravel(), count) / max(power.sum(), 1e-300)
+    base, lamps, rest = np.median(small[~bright], axis=0), [], small.copy()
+    for k in 1 + np.argsort(-shares[1:], kind="stable")[:2]:
+        if shares[k] < LEAST_FRACTION:
             break
-        base = (
-            np.median(small[~out.astype(bool)], axis=0) if (out == 0).any() else np.zeros(3)
-        )
+        on = labels == k
         above = np.clip(small[on] - base, 0, None)
         d = normalise((direction[on] * power[on][:, None]).sum(0))
         facing = np.clip(direction[on] @ d, 0, None)
@@ -137,7 +134,7 @@ def fitted_to(
     their brightness is stated, and
     what they leave is ambient light (none is left where they are brighter than what was
     measured); else all of the light is scaled, channel by channel."""
-    n, want = np.atleast_2d(normals), np.atleast_2d(radiance).mean(0)
+    n, want = normals, radiance.mean(0)
     if keep_lamps:
         lit = (light.radiance(n) - light.soft_radiance(n)).mean(0)
         return Light(triple(np.clip(want - lit, 0, None)), light.lights, light.source)

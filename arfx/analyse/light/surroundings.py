@@ -83,10 +83,9 @@ def _sampled_at(
     picture: np.ndarray, x: np.ndarray, y: np.ndarray, border: int
 ) -> np.ndarray:
     """(6, n, n, 3) of the picture at places (6, n, n)."""
-    places = zip(x.astype(np.float32), y.astype(np.float32), strict=True)
-    return np.stack(
-        [cv2.remap(picture, a, b, cv2.INTER_LINEAR, borderMode=border) for a, b in places]
-    )
+    x, y = (a.reshape(-1, a.shape[-1]).astype(np.float32) for a in (x, y))
+    out = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=border)
+    return out.reshape(6, -1, out.shape[1], 3)
 
 
 def from_panorama(picture: np.ndarray, size: int = SIZE) -> np.ndarray:

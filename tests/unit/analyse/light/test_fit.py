@@ -50,7 +50,7 @@ def finite(f: LightFit) -> bool:
     parts = [
         f.ambient_rgb,
         f.seen_rgb,
-        [f.condition, f.span_deg, f.misfit, f.model_error],
+        [f.span_deg, f.model_error],
         *(li.rgb for li in f.lights),
     ]
     return all(np.isfinite(p).all() for p in parts) and all(
