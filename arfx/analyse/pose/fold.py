@@ -15,7 +15,7 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
 from arfx.analyse.markers.corners import shared_px
-from arfx.analyse.markers.detect import Detection, Record, cells_per_side
+from arfx.analyse.markers.detect import Detection, Record
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.markers.inner_edges import AGREE_CELLS
 from arfx.analyse.params import AnalyseParams
@@ -49,6 +49,7 @@ from arfx.core.facts import (
     MarkerSighting,
 )
 from arfx.core.marker import Marker, MarkerSpec, anchor_marker
+from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotation_from_rotvec, rotvec_from_rotation
 from arfx.core.rect import Rect
