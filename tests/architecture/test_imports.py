@@ -46,7 +46,7 @@ LONG = {
     "arfx/analyse/light/photometry.py": 471,
     "arfx/analyse/light/search.py": 423,
     "arfx/analyse/light/static_frame.py": 549,
-    "arfx/analyse/markers/pattern.py": 527,
+    "arfx/analyse/markers/pattern.py": 488,
     "arfx/analyse/pose/fold.py": 576,
     "arfx/measure/report_html.py": 476,
     "arfx/measure/tradeoff.py": 548,

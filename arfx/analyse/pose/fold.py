@@ -1,6 +1,5 @@
 """The camera's path over the markers: hypotheses, marker map, path, gaps, smoothing. Solved
-when the clip's end is known.
-"""
+when the clip's end is known."""
 
 from __future__ import annotations
 
