@@ -15,11 +15,11 @@ from typing import Self
 import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
-from arfx.analyse.markers.detect import cells_per_side
 from arfx.analyse.markers.fold import Markers
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens_fit import LensFit, lens_from_blur
 from arfx.core.marker import FAMILIES, Marker
+from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import divide, normalise
 from arfx.core.pose import Pose
 

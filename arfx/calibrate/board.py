@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
 
-from arfx.core.marker import FAMILIES, canonical_family, opencv_name
+from arfx.core.marker import FAMILIES, canonical_family
+from arfx.core.marker_codes import dictionary
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
 
@@ -115,19 +115,13 @@ class BoardSpec:
         return BoardSpec(kind, columns, rows, square, marker, family, bool(m[7]))
 
 
-@lru_cache(maxsize=64)
-def opencv_dictionary(family: str) -> cv2.aruco.Dictionary:
-    """OpenCV's predefined dictionary of a FAMILIES name."""
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, opencv_name(family)))
-
-
 def charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:
     """OpenCV's board object of a ChArUco spec."""
     board = cv2.aruco.CharucoBoard(
         (spec.columns, spec.rows),
         float(spec.square_m),
         float(spec.marker_m),
-        opencv_dictionary(spec.family),
+        dictionary(spec.family),
     )
     board.setLegacyPattern(spec.legacy)
     return board

@@ -24,8 +24,8 @@ from arfx.calibrate.board import (
     CHESSBOARD,
     BoardSpec,
     charuco_board,
-    opencv_dictionary,
 )
+from arfx.core.marker_codes import dictionary
 from arfx.core.numerics import divide
 
 # Half the refinement window, as a share of the smallest distance between two corners in the
@@ -200,7 +200,7 @@ def seen_instead(gray: np.ndarray, spec: BoardSpec) -> str:
     Cost: about 1 s at 1920x1080; meant for a few pictures."""
     families = {}
     for f in SEARCHED:
-        found = cv2.aruco.ArucoDetector(opencv_dictionary(f)).detectMarkers(gray)[1]
+        found = cv2.aruco.ArucoDetector(dictionary(f)).detectMarkers(gray)[1]
         ids = set() if found is None else {int(i) for i in np.ravel(found)}
         if len(ids) >= (1 if f in TELLING else LEAST_MARKERS):
             families[f] = ids

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from arfx.calibrate.board import (
@@ -18,10 +17,10 @@ from arfx.calibrate.board import (
     CHESSBOARD,
     BoardSpec,
     charuco_board,
-    opencv_dictionary,
 )
 from arfx.core.guard import atomic_write
 from arfx.core.marker import FAMILIES, MarkerSpec
+from arfx.core.marker_codes import marker_cells
 from arfx.core.units import length_m
 from arfx.errors import ConfigError
 
@@ -234,10 +233,7 @@ def marker_bits(family: str, number: int) -> np.ndarray:
         raise ConfigError(
             f"marker {family}:{number}: {family} has ids 0 to {FAMILIES[family] - 1}"
         )
-    dictionary = opencv_dictionary(family)
-    return (
-        cv2.aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2) < 128
-    )
+    return ~marker_cells(family, number)
 
 
 def outlines(cells: Cells) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from arfx.core.codec import Array, Document
 from arfx.core.numerics import EPS_DEPTH_M, divide
@@ -91,20 +92,16 @@ class Camera(Document):
         one-to-one; inf if everywhere. Beyond it the polynomial folds back, and points that
         are out of the picture would reappear inside it."""
         if self.model == FISHEYE:
-            theta = np.linspace(1e-4, np.pi / 2 - 1e-3, 2000)
-            t = self.distort(np.stack([np.tan(theta), 0 * theta], -1))[:, 0]
-            fold = np.flatnonzero(np.diff(t) <= 0)
-            return float(np.tan(theta[fold[0]])) if fold.size else float(np.tan(theta[-1]))
-        d = self._coefficients()
-        r = np.linspace(0, 10, 20001)[1:]
-        r2 = r * r
-        radial = divide(
-            1 + r2 * (d[0] + r2 * (d[1] + r2 * d[4])),
-            1 + r2 * (d[5] + r2 * (d[6] + r2 * d[7])),
-            where_zero=-1.0,
-        )
-        fold = np.flatnonzero(np.diff(r * radial) <= 0)
-        return float(r[fold[0]]) if fold.size else float("inf")
+            radial, r = self, np.tan(np.linspace(1e-4, np.pi / 2 - 1e-3, 2000))
+            largest = float(r[-1])
+        else:
+            d = self._coefficients()
+            d[[2, 3, *range(8, 14)]] = 0.0
+            radial, r = replace(self, distortion=d), np.linspace(0, 10, 20001)[1:]
+            largest = float("inf")
+        distorted = radial.distort(np.stack([r, 0 * r], -1))[:, 0]
+        fold = np.flatnonzero(np.diff(distorted) <= 0)
+        return float(r[fold[0]]) if fold.size else largest
 
     def distort(self, xy: np.ndarray) -> np.ndarray:
         """Ideal normalised coordinates (..., 2) to distorted ones.
@@ -253,7 +250,5 @@ class Camera(Document):
 
 def _tilt(tx: float, ty: float) -> np.ndarray:
     """OpenCV's tilted-sensor homography from angles in radians."""
-    rx = np.array([[1, 0, 0], [0, np.cos(tx), np.sin(tx)], [0, -np.sin(tx), np.cos(tx)]])
-    ry = np.array([[np.cos(ty), 0, -np.sin(ty)], [0, 1, 0], [np.sin(ty), 0, np.cos(ty)]])
-    r = ry @ rx
+    r = Rotation.from_euler("xy", (-tx, -ty)).as_matrix()
     return np.array([[r[2, 2], 0, -r[0, 2]], [0, r[2, 2], -r[1, 2]], [0, 0, 1]]) @ r

@@ -91,27 +91,21 @@ class Document:
     __pydantic_config__ = ConfigDict(extra="forbid")
 
     def to_json(self) -> dict[str, Any]:
-        kind: Any = type(self)
-        written: dict[str, Any] = _adapter(kind).dump_python(
+        return _adapter(type(self)).dump_python(  # type: ignore[arg-type]
             self, mode="json", warnings=False, fallback=lambda v: v.tolist()
         )
-        return written
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> Self:
         """Raises TypeError, ValueError, KeyError or AttributeError for what is not of this
         class.
         """
-        kind: Any = cls
-        read: Self = _adapter(kind).validate_python(document)
-        return read
+        return _adapter(cls).validate_python(document)  # type: ignore[arg-type]
 
     @classmethod
     def from_line(cls, line: str) -> Self:
         """Of JSON. Raises as `from_json` does."""
-        kind: Any = cls
-        read: Self = _adapter(kind).validate_json(line)
-        return read
+        return _adapter(cls).validate_json(line)  # type: ignore[arg-type]
 
 
 @cache

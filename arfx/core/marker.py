@@ -154,20 +154,6 @@ def smallest_family(family: str, highest_id: int) -> str:
     return f"{root}_{next(n for n in sizes if n > highest_id)}"
 
 
-def opencv_name(family: str) -> str:
-    """What OpenCV calls the dictionary of a FAMILIES key: DICT_4X4_50, DICT_APRILTAG_36h11,
-    DICT_ARUCO_ORIGINAL.
-    """
-    maker = (
-        "ARUCO_"
-        if family.startswith(("ORIGINAL", "MIP"))
-        else "APRILTAG_"
-        if "h" in family
-        else ""
-    )
-    return f"DICT_{maker}{family}"
-
-
 def canonical_family(name: str) -> str:
     """The FAMILIES key for any usual spelling (DICT_4X4_50, 4x4_50, tag36h11,
     AprilTag_36h11, ARUCO_ORIGINAL …). Raises ConfigError, naming the known ones."""

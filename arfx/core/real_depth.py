@@ -64,25 +64,22 @@ def tile_ranges(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if not known.any():
         raise ValueError("no pixel of the map is known")
     low, high = float(dioptre[known].min()), float(dioptre[known].max())
-    h, w = depth_m.shape
-    th, tw = -(-size[1] // TILE_PX), -(-size[0] // TILE_PX)
-    out = np.empty((2, th, tw), np.float32)
-    for j in range(th):
-        # one pixel more on each side: the map is resampled to the frame
-        y0, y1 = (
-            max(j * TILE_PX * h // size[1] - 1, 0),
-            min(-(-(j + 1) * TILE_PX * h // size[1]) + 1, h),
-        )
-        for i in range(tw):
-            x0, x1 = (
-                max(i * TILE_PX * w // size[0] - 1, 0),
-                min(-(-(i + 1) * TILE_PX * w // size[0]) + 1, w),
-            )
-            here = dioptre[y0:y1, x0:x1]
-            out[:, j, i] = (
-                (here.min(), here.max()) if known[y0:y1, x0:x1].all() else (low, high)
-            )
-    return out
+    # one pixel more on each side: the map is resampled to the frame
+    rows, columns = (
+        [
+            slice(max(i * TILE_PX * n // of - 1, 0), -(-(i + 1) * TILE_PX * n // of) + 1)
+            for i in range(-(-of // TILE_PX))
+        ]
+        for n, of in zip(depth_m.shape, size[::-1], strict=True)
+    )
+
+    def tiles(values: np.ndarray, reduce: np.ufunc) -> np.ndarray:
+        bands = np.stack([reduce.reduce(values[part]) for part in rows])
+        return np.stack([reduce.reduce(bands[:, part], 1) for part in columns], 1)
+
+    whole = tiles(known, np.logical_and)
+    least, most = tiles(dioptre, np.minimum), tiles(dioptre, np.maximum)
+    return np.stack([np.where(whole, least, low), np.where(whole, most, high)]).astype("f4")
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,18 +19,14 @@ import cv2
 import numpy as np
 
 from arfx.analyse.lens import side_blurs
-from arfx.analyse.markers.detect import (
-    SCANNED_FAMILIES,
-    Candidate,
-    MarkerDetector,
-    cells_per_side,
-)
+from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
 from arfx.analyse.pose.planar import both_poses
 from arfx.analyse.pose.visibility import ShotDetector, find_cuts
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, smallest_family
+from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import angle_between, divide
 from arfx.measure.truth import quantiles
 from arfx.media.clip import PHOTO, ClipInfo

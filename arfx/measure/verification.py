@@ -12,13 +12,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import dictionary
 from arfx.analyse.pose.planar import both_poses
 from arfx.config.load import load
 from arfx.core import interrupt
 from arfx.core.camera import Camera
 from arfx.core.facts import read_facts
 from arfx.core.marker import MarkerSpec
+from arfx.core.marker_codes import dictionary
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.pose import Pose
 from arfx.core.waiting import Notice, Progress

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.marker import MarkerSpec, opencv_name
+from arfx.core.marker import MarkerSpec
+from arfx.core.marker_codes import marker_cells
 from arfx.core.numerics import direction_of, normalise
 from arfx.errors import InputError
 from arfx.media.images import decode_picture
@@ -129,17 +130,6 @@ def _posters(rng: np.random.Generator, h: int, w: int, cell: float) -> np.ndarra
     return wall
 
 
-def marker_cells(spec: MarkerSpec) -> np.ndarray:
-    """(n, n) bool, True = paper, of a marker with its one-cell black border; row 0 is the
-    print's top.
-    """
-    dictionary = cv2.aruco.getPredefinedDictionary(
-        getattr(cv2.aruco, opencv_name(spec.family))
-    )
-    side = dictionary.markerSize + 2
-    return np.asarray(cv2.aruco.generateImageMarker(dictionary, spec.id, side)) > 127
-
-
 def sheet_albedo(
     spec: MarkerSpec,
     margin_cells: float,
@@ -152,7 +142,7 @@ def sheet_albedo(
     The margin is made exact by cutting every cell into a whole number of texels. right_ink
     : ink albedo at the right edge, growing linearly from `ink` at the left (worn print);
     None = even. Returns (rows, columns, 1) float64."""
-    cells = marker_cells(spec) ^ inverted
+    cells = marker_cells(spec.family, spec.id) ^ inverted
     per_cell = 4  # a margin of quarters of a cell is exact; finer ones are rounded to it
     big = np.kron(cells, np.ones((per_cell, per_cell), bool))
     whole = np.pad(big, round(margin_cells * per_cell), constant_values=not inverted)

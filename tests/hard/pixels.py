@@ -13,10 +13,11 @@ import cv2
 import numpy as np
 
 from arfx.analyse.markers.corners import linear_table, refine_corners, shared_px
-from arfx.analyse.markers.detect import MarkerDetector, cells_per_side, dictionary
+from arfx.analyse.markers.detect import MarkerDetector
 from arfx.analyse.pose.planar import Observed, hypotheses, information
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec
+from arfx.core.marker_codes import cells_per_side, dictionary
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
 from tests.hard.sweeps import ANSWER, CAMERA, EITHER, REFUSAL, Answer, Data, Expected, Sweep
 

@@ -21,9 +21,9 @@ import numpy as np
 
 from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.samples import PATCHES, SamplePoints, half_step, within
-from arfx.analyse.markers.detect import marker_cells
 from arfx.core.facts import PlaneShadow
 from arfx.core.marker import MarkerSpec
+from arfx.core.marker_codes import marker_cells
 from arfx.core.numerics import divide
 
 CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB

@@ -17,10 +17,11 @@ import numpy as np
 from arfx.analyse.fold import Stateful, shifted
 from arfx.analyse.markers import corner_kernels as kernels
 from arfx.analyse.markers.corner_kernels import FRACTIONS, SAMPLES
-from arfx.analyse.markers.detect import Candidate, Detection, cells_per_side
+from arfx.analyse.markers.detect import Candidate, Detection
 from arfx.analyse.markers.inner_edges import misplaced_px
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import Transfer
+from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import divide
 
 # OpenCV thresholds against a neighbourhood of up to 23 px: of a large marker it may report

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache
 
 import cv2
 import numpy as np
 
-from arfx.core.marker import opencv_name
+from arfx.core.marker_codes import dictionary
 from arfx.core.rect import Rect
 
 # Families whose dictionary is a superset of others of the same size: enough to look for these.
@@ -97,28 +96,6 @@ class Record:
 def mean_side(quad: np.ndarray) -> float:
     """Mean length of the sides of a quad (4, 2)."""
     return float(np.linalg.norm(quad - np.roll(quad, -1, 0), axis=1).mean())
-
-
-def dictionary(family: str) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, opencv_name(family)))
-
-
-@cache
-def cells_per_side(family: str) -> int:
-    """Cells along a marker's side, black border included."""
-    return int(dictionary(family).markerSize) + 2
-
-
-@cache
-def marker_cells(family: str, number: int) -> np.ndarray:
-    """(n, n) bool, True = paper, border included; row 0 at the top, column 0 at the left of
-    MarkerSpec.corners_m.
-
-    family, number : FAMILIES key and id; as printed, not inverted. The array is read-only.
-    """
-    out = dictionary(family).generateImageMarker(number, cells_per_side(family)) > 127
-    out.setflags(write=False)
-    return out
 
 
 class MarkerDetector:

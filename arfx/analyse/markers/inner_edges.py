@@ -12,7 +12,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import cells_per_side, marker_cells
+from arfx.core.marker_codes import cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
 _ACROSS = np.linspace(-0.4, 0.4, 9)  # cells, where a line between two cells is sampled

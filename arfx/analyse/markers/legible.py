@@ -11,8 +11,9 @@ from math import comb
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import Candidate, cells_per_side, marker_cells
+from arfx.analyse.markers.detect import Candidate
 from arfx.core.marker import FAMILIES, smallest_family
+from arfx.core.marker_codes import cells_per_side, marker_cells
 from arfx.core.numerics import divide
 
 SAMPLES = 4  # a side of a cell; those at its border are mixed with its neighbour

@@ -1,6 +1,5 @@
 """The camera's path over the markers: hypotheses, marker map, path, gaps, smoothing. Solved
-when the clip's end is known.
-"""
+when the clip's end is known."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
 from arfx.analyse.markers.corners import shared_px
-from arfx.analyse.markers.detect import Record, cells_per_side
+from arfx.analyse.markers.detect import Record
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.markers.inner_edges import AGREE_CELLS
 from arfx.analyse.params import AnalyseParams
@@ -47,6 +46,7 @@ from arfx.core.facts import (
     MarkerSighting,
 )
 from arfx.core.marker import Marker, MarkerSpec, anchor_marker
+from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect

@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from arfx.analyse.markers.detect import Detection, Record, dictionary
+from arfx.analyse.markers.detect import Detection, Record
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
+from arfx.core.marker_codes import dictionary
 from arfx.core.pose import Pose, rotation_from_rotvec
 
 FACING = np.diag([1.0, -1.0, -1.0])  # a marker that looks straight into the camera

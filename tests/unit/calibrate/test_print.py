@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from arfx.calibrate.board import BoardSpec, opencv_dictionary
+from arfx.calibrate.board import BoardSpec
 from arfx.calibrate.corners import find_view
 from arfx.calibrate.print_layout import (
     Cells,
@@ -23,6 +23,7 @@ from arfx.calibrate.print_layout import (
     parse_targets,
     write_sheet,
 )
+from arfx.core.marker_codes import dictionary
 from arfx.errors import ConfigError
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -37,9 +38,7 @@ def png(tmp_path: Path, specs: list[str], page: str = "a4", dpi: float = 254) ->
 
 
 def markers(picture: np.ndarray, family: str) -> dict[int, np.ndarray]:
-    corners, ids, _ = cv2.aruco.ArucoDetector(opencv_dictionary(family)).detectMarkers(
-        picture
-    )
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary(family)).detectMarkers(picture)
     return (
         {}
         if ids is None

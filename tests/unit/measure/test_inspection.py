@@ -6,14 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.markers.detect import (
-    SCANNED_FAMILIES,
-    MarkerDetector,
-    cells_per_side,
-    dictionary,
-)
+from arfx.analyse.markers.detect import SCANNED_FAMILIES, MarkerDetector
 from arfx.core.camera import Camera
 from arfx.core.marker import FAMILIES, MarkerSpec, smallest_family
+from arfx.core.marker_codes import cells_per_side, dictionary
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.measure.inspection import (
     MIN_SIDE_PX,

@@ -10,9 +10,10 @@ import pytest
 
 from arfx.core.colour import SRGB
 from arfx.core.marker import FAMILIES, MarkerSpec
+from arfx.core.marker_codes import marker_cells
 from arfx.errors import InputError
 from arfx.synth.description import Texture
-from arfx.synth.textures import marker_cells, sheet_albedo, texture_albedo
+from arfx.synth.textures import sheet_albedo, texture_albedo
 from tests.unit.synth.little_scenes import from_above, little_scene, picture_of
 
 
@@ -36,7 +37,7 @@ def test_prints_of_every_family_are_read_by_opencv(family: str) -> None:
     )
     corners, ids, _ = detector.detectMarkers(big)
     assert ids is not None and ids.ravel().tolist() == [number]
-    cells = marker_cells(MarkerSpec(family, number, 0.1)).shape[0]
+    cells = marker_cells(family, number).shape[0]
     np.testing.assert_allclose(
         corners[0][0][0], 2 * 20 - 0.5, atol=1.5
     )  # first corner: top left, two cells in

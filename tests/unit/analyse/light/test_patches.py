@@ -10,8 +10,9 @@ import pytest
 
 from arfx.analyse.light.patches import WHITE, Patches, reduced, stack
 from arfx.analyse.light.samples import place_samples
-from arfx.analyse.markers.detect import MarkerDetector, marker_cells
+from arfx.analyse.markers.detect import MarkerDetector
 from arfx.core.colour import SRGB
+from arfx.core.marker_codes import marker_cells
 
 INK, PAPER = 0.05, 0.88
 QUAD = np.array([[70.3, 52.1], [331.7, 75.4], [318.2, 329.9], [48.6, 301.5]])

@@ -16,10 +16,11 @@ from arfx.analyse.markers.corners import (
     linear_table,
     refine_corners,
 )
-from arfx.analyse.markers.detect import Candidate, MarkerDetector, cells_per_side
+from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
+from arfx.core.marker_codes import cells_per_side
 from arfx.core.pose import Pose
 from tests.unit.analyse.synthetic import background, camera, picture, tilted
 
