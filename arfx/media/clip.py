@@ -256,21 +256,19 @@ def _info(
     container: Any, stream: Any, first: av.VideoFrame, path: Path, transfer: Transfer
 ) -> ClipInfo:
     ctx = stream.codec_context
-    trc = first.color_trc if first.color_trc not in (0, UNSPECIFIED) else ctx.color_trc
-    if int(trc) in _HDR:
+    space, trc, primaries = (
+        next((t for t in tags if t not in (0, UNSPECIFIED)), tags[1])
+        for name in ("colorspace", "color_trc", "color_primaries")
+        if (tags := [int(getattr(of, name)) for of in (first, ctx)])
+    )
+    if trc in _HDR:
         hint = f"convert it to BT.709 first: {ffmpeg_command(path, _TO_SDR, 'sdr')}"
         raise InputError(
-            f"{path} is HDR video with transfer {_HDR[int(trc)]}; only SDR video is"
-            " processed",
+            f"{path} is HDR video with transfer {_HDR[trc]}; only SDR video is processed",
             hint,
         )
     layout, notice = working_layout(first.format.name)
     notices = [notice] if notice else []
-    space = (
-        int(first.colorspace)
-        if int(first.colorspace) not in (0, UNSPECIFIED)
-        else int(ctx.colorspace)
-    )
     matrix = _MATRIX.get(space)
     stated = matrix is not None
     if matrix is None:
@@ -342,8 +340,8 @@ def _info(
         stated,
         space,
         range_tag,
-        int(trc),
-        int(first.color_primaries or ctx.color_primaries),
+        trc,
+        primaries,
         "center" if ctx.name in _MIDDLE_SITED else "left",
         transfer,
         turn,

@@ -5,6 +5,7 @@ Unlit materials become emission, specular-glossiness becomes metallic-roughness.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ class GltfMaterials:
     def __init__(self, file: ModelFile, buffers: Buffers) -> None:
         self._header, self._textures = file.header, file.textures
         self._buffers, self._notices = buffers, file.notices
-        self._materials: dict[int, Material] = {}
+        self.of = cache(self._material)
         primitives = [
             p for mesh in file.header.get("meshes", []) for p in mesh["primitives"]
         ]
@@ -68,14 +69,8 @@ class GltfMaterials:
             p.get("material") for p in primitives if "COLOR_0" in p["attributes"]
         }
 
-    def of(self, number: int) -> Material:
-        """Raises InputError: a texture is too large or damaged, a number out of range."""
-        if number not in self._materials:
-            material = self._material(number)
-            self._materials[number] = check_material(material, self._textures.path)
-        return self._materials[number]
-
     def _material(self, number: int) -> Material:
+        """Raises InputError: a texture is too large or damaged, a number out of range."""
         given = self._header["materials"][number]
         extensions = given.get("extensions", {})
         owners = {"": given, _PBR: given.get(_PBR, {})}
@@ -109,11 +104,9 @@ class GltfMaterials:
         )
         if not any(material.emissive):
             material = replace(material, emissive_texture=None)
-        return (
-            self._unlit(material, number)
-            if "KHR_materials_unlit" in extensions
-            else material
-        )
+        if "KHR_materials_unlit" in extensions:
+            material = self._unlit(material, number)
+        return check_material(material, self._textures.path)
 
     def _specular(self, given: dict[str, Any], ior: float) -> float:
         if not given.keys().isdisjoint(_TINTS):

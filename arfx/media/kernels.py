@@ -93,18 +93,18 @@ def edit(p: Planes, rect, columns, before, after):
     """
     w = rect[2] - rect[0]
     work = np.empty(3 * w, np.float32), np.empty((3, w + 2 * MARGIN), np.float32)
-    sums, corner = _no_sums(p, rect)
-    bad = _edit_lines(p, rect, columns, before, after, work, sums, corner)
-    add_chroma(p, sums, corner)
+    sums = _no_sums(p, rect)
+    bad = _edit_lines(p, rect, columns, before, after, work, sums)
+    add_chroma(p, sums, rect)
     return bad
 
 
 @numba.njit(cache=True, nogil=True)
 def _no_sums(p: Planes, rect):
-    """(2, h, n) float32 zeros of a rectangle's chroma, and its first (column, row)."""
+    """(2, h, n) float32 zeros of a rectangle's chroma."""
     (sx, sy), (x0, y0, x1, y1) = p.steps, rect
-    c0, r0 = x0 >> sx, y0 >> sy
-    return np.zeros((2, -(-y1 >> sy) - r0, -(-x1 >> sx) - c0), np.float32), (c0, r0)
+    shape = 2, -(-y1 >> sy) - (y0 >> sy), -(-x1 >> sx) - (x0 >> sx)
+    return np.zeros(shape, np.float32)
 
 
 @line_kernel(fastmath=FAST)
@@ -119,7 +119,7 @@ def _span(a, b, first, last):
 
 
 @line_kernel(fastmath=FAST)
-def _edit_lines(p: Planes, rect, columns, before, after, work, sums, corner):
+def _edit_lines(p: Planes, rect, columns, before, after, work, sums):
     differences, scratch = work
     bad = 0
     for j in range(before.shape[0]):
@@ -134,7 +134,7 @@ def _edit_lines(p: Planes, rect, columns, before, after, work, sums, corner):
         d = differences[: b.shape[0]]
         for i in range(b.shape[0]):
             d[i] = limited(curved(b[i], p.encoding), curved(a[i], p.encoding))
-        add_to_line(p, rect[1] + j, rect[0] + first, d, scratch, sums, corner)
+        add_to_line(p, rect[1] + j, rect[0] + first, d, scratch, sums, rect)
     return bad
 
 
@@ -156,13 +156,13 @@ def dim(p: Planes, rect, hole, transmittance, opacity, bias):
     for c in range(3):
         lines[4, c::3] = bias[c]
     work = lines, np.empty((3, w + 2 * MARGIN), np.float32)
-    sums, corner = _no_sums(p, rect)
-    _dim_lines(p, rect, hole, transmittance, opacity, work, sums, corner)
-    add_chroma(p, sums, corner)
+    sums = _no_sums(p, rect)
+    _dim_lines(p, rect, hole, transmittance, opacity, work, sums)
+    add_chroma(p, sums, rect)
 
 
 @line_kernel(fastmath=FAST)
-def _dim_lines(p: Planes, rect, hole, transmittance, opacity, work, sums, corner):
+def _dim_lines(p: Planes, rect, hole, transmittance, opacity, work, sums):
     lines, scratch = work
     whole, shares, roots, coded, bias = lines[0], lines[1], lines[2], lines[3], lines[4]
     biased = bias[0] != 0 or bias[1] != 0 or bias[2] != 0
@@ -201,7 +201,7 @@ def _dim_lines(p: Planes, rect, hole, transmittance, opacity, work, sums, corner
                     above, below = m[i] * (v + toe) - toe, k[i] * v
                     new = max(above, below) if k[i] <= one else min(above, below)
                     c[i] = limited(c[i], new if c[i] >= 0 else -new)
-            add_to_line(p, row, x0 + a, c, scratch, sums, corner)
+            add_to_line(p, row, x0 + a, c, scratch, sums, rect)
 
 
 @line_kernel(fastmath=FAST)

@@ -113,22 +113,16 @@ def encode_curve(transfer: Transfer) -> np.ndarray:
 
 
 @line_kernel(fastmath=FAST)
-def chroma_place(at, middle, step, count):
-    """Numbers of the chroma samples, of `count`, before and after a luma sample, and the
-    share of the second."""
-    place = (_F(at) + middle) / _F(1 << step) - middle
-    place = min(max(place, _F(0)), _F(count - 1))
-    before = _I(place)
-    return before, min(before + 1, count - 1), place - _F(before)
-
-
-@line_kernel(fastmath=FAST)
 def coded_line(p: Planes, row, x0, scratch, out):
     """out (3 w,) = R'G'B' of w pixels of one line from column x0 on.
     scratch : (3, w + MARGIN). Chroma is linear between its samples."""
     (width, height), (sx, sy) = p.size, p.steps
     w = out.shape[0] // 3
-    r0, r1, part = chroma_place(row, p.middle[1], sy, -(-height >> sy))
+    last = (height - 1) >> sy
+    place = (_F(row) + p.middle[1]) / _F(1 << sy) - p.middle[1]
+    place = min(max(place, _F(0)), _F(last))
+    r0 = _I(place)
+    r1, part = min(r0 + 1, last), place - _F(r0)
     first = (x0 >> sx) - 1  # with one sample more at both ends
     n = ((x0 + w - 1) >> sx) - first + 2
     a, b = max(-first, 0), min(n, -(-width >> sx) - first)
@@ -197,13 +191,14 @@ def limited(before, after):
 
 
 @line_kernel(fastmath=FAST)
-def add_to_line(p: Planes, row, x0, coded, scratch, sums, corner):
+def add_to_line(p: Planes, row, x0, coded, scratch, sums, rect):
     """Adds differences of R'G'B' (3 m,) to the luma of a line from column x0 on, and those
     of chroma to their sums.
 
-    scratch : (3, m + 2 MARGIN);  sums : (2, h, n) of chroma from `corner` on, (column, row).
+    scratch : (3, m + 2 MARGIN);  sums : (2, h, n) of the chroma of `rect`.
     Beyond the line the difference is zero, beyond the picture its edge goes on."""
-    (width, height), (sx, sy), (left, top) = p.size, p.steps, corner
+    (width, height), (sx, sy) = p.size, p.steps
+    left, top = rect[0] >> sx, rect[1] >> sy
     m, t = coded.shape[0] // 3, p.planes_from_rgb
     c0, c1 = x0 >> sx, min(((x0 + m - 1) >> sx) + 2, left + sums.shape[2])
     at = x0 - (c0 << sx) + (1 << sx) - 1  # place in a line of the first pixel
@@ -256,9 +251,9 @@ def _add_reduced(line, step, weights, weight, out):
 
 
 @line_kernel(fastmath=FAST)
-def add_chroma(p: Planes, sums, corner):
+def add_chroma(p: Planes, sums, rect):
     """Adds the sums that `add_to_line` left to both chroma planes."""
-    left, top = corner
+    left, top = rect[0] >> p.steps[0], rect[1] >> p.steps[1]
     for c in range(2):
         for r in range(sums.shape[1]):
             line = p.planes[1 + c][top + r, left : left + sums.shape[2]]

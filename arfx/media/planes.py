@@ -121,13 +121,6 @@ def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[np.ndarray]:
     ]
 
 
-def chroma_size(layout: PixelLayout, width: int, height: int) -> tuple[int, int]:
-    """Width and height of the chroma planes; an odd picture has one more column or row of
-    them than half.
-    """
-    return -(-width >> layout.sub_x), -(-height >> layout.sub_y)
-
-
 def copy_picture(picture: av.VideoFrame, layout: PixelLayout) -> av.VideoFrame:
     """A writable copy with the same samples and tags, under the format's plain name (no yuvj)."""
     out = av.VideoFrame(picture.width, picture.height, layout.plain_name)
