@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -140,10 +141,7 @@ class Pixels:
             roughness,
         )
         start = positions + self.tracer.rays.lift * normals
-
-        def draw(numbers: np.ndarray) -> np.ndarray:
-            return self.tracer.light(start, lobes, numbers, change=False)
-
+        draw = partial(self.tracer.light, start, lobes, False)
         out = np.zeros((self.band.height, self.band.width, 3), np.float32)
         out[rows] = self._mean(draw, rows) * coverage[:, None]
         return out
@@ -166,12 +164,8 @@ class Pixels:
         normals = around.axes[plane, 3]
         places = eyes[keep] + distance[:, None] * directions
         start = places + tracer.rays.lift * normals
-        lobes = tracer.plane_lobes(start, normals)
-
-        def change(numbers: np.ndarray) -> np.ndarray:
-            return tracer.light(start, lobes, numbers, change=True)
-
-        total = self._mean(change, rows) * matt[rows][:, None]
+        draw = partial(tracer.light, start, tracer.plane_lobes(start, normals), True)
+        total = self._mean(draw, rows) * matt[rows][:, None]
         alone = tracer.plane_light[plane]
         others = self._light_of_other_planes(start, normals, rows)
         plane_light = np.maximum(alone + others, LEAST_LEFT * alone)
@@ -213,10 +207,7 @@ class Pixels:
         black = np.zeros_like(start)
         f0, roughness = np.broadcast_to(np.reshape(gloss, (2, 1, 1)), (2, len(start), 1))
         lobes = MaterialLobes(normals, -directions, black, black[:, :1], f0, roughness)
-
-        def draw(numbers: np.ndarray) -> np.ndarray:
-            return self.tracer.light(start, lobes, numbers, change=True)
-
+        draw = partial(self.tracer.light, start, lobes, True)
         plate = self._layer(Layer.PLATE)[rows] - np.array(self.view.facts.bias_rgb)
         plate = np.maximum(plate, DARKEST)
         # the picture cannot lose more than it shows
