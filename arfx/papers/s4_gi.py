@@ -43,6 +43,7 @@ from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.gloss import mirror_tangent
+from arfx.stages.gi.incoming import light_in_steps
 from arfx.stages.gi.reference import bands
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
@@ -52,7 +53,6 @@ VOXELS = (32, 64, 128, 256)
 LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
 LOBES = 12  # widths of mirror cones, from those of roughness 0 to 1
-LIGHT_STEP = 0.03  # of brightness: a light that changes by less keeps its volumes
 
 
 @dataclass(frozen=True)
@@ -237,13 +237,7 @@ class PrintedGi(Stage):
 def lamps_of(light: Light) -> list[tuple[np.ndarray, np.ndarray]]:
     """Direction (3,), unit, WORLD axes, and rgb (3,) of each directional light, in steps too small
     to show by way of voxels."""
-    lamps = []
-    for lamp in light.lights:
-        rgb = np.asarray(lamp.rgb, float)
-        steps = np.round(np.log(np.maximum(rgb, 1e-6)) / LIGHT_STEP)
-        rgb = np.where(rgb > 1e-6, np.exp(steps * LIGHT_STEP), 0.0)
-        lamps.append((normalise(np.round(lamp.unit, 2)), rgb))
-    return lamps
+    return [(lamp.unit, np.array(lamp.rgb)) for lamp in light_in_steps(light).lights]
 
 
 def real_surfels(

@@ -66,25 +66,19 @@ def seam_ratio(faces: np.ndarray) -> float:
 
     Flat maps have neither: steps below a thousandth of the mean count as that."""
     n = faces.shape[1]
-    directions = face_directions(n)
-    flat, values = directions.reshape(-1, 3), faces.reshape(-1, faces.shape[-1])
-    border = np.zeros((n, n), bool)
-    border[[0, -1], :] = border[:, [0, -1]] = True
-    across: list[np.ndarray] = []
-    within: list[np.ndarray] = []
-    for face in range(6):
-        own = np.arange(face * n * n, (face + 1) * n * n)[border.ravel()]
-        others = np.delete(np.arange(6 * n * n), np.s_[face * n * n : (face + 1) * n * n])
-        inner = np.setdiff1d(np.arange(face * n * n, (face + 1) * n * n), own)
-        for candidates, steps in ((others, across), (inner if len(inner) else own, within)):
-            near = candidates[np.argmax(flat[own] @ flat[candidates].T, axis=1)]
-            apart_rad = np.maximum(angle_between(flat[own], flat[near]), 1e-6)
-            steps.append(divide(np.abs(values[own] - values[near]).mean(1), apart_rad))
-    least = max(1e-3 * float(np.abs(values).mean()) * n, 1e-9)
-    return float(
-        max(np.median(np.concatenate(across)), least)
-        / max(np.median(np.concatenate(within)), least)
-    )
+    flat, values = face_directions(n).reshape(-1, 3), faces.reshape(-1, faces.shape[-1])
+    border = np.ones((6, n, n), bool)
+    border[:, 1:-1, 1:-1] = n < 3
+    own, face = np.flatnonzero(border), np.arange(len(flat)) // n**2
+    cosine, same = flat[own] @ flat.T, face[own, None] == face
+    least, steps = max(1e-3 * float(np.abs(values).mean()) * n, 1e-9), []
+    inner = same if n < 3 else same & ~border.ravel()
+    for candidates in (~same, inner):
+        near = np.where(candidates, cosine, -2).argmax(1)
+        apart_rad = np.maximum(angle_between(flat[own], flat[near]), 1e-6)
+        step = divide(np.abs(values[own] - values[near]).mean(1), apart_rad)
+        steps.append(max(float(np.median(step)), least))
+    return steps[0] / steps[1]
 
 
 def furnace(job: JobView) -> Iterator[Check]:
