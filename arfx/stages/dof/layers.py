@@ -49,6 +49,12 @@ def depth_range(facts: FrameFacts) -> tuple[float, float]:
     return near, max(far * 1.001, near)
 
 
+def object_radius_px(facts: FrameFacts, coc: CircleOfConfusion) -> float:
+    """Bound of the blur's radius on the virtual object; 0 where none is in view."""
+    near, far = depth_range(facts)
+    return 0.0 if facts.model_box.empty else coc.largest_px((1 / near, 1 / far))
+
+
 def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
     """Pixels that the object's blur may change."""
     return facts.raster_box.pad(int(np.ceil(reach_px)) + 1).clip(frame)

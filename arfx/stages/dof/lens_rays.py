@@ -28,7 +28,7 @@ from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.dof.aperture import circumradius
-from arfx.stages.dof.layers import depth_range
+from arfx.stages.dof.layers import object_box, object_radius_px
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.planes import Real
@@ -97,9 +97,8 @@ def seen_object(
     real : a plane before a background; None = what passes by the object is not looked at"""
     shape = (now.rect.height, now.rect.width)
     fraction, colour = np.zeros(shape), np.zeros((*shape, 3))
-    near, far = depth_range(facts)
-    reach = circumradius(params.blades) * coc.largest_px((1 / near, 1 / far))
-    box = facts.raster_box.pad(int(np.ceil(reach)) + 1).clip(now.rect)
+    reach = circumradius(params.blades) * object_radius_px(facts, coc)
+    box = object_box(facts, now.rect, reach)
     if facts.model_box.empty or box.empty:
         return fraction, colour
     points = lens_points(MOST, params.blades, params.blade_turn_deg).copy()
@@ -196,7 +195,6 @@ class _Rays:
     def _behind(self, rays: np.ndarray, points: np.ndarray, real: Real) -> np.ndarray:
         """Colours (k, n, 3) of the real scene that rays (k, n, 3), in the camera's axes, would
         meet."""
-        assert real.base is not None
         form, lens = real.base.forms[2], points[:, :2]
         dioptre = np.maximum(divide(rays @ form, 1 - lens @ form[:2]), real.background)
         seen = rays + dioptre[..., None] * np.pad(lens, ((0, 0), (0, 1)))

@@ -277,9 +277,15 @@ class Gi(Stage):
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         changed, strength = disc.clip(part), self.params.strength
         if not changed.empty:
-            what = anchor_from_camera, prepared.planes, lit.changes, strength
-            at = shadow[changed.slices_in(part)], now.crop(changed)
-            add_change(*at, prepared.grid, *what)
+            add_change(
+                shadow[changed.slices_in(part)],
+                now.crop(changed),
+                prepared.grid,
+                anchor_from_camera,
+                prepared.planes,
+                lit.changes,
+                strength,
+            )
         mirror = mirror.clip(part)
         if not mirror.empty:
             self._mirror(shadow[mirror.slices_in(part)], view, prepared, sight, mirror)
