@@ -40,13 +40,10 @@ def mean_colours(
         _sum_rows(image, labels, first, last, total)
         return total
 
-    total = np.zeros((count, 4))
+    total, unit = np.zeros((count, 4)), height if count * _MANY > height * width else 2
     for labels in labellings:
-        if count * _MANY > height * width:
-            total += sums(labels, 0, height)
-        else:
-            for part in parallel_rows(partial(sums, labels), height, 2):
-                total += part
+        for part in parallel_rows(partial(sums, labels), height, unit):
+            total += part
     colour = total[:, :3] / np.maximum(total[:, 3:], 1)
     return colour.astype(np.float32), (total[:, 3] / len(labellings)).astype(np.float32)
 

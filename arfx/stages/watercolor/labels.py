@@ -39,7 +39,7 @@ from arfx.stages.watercolor.label_kernels import (
 from arfx.stages.watercolor.sites import STEPS, Sites
 
 _U = np.uint64
-_EVERY_PIXEL = np.zeros((0, 0), bool)
+EVERY_PIXEL = np.zeros((0, 0), bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def label(
     rect: Rect,
     wobble: Wobble = STILL,
     blend_px: float = 0.0,
-    mask: np.ndarray = _EVERY_PIXEL,
+    mask: np.ndarray = EVERY_PIXEL,
 ) -> Labels:
     """Labels of the pixels of `rect`.
 

@@ -11,7 +11,7 @@ docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cos
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numba
@@ -26,6 +26,7 @@ FADE = 0.19  # in levels: how long a site takes to appear
 _LATER = np.array([np.log2(1.5) / 2, np.log2(2.5) / 2, np.log2(3.5) / 2])
 _FINE = 9  # sites are placed to 2^-9 units
 _HIGHEST = 24  # a site of this level is everywhere
+Place = tuple[float, float]  # x, y in a pixel from its middle, px, in whole 1/STEPS px
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,11 @@ class Sites:
 
     def __len__(self) -> int:
         return len(self.x)
+
+    def seen_from(self, place: Place) -> Sites:
+        """As they lie about another place in the pixels than their middles."""
+        x, y = (np.float32(STEPS * along) for along in place)
+        return replace(self, x=self.x - x, y=self.y - y)
 
 
 @dataclass(frozen=True, eq=False)

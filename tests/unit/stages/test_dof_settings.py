@@ -197,7 +197,7 @@ def test_a_marker_that_stands_up_is_a_surface_of_its_own() -> None:
 
 def test_a_plane_seen_edge_on_is_nowhere() -> None:
     plane = plane_of(Pose(rotation_from_euler_deg(90, 0, 0), np.zeros(3)), 0.0)
-    assert not plane.dioptres(direction_grid(scene().camera)).any()
+    assert not plane.positions(direction_grid(scene().camera)).any()
 
 
 @pytest.mark.parametrize("blades", [0, 3, 6])
