@@ -17,7 +17,6 @@ from arfx.core.colour import LUMA_COEFFICIENTS
 from arfx.core.compiled import FAST
 from arfx.core.numerics import divide, smoothstep
 from arfx.core.parallel import parallel_rows
-from arfx.core.vectors import dot, minus, scaled
 
 SMOOTH_PX = 3.0  # sigma of the smoothing before edges are detected, px of the picture
 ALPHA = 0.5  # weight of U and V in the edges of Y'UV
@@ -74,31 +73,37 @@ def measure_edges(
     taps = 2 * int(np.ceil(3.3 * sigma)) + 1
     smooth = cv2.GaussianBlur(coded, (taps, taps), sigma, borderType=cv2.BORDER_REPLICATE)
     padded = cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+    planes = np.stack(cv2.split(padded))
     edges = Edges(*np.empty((3, height, width), np.float32))
     channels = np.concatenate([np.eye(3), yuv_matrix()]).astype(np.float32)
     of_rgb = (1 - beta) / 3
     shares = of_rgb, of_rgb, of_rgb, beta * (1 - alpha), beta * alpha / 2, beta * alpha / 2
     share = np.array(shares, np.float32)
-    parallel_rows(lambda a, b: _measure_rows(padded, channels, share, a, b, edges), height)
+    parallel_rows(lambda a, b: _measure_rows(planes, channels, share, a, b, edges), height)
     return edges
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def _measure_rows(coded, channels, share, first, last, out):  # pragma: no cover - compiled
-    """Rows first ... last - 1, from central differences. coded (h + 2, w + 2, 3) : R', G', B'
+def _measure_rows(planes, channels, share, first, last, out):  # pragma: no cover - compiled
+    """Rows first ... last - 1, from central differences. planes (3, h + 2, w + 2) : R', G', B'
 
     channels (6, 3) : of R'G'B', these first;  share (6,) : of each in the measure"""
     half = _F(0.5)
     for y in range(first, last):
         for x in range(out.measure.shape[1]):
-            right = scaled(half, minus(coded[y + 1, x + 2], coded[y + 1, x]))
-            down = scaled(half, minus(coded[y + 2, x + 1], coded[y, x + 1]))
+            rx = half * (planes[0, y + 1, x + 2] - planes[0, y + 1, x])
+            gx = half * (planes[1, y + 1, x + 2] - planes[1, y + 1, x])
+            bx = half * (planes[2, y + 1, x + 2] - planes[2, y + 1, x])
+            ry = half * (planes[0, y + 2, x + 1] - planes[0, y, x + 1])
+            gy = half * (planes[1, y + 2, x + 1] - planes[1, y, x + 1])
+            by = half * (planes[2, y + 2, x + 1] - planes[2, y, x + 1])
             measure = _F(0)
             most = _F(1e-6)
             across_x = _F(0)
             across_y = _F(0)
             for k in range(6):
-                dx, dy = dot(channels[k], right), dot(channels[k], down)
+                dx = channels[k, 0] * rx + channels[k, 1] * gx + channels[k, 2] * bx
+                dy = channels[k, 0] * ry + channels[k, 1] * gy + channels[k, 2] * by
                 strength = np.sqrt(dx * dx + dy * dy)
                 measure += share[k] * strength
                 if k < 3 and strength > most:  # the strongest channel's direction
