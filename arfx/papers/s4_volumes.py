@@ -1,9 +1,8 @@
 """Step 2 of Yao, Tao, Wu 2018, volumes: V_eta of normals, in a sparse octree that stores no empty
 voxel.
 
-A node has the number of its first child and a mask of the children that are there; those lie one
-behind the other. Nodes of a level follow each other, the root first. What is stored in a volume is
-a row for each node; all volumes share one octree.
+A node has the numbers of its children. Nodes of a level follow each other, the root first. What is
+stored in a volume is a row for each node; all volumes share one octree.
 
 V_eta : normal times opacity, and opacity. V_rho, V_mu, V_delta (s4_shadow_maps.py) : radiance times
 opacity."""
@@ -11,7 +10,7 @@ opacity."""
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numba
@@ -22,16 +21,14 @@ from arfx.papers.s4_voxels import Volume, voxelise
 
 # Radii of the object to each side of its middle: where its shadow and its bounced light fall
 MARGIN = 2.0
-POINTER_BYTES = 5  # of a node: first child and mask
+POINTER_BYTES = 5  # of a node as a graphics card packs it: first child, and which are there
 
 
 class Octree(NamedTuple):
-    """first (nodes,) int32 : first child, -1 of a leaf;  mask (nodes,) uint8 : which of the eight
-    children are there, bit 4 z + 2 y + x;  eta (nodes, 4) float32 : V_eta
-    depth : levels under the root"""
+    """children (nodes, 8) int32 : nodes, in the order 4 z + 2 y + x, -1 = nothing is stored
+    eta (nodes, 4) float32 : V_eta;  depth : levels under the root"""
 
-    first: np.ndarray
-    mask: np.ndarray
+    children: np.ndarray
     eta: np.ndarray
     depth: int
 
@@ -84,7 +81,7 @@ class Volumes:
         """Of one volume of that many float32 channels with its pyramid: in the octree, pointers
         counted too, and dense."""
         dense = sum(8**level for level in range(self.tree.depth + 1)) * 4 * channels
-        return len(self.tree.first) * (POINTER_BYTES + 4 * channels), dense
+        return len(self.tree.eta) * (POINTER_BYTES + 4 * channels), dense
 
 
 def step2_mean(below: np.ndarray, starts: np.ndarray, stored: bool = False) -> np.ndarray:
@@ -135,27 +132,23 @@ def octree_of(
     """cells (v, 3) int;  normal (v, 3);  opacity (v,);  stored : of `step2_mean`"""
     code = morton(cells.astype(np.int64))
     order = np.argsort(code, kind="stable")
-    levels, starts = [code[order]], list[np.ndarray]()
+    below, starts, parents = code[order], list[np.ndarray](), []
+    levels = [below]
     while len(starts) < int(np.log2(volume.n)):
-        codes, start = np.unique(levels[-1] >> 3, return_index=True)
-        levels.append(codes)
+        below, start, parent = np.unique(below >> 3, return_index=True, return_inverse=True)
+        levels.append(below)
         starts.append(start)
-    count = [len(codes) for codes in levels]
-    first, mask = [np.full(count[0], -1, np.int32)], [np.zeros(count[0], np.uint8)]
-    for k, start in enumerate(starts):
-        below = sum(count[k + 1 :])  # nodes before the level of the children
-        first.append((below + start).astype(np.int32))
-        mask.append(np.add.reduceat(1 << (levels[k] & 7), start).astype(np.uint8))
-    bare = Octree(
-        np.concatenate(first[::-1]),
-        np.concatenate(mask[::-1]),
-        np.zeros((0, 4), np.float32),
-        len(starts),
-    )
+        parents.append(parent)
+    # nodes before each level
+    first = np.cumsum([0, *map(len, levels[:0:-1])])[::-1]
+    children = np.full((first[0] + len(code), 8), -1, np.int32)
+    for k, parent in enumerate(parents):
+        numbers = first[k] + np.arange(len(parent))
+        children[first[k + 1] + parent, levels[k] & 7] = numbers
+    bare = Octree(children, np.zeros((0, 4), np.float32), len(starts))
     out = Volumes(volume, bare, levels[0], tuple(starts))
-    leaves = np.concatenate([normal * opacity[:, None], opacity[:, None]], 1)[order]
-    eta = out.filtered(leaves, stored)
-    return Volumes(volume, bare._replace(eta=eta), levels[0], tuple(starts))
+    leaves = np.column_stack([normal * opacity[:, None], opacity])[order]
+    return replace(out, tree=bare._replace(eta=out.filtered(leaves, stored)))
 
 
 def morton(cells: np.ndarray) -> np.ndarray:
@@ -174,11 +167,7 @@ def node_below(tree: Octree, node, bits, x, y, z):  # pragma: no cover - compile
     is node 0."""
     for b in range(bits - 1, -1, -1):
         child = ((z >> b & 1) << 2) | ((y >> b & 1) << 1) | (x >> b & 1)
-        mask = int(tree.mask[node])
-        if not mask >> child & 1:
-            return -1
-        before = mask & ((1 << child) - 1)  # children in front of it: number of its bits
-        before = (before & 0x55) + (before >> 1 & 0x55)
-        before = (before & 0x33) + (before >> 2 & 0x33)
-        node = tree.first[node] + (before & 0x0F) + (before >> 4)
+        node = tree.children[node, child]
+        if node < 0:
+            break
     return node
