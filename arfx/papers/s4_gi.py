@@ -18,7 +18,7 @@ sum). Its errors: docs/methods/gi.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -44,14 +44,14 @@ from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.incoming import light_in_steps
-from arfx.stages.gi.reference import bands
+from arfx.stages.gi.plane_change import DARKEST
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
 
 VOXELS = (32, 64, 128, 256)
 LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
-DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
+BAND_PX = 32  # rows at once: bounds memory
 LOBES = 12  # widths of mirror cones, from those of roughness 0 to 1
 
 
@@ -157,7 +157,8 @@ class PrintedGi(Stage):
             within = wanted.clip(
                 self._mesh_rect(view.facts, view.scene, view.scene.camera.rect)
             )
-            for band in bands(within):
+            for y in range(within.y0, within.y1, BAND_PX):
+                band = replace(within, y0=y, y1=min(y + BAND_PX, within.y1))
                 at, surfels = real_surfels(view, prepared, band)
                 change, light = -self.step4_real(prepared, radiance, surfels), picture[at]
                 shadow[at] += (

@@ -113,7 +113,7 @@ def _planes(
         visible = visible - inside
         if inside.any():
             radius = coc.radius_px(np.maximum(positions[..., 2], 0))
-            fronts.append(_front(rect, behind * inside[..., None], radius))
+            fronts.append(_occluder(rect, rect, behind * inside[..., None], radius))
     if fronts:
         behind = behind * visible[..., None]
     radius = coc.radius_px(real.dioptres_over(rect, grid))
@@ -124,14 +124,8 @@ def _measured(
     rect: Rect, behind: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
 ) -> list[LightLayer]:
     (light, radius), *fronts = depth_layers(behind, dioptre, coc)
-    return [LightLayer(rect, light, radius), *(_front(rect, *front) for front in fronts)]
-
-
-def _front(area: Rect, light: np.ndarray, radius: np.ndarray) -> LightLayer:
-    """A part of the real scene before the rest. light, radius : over all of `area`"""
-    box = box_of(cv2.extractChannel(light, 3))
-    at = box.slices
-    return _occluder(area, box.shift(area.x0, area.y0), light[at], radius[at])
+    before = (_occluder(rect, rect, *front) for front in fronts)
+    return [LightLayer(rect, light, radius), *before]
 
 
 def _object(
@@ -153,7 +147,9 @@ def _object(
 
 def _occluder(area: Rect, box: Rect, light: np.ndarray, radius: np.ndarray) -> LightLayer:
     """A layer over as much of `area` as it and its blur take. light, radius : over `box`"""
-    coverage = cv2.extractChannel(light, 3)
+    covered = box_of(light[..., 3])
+    light, radius = light[covered.slices], radius[covered.slices]
+    box, coverage = covered.shift(box.x0, box.y0), light[..., 3]
     within = radius * (coverage > 0)
     rect = box.pad(int(np.ceil(2 * float(within.max()))) + 1).clip(area)
     shape, at = (rect.height, rect.width), box.slices_in(rect)

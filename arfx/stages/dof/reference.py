@@ -27,7 +27,7 @@ from arfx.core.scene import Scene
 from arfx.stages.dof.aperture import SHARP_PX, disc
 from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
 from arfx.stages.dof.layers import behind_object
-from arfx.stages.dof.lens_rays import RayScene, lens_points, seen_object
+from arfx.stages.dof.lens_rays import LensView, RayScene, lens_points
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.planes import Plane, Real
@@ -56,7 +56,7 @@ def render(
         directions = _directions(scene.camera, now.rect)
         blurred = _planes(sharp, directions, real, coc, params, scene.camera)
     endless = real.tiles is None and not real.finite_planes
-    fraction, colour = seen_object(
+    view = LensView(
         now,
         facts,
         scene.camera,
@@ -67,6 +67,7 @@ def render(
         blurred,
         real if params.scope == "all" and endless else None,
     )
+    fraction, colour = view.seen()
     opacity = float(facts.opacity)
     return (blurred + opacity * (colour - blurred * fraction[..., None])).astype(np.float32)
 

@@ -34,7 +34,7 @@ _METAL_ROUGHNESS = 0.27  # of metal that is seen in a mirror
 @dataclass(frozen=True, eq=False)
 class Sight:
     """What is mirrored. eye (3,) : the camera, anchor axes;  background : without the object
-    sent, albedo (z, y, x, 3) : nodes of what the object sends, and of its colour
+    sent (z, y, x, 3) : nodes of what the object sends
     shows : share of a white surface's light that can be seen"""
 
     anchor_from_world: Pose
@@ -42,7 +42,6 @@ class Sight:
     background: Background
     transport: Transport
     sent: np.ndarray
-    albedo: np.ndarray
     shows: float
 
     def of_object(
@@ -72,7 +71,7 @@ class Sight:
             seen = behind_object(self.background, starts, towards, rough)
             again, more = self.of_object(starts, towards, turns - 1)
             seen[again] = more
-            tint = self._at(self.albedo, places[metal], normals[metal])
+            tint = self._at(self.transport.colours, places[metal], normals[metal])
             share = rays.metallic[face[metal], None]
             sent[metal] = (1 - share) * sent[metal] + share * tint * seen
         return met, sent

@@ -106,15 +106,13 @@ class Prepared:
 class LitScene:
     """What does not change while the light stays. changes : of `change_textures`;  radius_m
     : within which they show
-    sent (z, y, x, 3) : nodes of what the object sends;  mean (3,) : radiance of the planes
-    that was taken
+    sent (z, y, x, 3) : nodes of what the object sends
     """
 
     indirect: Indirect
     changes: list[list[tuple[PlaneTexture, ...]]]
     radius_m: float
     sent: np.ndarray
-    mean: np.ndarray
 
 
 class Gi(Stage):
@@ -193,7 +191,6 @@ class Gi(Stage):
             incoming.background(lit.indirect.left),
             prepared.transport,
             lit.sent,
-            prepared.transport.colours,
             SHOWS * float(divide(soft, brightest)),
         )
         virtual = self._virtual(view, prepared, incoming, lit, sight)
@@ -222,7 +219,7 @@ class Gi(Stage):
             positions = transport.texels.reshape(*transport.hidden.shape, 3)
             radius_m = visible_radius_m(indirect, planes, positions)
             sent = transport.grid.nodes(indirect.sent)
-            return LitScene(indirect, changes, radius_m, sent, incoming.mean)
+            return LitScene(indirect, changes, radius_m, sent)
 
         kept: LitScene = view.memo.of_light.get(key, make)
         return kept
@@ -248,7 +245,7 @@ class Gi(Stage):
             cv2.resize(p, (side, side), interpolation=cv2.INTER_AREA)
             for p in incoming.picture
         ]
-        change = (np.stack(shares) - lit.mean) * lit.indirect.left
+        change = (np.stack(shares) - incoming.mean) * lit.indirect.left
         received = lit.indirect.received + transport.more_from_planes(change.reshape(-1, 3))
         nodes = transport.grid.nodes(received)
         layers = surface.coverage, surface.normal, surface.position

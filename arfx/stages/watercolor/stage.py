@@ -5,8 +5,9 @@ paper.
 exact mean of its pixels; 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where
 colour, silhouette or crease are strong. Cells are kept while the field of sites stays what it is.
 Lines are made beside the cells, on a free core. Cost: O(pixels).
-Levels (levels.py) paint the same cells: standard with half the rounds of washes and plain borders;
-high all of it, at every pixel's middle; reference is the mean of sixteen places in each.
+Levels paint the same cells: standard with half the rounds of washes and plain borders;
+high all of it, at every pixel's middle; reference is the mean of sixteen places in each. Time and
+error of each: docs/methods/watercolor.md#levels.
 Grain lies on the paper and stays there: coherence along the motion is measured without it.
 Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow; without measured depth, that of
 real things off the plane."""
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from functools import partial, reduce
 from math import ceil
 from operator import iadd
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -36,7 +37,6 @@ from arfx.stages.watercolor.cells import (
 )
 from arfx.stages.watercolor.field import frame_field
 from arfx.stages.watercolor.labels import EVERY_PIXEL, Labels, Wobble, label, sort_sites
-from arfx.stages.watercolor.levels import ACCURACY
 from arfx.stages.watercolor.lines import (
     add_object_edges,
     enlarge_lines,
@@ -45,7 +45,7 @@ from arfx.stages.watercolor.lines import (
     trace_lines,
 )
 from arfx.stages.watercolor.object_sites import SurfacePoints, object_sites, sample_surface
-from arfx.stages.watercolor.paint import Paint
+from arfx.stages.watercolor.paint import How, painted
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import paper_grain, turbulence
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, Place, SiteField, Sites, make_sites
@@ -56,6 +56,26 @@ BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each o
 _OBJECT_CELL = 0.8  # size of the object's cells, of the background's
 _ROUNDS = 8  # of a wash of strength 1
 _KEPT = 4  # sets of cells
+
+
+class Accuracy(NamedTuple):
+    """rounds : fraction of the rounds of `smooth_washes` that is made, each as strong as those
+        that it stands for
+    borders : alike cells run into each other, unlike ones get a dark edge; else a pixel has its
+        own cell's colour
+    places : along a pixel's side at which it is labelled and painted; it shows their mean
+    """
+
+    rounds: float
+    borders: bool
+    places: int = 1
+
+
+ACCURACY = {
+    "standard": Accuracy(0.5, False),
+    "high": Accuracy(1.0, True),
+    "reference": Accuracy(1.0, True, places=4),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +123,8 @@ class Watercolor(Stage):
         lines = self.lines_of(view, picture)
         cells = self.cells_of(view, prepared)
         paint = self._mixed(view.level, prepared, cells, picture)
-        corner = rect.x0, rect.y0
-        image = reduce(iadd, (paint.on(picture, at, lines, corner) for at in cells.labels))
+        paint_on = partial(painted, picture, lines, (rect.x0, rect.y0), *paint)
+        image = reduce(iadd, map(paint_on, cells.labels))
         image /= np.float32(len(cells.labels))
         return {Layer.IMAGE: image}
 
@@ -248,8 +268,8 @@ class Watercolor(Stage):
 
     def _mixed(
         self, level: str, prepared: Prepared, cells: CellSet, picture: np.ndarray
-    ) -> Paint:
-        """The paint for each cell."""
+    ) -> tuple[np.ndarray, np.ndarray, How]:
+        """The paint for each cell, the paper, and how it is painted, as `painted` takes them."""
         p = self.params
         labellings = [labels.first for labels in cells.labels]
         mean, area = mean_colours(picture, labellings, cells.labels[0].count)
@@ -259,10 +279,10 @@ class Watercolor(Stage):
         contrast = 0.02 + 0.16 * p.wash
         root = smooth_washes(mean, cells.near, cells.weight, area, contrast, rounds, step)
         root = adjust_tone(root, p.lightness, p.saturation, p.deepest)
-        flow = np.float32(p.flow) * cells.flow
-        paper = np.float32(p.grain) * prepared.paper
+        washes = np.column_stack([mean, root, np.float32(p.flow) * cells.flow])
         ink = np.array(p.ink_rgb, np.float32)
-        return Paint(mean, root, flow, paper, p.edge_darkening, ink, p.lines)
+        how = np.float32(p.edge_darkening), np.float32(p.lines), ink
+        return washes, np.float32(p.grain) * prepared.paper, how
 
 
 def _object_box(view: View) -> Rect:

@@ -14,6 +14,7 @@ from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError
 from arfx.papers.s2_dof import (
     INSIDE,
+    GaussianDof,
     PrintedDof,
     PrintedDofParams,
     blur_factor,
@@ -24,7 +25,6 @@ from arfx.papers.s2_dof import (
     sharp_range,
     within_depth_of_field,
 )
-from arfx.papers.s2_gaussian import GaussianDof
 from arfx.papers.s2_lens import (
     eq1_circle,
     eq2_picture,
