@@ -45,6 +45,7 @@ from arfx.stages.gi import GiParams
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.incoming import light_in_steps
 from arfx.stages.gi.plane_change import DARKEST
+from arfx.stages.gi.reference import Rows, object_mask, object_points
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
@@ -243,7 +244,7 @@ def lamps_of(light: Light) -> list[tuple[np.ndarray, np.ndarray]]:
 
 def real_surfels(
     view: View, prepared: PrintedPrepared, within: Rect
-) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
+) -> tuple[Rows, Surfels]:
     """(rows and columns, points) where the picture shows the mesh and not the object alone."""
     anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
     d = viewing(prepared.grid, within)  # z = 1: distances are depths
@@ -260,25 +261,18 @@ def real_surfels(
     front = (surface.normal * seen[pixel]).sum(-1) < 0
     pixel = pixel[front]
     row, column = np.unravel_index(pixel, d.shape[:2])
-    rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
+    corner = within.shift(-view.rect.x0, -view.rect.y0)
+    rows = row + corner.y0, column + corner.x0
     return rows, Surfels(
         surface.position[front], surface.normal[front], normalise(seen[pixel])
     )
 
 
-def virtual_surfels(
-    view: View, within: Rect
-) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
+def virtual_surfels(view: View, within: Rect) -> tuple[Rows, Surfels]:
     """The same of the object's pixels."""
-    slices = within.slices_in(view.rect)
-    lengths = np.linalg.norm(view[Layer.NORMAL][slices], axis=-1)
-    row, column = np.nonzero((view[Layer.COVERAGE][slices] > 0) & (lengths > 1e-3))
-    rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
-    anchor = view.scene.world_from_anchor.inverse()
-    eye = anchor.apply(view.pose.inverse().translation_m)
-    position = anchor.apply(view[Layer.POSITION][rows].astype(float))
-    normal = normalise(view[Layer.NORMAL][rows].astype(float)) @ anchor.rotation.T
-    return rows, Surfels(position, normal, normalise(position - eye))
+    row, column = np.nonzero(object_mask(view, within))
+    position, normal, towards = object_points(view, (row, column))
+    return (row, column), Surfels(position, normal, -towards)
 
 
 def wide_cones(

@@ -101,8 +101,7 @@ def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
     """V_eta of the real and the virtual scene `both`. around : the scene whose object is in the
     middle;  n : voxels a side"""
     volume = cube_around(around, n)
-    voxels = voxelise(both, volume)
-    return octree_of(volume, voxels.cells, voxels.normal, voxels.opacity)
+    return octree_of(volume, *voxelise(both, volume))
 
 
 def cube_around(scene: Scene, n: int) -> Volume:

@@ -34,11 +34,8 @@ def seams(job: JobView) -> Iterator[Check]:
     """Steps of environment maps across the edges of their cubes beside those between texels
     within a face.
     """
-    maps = [
-        checked_faces(f.environment)
-        for f in _evenly([f for f in job.facts if f.environment is not None])
-        if f.environment
-    ]
+    guesses = [f.environment for f in job.facts if f.environment is not None]
+    maps = [checked_faces(guess) for guess in _evenly(guesses)]
     for rgba in _evenly([*job.scene.environment_maps.values()]):
         block = rgba.shape[1] // _COARSE_PX
         blocks = (

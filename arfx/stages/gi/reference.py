@@ -37,7 +37,6 @@ LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 DARKEST = 0.002  # radiance below which a pixel is no base for a ratio
 BATCH = 1 << 14  # pixels at once: bounds memory
 DIMENSIONS = (BOUNCES + 1) * NUMBERS
-SURFACE = (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)
 
 Draw = Callable[[np.ndarray], np.ndarray]
 Rows = tuple[np.ndarray, np.ndarray]  # rows and columns of some pixels
@@ -75,8 +74,6 @@ def trace_frame(
     pixels = Pixels(view, anchor_from_camera, tracer, sobol(samples))
     virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
     wanted, matt, shiny = (mask_of(rect, part) for part in (view.out, disc, mirror))
-    lengths = np.linalg.norm(view[Layer.NORMAL], axis=-1)
-    covered = (view[Layer.COVERAGE] > 0) & (lengths > 1e-3)
 
     def on_object(rows: Rows) -> None:
         virtual[rows] += pixels.object_light(rows)
@@ -85,7 +82,7 @@ def trace_frame(
         change = pixels.plane_change(rows, matt[rows], shiny[rows], gloss)
         shadow[rows] += strength * change
 
-    parallel_map(on_object, batches(wanted & covered))
+    parallel_map(on_object, batches(object_mask(view, view.out)))
     if strength > 0:
         parallel_map(on_planes, batches(wanted & (matt | shiny)))
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
@@ -114,6 +111,22 @@ def mask_of(rect: Rect, part: Rect) -> np.ndarray:
     return out
 
 
+def object_mask(view: View, part: Rect) -> np.ndarray:
+    """(h, w) bool: pixels of a part that show the object's surface."""
+    lengths = np.linalg.norm(view[Layer.NORMAL], axis=-1)
+    return mask_of(view.rect, part) & (view[Layer.COVERAGE] > 0) & (lengths > 1e-3)
+
+
+def object_points(view: View, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n, 3) each, anchor axes: position, metres, unit normal, and unit direction to the camera of
+    what pixels show of the object."""
+    anchor = view.scene.world_from_anchor.inverse()
+    position = anchor.apply(view[Layer.POSITION][rows].astype(float))
+    normal = normalise(view[Layer.NORMAL][rows].astype(float)) @ anchor.rotation.T
+    eye = anchor.apply(view.pose.inverse().translation_m)
+    return position, normal, normalise(eye - position)
+
+
 @dataclass(frozen=True, eq=False)
 class Pixels:
     """Of one frame. sequence (samples, DIMENSIONS) : of random numbers"""
@@ -125,22 +138,13 @@ class Pixels:
 
     def object_light(self, rows: Rows) -> np.ndarray:
         """(n, 3) indirect light that the object sends to the camera."""
-        coverage, normal, position, albedo, material = (
-            self.view[name][rows].astype(float) for name in SURFACE
-        )
-        anchor = self.view.scene.world_from_anchor.inverse()
-        normals = normalise(normal) @ anchor.rotation.T
-        positions = anchor.apply(position)
+        names = Layer.COVERAGE, Layer.ALBEDO, Layer.MATERIAL
+        coverage, albedo, material = (self.view[n][rows].astype(float) for n in names)
+        position, normal, towards = object_points(self.view, rows)
         metal, roughness, specular = material.T[:3, :, None]
-        lobes = MaterialLobes(
-            normals,
-            normalise(self.anchor_from_camera.translation_m - positions),
-            albedo,
-            metal,
-            0.08 * specular * (1 - metal),
-            roughness,
-        )
-        start = positions + self.tracer.rays.lift * normals
+        f0 = 0.08 * specular * (1 - metal)
+        lobes = MaterialLobes(normal, towards, albedo, metal, f0, roughness)
+        start = position + self.tracer.rays.lift * normal
         draw = partial(self.tracer.light, start, lobes, False)
         return self._mean(draw, rows) * coverage[:, None]
 

@@ -50,7 +50,6 @@ from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.plane_shadow import PLANE_LEVELS, SoftPicture, soft_pictures
 from arfx.stages.light.planes import (
     SHOWS,
-    Planes,
     disc_radius_m,
     disc_rect,
     mirror_rect,
@@ -95,7 +94,6 @@ class Prepared:
     first plane that add up
     positions : of the texels of the picture on the planes"""
 
-    planes: Planes
     grid: np.ndarray
     transport: Transport
     soft: tuple[SoftPicture, ...]
@@ -165,7 +163,7 @@ class Gi(Stage):
         key = (scene.placed_by, *planes.key, level)
         transport, soft = memo_of(scene.model).get(key, make, "transport", TRANSPORTS_KEPT)
         positions = texel_positions(planes, TEXTURE_SIDE)
-        return Prepared(planes, direction_grid(scene.camera), transport, soft, positions)
+        return Prepared(direction_grid(scene.camera), transport, soft, positions)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         facts, scene, frame = view.facts, view.scene, view.scene.camera.rect
@@ -178,7 +176,7 @@ class Gi(Stage):
             gloss = self.params.plane_gloss, PLANE_ROUGHNESS
             options = self.params.samples, self.params.strength, gloss, mirror
             return trace_frame(view, planes_of(scene), seen, disc, *options)
-        incoming = incoming_light(view, seen, prepared.planes, prepared.positions)
+        incoming = incoming_light(view, seen, prepared.transport.planes, prepared.positions)
         lit = self._lit(view, prepared, incoming)
         anchor = scene.world_from_anchor.inverse()
         # light without a direction, and no radiance that is mirrored is greater
@@ -196,7 +194,7 @@ class Gi(Stage):
         virtual = self._virtual(view, prepared, incoming, lit, sight)
         if not disc.empty:
             radius_m = lit.radius_m
-            shown = disc_rect(scene, prepared.planes, radius_m, view.pose, frame)
+            shown = disc_rect(scene, incoming.planes, radius_m, view.pose, frame)
             disc = shown if radius_m > 0 else EMPTY
         shadow = self._shadow(view, prepared, lit, sight, disc, mirror)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow}
@@ -210,7 +208,7 @@ class Gi(Stage):
         key = repr(light), *around, incoming.mean.tobytes()
 
         def make() -> LitScene:
-            transport, planes = prepared.transport, prepared.planes
+            transport, planes = prepared.transport, incoming.planes
             sky = sky_radiance(known, scene, light)
             places = len(transport.texels)
             picture = np.broadcast_to(incoming.mean, (places, 3))
@@ -232,10 +230,10 @@ class Gi(Stage):
         lit: LitScene,
         sight: Sight,
     ) -> Pixels:
-        now, shown = view.layers, view.facts.raster_box.clip(view.out)
-        part = now.extent(Layer.VIRTUAL).clip(view.out).union(shown).clip(now.rect)
+        now, model = view.layers, view.facts.raster_box
+        part = now.extent(Layer.VIRTUAL).union(model).clip(view.out)
         out = now.crop(part)[Layer.VIRTUAL].copy()
-        box = shown.pad(1).clip(view.facts.raster_box).clip(now.rect)
+        box = model.clip(view.out).pad(1).clip(model).clip(now.rect)
         if box.empty:
             return Pixels(now.rect, out, part=part)
         here, transport = now.crop(box), prepared.transport
@@ -267,9 +265,7 @@ class Gi(Stage):
         mirror: Rect,
     ) -> Pixels:
         now, scene = view.layers, view.scene
-        part = (
-            now.extent(Layer.SHADOW).union(disc).union(mirror).clip(view.out).clip(now.rect)
-        )
+        part = now.extent(Layer.SHADOW).union(disc).union(mirror).clip(view.out)
         shadow = now.crop(part)[Layer.SHADOW].copy()
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         changed, strength = disc.clip(part), self.params.strength
@@ -279,7 +275,7 @@ class Gi(Stage):
                 now.crop(changed),
                 prepared.grid,
                 anchor_from_camera,
-                prepared.planes,
+                sight.transport.planes,
                 lit.changes,
                 strength,
             )
@@ -297,9 +293,10 @@ class Gi(Stage):
         layers = view.layers.crop(rect)
         light = layers[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32)
         anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
-        shares = shown_planes(layers, prepared.grid, anchor_from_camera, prepared.planes)
+        planes = sight.transport.planes
+        shares = shown_planes(layers, prepared.grid, anchor_from_camera, planes)
         directions = viewing(prepared.grid @ anchor_from_camera.rotation.T, rect)
-        for axes, share in zip(prepared.planes.axes.astype(float), shares, strict=True):
+        for axes, share in zip(planes.axes.astype(float), shares, strict=True):
             normal = axes[3]
             shown = np.ones(directions.shape[:2]) if share is None else share
             rows = np.nonzero((directions @ normal < 0) & (shown > 0))
