@@ -1,8 +1,9 @@
 """Step 2 of Yao, Tao, Wu 2018, volumes: V_eta of normals, in a sparse octree that stores no empty
 voxel.
 
-A node has the numbers of its children. Nodes of a level follow each other, the root first. What is
-stored in a volume is a row for each node; all volumes share one octree.
+A node has the number of its first child and a mask of the children that are there; those lie one
+behind the other. Nodes of a level follow each other, the root first. What is stored in a volume is
+a row for each node; all volumes share one octree.
 
 V_eta : normal times opacity, and opacity. V_rho, V_mu, V_delta (s4_shadow_maps.py) : radiance times
 opacity."""
@@ -21,14 +22,17 @@ from arfx.papers.s4_voxels import Volume, voxelise
 
 # Radii of the object to each side of its middle: where its shadow and its bounced light fall
 MARGIN = 2.0
-POINTER_BYTES = 5  # of a node as a graphics card packs it: first child, and which are there
+POINTER_BYTES = 5  # of a node: first child and mask
+_BITS = np.array([bin(mask).count("1") for mask in range(256)], np.int32)
 
 
 class Octree(NamedTuple):
-    """children (nodes, 8) int32 : nodes, in the order 4 z + 2 y + x, -1 = nothing is stored
-    eta (nodes, 4) float32 : V_eta;  depth : levels under the root"""
+    """first (nodes,) int32 : first child, -1 of a leaf;  mask (nodes,) uint8 : which of the eight
+    children are there, bit 4 z + 2 y + x;  eta (nodes, 4) float32 : V_eta
+    depth : levels under the root"""
 
-    children: np.ndarray
+    first: np.ndarray
+    mask: np.ndarray
     eta: np.ndarray
     depth: int
 
@@ -131,20 +135,20 @@ def octree_of(
     """cells (v, 3) int;  normal (v, 3);  opacity (v,);  stored : of `step2_mean`"""
     code = morton(cells.astype(np.int64))
     order = np.argsort(code, kind="stable")
-    below, starts, parents = code[order], list[np.ndarray](), []
-    levels = [below]
+    levels, starts = [code[order]], list[np.ndarray]()
+    first, mask = [np.full(len(code), -1, np.int32)], [np.zeros(len(code), np.uint8)]
     while len(starts) < int(np.log2(volume.n)):
-        below, start, parent = np.unique(below >> 3, return_index=True, return_inverse=True)
-        levels.append(below)
+        codes, start = np.unique(levels[-1] >> 3, return_index=True)
+        mask.append(np.add.reduceat(1 << (levels[-1] & 7), start).astype(np.uint8))
+        levels.append(codes)
         starts.append(start)
-        parents.append(parent)
-    # nodes before each level
-    first = np.cumsum([0, *map(len, levels[:0:-1])])[::-1]
-    children = np.full((first[0] + len(code), 8), -1, np.int32)
-    for k, parent in enumerate(parents):
-        numbers = first[k] + np.arange(len(parent))
-        children[first[k + 1] + parent, levels[k] & 7] = numbers
-    bare = Octree(children, np.zeros((0, 4), np.float32), len(starts))
+    # nodes before the level of the children
+    before = np.cumsum([0, *map(len, levels[:0:-1])])[::-1]
+    first += [
+        (k + start).astype(np.int32) for k, start in zip(before, starts, strict=False)
+    ]
+    links = (np.concatenate(a[::-1]) for a in (first, mask))
+    bare = Octree(*links, np.zeros((0, 4), np.float32), len(starts))
     out = Volumes(volume, bare, levels[0], tuple(starts))
     leaves = np.column_stack([normal * opacity[:, None], opacity])[order]
     return replace(out, tree=bare._replace(eta=out.filtered(leaves, stored)))
@@ -166,7 +170,8 @@ def node_below(tree: Octree, node, bits, x, y, z):  # pragma: no cover - compile
     is node 0."""
     for b in range(bits - 1, -1, -1):
         child = ((z >> b & 1) << 2) | ((y >> b & 1) << 1) | (x >> b & 1)
-        node = tree.children[node, child]
-        if node < 0:
-            break
+        mask = int(tree.mask[node])
+        if not mask >> child & 1:
+            return -1
+        node = tree.first[node] + _BITS[mask & ((1 << child) - 1)]  # those in front of it
     return node
