@@ -113,10 +113,8 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
     """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the
     real scene's."""
     rect = now.rect
-    if real.tiles is not None:
-        out = dioptre_of(now[Layer.REAL_DEPTH])
-    else:
-        out = real.dioptres_over(rect, grid)
+    measured = real.tiles is not None
+    out = dioptre_of(now[Layer.REAL_DEPTH]) if measured else real.dioptres(grid, rect)
     for plane in real.finite_planes:
         positions = between_nodes(plane.positions(grid), rect)
         out = np.where(plane.within(positions), positions[..., 2], out)

@@ -147,7 +147,7 @@ def octree_of(
     first += [
         (k + start).astype(np.int32) for k, start in zip(before, starts, strict=False)
     ]
-    links = (np.concatenate(a[::-1]) for a in (first, mask))
+    links = np.concatenate(first[::-1]), np.concatenate(mask[::-1])
     bare = Octree(*links, np.zeros((0, 4), np.float32), len(starts))
     out = Volumes(volume, bare, levels[0], tuple(starts))
     leaves = np.column_stack([normal * opacity[:, None], opacity])[order]

@@ -116,7 +116,7 @@ def _planes(
             fronts.append(_occluder(rect, rect, behind * inside[..., None], radius))
     if fronts:
         behind = behind * visible[..., None]
-    radius = coc.radius_px(real.dioptres_over(rect, grid))
+    radius = coc.radius_px(real.dioptres(grid, rect))
     return [LightLayer(rect, behind, radius), *reversed(fronts)]
 
 

@@ -97,14 +97,12 @@ class Real:
     background: float
     tiles: np.ndarray | None = None
 
-    def dioptres(self, grid: np.ndarray) -> np.ndarray:
-        """(gh, gw) float32 of the endless plane and what is behind it, on the nodes of the grid."""
-        return np.maximum(self.base.positions(grid)[..., 2], np.float32(self.background))
-
-    def dioptres_over(self, rect: Rect, grid: np.ndarray) -> np.ndarray:
-        """The same, (h, w) of the pixels of `rect`."""
+    def dioptres(self, grid: np.ndarray, rect: Rect | None = None) -> np.ndarray:
+        """(gh, gw) float32 of the endless plane and what is behind it, on the nodes of the grid;
+        (h, w) of the pixels of `rect`, if there is one."""
         nodes = self.base.positions(grid)[..., 2]
-        return np.maximum(between_nodes(nodes, rect), np.float32(self.background))
+        own = nodes if rect is None else between_nodes(nodes, rect)
+        return np.maximum(own, np.float32(self.background))
 
     def dioptre_range(self, grid: np.ndarray) -> tuple[float, float]:
         """Least and greatest dioptre in the picture."""

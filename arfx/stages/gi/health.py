@@ -97,6 +97,8 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     """Mean radiance of the model, made white, on a white plane in a light of 1: it has to
     vanish. Energy that levels lose or invent is a mean other than 1. Over pixels inside its
     outline; None where it shows too few. Cost: one small picture."""
+    from scipy.ndimage import binary_erosion
+
     scene = job.scene
     white = Material("white", base_colour=(1.0, 1.0, 1.0, 1.0), roughness=1.0, specular=0.0)
     model = replace(
@@ -132,9 +134,5 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     seen = job.picture(small, facts, levels)
     if seen is None:
         return None
-    whole = seen[Layer.COVERAGE] > 0.999
-    inside = whole.copy()
-    for axis in (0, 1):
-        for step in (-1, 1):
-            inside &= np.roll(whole, step, axis)
+    inside = binary_erosion(seen[Layer.COVERAGE] > 0.999)
     return float(seen[Layer.VIRTUAL][inside].mean()) if inside.sum() >= 20 else None

@@ -299,8 +299,9 @@ def _places(level: str) -> list[Place]:
 
 def _size_at(field: SiteField, sites: Sites) -> np.ndarray:
     """(n,) float32 size of cells at the sites, px: that of the nearest node."""
-    rows, columns = field.size.shape
-    i = np.rint((sites.y / STEPS - field.y0) / GRID_PX).astype(int)
-    j = np.rint((sites.x / STEPS - field.x0) / GRID_PX).astype(int)
-    size = field.size[i.clip(0, rows - 1), j.clip(0, columns - 1)]
-    return np.asarray(size.astype(np.float32))
+    starts, places = (field.y0, field.x0), (sites.y, sites.x)
+    nearest = tuple(
+        np.rint((along / STEPS - start) / GRID_PX).astype(int).clip(0, n - 1)
+        for along, start, n in zip(places, starts, field.size.shape, strict=True)
+    )
+    return field.size[nearest].astype(np.float32)
