@@ -125,13 +125,8 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     facts = FrameFacts(
         0, 0.0, status=MEASURED, camera_from_world=pose, opacity=1.0, light=even
     )
-    levels = {
-        "raster": "standard",
-        "lightmap": "standard",
-        "gi": level,
-        "composite": "standard",
-    }
-    seen = job.picture(small, facts, levels)
+    others = dict.fromkeys(("raster", "lightmap", "composite"), "standard")
+    seen = job.picture(small, facts, {**others, "gi": level})
     if seen is None:
         return None
     inside = binary_erosion(seen[Layer.COVERAGE] > 0.999)

@@ -73,8 +73,7 @@ class Tracer:
     ) -> None:
         self.rays, self.around = rays, around
         turn = scene.world_from_anchor.rotation
-        self._lamps = light.lights
-        self._lamps_towards = [turn.T @ lamp.unit for lamp in light.lights]
+        self._lamps = [(lamp, turn.T @ lamp.unit) for lamp in light.lights]
         normals = around.axes[:, 3] @ turn.T
         self.plane_light = light.radiance(normals)
 
@@ -223,7 +222,7 @@ class Tracer:
         lamp's disc."""
         received, hidden = np.zeros((2, len(start), 3))
         on_disc = disc(numbers)
-        for lamp, towards in zip(self._lamps, self._lamps_towards, strict=True):
+        for lamp, towards in self._lamps:
             across = frames(towards[None])[0, :2]
             size = np.tan(np.radians(lamp.angular_size_deg / 2))
             d = normalise(towards + size * on_disc @ across)
