@@ -82,7 +82,7 @@ def neighbours(
     left, top, side_px = (float(along) / STEPS for along in (*corner, side))
     start, order = bucket_sites(x, y, left, top, side_px, rows, columns)
     sharp = np.float32(1 / REACH**2) / (size[order] ** 2)
-    sites = np.concatenate([(places - corner[:, None])[:, order], sharp[None]])
+    sites = np.stack([*(places - corner[:, None]).take(order, 1), sharp])
     grid = start, order, np.float32(side), rows, columns
     parallel_rows(lambda a, b: _find_neighbours(sites, grid, a, b, near, weight), n)
     return near, weight
