@@ -167,8 +167,8 @@ class Watercolor(Stage):
                 max((seen.x0 - rect.x0) // 2 - 1, 0),
                 max((seen.y0 - rect.y0) // 2 - 1, 0),
             )
-            around = Rect(2 * corner[0], 2 * corner[1], rect.width, rect.height)
-            part = view.layers.crop(seen.pad(2).clip(around.shift(rect.x0, rect.y0)))
+            x0, y0 = rect.x0 + 2 * corner[0], rect.y0 + 2 * corner[1]
+            part = view.layers.crop(Rect(x0, y0, seen.x1 + 2, seen.y1 + 2).clip(rect))
             shape = part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH]
             of_object = object_edges(*shape, view.facts.opacity)
             add_object_edges(edges, of_object, *corner, p.line_high)
