@@ -24,6 +24,6 @@ FORMULAS: Mapping[str, Classes] = {
         }
     ),
     "gaussian": Classes(
-        {"dof": "arfx.papers.s2_gaussian.GaussianDof"}
+        {"dof": "arfx.papers.s2_dof.GaussianDof"}
     ),  # what Zhao et al. compare themselves with
 }

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from math import ceil, sqrt
 from typing import Any
 
 import cv2
@@ -112,10 +113,8 @@ def dioptres(now: Layers, facts: FrameFacts, real: Real, grid: np.ndarray) -> np
     """(h, w) 1/m of the composite: the object's where it covers half a pixel or more, else the
     real scene's."""
     rect = now.rect
-    if real.tiles is not None:
-        out = dioptre_of(now[Layer.REAL_DEPTH])
-    else:
-        out = real.dioptres_over(rect, grid)
+    measured = real.tiles is not None
+    out = dioptre_of(now[Layer.REAL_DEPTH]) if measured else real.dioptres(grid, rect)
     for plane in real.finite_planes:
         positions = between_nodes(plane.positions(grid), rect)
         out = np.where(plane.within(positions), positions[..., 2], out)
@@ -297,3 +296,28 @@ class PrintedDof(Dof):
             low, high = min(low, 1 / far), max(high, 1 / near)
         p = self.params
         return 1 / p.far_m if p.far_m > 0 else low, 1 / p.near_m if p.near_m > 0 else high
+
+
+@dataclass(frozen=True)
+class GaussianDofParams(PrintedDofParams):
+    """mean_px : side of the mean filter that has the Gaussian's standard deviation, odd"""
+
+    formula: str = field(default="gaussian", init=False)
+
+
+class GaussianDof(PrintedDof):
+    """What Figure 12 holds against their own method in Figure 13: a Gaussian filter, which does not
+    ask how bright the neighbours are. All else is the same: the figures differ by (8) alone.
+
+    Not stated is its size: it has the standard deviation of the mean filter."""
+
+    Params = GaussianDofParams
+
+    @property
+    def weights(self) -> np.ndarray:
+        variance = (self.params.mean_px**2 - 1) / 12  # of n even weights, px^2
+        x = np.arange(-(reach := ceil(3 * sqrt(variance))), reach + 1)
+        return np.exp(-(x**2) / (2 * max(variance, 1e-9))).astype(np.float32)
+
+    def blurred(self, colour: np.ndarray, dioptre: np.ndarray) -> np.ndarray:
+        return mean_filter(colour, dioptre, self.weights)

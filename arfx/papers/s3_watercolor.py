@@ -98,16 +98,8 @@ def eq1_sites(rect: Rect, m: int, n: int, key: int) -> Sites:
     r = [noise(Rect.of(n, m), key, channel) for channel in (0, 1)]
     x = rect.x0 - 0.5 + rect.width / n * (np.arange(n) + r[0])
     y = rect.y0 - 0.5 + rect.height / m * (np.arange(m)[:, None] + r[1])
-    position = [np.round(a.ravel() * STEPS).astype(np.float32) for a in (x, y)]
-    zero = np.zeros(m * n, np.float32)
-    return Sites(
-        position[0],
-        position[1],
-        zero,
-        np.arange(m * n),
-        position[0] / STEPS,
-        position[1] / STEPS,
-    )
+    x, y = (np.round(a.ravel() * STEPS).astype(np.float32) for a in (x, y))
+    return Sites(x, y, np.zeros_like(x), np.arange(m * n), x / STEPS, y / STEPS)
 
 
 # 3.1.2 Stylised frame

@@ -45,9 +45,7 @@ def six_cones() -> tuple[np.ndarray, np.ndarray, float]:
 
 
 def around_normals(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(m, k, 3) float32: directions (k, 3) about +z turned to each of the unit normals (m, 3).
-
-    The frame is continuous but at (0, 0, -1) (Frisvad 2012)."""
+    """(m, k, 3) float32: directions (k, 3) about +z turned to each of the unit normals (m, 3)."""
     x, y, z = np.asarray(normals, np.float32).T
     a = 1 / np.maximum(1 + z, np.float32(1e-5))
     b = -x * y * a

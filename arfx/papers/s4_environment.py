@@ -88,20 +88,12 @@ def step4_environment(
     level = min(mip_level(half_angle_deg, mipmap[0].shape[1] - 2), len(mipmap) - 1)
     below = min(int(level), len(mipmap) - 2)
     face, u, v = on_cube(directions)
-    fine, coarse = (_bilinear(mipmap[k], face, u, v) / FULL for k in (below, below + 1))
-    return np.asarray(fine + (level - below) * (coarse - fine))
+    from scipy.ndimage import map_coordinates
 
-
-def _bilinear(
-    faces: np.ndarray, face: np.ndarray, u: np.ndarray, v: np.ndarray
-) -> np.ndarray:
-    """(m, 3) of faces with a border. u, v (m,) : -1..1 along columns and rows, without it"""
-    n = faces.shape[1] - 2
-    x, y = ((t + 1) / 2 * n + 0.5 for t in (u, v))
-    i, j = np.minimum(x.astype(int), n), np.minimum(y.astype(int), n)
-    fx, fy = (x - i)[:, None], (y - j)[:, None]
-    top = faces[face, j, i, :3] * (1 - fx) + faces[face, j, i + 1, :3] * fx
-    return np.asarray(
-        top * (1 - fy)
-        + (faces[face, j + 1, i, :3] * (1 - fx) + faces[face, j + 1, i + 1, :3] * fx) * fy
-    )
+    out = np.zeros((len(directions), 3))
+    for k, share in ((below, below + 1 - level), (below + 1, level - below)):
+        row, column = ((t + 1) / 2 * (mipmap[k].shape[1] - 2) + 0.5 for t in (v, u))
+        for c in range(3):
+            channel, places = mipmap[k][..., c], (face, row, column)
+            out[:, c] += share / FULL * map_coordinates(channel, places, float, order=1)
+    return out

@@ -18,7 +18,7 @@ sum). Its errors: docs/methods/gi.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -43,16 +43,17 @@ from arfx.papers.s4_shadow_maps import Radiance, step2_radiance
 from arfx.papers.s4_volumes import Volumes, step2_volumes
 from arfx.stages.gi import GiParams
 from arfx.stages.gi.gloss import mirror_tangent
-from arfx.stages.gi.reference import bands
+from arfx.stages.gi.incoming import light_in_steps
+from arfx.stages.gi.plane_change import DARKEST
+from arfx.stages.gi.reference import Rows, object_mask, object_points
 from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
 
 VOXELS = (32, 64, 128, 256)
 LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
-DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio
+BAND_PX = 32  # rows at once: bounds memory
 LOBES = 12  # widths of mirror cones, from those of roughness 0 to 1
-LIGHT_STEP = 0.03  # of brightness: a light that changes by less keeps its volumes
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,8 @@ class PrintedGi(Stage):
             within = wanted.clip(
                 self._mesh_rect(view.facts, view.scene, view.scene.camera.rect)
             )
-            for band in bands(within):
+            for y in range(within.y0, within.y1, BAND_PX):
+                band = replace(within, y0=y, y1=min(y + BAND_PX, within.y1))
                 at, surfels = real_surfels(view, prepared, band)
                 change, light = -self.step4_real(prepared, radiance, surfels), picture[at]
                 shadow[at] += (
@@ -237,18 +239,12 @@ class PrintedGi(Stage):
 def lamps_of(light: Light) -> list[tuple[np.ndarray, np.ndarray]]:
     """Direction (3,), unit, WORLD axes, and rgb (3,) of each directional light, in steps too small
     to show by way of voxels."""
-    lamps = []
-    for lamp in light.lights:
-        rgb = np.asarray(lamp.rgb, float)
-        steps = np.round(np.log(np.maximum(rgb, 1e-6)) / LIGHT_STEP)
-        rgb = np.where(rgb > 1e-6, np.exp(steps * LIGHT_STEP), 0.0)
-        lamps.append((normalise(np.round(lamp.unit, 2)), rgb))
-    return lamps
+    return [(lamp.unit, np.array(lamp.rgb)) for lamp in light_in_steps(light).lights]
 
 
 def real_surfels(
     view: View, prepared: PrintedPrepared, within: Rect
-) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
+) -> tuple[Rows, Surfels]:
     """(rows and columns, points) where the picture shows the mesh and not the object alone."""
     anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
     d = viewing(prepared.grid, within)  # z = 1: distances are depths
@@ -265,25 +261,18 @@ def real_surfels(
     front = (surface.normal * seen[pixel]).sum(-1) < 0
     pixel = pixel[front]
     row, column = np.unravel_index(pixel, d.shape[:2])
-    rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
+    corner = within.shift(-view.rect.x0, -view.rect.y0)
+    rows = row + corner.y0, column + corner.x0
     return rows, Surfels(
         surface.position[front], surface.normal[front], normalise(seen[pixel])
     )
 
 
-def virtual_surfels(
-    view: View, within: Rect
-) -> tuple[tuple[np.ndarray, np.ndarray], Surfels]:
+def virtual_surfels(view: View, within: Rect) -> tuple[Rows, Surfels]:
     """The same of the object's pixels."""
-    slices = within.slices_in(view.rect)
-    lengths = np.linalg.norm(view[Layer.NORMAL][slices], axis=-1)
-    row, column = np.nonzero((view[Layer.COVERAGE][slices] > 0) & (lengths > 1e-3))
-    rows = row + within.y0 - view.rect.y0, column + within.x0 - view.rect.x0
-    anchor = view.scene.world_from_anchor.inverse()
-    eye = anchor.apply(view.pose.inverse().translation_m)
-    position = anchor.apply(view[Layer.POSITION][rows].astype(float))
-    normal = normalise(view[Layer.NORMAL][rows].astype(float)) @ anchor.rotation.T
-    return rows, Surfels(position, normal, normalise(position - eye))
+    row, column = np.nonzero(object_mask(view, within))
+    position, normal, towards = object_points(view, (row, column))
+    return (row, column), Surfels(position, normal, -towards)
 
 
 def wide_cones(

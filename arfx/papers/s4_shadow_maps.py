@@ -16,6 +16,7 @@ highlight."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +28,7 @@ from arfx.stages.gi.reference_scene import RayScene
 TEXELS = 3  # of a shadow map across a voxel: one that the light grazes is not missed
 
 
-@dataclass(frozen=True, eq=False)
-class ShadowMap:
+class ShadowMap(NamedTuple):
     """A reflective shadow map. distance (k,) : from the light's plane, metres, inf = nothing
     position (k, 3), metres, anchor
     axes;  radiance (k, 3) that each virtual point light sends on"""
@@ -79,11 +79,9 @@ def shadow_maps(
     origins = texel_rays(volume, direction)
     R_rho, alone = (shadow_map(rays, origins, direction, rgb) for rays in (real, virtual))
     shows = alone.distance < R_rho.distance
-    mixed = (
-        np.where(shows[:, None], a, b)
-        for a, b in ((alone.position, R_rho.position), (alone.radiance, R_rho.radiance))
-    )
-    return R_rho, ShadowMap(np.minimum(alone.distance, R_rho.distance), *mixed), shows
+    pairs = zip(alone, R_rho, strict=True)
+    R_mu = ShadowMap(*(np.where(shows, a.T, b.T).T for a, b in pairs))
+    return R_rho, R_mu, shows
 
 
 def injected(volumes: Volumes, lights: ShadowMap, of: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ opacity."""
 # mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numba
@@ -23,6 +23,7 @@ from arfx.papers.s4_voxels import Volume, voxelise
 # Radii of the object to each side of its middle: where its shadow and its bounced light fall
 MARGIN = 2.0
 POINTER_BYTES = 5  # of a node: first child and mask
+_BITS = np.array([bin(mask).count("1") for mask in range(256)], np.int32)
 
 
 class Octree(NamedTuple):
@@ -84,7 +85,7 @@ class Volumes:
         """Of one volume of that many float32 channels with its pyramid: in the octree, pointers
         counted too, and dense."""
         dense = sum(8**level for level in range(self.tree.depth + 1)) * 4 * channels
-        return len(self.tree.first) * (POINTER_BYTES + 4 * channels), dense
+        return len(self.tree.eta) * (POINTER_BYTES + 4 * channels), dense
 
 
 def step2_mean(below: np.ndarray, starts: np.ndarray, stored: bool = False) -> np.ndarray:
@@ -104,8 +105,7 @@ def step2_volumes(both: Scene, around: Scene, n: int) -> Volumes:
     """V_eta of the real and the virtual scene `both`. around : the scene whose object is in the
     middle;  n : voxels a side"""
     volume = cube_around(around, n)
-    voxels = voxelise(both, volume)
-    return octree_of(volume, voxels.cells, voxels.normal, voxels.opacity)
+    return octree_of(volume, *voxelise(both, volume))
 
 
 def cube_around(scene: Scene, n: int) -> Volume:
@@ -136,26 +136,22 @@ def octree_of(
     code = morton(cells.astype(np.int64))
     order = np.argsort(code, kind="stable")
     levels, starts = [code[order]], list[np.ndarray]()
+    first, mask = [np.full(len(code), -1, np.int32)], [np.zeros(len(code), np.uint8)]
     while len(starts) < int(np.log2(volume.n)):
         codes, start = np.unique(levels[-1] >> 3, return_index=True)
+        mask.append(np.add.reduceat(1 << (levels[-1] & 7), start).astype(np.uint8))
         levels.append(codes)
         starts.append(start)
-    count = [len(codes) for codes in levels]
-    first, mask = [np.full(count[0], -1, np.int32)], [np.zeros(count[0], np.uint8)]
-    for k, start in enumerate(starts):
-        below = sum(count[k + 1 :])  # nodes before the level of the children
-        first.append((below + start).astype(np.int32))
-        mask.append(np.add.reduceat(1 << (levels[k] & 7), start).astype(np.uint8))
-    bare = Octree(
-        np.concatenate(first[::-1]),
-        np.concatenate(mask[::-1]),
-        np.zeros((0, 4), np.float32),
-        len(starts),
-    )
+    # nodes before the level of the children
+    before = np.cumsum([0, *map(len, levels[:0:-1])])[::-1]
+    first += [
+        (k + start).astype(np.int32) for k, start in zip(before, starts, strict=False)
+    ]
+    links = np.concatenate(first[::-1]), np.concatenate(mask[::-1])
+    bare = Octree(*links, np.zeros((0, 4), np.float32), len(starts))
     out = Volumes(volume, bare, levels[0], tuple(starts))
-    leaves = np.concatenate([normal * opacity[:, None], opacity[:, None]], 1)[order]
-    eta = out.filtered(leaves, stored)
-    return Volumes(volume, bare._replace(eta=eta), levels[0], tuple(starts))
+    leaves = np.column_stack([normal * opacity[:, None], opacity])[order]
+    return replace(out, tree=bare._replace(eta=out.filtered(leaves, stored)))
 
 
 def morton(cells: np.ndarray) -> np.ndarray:
@@ -177,8 +173,5 @@ def node_below(tree: Octree, node, bits, x, y, z):  # pragma: no cover - compile
         mask = int(tree.mask[node])
         if not mask >> child & 1:
             return -1
-        before = mask & ((1 << child) - 1)  # children in front of it: number of its bits
-        before = (before & 0x55) + (before >> 1 & 0x55)
-        before = (before & 0x33) + (before >> 2 & 0x33)
-        node = tree.first[node] + (before & 0x0F) + (before >> 4)
+        node = tree.first[node] + _BITS[mask & ((1 << child) - 1)]  # those in front of it
     return node

@@ -12,6 +12,7 @@ pass."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -37,14 +38,14 @@ class Volume:
     voxel_m: float
 
 
-@dataclass(frozen=True, eq=False)
-class Voxels:
-    """cells (v, 3) int32 x, y, z;  opacity (v,) 0..1
-    normal (v, 3) : unit, mean of the surface, anchor axes; 0 where two sides cancel"""
+class Voxels(NamedTuple):
+    """cells (v, 3) int32 x, y, z
+    normal (v, 3) : unit, mean of the surface, anchor axes; 0 where two sides cancel
+    opacity (v,) 0..1"""
 
     cells: np.ndarray
-    opacity: np.ndarray
     normal: np.ndarray
+    opacity: np.ndarray
 
 
 def voxelise(scene: Scene, volume: Volume) -> Voxels:
@@ -61,7 +62,7 @@ def voxelise(scene: Scene, volume: Volume) -> Voxels:
     opacity = np.minimum(FULL * area, 1) * np.clip(mean[:, 3], 0, 1)
     cells = np.stack(zyx[::-1], -1).astype(np.int32)
     normal = normalise(mean[:, :3])
-    return Voxels(cells, opacity.astype(np.float32), normal.astype(np.float32))
+    return Voxels(cells, normal.astype(np.float32), opacity.astype(np.float32))
 
 
 def cut_triangles(

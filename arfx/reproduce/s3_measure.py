@@ -20,7 +20,7 @@ from arfx.core.stage import ReadyStage
 from arfx.papers import s3_watercolor as paper
 from arfx.papers.s3_watercolor import PrintedWatercolor, PrintedWatercolorParams
 from arfx.reproduce.s3_scene import CELL_PX, Shown, cells_of, corrected, printed
-from arfx.stages.watercolor.field import RealDioptre, frame_field, nearness_factor
+from arfx.stages.watercolor.field import frame_field, nearness_factor
 from arfx.stages.watercolor.labels import label
 from arfx.stages.watercolor.lines import measure_edges, trace_lines
 from arfx.stages.watercolor.sites import GRID_PX, STEPS, Sites, make_sites, still_field
@@ -258,8 +258,8 @@ def corrected_cells(shown: Shown) -> np.ndarray:
     in the mean.
     """
     rect, strength = shown.layers.rect, corrected().params.nearer_finer
-    real = RealDioptre.of(shown.layers[Layer.REAL_DEPTH], rect)
-    field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, real)
+    real_m = shown.layers[Layer.REAL_DEPTH]
+    field, _ = frame_field(shown.facts, shown.scene, CELL_PX, strength, real_m)
     return label(make_sites(field, 1, 10**6, CELL_PX), rect).first
 
 

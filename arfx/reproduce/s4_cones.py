@@ -74,7 +74,7 @@ def through() -> Row:
     """The environment under a half opaque ceiling."""
     ceiling = np.argwhere(np.ones((N, N, 1))) + np.array([0, 0, 12])
     made = small(ceiling, 0.5)
-    V = np.zeros((len(made.tree.first), 3), np.float32)
+    V = np.zeros((len(made.tree.eta), 3), np.float32)
     at = Surfels(
         np.array([[8.0, 8.0, 8.0]]),
         np.array([[0.0, 0.0, 1.0]]),

@@ -22,17 +22,12 @@ def disc(radius: float, blades: int = 0, turn_deg: float = 0.0) -> np.ndarray:
     if radius <= SHARP_PX:
         return np.ones((1, 1), np.float32)
     half = int(np.ceil(radius * circumradius(blades) - 0.5))
-    area = pixel_areas(radius, half, blades, turn_deg)
-    return (area / area.sum()).astype(np.float32)
-
-
-def pixel_areas(radius: float, half: int, blades: int, turn_deg: float) -> np.ndarray:
-    """(2 half + 1, 2 half + 1) area of the shape within each pixel, px^2."""
     px = np.arange(-half, half + 1.0)
     lines = px[:, None] + (np.arange(_SUBROWS) + 0.5) / _SUBROWS - 0.5
     left, right = chord(lines, radius, blades, turn_deg)
     within = np.minimum(right[..., None], px + 0.5) - np.maximum(left[..., None], px - 0.5)
-    return within.clip(0).mean(1)
+    area = within.clip(0).mean(1)
+    return (area / area.sum()).astype(np.float32)
 
 
 def circumradius(blades: int) -> float:

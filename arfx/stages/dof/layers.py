@@ -49,6 +49,12 @@ def depth_range(facts: FrameFacts) -> tuple[float, float]:
     return near, max(far * 1.001, near)
 
 
+def object_radius_px(facts: FrameFacts, coc: CircleOfConfusion) -> float:
+    """Bound of the blur's radius on the virtual object; 0 where none is in view."""
+    near, far = depth_range(facts)
+    return 0.0 if facts.model_box.empty else coc.largest_px((1 / near, 1 / far))
+
+
 def object_box(facts: FrameFacts, frame: Rect, reach_px: float) -> Rect:
     """Pixels that the object's blur may change."""
     return facts.raster_box.pad(int(np.ceil(reach_px)) + 1).clip(frame)
@@ -107,10 +113,10 @@ def _planes(
         visible = visible - inside
         if inside.any():
             radius = coc.radius_px(np.maximum(positions[..., 2], 0))
-            fronts.append(_front(rect, behind * inside[..., None], radius))
+            fronts.append(_occluder(rect, rect, behind * inside[..., None], radius))
     if fronts:
         behind = behind * visible[..., None]
-    radius = coc.radius_px(real.dioptres_over(rect, grid))
+    radius = coc.radius_px(real.dioptres(grid, rect))
     return [LightLayer(rect, behind, radius), *reversed(fronts)]
 
 
@@ -118,14 +124,8 @@ def _measured(
     rect: Rect, behind: np.ndarray, dioptre: np.ndarray, coc: CircleOfConfusion
 ) -> list[LightLayer]:
     (light, radius), *fronts = depth_layers(behind, dioptre, coc)
-    return [LightLayer(rect, light, radius), *(_front(rect, *front) for front in fronts)]
-
-
-def _front(area: Rect, light: np.ndarray, radius: np.ndarray) -> LightLayer:
-    """A part of the real scene before the rest. light, radius : over all of `area`"""
-    box = box_of(cv2.extractChannel(light, 3))
-    at = box.slices
-    return _occluder(area, box.shift(area.x0, area.y0), light[at], radius[at])
+    before = (_occluder(rect, rect, *front) for front in fronts)
+    return [LightLayer(rect, light, radius), *before]
 
 
 def _object(
@@ -147,7 +147,9 @@ def _object(
 
 def _occluder(area: Rect, box: Rect, light: np.ndarray, radius: np.ndarray) -> LightLayer:
     """A layer over as much of `area` as it and its blur take. light, radius : over `box`"""
-    coverage = cv2.extractChannel(light, 3)
+    covered = box_of(light[..., 3])
+    light, radius = light[covered.slices], radius[covered.slices]
+    box, coverage = covered.shift(box.x0, box.y0), light[..., 3]
     within = radius * (coverage > 0)
     rect = box.pad(int(np.ceil(2 * float(within.max()))) + 1).clip(area)
     shape, at = (rect.height, rect.width), box.slices_in(rect)

@@ -28,7 +28,7 @@ from arfx.core.parallel import parallel_map
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.dof.aperture import circumradius
-from arfx.stages.dof.layers import depth_range
+from arfx.stages.dof.layers import object_box, object_radius_px
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.planes import Real
@@ -79,64 +79,49 @@ def lens_points(count: int, blades: int, turn_deg: float) -> np.ndarray:
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), square[:, 2:]])
 
 
-def seen_object(
-    now: Layers,
-    facts: FrameFacts,
-    camera: Camera,
-    coc: CircleOfConfusion,
-    params: DofParams,
-    scene: RayScene,
-    sharp: np.ndarray,
-    behind: np.ndarray,
-    real: Real | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fraction of the lens that sees the object (h, w), and what its light adds (h, w, 3), with
-    the correction of what passes by it.
-
+@dataclass(frozen=True, eq=False)
+class LensView:
+    """A frame's object through the lens. scene : what `prepare` made
     sharp, behind : (h, w, 3) the real scene, before and after its blur
     real : a plane before a background; None = what passes by the object is not looked at"""
-    shape = (now.rect.height, now.rect.width)
-    fraction, colour = np.zeros(shape), np.zeros((*shape, 3))
-    near, far = depth_range(facts)
-    reach = circumradius(params.blades) * coc.largest_px((1 / near, 1 / far))
-    box = facts.raster_box.pad(int(np.ceil(reach)) + 1).clip(now.rect)
-    if facts.model_box.empty or box.empty:
-        return fraction, colour
-    points = lens_points(MOST, params.blades, params.blade_turn_deg).copy()
-    points[:, :2] *= coc.px_per_dioptre / camera.fx
-    rays = _Rays(now, facts, camera, coc.focus, points, scene, sharp, real)
-    rows = max(_BATCH_PX // box.width, 1)
-
-    def trace(top: int) -> None:
-        part = Rect(box.x0, top, box.x1, min(top + rows, box.y1))
-        at = part.slices_in(now.rect)
-        seen, mean = rays.trace(part, behind[at].reshape(-1, 3))
-        fraction[at], colour[at] = (
-            seen.reshape(fraction[at].shape),
-            mean.reshape(colour[at].shape),
-        )
-
-    parallel_map(trace, list(range(box.y0, box.y1, rows)))
-    return fraction, colour
-
-
-@dataclass(frozen=True, eq=False)
-class _Rays:
-    """points : (n, 4) of `lens_points`, the lens in metres;  focus : 1/m;  sharp, real : of
-    `seen_object`"""
 
     now: Layers
     facts: FrameFacts
     camera: Camera
-    focus: float
-    points: np.ndarray
+    coc: CircleOfConfusion
+    params: DofParams
     scene: RayScene
     sharp: np.ndarray
+    behind: np.ndarray
     real: Real | None
 
-    def trace(self, part: Rect, behind: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the pixels of a rectangle: fraction of rays that meet the object (n, 1), and what
-        `seen_object` adds (n, 3)."""
+    def seen(self) -> tuple[np.ndarray, np.ndarray]:
+        """Fraction of the lens that sees the object (h, w), and what its light adds (h, w, 3),
+        with the correction of what passes by it."""
+        rect, blades = self.now.rect, self.params.blades
+        fraction, colour = np.zeros(self.sharp.shape[:2]), np.zeros(self.sharp.shape)
+        reach = circumradius(blades) * object_radius_px(self.facts, self.coc)
+        box = object_box(self.facts, rect, reach)
+        if self.facts.model_box.empty or box.empty:
+            return fraction, colour
+        points = lens_points(MOST, blades, self.params.blade_turn_deg).copy()
+        points[:, :2] *= self.coc.px_per_dioptre / self.camera.fx
+        rows = max(_BATCH_PX // box.width, 1)
+
+        def trace(top: int) -> None:
+            part = Rect(box.x0, top, box.x1, min(top + rows, box.y1))
+            at = part.slices_in(rect)
+            seen, mean = self.trace(part, points)
+            fraction[at] = seen.reshape(fraction[at].shape)
+            colour[at] = mean.reshape(colour[at].shape)
+
+        parallel_map(trace, range(box.y0, box.y1, rows))
+        return fraction, colour
+
+    def trace(self, part: Rect, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`seen` of the n pixels of a rectangle, (n, 1) and (n, 3). points : (k, 4) of
+        `lens_points`, the lens in metres"""
+        behind = self.behind[part.slices_in(self.now.rect)].reshape(-1, 3)
         rows, columns = np.arange(part.y0, part.y1 + 1), np.arange(part.x0, part.x1 + 1)
         corners = self.scene.directions.at(rows - 0.5, columns - 0.5).astype(float)
         known = np.isfinite(corners).all(-1)
@@ -144,8 +129,8 @@ class _Rays:
         active = np.flatnonzero(above[:, 1:] & above[:, :-1] & below[:, 1:] & below[:, :-1])
         sums, count = np.zeros((part.area, 12)), np.ones((part.area, 1))
         first, last = 0, FIRST
-        while len(active) and first < len(self.points):
-            self._add(sums, active, corners, self.points[first:last])
+        while len(active) and first < len(points):
+            self._add(sums, active, corners, points[first:last])
             count[active] = last
             fraction = sums[:, :1] / count
             mean, square = (divide(sums[:, a : a + 3], sums[:, 1:2]) for a in (2, 5))
@@ -167,7 +152,7 @@ class _Rays:
         """More rays of the pixels `active`, from these points."""
         n, pose, now = len(points), self.facts.pose, self.now
         eye = pose.inverse().translation_m - self.scene.centre_m
-        aims = _aim(active, corners, points, self.focus).reshape(-1, 2)
+        aims = _aim(active, corners, points, self.coc.focus).reshape(-1, 2)
         directions = (aims @ pose.rotation[:2] + pose.rotation[2]).astype(np.float32)
         on_lens = (eye + points[:, :2] @ pose.rotation[:2]).astype(np.float32)
         origins = np.tile(on_lens, (len(active), 1))
@@ -196,7 +181,6 @@ class _Rays:
     def _behind(self, rays: np.ndarray, points: np.ndarray, real: Real) -> np.ndarray:
         """Colours (k, n, 3) of the real scene that rays (k, n, 3), in the camera's axes, would
         meet."""
-        assert real.base is not None
         form, lens = real.base.forms[2], points[:, :2]
         dioptre = np.maximum(divide(rays @ form, 1 - lens @ form[:2]), real.background)
         seen = rays + dioptre[..., None] * np.pad(lens, ((0, 0), (0, 1)))

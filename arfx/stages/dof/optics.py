@@ -109,17 +109,15 @@ def _dioptre(what: str | float, facts: FrameFacts, scene: Scene) -> float:
         return 0.0 if math.isinf(what) else 1.0 / what
     pose = facts.pose
     if what == OBJECT:
-        corners = pose.apply(scene.model_corners_m)[:, 2]
-        point = float(corners.min() + corners.max()) / 2
+        points = scene.model_corners_m
     elif what == MARKER:
-        point = float(pose.apply(scene.world_from_anchor.translation_m)[2])
+        points = scene.world_from_anchor.translation_m[None]
     else:
-        point = float(
-            pose.apply(scene.world_from_marker[marker_key(what[3:], scene)].translation_m)[
-                2
-            ]
-        )
-    return float(divide(1.0, max(point, EPS_DEPTH_M)))
+        marker = scene.world_from_marker[marker_key(what[3:], scene)]
+        points = marker.translation_m[None]
+    depth = pose.apply(points)[:, 2]
+    middle = float(depth.min() + depth.max()) / 2
+    return float(divide(1.0, max(middle, EPS_DEPTH_M)))
 
 
 def marker_key(name: str, scene: Scene) -> str:

@@ -57,12 +57,9 @@ class Plane:
     forms: np.ndarray
     half_m: float
 
-    def dioptres(self, grid: np.ndarray) -> np.ndarray:
-        """(gh, gw) float32 on the nodes of a direction grid; <= 0 where the plane is not met."""
-        return np.ascontiguousarray(grid @ self.forms[2], np.float32)
-
     def positions(self, grid: np.ndarray) -> np.ndarray:
-        """(gh, gw, 3) float32, `forms` times the directions."""
+        """(gh, gw, 3) float32 on the nodes of a direction grid, `forms` times the directions; the
+        dioptre is <= 0 where the plane is not met."""
         return np.ascontiguousarray(grid @ self.forms.T, np.float32)
 
     def within(self, positions: np.ndarray, sides: float = 1.0) -> np.ndarray:
@@ -90,29 +87,22 @@ def plane_of(camera_from_plane: Pose, half_m: float) -> Plane:
 class Real:
     """The real scene of a frame.
 
-    base : the endless plane, None = depth was measured
+    base : the endless plane
     finite_planes : planes of limited size before it, farthest first
     background : dioptre of what is behind, 1/m
-    tiles : of `RealDepth`, where depth was measured; else None"""
+    tiles : of `RealDepth`, where depth was measured, in place of all planes; else None"""
 
-    base: Plane | None
+    base: Plane
     finite_planes: tuple[Plane, ...]
     background: float
     tiles: np.ndarray | None = None
 
-    def dioptres(self, grid: np.ndarray) -> np.ndarray:
-        """(gh, gw) float32 of the endless plane and what is behind it, on the nodes of the grid."""
-        if self.base is None:
-            return np.full(grid.shape[:2], self.background, np.float32)
-        return np.maximum(self.base.dioptres(grid), np.float32(self.background))
-
-    def dioptres_over(self, rect: Rect, grid: np.ndarray) -> np.ndarray:
-        """The same, (h, w) of the pixels of `rect`."""
-        if self.base is None:
-            return np.full((rect.height, rect.width), self.background, np.float32)
-        return np.maximum(
-            between_nodes(self.base.dioptres(grid), rect), np.float32(self.background)
-        )
+    def dioptres(self, grid: np.ndarray, rect: Rect | None = None) -> np.ndarray:
+        """(gh, gw) float32 of the endless plane and what is behind it, on the nodes of the grid;
+        (h, w) of the pixels of `rect`, if there is one."""
+        nodes = self.base.positions(grid)[..., 2]
+        own = nodes if rect is None else between_nodes(nodes, rect)
+        return np.maximum(own, np.float32(self.background))
 
     def dioptre_range(self, grid: np.ndarray) -> tuple[float, float]:
         """Least and greatest dioptre in the picture."""

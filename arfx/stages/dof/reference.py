@@ -24,10 +24,10 @@ from arfx.core.numerics import divide
 from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.stages.dof.aperture import SHARP_PX, circumradius, pixel_areas
+from arfx.stages.dof.aperture import SHARP_PX, disc
 from arfx.stages.dof.depth_layers import depth_layers, dioptre_of
 from arfx.stages.dof.layers import behind_object
-from arfx.stages.dof.lens_rays import RayScene, lens_points, seen_object
+from arfx.stages.dof.lens_rays import LensView, RayScene, lens_points
 from arfx.stages.dof.optics import CircleOfConfusion
 from arfx.stages.dof.params import DofParams
 from arfx.stages.dof.planes import Plane, Real
@@ -55,8 +55,8 @@ def render(
     elif params.scope == "all":
         directions = _directions(scene.camera, now.rect)
         blurred = _planes(sharp, directions, real, coc, params, scene.camera)
-    endless = real.base is not None and not real.finite_planes
-    fraction, colour = seen_object(
+    endless = real.tiles is None and not real.finite_planes
+    view = LensView(
         now,
         facts,
         scene.camera,
@@ -67,6 +67,7 @@ def render(
         blurred,
         real if params.scope == "all" and endless else None,
     )
+    fraction, colour = view.seen()
     opacity = float(facts.opacity)
     return (blurred + opacity * (colour - blurred * fraction[..., None])).astype(np.float32)
 
@@ -88,7 +89,6 @@ def _planes(
     camera: Camera,
 ) -> np.ndarray:
     """(h, w, 3) real planes through the lens, farthest first."""
-    assert real.base is not None
     free = np.ones(behind.shape[:2])
     fronts = []
     for plane in reversed(real.finite_planes):  # nearest first
@@ -188,12 +188,9 @@ def _scattered(
 def _disc_ends(radius: float, blades: int, turn_deg: float) -> np.ndarray:
     """(n, 4), each dy, dx, f, m: f summed twice along a row is the fraction of the shape in a
     pixel, m that times dx."""
-    if radius <= SHARP_PX:
-        return np.array([[0.0, 0, 1, 0], [0, 1, -2, 0], [0, 2, 1, 0]])
-    half = int(np.ceil(radius * circumradius(blades) - 0.5))
+    area = disc(radius, blades, turn_deg).astype(float)
+    half = len(area) // 2
     px = np.arange(-half, half + 1.0)
-    area = pixel_areas(radius, half, blades, turn_deg)
-    area /= area.sum()
     ends = [np.diff(np.pad(a, ((0, 0), (2, 2))), 2, axis=1) for a in (area, area * px)]
     j, i = np.nonzero((ends[0] != 0) | (np.abs(ends[1]) > 1e-15))
     return np.column_stack([px[j], i - half, ends[0][j, i], ends[1][j, i]])

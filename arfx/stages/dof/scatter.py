@@ -22,7 +22,6 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.core.parallel import parallel_map
 from arfx.stages.dof.aperture import SHARP_PX, disc
 
-BAND_PX = 64  # rows that are spread together, few enough for the processor's cache
 _BEYOND = 1e12  # larger than any squared radius, px^2
 _RADIUS_STEP = 1 / 16  # of a cell, to which a bin's disc is rounded
 _LARGEST_CELLS = 8.0  # more than any radius on cells
@@ -61,114 +60,66 @@ class Accuracy:
         return np.float32(self.radii(0.0)[1] ** 2)
 
 
-@dataclass(frozen=True, eq=False)
-class _Bin:
-    """hat : squared radii, px^2, where its share of a pixel's light begins, is all, and ends
-    level : cells have 2^level px;  weights : (n, n) float32 of its disc on them, turned by 180
-        degrees
-    rows : first row of cells with light of it, and the one behind the last"""
-
-    hat: np.ndarray
-    level: int
-    weights: np.ndarray
-    rows: tuple[int, int]
-
-
-class Scatter:
-    """A layer's light, spread.
+def scattered(
+    light: np.ndarray,
+    radius: np.ndarray,
+    corner: tuple[int, int],
+    accuracy: Accuracy,
+    blades: int,
+    turn_deg: float,
+) -> np.ndarray:
+    """(h, w, c) a layer's light, spread.
 
     light : (h, w, c) float32, 4 channels or more;  radius : (h, w) float32 px
     corner : x, y of the layer in the frame
     accuracy : how finely;  blades, turn_deg : of `disc`"""
+    (height, width), largest = radius.shape, float(radius.max())
+    radii = accuracy.radii(largest) if largest > SHARP_PX else [SHARP_PX]
+    levels = [0, *(accuracy.level(r) for r in radii[1:])]  # the first is not spread
+    unit = 1 << levels[-1]
+    left, above = (at % unit for at in corner)
+    cells = [[_padded(a, above, 0, left, 0) for a in (light, radius)]]
+    for _ in range(levels[-1]):  # means of light and radius
+        cells.append([_halved(a) for a in cells[-1]])
+    ends = np.array([*np.square(radii), _BEYOND], np.float32)
+    total = np.zeros_like(cells[-1][0])
+    for level in range(levels[-1], -1, -1):
+        light, radius = cells[level]
+        if level < levels[-1]:
+            total = _doubled(total)[: light.shape[0], : light.shape[1]]
+        bins = [
+            (ends[k - 1 : k + 2], cell_disc(radii[k], level, blades, turn_deg))
+            for k in range(1, len(radii))
+            if levels[k] == level
+        ]
+        extents = radius.min(1) ** 2, radius.max(1) ** 2
+        for first, part in parallel_map(partial(_spread, light, radius, extents), bins):
+            total[first : first + len(part)] += part
+    return np.ascontiguousarray(total[above : above + height, left : left + width])
 
-    def __init__(
-        self,
-        light: np.ndarray,
-        radius: np.ndarray,
-        corner: tuple[int, int],
-        accuracy: Accuracy,
-        blades: int,
-        turn_deg: float,
-    ) -> None:
-        self.height, self.width = radius.shape
-        largest = float(radius.max())
-        radii = accuracy.radii(largest) if largest > SHARP_PX else [SHARP_PX]
-        levels = [0, *(accuracy.level(r) for r in radii[1:])]  # the first is not spread
-        unit = 1 << levels[-1]
-        self.above, self.left = corner[1] % unit, corner[0] % unit
-        light = _padded(light, self.above, 0, self.left, 0)
-        radius = _padded(radius, self.above, 0, self.left, 0)
-        self.cells = [(light, radius)]  # of each level: means of light and radius
-        for _ in range(levels[-1]):
-            self.cells.append((_halved(self.cells[-1][0]), _halved(self.cells[-1][1])))
-        self.bins: list[_Bin] = []
-        extents = [(r.min(1), r.max(1)) for _, r in self.cells]
-        ends = [*np.square(radii), _BEYOND]
-        for k in range(1, len(radii)):
-            level, last = levels[k], radii[k + 1] if k + 1 < len(radii) else np.inf
-            low, high = extents[level]
-            rows = np.flatnonzero((high > radii[k - 1]) & (low < last))
-            if len(rows):
-                weights = cell_disc(radii[k], level, blades, turn_deg)[::-1, ::-1]
-                hat = np.array(ends[k - 1 : k + 2], np.float32)
-                self.bins.append(
-                    _Bin(hat, level, weights, (int(rows[0]), int(rows[-1]) + 1))
-                )
-        self.coarse = self._coarse()
 
-    def _coarse(self) -> np.ndarray | None:
-        """Light on cells of 2 px of all bins that are spread on cells; None where there are
-        none."""
-        total = None
-        for level in range(max((b.level for b in self.bins), default=0), 0, -1):
-            shape = self.cells[level][0].shape
-            if total is None:
-                total = np.zeros(shape, np.float32)
-            else:
-                total = _doubled(total)[: shape[0], : shape[1]]
-            bins = [b for b in self.bins if b.level == level]
-            rows = shape[0]
-            for first, light in parallel_map(partial(self._spread, 0, rows), bins):
-                total[first : first + len(light)] += light
-        return total
+def _spread(
+    light: np.ndarray,
+    radius: np.ndarray,
+    extents: tuple[np.ndarray, np.ndarray],
+    of: tuple[np.ndarray, np.ndarray],
+) -> tuple[int, np.ndarray]:
+    """(first row, light (n, columns, c)) of a bin on the cells of its level.
 
-    def _spread(self, top: int, bottom: int, of: _Bin) -> tuple[int, np.ndarray]:
-        """(first row, light (n, columns, c)) of a bin within rows top..bottom of its level."""
-        light, radius = self.cells[of.level]
-        half = len(of.weights) // 2
-        first, last = max(of.rows[0], top - half), min(of.rows[1], bottom + half)
-        if first >= last:
-            return top, light[:0]
-        begin, end = max(first - half, top), min(last + half, bottom)
-        above, below = min(first, begin), max(last, end)
-        share = np.zeros((below - above, *light.shape[1:]), np.float32)
-        take_share(
-            light[first:last],
-            radius[first:last],
-            of.hat,
-            share[first - above : last - above],
-        )
-        spread = cv2.filter2D(share, -1, of.weights, borderType=cv2.BORDER_CONSTANT)
-        return begin, spread[begin - above : end - above]
-
-    def rows(self, top: int, bottom: int) -> np.ndarray:
-        """(bottom - top, w, c) light that reaches these rows of the layer."""
-        top, bottom = top + self.above, bottom + self.above
-        out = self._coarse_rows(top, bottom)
-        for of in self.bins:
-            if of.level == 0:
-                first, light = self._spread(top, bottom, of)
-                out[first - top : first - top + len(light)] += light
-        return np.ascontiguousarray(out[:, self.left : self.left + self.width])
-
-    def _coarse_rows(self, top: int, bottom: int) -> np.ndarray:
-        """Rows of the coarse light on pixels."""
-        shape = self.cells[0][0].shape
-        if self.coarse is None:
-            return np.zeros((bottom - top, *shape[1:]), np.float32)
-        first, last = max(top // 2 - 1, 0), (bottom + 1) // 2 + 1
-        doubled = _doubled(self.coarse[first:last])
-        return doubled[top - 2 * first : bottom - 2 * first, : shape[1]]
+    extents : least and greatest squared radius of each row
+    of : squared radii, px^2, where the bin's share of a pixel's light begins, is all, and ends, and
+    its disc on the cells"""
+    (low, high), (hat, weights) = extents, of
+    rows = np.flatnonzero((high > hat[0]) & (low < hat[2]))
+    if not len(rows):
+        return 0, light[:0]
+    first, last, half = int(rows[0]), int(rows[-1]) + 1, len(weights) // 2
+    begin, end = max(first - half, 0), min(last + half, len(light))
+    share = np.zeros_like(light[begin:end])
+    some = slice(first, last)
+    take_share(light[some], radius[some], hat, share[first - begin : last - begin])
+    turned = weights[::-1, ::-1]
+    return begin, cv2.filter2D(share, -1, turned, borderType=cv2.BORDER_CONSTANT)
 
 
 def _padded(a: np.ndarray, above: int, below: int, left: int, right: int) -> np.ndarray:
@@ -219,7 +170,7 @@ def _variances(blades: int, turn_deg: float) -> np.ndarray:
 @line_kernel(fastmath=FAST)
 def take_share(light, radius, hat, out):  # pragma: no cover - compiled
     """out (h, w, c) = the light (h, w, c) that a bin takes from pixels of a radius (h, w). hat :
-    of `_Bin`"""
+    of `_spread`"""
     one, zero = np.float32(1), np.float32(0)
     rise, fall = one / (hat[1] - hat[0]), one / (hat[2] - hat[1])
     for y in range(light.shape[0]):

@@ -55,13 +55,10 @@ def widened_roughness(
     """
     most = np.zeros(coverage.shape, np.float32)
     for axis in (0, 1):
-        apart = (np.diff(normal, axis=axis) ** 2).sum(-1)
-        covered = coverage > 0
-        first, last = ([slice(None)] * 2 for _ in range(2))
-        first[axis], last[axis] = slice(None, -1), slice(1, None)
-        before, after = tuple(first), tuple(last)
-        apart *= covered[before] & covered[after] & (apart < _BEND * _BEND)
-        most[before] = np.maximum(most[before], apart)
-        most[after] = np.maximum(most[after], apart)
+        covered, largest = np.moveaxis(coverage, axis, 0) > 0, np.moveaxis(most, axis, 0)
+        apart = (np.diff(np.moveaxis(normal, axis, 0), axis=0) ** 2).sum(-1)
+        apart *= covered[:-1] & covered[1:] & (apart < _BEND * _BEND)
+        for either in (largest[:-1], largest[1:]):
+            np.maximum(either, apart, out=either)
     # mirror_tangent: about sqrt(8) roughness^2
     return np.maximum(roughness, np.sqrt(0.35355 * np.sqrt(most)))

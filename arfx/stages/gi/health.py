@@ -34,11 +34,8 @@ def seams(job: JobView) -> Iterator[Check]:
     """Steps of environment maps across the edges of their cubes beside those between texels
     within a face.
     """
-    maps = [
-        checked_faces(f.environment)
-        for f in _evenly([f for f in job.facts if f.environment is not None])
-        if f.environment
-    ]
+    guesses = [f.environment for f in job.facts if f.environment is not None]
+    maps = [checked_faces(guess) for guess in _evenly(guesses)]
     for rgba in _evenly([*job.scene.environment_maps.values()]):
         block = rgba.shape[1] // _COARSE_PX
         blocks = (
@@ -66,25 +63,19 @@ def seam_ratio(faces: np.ndarray) -> float:
 
     Flat maps have neither: steps below a thousandth of the mean count as that."""
     n = faces.shape[1]
-    directions = face_directions(n)
-    flat, values = directions.reshape(-1, 3), faces.reshape(-1, faces.shape[-1])
-    border = np.zeros((n, n), bool)
-    border[[0, -1], :] = border[:, [0, -1]] = True
-    across: list[np.ndarray] = []
-    within: list[np.ndarray] = []
-    for face in range(6):
-        own = np.arange(face * n * n, (face + 1) * n * n)[border.ravel()]
-        others = np.delete(np.arange(6 * n * n), np.s_[face * n * n : (face + 1) * n * n])
-        inner = np.setdiff1d(np.arange(face * n * n, (face + 1) * n * n), own)
-        for candidates, steps in ((others, across), (inner if len(inner) else own, within)):
-            near = candidates[np.argmax(flat[own] @ flat[candidates].T, axis=1)]
-            apart_rad = np.maximum(angle_between(flat[own], flat[near]), 1e-6)
-            steps.append(divide(np.abs(values[own] - values[near]).mean(1), apart_rad))
-    least = max(1e-3 * float(np.abs(values).mean()) * n, 1e-9)
-    return float(
-        max(np.median(np.concatenate(across)), least)
-        / max(np.median(np.concatenate(within)), least)
-    )
+    flat, values = face_directions(n).reshape(-1, 3), faces.reshape(-1, faces.shape[-1])
+    border = np.ones((6, n, n), bool)
+    border[:, 1:-1, 1:-1] = n < 3
+    own, face = np.flatnonzero(border), np.arange(len(flat)) // n**2
+    cosine, same = flat[own] @ flat.T, face[own, None] == face
+    least, steps = max(1e-3 * float(np.abs(values).mean()) * n, 1e-9), []
+    inner = same if n < 3 else same & ~border.ravel()
+    for candidates in (~same, inner):
+        near = np.where(candidates, cosine, -2).argmax(1)
+        apart_rad = np.maximum(angle_between(flat[own], flat[near]), 1e-6)
+        step = divide(np.abs(values[own] - values[near]).mean(1), apart_rad)
+        steps.append(max(float(np.median(step)), least))
+    return steps[0] / steps[1]
 
 
 def furnace(job: JobView) -> Iterator[Check]:
@@ -106,6 +97,8 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     """Mean radiance of the model, made white, on a white plane in a light of 1: it has to
     vanish. Energy that levels lose or invent is a mean other than 1. Over pixels inside its
     outline; None where it shows too few. Cost: one small picture."""
+    from scipy.ndimage import binary_erosion
+
     scene = job.scene
     white = Material("white", base_colour=(1.0, 1.0, 1.0, 1.0), roughness=1.0, specular=0.0)
     model = replace(
@@ -132,18 +125,9 @@ def furnace_mean(job: JobView, level: str) -> float | None:
     facts = FrameFacts(
         0, 0.0, status=MEASURED, camera_from_world=pose, opacity=1.0, light=even
     )
-    levels = {
-        "raster": "standard",
-        "lightmap": "standard",
-        "gi": level,
-        "composite": "standard",
-    }
-    seen = job.picture(small, facts, levels)
+    others = dict.fromkeys(("raster", "lightmap", "composite"), "standard")
+    seen = job.picture(small, facts, {**others, "gi": level})
     if seen is None:
         return None
-    whole = seen[Layer.COVERAGE] > 0.999
-    inside = whole.copy()
-    for axis in (0, 1):
-        for step in (-1, 1):
-            inside &= np.roll(whole, step, axis)
+    inside = binary_erosion(seen[Layer.COVERAGE] > 0.999)
     return float(seen[Layer.VIRTUAL][inside].mean()) if inside.sum() >= 20 else None

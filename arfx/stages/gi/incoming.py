@@ -121,11 +121,11 @@ def in_steps(facts: FrameFacts, light: Light) -> FrameFacts:
         rgb = None if plane is None else triple(_powers(plane, _PLANE_STEP))
         guess = replace(guess, axes=_axes_in_steps(guess), plane_rgb=rgb)
     return facts.with_(
-        light=_light_in_steps(light), seen_environment=seen, environment=guess
+        light=light_in_steps(light), seen_environment=seen, environment=guess
     )
 
 
-def _light_in_steps(light: Light) -> Light:
+def light_in_steps(light: Light) -> Light:
     def coarse(lamp: DirectionalLight) -> DirectionalLight:
         rgb, size_deg = triple(_powers(lamp.rgb, _LIGHT_STEP)), round(lamp.angular_size_deg)
         direction = triple(np.round(lamp.unit, 2))

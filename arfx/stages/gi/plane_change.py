@@ -16,7 +16,6 @@ import numpy as np
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.rect import Rect
 from arfx.stages.holdout import on_plane, plane_dioptres
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView
 from arfx.stages.light.plane_shadow import SoftPicture, texel_places
@@ -60,31 +59,26 @@ def change_textures(
     other planes' textures are in their own"""
     out = []
     for k, axes in enumerate(planes.axes.astype(float)):
-        even = [
+        gain, dark = (
             cv2.GaussianBlur(a, (0, 0), _EVENED_TEXELS) for a in (light.gain[k], hidden[k])
-        ]
-        quotient = divide(even[0], even[1][..., None] * light.total[k])
-        to_own = (np.eye(2), np.zeros(2))
+        )
+        turn, shift = np.eye(2), np.zeros(2)
         if k == 0:
-            to_own = axes[1:3, :2], -axes[1:3] @ axes[0]
-        blank = _even_picture(planes.half_m, -np.linalg.solve(*to_own))
-        pictures = soft if k == 0 else (SoftPicture(blank.dark[None], blank.texel_from_m),)
-        textures = []
-        for picture in pictures:
-            places = (texel_places(picture.even) @ to_own[0].T + to_own[1]) / planes.half_m
-            share = (
-                picture.hidden[0]
-                if k == 0
-                else _sampled(even[1][..., None], places)[..., 0]
-            )
-            change = (share * _faded(places))[..., None] * _sampled(quotient, places)
-            textures.append(_channels(change, picture.texel_from_m))
+            turn, shift = axes[1:3, :2], -axes[1:3] @ axes[0]
+        blank = _even_picture(planes.half_m, -np.linalg.solve(turn, shift))
+        shares = [(p.even, p.hidden[0]) for p in soft] if k == 0 else [(blank, dark)]
+        quotient = divide(gain, dark[..., None] * light.total[k])
+        parts = [(*share, quotient) for share in shares]
         if len(planes.axes) > 1:
-            places = (texel_places(blank) @ to_own[0].T + to_own[1]) / planes.half_m
-            change = _faded(places)[..., None] * _sampled(
-                light.spread[k] / light.total[k], places
-            )
-            textures.append(_channels(change, blank.texel_from_m))
+            everywhere = np.ones_like(dark)
+            parts.append((blank, everywhere, light.spread[k] / light.total[k]))
+        textures = []
+        for texture, share, change in parts:
+            places = (texel_places(texture) @ turn.T + shift) / planes.half_m
+            if texture is blank:
+                share = _sampled(share[..., None], places)[..., 0]
+            change = (share * _faded(places))[..., None] * _sampled(change, places)
+            textures.append(_channels(change, texture.texel_from_m))
         out.append(textures)
     return out
 
@@ -123,27 +117,26 @@ def _faded(places: np.ndarray) -> np.ndarray:
 
 def add_change(
     shadow: np.ndarray,
-    rect: Rect,
+    layers: Layers,
     grid: np.ndarray,
     anchor_from_camera: Pose,
     planes: Planes,
     textures: Sequence[Sequence[tuple[PlaneTexture, ...]]],
-    real: np.ndarray,
     strength: float,
 ) -> None:
-    """shadow (h, w, 3) over `rect` += strength x the planes' change, never below 0.
+    """shadow (h, w, 3) over the layers' rectangle += strength x the planes' change, never below 0.
 
-    grid : viewing directions;  textures : of `change_textures`;  real : of `measured`, what
-    is not on a plane stays
+    grid : viewing directions;  textures : of `change_textures`
     """
-    change = np.zeros((3, rect.height, rect.width), np.float32)
-    poses = [plane_pose(axes) for axes in planes.axes]
-    shares = shown_planes(rect, grid, anchor_from_camera, poses, real)
-    for k, (pose, share) in enumerate(zip(poses, shares, strict=True)):
-        own = anchor_from_camera if k == 0 else pose @ anchor_from_camera
+    change = np.zeros((3, layers.rect.height, layers.rect.width), np.float32)
+    shares = shown_planes(layers, grid, anchor_from_camera, planes)
+    for k, share in enumerate(shares):
+        own = anchor_from_camera
+        if k > 0:
+            own = plane_pose(planes.axes[k]) @ own
         if own.translation_m[2] <= 0:
             continue
-        view = PlaneView(rect, grid, own)
+        view = PlaneView(layers.rect, grid, own)
         for parts in textures[k]:
             for channel, part in enumerate(parts):
                 view.add(change, part, strength * _CHANNELS[channel], share)
@@ -152,19 +145,16 @@ def add_change(
 
 
 def shown_planes(
-    rect: Rect,
-    grid: np.ndarray,
-    anchor_from_camera: Pose,
-    poses: Sequence[Pose],
-    real: np.ndarray,
+    layers: Layers, grid: np.ndarray, anchor_from_camera: Pose, planes: Planes
 ) -> list[np.ndarray | None]:
-    """(h, w) of each plane: is it what a pixel shows, 0..1; None = wherever it is in view."""
-    if len(poses) == 1 and not real.size:
+    """(h, w) of each plane: is it what a pixel shows, 0..1; None = wherever it is in view. What
+    was measured and is on none shows none."""
+    real = measured(layers)
+    if len(planes.axes) == 1 and not real.size:
         return [None]
-    placed = [(pose @ anchor_from_camera).inverse() for pose in poses]
-    dioptres = np.stack([plane_dioptres(grid, pose, rect) for pose in placed])
-    fronts = np.array([(pose @ anchor_from_camera).translation_m[2] > 0 for pose in poses])
-    dioptres[~fronts] = -1
+    poses = [plane_pose(axes) @ anchor_from_camera for axes in planes.axes]
+    dioptres = np.stack([plane_dioptres(grid, p.inverse(), layers.rect) for p in poses])
+    dioptres[[pose.translation_m[2] <= 0 for pose in poses]] = -1
     nearest = dioptres.argmax(0)
     agree = np.ones_like(dioptres)
     if real.size:  # planes end: depth says which of them a pixel shows

@@ -11,8 +11,9 @@ Cost: O(pixels x samples)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -36,9 +37,9 @@ LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 DARKEST = 0.002  # radiance below which a pixel is no base for a ratio
 BATCH = 1 << 14  # pixels at once: bounds memory
 DIMENSIONS = (BOUNCES + 1) * NUMBERS
-SURFACE = (Layer.COVERAGE, Layer.NORMAL, Layer.POSITION, Layer.ALBEDO, Layer.MATERIAL)
 
 Draw = Callable[[np.ndarray], np.ndarray]
+Rows = tuple[np.ndarray, np.ndarray]  # rows and columns of some pixels
 
 
 def trace_frame(
@@ -69,18 +70,21 @@ def trace_frame(
         rays.radius,
     )
     tracer = Tracer(rays, around, view.light, scene)
-    camera_from_anchor = view.pose @ scene.world_from_anchor
-    sequence = sobol(samples)
+    anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
+    pixels = Pixels(view, anchor_from_camera, tracer, sobol(samples))
     virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
+    wanted, matt, shiny = (mask_of(rect, part) for part in (view.out, disc, mirror))
 
-    def work(band: Rect) -> None:
-        pixels = Pixels(view, band, camera_from_anchor.inverse(), tracer, sequence)
-        at = band.slices_in(rect)
-        virtual[at] += pixels.object_light()
-        if strength > 0:
-            shadow[at] += strength * pixels.plane_change(disc, mirror, gloss)
+    def on_object(rows: Rows) -> None:
+        virtual[rows] += pixels.object_light(rows)
 
-    parallel_map(work, bands(view.out.clip(rect)))
+    def on_planes(rows: Rows) -> None:
+        change = pixels.plane_change(rows, matt[rows], shiny[rows], gloss)
+        shadow[rows] += strength * change
+
+    parallel_map(on_object, batches(object_mask(view, view.out)))
+    if strength > 0:
+        parallel_map(on_planes, batches(wanted & (matt | shiny)))
     return {Layer.VIRTUAL: virtual, Layer.SHADOW: np.maximum(shadow, 0)}
 
 
@@ -93,113 +97,95 @@ def sobol(samples: int) -> np.ndarray:
     return np.asarray(sequence.random_base2(power)[:samples])
 
 
-def bands(rect: Rect) -> Iterator[Rect]:
-    """A rectangle in bands of about BATCH pixels."""
-    rows = max(BATCH // max(rect.width, 1), 1)
-    for y in range(rect.y0, rect.y1, rows):
-        yield replace(rect, y0=y, y1=min(y + rows, rect.y1))
+def batches(mask: np.ndarray) -> list[Rows]:
+    """Pixels of a mask (h, w), BATCH at a time, row by row."""
+    rows, columns = np.nonzero(mask)
+    starts = range(0, len(rows), BATCH)
+    return [(rows[k : k + BATCH], columns[k : k + BATCH]) for k in starts]
 
 
-def mask_of(band: Rect, rect: Rect) -> np.ndarray:
-    """(h, w) bool: pixels of a band in a rectangle."""
-    out = np.zeros((band.height, band.width), bool)
-    inside = rect.clip(band)
-    if not inside.empty:
-        out[inside.slices_in(band)] = True
+def mask_of(rect: Rect, part: Rect) -> np.ndarray:
+    """(h, w) bool: pixels of a rectangle in a part."""
+    out = np.zeros((rect.height, rect.width), bool)
+    out[part.clip(rect).slices_in(rect)] = True
     return out
+
+
+def object_mask(view: View, part: Rect) -> np.ndarray:
+    """(h, w) bool: pixels of a part that show the object's surface."""
+    lengths = np.linalg.norm(view[Layer.NORMAL], axis=-1)
+    return mask_of(view.rect, part) & (view[Layer.COVERAGE] > 0) & (lengths > 1e-3)
+
+
+def object_points(view: View, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n, 3) each, anchor axes: position, metres, unit normal, and unit direction to the camera of
+    what pixels show of the object."""
+    anchor = view.scene.world_from_anchor.inverse()
+    position = anchor.apply(view[Layer.POSITION][rows].astype(float))
+    normal = normalise(view[Layer.NORMAL][rows].astype(float)) @ anchor.rotation.T
+    eye = anchor.apply(view.pose.inverse().translation_m)
+    return position, normal, normalise(eye - position)
 
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """A band of one frame. sequence (samples, DIMENSIONS) : of random numbers"""
+    """Of one frame. sequence (samples, DIMENSIONS) : of random numbers"""
 
     view: View
-    band: Rect
     anchor_from_camera: Pose
     tracer: Tracer
     sequence: np.ndarray
 
-    def object_light(self) -> np.ndarray:
-        """(h, w, 3) float32 indirect light that the object sends to the camera."""
-        part = {name: self._layer(name) for name in SURFACE}
-        lengths = np.linalg.norm(part[Layer.NORMAL], axis=-1)
-        rows = np.nonzero((part[Layer.COVERAGE] > 0) & (lengths > 1e-3))
-        coverage, normal, position, albedo, material = (
-            layer[rows].astype(float) for layer in part.values()
-        )
-        anchor = self.view.scene.world_from_anchor.inverse()
-        normals = normalise(normal) @ anchor.rotation.T
-        positions = anchor.apply(position)
+    def object_light(self, rows: Rows) -> np.ndarray:
+        """(n, 3) indirect light that the object sends to the camera."""
+        names = Layer.COVERAGE, Layer.ALBEDO, Layer.MATERIAL
+        coverage, albedo, material = (self.view[n][rows].astype(float) for n in names)
+        position, normal, towards = object_points(self.view, rows)
         metal, roughness, specular = material.T[:3, :, None]
-        lobes = MaterialLobes(
-            normals,
-            normalise(self.anchor_from_camera.translation_m - positions),
-            albedo,
-            metal,
-            0.08 * specular * (1 - metal),
-            roughness,
-        )
-        start = positions + self.tracer.rays.lift * normals
-
-        def draw(numbers: np.ndarray) -> np.ndarray:
-            return self.tracer.light(start, lobes, numbers, change=False)
-
-        out = np.zeros((self.band.height, self.band.width, 3), np.float32)
-        out[rows] = self._mean(draw, rows) * coverage[:, None]
-        return out
+        f0 = 0.08 * specular * (1 - metal)
+        lobes = MaterialLobes(normal, towards, albedo, metal, f0, roughness)
+        start = position + self.tracer.rays.lift * normal
+        draw = partial(self.tracer.light, start, lobes, False)
+        return self._mean(draw, rows) * coverage[:, None]
 
     def plane_change(
-        self, disc: Rect, mirror: Rect, gloss: tuple[float, float]
+        self, rows: Rows, matt: np.ndarray, shiny: np.ndarray, gloss: tuple[float, float]
     ) -> np.ndarray:
-        """(h, w, 3) float32 change of the planes' light by the object, as a share of it. disc :
-        pixels that may change
-        mirror : pixels that may mirror the object, by this `gloss`: share seen from above, and
-        roughness"""
-        tracer, around = self.tracer, self.tracer.around
-        matt, shiny = mask_of(self.band, disc), mask_of(self.band, mirror)
-        rows, directions = self._directions(matt | shiny)
+        """(n, 3) change of the planes' light by the object, as a share of it.
+
+        matt (n,) : pixels that may change;  shiny (n,) : that may mirror the object, by this
+        `gloss`: share seen from above, and roughness"""
+        tracer, around, rect = self.tracer, self.tracer.around, self.view.rect
+        pixels = np.stack([rows[1] + rect.x0, rows[0] + rect.y0], -1).astype(float)
+        seen = self.view.scene.camera.directions(pixels)
+        directions = normalise(seen @ self.anchor_from_camera.rotation.T)
         eyes = np.broadcast_to(self.anchor_from_camera.translation_m, directions.shape)
+        out = np.zeros(directions.shape)
         plane, distance = around.first_plane(eyes, directions)
         keep = np.flatnonzero(plane >= 0)
-        rows = (rows[0][keep], rows[1][keep])
+        if not len(keep):
+            return out
+        rows = rows[0][keep], rows[1][keep]
         plane, distance, directions = plane[keep], distance[keep], directions[keep]
         normals = around.axes[plane, 3]
         places = eyes[keep] + distance[:, None] * directions
         start = places + tracer.rays.lift * normals
-        lobes = tracer.plane_lobes(start, normals)
-
-        def change(numbers: np.ndarray) -> np.ndarray:
-            return tracer.light(start, lobes, numbers, change=True)
-
-        total = self._mean(change, rows) * matt[rows][:, None]
+        draw = partial(tracer.light, start, tracer.plane_lobes(start, normals), True)
+        total = self._mean(draw, rows) * matt[keep, None]
         alone = tracer.plane_light[plane]
         others = self._light_of_other_planes(start, normals, rows)
         plane_light = np.maximum(alone + others, LEAST_LEFT * alone)
         # the lamps' shadow is a share of the light that is there alone
-        lamps_take = 1 - self._layer(Layer.SHADOW)[rows]
+        lamps_take = 1 - self.view[Layer.SHADOW][rows]
         brighter = divide(alone, plane_light, where_zero=1.0) - 1
         ratio = divide(total, plane_light) - lamps_take * brighter
         if shiny.any():
             image = self._mirrored(start, normals, directions, gloss, rows)
-            ratio += image * shiny[rows][:, None]
+            ratio += image * shiny[keep, None]
         depth_m = distance * (directions @ self.anchor_from_camera.rotation[:, 2])
-        out = np.zeros((self.band.height, self.band.width, 3), np.float32)
-        real_m = self._layer(Layer.REAL_DEPTH)[rows]
-        out[rows] = ratio * on_plane(real_m, 1 / depth_m, SAME_DEPTH)[:, None]
+        real_m = self.view[Layer.REAL_DEPTH][rows]
+        out[keep] = ratio * on_plane(real_m, 1 / depth_m, SAME_DEPTH)[:, None]
         return out
-
-    def _layer(self, name: Layer) -> np.ndarray:
-        return self.view[name][self.band.slices_in(self.view.rect)]
-
-    def _directions(self, wanted: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """(rows and columns in the band, unit viewing directions (n, 3)) of pixels that are wanted
-        (h, w)."""
-        row, column = np.nonzero(wanted)
-        pixels = np.stack([column + self.band.x0, row + self.band.y0], -1)
-        seen = self.view.scene.camera.directions(pixels.astype(float))
-        finite = np.isfinite(seen).all(-1)
-        turned = seen[finite] @ self.anchor_from_camera.rotation.T
-        return (row[finite], column[finite]), normalise(turned)
 
     def _mirrored(
         self,
@@ -207,17 +193,14 @@ class Pixels:
         normals: np.ndarray,
         directions: np.ndarray,
         gloss: tuple[float, float],
-        rows: tuple[np.ndarray, ...],
+        rows: Rows,
     ) -> np.ndarray:
         """(n, 3) what the planes' mirror image of the object changes, as a share of the picture."""
         black = np.zeros_like(start)
         f0, roughness = np.broadcast_to(np.reshape(gloss, (2, 1, 1)), (2, len(start), 1))
         lobes = MaterialLobes(normals, -directions, black, black[:, :1], f0, roughness)
-
-        def draw(numbers: np.ndarray) -> np.ndarray:
-            return self.tracer.light(start, lobes, numbers, change=True)
-
-        plate = self._layer(Layer.PLATE)[rows] - np.array(self.view.facts.bias_rgb)
+        draw = partial(self.tracer.light, start, lobes, True)
+        plate = self.view[Layer.PLATE][rows] - np.array(self.view.facts.bias_rgb)
         plate = np.maximum(plate, DARKEST)
         # the picture cannot lose more than it shows
         return np.maximum(self._mean(draw, rows), -plate) / plate
@@ -226,7 +209,7 @@ class Pixels:
         self,
         start: np.ndarray,
         normals: np.ndarray,
-        rows: tuple[np.ndarray, ...],
+        rows: Rows,
     ) -> np.ndarray:
         """(n, 3) light of white planes that other planes give them less what they hide, without the
         object."""
@@ -247,12 +230,13 @@ class Pixels:
 
         return self._mean(draw, rows)
 
-    def _mean(self, draw: Draw, rows: tuple[np.ndarray, ...]) -> np.ndarray:
+    def _mean(self, draw: Draw, rows: Rows) -> np.ndarray:
         """(n, 3) of all samples of some pixels. draw : one, of numbers (n, BOUNCES + 1, NUMBERS)"""
-        count = len(rows[0])
+        (row, column), rect, count = rows, self.view.rect, len(rows[0])
+        band = replace(rect, y0=rect.y0 + int(row[0]), y1=rect.y0 + int(row[-1]) + 1)
         shift = np.empty((count, DIMENSIONS))
         for k in range(DIMENSIONS):
-            shift[:, k] = noise(self.band, self.view.key, k)[rows]
+            shift[:, k] = noise(band, self.view.key, k)[row - row[0], column]
         total = np.zeros((count, 3))
         for point in self.sequence:
             numbers = (shift + point) % 1

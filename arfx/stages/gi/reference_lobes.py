@@ -4,18 +4,19 @@ reflects.
 Both kinds of surface answer the same two questions: `directions` draws some, `at` tells of any
 direction what is reflected, and with which density `directions` takes it. So samples of bright
 parts of the environment can be weighed against these (balance heuristic). Source: Heitz 2014
-(Smith's G), 2018 (visible normals); Veach and Guibas 1995 (multiple importance sampling).
+(Smith's G), 2018 (visible normals), Dupuy and Benyoub 2023 (drawn as caps of a ball); Veach and
+Guibas 1995 (multiple importance sampling).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from arfx.core.numerics import divide, normalise
 from arfx.core.sampling import frame_about
-from arfx.stages.gi.gloss import gloss_weights
+from arfx.stages.gi.gloss import gloss_weights, mirror_tangent
 
 SMOOTHEST = 0.02  # roughness: what is smoother is as good as a mirror
 # half-angles of lobes that see the environment as a mirror does, and as a matt surface does
@@ -42,19 +43,6 @@ class Reflected(NamedTuple):
     def weight(self) -> np.ndarray:
         """(k, 3) by which the light of a direction counts that was drawn."""
         return divide(self.total, self.density)
-
-
-class Lobes(Protocol):
-    """width (k, 1) : of what is mirrored, 0 as a mirror sees the environment, 1 as a matt surface
-    does"""
-
-    width: np.ndarray
-
-    def directions(self, numbers: np.ndarray) -> np.ndarray:
-        """(k, 3) unit, from numbers (k, 3) in [0, 1)."""
-
-    def at(self, directions: np.ndarray) -> Reflected:
-        """Of unit directions (k, 3)."""
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -85,6 +73,13 @@ def disc(numbers: np.ndarray) -> np.ndarray:
     return np.stack([r * np.cos(phi), r * np.sin(phi)], -1)
 
 
+def on_ball(height: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """(k, 3) unit vectors by their height over the middle (k, 1), and part of a turn (k, 1)."""
+    side = np.sqrt(np.maximum(1 - height**2, 0))
+    phi = 2 * np.pi * turn
+    return np.column_stack([side * np.cos(phi), side * np.sin(phi), height])
+
+
 def raised(places: np.ndarray) -> np.ndarray:
     """(k, 3) places (k, 2) of the unit disc, on the half ball over it: cosine-weighted directions
     (Malley)."""
@@ -107,9 +102,9 @@ def smith(cosine: np.ndarray, a2: np.ndarray) -> np.ndarray:
 
 
 def lobe_width(roughness: np.ndarray) -> np.ndarray:
-    """(k, 1) as `Lobes.width`, of a GGX lobe: of the cone that blurs as it does."""
-    half_rad = np.sqrt(8) * np.arctan(roughness**2)
-    half_deg = np.minimum(np.degrees(half_rad), 50)
+    """(k, 1) how wide a GGX lobe sees the environment, by the cone that blurs as it does: 0 as a
+    mirror, 1 as a matt surface."""
+    half_deg = np.degrees(np.arctan(mirror_tangent(roughness)))
     return np.interp(half_deg, (NARROW_DEG, WIDE_DEG), (0.0, 1.0))
 
 
@@ -122,7 +117,7 @@ def lost_share(roughness: np.ndarray, cosine: np.ndarray) -> np.ndarray:
 
 class MaterialLobes:
     """Lambert under GGX. normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3)
-    metal, f0, roughness (k, 1)"""
+    metal, f0, roughness (k, 1);  width (k, 1) : of `lobe_width`, of what is mirrored"""
 
     def __init__(
         self,
@@ -152,14 +147,16 @@ class MaterialLobes:
         self._chance = divide(most, most + scattered.max(1, keepdims=True))
 
     def directions(self, numbers: np.ndarray) -> np.ndarray:
-        choice, places = numbers[:, :1], disc(numbers[:, 1:])
-        h = self._visible_normals(places)
+        """(k, 3) unit, from numbers (k, 3) in [0, 1)."""
+        choice, u, v = numbers.T[:, :, None]
+        h = self._visible_normals(u, v)
         mirrored = 2 * dot(self._view, h) * h - self._view
-        scattered = raised(places)
+        scattered = raised(disc(numbers[:, 1:]))
         local = np.where(choice < self._chance, mirrored, scattered)
         return from_frame(self._frame, local)
 
     def at(self, directions: np.ndarray) -> Reflected:
+        """Of unit directions (k, 3)."""
         d = to_frame(self._frame, directions)
         h = normalise(d + self._view)
         cos_light = np.maximum(d[:, 2:], ABOVE)
@@ -183,33 +180,16 @@ class MaterialLobes:
         above = d[:, 2:] > ABOVE
         return Reflected(scattered * above, mirrored * above, density * above)
 
-    def _visible_normals(self, places: np.ndarray) -> np.ndarray:
-        """(k, 3) normals of microfacets that the viewer sees, from places (k, 2) on the unit
-        disc."""
+    def _visible_normals(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """(k, 3) normals of microfacets that the viewer sees, from numbers u, v (k, 1)."""
         shape = np.repeat(self._a, 3, axis=1)
         shape[:, 2] = 1
-        # the view direction where the surface is stretched to a half ball, of which it sees a disc
+        # where the surface is stretched to a half ball, what mirrors the view is even over a cap
         stretched = normalise(self._view * shape)
-        x, y = places.T
-        half = (1 + stretched[:, 2]) / 2
-        edge = np.sqrt(np.maximum(1 - x**2, 0))
-        seen = np.stack([x, (1 - half) * edge + half * y], -1)
-        frame = _level_frames(stretched)
-        h = from_frame(frame, raised(seen)) * shape
+        least = -stretched[:, 2:]
+        h = (on_ball(1 + u * (least - 1), v) + stretched) * shape
         h[:, 2] = np.maximum(h[:, 2], 1e-9)
         return normalise(h)
-
-
-def _level_frames(directions: np.ndarray) -> np.ndarray:
-    """(k, 3, 3) about unit directions (k, 3), whose first axis is level."""
-    x, y, _ = directions.T
-    level = np.hypot(x, y) > 1e-9
-    across = np.zeros_like(directions)
-    across[:, 0] = np.where(level, -y, 1)
-    across[:, 1] = np.where(level, x, 0)
-    across = normalise(across)
-    up = np.cross(directions, across)
-    return np.stack([across, up, directions], 1)
 
 
 class PlaneLobes:
@@ -218,7 +198,7 @@ class PlaneLobes:
 
     About the normal where the ball is near; in half of the samples where what other planes lose or
     gain counts too (`all_around`). points, normals (k, 3);  centre (3,), radius : of the ball
-    """
+    width (k, 1), `directions`, `at` : as of `MaterialLobes`"""
 
     def __init__(
         self,
@@ -243,11 +223,7 @@ class PlaneLobes:
 
     def directions(self, numbers: np.ndarray) -> np.ndarray:
         choice, u, v = numbers.T[:, :, None]
-        up = 1 - u * (1 - self._least)
-        side = np.sqrt(np.maximum(1 - up**2, 0))
-        phi = 2 * np.pi * v
-        local = np.column_stack([side * np.cos(phi), side * np.sin(phi), up])
-        in_cone = from_frame(self._cone, local)
+        in_cone = from_frame(self._cone, on_ball(1 - u * (1 - self._least), v))
         about_normal = from_frame(self._frame, raised(disc(numbers[:, 1:])))
         return np.where(choice < self._chance, in_cone, about_normal)
 
@@ -259,3 +235,6 @@ class PlaneLobes:
         density = cosine + self._chance * (in_cone - cosine)
         scattered = np.repeat(cosine, 3, axis=1)
         return Reflected(scattered, np.zeros_like(scattered), density)
+
+
+Lobes = MaterialLobes | PlaneLobes

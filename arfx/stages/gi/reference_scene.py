@@ -53,6 +53,11 @@ class Surface(NamedTuple):
     roughness: np.ndarray
 
     @property
+    def material(self) -> tuple[np.ndarray, ...]:
+        """As `MaterialLobes` takes it."""
+        return self.albedo, self.metal, self.f0, self.roughness
+
+    @property
     def diffuse(self) -> np.ndarray:
         """(n, 3) share of the light that is scattered evenly."""
         return self.albedo * (1 - self.metal) * (1 - self.f0)
@@ -97,16 +102,16 @@ class RayScene:
             np.einsum("nk,nkc->nc", weights, rows[corners])
             for rows in (mesh.normals, mesh.colours, mesh.uv)
         )
-        base = np.array([m.base_colour for m in mesh.materials])[part]
-        emission = np.array([m.emissive for m in mesh.materials])[part]
-        specular = np.array([m.specular for m in mesh.materials])[part, None]
-        shine = np.array([(m.roughness, m.metallic) for m in mesh.materials])[part]
-        albedo = (base * colours)[:, :3]
-        albedo *= LINEAR[texels_of(mesh, "base_texture", part, uv)[:, :3]]
-        emission *= LINEAR[texels_of(mesh, "emissive_texture", part, uv)[:, :3]]
-        # roughness, metallic
-        shine *= texels_of(mesh, "metallic_roughness_texture", part, uv)[:, 1:3] / 255
-        roughness, metal = shine[:, :1], shine[:, 1:]
+        of_parts = [
+            (*m.base_colour[:3], *m.emissive, m.roughness, m.metallic, m.specular)
+            for m in mesh.materials
+        ]
+        albedo, emission, shine, specular = np.split(np.array(of_parts)[part], (3, 6, 8), 1)
+        names = "base_texture", "emissive_texture", "metallic_roughness_texture"
+        base, glow, shiny = (texels_of(mesh, name, part, uv)[:, :3] for name in names)
+        albedo *= colours[:, :3] * LINEAR[base]
+        emission *= LINEAR[glow]
+        roughness, metal = np.hsplit(shine * shiny[:, 1:] / 255, 2)
         f0 = 0.08 * specular * (1 - metal)
         return Surface(position, normalise(normal), albedo, emission, metal, f0, roughness)
 

@@ -6,9 +6,10 @@ environment itself."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
-from arfx.core.cube import face_directions, look_up, on_cube, solid_angles
+from arfx.core.cube import face_directions, look_up, on_cube, on_faces, solid_angles
 from arfx.core.numerics import divide, normalise
 
 IRRADIANCE_PX = 16  # of a face
@@ -27,6 +28,8 @@ class Environment:
     samples of their own"""
 
     def __init__(self, cubes: tuple[np.ndarray, np.ndarray], turn: np.ndarray) -> None:
+        from scipy.ndimage import maximum_filter
+
         self._narrow, self._broad = (np.asarray(cube, float) for cube in cubes)
         self.turn = np.asarray(turn, float)
         self._size = self._broad.shape[1]
@@ -35,9 +38,7 @@ class Environment:
         mean = float((grey * solid).sum() / solid.sum())
         self.bright = mean > 0 and float(grey.max()) > BRIGHT * mean
         # the largest of a texel and its neighbours, as radiance is linear between them
-        around = np.pad(grey, [(0, 0), (1, 1), (1, 1)], mode="edge")
-        windows = np.lib.stride_tricks.sliding_window_view(around, (1, 3, 3))
-        chance = (windows.max((3, 4, 5)) + FLOOR * mean) * solid
+        chance = (maximum_filter(grey, (1, 3, 3)) + FLOOR * mean) * solid
         self._chance = divide(chance, chance.sum()).ravel()
         self._up_to = np.cumsum(self._chance)
 
@@ -70,16 +71,12 @@ class Environment:
         texel = np.minimum(texel, len(self._up_to) - 1)
         left = divide(self._up_to[texel] - x, self._chance[texel])
         face, row, column = np.unravel_index(texel, (6, n, n))
-        u = (column + 1 - np.clip(left, 1e-9, 1)) / n * 2 - 1
-        v = (row + second) / n * 2 - 1
-        sign = np.where(face % 2 == 0, 1.0, -1.0)
-        axis = face // 2
-        # as the faces of core.cube lie
-        x, y, z = (
-            np.choose(axis, parts) for parts in ((sign, u, u), (v, sign, v), (-u, -v, sign))
-        )
-        d = normalise(np.stack([x, y, z], -1))
-        return np.asarray(d @ self.turn)
+        (first, across), (below, _) = np.moveaxis(on_faces(np.array([-1.0, 1])), 0, 2)
+        along = (column + 1 - np.clip(left, 1e-9, 1)) / n
+        down = (row + second) / n
+        d = first[face] + along[:, None] * (across - first)[face]
+        d += down[:, None] * (below - first)[face]
+        return np.asarray(normalise(d) @ self.turn)
 
     def irradiance(self, below: np.ndarray, up: np.ndarray) -> np.ndarray:
         """(6, k, k, 3) radiance of white surfaces by their normal, with radiance `below` (3,) under
@@ -87,14 +84,14 @@ class Environment:
 
         Axes are the cubes'."""
         # it is smooth: few texels give the same
-        part = max(self._size // IRRADIANCE_PX, 1)
-        size = self._size // part
-        whole = self._broad[:, : size * part, : size * part]
-        blocks = whole.reshape(6, size, part, size, part, 3)
-        coarse = blocks.mean((2, 4)).reshape(-1, 3)
+        size = min(self._size, IRRADIANCE_PX)
+        few = [
+            cv2.resize(face, (size, size), interpolation=cv2.INTER_AREA)
+            for face in self._broad
+        ]
         directions = face_directions(size).reshape(-1, 3)
         under = (directions @ up < 0)[:, None]
-        around = np.where(under, below, coarse)
+        around = np.where(under, below, np.reshape(few, (-1, 3)))
         normals = face_directions(IRRADIANCE_PX).reshape(-1, 3)
         solid = np.tile(solid_angles(size).ravel(), 6)
         facing = np.maximum(normals @ directions.T, 0) * solid

@@ -37,21 +37,11 @@ SKY = slice(5, 7)
 NUMBERS = 7
 
 
-class Places(NamedTuple):
-    """Where rays (n) leave surfaces. pixel (n,) : row of what they are drawn for, each once
-    start (n, 3)
-    weight (n, 3) : by which what they bring counts;  change (n, 1) bool : whether only what the
-    object changes counts"""
-
-    pixel: np.ndarray
-    start: np.ndarray
-    weight: np.ndarray
-    change: np.ndarray
-
-
 class Rays(NamedTuple):
-    """Rays (n) under way, with the fields of `Places`. direction (n, 3);  density (n, 1) : with
-    which it was drawn, per steradian
+    """Rays (n) under way. pixel (n,) : row of what they are drawn for, each once;  start (n, 3)
+    weight (n, 3) : by which what they bring counts;  change (n, 1) bool : whether only what the
+    object changes counts
+    direction (n, 3);  density (n, 1) : with which it was drawn, per steradian
     wide (n, 3) : as `Environment.radiance` takes it"""
 
     pixel: np.ndarray
@@ -83,8 +73,7 @@ class Tracer:
     ) -> None:
         self.rays, self.around = rays, around
         turn = scene.world_from_anchor.rotation
-        self._lamps = light.lights
-        self._lamps_towards = [turn.T @ lamp.unit for lamp in light.lights]
+        self._lamps = [(lamp, turn.T @ lamp.unit) for lamp in light.lights]
         normals = around.axes[:, 3] @ turn.T
         self.plane_light = light.radiance(normals)
 
@@ -96,8 +85,8 @@ class Tracer:
         self,
         start: np.ndarray,
         lobes: Lobes,
-        numbers: np.ndarray,
         change: bool,
+        numbers: np.ndarray,
     ) -> np.ndarray:
         """(n, 3) that surfaces at `start` (n, 3) send on by their lobes, of one path each, or what
         the object changes of it.
@@ -106,44 +95,31 @@ class Tracer:
         left out."""
         count = len(start)
         out = np.zeros((count, 3))
-        places = Places(
-            np.arange(count),
-            start,
-            np.ones((count, 3)),
-            np.full((count, 1), change),
+        weight, changes = np.ones((count, 3)), np.full((count, 1), change)
+        rays = self._scattered(
+            np.arange(count), start, weight, changes, lobes, numbers[:, 0], out
         )
-        rays = self._scattered(places, lobes, numbers[:, 0], out)
         for bounce in range(1, BOUNCES + 1):
             drawn = numbers[rays.pixel, bounce]
-            going_on = self._met(rays, drawn, bounce == BOUNCES, out)
-            if going_on:
-                rays = Rays(*map(np.concatenate, zip(*going_on, strict=True)))
+            rays = self._met(rays, drawn, bounce == BOUNCES, out)
         return out
 
-    def _met(
-        self, rays: Rays, drawn: np.ndarray, last: bool, out: np.ndarray
-    ) -> list[Rays]:
+    def _met(self, rays: Rays, drawn: np.ndarray, last: bool, out: np.ndarray) -> Rays:
         """Rays that go on where these end, unless they are the `last`. out (pixels, 3) += what
         these bring;  drawn (n, NUMBERS)"""
-        start, change = rays.start, rays.change[:, 0]
-        met = self.rays.nearest(start, rays.direction)
-        plane, plane_m = self.around.first_plane(start, rays.direction)
+        met = self.rays.nearest(rays.start, rays.direction)
+        plane, plane_m = self.around.first_plane(rays.start, rays.direction)
         on_object = met.distance < plane_m
-        hidden = np.flatnonzero(on_object & change)
-        seen = np.flatnonzero(~on_object & ~change)
-        for rows, sign in ((hidden, -1.0), (seen, 1.0)):
-            some = rays.of(rows)
-            behind = self._behind(some, plane[rows], plane_m[rows])
-            out[some.pixel] += sign * some.weight * behind
+        rows = np.flatnonzero(on_object == rays.change[:, 0])  # hidden, or seen
+        some = rays.of(rows)
+        behind = self._behind(some, plane[rows], plane_m[rows])
+        out[some.pixel] += np.where(some.change, -1, 1) * some.weight * behind
         rows = np.flatnonzero(on_object)
-        going_on = self._from_object(rays.of(rows), met.of(rows), drawn[rows], last, out)
+        of_object = self._from_object(rays.of(rows), met.of(rows), drawn[rows], last, out)
         rows = np.flatnonzero((plane >= 0) & ~on_object)
-        on_plane = rays.of(rows)
-        positions = on_plane.along(plane_m[rows])
-        going_on += self._from_plane(
-            on_plane, positions, plane[rows], drawn[rows], last, out
-        )
-        return going_on
+        on_plane = rays.of(rows), plane_m[rows], plane[rows], drawn[rows]
+        going_on = of_object, self._from_plane(*on_plane, last, out)
+        return Rays(*map(np.concatenate, zip(*going_on, strict=True)))
 
     def _behind(self, rays: Rays, plane: np.ndarray, plane_m: np.ndarray) -> np.ndarray:
         """(n, 3) radiance that is there without the object."""
@@ -162,7 +138,7 @@ class Tracer:
         drawn: np.ndarray,
         last: bool,
         out: np.ndarray,
-    ) -> list[Rays]:
+    ) -> Rays:
         pixel, start, weight, change, direction, *_ = rays
         surface = self.rays.surface(met, start, direction)
         away = dot(surface.normal, direction) > 0
@@ -171,31 +147,25 @@ class Tracer:
         lamps, _ = self._lamp_light(start, normal, drawn[:, LAMP])
         sent = surface.emission + surface.diffuse * lamps
         if last:
-            unoccluded = self.around.unoccluded(normal)
-            out[pixel] += weight * (sent + surface.reflectance * unoccluded)
-            return []
+            sent += surface.reflectance * self.around.unoccluded(normal)
         out[pixel] += weight * sent
-        lobes = MaterialLobes(
-            normal,
-            -direction,
-            surface.albedo,
-            surface.metal,
-            surface.f0,
-            surface.roughness,
-        )
-        places = Places(pixel, start, weight, np.zeros_like(change))
-        return [self._scattered(places, lobes, drawn, out)]
+        if last:
+            return rays
+        lobes = MaterialLobes(normal, -direction, *surface.material)
+        change = np.zeros_like(change)
+        return self._scattered(pixel, start, weight, change, lobes, drawn, out)
 
     def _from_plane(
         self,
         rays: Rays,
-        positions: np.ndarray,
+        distance: np.ndarray,
         plane: np.ndarray,
         drawn: np.ndarray,
         last: bool,
         out: np.ndarray,
-    ) -> list[Rays]:
+    ) -> Rays:
         pixel, _, weight, change, *_ = rays
+        positions = rays.along(distance)
         normal = self.around.axes[plane, 3]
         start = positions + self.rays.lift * normal
         _, hidden = self._lamp_light(start, normal, drawn[:, LAMP])
@@ -203,50 +173,44 @@ class Tracer:
         weight = weight * divide(picture, self.plane_light[plane])
         out[pixel] -= weight * hidden
         if last:
-            return []
-        places = Places(pixel, start, weight, np.ones_like(change))
-        return [self._scattered(places, self.plane_lobes(start, normal), drawn, out)]
+            return rays
+        lobes, change = self.plane_lobes(start, normal), np.ones_like(change)
+        return self._scattered(pixel, start, weight, change, lobes, drawn, out)
 
     def _scattered(
         self,
-        places: Places,
+        pixel: np.ndarray,
+        start: np.ndarray,
+        weight: np.ndarray,
+        change: np.ndarray,
         lobes: Lobes,
         drawn: np.ndarray,
         out: np.ndarray,
     ) -> Rays:
         """Rays by the surfaces' lobes. out += light of the environment's bright parts, by samples
         of their own."""
-        if self.around.environment.bright:
-            self._add_sky(places, lobes, drawn[:, SKY], out)
-        direction = lobes.directions(drawn[:, LOBE])
-        reflected = lobes.at(direction)
-        weight = places.weight * reflected.weight
-        places = places._replace(weight=weight)
-        wide = wide_of(reflected, lobes)
-        rays = Rays(*places, direction, reflected.density, wide)
-        return rays.of(np.flatnonzero(weight.any(1)))
 
-    def _add_sky(
-        self,
-        places: Places,
-        lobes: Lobes,
-        numbers: np.ndarray,
-        out: np.ndarray,
-    ) -> None:
-        """out += light of directions that are drawn from the environment."""
-        sky = self.around.environment
-        direction = sky.samples(numbers)
-        reflected = lobes.at(direction)
-        both = reflected.density + sky.density(direction)
-        plane, _ = self.around.first_plane(places.start, direction)
-        hidden = self.rays.blocked(places.start, direction)
-        change = places.change[:, 0]
-        counts = (plane < 0) & (hidden == change) & (reflected.density[:, 0] > 0)
-        rows = np.flatnonzero(counts)
-        light = sky.radiance(direction[rows], wide_of(reflected, lobes)[rows])
-        light = light * divide(reflected.total, both)[rows]
-        sign = np.where(change[rows], -1.0, 1.0)
-        out[places.pixel[rows]] += sign[:, None] * places.weight[rows] * light
+        def leaving(direction: np.ndarray) -> tuple[Rays, Reflected]:
+            reflected = lobes.at(direction)
+            wide = wide_of(reflected, lobes)
+            places = pixel, start, weight, change
+            return Rays(*places, direction, reflected.density, wide), reflected
+
+        if self.around.environment.bright:
+            self._add_sky(*leaving(self.around.environment.samples(drawn[:, SKY])), out)
+        rays, reflected = leaving(lobes.directions(drawn[:, LOBE]))
+        rays = rays._replace(weight=weight * reflected.weight)
+        return rays.of(np.flatnonzero(rays.weight.any(1)))
+
+    def _add_sky(self, rays: Rays, reflected: Reflected, out: np.ndarray) -> None:
+        """out += light of directions that were drawn from the environment."""
+        sky, direction = self.around.environment, rays.direction
+        plane, _ = self.around.first_plane(rays.start, direction)
+        hidden = self.rays.blocked(rays.start, direction)
+        counts = (plane < 0) & (hidden == rays.change[:, 0])
+        light = sky.radiance(direction, rays.wide) * counts[:, None]
+        light *= divide(reflected.total, rays.density + sky.density(direction))
+        out[rays.pixel] += np.where(rays.change, -1, 1) * rays.weight * light
 
     def _lamp_light(
         self,
@@ -258,7 +222,7 @@ class Tracer:
         lamp's disc."""
         received, hidden = np.zeros((2, len(start), 3))
         on_disc = disc(numbers)
-        for lamp, towards in zip(self._lamps, self._lamps_towards, strict=True):
+        for lamp, towards in self._lamps:
             across = frames(towards[None])[0, :2]
             size = np.tan(np.radians(lamp.angular_size_deg / 2))
             d = normalise(towards + size * on_disc @ across)

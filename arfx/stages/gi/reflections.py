@@ -34,7 +34,7 @@ _METAL_ROUGHNESS = 0.27  # of metal that is seen in a mirror
 @dataclass(frozen=True, eq=False)
 class Sight:
     """What is mirrored. eye (3,) : the camera, anchor axes;  background : without the object
-    sent, albedo (z, y, x, 3) : nodes of what the object sends, and of its colour
+    sent (z, y, x, 3) : nodes of what the object sends
     shows : share of a white surface's light that can be seen"""
 
     anchor_from_world: Pose
@@ -42,17 +42,7 @@ class Sight:
     background: Background
     transport: Transport
     sent: np.ndarray
-    albedo: np.ndarray
     shows: float
-
-    def along(
-        self, places: np.ndarray, directions: np.ndarray, roughness: np.ndarray
-    ) -> np.ndarray:
-        """(m, 3) radiance of the planes and the environment, anchor axes.
-
-        roughness (m,) : of what mirrors them
-        """
-        return behind_object(self.background, places, directions, roughness)
 
     def of_object(
         self, starts: np.ndarray, directions: np.ndarray, turns: int = _MIRRORS
@@ -77,10 +67,11 @@ class Sight:
         if turns > 0 and len(metal):
             towards = directions[met][metal] + 2 * np.abs(along[metal]) * normals[metal]
             starts = places[metal] + rays.lift_m * normals[metal]
-            seen = self.along(starts, towards, np.full(len(metal), _METAL_ROUGHNESS))
+            rough = np.full(len(metal), _METAL_ROUGHNESS)
+            seen = behind_object(self.background, starts, towards, rough)
             again, more = self.of_object(starts, towards, turns - 1)
             seen[again] = more
-            tint = self._at(self.albedo, places[metal], normals[metal])
+            tint = self._at(self.transport.colours, places[metal], normals[metal])
             share = rays.metallic[face[metal], None]
             sent[metal] = (1 - share) * sent[metal] + share * tint * seen
         return met, sent
@@ -111,7 +102,7 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
         return out
     lobes, (row, column) = lobes[:count], pixels[:count].T
     places, normals, directions, rough, weights = np.split(lobes, [3, 6, 9, 10], 1)
-    seen = sight.along(places, directions, rough[:, 0])
+    seen = behind_object(sight.background, places, directions, rough[:, 0])
     layers = surface.coverage, surface.normal, surface.position
     grid = sight.transport.grid
     occluded = grid.read(sight.transport.occluded, *layers, anchor)[row, column, 0]

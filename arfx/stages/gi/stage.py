@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer, Layers, neutral, packed
+from arfx.core.layers import Layer, packed
 from arfx.core.light import Light
 from arfx.core.memo import memo_of
 from arfx.core.numerics import divide, normalise
@@ -32,6 +32,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Check, Demand, JobView, Stage, View
 from arfx.errors import require_within
+from arfx.stages.gi.background import behind_object
 from arfx.stages.gi.gloss import gloss_weights, mirror_tangent
 from arfx.stages.gi.health import furnace, seams
 from arfx.stages.gi.incoming import IncomingLight, in_steps, incoming_light, sky_radiance
@@ -39,8 +40,6 @@ from arfx.stages.gi.plane_change import (
     DARKEST,
     add_change,
     change_textures,
-    measured,
-    plane_pose,
     shown_planes,
     visible_radius_m,
 )
@@ -51,7 +50,6 @@ from arfx.stages.light.plane_lookup import PlaneTexture
 from arfx.stages.light.plane_shadow import PLANE_LEVELS, SoftPicture, soft_pictures
 from arfx.stages.light.planes import (
     SHOWS,
-    Planes,
     disc_radius_m,
     disc_rect,
     mirror_rect,
@@ -96,7 +94,6 @@ class Prepared:
     first plane that add up
     positions : of the texels of the picture on the planes"""
 
-    planes: Planes
     grid: np.ndarray
     transport: Transport
     soft: tuple[SoftPicture, ...]
@@ -107,15 +104,13 @@ class Prepared:
 class LitScene:
     """What does not change while the light stays. changes : of `change_textures`;  radius_m
     : within which they show
-    sent (z, y, x, 3) : nodes of what the object sends;  mean (3,) : radiance of the planes
-    that was taken
+    sent (z, y, x, 3) : nodes of what the object sends
     """
 
     indirect: Indirect
     changes: list[list[tuple[PlaneTexture, ...]]]
     radius_m: float
     sent: np.ndarray
-    mean: np.ndarray
 
 
 class Gi(Stage):
@@ -168,7 +163,7 @@ class Gi(Stage):
         key = (scene.placed_by, *planes.key, level)
         transport, soft = memo_of(scene.model).get(key, make, "transport", TRANSPORTS_KEPT)
         positions = texel_positions(planes, TEXTURE_SIDE)
-        return Prepared(planes, direction_grid(scene.camera), transport, soft, positions)
+        return Prepared(direction_grid(scene.camera), transport, soft, positions)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
         facts, scene, frame = view.facts, view.scene, view.scene.camera.rect
@@ -181,22 +176,25 @@ class Gi(Stage):
             gloss = self.params.plane_gloss, PLANE_ROUGHNESS
             options = self.params.samples, self.params.strength, gloss, mirror
             return trace_frame(view, planes_of(scene), seen, disc, *options)
-        incoming = incoming_light(view, seen, prepared.planes, prepared.positions)
+        incoming = incoming_light(view, seen, prepared.transport.planes, prepared.positions)
         lit = self._lit(view, prepared, incoming)
         anchor = scene.world_from_anchor.inverse()
+        # light without a direction, and no radiance that is mirrored is greater
+        soft = view.light.soft_radiance(scene.world_from_anchor.rotation[:, 2]).min()
+        mirrored = incoming.environment.texels, incoming.picture, lit.sent
+        brightest = max(radiance.max() for radiance in mirrored)
         sight = Sight(
             anchor,
             anchor.apply(view.pose.inverse().translation_m),
             incoming.background(lit.indirect.left),
             prepared.transport,
             lit.sent,
-            prepared.transport.colours,
-            SHOWS * float(divide(_soft(view), _brightest(incoming, lit))),
+            SHOWS * float(divide(soft, brightest)),
         )
         virtual = self._virtual(view, prepared, incoming, lit, sight)
         if not disc.empty:
             radius_m = lit.radius_m
-            shown = disc_rect(scene, prepared.planes, radius_m, view.pose, frame)
+            shown = disc_rect(scene, incoming.planes, radius_m, view.pose, frame)
             disc = shown if radius_m > 0 else EMPTY
         shadow = self._shadow(view, prepared, lit, sight, disc, mirror)
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow}
@@ -210,7 +208,7 @@ class Gi(Stage):
         key = repr(light), *around, incoming.mean.tobytes()
 
         def make() -> LitScene:
-            transport, planes = prepared.transport, prepared.planes
+            transport, planes = prepared.transport, incoming.planes
             sky = sky_radiance(known, scene, light)
             places = len(transport.texels)
             picture = np.broadcast_to(incoming.mean, (places, 3))
@@ -219,7 +217,7 @@ class Gi(Stage):
             positions = transport.texels.reshape(*transport.hidden.shape, 3)
             radius_m = visible_radius_m(indirect, planes, positions)
             sent = transport.grid.nodes(indirect.sent)
-            return LitScene(indirect, changes, radius_m, sent, incoming.mean)
+            return LitScene(indirect, changes, radius_m, sent)
 
         kept: LitScene = view.memo.of_light.get(key, make)
         return kept
@@ -232,14 +230,10 @@ class Gi(Stage):
         lit: LitScene,
         sight: Sight,
     ) -> Pixels:
-        now, shown = view.layers, view.facts.raster_box.clip(view.out)
-        part = now.extent(Layer.VIRTUAL).clip(view.out).union(shown).clip(now.rect)
-        out = _written(now, Layer.VIRTUAL, part)
-        box = (
-            EMPTY
-            if shown.empty
-            else shown.pad(1).clip(view.facts.raster_box).clip(now.rect)
-        )
+        now, model = view.layers, view.facts.raster_box
+        part = now.extent(Layer.VIRTUAL).union(model).clip(view.out)
+        out = now.crop(part)[Layer.VIRTUAL].copy()
+        box = model.clip(view.out).pad(1).clip(model).clip(now.rect)
         if box.empty:
             return Pixels(now.rect, out, part=part)
         here, transport = now.crop(box), prepared.transport
@@ -249,7 +243,7 @@ class Gi(Stage):
             cv2.resize(p, (side, side), interpolation=cv2.INTER_AREA)
             for p in incoming.picture
         ]
-        change = (np.stack(shares) - lit.mean) * lit.indirect.left
+        change = (np.stack(shares) - incoming.mean) * lit.indirect.left
         received = lit.indirect.received + transport.more_from_planes(change.reshape(-1, 3))
         nodes = transport.grid.nodes(received)
         layers = surface.coverage, surface.normal, surface.position
@@ -271,20 +265,23 @@ class Gi(Stage):
         mirror: Rect,
     ) -> Pixels:
         now, scene = view.layers, view.scene
-        part = (
-            now.extent(Layer.SHADOW).union(disc).union(mirror).clip(view.out).clip(now.rect)
-        )
-        shadow = _written(now, Layer.SHADOW, part)
+        part = now.extent(Layer.SHADOW).union(disc).union(mirror).clip(view.out)
+        shadow = now.crop(part)[Layer.SHADOW].copy()
         anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
         changed, strength = disc.clip(part), self.params.strength
         if not changed.empty:
-            real = measured(now.crop(changed))
-            what = anchor_from_camera, prepared.planes, lit.changes, real, strength
-            add_change(shadow[changed.slices_in(part)], changed, prepared.grid, *what)
+            add_change(
+                shadow[changed.slices_in(part)],
+                now.crop(changed),
+                prepared.grid,
+                anchor_from_camera,
+                sight.transport.planes,
+                lit.changes,
+                strength,
+            )
         mirror = mirror.clip(part)
         if not mirror.empty:
-            at = mirror.slices_in(part)
-            self._mirror(shadow[at], view, prepared, sight, mirror)
+            self._mirror(shadow[mirror.slices_in(part)], view, prepared, sight, mirror)
         return Pixels(now.rect, shadow, part=part)
 
     def _mirror(
@@ -293,18 +290,16 @@ class Gi(Stage):
         """The planes' mirror image of the object, less what it hides of theirs, as a share
         of the pixel.
         """
-        plate = view.layers.crop(rect)[Layer.PLATE]
-        bias = np.array(view.facts.bias_rgb, np.float32)
+        layers = view.layers.crop(rect)
+        light = layers[Layer.PLATE] - np.array(view.facts.bias_rgb, np.float32)
         anchor_from_camera = (view.pose @ view.scene.world_from_anchor).inverse()
-        poses = [plane_pose(axes) for axes in prepared.planes.axes]
-        real = measured(view.layers.crop(rect))
-        shares = shown_planes(rect, prepared.grid, anchor_from_camera, poses, real)
+        planes = sight.transport.planes
+        shares = shown_planes(layers, prepared.grid, anchor_from_camera, planes)
         directions = viewing(prepared.grid @ anchor_from_camera.rotation.T, rect)
-        for axes, share in zip(prepared.planes.axes.astype(float), shares, strict=True):
+        for axes, share in zip(planes.axes.astype(float), shares, strict=True):
             normal = axes[3]
-            rows = np.nonzero(
-                (directions @ normal < 0) & (True if share is None else share > 0)
-            )
+            shown = np.ones(directions.shape[:2]) if share is None else share
+            rows = np.nonzero((directions @ normal < 0) & (shown > 0))
             d = normalise(directions[rows].astype(float))
             along = d @ normal
             height = (sight.eye - axes[0]) @ normal
@@ -314,16 +309,12 @@ class Gi(Stage):
             towards = d - 2 * along[:, None] * normal
             starts = places + sight.transport.rays.lift_m * normal
             met, sent = sight.of_object(starts, towards)
-            behind = sight.along(
-                places[met], towards[met], np.full(len(met), PLANE_ROUGHNESS)
-            )
-            weight = self.params.strength * fresnel[met]
-            if share is not None:
-                weight = weight * share[rows][met]
-            row, column = rows[0][met], rows[1][met]
-            light = plate[row, column] - bias
-            change = weight[:, None] * (sent - behind) / np.maximum(light, DARKEST)
-            shadow[row, column] = np.clip(shadow[row, column] + change, 0, None)
+            rough = np.full(len(met), PLANE_ROUGHNESS)
+            behind = behind_object(sight.background, places[met], towards[met], rough)
+            at = rows[0][met], rows[1][met]
+            weight = self.params.strength * fresnel[met] * shown[at]
+            change = weight[:, None] * (sent - behind) / np.maximum(light[at], DARKEST)
+            shadow[at] = np.clip(shadow[at] + change, 0, None)
 
     def _mirror_rect(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Rect:
         """Pixels in which glossy planes can mirror the object."""
@@ -352,33 +343,7 @@ class Gi(Stage):
         peak = float(soft) + sum(max(li.rgb) for li in light.lights) + glow
         if peak <= 0:
             return 0.0
-        ratio = max(float(soft), peak) / max(float(total), 1e-3)
-        return disc_radius_m(scene, planes_of(scene), ratio)
-
-
-def _soft(view: View) -> float:
-    """Least channel of the light without a direction, of a white surface on the plane."""
-    return float(
-        view.light.soft_radiance(view.scene.world_from_anchor.rotation[:, 2]).min()
-    )
-
-
-def _brightest(incoming: IncomingLight, lit: LitScene) -> float:
-    """No radiance that is mirrored is greater."""
-    return float(
-        max(incoming.environment.texels.max(), incoming.picture.max(), lit.sent.max())
-    )
-
-
-def _written(layers: Layers, name: Layer, part: Rect) -> np.ndarray:
-    """A copy of a layer over a part of it, to be written to."""
-    written = layers.extent(name).clip(part)
-    if written == part:
-        return layers.crop(part)[name].copy()
-    out = neutral(name, part)
-    if not written.empty:
-        out[written.slices_in(part)] = layers.crop(written)[name]
-    return out
+        return disc_radius_m(scene, planes_of(scene), peak / max(float(total), 1e-3))
 
 
 def _reflected_rect(facts: FrameFacts, scene: Scene) -> Rect:

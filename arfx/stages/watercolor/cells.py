@@ -40,13 +40,10 @@ def mean_colours(
         _sum_rows(image, labels, first, last, total)
         return total
 
-    total = np.zeros((count, 4))
+    total, unit = np.zeros((count, 4)), height if count * _MANY > height * width else 2
     for labels in labellings:
-        if count * _MANY > height * width:
-            total += sums(labels, 0, height)
-        else:
-            for part in parallel_rows(partial(sums, labels), height, 2):
-                total += part
+        for part in parallel_rows(partial(sums, labels), height, unit):
+            total += part
     colour = total[:, :3] / np.maximum(total[:, 3:], 1)
     return colour.astype(np.float32), (total[:, 3] / len(labellings)).astype(np.float32)
 
@@ -77,17 +74,15 @@ def neighbours(
     weight = np.zeros(shape, np.float32)
     if n < 2:
         return near, weight
-    corner = float(x.min()), float(y.min())
-    width = float(x.max()) - corner[0]
-    height = float(y.max()) - corner[1]
-    spacing = np.sqrt(width * height / n)
-    side = max(REACH * spacing, width / 8192, height / 8192, float(STEPS))
-    rows = int(height // side) + 1
-    columns = int(width // side) + 1
-    in_px = corner[0] / STEPS, corner[1] / STEPS, side / STEPS
-    start, order = bucket_sites(x, y, *in_px, rows, columns)
+    places = np.stack([x, y])
+    corner, extent = places.min(1), np.ptp(places, axis=1).astype(float)
+    spacing = np.sqrt(extent.prod() / n)
+    side = max(REACH * spacing, extent.max() / 8192, float(STEPS))
+    columns, rows = (int(along // side) + 1 for along in extent)
+    left, top, side_px = (float(along) / STEPS for along in (*corner, side))
+    start, order = bucket_sites(x, y, left, top, side_px, rows, columns)
     sharp = np.float32(1 / REACH**2) / (size[order] ** 2)
-    sites = np.stack([x[order] - _F(corner[0]), y[order] - _F(corner[1]), sharp])
+    sites = np.stack([*(places - corner[:, None]).take(order, 1), sharp])
     grid = start, order, np.float32(side), rows, columns
     parallel_rows(lambda a, b: _find_neighbours(sites, grid, a, b, near, weight), n)
     return near, weight

@@ -7,7 +7,7 @@ cell appears or goes slowly, as under a zoom."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -16,7 +16,6 @@ from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.pose import Pose
-from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.watercolor.sites import GRID_PX, SiteField, still_field
 
@@ -35,39 +34,23 @@ def pad_px(cell_px: float) -> int:
     return int(np.ceil(2.5 * _COARSEST * cell_px))
 
 
-@dataclass(frozen=True, eq=False)
-class RealDioptre:
-    """Measured depth of a frame. mean : (h, w) float32, 1/m, as far as the next nodes around each
-    of a grid over `rect`"""
+def real_dioptre(depth_m: np.ndarray, field: SiteField) -> np.ndarray:
+    """(gh, gw) 1/m, as far as the next nodes around each; outside the picture that of its border.
 
-    rect: Rect
-    mean: np.ndarray
-
-    @staticmethod
-    def of(depth_m: np.ndarray, rect: Rect) -> RealDioptre:
-        """depth_m : (h, w) over `rect`; what is not finite is infinitely far"""
-        h, w = (max(n // _EVERY_PX, 1) for n in depth_m.shape)
-        few = cv2.resize(depth_m, (w, h), interpolation=cv2.INTER_AREA)
-        dioptre = divide(1.0, np.maximum(few, EPS_DEPTH_M)).astype(np.float32)
-        side = 2 * GRID_PX // _EVERY_PX + 1
-        return RealDioptre(
-            rect,
-            cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w),
+    depth_m : (h, w) over the whole frame; what is not finite is infinitely far"""
+    h, w = (max(n // _EVERY_PX, 1) for n in depth_m.shape)
+    few = cv2.resize(depth_m, (w, h), interpolation=cv2.INTER_AREA)
+    dioptre = divide(1.0, np.maximum(few, EPS_DEPTH_M)).astype(np.float32)
+    side = 2 * GRID_PX // _EVERY_PX + 1
+    mean = cv2.blur(dioptre, (side, side), borderType=cv2.BORDER_REPLICATE).reshape(h, w)
+    i, j = (
+        (start + GRID_PX * np.arange(nodes) + 0.5) * few_ / many
+        for start, nodes, few_, many in zip(
+            (field.y0, field.x0), field.u.shape, (h, w), depth_m.shape, strict=True
         )
-
-    def at_nodes(self, field: SiteField) -> np.ndarray:
-        """(gh, gw) 1/m; outside the picture that of its border."""
-        (h, w), (gh, gw) = self.mean.shape, field.u.shape
-        i = (field.y0 - self.rect.y0 + GRID_PX * np.arange(gh) + 0.5) * (
-            h / self.rect.height
-        )
-        j = (field.x0 - self.rect.x0 + GRID_PX * np.arange(gw) + 0.5) * (
-            w / self.rect.width
-        )
-        out: np.ndarray = self.mean[
-            np.clip(i, 0, h - 1).astype(int)[:, None], np.clip(j, 0, w - 1).astype(int)
-        ].astype(float)
-        return out
+    )
+    row, column = np.clip(i, 0, h - 1).astype(int), np.clip(j, 0, w - 1).astype(int)
+    return mean[row[:, None], column].astype(float)
 
 
 def frame_field(
@@ -75,11 +58,11 @@ def frame_field(
     scene: Scene,
     cell_px: float,
     nearer_finer: float,
-    real: RealDioptre | None = None,
+    real_m: np.ndarray | None = None,
 ) -> tuple[SiteField, Pose | None]:
     """The field, and the pose that goes with it: the same as long as the field is.
 
-    real : measured depth, None = that of the marker's plane is taken"""
+    real_m : (h, w) measured depth of the frame, None = that of the marker's plane is taken"""
     camera = scene.camera
     pose = facts.camera_from_world
     found = facts.advection
@@ -91,7 +74,7 @@ def frame_field(
             size *= detail_factor(found.detail_at_nodes())
         field = SiteField(*found.origin, *found.places(), size)
         pose = found.pose
-    near = nearness(field, scene, pose, real) if nearer_finer > 0 else None
+    near = nearness(field, scene, pose, real_m) if nearer_finer > 0 else None
     if near is not None:
         field = replace(field, size=field.size * nearness_factor(near, nearer_finer))
     return field, pose
@@ -106,19 +89,15 @@ def detail_factor(detail: np.ndarray) -> np.ndarray:
 
 
 def nearness(
-    field: SiteField, scene: Scene, pose: Pose | None, real: RealDioptre | None
+    field: SiteField, scene: Scene, pose: Pose | None, real_m: np.ndarray | None
 ) -> np.ndarray | None:
     """(gh, gw) depth of the marker / depth at the nodes, without a marker their mean / depth; None
     where nothing is known."""
+    dioptre = None if real_m is None else real_dioptre(real_m, field)
     if pose is None:
-        if real is None:
-            return None
-        dioptre = real.at_nodes(field)
-        return divide(dioptre, float(dioptre.mean()), where_zero=1.0)
+        return None if dioptre is None else divide(dioptre, float(dioptre.mean()), 1.0)
     camera_from_anchor = pose @ scene.world_from_anchor
-    if real is not None:
-        dioptre = real.at_nodes(field)
-    else:
+    if dioptre is None:
         gh, gw = field.u.shape
         x = field.x0 + GRID_PX * np.arange(gw)
         y = field.y0 + GRID_PX * np.arange(gh)[:, None]

@@ -10,7 +10,7 @@ cones."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numba
@@ -39,7 +39,7 @@ from arfx.stages.watercolor.label_kernels import (
 from arfx.stages.watercolor.sites import STEPS, Sites
 
 _U = np.uint64
-_EVERY_PIXEL = np.zeros((0, 0), bool)
+EVERY_PIXEL = np.zeros((0, 0), bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,42 +97,27 @@ def make_wobble(tile: np.ndarray) -> Wobble:
 STILL = make_wobble(np.zeros((2, TILE, TILE)))
 
 
-class _Grid(NamedTuple):
-    """x, y : of the first tile in the rectangle, <= 0, px;  side : of a bucket, px"""
-
-    x: int
-    y: int
-    side: int
-    rows: int
-    columns: int
-
-    @staticmethod
-    def of(count: int, rect: Rect, wobble: Wobble) -> _Grid:
-        """Buckets of some two sites."""
-        x = -((wobble.x + rect.x0) % TILE)
-        y = -((wobble.y + rect.y0) % TILE)
-        spacing = np.sqrt(rect.area / max(count, 1))
-        longest = max(rect.width, rect.height)
-        side = int(max(1, min(round(1.5 * spacing), longest)))
-        return _Grid(
-            x, y, side, -(-(rect.height - y) // side), -(-(rect.width - x) // side)
-        )
-
-    def order(self, sites: Sites, rect: Rect) -> tuple[np.ndarray, np.ndarray]:
-        """(start, order) of the sites by bucket."""
-        corner = float(rect.x0 + self.x), float(rect.y0 + self.y)
-        return bucket_sites(
-            sites.x, sites.y, *corner, float(self.side), self.rows, self.columns
-        )
+def _bucketed(sites: Sites, rect: Rect, wobble: Wobble) -> tuple[Buckets, int, int]:
+    """Buckets of some two sites; x, y of the first tile in the rectangle, <= 0, px."""
+    x, y = -((wobble.x + rect.x0) % TILE), -((wobble.y + rect.y0) % TILE)
+    spacing = np.sqrt(rect.area / len(sites))
+    side = int(max(1, min(round(1.5 * spacing), max(rect.width, rect.height))))
+    rows, columns = -(-(rect.height - y) // side), -(-(rect.width - x) // side)
+    left, top = rect.x0 + x, rect.y0 + y
+    corner = float(left), float(top), float(side)
+    start, order = bucket_sites(sites.x, sites.y, *corner, rows, columns)
+    position = np.zeros((3, len(sites) + STEP), np.float32)
+    places = sites.x - STEPS * left, sites.y - STEPS * top, sites.weight
+    position[:, : len(sites)] = np.stack(places)[:, order]
+    return Buckets(position, order, start, side, rows, columns), x, y
 
 
 def sort_sites(sites: Sites, rect: Rect, wobble: Wobble = STILL) -> Sites:
     """The same sites, numbered as `label` meets them."""
     if not len(sites) or rect.empty:
         return sites
-    _, order = _Grid.of(len(sites), rect, wobble).order(sites, rect)
-    columns = sites.x, sites.y, sites.weight, sites.key, sites.u, sites.v
-    return Sites(*(column.take(order) for column in columns))
+    order = _bucketed(sites, rect, wobble)[0].order
+    return Sites(*(getattr(sites, column.name)[order] for column in fields(sites)))
 
 
 def label(
@@ -140,7 +125,7 @@ def label(
     rect: Rect,
     wobble: Wobble = STILL,
     blend_px: float = 0.0,
-    mask: np.ndarray = _EVERY_PIXEL,
+    mask: np.ndarray = EVERY_PIXEL,
 ) -> Labels:
     """Labels of the pixels of `rect`.
 
@@ -155,23 +140,18 @@ def label(
     inside = np.full(of_borders, SOLID, np.uint8)
     if n == 0 or rect.empty:
         return Labels(first, second, inside, max(n, 1))
-    grid = _Grid.of(n, rect, wobble)
-    start, order = grid.order(sites, rect)
-    position = np.zeros((3, n + STEP), np.float32)
-    position[0, :n] = sites.x[order] - STEPS * (rect.x0 + grid.x)
-    position[1, :n] = sites.y[order] - STEPS * (rect.y0 + grid.y)
-    position[2, :n] = sites.weight[order]
-    buckets = Buckets(position, order, start, grid.side, grid.rows, grid.columns)
+    buckets, x, y = _bucketed(sites, rect, wobble)
+    order = buckets.order
     # its tile (0, 0) is the first one in rect
-    begin = (wobble.x + rect.x0 + grid.x) // TILE, (wobble.y + rect.y0 + grid.y) // TILE
-    moved = wobble._replace(x=begin[0], y=begin[1])
+    column, row = (wobble.x + rect.x0 + x) // TILE, (wobble.y + rect.y0 + y) // TILE
+    moved = wobble._replace(x=column, y=row)
     blend = np.float32(blend_px * STEPS)
     out = (first, second, inside)
 
     def rows(a: int, b: int) -> None:
-        _label_rows(buckets, moved, blend, mask, (grid.x, grid.y), a, b, out)
+        _label_rows(buckets, moved, blend, mask, (x, y), a, b, out)
 
-    parallel_rows(rows, rect.height - grid.y, TILE)
+    parallel_rows(rows, rect.height - y, TILE)
     if (order[1:] < order[:-1]).any():
         first = order[first]
         second = order[second]

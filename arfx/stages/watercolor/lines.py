@@ -141,20 +141,21 @@ def object_edges(
 
 
 def add_object_edges(
-    edges: Edges, of_object: np.ndarray, row: int, column: int, high: float
+    edges: Edges, of_object: np.ndarray, column: int, row: int, high: float
 ) -> None:
     """Let edges of the object count as strong lines, across their own gradient.
 
-    edges : changed from (row, column) on;  of_object : of `object_edges`;  high : `line_high`
+    edges : changed from (column, row) on;  of_object : of `object_edges`;  high : `line_high`
     """
     rows = slice(row, row + of_object.shape[0])
     columns = slice(column, column + of_object.shape[1])
     measure, across_x, across_y = (a[rows, columns] for a in edges)
     strength = (_OBJECT * high) * of_object
     stronger = strength > measure
-    padded = np.pad(of_object, 1, mode="edge")
-    gradient_x = padded[1:-1, 2:] - padded[1:-1, :-2]
-    gradient_y = padded[2:, 1:-1] - padded[:-2, 1:-1]
+    gradient_x, gradient_y = (
+        cv2.Sobel(of_object, -1, *axis, ksize=1, borderType=cv2.BORDER_REPLICATE)
+        for axis in ((1, 0), (0, 1))
+    )
     length = np.hypot(gradient_x, gradient_y)
     turned = stronger & (length > 1e-3)
     across_x[turned] = gradient_x[turned] / length[turned]

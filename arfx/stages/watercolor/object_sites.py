@@ -41,29 +41,20 @@ class SurfacePoints:
 
 
 def sample_surface(scene: Scene, seed: int) -> SurfacePoints:
-    vertices = scene.model_points_m
-    faces = []
-    start = 0
-    for part in scene.model.parts:
-        faces.append(part.faces + start)
-        start += len(part.vertices)
-    corner = vertices[np.concatenate(faces)]
-    across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    mesh = scene.mesh_at(0.0)
+    first, second, third = np.moveaxis(mesh.corners_m + mesh.centre_m, 1, 0)
+    across = np.cross(second - first, third - first)
     area = np.linalg.norm(across, axis=1)
-    extent = float(max(np.ptp(vertices, axis=0).max(), 1e-6))
+    extent = float(max(np.ptp(mesh.vertices, axis=0).max(), 1e-6))
     if not area.sum() > 0:
         return SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), extent)
     rng = np.random.default_rng([seed, 0x0B1E])
     at = np.searchsorted(np.cumsum(area) / area.sum(), rng.random(POINTS)).clip(
         0, len(area) - 1
     )
-    s, t = rng.random((2, POINTS))
-    s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
-    points = (
-        corner[at, 0]
-        + s[:, None] * (corner[at, 1] - corner[at, 0])
-        + t[:, None] * (corner[at, 2] - corner[at, 0])
-    )
+    s, t = rng.random((2, POINTS, 1))
+    s, t = np.where(s + t > 1, (1 - s, 1 - t), (s, t))
+    points = first[at] + s * (second - first)[at] + t * (third - first)[at]
     return SurfacePoints(points, normalise(across[at]), _importance(points, extent), extent)
 
 

@@ -6,8 +6,6 @@ Source: docs/methods/watercolor.md#pigment; pigment itself is in pigment.py."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numba
 import numpy as np
 
@@ -24,47 +22,41 @@ DRY_BRUSH = 2.3  # how much more the grain shows in lines than in washes
 _F = np.float32
 
 
-@dataclass(frozen=True, eq=False)
-class Paint:
-    """mean (n, 3) float32 : linear means of the cells
-    root (n, 3) float32 : square roots of the colours to paint them in
-    flow (n,) float32 : their turbulence, times its strength
+How = tuple[np.float32, np.float32, np.ndarray]
+
+
+def painted(
+    image: np.ndarray,
+    lines: np.ndarray,
+    corner: tuple[int, int],
+    cells: np.ndarray,
+    paper: np.ndarray,
+    how: How,
+    labels: Labels,
+) -> np.ndarray:
+    """(h, w, 3) float32 linear: the picture with pigment.
+
+    image : (h, w, 3) linear, of which the means are;  lines (h, w) : their strength, 0..1
+    corner : x, y of the first pixel in the frame, which anchor the paper
+    cells (n, 7) float32 : their linear mean, square root of the colour to paint them in, and
+        turbulence, times its strength
     paper (PAPER_PX, PAPER_PX) float32 : its height, times the grain's strength
-    edge_darkening : of the border between unlike washes
-    ink (3,) float32 : linear colour of lines;  opacity : of lines"""
+    how : darkening of the border between unlike washes, opacity of lines, their linear colour"""
+    out = np.empty(image.shape, np.float32)
+    layers = labels.first, labels.second, labels.inside
 
-    mean: np.ndarray
-    root: np.ndarray
-    flow: np.ndarray
-    paper: np.ndarray
-    edge_darkening: float
-    ink: np.ndarray
-    opacity: float
+    def rows(a: int, b: int) -> None:
+        _paint_rows(image, layers, cells, how, paper, corner, lines, a, b, out)
 
-    def on(
-        self, image: np.ndarray, labels: Labels, lines: np.ndarray, corner: tuple[int, int]
-    ) -> np.ndarray:
-        """(h, w, 3) float32 linear: the picture with pigment.
-
-        image : (h, w, 3) linear, of which the means are;  lines (h, w) : their strength, 0..1
-        corner : x, y of the first pixel in the frame, which anchor the paper"""
-        out = np.empty(image.shape, np.float32)
-        cells = np.concatenate([self.mean, self.root, self.flow[:, None]], axis=1)
-        layers = labels.first, labels.second, labels.inside
-        how = np.float32(self.edge_darkening), np.float32(self.opacity), self.ink
-
-        def rows(a: int, b: int) -> None:
-            _paint_rows(image, layers, cells, how, self.paper, corner, lines, a, b, out)
-
-        parallel_rows(rows, len(out))
-        return out
+    parallel_rows(rows, len(out))
+    return out
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _paint_rows(
     image, labels, cells, how, paper, corner, lines, first, last, out
 ):  # pragma: no cover - compiled
-    """Rows first ... last - 1. cells (n, 7) : mean, root, flow;  how : darkening, opacity, ink"""
+    """`painted` of rows first ... last - 1"""
     own_cell, next_cell, inside = labels
     dark, opacity, ink = how
     x0, y0 = corner

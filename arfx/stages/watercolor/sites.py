@@ -11,7 +11,7 @@ docs/methods/watercolor.md#sites; nesting and fading replace its fixed grid. Cos
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 import numba
@@ -26,6 +26,7 @@ FADE = 0.19  # in levels: how long a site takes to appear
 _LATER = np.array([np.log2(1.5) / 2, np.log2(2.5) / 2, np.log2(3.5) / 2])
 _FINE = 9  # sites are placed to 2^-9 units
 _HIGHEST = 24  # a site of this level is everywhere
+Place = tuple[float, float]  # x, y in a pixel from its middle, px, in whole 1/STEPS px
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,11 @@ class Sites:
 
     def __len__(self) -> int:
         return len(self.x)
+
+    def seen_from(self, place: Place) -> Sites:
+        """As they lie about another place in the pixels than their middles."""
+        x, y = (np.float32(STEPS * along) for along in place)
+        return replace(self, x=self.x - x, y=self.y - y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +155,6 @@ def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compil
     x0, y0, u, v, wanted = nodes
     places = np.empty((5, limit), np.float32)  # x, y, weight, u, v
     keys = np.empty(limit, np.int64)
-    e1u = np.empty(2)
-    e1v = np.empty(2)
-    e2u = np.empty(2)
-    e2v = np.empty(2)
-    det = np.empty(2)
     scale = np.zeros(2)
     n = 0
     for gy in range(row, end):
@@ -163,15 +164,9 @@ def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compil
             quad_v = v[gy : gy + 2, gx : gx + 2]
             least = np.inf
             for half in range(2):
-                corner_u = quad_u[half, half]
-                corner_v = quad_v[half, half]
-                e1u[half] = quad_u[half, 1 - half] - corner_u
-                e1v[half] = quad_v[half, 1 - half] - corner_v
-                e2u[half] = quad_u[1 - half, half] - corner_u
-                e2v[half] = quad_v[1 - half, half] - corner_v
-                det[half] = e1u[half] * e2v[half] - e1v[half] * e2u[half]
-                if det[half] > 1e-9:
-                    scale[half] = 0.5 * np.log2(det[half] / (GRID_PX * GRID_PX))
+                _, _, area = _edges(quad_u, quad_v, half)
+                if area > 1e-9:
+                    scale[half] = 0.5 * np.log2(area / (GRID_PX * GRID_PX))
                     finest = wanted[gy : gy + 2, gx : gx + 2].min()
                     least = min(least, finest + scale[half])
             if not (least < np.inf):
@@ -189,12 +184,13 @@ def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compil
                         continue
                     pu, pv = _refine(seed, level, i, j)
                     for half in range(2):
-                        if not (det[half] > 1e-9):
+                        (e1u, e1v), (e2u, e2v), area = _edges(quad_u, quad_v, half)
+                        if not (area > 1e-9):
                             continue
                         du = pu - quad_u[half, half]
                         dv = pv - quad_v[half, half]
-                        s = (du * e2v[half] - dv * e2u[half]) / det[half]
-                        t = (dv * e1u[half] - du * e1v[half]) / det[half]
+                        s = (du * e2v - dv * e2u) / area
+                        t = (dv * e1u - du * e1v) / area
                         if s < 0 or t < 0 or s + t > 1 or (half == 1 and s + t == 1):
                             continue
                         la = wanted[gy + half, gx + half]
@@ -221,6 +217,15 @@ def _enumerate(nodes, seed, limit, unit, row, end):  # pragma: no cover - compil
                         keys[n] = np.int64(bits & np.uint64(0x7FFFFFFFFFFFFFFF))
                         n += 1
     return _columns(places, keys, n)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _edges(u, v, half):  # pragma: no cover - compiled
+    """(u, v) of both edges of a quad's triangle from its corner, and twice its area."""
+    rest = 1 - half
+    first = u[half, rest] - u[half, half], v[half, rest] - v[half, half]
+    second = u[rest, half] - u[half, half], v[rest, half] - v[half, half]
+    return first, second, first[0] * second[1] - first[1] * second[0]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")

@@ -5,18 +5,21 @@ paper.
 exact mean of its pixels; 3. alike neighbours run into washes; 4. pigment and paper; 5. lines where
 colour, silhouette or crease are strong. Cells are kept while the field of sites stays what it is.
 Lines are made beside the cells, on a free core. Cost: O(pixels).
-Levels (levels.py) paint the same cells: standard with half the rounds of washes and plain borders;
-high all of it, at every pixel's middle; reference is the mean of sixteen places in each.
+Levels paint the same cells: standard with half the rounds of washes and plain borders;
+high all of it, at every pixel's middle; reference is the mean of sixteen places in each. Time and
+error of each: docs/methods/watercolor.md#levels.
 Grain lies on the paper and stays there: coherence along the motion is measured without it.
 Source: docs/methods/watercolor.md. Leaves out: wet-in-wet flow; without measured depth, that of
 real things off the plane."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial, reduce
 from math import ceil
-from typing import Any, ClassVar
+from operator import iadd
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -32,9 +35,8 @@ from arfx.stages.watercolor.cells import (
     neighbours,
     smooth_washes,
 )
-from arfx.stages.watercolor.field import RealDioptre, frame_field
-from arfx.stages.watercolor.labels import Labels, label, sort_sites
-from arfx.stages.watercolor.levels import ACCURACY
+from arfx.stages.watercolor.field import frame_field
+from arfx.stages.watercolor.labels import EVERY_PIXEL, Labels, Wobble, label, sort_sites
 from arfx.stages.watercolor.lines import (
     add_object_edges,
     enlarge_lines,
@@ -43,17 +45,37 @@ from arfx.stages.watercolor.lines import (
     trace_lines,
 )
 from arfx.stages.watercolor.object_sites import SurfacePoints, object_sites, sample_surface
-from arfx.stages.watercolor.paint import Paint
+from arfx.stages.watercolor.paint import How, painted
 from arfx.stages.watercolor.params import WatercolorParams
 from arfx.stages.watercolor.pigment import paper_grain, turbulence
-from arfx.stages.watercolor.sites import GRID_PX, STEPS, SiteField, Sites, make_sites
+from arfx.stages.watercolor.sites import GRID_PX, STEPS, Place, SiteField, Sites, make_sites
 from arfx.stages.watercolor.toon import EVEN, replace_lit, tones, toon_light
-from arfx.stages.watercolor.wobble import Place, Wobbles
+from arfx.stages.watercolor.wobble import Wobbles
 
 BLEND_PX = 1.5  # from a cell's border, over which alike colours run into each other
 _OBJECT_CELL = 0.8  # size of the object's cells, of the background's
 _ROUNDS = 8  # of a wash of strength 1
 _KEPT = 4  # sets of cells
+
+
+class Accuracy(NamedTuple):
+    """rounds : fraction of the rounds of `smooth_washes` that is made, each as strong as those
+        that it stands for
+    borders : alike cells run into each other, unlike ones get a dark edge; else a pixel has its
+        own cell's colour
+    places : along a pixel's side at which it is labelled and painted; it shows their mean
+    """
+
+    rounds: float
+    borders: bool
+    places: int = 1
+
+
+ACCURACY = {
+    "standard": Accuracy(0.5, False),
+    "high": Accuracy(1.0, True),
+    "reference": Accuracy(1.0, True, places=4),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +123,10 @@ class Watercolor(Stage):
         lines = self.lines_of(view, picture)
         cells = self.cells_of(view, prepared)
         paint = self._mixed(view.level, prepared, cells, picture)
-        pictures = (
-            paint.on(picture, labels, lines, (rect.x0, rect.y0)) for labels in cells.labels
-        )
-        out = next(pictures)
-        for more in pictures:
-            out += more
-        return {
-            Layer.IMAGE: (
-                out / np.float32(len(cells.labels)) if len(cells.labels) > 1 else out
-            )
-        }
+        paint_on = partial(painted, picture, lines, (rect.x0, rect.y0), *paint)
+        image = reduce(iadd, map(paint_on, cells.labels))
+        image /= np.float32(len(cells.labels))
+        return {Layer.IMAGE: image}
 
     # the picture that is painted
 
@@ -148,19 +163,15 @@ class Watercolor(Stage):
         seen = _object_box(view)
         if not seen.empty:
             # with nothing of the object around it, from an even pixel on
-            left = (seen.x0 - rect.x0) // 2 - 1
-            top = (seen.y0 - rect.y0) // 2 - 1
-            left = max(left, 0)
-            top = max(top, 0)
-            box = Rect(
-                rect.x0 + 2 * left, rect.y0 + 2 * top, seen.x1 + 2, seen.y1 + 2
-            ).clip(rect)
-            part = view.layers.crop(box)
-            coverage = part[Layer.COVERAGE]
-            normal = part[Layer.NORMAL]
-            depth = part[Layer.DEPTH]
-            of_object = object_edges(coverage, normal, depth, view.facts.opacity)
-            add_object_edges(edges, of_object, top, left, p.line_high)
+            corner = (
+                max((seen.x0 - rect.x0) // 2 - 1, 0),
+                max((seen.y0 - rect.y0) // 2 - 1, 0),
+            )
+            x0, y0 = rect.x0 + 2 * corner[0], rect.y0 + 2 * corner[1]
+            part = view.layers.crop(Rect(x0, y0, seen.x1 + 2, seen.y1 + 2).clip(rect))
+            shape = part[Layer.COVERAGE], part[Layer.NORMAL], part[Layer.DEPTH]
+            of_object = object_edges(*shape, view.facts.opacity)
+            add_object_edges(edges, of_object, *corner, p.line_high)
         lines = trace_lines(edges, p.line_low, p.line_high, p.line_width_px)
         return enlarge_lines(lines, rect.height, rect.width)
 
@@ -188,12 +199,10 @@ class Watercolor(Stage):
         return CellSet(labels, np.concatenate([cells.flow, own.flow]), near, weight)
 
     def field_of(self, view: View) -> tuple[SiteField, Pose | None]:
-        p = self.params
-        facts = view.facts
-        real = None
-        if p.nearer_finer > 0 and facts.real_depth is not None:
-            real = RealDioptre.of(view[Layer.REAL_DEPTH], view.rect)
-        return frame_field(facts, view.scene, p.cell_px, p.nearer_finer, real)
+        p, real_m = self.params, None
+        if p.nearer_finer > 0 and view.facts.real_depth is not None:
+            real_m = view[Layer.REAL_DEPTH]
+        return frame_field(view.facts, view.scene, p.cell_px, p.nearer_finer, real_m)
 
     def _background_cells(
         self, view: View, prepared: Prepared, field: SiteField
@@ -207,14 +216,10 @@ class Watercolor(Stage):
 
         def make() -> CellSet:
             # borders stray with the things, as far as one shift of the whole picture can say
-            wobbles = [
-                prepared.wobbles.of_field(field, place) for place in _places(view.level)
-            ]
-            sites = sort_sites(make_sites(field, seed, limit, cell_px), rect, wobbles[0])
-            labels = tuple(
-                label(sites, rect, w, self._blend_px(view.level)) for w in wobbles
-            )
-            return self._cell_set(sites, labels, _size_at(field, sites), seed)
+            wobble = partial(prepared.wobbles.of_field, field)
+            sites = make_sites(field, seed, limit, cell_px)
+            size = partial(_size_at, field)
+            return self._cell_set(view.level, sites, rect, wobble, size, seed)
 
         cells: CellSet = view.memo.of_frame.get((field.key(), rect), make, "cells", _KEPT)
         return cells
@@ -227,43 +232,44 @@ class Watercolor(Stage):
         scene = view.scene
 
         def make() -> CellSet:
-            cell_px = _OBJECT_CELL * p.cell_px
             origin_m = scene.world_from_anchor.translation_m
-            sites, size = object_sites(
-                prepared.surface, scene, pose, cell_px, p.nearer_finer
-            )
-            wobbles = [
-                prepared.wobbles.of_object(scene.camera, pose, origin_m, place)
-                for place in _places(view.level)
-            ]
-            sites = sort_sites(sites, box, wobbles[0])
-            blend_px = self._blend_px(view.level)
-            labels = tuple(label(sites, box, w, blend_px, inside) for w in wobbles)
-            return self._cell_set(sites, labels, size[sites.key], scene.seed + 1)
+            wobble = partial(prepared.wobbles.of_object, scene.camera, pose, origin_m)
+            how = pose, _OBJECT_CELL * p.cell_px, p.nearer_finer
+            sites, sizes = object_sites(prepared.surface, scene, *how)
+            what = wobble, lambda sorted_: sizes[sorted_.key], scene.seed + 1, inside
+            return self._cell_set(view.level, sites, box, *what)
 
         key = pose.rotation.tobytes(), pose.translation_m.tobytes(), box, inside.tobytes()
         cells: CellSet = view.memo.of_frame.get(key, make, "cells of the object", _KEPT)
         return cells
 
-    def _blend_px(self, level: str) -> float:
-        return (
-            BLEND_PX if self.params.edge_darkening > 0 and ACCURACY[level].borders else 0.0
-        )
-
     def _cell_set(
-        self, sites: Sites, labels: tuple[Labels, ...], size_px: np.ndarray, seed: int
+        self,
+        level: str,
+        sites: Sites,
+        rect: Rect,
+        wobble: Callable[[Place], Wobble],
+        size_px: Callable[[Sites], np.ndarray],
+        seed: int,
+        inside: np.ndarray = EVERY_PIXEL,
     ) -> CellSet:
-        """size_px (n,) : of the cells at the sites"""
-        flow = np.zeros(labels[0].count, np.float32)
-        if len(sites):
-            flow = turbulence(sites.u, sites.v, seed)
-        near, weight = neighbours(sites.x, sites.y, size_px * STEPS)
+        """wobble : of a place in the pixels;  size_px : (n,) of the cells at n sites"""
+        blend_px = BLEND_PX if self.params.edge_darkening > 0 else 0.0
+        blend_px *= ACCURACY[level].borders
+        places = _places(level)
+        sites = sort_sites(sites, rect, wobble(places[0]))
+        labels = tuple(
+            label(sites.seen_from(place), rect, wobble(place), blend_px, inside)
+            for place in places
+        )
+        flow = np.resize(turbulence(sites.u, sites.v, seed), labels[0].count)
+        near, weight = neighbours(sites.x, sites.y, size_px(sites) * STEPS)
         return CellSet(labels, flow, near, weight)
 
     def _mixed(
         self, level: str, prepared: Prepared, cells: CellSet, picture: np.ndarray
-    ) -> Paint:
-        """The paint for each cell."""
+    ) -> tuple[np.ndarray, np.ndarray, How]:
+        """The paint for each cell, the paper, and how it is painted, as `painted` takes them."""
         p = self.params
         labellings = [labels.first for labels in cells.labels]
         mean, area = mean_colours(picture, labellings, cells.labels[0].count)
@@ -273,10 +279,10 @@ class Watercolor(Stage):
         contrast = 0.02 + 0.16 * p.wash
         root = smooth_washes(mean, cells.near, cells.weight, area, contrast, rounds, step)
         root = adjust_tone(root, p.lightness, p.saturation, p.deepest)
-        flow = np.float32(p.flow) * cells.flow
-        paper = np.float32(p.grain) * prepared.paper
+        washes = np.column_stack([mean, root, np.float32(p.flow) * cells.flow])
         ink = np.array(p.ink_rgb, np.float32)
-        return Paint(mean, root, flow, paper, p.edge_darkening, ink, p.lines)
+        how = np.float32(p.edge_darkening), np.float32(p.lines), ink
+        return washes, np.float32(p.grain) * prepared.paper, how
 
 
 def _object_box(view: View) -> Rect:
@@ -293,8 +299,9 @@ def _places(level: str) -> list[Place]:
 
 def _size_at(field: SiteField, sites: Sites) -> np.ndarray:
     """(n,) float32 size of cells at the sites, px: that of the nearest node."""
-    rows, columns = field.size.shape
-    i = np.rint((sites.y / STEPS - field.y0) / GRID_PX).astype(int)
-    j = np.rint((sites.x / STEPS - field.x0) / GRID_PX).astype(int)
-    size = field.size[i.clip(0, rows - 1), j.clip(0, columns - 1)]
-    return np.asarray(size.astype(np.float32))
+    starts, places = (field.y0, field.x0), (sites.y, sites.x)
+    nearest = tuple(
+        np.rint((along / STEPS - start) / GRID_PX).astype(int).clip(0, n - 1)
+        for along, start, n in zip(places, starts, field.size.shape, strict=True)
+    )
+    return field.size[nearest].astype(np.float32)

@@ -25,18 +25,12 @@ def toon_light(light: Light, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     it), WORLD frame.
 
     up : (3,) stands in for the direction where no light has one."""
-    best = None
-    most = 0.0
-    for lamp in light.lights:
-        strength = float(np.sum(lamp.rgb))
-        if lamp.unit.any() and np.isfinite(strength) and strength > most:
-            best = lamp.unit
-            most = strength
-    if best is None:
-        soft = np.asarray(light.soft, float).reshape(-1, 3)
-        slope = (
-            soft[[3, 1, 2]].sum(1) if len(soft) == 9 else np.zeros(3)
-        )  # harmonics x, y, z
+    lamps = [li for li in light.lights if li.unit.any() and 0 < sum(li.rgb) < np.inf]
+    if lamps:
+        best = max(lamps, key=lambda lamp: sum(lamp.rgb)).unit
+    else:
+        # harmonics x, y, z
+        slope = np.sum(light.soft, 1)[[3, 1, 2]] if len(light.soft) == 9 else np.zeros(3)
         length = float(np.linalg.norm(slope))
         best = slope / length if length > 1e-6 else up
     return best, np.clip(light.radiance(best), 0, None)

@@ -10,6 +10,7 @@ Leaves out: how the picture turns or grows; the noise does neither."""
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import floor
 
 import numpy as np
 
@@ -18,11 +19,10 @@ from arfx.core.memo import Memo
 from arfx.core.pose import Pose
 from arfx.stages.watercolor.labels import STILL, Wobble, make_wobble
 from arfx.stages.watercolor.pigment import wobble_tile
-from arfx.stages.watercolor.sites import GRID_PX, STEPS, SiteField
+from arfx.stages.watercolor.sites import GRID_PX, Place, SiteField
 
 PARTS = 4  # of a pixel
 _FAR_PX = 1e6
-Place = tuple[float, float]  # x, y in a pixel from its middle, px
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,22 +36,20 @@ class Wobbles:
     def at(self, x_px: float, y_px: float, place: Place = (0.0, 0.0)) -> Wobble:
         """Moved so that pixel (0, 0) of the frame has what lies at (x_px, y_px).
 
-        place : of the pixel that asks, in whole 1/STEPS px"""
+        place : of the pixels that ask"""
         if not self.amplitude_px > 0:
-            return self._memo.get(place, lambda: _shifted(STILL, place), most=64)
-        x = round(x_px * PARTS)
-        y = round(y_px * PARTS)
-        between = x % PARTS, y % PARTS
-        wobble: Wobble = self._memo.get(
-            (between, place), lambda: self._make(between, place), most=64
-        )
-        return wobble._replace(x=x // PARTS, y=y // PARTS)
+            return STILL
+        x = round(x_px * PARTS) / PARTS + place[0]
+        y = round(y_px * PARTS) / PARTS + place[1]
+        between = x % 1, y % 1
+        wobble: Wobble = self._memo.get(between, lambda: self._make(between), most=64)
+        return wobble._replace(x=floor(x), y=floor(y))
 
-    def _make(self, between: tuple[int, int], place: Place) -> Wobble:
-        first = between[0] / PARTS + place[0], between[1] / PARTS + place[1]
+    def _make(self, between: Place) -> Wobble:
         wavelength_px = 4 * self.amplitude_px + 6
-        tile = wobble_tile(self.seed, self.amplitude_px, wavelength_px, first)
-        return _shifted(make_wobble(tile), place)
+        return make_wobble(
+            wobble_tile(self.seed, self.amplitude_px, wavelength_px, between)
+        )
 
     def of_field(self, where: SiteField, place: Place = (0.0, 0.0)) -> Wobble:
         """Moved with what is painted."""
@@ -70,15 +68,5 @@ class Wobbles:
         """Moved with the object. origin_m (3,) WORLD"""
         x, y = camera.project(camera_from_world.apply(origin_m[None]))[0]
         if not (abs(x) < _FAR_PX and abs(y) < _FAR_PX):  # not in front of the camera
-            x = 0.0
-            y = 0.0
+            x, y = 0.0, 0.0
         return self.at(-x, -y, place)
-
-
-def _shifted(wobble: Wobble, place: Place) -> Wobble:
-    """Of pixels that ask at another place than their middle."""
-    if place == (0.0, 0.0):
-        return wobble
-    step = np.rint(np.array(place) * STEPS).astype(np.float32)
-    boxes = wobble.boxes + np.concatenate([step, np.zeros_like(step)])
-    return wobble._replace(positions=wobble.positions + step[:, None], boxes=boxes)

@@ -14,6 +14,7 @@ from arfx.core.rect import Rect
 from arfx.errors import ConfigError, InputError
 from arfx.papers.s2_dof import (
     INSIDE,
+    GaussianDof,
     PrintedDof,
     PrintedDofParams,
     blur_factor,
@@ -24,7 +25,6 @@ from arfx.papers.s2_dof import (
     sharp_range,
     within_depth_of_field,
 )
-from arfx.papers.s2_gaussian import GaussianDof
 from arfx.papers.s2_lens import (
     eq1_circle,
     eq2_picture,
@@ -37,7 +37,7 @@ from arfx.papers.s2_lens import (
 from arfx.run.parameters import parameters, stage_of
 from arfx.stages.dof import Dof
 from arfx.stages.dof.optics import CircleOfConfusion, circle_of_confusion
-from arfx.stages.dof.planes import Real, direction_grid, plane_of
+from arfx.stages.dof.planes import Plane, Real, direction_grid, plane_of
 from tests.scenes import facts, scene
 from tests.unit.stages.dof_scenes import Shot, blurred, shot, with_layers
 
@@ -239,7 +239,7 @@ def test_finite_planes_are_where_they_stand() -> None:
     at = shot()
     s = at.scene
     plane = plane_of(at.facts.pose @ s.world_from_anchor, 0.15)
-    real = Real(None, (plane,), 0.2)
+    real = Real(Plane(np.zeros((3, 3)), 0.0), (plane,), 0.2)
     found = dioptres(
         at.layers,
         at.facts.with_(model_box=Rect(0, 0, 0, 0)),

@@ -191,7 +191,7 @@ def test_the_environment_counts_by_what_a_cone_lets_through() -> None:
     made = octree_of(
         Volume(n, (0.0, 0.0, 0.0), 1.0), ceiling, np.zeros((n * n, 3)), np.full(n * n, 0.5)
     )
-    V = np.zeros((len(made.tree.first), 3), np.float32)
+    V = np.zeros((len(made.tree.eta), 3), np.float32)
     at = Surfels(
         np.array([[8.0, 8.0, 8.0]]),
         np.array([[0.0, 0.0, 1.0]]),

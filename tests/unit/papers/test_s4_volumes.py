@@ -49,7 +49,7 @@ def test_a_wall_one_voxel_thick_leaks() -> None:
     wall = filled(WALL)
     opacity = [wall.tree.eta[wall.rows_of(level), 3] for level in range(4)]
     assert [set(a.tolist()) for a in opacity] == [{1.0}, {0.5}, {0.25}, {0.125}]
-    nothing = np.zeros((len(wall.tree.first), 3), np.float32)
+    nothing = np.zeros((len(wall.tree.eta), 3), np.float32)
     got = traced(wall, nothing, [[6.0, 3, 1.0]], [-2, 8, 8], [1, 0, 0])
     assert got[3] == pytest.approx(0.875), "a cone eight voxels wide at the wall"
     got = traced(wall, nothing, [[9.5, 0, 1.0]], [-2, 8, 8], [1, 0, 0])
@@ -60,7 +60,7 @@ def test_the_mean_of_stored_children_keeps_a_wall_opaque_and_makes_it_fat() -> N
     wall = filled(WALL, stored=True)
     opacity = [wall.tree.eta[wall.rows_of(level), 3] for level in range(4)]
     assert [set(a.tolist()) for a in opacity] == [{1.0}] * 4
-    nothing = np.zeros((len(wall.tree.first), 3), np.float32)
+    nothing = np.zeros((len(wall.tree.eta), 3), np.float32)
     assert traced(wall, nothing, [[6.0, 3, 1.0]], [-2, 8, 8], [1, 0, 0])[3] == 0
 
 
@@ -81,7 +81,7 @@ def test_nothing_empty_is_stored_and_everything_else_is_found() -> None:
     cells = np.unique(np.random.default_rng(1).integers(0, N, (60, 3)), axis=0)
     made = filled(cells)
     ancestors = sum(len(np.unique(cells >> level, axis=0)) for level in range(5))
-    assert len(made.tree.first) == ancestors and len(made.starts) == 4 == made.tree.depth, (
+    assert len(made.tree.eta) == ancestors and len(made.starts) == 4 == made.tree.depth, (
         "n levels, n - 1 steps"
     )
     assert (made.tree.eta[:, 3] > 0).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arfx.stages.dof.blur import LEVELS
-from arfx.stages.dof.scatter import Scatter
+from arfx.stages.dof.scatter import scattered
 
 STANDARD = LEVELS["standard"]
 
@@ -17,9 +17,7 @@ def spread(
     level: str = "standard",
     corner: tuple[int, int] = (0, 0),
 ) -> np.ndarray:
-    made = Scatter(light, radius.astype(np.float32), corner, LEVELS[level], 0, 0.0)
-    half = len(radius) // 2
-    return np.concatenate([made.rows(0, half), made.rows(half, len(radius))])
+    return scattered(light, radius.astype(np.float32), corner, LEVELS[level], 0, 0.0)
 
 
 def point(size: int = 129) -> np.ndarray:

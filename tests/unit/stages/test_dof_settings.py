@@ -156,13 +156,13 @@ def test_the_real_plane_has_the_depth_of_its_points() -> None:
     assert real.base is not None and not real.finite_planes
     points = np.array([[0.05, 0.02, 0], [-0.1, 0.08, 0], [0.11, -0.09, 0.0]])
     z = pose.apply(points)[:, 2]
-    dioptres = real.dioptres_over(s.camera.rect, grid)
+    dioptres = real.dioptres(grid, s.camera.rect)
     at = np.rint(s.camera.project(pose.apply(points))).astype(int)
     np.testing.assert_allclose(
         dioptres[at[:, 1], at[:, 0]], 1 / z, rtol=4e-3
     )  # half a pixel beside the point
     part = Rect(33, 17, 90, 61)
-    np.testing.assert_array_equal(real.dioptres_over(part, grid), dioptres[part.slices])
+    np.testing.assert_array_equal(real.dioptres(grid, part), dioptres[part.slices])
     with_wall = real_scene(s, pose, 0.55)
     low, high = with_wall.dioptre_range(grid)
     assert low == pytest.approx(1 / 0.55) and high > 2
@@ -197,7 +197,7 @@ def test_a_marker_that_stands_up_is_a_surface_of_its_own() -> None:
 
 def test_a_plane_seen_edge_on_is_nowhere() -> None:
     plane = plane_of(Pose(rotation_from_euler_deg(90, 0, 0), np.zeros(3)), 0.0)
-    assert not plane.dioptres(direction_grid(scene().camera)).any()
+    assert not plane.positions(direction_grid(scene().camera)).any()
 
 
 @pytest.mark.parametrize("blades", [0, 3, 6])
