@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +24,7 @@ from arfx.errors import RenderError
 from arfx.run import job as jobs
 from arfx.run import stretches
 from arfx.run.cluster import dispatch, files, start
+from arfx.run.cluster.agreement import OPENGL, OPENS, differences, environment
 from arfx.run.cluster.paths import PathMap
 from arfx.run.cluster.spec import ClusterSpec
 from arfx.run.cluster.start import Cluster
@@ -34,6 +36,7 @@ from arfx.run.lock import locked
 from arfx.run.parameters import parameters
 from arfx.run.planned import Job
 from arfx.run.schedule import find_chunk
+from arfx.stages.raster import gl_context
 from tests.cli.conftest import FRAMES, Material, Run, at_a_moment
 from tests.cli.farm import Farm, farm
 from tests.clips import MARKER, print_of, write_clip
@@ -155,6 +158,35 @@ def test_a_worker_that_differs_gets_no_work(
         pass
     for name, other in (("numpy", "0.1"), ("arfx's code", "another")):
         assert f"{name} is {here[name]}, here {other}" in refused.value.message
+
+
+def test_a_worker_without_opengl_gets_no_work_of_a_job_that_needs_it(
+    running: Farm, planned: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    params = planned.inputs.config.params
+    by_opengl = replace(params["raster"], backend="pyrender")
+    config = planned.inputs.config.model_copy(
+        update={"params": {**params, "raster": by_opengl}}
+    )
+    job = replace(planned, inputs=replace(planned.inputs, config=config))
+    monkeypatch.setattr(start, "OPENS", "opens on a graphics card")  # as no worker says
+    with (
+        connected(running) as (_, cluster),
+        pytest.raises(RenderError, match=r"OpenGL is .*, here opens on a graphics card"),
+    ):
+        rendered(job, cluster)
+
+
+def test_why_opengl_does_not_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails() -> None:
+        raise RenderError(
+            "no OpenGL context opens here (egl: libEGL.so.1 is not installed)"
+        )
+
+    monkeypatch.setattr(gl_context, "open_context", fails)
+    here = environment() | {OPENGL: OPENS}
+    (why,) = differences(here, environment(opengl=True))
+    assert why.startswith("OpenGL is no OpenGL context opens here (egl:")
 
 
 @pytest.fixture

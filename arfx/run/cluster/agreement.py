@@ -10,6 +10,7 @@ from importlib import metadata
 import arfx
 from arfx.core.compiled import target_cpu
 from arfx.core.machine import processor_name
+from arfx.errors import RenderError
 from arfx.run.folder import code_digest
 from arfx.stages import STAGES
 
@@ -28,16 +29,19 @@ LIBRARIES = (
 )
 STAGE = "stage "  # begins the name of a plug-in
 PROCESSOR = "the processor"
+OPENGL, OPENS = "OpenGL", "opens"
 _LOADED = (
     code_digest()
 )  # as it is when this process begins to import arfx: later the files may be others
 
 
-def environment(plugins: Sequence[str] = (), processor: bool = False) -> dict[str, str]:
+def environment(
+    plugins: Sequence[str] = (), processor: bool = False, opengl: bool = False
+) -> dict[str, str]:
     """Name -> version or digest, of this process.
 
     plugins : stages from other packages that the job has;  processor : by which libraries
-    choose their code, too
+    choose their code, too;  opengl : whether it opens
     """
     out = {
         "Python": platform.python_version(),
@@ -60,9 +64,21 @@ def environment(plugins: Sequence[str] = (), processor: bool = False) -> dict[st
     }
     if processor:
         out[PROCESSOR] = processor_name()
+    if opengl:
+        out[OPENGL] = _opengl()
     if out["arfx's code"] != _LOADED:
         out["arfx's code"] = f"changed since this process started ({_LOADED})"
     return out
+
+
+def _opengl() -> str:
+    from arfx.stages.raster.gl_context import open_context
+
+    try:
+        open_context()
+    except RenderError as e:
+        return e.message
+    return OPENS
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> Iterator[str]:

@@ -19,7 +19,7 @@ from typing import Any
 from arfx.core.parallel import ONE_THREAD
 from arfx.errors import ArfxError, RenderError
 from arfx.media.writer import remove_output
-from arfx.run.cluster.agreement import PROCESSOR, STAGE, differences, environment
+from arfx.run.cluster.agreement import OPENGL, PROCESSOR, STAGE, differences, environment
 from arfx.run.cluster.files import Bundle, find
 from arfx.run.cluster.paths import is_url
 from arfx.run.cluster.store import Store
@@ -77,7 +77,8 @@ def examine(here: Mapping[str, str], job: JobReference | None) -> tuple[str, str
     for variable, one in ONE_THREAD.items():
         os.environ.setdefault(variable, one)
     plugins = tuple(name.removeprefix(STAGE) for name in here if name.startswith(STAGE))
-    refused = ", ".join(differences(here, environment(plugins, PROCESSOR in here)))
+    there = environment(plugins, PROCESSOR in here, OPENGL in here)
+    refused = ", ".join(differences(here, there))
     worker = _worker()
     if job is not None and not refused:
         refused = _place(job)

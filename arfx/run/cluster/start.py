@@ -18,7 +18,7 @@ from arfx.core.parallel import ONE_THREAD
 from arfx.errors import ConfigError
 from arfx.media.writer import chunk_suffix
 from arfx.run.analysis import Run
-from arfx.run.cluster.agreement import environment
+from arfx.run.cluster.agreement import OPENGL, OPENS, environment
 from arfx.run.cluster.crew import Crew
 from arfx.run.cluster.dispatch import Dispatch
 from arfx.run.cluster.files import bundles
@@ -116,7 +116,10 @@ class Cluster:
         job = JobReference(f"arfx-{uuid.uuid4().hex}", key, suffix, tuple(seen), files)
         plugins = [name for name in pipeline(inputs.config) if name in STAGES.plugins]
         notice = self._notice if rendering else lambda _: None
-        crew = Crew(self._client, environment(plugins, not rendering), job, notice)
+        here = environment(plugins, not rendering)
+        if rendering and inputs.config.params["raster"].backend == "pyrender":
+            here[OPENGL] = OPENS
+        crew = Crew(self._client, here, job, notice)
         yield Dispatch(self._client, crew, job, store, self._own, self._notice)
         if store is not None:
             store.take_previews(folder.previews)
