@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.analyse.pose.planar import both_poses
 from arfx.config.load import load
 from arfx.core import interrupt
 from arfx.core.camera import Camera
@@ -151,13 +150,22 @@ def single_frame_poses(clip: Path, camera: Camera, marker: MarkerSpec) -> list[P
 def _pose(
     detector: cv2.aruco.ArucoDetector, luma: np.ndarray, camera: Camera, marker: MarkerSpec
 ) -> Pose | None:
-    quads, ids, _ = detector.detectMarkers(luma)
-    poses = (
-        pose
-        for quad, (number,) in zip(quads, () if ids is None else ids, strict=False)
-        if number == marker.id
-        for pose in both_poses(
-            marker.corners_m, camera.normalised(np.asarray(quad[0], float))
+    corners, ids, _ = detector.detectMarkers(luma)
+    for found, number in zip(
+        corners, [] if ids is None else np.asarray(ids).ravel(), strict=False
+    ):
+        if number != marker.id:
+            continue
+        points = np.asarray(found, float).reshape(4, 2)
+        ok, rotations, translations, _ = cv2.solvePnPGeneric(
+            marker.corners_m,
+            camera.normalised(points),
+            np.eye(3),
+            None,
+            flags=cv2.SOLVEPNP_IPPE_SQUARE,
         )
-    )
-    return next(poses, None)
+        if ok:
+            return Pose.from_rotvec(
+                np.asarray(rotations[0]).ravel(), np.asarray(translations[0]).ravel()
+            )
+    return None
