@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 from pydantic import ValidationError
@@ -27,12 +29,13 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
     for text in texts:
         _set_value(tree, *parse_setting(text), f"--set {text}")
     for path, value, words in options:
-        before = _set_value(tree, path, value, words)
-        if before is not None and _meaning(path, value) != _meaning(path, before):
+        others = [t for t in texts if parse_setting(t)[0][: len(path)] == list(path)]
+        if others and _meaning(path, value) != _meaning(path, reduce(getitem, path, tree)):
             raise ConfigError(
-                f"{words} and --set give different values to {'.'.join(path)}",
+                f"{words} and --set {others[-1]} give different values to {'.'.join(path)}",
                 "give one of them",
             )
+        _set_value(tree, path, value, words)
     return tree
 
 
@@ -88,10 +91,8 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
-def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> Any:
-    """Put a value into nested tables; returns what was there. Raises ConfigError where the
-    way is barred.
-    """
+def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str) -> None:
+    """Put a value into nested tables. Raises ConfigError where the way is barred."""
     at: Any = tree
     for part in path[:-1]:
         at = at.setdefault(part, {})
@@ -100,13 +101,11 @@ def _set_value(tree: dict[str, Any], path: Sequence[str], value: Any, words: str
                 f"{words}: {part!r} was given a value of its own, it has no keys",
                 "give one of them",
             )
-    before = at.get(path[-1])
-    if isinstance(before, dict):
+    if isinstance(at.get(path[-1]), dict):
         raise ConfigError(
             f"{words}: keys of {path[-1]!r} were given values already", "give one of them"
         )
     at[path[-1]] = value
-    return before
 
 
 def _meaning(path: Sequence[str], value: Any) -> Any:

@@ -62,9 +62,7 @@ def compared(
             for c in detector.search(luma)
             if c.key in {m.key for m in markers}
         }
-        got = {
-            key: track.quad_px for key, track in found.tracks.items() if track.time_s == t
-        }
+        got = {key: track.quad for key, track in found.tracks.items() if track.time_s == t}
         missed |= {(k, key) for key in whole.keys() - got.keys()}
         more |= {(k, key) for key in got.keys() - whole.keys()}
         worst = max(

@@ -407,6 +407,8 @@ def smoothed(
     begins anew there"""
     from scipy.linalg import solveh_banded
 
+    if len(value) == 1:  # LAPACK takes no matrix of one
+        return value
     waits = DRIFT_PER_S**2 * np.maximum(np.diff(time_s), 1e-6)[:, None]
     out = value
     for _ in range(_PASSES):  # what is expected of it goes with its size
