@@ -324,9 +324,8 @@ def _wpilib_layout(document: dict) -> dict[str, Pose]:
     out = {}
     for tag in document["tags"]:
         t, q = tag["pose"]["translation"], tag["pose"]["rotation"]["quaternion"]
-        with np.errstate(
-            invalid="ignore"
-        ):  # what is not finite is refused with the other poses
+        # what is not finite is refused with the other poses
+        with np.errstate(invalid="ignore", over="ignore"):
             r = rotation_from_quaternion(np.array([float(q[k]) for k in "WXYZ"])) @ swap
-        out[f"36h11:{int(tag['ID'])}"] = Pose(r, np.array([t[k] for k in "xyz"], float))
+        out[f"36h11:{int(tag['ID'])}"] = Pose(r, np.array([float(t[k]) for k in "xyz"]))
     return out
