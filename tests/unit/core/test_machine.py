@@ -8,7 +8,11 @@ from pathlib import Path
 import pytest
 
 from arfx.core import machine
-from arfx.measure.machine import _encode_fails
+from arfx.measure.costs_output import write_clip
+from arfx.media.clip import probe
+from arfx.media.frames import ClipReader
+from arfx.media.output import OutputSettings, plan_output
+from arfx.media.writer import ChunkWriter, chunk_suffix
 
 
 @pytest.mark.parametrize(
@@ -47,13 +51,19 @@ def test_usable_cores(
     not hasattr(os, "geteuid") or os.geteuid() != 0,
     reason="the encoder does this as root alone",
 )
-def test_the_av1_encoder_takes_the_machine_from_nobody() -> None:
+def test_the_av1_encoder_takes_the_machine_from_nobody(tmp_path: Path) -> None:
     def scheduling() -> set[int]:
         return {
             os.sched_getscheduler(thread)
             for thread in map(int, os.listdir("/proc/self/task"))  # noqa: PTH208 - {os.SCHED_BATCH}
         }
 
+    info = probe(write_clip(tmp_path / "clip.mp4", 128, 96, 4))
+    plan = plan_output(info, tmp_path / "out.mkv", OutputSettings("av1"))
+    path = tmp_path / f"chunk{chunk_suffix(plan)}"
     before = scheduling()
-    assert _encode_fails("libsvtav1", "yuv420p", ".nut", {"svtav1-params": "lp=2"}) == ""
+    with ClipReader(info) as reader, ChunkWriter(plan, info, path) as writer:
+        for frame in reader.frames():
+            writer.write(frame)
+        assert scheduling() == before
     assert scheduling() == before
