@@ -109,6 +109,8 @@ def reject_views(
     for _ in range(10):
         limit = rejection_limit_px(errors)
         chosen = [v for v, e in zip(views, errors, strict=True) if e <= limit]
+        if fitted is None and len(chosen) < 3:
+            chosen = list(views)
         if fitted is not None and (len(chosen) < 3 or chosen == inside):
             break
         inside = chosen

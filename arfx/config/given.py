@@ -41,11 +41,12 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
 
 def section_overrides(given: Mapping[str, Any]) -> Iterator[Given]:
     """The settings of a job's sections that have an option. given : by the option's name;
-    None, False, () and "" are not given."""
+    None, False and () are not given."""
     for s in settings():
         value = given[s.name] if s.flags else None
-        # an empty list of effects is not given either
-        if value is None or value is False or value == () or value == "":
+        if value is None or value is False or value == ():
+            continue
+        if value == "" and list[str] in s.kinds:  # an empty list of effects
             continue
         flag, values = s.flags[0], value if s.repeated else [value]
         words = " ".join(flag if v is True else f"{flag} {v}" for v in values)

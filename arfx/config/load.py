@@ -143,7 +143,7 @@ def load(
 
     sections = {s.section for s in settings()}
     known = [*sections, *parameters]
-    for name in merged.keys() - known:
+    for name in (name for name in merged if name not in known):
         problem((name,), f"there is no section or stage {name!r}", suggestion(name, known))
     given: dict[str, Any] = {name: merged[name] for name in sections & merged.keys()}
     given["params"] = {name: chosen(name, kinds) for name, kinds in parameters.items()}
@@ -232,12 +232,6 @@ def _contains(tree: Any, path: KeyPath) -> bool:
         else:
             return isinstance(tree, (list, tuple))
     return True
-
-
-def with_location(message: str, file: Path | str, line: int, hint: str = "") -> str:
-    """The message with file and line (0 = not known), and what would be right."""
-    shown = f"{message}\n  --> {file}" + (f":{line}" if line else "")
-    return f"{shown}\nhelp: {hint}" if hint else shown
 
 
 def presets() -> dict[str, Path]:

@@ -46,6 +46,8 @@ def _listed(value: Any) -> Any:
 
 def _names(value: Any) -> Any:
     names = _listed(value)
+    if isinstance(value, str):
+        names = [name for name in names if name]
     return "auto" if names == ["auto"] and isinstance(value, str) else names
 
 

@@ -18,7 +18,7 @@ import sys
 import zlib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from typing import Annotated, Any, Self
 
@@ -39,6 +39,13 @@ class _Pickler(pickle.Pickler):
         order: Any = "F" if v.flags.fnc else "C"  # sums may depend on it
         return isinstance(v, np.generic), v.dtype.str, v.shape, order, v.tobytes(order)
 
+    def reducer_override(self, v: Any) -> Any:
+        if isinstance(v, type | Counter):
+            return NotImplemented
+        if is_dataclass(v):  # by its fields: what it keeps beside them differs
+            return type(v), tuple(getattr(v, f.name) for f in fields(v))
+        raise TypeError(f"{type(v).__name__} cannot be stored")
+
 
 class _Unpickler(pickle.Unpickler):
     def persistent_load(self, saved: Any) -> Any:
@@ -55,7 +62,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def dumps(value: Any) -> bytes:
-    """Raises TypeError for an array that holds no numbers."""
+    """Raises TypeError for a value of a type that is not taken."""
     plain = io.BytesIO()
     pickler = _Pickler(plain, 5)
     pickler.fast = True  # without references: equal values give equal bytes

@@ -24,6 +24,7 @@ from arfx.stages.dof.aperture import SHARP_PX, disc
 
 _BEYOND = 1e12  # larger than any squared radius, px^2
 _RADIUS_STEP = 1 / 16  # of a cell, to which a bin's disc is rounded
+_AT_ONCE = 2  # bins, each as large as the layer
 _LARGEST_CELLS = 8.0  # more than any radius on cells
 
 
@@ -93,8 +94,10 @@ def scattered(
             if levels[k] == level
         ]
         extents = radius.min(1) ** 2, radius.max(1) ** 2
-        for first, part in parallel_map(partial(_spread, light, radius, extents), bins):
-            total[first : first + len(part)] += part
+        spread = partial(_spread, light, radius, extents)
+        for start in range(0, len(bins), _AT_ONCE):
+            for first, part in parallel_map(spread, bins[start : start + _AT_ONCE]):
+                total[first : first + len(part)] += part
     return np.ascontiguousarray(total[above : above + height, left : left + width])
 
 

@@ -142,8 +142,10 @@ def _percentage_closer(
     least = np.float32(_NARROWEST)
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
+            if not coverage[y, x] > zero:
+                continue
             across, down, facing = turned(seen.unit, normal[y, x])
-            if not (coverage[y, x] > zero and facing > zero):
+            if not facing > zero:
                 continue
             facing = max(facing, np.float32(0.15))
             tilt = across / facing, down / facing

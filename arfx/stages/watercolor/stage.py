@@ -21,6 +21,7 @@ from math import ceil
 from operator import iadd
 from typing import Any, ClassVar, NamedTuple
 
+import cv2
 import numpy as np
 
 from arfx.core.facts import FrameFacts
@@ -138,16 +139,17 @@ class Watercolor(Stage):
         if not p.toon or box.empty:
             return packed(image)
         part = view.layers.crop(box)
-        covered = part[Layer.COVERAGE][..., None]
         towards, radiance = toon_light(
             view.light, view.scene.world_from_anchor.rotation[:, 2]
         )
         even = EVEN * np.clip(view.light.ambient_rgb, 0, radiance)
-        cosine = part[Layer.NORMAL] @ towards.astype(np.float32)
-        tone = tones(cosine, p.toon_thresholds, p.toon_factors)[..., None]
-        light = even.astype(np.float32) + (radiance - even).astype(np.float32) * tone
-        shaded = covered * (part[Layer.ALBEDO] * light + part[Layer.EMISSIVE])
-        flat = np.where(covered > 0, shaded, np.float32(0))
+        cosine = cv2.transform(packed(part[Layer.NORMAL]), towards[None].astype(np.float32))
+        tone = tones(cosine, p.toon_thresholds, p.toon_factors)
+        flat = tone[..., None] * (radiance - even).astype(np.float32)
+        flat += even.astype(np.float32)
+        flat *= part[Layer.ALBEDO]
+        flat += part[Layer.EMISSIVE]
+        flat *= part[Layer.COVERAGE][..., None]
         out = image.copy()
         at = box.slices_in(view.rect)
         out[at] = replace_lit(out[at], part[Layer.VIRTUAL], flat, view.facts.opacity)

@@ -65,4 +65,8 @@ def replace_lit(
     """
     means = np.array(cv2.mean(lit)[:3]), np.array(cv2.mean(flat)[:3])
     gain = np.clip(divide(*means, where_zero=1.0), *_GAINS).astype(np.float32)
-    return np.maximum(image + np.float32(opacity) * (gain * flat - lit), 0)
+    change = flat * gain
+    change -= lit
+    change *= np.float32(opacity)
+    change += image
+    return np.maximum(change, 0, out=change)

@@ -30,3 +30,11 @@ def test_noise_is_taken_out_and_steps_stay() -> None:
     truth = np.repeat([1.0, 0.5], 20)
     found = walk((truth + noise).tolist(), [0.02**2] * 40, [20])
     assert np.abs(found - truth).max() < 0.5 * np.abs(noise).max()
+
+
+def test_what_is_hardly_seen_stays_what_it_was() -> None:
+    for n in (24, 31, 150, 221):
+        found = walk([1.0] * n, [1e-4] * (n // 2) + [UNKNOWN] * (n - n // 2), [n // 2])
+        assert np.allclose(found, 1, atol=1e-6)
+        dark = walk([1.0] * (n // 2) + [0.0] * (n - n // 2), [1e-4] * n, [n // 2])
+        assert np.allclose(dark[n // 2 :], 0, atol=1e-6)
