@@ -56,6 +56,14 @@ def test_views_of_another_camera_are_rejected_not_averaged(bad_share: int) -> No
     assert fitted.camera.fx == pytest.approx(TRUE.fx, abs=3)
 
 
+def test_of_three_views_each_is_needed() -> None:
+    for noise_px in (0.3, 1.0, 2.0):
+        some = views(3)
+        some[1] = views(3, seed=9, noise_px=noise_px)[1]
+        fitted, rejected = reject_views(some)
+        assert not rejected and fitted.camera.fx == pytest.approx(TRUE.fx, rel=0.1)
+
+
 def test_a_wrong_corner_costs_the_corner_not_the_view() -> None:
     some = views(10)
     wrong = some[4].pixels.copy()

@@ -7,7 +7,7 @@ import pytest
 
 from arfx.config.given import overrides, parse_setting, section_overrides
 from arfx.config.load import load
-from arfx.config.sections import settings
+from arfx.config.sections import PipelineSection, settings
 from arfx.errors import ConfigError
 
 NOTHING: dict[str, Any] = {s.name: None for s in settings() if s.flags}
@@ -21,6 +21,12 @@ def test_no_two_settings_have_the_same_option() -> None:
     flags = [flag for s in settings() for flag in s.flags]
     assert len(set(flags)) == len(flags) and len(NOTHING) >= 25
     assert not overrides(section_overrides({**NOTHING, "marker": (), "no_skip": False}), ())
+
+
+def test_an_empty_text_is_given_but_for_a_list_of_effects() -> None:
+    assert given(start="", camera="")["input"] == {"start": "", "camera": ""}
+    assert not given(pipeline="")
+    assert PipelineSection(stages="lightmap,").stages == ["lightmap"]
 
 
 @pytest.mark.parametrize(
