@@ -109,10 +109,10 @@ def reject_views(
     for _ in range(10):
         limit = rejection_limit_px(errors)
         chosen = [v for v, e in zip(views, errors, strict=True) if e <= limit]
-        if fitted is None and len(chosen) < 3:
+        if len(chosen) < 3 or chosen == inside:
+            if fitted is not None:
+                break
             chosen = list(views)
-        if fitted is not None and (len(chosen) < 3 or chosen == inside):
-            break
         inside = chosen
         fitted = fit(inside, model)
         errors = _errors(views, fitted)

@@ -26,13 +26,14 @@ def overrides(options: Iterable[Given], texts: Sequence[str]) -> dict[str, Any]:
     Raises ConfigError naming the words, also for an option and a --set that give one key
     different values."""
     tree: dict[str, Any] = {}
-    for text in texts:
-        _set_value(tree, *parse_setting(text), f"--set {text}")
+    settings_given = [(*parse_setting(text), f"--set {text}") for text in texts]
+    for setting in settings_given:
+        _set_value(tree, *setting)
     for path, value, words in options:
-        others = [t for t in texts if parse_setting(t)[0][: len(path)] == list(path)]
+        others = [said for key, _, said in settings_given if key[: len(path)] == list(path)]
         if others and _meaning(path, value) != _meaning(path, reduce(getitem, path, tree)):
             raise ConfigError(
-                f"{words} and --set {others[-1]} give different values to {'.'.join(path)}",
+                f"{words} and {others[-1]} give different values to {'.'.join(path)}",
                 "give one of them",
             )
         _set_value(tree, path, value, words)

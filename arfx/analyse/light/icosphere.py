@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from arfx.core.numerics import normalise
+from arfx.core.numerics import normalise, same_rows
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -75,9 +75,8 @@ def _cut(coarse: Icosphere) -> tuple[np.ndarray, np.ndarray]:
     """Each face in four, at the middles of its sides."""
     old, (a, b, c) = coarse.vertices, coarse.faces.T
     sides = np.sort(np.stack([(a, b), (b, c), (c, a)]), 1)
-    ends, which = np.unique(
-        sides.transpose(2, 0, 1).reshape(-1, 2), axis=0, return_inverse=True
-    )
+    rows = sides.transpose(2, 0, 1).reshape(-1, 2)
+    first, which = same_rows(rows)
     ab, bc, ca = which.reshape(-1, 3).T + len(old)
     faces = np.stack([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)], 1)
-    return np.concatenate([old, normalise(old[ends].sum(1))]), faces.reshape(3, -1).T
+    return np.concatenate([old, normalise(old[rows[first]].sum(1))]), faces.reshape(3, -1).T

@@ -51,7 +51,7 @@ AMBIENT, DIRECT = (
 ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
 _PASSES = 2
-_LEAST_SEEN = 1e-9  # of what ties a value to its neighbours
+_LEAST_KNOWN = 1e-9  # of what ties a value to its neighbours
 JUMP = 0.15  # of the factor's logarithm from one frame to the next: a switch, not a drift
 UNKNOWN = light_map.UNKNOWN  # variance
 MOST_GAINS = 200  # in the report
@@ -419,7 +419,7 @@ def smoothed(
         bands[0, 1:] = -tie
         bands[1, 1:] += tie
         bands[1, :-1] += tie
-        seen = np.maximum(1 / variance, _LEAST_SEEN * bands[1])  # else it is singular
+        seen = np.maximum(1 / variance, _LEAST_KNOWN * bands[1])  # else it is singular
         bands[1] += seen
         out = np.stack(
             [solveh_banded(bands[..., c], (value * seen)[:, c]) for c in range(3)], 1
