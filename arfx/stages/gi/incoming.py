@@ -52,6 +52,16 @@ class IncomingLight:
     mean: np.ndarray
     environment: Environment
 
+    def change(self, left: np.ndarray) -> np.ndarray:
+        """(p n^2, 3) radiance of the picture on the planes, less its mean, where the object
+        leaves that share.
+
+        left (p, n, n, 3) : of `Indirect`
+        """
+        size = left.shape[1:3]
+        seen = [cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in self.picture]
+        return np.asarray(((np.stack(seen) - self.mean) * left).reshape(-1, 3))
+
     def background(self, left: np.ndarray) -> Background:
         """As mirrors see it, the planes darkened and lit by the object.
 

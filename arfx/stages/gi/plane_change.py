@@ -29,7 +29,6 @@ _EVENED_TEXELS = 0.8  # blur of what few rays bring
 _EVENED_FOR_SIZE = 2.0  # the same, where a single ray must not count
 _OTHER_SIDE = 192  # texels of a plane that the object does not stand on
 _RIM = 0.85  # share of a plane's texture from which on the change fades out
-_CHANNELS = np.eye(3)
 
 
 def measured(layers: Layers) -> np.ndarray:
@@ -50,8 +49,8 @@ def plane_pose(axes: np.ndarray) -> Pose:
 
 def change_textures(
     light: Indirect, hidden: np.ndarray, planes: Planes, soft: Sequence[SoftPicture]
-) -> list[list[tuple[PlaneTexture, ...]]]:
-    """Of each plane, textures that add up, each by channel: share of all the plane's light
+) -> list[list[PlaneTexture]]:
+    """Of each plane, textures (3, rows, columns) that add up: share of all the plane's light
     that the object adds.
 
     hidden (p, side, side) : of `Transport`;  soft : pictures of the first plane that add
@@ -78,7 +77,7 @@ def change_textures(
             if texture is blank:
                 share = _sampled(share[..., None], places)[..., 0]
             change = (share * _faded(places))[..., None] * _sampled(change, places)
-            textures.append(_channels(change, texture.texel_from_m))
+            textures.append(PlaneTexture(_bordered(change), texture.texel_from_m))
         out.append(textures)
     return out
 
@@ -91,10 +90,10 @@ def _even_picture(half_m: float, middle_m: np.ndarray) -> PlaneTexture:
     return PlaneTexture(np.zeros((_OTHER_SIDE, _OTHER_SIDE), np.float32), matrix)
 
 
-def _channels(change: np.ndarray, texel_from_m: np.ndarray) -> tuple[PlaneTexture, ...]:
-    bordered = np.pad(change[1:-1, 1:-1], ((1, 1), (1, 1), (0, 0))).astype(np.float32)
-    parts = np.ascontiguousarray(np.moveaxis(bordered, 2, 0))
-    return tuple(PlaneTexture(part, texel_from_m) for part in parts)
+def _bordered(change: np.ndarray) -> np.ndarray:
+    """(3, h, w) float32 of (h, w, 3), 0 along the border."""
+    inner = np.moveaxis(change[1:-1, 1:-1], 2, 0)
+    return np.pad(inner, ((0, 0), (1, 1), (1, 1))).astype(np.float32, "C")
 
 
 def _sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -121,14 +120,14 @@ def add_change(
     grid: np.ndarray,
     anchor_from_camera: Pose,
     planes: Planes,
-    textures: Sequence[Sequence[tuple[PlaneTexture, ...]]],
+    textures: Sequence[Sequence[PlaneTexture]],
     strength: float,
 ) -> None:
     """shadow (h, w, 3) over the layers' rectangle += strength x the planes' change, never below 0.
 
     grid : viewing directions;  textures : of `change_textures`
     """
-    change = np.zeros((3, layers.rect.height, layers.rect.width), np.float32)
+    channels = np.moveaxis(shadow, 2, 0)
     shares = shown_planes(layers, grid, anchor_from_camera, planes)
     for k, share in enumerate(shares):
         own = anchor_from_camera
@@ -137,10 +136,8 @@ def add_change(
         if own.translation_m[2] <= 0:
             continue
         view = PlaneView(layers.rect, grid, own)
-        for parts in textures[k]:
-            for channel, part in enumerate(parts):
-                view.add(change, part, strength * _CHANNELS[channel], share)
-    shadow += np.moveaxis(change, 0, 2)
+        for texture in textures[k]:
+            view.add(channels, texture, np.full(3, strength), share)
     np.maximum(shadow, 0, out=shadow)
 
 

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 
 from arfx.core.facts import FrameFacts
@@ -63,10 +62,25 @@ from arfx.stages.viewing import direction_grid, viewing
 
 TRANSPORTS_KEPT = 1  # of a model: one level on its planes
 PLANE_ROUGHNESS = 0.1  # of a plane's reflection, 0 = a mirror
-TEXTURE_SIDE = 128  # texels of the picture on a plane
+
+
+@dataclass(frozen=True)
+class GiLevel:
+    """shows : share of a white surface's light from which on a pixel mirrors its surroundings;
+    one that mirrors less shows the light that falls on it instead
+    picture : texels a side of the picture on a plane
+    by_frame : the object gets the light of each frame's picture of the planes, else its mean
+    """
+
+    transport: TransportLevel
+    shows: float
+    picture: int
+    by_frame: bool
+
+
 LEVELS = {
-    "draft": TransportLevel(6000, 48, 32, 32, 3),
-    "standard": TransportLevel(12_000, 96, 64, 48, 8),
+    "draft": GiLevel(TransportLevel(6000, 48, 32, 32, 3), 0.5, 64, False),
+    "standard": GiLevel(TransportLevel(12_000, 96, 64, 48, 8), SHOWS, 128, True),
 }
 
 
@@ -104,12 +118,13 @@ class Prepared:
 class LitScene:
     """What does not change while the light stays. changes : of `change_textures`;  radius_m
     : within which they show
-    sent (z, y, x, 3) : nodes of what the object sends
+    received, sent (z, y, x, 3) : nodes of what falls on the object, and of what it sends
     """
 
     indirect: Indirect
-    changes: list[list[tuple[PlaneTexture, ...]]]
+    changes: list[list[PlaneTexture]]
     radius_m: float
+    received: np.ndarray
     sent: np.ndarray
 
 
@@ -158,11 +173,11 @@ class Gi(Stage):
             middle, half = planes.axes[0, 0, :2].astype(float), planes.half_m
             box = middle - half, middle + half
             soft = soft_pictures(region.caster, *box, PLANE_LEVELS["standard"])
-            return Transport(scene, planes, region.rays, LEVELS[level]), soft
+            return Transport(scene, planes, region.rays, LEVELS[level].transport), soft
 
         key = (scene.placed_by, *planes.key, level)
         transport, soft = memo_of(scene.model).get(key, make, "transport", TRANSPORTS_KEPT)
-        positions = texel_positions(planes, TEXTURE_SIDE)
+        positions = texel_positions(planes, LEVELS[level].picture)
         return Prepared(direction_grid(scene.camera), transport, soft, positions)
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, np.ndarray | Pixels]:
@@ -189,7 +204,7 @@ class Gi(Stage):
             incoming.background(lit.indirect.left),
             prepared.transport,
             lit.sent,
-            SHOWS * float(divide(soft, brightest)),
+            LEVELS[view.level].shows * float(divide(soft, brightest)),
         )
         virtual = self._virtual(view, prepared, incoming, lit, sight)
         if not disc.empty:
@@ -216,8 +231,8 @@ class Gi(Stage):
             changes = change_textures(indirect, transport.hidden, planes, prepared.soft)
             positions = transport.texels.reshape(*transport.hidden.shape, 3)
             radius_m = visible_radius_m(indirect, planes, positions)
-            sent = transport.grid.nodes(indirect.sent)
-            return LitScene(indirect, changes, radius_m, sent)
+            nodes = map(transport.grid.nodes, (indirect.received, indirect.sent))
+            return LitScene(indirect, changes, radius_m, *nodes)
 
         kept: LitScene = view.memo.of_light.get(key, make)
         return kept
@@ -238,14 +253,10 @@ class Gi(Stage):
             return Pixels(now.rect, out, part=part)
         here, transport = now.crop(box), prepared.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
-        side = transport.level.side
-        shares = [
-            cv2.resize(p, (side, side), interpolation=cv2.INTER_AREA)
-            for p in incoming.picture
-        ]
-        change = (np.stack(shares) - incoming.mean) * lit.indirect.left
-        received = lit.indirect.received + transport.more_from_planes(change.reshape(-1, 3))
-        nodes = transport.grid.nodes(received)
+        nodes = lit.received
+        if LEVELS[view.level].by_frame:
+            more = transport.more_from_planes(incoming.change(lit.indirect.left))
+            nodes = nodes + transport.grid.nodes(more)
         layers = surface.coverage, surface.normal, surface.position
         light = transport.grid.read(nodes, *layers, sight.anchor_from_world)
         smooth = smooth_normal(surface.normal, here)

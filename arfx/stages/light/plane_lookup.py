@@ -25,7 +25,7 @@ _LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it count
 class PlaneTexture:
     """A picture of a plane.
 
-    dark (rows, columns) : float32, 0 along the border: so is everything outside
+    dark ([c,] rows, columns) : float32, 0 along the border: so is everything outside
     texel_from_m (2, 3) : column and row from plane coordinates (x, y, 1), metres"""
 
     dark: np.ndarray
@@ -56,12 +56,15 @@ class PlaneView:
         weights: np.ndarray,
         share: np.ndarray | None = None,
     ) -> None:
-        """out (c, h, w) float32 += weights (c,) x the texture x share (h, w), None = 1."""
+        """out (c, h, w) float32 += weights (c,) x the texture x share (h, w), None = 1.
+
+        texture : of c channels, or one for all
+        """
         linear, offset = texture.texel_from_m[:, :2], texture.texel_from_m[:, 2]
         across = np.tensordot(linear, self._directions[:2], 1)
         nodes = np.stack([*across, self._directions[2]]).astype(np.float32)
         start = np.array([*(linear @ self._eye[:2] + offset), self._eye[2]], np.float32)
-        part = self._seen_part(nodes, start, texture.dark.shape)
+        part = self._seen_part(nodes, start, texture.dark.shape[-2:])
         if part.empty:
             return
         left, top = part.x0 // GRID_PX, part.y0 // GRID_PX
@@ -71,7 +74,8 @@ class PlaneView:
         at = part.shift(-self._corner[0], -self._corner[1]).slices_in(self._from_corner)
         seen = np.zeros((0, 0), np.float32) if share is None else share[at]
         weights = np.asarray(weights, np.float32)
-        _add_texture(out[:, *at], corner, near, start, texture.dark, weights, seen)
+        texels = np.atleast_3d(texture.dark.T).T
+        _add_texture(out[:, *at], corner, near, start, texels, weights, seen)
 
     def _seen_part(
         self, nodes: np.ndarray, start: np.ndarray, shape: tuple[int, int]
@@ -144,11 +148,11 @@ def _add_texture(
 ):  # pragma: no cover - compiled
     """Rows of `PlaneView.add`.
 
-    corner : the first pixel, from the first node
+    corner : the first pixel, from the first node;  texture (c or 1, rows, columns)
     nodes (3, gh, gw) : column and row by which a ray moves on, and its rise;  start (3,) : of all
     """
     channels, height, width = out.shape
-    rows, columns = texture.shape
+    layers, rows, columns = texture.shape
     x0, y0 = corner
     cells = nodes.shape[2] - 1
     line = np.empty((3, cells + 1), np.float32)
@@ -158,7 +162,7 @@ def _add_texture(
     )
     rise = np.empty(cells * GRID_PX, np.float32)
     texel, value = np.empty(width, np.int32), np.empty(width, np.float32)
-    flat = texture.reshape(-1)
+    flat = texture.reshape(layers, rows * columns)
     zero, step = np.float32(0), np.float32(1.0 / GRID_PX)
     last_u, last_v = np.float32(columns - 1.01), np.float32(rows - 1.01)
     for j in range(height):
@@ -198,17 +202,19 @@ def _add_texture(
             u[i] -= np.float32(column)
             v[i] -= np.float32(row)
             texel[i] = row * np.int32(columns) + column
-        for i in range(n):
-            a = np.uintp(texel[i])
-            b = a + np.uintp(columns)
-            top = flat[a] + u[i] * (flat[a + np.uintp(1)] - flat[a])
-            bottom = flat[b] + u[i] * (flat[b + np.uintp(1)] - flat[b])
-            value[i] = top + v[i] * (bottom - top)
-        if share.shape[0] > 0:
-            open_share = share[j, first:after]
-            for i in range(n):
-                value[i] *= open_share[i]
         for c in range(channels):
+            if c < layers:
+                layer = flat[c]
+                for i in range(n):
+                    a = np.uintp(texel[i])
+                    b = a + np.uintp(columns)
+                    top = layer[a] + u[i] * (layer[a + np.uintp(1)] - layer[a])
+                    bottom = layer[b] + u[i] * (layer[b + np.uintp(1)] - layer[b])
+                    value[i] = top + v[i] * (bottom - top)
+                if share.shape[0] > 0:
+                    open_share = share[j, first:after]
+                    for i in range(n):
+                        value[i] *= open_share[i]
             to, weight = out[c, j, first:after], weights[c]
             for i in range(n):
                 to[i] += weight * value[i]
