@@ -55,15 +55,13 @@ WITH_DEPTH = ("0001-orbit", "0003-several-tilted-markers", "0903-partial-occlusi
 NOISE, HOLES, EDGE_PX = 0.004, 0.03, 1  # of that depth, as of scene 0022's
 APERTURE = 1 / 30  # of the picture's width, where a clip does not say how large its blur is
 SHIPPED = ROOT / "arfx" / "plan" / "default_errors.json"
-FEWEST_PX, LEAST_ERROR = (
-    200,
-    0.02,
-)  # that an effect must touch, and its cheapest level be off by, in grey levels, to show
+SAMPLES = (
+    256  # paths a pixel of gi's reference: the noise of 64 is 2 levels on a white object
+)
+FEWEST_PX = 200  # that an effect must touch to be counted
+LEAST_ERROR = 0.02  # grey levels, of an effect's cheapest level, to be counted
 NINE_IN_TEN = (5, 95)  # percentiles
-STEP, HALF = (
-    1.6,
-    0.5,
-)  # what a step up costs at least, or else what is left of the error at most
+STEP, HALF = 1.6, 0.5  # a step up costs so many times, or leaves so much of the error
 
 
 def main() -> int:
@@ -240,6 +238,7 @@ def planned(name: str, folder: Path) -> Job:
         "stages": [n for n in STAGES if n not in ALWAYS],
         "quality": "standard",
     }
+    more["gi"] = {**own.get("gi", {}), "samples": SAMPLES}
     if "dof" not in own:
         more["dof"] = {"aperture_px": probe(clip).width * APERTURE}
     inputs = open_inputs(load(files, more, parameters()))
