@@ -17,7 +17,6 @@ from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.stages.viewing import GRID_PX
 
-_CELL = ((0, 0), (0, 1), (1, 0), (1, 1))  # rows and columns of a cell's corners
 _LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it counts as none
 
 
@@ -87,21 +86,25 @@ class PlaneView:
             distance = start[2] / -nodes[2]
             places = nodes[:2] * distance + start[:2, None, None]
         places[:, nodes[2] >= 0] = np.nan
-        corners = [
-            places[:, j : j + nodes.shape[1] - 1, i : i + nodes.shape[2] - 1]
-            for j, i in _CELL
-        ]
-        low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
+        low, high = _of_cells(np.minimum, places), _of_cells(np.maximum, places)
         # a cell on the horizon, where not all corners meet the plane, may see anything
         beside = (low[0] > shape[1]) | (high[0] < -1) | (low[1] > shape[0]) | (high[1] < -1)
-        none = np.all([np.isnan(corner[0]) for corner in corners], 0)
-        rows, columns = np.nonzero(~beside & ~none)
+        meets = _of_cells(np.logical_or, nodes[2] < 0)
+        rows, columns = np.nonzero(~beside & meets)
         if not len(rows):
             return EMPTY
         spans = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
         x, y = self._corner
         whole = Rect(x, y, x + self.rect.width, y + self.rect.height)
         return Rect(*(GRID_PX * int(v) for v in spans)).clip(whole)
+
+
+def _of_cells(both: np.ufunc, nodes: np.ndarray) -> np.ndarray:
+    """(..., h - 1, w - 1) of the four corners of each cell. both : function of two of them;
+    nodes (..., h, w)
+    """
+    rows = both(nodes[..., :-1, :], nodes[..., 1:, :])
+    return np.asarray(both(rows[..., :-1], rows[..., 1:]))
 
 
 def shadow_ratio(

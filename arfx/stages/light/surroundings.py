@@ -220,11 +220,7 @@ def _weighed(texels: np.ndarray, narrow: np.ndarray, wide: np.ndarray) -> np.nda
         half_angle = np.sqrt(8) * np.arctan(roughness**2)
         share = np.clip((half_angle - _NARROW_RAD) / (_WIDE_RAD - _NARROW_RAD), 0, 1)
         weights = ((1 - share) * narrow + share * wide).astype(np.float32)
-        out[rows] = (
-            texels[0, rows] * weights[0]
-            + texels[1, rows] * weights[1]
-            + texels[2, rows] * weights[2]
-        )
+        np.einsum("pnc,pc->nc", texels[:, rows], weights, out=out[rows])
     return out
 
 
