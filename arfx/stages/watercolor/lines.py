@@ -122,7 +122,8 @@ def object_edges(
 
     coverage (h, w), normal (h, w, 3), depth (h, w) metres; a depth that is not finite is none
     """
-    covered, normals, depths = coverage[::2, ::2], normal[::2, ::2], depth[::2, ::2]
+    layers = coverage, normal, depth
+    covered, normals, depths = (np.ascontiguousarray(a[::2, ::2]) for a in layers)
     edge = np.zeros(covered.shape, np.float32)
     for axis in (
         0,
@@ -130,7 +131,7 @@ def object_edges(
     ):  # each pixel of the grid beside its neighbour below and on the right
         beside = np.minimum(np.arange(covered.shape[axis]) + 1, covered.shape[axis] - 1)
         other, other_depth = covered.take(beside, axis), depths.take(beside, axis)
-        cosine = (normals * normals.take(beside, axis)).sum(-1)
+        cosine = cv2.transform(normals * normals.take(beside, axis), np.ones((1, 3)))
         near, far = np.minimum(depths, other_depth), np.maximum(depths, other_depth)
         jump = divide(far, near) - 1  # at most 0 where a depth is none
         inner = np.fmax(_CREASE_SLOPE * (_CREASE - cosine), _JUMP_SLOPE * (jump - _JUMP))

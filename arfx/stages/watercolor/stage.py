@@ -145,11 +145,11 @@ class Watercolor(Stage):
         even = EVEN * np.clip(view.light.ambient_rgb, 0, radiance)
         cosine = cv2.transform(packed(part[Layer.NORMAL]), towards[None].astype(np.float32))
         tone = tones(cosine, p.toon_thresholds, p.toon_factors)
-        flat = tone[..., None] * (radiance - even).astype(np.float32)
-        flat += even.astype(np.float32)
+        light = np.column_stack([np.diag(radiance - even), even])
+        flat = cv2.transform(cv2.merge([tone] * 3), light.astype(np.float32))
         flat *= part[Layer.ALBEDO]
         flat += part[Layer.EMISSIVE]
-        flat *= part[Layer.COVERAGE][..., None]
+        flat *= cv2.merge([part[Layer.COVERAGE]] * 3)
         out = image.copy()
         at = box.slices_in(view.rect)
         out[at] = replace_lit(out[at], part[Layer.VIRTUAL], flat, view.facts.opacity)

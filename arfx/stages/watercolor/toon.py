@@ -64,8 +64,8 @@ def replace_lit(
     object; how much that is says the lit one, which also has its shadows and what it mirrors.
     """
     means = np.array(cv2.mean(lit)[:3]), np.array(cv2.mean(flat)[:3])
-    gain = np.clip(divide(*means, where_zero=1.0), *_GAINS).astype(np.float32)
-    change = flat * gain
+    gain = np.clip(divide(*means, where_zero=1.0), *_GAINS)
+    change = cv2.transform(flat, np.diag(gain).astype(np.float32))
     change -= lit
     change *= np.float32(opacity)
     change += image
