@@ -73,7 +73,7 @@ class PlaneView:
         at = part.shift(-self._corner[0], -self._corner[1]).slices_in(self._from_corner)
         seen = np.zeros((0, 0), np.float32) if share is None else share[at]
         weights = np.asarray(weights, np.float32)
-        texels = np.atleast_3d(texture.dark.T).T
+        texels = texture.dark.reshape(-1, *texture.dark.shape[-2:])
         _add_texture(out[:, *at], corner, near, start, texels, weights, seen)
 
     def _seen_part(
