@@ -2,8 +2,8 @@
 what they mirror.
 
 Gloss: the surroundings in a cone about the lobe's middle, as wide as the roughness asks;
-where the object hides some of
-its own surroundings a ray along that middle shows which. Cost: O(covered pixels + rays).
+where the object hides some of its own surroundings a ray along that middle shows which, and
+a wide lobe rather the light that falls on the place. Cost: O(covered pixels + rays).
 Source: docs/methods/gi.md#gloss."""
 
 # mypy: disable-error-code="no-untyped-def"
@@ -17,14 +17,14 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.core.pose import Pose
 from arfx.core.vectors import dot, minus, mixed, placed, scaled, turned, unit
 from arfx.stages.gi.background import Background, behind_object
-from arfx.stages.gi.gloss import widened_roughness
+from arfx.stages.gi.gloss import mirror_tangent, widened_roughness
 from arfx.stages.light.split_sum import split_sum
 from arfx.stages.light.transport import Transport
 from arfx.stages.lightmap.shading import SMOOTHEST, Surface, reflected_shares
 
-_OCCLUDED = (
-    0.01  # share of a place's hemisphere that the object hides, from which on a ray is sent
-)
+# shares of a place's hemisphere that the object hides: from the first on a ray is sent, from
+# the second on the widest lobe shows the light that falls on the place
+_OCCLUDED, _MUCH = 0.01, 0.1
 _LIFT_EXTENTS = 2e-3  # rays begin that far over the surface
 _MIRRORS = 2  # times that a ray is mirrored on by metal
 _METAL = 0.5  # metallic from which on what a mirror shows of it is mirrored on
@@ -110,6 +110,10 @@ def reflected_light(surface: Surface, received: np.ndarray, sight: Sight) -> np.
     lift = _LIFT_EXTENTS * sight.transport.rays.extent_m
     met, sent = sight.of_object(places[near] + lift * normals[near], directions[near])
     seen[near[met]] = sent
+    tangent = mirror_tangent(rough[near, 0])
+    wide = tangent / np.hypot(1, tangent)
+    share = wide * np.clip((occluded[near] - _OCCLUDED) / (_MUCH - _OCCLUDED), 0, 1)
+    seen[near] += share[:, None] * (received[row[near], column[near]] - seen[near])
     out[row, column] += weights * seen
     return out
 
