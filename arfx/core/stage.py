@@ -149,6 +149,11 @@ class Stage:
         missing = [n for n in ("name", "run") if getattr(cls, n, None) in (None, Stage.run)]
         if missing:
             raise TypeError(f"stage {cls.__qualname__} lacks {', '.join(missing)}")
+        if not cls.levels or cls.levels != tuple(n for n in LEVELS if n in cls.levels):
+            raise TypeError(
+                f"levels of stage {cls.__qualname__} are {cls.levels!r}; they must be a tuple"
+                f" of some of {', '.join(LEVELS)}, in this order"
+            )
 
     @classmethod
     def settled(cls, params: Any) -> Any:

@@ -64,7 +64,12 @@ def _demand(
     if facts.present and not skip:
         return Demand(frame, FORCED)
     with blamed(stage, f"when frame {facts.index} is planned"):
-        return stage.demand(facts, scene, frame)
+        demand = stage.demand(facts, scene, frame)
+        if not isinstance(demand, Demand):
+            raise TypeError(
+                f"its demand is a {type(demand).__name__}; it must be a Demand(rect, reason)"
+            )
+        return demand
 
 
 def terms_of(

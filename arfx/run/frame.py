@@ -157,15 +157,31 @@ def run_frame(
         seen = layers.view(step.need)
         with blamed(stage, f"in frame {facts.index}"):
             made = stage.run(at.view(seen, facts, step.out), at.prepared)
+            if stage.distribution:
+                _require_picture(made, step.need)
             for name, output in made.items():
-                if stage.distribution and name != Layer.IMAGE:
-                    raise ValueError(f"it returns a layer {name!r}; it writes image")
                 layer = Layer(name)
                 new = layers.put(layer, output, step.need, step.out)
                 if layer is not Layer.DEPTH:  # infinite where nothing is
                     _require_finite(new, layer, stage.name, facts.index)
         seconds[stage.name] = seconds.get(stage.name, 0.0) + own_time() - start
     return FrameResult(plan.changed, seconds, layers)
+
+
+def _require_picture(made: object, seen: Rect) -> None:
+    """Raises for what a plug-in returns beside IMAGE over the rectangle that it saw."""
+    if not isinstance(made, Mapping):
+        raise TypeError(
+            f"it returns {type(made).__name__}; it must return {{Layer.IMAGE: array}}"
+        )
+    for name, output in made.items():
+        if name != Layer.IMAGE:
+            raise ValueError(f"it returns a layer {name!r}; it writes image")
+        right = (seen.height, seen.width, 3)
+        if not isinstance(output, Pixels) and np.shape(output) != right:
+            raise ValueError(
+                f"it returns an image of shape {np.shape(output)}; it must be {right}"
+            )
 
 
 def _require_finite(pixels: Pixels, layer: Layer, stage: str, index: int) -> None:

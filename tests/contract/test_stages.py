@@ -70,6 +70,14 @@ def test_a_class_without_name_or_run_is_no_stage() -> None:
         type("Idle", (Stage,), {"name": "idle"})
 
 
+@pytest.mark.parametrize(
+    "levels", ["standard", (), ("fast",), ("standard", "draft"), ["draft"], None]
+)
+def test_wrong_levels_are_refused_where_the_class_is_made(levels: Any) -> None:
+    with pytest.raises(TypeError, match=r"levels of stage Odd are .* in this order"):
+        type("Odd", (Stage,), {"name": "odd", "run": print, "levels": levels})
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("name", "level"), CASES, ids=IDS)
 def test_roi_law(name: str, level: int, seed: int) -> None:

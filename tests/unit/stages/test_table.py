@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from arfx.core.layers import Layer
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, Stage, View
 from arfx.errors import ConfigError, RenderError
+from arfx.plan.planner import plan_frame
 from arfx.run.folder import code_digest
 from arfx.run.frame import run_frame
 from arfx.stages import Table
@@ -157,7 +159,14 @@ class Plug(Stage):
             {"imaeg": None},
             r"'plug' of one 1\.2 fails in frame 7: .*layer 'imaeg'; it writes image",
         ),
-        (None, r"'plug' of one 1\.2 fails in frame 7: AttributeError"),
+        (
+            None,
+            r"'plug' of one 1\.2 fails in frame 7: .*returns NoneType; it must return {Layer",
+        ),
+        (
+            {Layer.IMAGE: np.zeros((4, 4, 1), np.float32)},
+            r"'plug' of one 1\.2 fails in frame 7: .*shape \(4, 4, 1\); it must be \(4, 4, 3\)",
+        ),
     ],
 )
 def test_what_a_plug_in_raises_or_returns_wrong_names_it_and_the_frame(
@@ -170,3 +179,15 @@ def test_what_a_plug_in_raises_or_returns_wrong_names_it_and_the_frame(
     plan = FramePlan(7, rect, rect, (Step("plug", "standard", rect, rect, "", None),), ())
     with pytest.raises(RenderError, match=said):
         run_frame(np.zeros((4, 4, 3), np.float32), facts, plan, ready)
+
+
+def test_a_plug_in_whose_demand_is_no_demand_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rect = Rect(0, 0, 4, 4)
+    monkeypatch.setattr(Plug, "without_object", True)
+    monkeypatch.setattr(Plug, "demand", lambda *_: rect)
+    facts: Any = SimpleNamespace(index=7, present=False)
+    said = r"'plug' of one 1\.2 fails when frame 7 is planned: .*its demand is a Rect"
+    with pytest.raises(RenderError, match=said):
+        plan_frame([Plug()], {"plug": "standard"}, facts, SimpleNamespace(), rect)
