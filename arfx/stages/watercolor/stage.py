@@ -146,8 +146,8 @@ class Watercolor(Stage):
         cosine = cv2.transform(packed(part[Layer.NORMAL]), towards[None].astype(np.float32))
         tone = tones(cosine, p.toon_thresholds, p.toon_factors)
         light = np.column_stack([np.diag(radiance - even), even])
-        flat = cv2.transform(cv2.merge([tone] * 3), light.astype(np.float32))
-        flat *= part[Layer.ALBEDO]
+        lit = cv2.transform(cv2.merge([tone] * 3), light.astype(np.float32))
+        flat = lit * part[Layer.ALBEDO]
         flat += part[Layer.EMISSIVE]
         flat *= cv2.merge([part[Layer.COVERAGE]] * 3)
         out = image.copy()

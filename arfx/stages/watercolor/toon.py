@@ -65,8 +65,7 @@ def replace_lit(
     """
     means = np.array(cv2.mean(lit)[:3]), np.array(cv2.mean(flat)[:3])
     gain = np.clip(divide(*means, where_zero=1.0), *_GAINS)
-    change = cv2.transform(flat, np.diag(gain).astype(np.float32))
-    change -= lit
+    change = cv2.transform(flat, np.diag(gain).astype(np.float32)) - lit
     change *= np.float32(opacity)
     change += image
     return np.maximum(change, 0, out=change)
