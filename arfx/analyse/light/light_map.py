@@ -114,8 +114,9 @@ class LightMap:
         0: neither, or nothing known.
         """
         n, x, v = seen.usable
-        near = icosphere(LEVEL).nearest(n)
-        expected, spread = self.value[near], self.variance[near]
+        near, share = icosphere(LEVEL).between(n)
+        expected = np.einsum("kj,kjc->kc", share, self.value[near])
+        spread = np.einsum("kj,kjc->kc", share, self.variance[near])
         off = x - expected
         z = off / np.sqrt(spread + v + 1e-24)
         z[np.abs(off) <= STEP_LEAST * np.maximum(np.abs(expected), np.abs(x))] = 0

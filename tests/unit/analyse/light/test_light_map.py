@@ -19,6 +19,7 @@ from arfx.analyse.light.light_map import (
     Observation,
     changes,
 )
+from arfx.core.numerics import normalise
 from arfx.papers.s1_light import LightMap as PrintedMap
 from arfx.papers.s1_light import eq8_weight
 
@@ -182,6 +183,27 @@ def test_one_frame_that_disagrees_is_left_out() -> None:
     seen = clip(values, 0.002)
     kinds = changes(seen)
     assert np.flatnonzero(kinds).tolist() == [12] and kinds[12] == OUTLIER
+
+
+@pytest.mark.parametrize("phase", range(4))
+def test_exposure_that_pumps_while_the_surface_turns_is_no_step(phase: int) -> None:
+    turn = 2 * np.pi * np.arange(32) / 16 / 1.2
+    normals = normalise(
+        np.stack(
+            [
+                0.35 + 0.2 * np.cos(turn + phase),
+                0.25 * np.sin(turn + phase),
+                0 * turn + 0.88,
+            ],
+            1,
+        )
+    )
+    values = 0.33 * (1 + 0.4 * np.cos(turn))
+    seen = [
+        shot(i / 16, value, normal[None], deviation=2e-3)
+        for i, (value, normal) in enumerate(zip(values, normals, strict=True))
+    ]
+    assert (changes(seen) == STEADY).all()
 
 
 def test_slow_change_is_no_step() -> None:
