@@ -21,6 +21,7 @@ from arfx.stages.light.planes import ENDLESS, Planes
 from arfx.stages.light.surfels import texels_of
 from arfx.stages.triangles import Triangles, anchor_mesh
 
+SAME_DEPTH = 0.03  # of the distance: what was measured nearer or farther is not the plane
 UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show
 LIFT = 1e-4  # of the object's size, by which rays start off a surface
 AROUND = 3.0  # radii of the object, within which a plane's mean is taken
@@ -140,7 +141,8 @@ class Surroundings:
         height = (eye - self.axes[:, 0]) * self.axes[:, 3]
         self._in_front = height.sum(-1) > 0
         self._rect = shown.clip(now.rect)
-        plate = now[Layer.PLATE][self._rect.slices_in(now.rect)]
+        shown_px = self._rect.slices_in(now.rect)
+        plate, self._real_m = now[Layer.PLATE][shown_px], now[Layer.REAL_DEPTH][shown_px]
         self._plate = np.maximum(plate.astype(float) - facts.bias_rgb, 0)
         up = environment.turn[:, 2]
         below = environment.irradiance(np.zeros(3), up)
@@ -183,15 +185,22 @@ class Surroundings:
     def _picture(
         self, positions: np.ndarray, plane: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """((n, 3) radiance, (n,) whether the picture shows it): linear between pixels."""
+        """((n, 3) radiance, (n,) whether the picture shows it, and no real thing before it):
+        linear between pixels."""
         from scipy.ndimage import map_coordinates
 
-        seen = self._camera.project(self._camera_from_anchor.apply(positions))
+        placed = self._camera_from_anchor.apply(positions)
+        seen = self._camera.project(placed)
         last = np.array([self._rect.width - 1, self._rect.height - 1])
         at = seen - [self._rect.x0, self._rect.y0]
         with np.errstate(invalid="ignore"):
             known = ((at >= 0) & (at <= last)).all(-1)
         known &= self._in_front[plane]
+        column, row = np.rint(at[known].T).astype(int)
+        real_m, depth_m = self._real_m[row, column], placed[known, 2]
+        known[known] = ~np.isfinite(real_m) | (
+            np.abs(real_m - depth_m) < SAME_DEPTH * depth_m
+        )
         column, row = at[known].T
         out = np.zeros((len(positions), 3))
         for k in range(3):

@@ -159,6 +159,29 @@ def test_a_thing_before_the_plane_is_no_picture_of_the_plane() -> None:
     assert known.sum() < 0.8 * all_of_it.sum()
 
 
+@pytest.mark.parametrize("level", ["standard", "reference"])
+def test_a_thing_before_the_plane_sends_the_object_no_light_of_the_plane(
+    level: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tests.unit.stages import gi_scenes
+
+    bare = gi_scenes.surface
+    monkeypatch.setattr(
+        gi_scenes,
+        "surface",
+        lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth_with_a_thing()},
+    )
+    even = np.full((CAMERA.height, CAMERA.width, 3), 0.5, np.float32)
+    thing = even.copy()
+    thing[:, : CAMERA.width // 2] = 9
+    scene = on_plane(box(Material("white")), EVEN, CAMERA)
+    lit = [
+        run_gi(scene, level, POSE, plate, GiParams(samples=16))[Layer.VIRTUAL].mean((0, 1))
+        for plate in (even, thing)
+    ]
+    np.testing.assert_allclose(lit[1], lit[0], rtol=0.1)
+
+
 def test_measured_planes_are_real_planes_unless_they_are_the_anchors() -> None:
     floor = RealPlane(
         Pose(np.eye(3), np.array([0.3, 0.1, 0.01])), (-1, -1, 1, 1), 4.0, 3.0, 900
