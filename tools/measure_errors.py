@@ -55,9 +55,7 @@ WITH_DEPTH = ("0001-orbit", "0003-several-tilted-markers", "0903-partial-occlusi
 NOISE, HOLES, EDGE_PX = 0.004, 0.03, 1  # of that depth, as of scene 0022's
 APERTURE = 1 / 30  # of the picture's width, where a clip does not say how large its blur is
 SHIPPED = ROOT / "arfx" / "plan" / "default_errors.json"
-SAMPLES = (
-    256  # paths a pixel of gi's reference: the noise of 64 is 2 levels on a white object
-)
+SAMPLES = 256  # paths a pixel of gi's reference: the noise of 64 is 2 levels on white
 FEWEST_PX = 200  # that an effect must touch to be counted
 LEAST_ERROR = 0.02  # grey levels, of an effect's cheapest level, to be counted
 NINE_IN_TEN = (5, 95)  # percentiles

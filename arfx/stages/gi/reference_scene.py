@@ -17,11 +17,11 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.reference_sky import Environment
-from arfx.stages.light.planes import ENDLESS, Planes
+from arfx.stages.holdout import on_plane
+from arfx.stages.light.planes import ENDLESS, SAME_DEPTH, Planes
 from arfx.stages.light.surfels import texels_of
 from arfx.stages.triangles import Triangles, anchor_mesh
 
-SAME_DEPTH = 0.03  # of the distance: what was measured nearer or farther is not the plane
 UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show
 LIFT = 1e-4  # of the object's size, by which rays start off a surface
 AROUND = 3.0  # radii of the object, within which a plane's mean is taken
@@ -197,10 +197,8 @@ class Surroundings:
             known = ((at >= 0) & (at <= last)).all(-1)
         known &= self._in_front[plane]
         column, row = np.rint(at[known].T).astype(int)
-        real_m, depth_m = self._real_m[row, column], placed[known, 2]
-        known[known] = ~np.isfinite(real_m) | (
-            np.abs(real_m - depth_m) < SAME_DEPTH * depth_m
-        )
+        real_m, dioptres = self._real_m[row, column], 1 / placed[known, 2]
+        known[known] = on_plane(real_m, dioptres, SAME_DEPTH) == 1
         column, row = at[known].T
         out = np.zeros((len(positions), 3))
         for k in range(3):

@@ -32,7 +32,7 @@ _SAME_MEASURED_M, _SAME_MEASURED_COSINE = (
     0.03,
     0.985,
 )  # of planes that are measured as depth
-_SAME_DEPTH = 0.03  # of the distance
+SAME_DEPTH = 0.03  # of the distance: what was measured off by more is not the plane
 # a rough plane's mirror image is wider by this share of the object's height, times the
 # lobe's tangent
 BLUR = 0.6
@@ -245,7 +245,7 @@ def picture_on_planes(
         depth = real[np.clip(row, 0, rect.height - 1), np.clip(column, 0, rect.width - 1)]
         with np.errstate(invalid="ignore"):
             inside[inside] = ~(
-                np.abs(depth - placed[inside][:, 2]) > _SAME_DEPTH * placed[inside][:, 2]
+                np.abs(depth - placed[inside][:, 2]) > SAME_DEPTH * placed[inside][:, 2]
             ) | ~np.isfinite(depth)
     out = np.zeros((*seen.shape[:3], 3), np.float32)
     for k in range(len(positions)):

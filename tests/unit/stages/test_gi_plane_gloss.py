@@ -111,20 +111,24 @@ def depth_with_a_thing() -> np.ndarray:
     return depth
 
 
-@pytest.mark.parametrize("level", ["standard", "reference"])
-def test_what_is_not_on_the_plane_is_left_alone(
-    level: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def measure_a_thing(monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.unit.stages import gi_scenes
 
-    params = GiParams(plane_gloss=0.3, samples=4)
-    plain = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)
     bare = gi_scenes.surface
     monkeypatch.setattr(
         gi_scenes,
         "surface",
         lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth_with_a_thing()},
     )
+
+
+@pytest.mark.parametrize("level", ["standard", "reference"])
+def test_what_is_not_on_the_plane_is_left_alone(
+    level: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    params = GiParams(plane_gloss=0.3, samples=4)
+    plain = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)
+    measure_a_thing(monkeypatch)
     made = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)[
         Layer.SHADOW
     ]
@@ -163,14 +167,7 @@ def test_a_thing_before_the_plane_is_no_picture_of_the_plane() -> None:
 def test_a_thing_before_the_plane_sends_the_object_no_light_of_the_plane(
     level: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tests.unit.stages import gi_scenes
-
-    bare = gi_scenes.surface
-    monkeypatch.setattr(
-        gi_scenes,
-        "surface",
-        lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth_with_a_thing()},
-    )
+    measure_a_thing(monkeypatch)
     even = np.full((CAMERA.height, CAMERA.width, 3), 0.5, np.float32)
     thing = even.copy()
     thing[:, : CAMERA.width // 2] = 9
