@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.model import Material, Model
-from arfx.core.numerics import divide, normalise, same_rows
+from arfx.core.numerics import normalise, same_rows
 
 _CREASE_COS = np.cos(
     np.radians(20.0)
@@ -134,21 +134,6 @@ def _rows(
         for own, count in zip(given, counts, strict=True)
     ]
     return np.concatenate(rows)
-
-
-def coordinate_slopes(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """How coordinates that are linear on each face grow along the axes of space.
-
-    values : (m, 3, k) at the corners (m, 3, 3), metres
-    Returns (m, k, 3), per metre, in the face's plane; 0 on faces without area."""
-    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(e1, e2)
-    # a place on the face is a + s e1 + t e2: s grows along e2 x n, t along n x e1
-    square = (normal**2).sum(1)[:, None]
-    s, t = divide(np.cross(e2, normal), square), divide(np.cross(normal, e1), square)
-    along_s = (values[:, 1] - values[:, 0])[:, :, None] * s[:, None]
-    along_t = (values[:, 2] - values[:, 0])[:, :, None] * t[:, None]
-    return np.asarray(along_s + along_t)
 
 
 def _edges(mesh: SceneMesh) -> Edges:

@@ -4,14 +4,17 @@ Outlines come from the geometry, so that features thinner than a pixel are not m
 does not tell (cut-outs, parts that pass through each other) comes from neighbours that differ.
 """
 
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M, divide
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
+from arfx.core.vectors import dot, shifted, vector
 from arfx.stages.raster.record import View
 
 _POINTS_PER_PX = 1.5
@@ -44,7 +47,7 @@ def edge_pixels(
     column, row, z = column[inside], row[inside], z[inside]
     seen = z <= depth[row, column] * np.float32(1 + _BEHIND)
     mask[row[seen], column[seen]] = True
-    _add_jumps(mask, mesh, view, face, depth)
+    _add_jumps(mask, mesh.part, mesh.face_normal, view, face, depth)
     return mask
 
 
@@ -88,40 +91,43 @@ def _points_along(
     return camera.distort(place[seen]) * focal + corner, depth[seen]
 
 
-def _add_jumps(
-    mask: np.ndarray, mesh: SceneMesh, view: View, face: np.ndarray, depth: np.ndarray
-) -> None:
-    """Mark both pixels of neighbours that differ in a way no marked edge between them explains."""
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _add_jumps(mask, part, face_normal, view: View, face, depth):  # pragma: no cover
+    """Mark both pixels of neighbours that differ in a way no marked edge between them explains.
+
+    part, face_normal : of the mesh's faces;  face, depth : as of `edge_pixels`"""
     before = mask.copy()
-    x, y = view.x[1:-1, 1:-1], view.y[1:-1, 1:-1]
-    part = np.where(face >= 0, mesh.part[face], -1)
-    parts = part.min() < part.max()
-    least_jump = _JUMP_PX * view.pixel
-    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        with np.errstate(invalid="ignore"):
-            gap = np.abs(depth[there] - depth[here])
-        deep = gap > least_jump * np.minimum(depth[here], depth[there])
-        may = deep | (part[here] != part[there]) if parts else deep
-        k = np.nonzero(may & (face[here] != face[there]))
-        one, other = face[here][k], face[there][k]
-        nothing = (one < 0) | (other < 0)
-        other_part = part[here][k] != part[there][k]
-        normal = mesh.face_normal[one] @ view.rotation.T
-        slope = _slope(normal, (x[here][k], y[here][k]), (x[there][k], y[there][k]))
-        jump = gap[k] > depth[here][k] * (_SLOPES * slope + least_jump)
-        marked = before[here][k] | before[there][k]
-        explained = before[here][k] & before[there][k]
-        differ = (
-            np.where(marked, other_part & ~nothing, nothing | other_part | jump)
-            & ~explained
-        )
-        mask[here][k] |= differ
-        mask[there][k] |= differ
+    one, height, width = np.uintp(1), np.uintp(face.shape[0]), np.uintp(face.shape[1])
+    for y in range(height):
+        for x in range(width):
+            for v, u in ((y, min(x + one, width - one)), (min(y + one, height - one), x)):
+                if face[y, x] == face[v, u] or (before[y, x] and before[v, u]):
+                    continue
+                marked, nothing = (
+                    before[y, x] or before[v, u],
+                    min(face[y, x], face[v, u]) < 0,
+                )
+                if nothing or part[face[y, x]] != part[face[v, u]]:
+                    differ = not (marked and nothing)
+                else:
+                    gap = (
+                        abs(depth[v, u] - depth[y, x]) / depth[y, x] - _JUMP_PX * view.pixel
+                    )
+                    differ = not marked and gap > 0
+                    if differ:
+                        normal = vector(face_normal[face[y, x]])
+                        here, there = (
+                            _towards(view, normal, y, x),
+                            _towards(view, normal, v, u),
+                        )
+                        differ = gap > _SLOPES * abs(here - there) / max(abs(there), 1e-3)
+                if differ:
+                    mask[y, x], mask[v, u] = True, True
 
 
-def _slope(
-    normal: np.ndarray, here: tuple[np.ndarray, ...], there: tuple[np.ndarray, ...]
-) -> np.ndarray:
-    """How much of its depth a plane gains between two directions. normal : (n, 3), camera axes"""
-    along = [normal[:, 0] * x + normal[:, 1] * y + normal[:, 2] for x, y in (here, there)]
-    return np.asarray(np.abs(along[0] - along[1]) / np.maximum(np.abs(along[1]), 1e-3))
+@numba.njit(nogil=True, inline="always")
+def _towards(view, normal, y, x):  # pragma: no cover - compiled
+    """How far a face's normal leans along the direction, z = 1, of a pixel."""
+    row, column = y + np.uintp(1), x + np.uintp(1)
+    down = shifted(view.rotation[2], view.y[row, column], view.rotation[1])
+    return dot(normal, shifted(down, view.x[row, column], view.rotation[0]))

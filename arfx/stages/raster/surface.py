@@ -55,16 +55,17 @@ from arfx.stages.raster.visible import planes_of, vertices_of
 _F = np.float32
 # Transparency below half an 8-bit step of the opacity is none.
 CLEAR = 1.0 / 512.0
-# Cosine below which the footprint on the surface stops growing: else a whole texture blurs away.
-_GRAZING = 0.1
 
 
 class Hit(NamedTuple):
-    """Where a ray meets a face: depth, weights of its corners, the ray in world axes, and its
-    product with the face's normal, above 0 from behind."""
+    """Where a ray meets a face: depth, weights of its corners, and how those of the second and
+    third one grow over a pixel to the right and down; the ray in world axes, and its product with
+    the face's normal, above 0 from behind."""
 
     z: float
     weights: tuple[float, float, float]
+    across: tuple[float, float]
+    down: tuple[float, float]
     ray: tuple[float, float, float]
     facing: float
 
@@ -84,54 +85,50 @@ def _hit(f, x, y, view, mesh):  # pragma: no cover - compiled
     towards = x, y, 1.0
     side_b, side_c = dot(b, towards), dot(c, towards)
     inverse = 1.0 / (dot(a, towards) + side_b + side_c)
-    b1, b2 = _F(side_b * inverse), _F(side_c * inverse)
+    b1, b2 = side_b * inverse, side_c * inverse
+    scale = view.pixel * inverse
+    total_x, total_y = a[0] + b[0] + c[0], a[1] + b[1] + c[1]
+    across = _F(scale * (b[0] - b1 * total_x)), _F(scale * (c[0] - b2 * total_x))
+    down = _F(scale * (b[1] - b1 * total_y)), _F(scale * (c[1] - b2 * total_y))
     ray = _in_world(view.rotation, x, y)
-    weights = _F(1) - b1 - b2, b1, b2
-    return Hit(_F(volume * inverse), weights, ray, dot(mesh.face_normal[f], ray))
+    weights = _F(1.0 - b1 - b2), _F(b1), _F(b2)
+    return Hit(
+        _F(volume * inverse), weights, across, down, ray, dot(mesh.face_normal[f], ray)
+    )
 
 
 @numba.njit(inline="always")
-def _step_along(f, hit, turn, reach, mesh):  # pragma: no cover - compiled
-    """(3,) metres in world axes by which the hit moves on its plane as the ray turns.
+def _along(uv, corners, first, growth, laid, side):  # pragma: no cover - compiled
+    """(2,) how a place on a texture moves over a sample as the corners' weights grow.
 
-    turn : (3,) unit, across the ray;  reach : side of a sample at the hit's depth"""
-    cosine = max(abs(hit.facing), _F(_GRAZING) * np.sqrt(dot(hit.ray, hit.ray)))
-    if hit.facing < 0:
-        cosine = -cosine
-    away = dot(mesh.face_normal[f], turn) / cosine
-    return scaled(reach, shifted(turn, -away, hit.ray))
-
-
-@numba.njit(inline="always")
-def _along(f, first, way, laid, slopes):  # pragma: no cover - compiled
-    """(2,) how a place on a texture moves along a way (3,) on face f.
-
-    first : column of the texture's coordinates;  laid : (2, 3), of the texture"""
-    u, v = dot(slopes[f, first], way), dot(slopes[f, first + 1], way)
+    first : column of the texture's coordinates;  laid : (2, 3), of the texture
+    side : of the sample, in pixels"""
+    i, j, k = corners
+    second = first + np.uintp(1)
+    in_b, in_c = side * growth[0], side * growth[1]
+    u = in_b * (uv[j, first] - uv[i, first]) + in_c * (uv[k, first] - uv[i, first])
+    v = in_b * (uv[j, second] - uv[i, second]) + in_c * (uv[k, second] - uv[i, second])
     return laid[0, 0] * u + laid[0, 1] * v, laid[1, 0] * u + laid[1, 1] * v
 
 
 @numba.njit(inline="always")
 def _apply_textures(f, p, hit, side, view, mesh, values):  # pragma: no cover - compiled
-    """Multiply what is in `values` by the part's textures. side : of the sample at depth 1
+    """Multiply what is in `values` by the part's textures. side : of the sample, in pixels
 
     Returns what the normal map shows, 0..1, unused where there is none."""
-    i, j, k = vertices_of(mesh.faces, f)
-    uv, rotation, reach = mesh.uv, view.rotation, hit.z * side
-    across = _step_along(f, hit, rotation[0], reach, mesh)
-    down = _step_along(f, hit, rotation[1], reach, mesh)
+    corners, uv = vertices_of(mesh.faces, f), mesh.uv
+    i, j, k = corners
     map_x, map_y, map_z = _F(0.5), _F(0.5), _F(1)
     for slot in range(mesh.slots):
-        t = mesh.ints[p, slot]
-        if t < 0:
+        if mesh.ints[p, slot] < 0:
             continue
-        c, laid = mesh.uv_first[p, slot], mesh.laid[p, slot]
-        d = c + 1
+        t, c = np.uintp(mesh.ints[p, slot]), np.uintp(mesh.uv_first[p, slot])
+        laid, d = mesh.laid[p, slot], c + np.uintp(1)
         u = dot(hit.weights, (uv[i, c], uv[j, c], uv[k, c]))
         v = dot(hit.weights, (uv[i, d], uv[j, d], uv[k, d]))
         place = dot(laid[0], (u, v, _F(1))), dot(laid[1], (u, v, _F(1)))
-        wide = _along(f, c, across, laid, mesh.uv_slopes)
-        high = _along(f, c, down, laid, mesh.uv_slopes)
+        wide = _along(uv, corners, c, hit.across, laid, side)
+        high = _along(uv, corners, c, hit.down, laid, side)
         red, green, blue, alpha = filtered(
             mesh.texels, mesh.table, t, place, wide, high, view.taps
         )
@@ -217,7 +214,9 @@ def _write_normal(first, normal, hit, f, mesh, values):  # pragma: no cover - co
 
 @numba.njit(inline="always")
 def _write_surface(f, hit, side, view, mesh, values):  # pragma: no cover - compiled
-    """Write what a hit shows into `values`; its opacity into the column COVERED."""
+    """Write what a hit shows into `values`; its opacity into the column COVERED.
+
+    side : of the sample, in pixels"""
     p = np.uintp(mesh.part[f])
     i, j, k = vertices_of(mesh.faces, f)
     floats, colours = mesh.floats, mesh.colours
@@ -265,7 +264,7 @@ def add_surfaces(
         if hit.facing > 0 and mesh.ints[p, TWO_SIDED] == 0:
             continue
         share = rays.share[ray]
-        _write_surface(f, hit, _F(view.pixel) * np.sqrt(share), view, mesh, values)
+        _write_surface(f, hit, np.sqrt(share), view, mesh, values)
         alpha = values[COVERED]
         if alpha <= _F(CLEAR):
             continue

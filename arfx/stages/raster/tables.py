@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from arfx.core.model import BLEND, MASK, OPAQUE, TEXTURE_SLOTS, Material
-from arfx.core.scene_mesh import SceneMesh, coordinate_slopes
+from arfx.core.scene_mesh import SceneMesh
 from arfx.stages.raster.textures import StackBuilder
 
 # Columns of the materials' numbers, one row a part. Each begins a run of those of its name.
@@ -35,7 +35,6 @@ CUT_OUT = _MODES[MASK]
 class SurfaceTables(NamedTuple):
     """Fields as of `SceneMesh`, and:
 
-    uv_slopes : (m, 4, 3) float32, how texture coordinates grow along the world's axes, per metre
     floats : (p, 19) float32, ints : (p, 11) int32, of the materials
     uv_first : (p, 9) int32, column of `uv` that each slot's texture begins at
     laid : (p, 9, 2, 3) float32, picture_from_uv of each slot;  slots : used by any part
@@ -48,7 +47,6 @@ class SurfaceTables(NamedTuple):
     tangents: np.ndarray
     colours: np.ndarray
     uv: np.ndarray
-    uv_slopes: np.ndarray
     floats: np.ndarray
     ints: np.ndarray
     uv_first: np.ndarray
@@ -75,7 +73,6 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
                 uv_first[part, slot] = 2 * texture.uv_set
                 laid[part, slot] = texture.picture_from_uv
     used = np.flatnonzero((ints[:, :MODE] >= 0).any(0))
-    slopes = coordinate_slopes(mesh.uv[mesh.faces], mesh.corners_m)
     stack = builder.build()
     return SurfaceTables(
         mesh.faces,
@@ -85,7 +82,6 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
         mesh.tangents,
         mesh.colours,
         mesh.uv,
-        slopes.astype(np.float32),
         np.array([_factors(material) for material in mesh.materials], np.float32),
         ints,
         uv_first,
