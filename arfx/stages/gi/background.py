@@ -17,7 +17,7 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.core.vectors import dot, minus, mixed, shifted, vector
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.light.environment import Environment, radiance
-from arfx.stages.light.planes import WARP
+from arfx.stages.light.planes import BEHIND, WARP
 
 _OUTER = np.float32(
     3
@@ -71,7 +71,7 @@ def _add_radiances(
         up, over, light = d, one, (zero, zero, zero)
         left, beyond = one, np.float32(-1)
         for _ in range(axes.shape[0]):
-            p, distance, down = _next_plane(axes, place, d, reach, beyond)
+            p, distance, down = _next_plane(axes, extents, place, d, reach, beyond)
             if p < 0:
                 break
             beyond, normal = distance, vector(axes[p, 3])
@@ -105,7 +105,9 @@ def _add_radiances(
 
 
 @line_kernel(fastmath=FAST, error_model="numpy")
-def _next_plane(axes, place, direction, reach, beyond):  # pragma: no cover - compiled
+def _next_plane(
+    axes, extents, place, direction, reach, beyond
+):  # pragma: no cover - compiled
     """(plane, distance, sine by which the cone's middle points down to it) of the nearest
     farther than `beyond`; -1 = none.
 
@@ -115,7 +117,7 @@ def _next_plane(axes, place, direction, reach, beyond):  # pragma: no cover - co
     for p in range(axes.shape[0]):
         down = -dot(direction, axes[p, 3])
         height = dot(minus(place, axes[p, 0]), axes[p, 3])
-        if down <= -reach:
+        if down <= -reach or height < -np.float32(BEHIND) * extents[p, 0]:
             continue
         # middle of the part of the cone that is under the horizon
         middle = max(down, half * (down + reach))

@@ -161,7 +161,10 @@ class Pixels:
         directions = normalise(seen @ self.anchor_from_camera.rotation.T)
         eyes = np.broadcast_to(self.anchor_from_camera.translation_m, directions.shape)
         out = np.zeros(directions.shape)
-        plane, distance = around.first_plane(eyes, directions)
+        along = directions @ self.anchor_from_camera.rotation[:, 2]
+        real_m = self.view[Layer.REAL_DEPTH][rows]
+        measured = np.where(real_m > 0, real_m, np.nan) / along
+        plane, distance = around.plane_by_distance(eyes, directions, measured)
         keep = np.flatnonzero(plane >= 0)
         if not len(keep):
             return out
@@ -182,9 +185,8 @@ class Pixels:
         if shiny.any():
             image = self._mirrored(start, normals, directions, gloss, rows)
             ratio += image * shiny[keep, None]
-        depth_m = distance * (directions @ self.anchor_from_camera.rotation[:, 2])
-        real_m = self.view[Layer.REAL_DEPTH][rows]
-        out[keep] = ratio * on_plane(real_m, 1 / depth_m, SAME_DEPTH)[:, None]
+        dioptres = 1 / (distance * along[keep])
+        out[keep] = ratio * on_plane(real_m[keep], dioptres, SAME_DEPTH)[:, None]
         return out
 
     def _mirrored(

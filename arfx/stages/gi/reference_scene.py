@@ -160,8 +160,13 @@ class Surroundings:
         self, origins: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(plane (n,), -1 = none; distance (n,), inf) of the nearest plane met from its front."""
-        plane = np.full(len(origins), -1)
-        distance = np.full(len(origins), np.inf)
+        return self.plane_by_distance(origins, directions, np.full(len(origins), np.nan))
+
+    def plane_by_distance(
+        self, origins: np.ndarray, directions: np.ndarray, measured: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same, of the plane that agrees best with a measured distance (n,); NaN = none."""
+        distances = np.full((len(origins), len(self.axes)), np.inf)
         for k, (origin, x, y, normal) in enumerate(self.axes):
             x0, y0, x1, y1 = self._bounds[k]
             start = origins - origin
@@ -170,11 +175,12 @@ class Surroundings:
             t = np.where(falls > 1e-9, divide(height, falls), 0)
             met = start + t[:, None] * directions
             u, v = met @ x, met @ y
-            within = (x0 < u) & (u < x1) & (y0 < v) & (v < y1)
-            nearer = within & (t > 0) & (t < distance)
-            plane[nearer] = k
-            distance[nearer] = t[nearer]
-        return plane, distance
+            within = (x0 < u) & (u < x1) & (y0 < v) & (v < y1) & (t > 0)
+            distances[within, k] = t[within]
+        off = np.abs(distances / measured[:, None] - 1)
+        plane = np.where(np.isfinite(measured)[:, None], off, distances).argmin(1)
+        distance = np.take_along_axis(distances, plane[:, None], 1)[:, 0]
+        return np.where(np.isfinite(distance), plane, -1), distance
 
     def picture(self, positions: np.ndarray, plane: np.ndarray) -> np.ndarray:
         """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does

@@ -40,6 +40,7 @@ NEAREST, FARTHEST = 1.5, 8.0  # radii of the object: the disc is never smaller o
 
 
 ENDLESS = 1e6  # metres
+BEHIND = 1e-3  # of half_m: places farther behind a plane do not see it
 WARP = np.float32(
     3.0
 )  # how much denser a plane's texture is in its middle than if it were even

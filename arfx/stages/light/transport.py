@@ -25,7 +25,7 @@ from arfx.core.light import Light
 from arfx.core.numerics import divide, normalise
 from arfx.core.sampling import disc, frame_about
 from arfx.core.scene import Scene
-from arfx.stages.light.planes import Planes, texel_positions, warped
+from arfx.stages.light.planes import BEHIND, Planes, texel_positions, warped
 from arfx.stages.light.soft_visibility import LEAST_SEEN
 from arfx.stages.light.surface_grid import SurfaceGrid
 from arfx.stages.light.surfels import Hits, ObjectRays, surfels_of
@@ -165,6 +165,7 @@ class Transport:
             height = (hits.starts - axes[0]) @ axes[3]
             distance = np.maximum(height, 0) / np.maximum(down, 1e-6)
             meets = (down > 1e-6) & (distance < nearest)
+            meets &= height > -BEHIND * self.planes.half_m
             if own is not None:
                 meets &= (own != k)[:, None]
             row, ray = np.nonzero(meets)

@@ -44,9 +44,6 @@ REFERENCE_SAMPLES = 256
 # A ray goes on this far behind a hit, as a fraction of the depth: eight steps of float32.
 _ONWARD = np.float32(1e-6)
 _STRIP_PX, _BLOCK_RAYS = 1 << 20, 1 << 20  # at a time: bounds memory to about 200 MB
-_CENTRES = (
-    1 << 13
-)  # pixels of one ray at a time: their arrays stay in the processor's cache
 
 
 class FacesOfFrame(Protocol):
@@ -146,9 +143,7 @@ class Renderer:
         if self.layered:  # how much of a cut-out a pixel shows, its centre does not tell
             edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (face >= 0)
         plain = np.flatnonzero((face >= 0) & ~edge)
-        for start in range(0, len(plain), _CENTRES):
-            pixels = plain[start : start + _CENTRES]
-            self._plain(pixels, face[pixels], x[pixels], y[pixels], view, out)
+        self._plain(plain, face[plain], x[plain], y[plain], view, out)
         sampled = np.flatnonzero(edge)
         step = max(_BLOCK_RAYS // len(self.offsets), 1)
         for start in range(0, len(sampled), step):

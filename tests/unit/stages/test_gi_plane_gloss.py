@@ -30,7 +30,9 @@ from tests.unit.stages.gi_scenes import (
     box,
     from_above,
     ground_points,
+    inner,
     on_plane,
+    plain_plate,
     run_gi,
 )
 
@@ -198,6 +200,47 @@ def test_measured_planes_are_real_planes_unless_they_are_the_anchors() -> None:
         and np.allclose(axes[1, 3], [1, 0, 0])
         and np.allclose(axes[1, 0, 0], -0.2, atol=1e-6)
     )
+
+
+@pytest.mark.parametrize("level", ["standard", "reference"])
+def test_a_plane_over_the_table_leaves_what_is_measured_on_the_table(
+    level: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Depth says that pixels show the table, not what was once seen 3 cm over it."""
+    from tests.unit.stages import gi_scenes
+
+    scene, params = on_plane(box(BLACK), EVEN, CAMERA), GiParams(samples=16)
+    gone = RealPlane(Pose(np.eye(3), np.array([0, 0, 0.03])), (-1, -1, 1, 1), 4.0, 3.0, 900)
+    bare, depth = gi_scenes.surface, POSE.apply(ground_points(scene, POSE))[..., 2]
+    monkeypatch.setattr(
+        gi_scenes,
+        "surface",
+        lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth.astype(np.float32)},
+    )
+    alone, made = (
+        run_gi(s, level, POSE, params=params)[Layer.SHADOW]
+        for s in (scene, replace(scene, real_planes=(gone,)))
+    )
+    dark = alone[..., 0] < 0.9
+    assert dark.sum() > 50 and made[dark].mean() < 0.93
+
+
+@pytest.mark.parametrize("roughness", [0.3, 1.0])
+@pytest.mark.parametrize("level", ["draft", "standard", "reference"])
+def test_what_stands_behind_a_plane_does_not_see_it(level: str, roughness: float) -> None:
+    """A dark wall through the middle of a ball: its far half is as bright as without it."""
+    body = Material(base_colour=(1.0, 1.0, 1.0, 1.0), roughness=roughness)
+    scene, params = on_plane(ball(body), EVEN, CAMERA), GiParams(samples=16)
+    facing_right = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
+    wall = RealPlane(Pose(facing_right, np.zeros(3)), (-1, -1, 1, 1), 4.0, 3.0, 900)
+    plate = plain_plate(rgb=(0.02, 0.02, 0.02))
+    alone, made = (
+        run_gi(s, level, POSE, plate, params)
+        for s in (scene, replace(scene, real_planes=(wall,)))
+    )
+    far = inner(alone[Layer.COVERAGE]) & (alone[Layer.NORMAL][..., 0] < -0.6)
+    lit = [of[Layer.VIRTUAL][far].mean() for of in (alone, made)]
+    np.testing.assert_allclose(lit[1], lit[0], rtol=0.06)
 
 
 @pytest.mark.parametrize("level", ["standard", "reference"])
