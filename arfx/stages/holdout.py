@@ -29,6 +29,7 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
 from arfx.errors import ConfigError
 from arfx.stages.guided import reach_px, refined, window_px
+from arfx.stages.light.planes import on_plane
 from arfx.stages.viewing import direction_grid, viewing
 
 _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
@@ -99,16 +100,3 @@ def plane_dioptres(grid: np.ndarray, camera_from_plane: Pose, rect: Rect) -> np.
     normal = camera_from_plane.rotation[:, 2]
     height = float(normal @ camera_from_plane.translation_m)
     return viewing((grid @ normal)[..., None] * divide(1.0, height), rect)[..., 0]
-
-
-def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.ndarray:
-    """(h, w) float32: 1 = the real surface is the plane, 0 = it is not; 1 where nothing was
-    measured.
-
-    real_m : (h, w) metres;  dioptres : of the plane, 1/m;  tolerance : share of the plane's
-    distance, twice that gives 0
-    """
-    known = np.isfinite(real_m) & (real_m > 0)
-    off = np.abs(np.where(known, real_m, 0) * dioptres - 1)
-    fraction = np.clip(2 - off * np.float32(1 / tolerance), 0, 1)
-    return np.where(known, fraction, 1).astype(np.float32)

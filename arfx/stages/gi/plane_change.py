@@ -16,10 +16,10 @@ import numpy as np
 from arfx.core.layers import Layer, Layers
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.stages.holdout import on_plane, plane_dioptres
+from arfx.stages.holdout import plane_dioptres
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView
 from arfx.stages.light.plane_shadow import SoftPicture, texel_places
-from arfx.stages.light.planes import SHOWS, Planes, warped
+from arfx.stages.light.planes import SHOWS, Planes, on_plane, warped
 from arfx.stages.light.transport import Indirect
 
 DARKEST = np.float32(0.002)  # radiance below which a pixel is no base for a ratio

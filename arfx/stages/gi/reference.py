@@ -29,8 +29,7 @@ from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.gi.reference_tracer import BOUNCES, LOBE, NUMBERS, Tracer
-from arfx.stages.holdout import on_plane
-from arfx.stages.light.planes import Planes
+from arfx.stages.light.planes import Planes, on_plane
 from arfx.stages.light.surroundings import frame_surroundings
 
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
@@ -163,7 +162,8 @@ class Pixels:
         out = np.zeros(directions.shape)
         along = directions @ self.anchor_from_camera.rotation[:, 2]
         real_m = self.view[Layer.REAL_DEPTH][rows]
-        measured = np.where(real_m > 0, real_m, np.nan) / along
+        known = np.isfinite(real_m) & (real_m > 0)
+        measured = np.where(known, real_m, np.nan) / along
         plane, distance = around.plane_by_distance(eyes, directions, measured)
         keep = np.flatnonzero(plane >= 0)
         if not len(keep):

@@ -17,8 +17,7 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.stages.gi.reference_sky import Environment
-from arfx.stages.holdout import on_plane
-from arfx.stages.light.planes import ENDLESS, SAME_DEPTH, Planes
+from arfx.stages.light.planes import ENDLESS, SAME_DEPTH, Planes, on_plane
 from arfx.stages.light.surfels import texels_of
 from arfx.stages.triangles import Triangles, anchor_mesh
 

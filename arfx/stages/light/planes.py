@@ -244,10 +244,7 @@ def picture_on_planes(
             np.rint(v[inside] - o).astype(int) for v, o in ((x, rect.x0), (y, rect.y0))
         )
         depth = real[np.clip(row, 0, rect.height - 1), np.clip(column, 0, rect.width - 1)]
-        with np.errstate(invalid="ignore"):
-            inside[inside] = ~(
-                np.abs(depth - placed[inside][:, 2]) > SAME_DEPTH * placed[inside][:, 2]
-            ) | ~np.isfinite(depth)
+        inside[inside] = on_plane(depth, 1 / placed[inside][:, 2], SAME_DEPTH) == 1
     out = np.zeros((*seen.shape[:3], 3), np.float32)
     for k in range(len(positions)):
         if inside[k].any():
@@ -260,6 +257,19 @@ def picture_on_planes(
             )
     out = np.clip(out - bias, 0, None) * inside[..., None]
     return np.asarray(out, np.float32), inside.astype(np.float32)
+
+
+def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.ndarray:
+    """(h, w) float32: 1 = the real surface is the plane, 0 = it is not; 1 where nothing was
+    measured.
+
+    real_m : (h, w) metres;  dioptres : of the plane, 1/m;  tolerance : share of the plane's
+    distance, twice that gives 0
+    """
+    known = np.isfinite(real_m) & (real_m > 0)
+    off = np.abs(np.where(known, real_m, 0) * dioptres - 1)
+    fraction = np.clip(2 - off * np.float32(1 / tolerance), 0, 1)
+    return np.where(known, fraction, 1).astype(np.float32)
 
 
 def filled(radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
