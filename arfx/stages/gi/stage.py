@@ -80,7 +80,7 @@ class GiLevel:
 
 LEVELS = {
     "draft": GiLevel(TransportLevel(6000, 48, 32, 32, 3), 0.5, 64, False),
-    "standard": GiLevel(TransportLevel(16_000, 96, 64, 64, 8), SHOWS, 128, True),
+    "standard": GiLevel(TransportLevel(24_000, 96, 64, 64, 8), SHOWS, 128, True),
 }
 
 
