@@ -71,7 +71,7 @@ def soft_visibility(scene: Scene, rays: ObjectRays, plane: SoftPicture) -> SoftV
         traced = rays.over(surfels.points, surfels.normals, _RAYS)
         parts = np.concatenate([hidden_parts(hits, plane) for hits in traced])
         seen = np.maximum(1 - parts[:, 0], LEAST_SEEN)
-        grid = SurfaceGrid(surfels.points, surfels.normals, seen, _CELLS)
+        grid = SurfaceGrid(surfels.points, surfels.normals, surfels.area * seen, _CELLS)
         return SoftVisibility(grid, grid.nodes(parts))
 
     kept: SoftVisibility = memo_of(scene.model).get(

@@ -156,11 +156,13 @@ class Surfels:
 
     points, normals (n, 3) : metres, unit, of their triangles: rays over a smooth normal
     would pass under them face (n,) : the triangle albedo, matt, emission (n, 3) : of light
-    that leaves in all directions, mirrored light counted as such, and without"""
+    that leaves in all directions, mirrored light counted as such, and without
+    area (n,) : of the surface that each stands for, the largest 1"""
 
     points: np.ndarray
     normals: np.ndarray
     face: np.ndarray
+    area: np.ndarray
     albedo: np.ndarray
     matt: np.ndarray
     emission: np.ndarray
@@ -172,9 +174,9 @@ def surfels_of(rays: ObjectRays, count: int) -> Surfels:
     """
     edges = np.linalg.norm(rays.corners - np.roll(rays.corners, 1, 1), axis=2).max(1)
     # thin faces have some along all of their length
-    upto = np.cumsum(
-        np.linalg.norm(rays.across, axis=1) / 2 + _STRIP * rays.extent_m * edges
-    )
+    area = np.linalg.norm(rays.across, axis=1) / 2
+    counted = area + _STRIP * rays.extent_m * edges
+    upto = np.cumsum(counted)
     i = np.arange(count) + 0.5
     face = np.minimum(np.searchsorted(upto, i / count * upto[-1]), len(upto) - 1)
     u, v = r2(count).T
@@ -190,8 +192,9 @@ def surfels_of(rays: ObjectRays, count: int) -> Surfels:
     front |= ~(front | back)  # a sliver between others: counted once
     keep = np.concatenate([np.flatnonzero(front), np.flatnonzero(back)])
     side = np.repeat([1.0, -1.0], [front.sum(), back.sum()])[:, None]
+    share = (area / counted)[face[keep]]
     return Surfels(
-        points[keep], side * normals[keep], face[keep], *(c[keep] for c in colours)
+        points[keep], side * normals[keep], face[keep], share, *(c[keep] for c in colours)
     )
 
 

@@ -26,7 +26,6 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.sampling import disc, frame_about
 from arfx.core.scene import Scene
 from arfx.stages.light.planes import BEHIND, Planes, texel_positions, warped
-from arfx.stages.light.soft_visibility import LEAST_SEEN
 from arfx.stages.light.surface_grid import SurfaceGrid
 from arfx.stages.light.surfels import Hits, ObjectRays, surfels_of
 
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
 
 SKY = 8  # texels a side of the cube by which surfels see the sky
 _LAMP_RAYS = 8  # of a place to a lamp's disc
+_LEAST_SEEN = 0.1  # of the sky: a surfel counts by what it sees, as cameras see it
 _LEAST_TOTAL = 1e-4  # radiance of a white plane under which it has no light
 
 
@@ -86,7 +86,8 @@ class Transport:
         traced = [*rays.over(points, normals, level.rays)]
         met = np.concatenate([(hits.face >= 0).mean(1) for hits in traced])
         seen = np.concatenate([_open(hits).mean(1) for hits in traced])
-        self.grid = SurfaceGrid(points, normals, np.maximum(seen, LEAST_SEEN), level.cells)
+        weights = self.surfels.area * np.maximum(seen, _LEAST_SEEN)
+        self.grid = SurfaceGrid(points, normals, weights, level.cells)
         self.occluded = self.grid.nodes(met[:, None])
         self.colours = self.grid.nodes(self.surfels.albedo)
         self._of_surfels = self._matrix(len(points), *self._columns(traced))
