@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 SKY = 8  # texels a side of the cube by which surfels see the sky
 _LAMP_RAYS = 8  # of a place to a lamp's disc
 _LEAST_SEEN = 0.1  # of the sky: a surfel counts by what it sees, as cameras see it
+_SETTLED = 1e-3  # of the brightest surfel: a bounce that brings less is the last
 _LEAST_TOTAL = 1e-4  # radiance of a white plane under which it has no light
 
 
@@ -42,7 +43,7 @@ _LEAST_TOTAL = 1e-4  # radiance of a white plane under which it has no light
 class TransportLevel:
     """surfels : of the object, about;  rays : of each place;  side : texels of a plane;
     cells : of the surface's grid
-    bounces : of light from place to place"""
+    bounces : of light from place to place, at most"""
 
     surfels: int
     rays: int
@@ -232,7 +233,9 @@ class Transport:
                     unseen, picture * (left - 1), np.zeros_like(sky)
                 )
             left = np.clip(base + divide(gain + beside, total), 0, None)
-            sent = surfels.albedo * received + direct
+            before, sent = sent, surfels.albedo * received + direct
+            if np.abs(sent - before).max() <= _SETTLED * sent.max():
+                break
         fields = (gain, beside + extra, total, left)
         return Indirect(received, sent, *(np.reshape(field, shape) for field in fields))
 

@@ -9,6 +9,7 @@ import trimesh
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
+from arfx.stages.light.surfels import ObjectRays, surfels_of
 from tests.scenes import facts
 from tests.unit.stages.gi_scenes import (
     BLACK,
@@ -111,3 +112,32 @@ def test_the_light_is_the_frames_own() -> None:
     s = on_plane(box(MATT_RED), NIGHT, CAMERA)
     own = Light((0.2, 0.1, 0.1), ())
     assert s.light_of(facts(s).with_(light=own)) is own and s.light_of(facts(s)) is NIGHT
+
+
+def with_a_rod(material: Material) -> Model:
+    """A cube, and a thin rod that stands in the middle of its top."""
+    cube = trimesh.creation.box((2, 2, 2))
+    rod = trimesh.creation.cylinder(0.02, 1.0, sections=24)
+    rod.apply_translation((0, 0, 1.5))
+    parts = [
+        Part(
+            mesh.vertices[mesh.faces].reshape(-1, 3),
+            np.arange(3 * len(mesh.faces), dtype=np.int32).reshape(-1, 3),
+            np.repeat(mesh.face_normals, 3, 0),
+            material,
+        )
+        for mesh in (cube, rod)
+    ]
+    return Model(tuple(parts), up="z", source="rod")
+
+
+def test_points_stand_for_the_area_that_they_have() -> None:
+    """Thin parts have more points, which count for less: they do not darken what they stand on."""
+    rays = ObjectRays(on_plane(with_a_rod(MATT_WHITE), EVEN, CAMERA))
+    surfels = surfels_of(rays, 20_000)
+    of_rod = rays.part[surfels.face] == 1
+    true = np.linalg.norm(rays.across, axis=1)
+    share = true[rays.part == 1].sum() / true.sum()
+    assert of_rod.mean() > 2 * share
+    counted = surfels.area[of_rod].sum() / surfels.area.sum()
+    np.testing.assert_allclose(counted, share, rtol=0.1)
