@@ -11,8 +11,6 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.stages.raster import textures
 
 _F = np.float32
-# texels between taps, where few are enough; a side of three quarters of a texel takes a second one
-_SPACING = 1.25
 
 
 @numba.njit(inline="always")
@@ -57,25 +55,21 @@ def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover -
     if finest > _F(2):
         level = np.int32(np.log2(finest))
         level = min(level, np.int32(table[t, textures.LEVELS] - 1))
-    spacing, more = _F(_SPACING), _F(1.4)
-    if finest > spacing:  # no more taps than asked for
-        spacing, more = finest, _F(0.99)
     least = np.int32(1)
-    n = max(np.int32(wide / spacing + more), least)
-    m = max(np.int32(high / spacing + more), least)
+    n, m = least, least
+    if max(wide, high) > _F(1):  # else one tap is enough
+        spacing = max(finest, _F(0.5) * _F(1 << level))
+        n = max(np.int32(wide / spacing + _F(0.99)), least)
+        m = max(np.int32(high / spacing + _F(0.99)), least)
     w, h = max(np.int32(width) >> level, least), max(np.int32(height) >> level, least)
     start = np.int32(table[t, textures.OFFSETS + level])
     wrap_u, wrap_v = table[t, textures.WRAP_U], table[t, textures.WRAP_V]
     before_u = w - least if wrap_u == textures.REPEATS else np.int32(0)
     before_v = h - least if wrap_v == textures.REPEATS else np.int32(0)
-    # spread so that the variance of their places is that of the side
-    along, under = _F(n - least), _F(m - least)
-    step = _F(1) / np.sqrt(max(along * _F(n + least), _F(1)))
-    row = _F(1) / np.sqrt(max(under * _F(m + least), _F(1)))
-    step_u, step_v = across[0] * step, across[1] * step
-    row_u, row_v = down[0] * row, down[1] * row
-    first_u = place[0] - _F(0.5) * (along * step_u + under * row_u)
-    first_v = place[1] - _F(0.5) * (along * step_v + under * row_v)
+    step_u, step_v = across[0] / _F(n), across[1] / _F(n)
+    row_u, row_v = down[0] / _F(m), down[1] / _F(m)
+    first_u = place[0] - _F(0.5) * (across[0] - step_u + down[0] - row_u)
+    first_v = place[1] - _F(0.5) * (across[1] - step_v + down[1] - row_v)
     nearest = table[t, textures.NEAREST] != 0 and level == 0
     t0, t1, t2, t3 = _F(0), _F(0), _F(0), _F(0)
     for j in range(m):

@@ -113,14 +113,15 @@ def depth_with_a_thing() -> np.ndarray:
     return depth
 
 
-def measure_a_thing(monkeypatch: pytest.MonkeyPatch) -> None:
+def measure(monkeypatch: pytest.MonkeyPatch, depth: np.ndarray) -> None:
+    """Depth, metres, is measured in all frames from now on."""
     from tests.unit.stages import gi_scenes
 
     bare = gi_scenes.surface
     monkeypatch.setattr(
         gi_scenes,
         "surface",
-        lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth_with_a_thing()},
+        lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth.astype(np.float32)},
     )
 
 
@@ -130,7 +131,7 @@ def test_what_is_not_on_the_plane_is_left_alone(
 ) -> None:
     params = GiParams(plane_gloss=0.3, samples=4)
     plain = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)
-    measure_a_thing(monkeypatch)
+    measure(monkeypatch, depth_with_a_thing())
     made = run_gi(on_plane(box(BLACK), EVEN, CAMERA), level, POSE, params=params)[
         Layer.SHADOW
     ]
@@ -169,7 +170,7 @@ def test_a_thing_before_the_plane_is_no_picture_of_the_plane() -> None:
 def test_a_thing_before_the_plane_sends_the_object_no_light_of_the_plane(
     level: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    measure_a_thing(monkeypatch)
+    measure(monkeypatch, depth_with_a_thing())
     even = np.full((CAMERA.height, CAMERA.width, 3), 0.5, np.float32)
     thing = even.copy()
     thing[:, : CAMERA.width // 2] = 9
@@ -207,16 +208,9 @@ def test_a_plane_over_the_table_leaves_what_is_measured_on_the_table(
     level: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Depth says that pixels show the table, not what was once seen 3 cm over it."""
-    from tests.unit.stages import gi_scenes
-
     scene, params = on_plane(box(BLACK), EVEN, CAMERA), GiParams(samples=16)
     gone = RealPlane(Pose(np.eye(3), np.array([0, 0, 0.03])), (-1, -1, 1, 1), 4.0, 3.0, 900)
-    bare, depth = gi_scenes.surface, POSE.apply(ground_points(scene, POSE))[..., 2]
-    monkeypatch.setattr(
-        gi_scenes,
-        "surface",
-        lambda s, f: bare(s, f) | {Layer.REAL_DEPTH: depth.astype(np.float32)},
-    )
+    measure(monkeypatch, POSE.apply(ground_points(scene, POSE))[..., 2])
     alone, made = (
         run_gi(s, level, POSE, params=params)[Layer.SHADOW]
         for s in (scene, replace(scene, real_planes=(gone,)))
