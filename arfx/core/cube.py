@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from arfx.core.codec import Document
 from arfx.core.numerics import divide, normalise
@@ -63,35 +62,53 @@ def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return 2 * axis + (major < 0), np.choose(axis, [-z, x, x]), np.choose(axis, [y, -z, y])
 
 
+def between_texels(size: int, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """((n, 4) numbers of the texels around directions (n, 3) in a cube of faces (size, size),
+    (n, 4) weights of them): linear between the texels of a face, the outermost beyond them.
+    """
+    face, *across = on_cube(np.asarray(directions, float))
+    u, v = (np.clip((t + 1) / 2 * size - 0.5, 0, size - 1) for t in across)
+    column, row = (np.minimum(t.astype(np.intp), max(size - 2, 0)) for t in (u, v))
+    right, below = u - column, v - row
+    first = (face * size + row) * size + column
+    beside, under = min(1, size - 1), min(size, size * size - size)
+    texels = np.stack([first, first + beside, first + under, first + under + beside], -1)
+    weights = [
+        (1 - below) * (1 - right),
+        (1 - below) * right,
+        below * (1 - right),
+        below * right,
+    ]
+    return texels, np.stack(weights, -1)
+
+
 def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(n, 3) radiance in directions (n, 3), axes of the cube (6, size, size, 3): linear
     between the texels of a face.
     """
-    face, *across = on_cube(np.asarray(directions, float))
-    u, v = ((t + 1) / 2 * faces.shape[1] - 0.5 for t in across)
-    channels = np.moveaxis(np.asarray(faces, float), -1, 0)
-    return np.stack(
-        [map_coordinates(c, (face, v, u), order=1, mode="nearest") for c in channels], -1
-    )
+    texels, weights = between_texels(faces.shape[1], directions)
+    near = faces.reshape(-1, faces.shape[-1])[texels]
+    return np.einsum("nk,nkc->nc", weights, near)
 
 
-@lru_cache(maxsize=4)
-def _border(size: int) -> tuple[np.ndarray, np.ndarray]:
-    """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, (n, 3)
-    directions of those).
-    """
+@lru_cache(maxsize=8)
+def _border(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, and of
+    those the texels of their neighbours and weights: `between_texels`)."""
     around = np.ones((6, size + 2, size + 2), bool)
     around[:, 1:-1, 1:-1] = False
-    return around, on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
+    places = on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
+    return around, *between_texels(size, places)
 
 
 def bordered(faces: np.ndarray) -> np.ndarray:
     """(6, n + 2, n + 2, c) of a cube (6, n, n, c): each face with a texel of its neighbours
     all around.
     """
-    around, directions = _border(faces.shape[1])
+    around, texels, weights = _border(faces.shape[1])
     out = np.empty((*around.shape, faces.shape[-1]), faces.dtype)
-    out[:, 1:-1, 1:-1], out[around] = faces, look_up(faces, directions)
+    near = faces.reshape(-1, faces.shape[-1])[texels]
+    out[:, 1:-1, 1:-1], out[around] = faces, np.einsum("nk,nkc->nc", weights, near)
     return out
 
 
@@ -100,6 +117,8 @@ def resampled(faces: np.ndarray, size: int) -> np.ndarray:
     over the edges too.
     """
     n = faces.shape[1]
+    if n == size:
+        return faces
     x = ((np.arange(size) + 0.5) / size * n + 0.5)[:, None] - np.arange(n + 2)
     share = np.clip(1 - np.abs(x), 0, None).astype(faces.dtype)
     return np.moveaxis(share @ np.moveaxis(bordered(faces), 3, 1) @ share.T, 1, 3)

@@ -12,6 +12,7 @@ Source: Karis 2013 (the split sum's first part), docs/methods/light.md#reflectio
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import islice
 from typing import NamedTuple
 
@@ -80,11 +81,9 @@ def prefiltered(cube: np.ndarray) -> np.ndarray:
     out = [_packed(finest)]
     levels = zip(SIDES, ROUGHNESSES, SAMPLES, strict=True)
     for side, roughness, samples in islice(levels, 1, None):
-        lobe, weight, detail = _lobe(roughness, samples)
-        directions = _about(face_directions(side).reshape(-1, 3), lobe).astype(np.float32)
-        details = np.tile(detail, len(directions))
-        light = look_ups(source, *layout(sides), details, directions.reshape(-1, 3))
-        level = weight @ light.reshape(len(directions), len(lobe), 3)
+        directions, details, weight = _lobes(side, roughness, samples)
+        light = look_ups(source, *layout(sides), details, directions)
+        level = weight @ light.reshape(-1, samples, 3)
         out.append(_packed(level.reshape(6, side, side, 3)))
     return np.concatenate(out)
 
@@ -110,6 +109,17 @@ def _lobe(roughness: float, samples: int) -> tuple[np.ndarray, np.ndarray, np.nd
     weight = np.clip(z, 0, None) / np.clip(z, 0, None).sum()
     directions = np.stack([across * np.cos(phi), across * np.sin(phi), z], -1)
     return directions, weight.astype(np.float32), detail.astype(np.float32)
+
+
+@lru_cache(maxsize=len(SIDES))
+def _lobes(
+    side: int, roughness: float, samples: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(directions (n, 3) of all samples of the lobes about a level's texels, their halvings (n,),
+    weights (samples,)); as `_lobe`."""
+    lobe, weight, detail = _lobe(roughness, samples)
+    directions = _about(face_directions(side).reshape(-1, 3), lobe).astype(np.float32)
+    return directions.reshape(-1, 3), np.tile(detail, len(directions)), weight
 
 
 def _about(axes: np.ndarray, directions: np.ndarray) -> np.ndarray:

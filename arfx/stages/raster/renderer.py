@@ -43,6 +43,7 @@ MAX_LAYERS = 8
 REFERENCE_SAMPLES = 256
 # A ray goes on this far behind a hit, as a fraction of the depth: eight steps of float32.
 _ONWARD = np.float32(1e-6)
+_CACHED_RAYS = 1 << 14  # what is known of so many stays in a processor's own cache
 _STRIP_PX, _BLOCK_RAYS = 1 << 20, 1 << 20  # at a time: bounds memory to about 200 MB
 
 
@@ -143,7 +144,9 @@ class Renderer:
         if self.layered:  # how much of a cut-out a pixel shows, its centre does not tell
             edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (face >= 0)
         plain = np.flatnonzero((face >= 0) & ~edge)
-        self._plain(plain, face[plain], x[plain], y[plain], view, out)
+        for start in range(0, len(plain), _CACHED_RAYS):
+            pixels = plain[start : start + _CACHED_RAYS]
+            self._plain(pixels, face[pixels], x[pixels], y[pixels], view, out)
         sampled = np.flatnonzero(edge)
         step = max(_BLOCK_RAYS // len(self.offsets), 1)
         for start in range(0, len(sampled), step):

@@ -58,7 +58,7 @@ def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover -
     least = np.int32(1)
     n, m = least, least
     if max(wide, high) > _F(1):  # else one tap is enough
-        spacing = max(finest, _F(0.5) * _F(1 << level))
+        spacing = max(finest, _F(0.6) * _F(1 << level))
         n = max(np.int32(wide / spacing + _F(0.99)), least)
         m = max(np.int32(high / spacing + _F(0.99)), least)
     w, h = max(np.int32(width) >> level, least), max(np.int32(height) >> level, least)
@@ -66,10 +66,14 @@ def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover -
     wrap_u, wrap_v = table[t, textures.WRAP_U], table[t, textures.WRAP_V]
     before_u = w - least if wrap_u == textures.REPEATS else np.int32(0)
     before_v = h - least if wrap_v == textures.REPEATS else np.int32(0)
-    step_u, step_v = across[0] / _F(n), across[1] / _F(n)
-    row_u, row_v = down[0] / _F(m), down[1] / _F(m)
-    first_u = place[0] - _F(0.5) * (across[0] - step_u + down[0] - row_u)
-    first_v = place[1] - _F(0.5) * (across[1] - step_v + down[1] - row_v)
+    # spread so that the variance of their places is that of the side
+    step = _F(1) / np.sqrt(max(_F(n * n - 1), _F(1)))
+    row = _F(1) / np.sqrt(max(_F(m * m - 1), _F(1)))
+    step_u, step_v = across[0] * step, across[1] * step
+    row_u, row_v = down[0] * row, down[1] * row
+    along, under = _F(0.5) * _F(n - 1), _F(0.5) * _F(m - 1)
+    first_u = place[0] - along * step_u - under * row_u
+    first_v = place[1] - along * step_v - under * row_v
     nearest = table[t, textures.NEAREST] != 0 and level == 0
     t0, t1, t2, t3 = _F(0), _F(0), _F(0), _F(0)
     for j in range(m):
