@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 SKY = 8  # texels a side of the cube by which surfels see the sky
 _LAMP_RAYS = 8  # of a place to a lamp's disc
 _LEAST_SEEN = 0.1  # of the sky: a surfel counts by what it sees, as cameras see it
-_SETTLED = 1e-3  # of the brightest surfel: a bounce that brings less is the last
+_SETTLED = 3e-3  # of the brightest surfel: a bounce that brings less is the last
 _LEAST_TOTAL = 1e-4  # radiance of a white plane under which it has no light
 
 
