@@ -1,5 +1,6 @@
 """A texture as a sample sees it: the mean of bilinear taps spread over the sample's parallelogram,
-in the level of the texture's pyramid in which they lie one to two texels apart."""
+with its variance, in the level of the texture's pyramid in which they lie _APART to two texels
+apart."""
 
 # mypy: disable-error-code="no-untyped-def, call-arg, arg-type, assignment"
 from __future__ import annotations
@@ -11,6 +12,7 @@ from arfx.core.compiled import FAST, line_kernel
 from arfx.stages.raster import textures
 
 _F = np.float32
+_APART = 0.6  # texels between taps at least: farther apart, hard stripes show more than 1.3 levels
 
 
 @numba.njit(inline="always")
@@ -58,7 +60,7 @@ def filtered(texels, table, t, place, across, down, taps):  # pragma: no cover -
     least = np.int32(1)
     n, m = least, least
     if max(wide, high) > _F(1):  # else one tap is enough
-        spacing = max(finest, _F(0.6) * _F(1 << level))
+        spacing = max(finest, _F(_APART))
         n = max(np.int32(wide / spacing + _F(0.99)), least)
         m = max(np.int32(high / spacing + _F(0.99)), least)
     w, h = max(np.int32(width) >> level, least), max(np.int32(height) >> level, least)
