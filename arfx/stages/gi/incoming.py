@@ -30,13 +30,12 @@ from arfx.stages.light.surroundings import frame_environment, frame_surroundings
 from arfx.stages.light.transport import SKY
 
 _LIGHT_STEP = 0.03
-_PLANE_STEP = (
-    0.05  # the plane's mean brightness is rounded to 5 %: of the planes' change that is 1 %
-)
+_PLANE_STEP = 0.05  # of the planes' mean: of their change that is 1 %
+# what the sky sends straight to the object is that of the frame: steps are left in what bounces
 _SHARE_STEP = (
-    1 / 8
+    1 / 4
 )  # of the way from one map of the surroundings to the next, a second later
-_AXES_STEP = 1 / 32
+_AXES_STEP = 1 / 16
 _NEAR_RADII = 3  # of the object: how far the plane counts for its mean
 
 
@@ -44,7 +43,7 @@ _NEAR_RADII = 3  # of the object: how far the plane counts for its mean
 class IncomingLight:
     """picture (p, side, side, 3) : radiance of the planes, filled where the frame does not
     show them
-    mean (3,) : of it near the object, rounded;  environment : with the turn from the anchor's axes
+    mean (3,) : of it near the object;  environment : with the turn from the anchor's axes
     """
 
     planes: Planes
@@ -52,15 +51,15 @@ class IncomingLight:
     mean: np.ndarray
     environment: Environment
 
-    def change(self, left: np.ndarray) -> np.ndarray:
-        """(p n^2, 3) radiance of the picture on the planes, less its mean, where the object
+    def change(self, mean: np.ndarray, left: np.ndarray) -> np.ndarray:
+        """(p n^2, 3) radiance of the picture on the planes less `mean` (3,), where the object
         leaves that share.
 
         left (p, n, n, 3) : of `Indirect`
         """
         size = left.shape[1:3]
         seen = [cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in self.picture]
-        return np.asarray(((np.stack(seen) - self.mean) * left).reshape(-1, 3))
+        return np.asarray(((np.stack(seen) - mean) * left).reshape(-1, 3))
 
     def background(self, left: np.ndarray) -> Background:
         """As mirrors see it, the planes darkened and lit by the object.
@@ -135,6 +134,11 @@ def in_steps(facts: FrameFacts, light: Light) -> FrameFacts:
     )
 
 
+def mean_in_steps(mean: np.ndarray) -> np.ndarray:
+    """The planes' mean radiance (3,), the same."""
+    return _powers(mean, _PLANE_STEP)
+
+
 def light_in_steps(light: Light) -> Light:
     def coarse(lamp: DirectionalLight) -> DirectionalLight:
         rgb, size_deg = triple(_powers(lamp.rgb, _LIGHT_STEP)), round(lamp.angular_size_deg)
@@ -175,9 +179,7 @@ def _plane_mean(
     scene: Scene,
     otherwise: np.ndarray,
 ) -> np.ndarray:
-    """(3,) mean radiance of the first plane near the object, in steps of 5 %; `otherwise`
-    if unknown.
-    """
+    """(3,) mean radiance of the first plane near the object; `otherwise` if unknown."""
     reach_m = _NEAR_RADII * bounding_ball(scene)[1]
     step = max(picture.shape[1] // 64, 1)
     away2 = ((positions[0, ::step, ::step] - planes.axes[0, 0]) ** 2).sum(-1)
@@ -185,4 +187,4 @@ def _plane_mean(
     if not weight.sum() > 0:
         return otherwise
     sums = np.tensordot(weight, picture[0, ::step, ::step], 2)
-    return _powers(sums / weight.sum(), _PLANE_STEP)
+    return np.asarray(sums / weight.sum())

@@ -24,6 +24,9 @@ from arfx.stages.triangles import Triangles, anchor_mesh
 UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show
 LIFT = 1e-4  # of the object's size, by which rays start off a surface
 AROUND = 3.0  # radii of the object, within which a plane's mean is taken
+# places of a plane that stand for what the picture shows of it: so many a side, out to arcsinh of
+# radii, and of which so many are averaged
+_LATTICE, _FARTHEST, _NEAREST = 81, 4.0, 12
 LINEAR = np.asarray(SRGB.decode(np.arange(256) / 255), float)  # of a colour's codes
 
 
@@ -147,12 +150,11 @@ class Surroundings:
         below = environment.irradiance(np.zeros(3), up)
         guess = UNSEEN_ALBEDO * look_up(below, up[None])
         self._means = np.tile(guess, (len(self.axes), 1))
-        places = np.linspace(-AROUND, AROUND, 25) * radius_m
-        u, v = (a.reshape(-1, 1) for a in np.meshgrid(places, places))
-        for k, (origin, x, y, _) in enumerate(self.axes):
-            plane = np.full(len(u), k)
-            radiance, known = self._picture(origin + u * x + v * y, plane)
-            self._means[k] = radiance[known].mean(0) if known.any() else self._means[0]
+        self._radius_m = radius_m
+        self._shown = [self._shown_places(k) for k in range(len(self.axes))]
+        for k, (places, radiance) in enumerate(self._shown):
+            near = (np.abs(places) <= np.arcsinh(AROUND)).all(1)
+            self._means[k] = radiance[near].mean(0) if near.any() else self._means[0]
         self._irradiance = environment.irradiance(self._means[0], up)
 
     def first_plane(
@@ -187,10 +189,40 @@ class Surroundings:
         return distances
 
     def picture(self, positions: np.ndarray, plane: np.ndarray) -> np.ndarray:
-        """(n, 3) radiance of the planes as the picture shows them; each one's mean where it does
-        not."""
+        """(n, 3) radiance of the planes as the picture shows them; where it does not, as it is
+        around."""
         radiance, known = self._picture(positions, plane)
-        return np.where(known[:, None], radiance, self._means[plane])
+        for k in np.unique(plane[~known]):
+            rows = np.flatnonzero(~known & (plane == k))
+            radiance[rows] = self._around(k, self._logarithmic(positions[rows], k))
+        return radiance
+
+    def _logarithmic(self, positions: np.ndarray, plane: int) -> np.ndarray:
+        """(n, 2) places on a plane in radii of the object, farther out by their logarithms."""
+        origin, x, y, _ = self.axes[plane]
+        along = (positions - origin) @ np.stack([x, y], -1)
+        return np.asarray(np.arcsinh(along / self._radius_m))
+
+    def _shown_places(self, plane: int) -> tuple[np.ndarray, np.ndarray]:
+        """(places (n, 2), radiance (n, 3)) of a lattice on a plane, where the picture shows it."""
+        t = np.linspace(-_FARTHEST, _FARTHEST, _LATTICE)
+        places = np.stack(np.meshgrid(t, t), -1).reshape(-1, 2)
+        origin, x, y, _ = self.axes[plane]
+        u, v = np.hsplit(np.sinh(places) * self._radius_m, 2)
+        radiance, known = self._picture(origin + u * x + v * y, np.full(len(u), plane))
+        return places[known], radiance[known]
+
+    def _around(self, plane: int, places: np.ndarray) -> np.ndarray:
+        """(n, 3) mean of what is shown nearest to places, the nearer the heavier; the plane's
+        mean where nothing is."""
+        from scipy.spatial import cKDTree
+
+        shown, radiance = self._shown[plane]
+        if len(shown) < _NEAREST:
+            return np.broadcast_to(self._means[plane], (len(places), 3))
+        distance, row = cKDTree(shown).query(places, _NEAREST)
+        weight = 1 / np.maximum(distance, 1e-6) ** 2
+        return np.average(radiance[row], 1, np.repeat(weight[..., None], 3, -1))
 
     def _picture(
         self, positions: np.ndarray, plane: np.ndarray

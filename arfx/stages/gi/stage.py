@@ -15,7 +15,7 @@ plane, caustics, refraction, light that the object sends through its own transpa
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -34,7 +34,13 @@ from arfx.errors import require_within
 from arfx.stages.gi.background import behind_object
 from arfx.stages.gi.gloss import gloss_weights, mirror_tangent
 from arfx.stages.gi.health import furnace, seams
-from arfx.stages.gi.incoming import IncomingLight, in_steps, incoming_light, sky_radiance
+from arfx.stages.gi.incoming import (
+    IncomingLight,
+    in_steps,
+    incoming_light,
+    mean_in_steps,
+    sky_radiance,
+)
 from arfx.stages.gi.plane_change import (
     DARKEST,
     add_change,
@@ -78,6 +84,8 @@ class GiLevel:
     by_frame: bool
 
 
+# times that the light in steps is as bright as it is, at most: near 0 its steps are larger
+_STEPS_MOST = 1.25
 LEVELS = {
     "draft": GiLevel(TransportLevel(6000, 48, 32, 32, 3), 0.5, 64, False),
     "standard": GiLevel(TransportLevel(24_000, 96, 64, 64, 8), SHOWS, 128, True),
@@ -116,16 +124,25 @@ class Prepared:
 
 @dataclass(frozen=True, eq=False)
 class LitScene:
-    """What does not change while the light stays. changes : of `change_textures`;  radius_m
-    : within which they show
+    """What is kept while the light stays within a step.
+
+    changes : of `change_textures`;  radius_m : within which they show
     received, sent (z, y, x, 3) : nodes of what falls on the object, and of what it sends
-    """
+    mean (3,), sky (6 SKY^2, 3) : radiance of planes and sky, for which they are"""
 
     indirect: Indirect
     changes: list[list[PlaneTexture]]
     radius_m: float
     received: np.ndarray
     sent: np.ndarray
+    mean: np.ndarray
+    sky: np.ndarray
+
+    def brighter(self, times: np.ndarray) -> LitScene:
+        """In a light so many times (3,) as bright."""
+        names = "received", "sent", "mean", "sky"
+        kept = {name: getattr(self, name) for name in names}
+        return replace(self, **{k: a * times.astype(a.dtype) for k, a in kept.items()})
 
 
 class Gi(Stage):
@@ -215,27 +232,34 @@ class Gi(Stage):
         return {Layer.VIRTUAL: virtual, Layer.SHADOW: shadow}
 
     def _lit(self, view: View, prepared: Prepared, incoming: IncomingLight) -> LitScene:
-        """Kept by light, environment and mean of the planes."""
+        """Kept by light, environment and mean of the planes in steps; the light's colour and
+        brightness are those of the frame."""
         scene = view.scene
         known = in_steps(view.facts, view.light)
         light = scene.light_of(known)
+        up = scene.world_from_anchor.rotation[:, 2]
+        exact, stepped = (a.soft_radiance(up) for a in (view.light, light))
+        times = np.clip(
+            divide(exact, stepped, where_zero=1.0), 1 / _STEPS_MOST, _STEPS_MOST
+        )
+        mean = mean_in_steps(divide(incoming.mean, times))
         around = known.seen_environment, known.environment
-        key = repr(light), *around, incoming.mean.tobytes()
+        key = repr(light), *around, mean.tobytes()
 
         def make() -> LitScene:
             transport, planes = prepared.transport, incoming.planes
             sky = sky_radiance(known, scene, light)
             places = len(transport.texels)
-            picture = np.broadcast_to(incoming.mean, (places, 3))
+            picture = np.broadcast_to(mean, (places, 3))
             indirect = transport.solve(scene, light, picture, sky)
             changes = change_textures(indirect, transport.hidden, planes, prepared.soft)
             positions = transport.texels.reshape(*transport.hidden.shape, 3)
             radius_m = visible_radius_m(indirect, planes, positions)
-            nodes = map(transport.grid.nodes, (indirect.received, indirect.sent))
-            return LitScene(indirect, changes, radius_m, *nodes)
+            received, sent = map(transport.grid.nodes, (indirect.received, indirect.sent))
+            return LitScene(indirect, changes, radius_m, received, sent, mean, sky)
 
         kept: LitScene = view.memo.of_light.get(key, make)
-        return kept
+        return kept.brighter(times)
 
     def _virtual(
         self,
@@ -253,10 +277,12 @@ class Gi(Stage):
             return Pixels(now.rect, out, part=part)
         here, transport = now.crop(box), prepared.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
-        nodes = lit.received
-        if LEVELS[view.level].by_frame:
-            more = transport.more_from_planes(incoming.change(lit.indirect.left))
-            nodes = nodes + transport.grid.nodes(more)
+        left, sky = lit.indirect.left, sky_radiance(view.facts, view.scene, view.light)
+        change = incoming.change(
+            lit.mean, left if LEVELS[view.level].by_frame else 0 * left
+        )
+        more = transport.more_from_around(change, sky - lit.sky)
+        nodes = lit.received + transport.grid.nodes(more)
         layers = surface.coverage, surface.normal, surface.position
         light = transport.grid.read(nodes, *layers, sight.anchor_from_world)
         smooth = smooth_normal(surface.normal, here)

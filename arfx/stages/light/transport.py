@@ -92,6 +92,7 @@ class Transport:
         self.occluded = self.grid.nodes(met[:, None])
         self.colours = self.grid.nodes(self.surfels.albedo)
         self._of_surfels = self._matrix(len(points), *self._columns(traced))
+        self._from_around = self._of_surfels[:, self._node_count :]
         lifted = rays.over(self.texels, self._texel_normals, level.rays)
         self._trace_planes([*lifted])
 
@@ -239,11 +240,12 @@ class Transport:
         fields = (gain, beside + extra, total, left)
         return Indirect(received, sent, *(np.reshape(field, shape) for field in fields))
 
-    def more_from_planes(self, change: np.ndarray) -> np.ndarray:
-        """(n, 3) light on surfels by a change (p side^2, 3) of the planes' radiance."""
-        first = self._node_count
-        part = self._of_surfels[:, first : first + len(change)]
-        return np.asarray(part @ change.astype(np.float32))
+    def more_from_around(self, picture: np.ndarray, sky: np.ndarray) -> np.ndarray:
+        """(n, 3) light on surfels by changes of the planes' radiance and of the sky's; as `solve`
+        takes them."""
+        return np.asarray(
+            self._from_around @ np.concatenate([picture, sky], dtype=np.float32)
+        )
 
     def _lamps(self, scene: Scene, light: Light) -> tuple[np.ndarray, np.ndarray]:
         """(light on surfels (n, 3), light that texels lose (m, 3)), of white surfaces, by

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 from arfx.core.camera import Camera
-from arfx.core.cube import CubeMap
+from arfx.core.cube import CubeMap, SeenEnvironment
 from arfx.core.layers import Layer
 from arfx.core.light import Light
 from arfx.core.model import Material, Model, Part
+from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import level_named
+from arfx.core.stage import ReadyStage, level_named
 from arfx.errors import ConfigError, RenderError
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import ready_stages, run_frame
@@ -43,6 +44,7 @@ from tests.unit.stages.gi_scenes import (
     on_plane,
     plain_plate,
     run_gi,
+    surface,
 )
 
 LEVELS = ["draft", "standard"]
@@ -275,9 +277,6 @@ def test_environment_of_the_facts_is_seen_from_the_right_side() -> None:
 
 def test_kept_light_is_used_again_and_another_is_not() -> None:
     s = on(box, MATT_RED)
-    from arfx.core.stage import ReadyStage
-    from tests.unit.stages.gi_scenes import surface
-
     ready, f = ReadyStage.of(Gi(), s, "standard"), facts(s, from_above())
     layers = layers_of(CAMERA.rect, surface(s, f) | {Layer.PLATE: plain_plate()})
     out = []
@@ -286,6 +285,44 @@ def test_kept_light_is_used_again_and_another_is_not() -> None:
     assert np.array_equal(out[0], out[3])
     assert np.abs(out[0] - out[2]).max() > 0.1
     assert ready.memo.of_light.made == 2, "each light is solved once"
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_light_that_grows_and_turns_blue_is_followed_without_steps(level: str) -> None:
+    """Light is kept in steps of some per cent, and shown as bright as it is."""
+    s, pose = on(ball, MATT_WHITE, EVEN), from_above()
+    ready, f = ReadyStage.of(Gi(), s, level), facts(s, pose)
+    seen = []
+    growth = np.linspace(1, 1.06, 13)[:, None] ** [1.0, 1.0, 2.0]
+    for times in growth:
+        light = Light(ambient_rgb=tuple((times * EVEN.ambient_rgb).tolist()), lights=())
+        plate = (plain_plate() * times).astype(np.float32)
+        layers = layers_of(CAMERA.rect, surface(s, f) | {Layer.PLATE: plate})
+        out = ready.run(layers, f.with_(light=light))[Layer.VIRTUAL]
+        assert isinstance(out, Pixels)
+        seen.append(out.array.sum((0, 1)))
+    np.testing.assert_allclose(seen / seen[0], growth, rtol=0.004)
+    assert ready.memo.of_light.made < len(growth)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_surroundings_that_turn_into_others_are_followed_without_steps(level: str) -> None:
+    halves = {}
+    for name, face in (("from the right", 0), ("from the left", 1)):
+        halves[name] = np.ones((6, 8, 8, 4), np.float16)
+        halves[name][face, ..., :3] = 3
+    s = replace(on(ball, MATT_WHITE, EVEN), environment_maps=halves)
+    ready, f = ReadyStage.of(Gi(), s, level), facts(s, from_above())
+    layers = layers_of(CAMERA.rect, surface(s, f) | {Layer.PLATE: plain_plate()})
+    middle, seen = CAMERA.rect.width // 2, []
+    for share in np.linspace(0, 1, 21):
+        around = SeenEnvironment(tuple(halves), float(share))
+        out = ready.run(layers, f.with_(light=EVEN, seen_environment=around))[Layer.VIRTUAL]
+        assert isinstance(out, Pixels)
+        seen.append(out.array[:, :middle].sum() - out.array[:, middle:].sum())
+    steps = np.diff(seen)
+    assert np.abs(steps).min() > 0
+    assert np.ptp(steps) < 0.2 * np.abs(steps).mean()
 
 
 def test_a_job_with_gi_has_lightmap_and_takes_its_ambient_light() -> None:
