@@ -29,7 +29,7 @@ from arfx.stages.gi.reference_lobes import (
 )
 from arfx.stages.gi.reference_scene import Met, RayScene, Surroundings
 
-BOUNCES = 3  # places that a path meets
+BOUNCES = 6  # places that a path meets
 # random numbers of one place: which lobe and its direction, the lamps' discs, the environment
 LOBE = slice(0, 3)
 LAMP = slice(3, 5)
