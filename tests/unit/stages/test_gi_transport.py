@@ -70,7 +70,7 @@ def test_a_thin_bowl_is_as_bright_inside_as_a_half_ball_and_has_no_dark_dots(
 
 
 def test_paths_of_the_reference_end_late_enough() -> None:
-    """The same inside of a bright bowl; after three places it was .9 % too bright."""
+    """The same inside of a bright bowl; after three places it was 1.5 % off."""
     bright = Material(base_colour=(0.9, 0.9, 0.9, 1.0), specular=0.0, roughness=1.0)
     s, pose = on_plane(bowl(bright), EVEN, CAMERA), from_above(0, 0.35)
     made = run_gi(s, "reference", pose, plain_plate(rgb=(0, 0, 0)), GiParams(samples=16))
