@@ -5,7 +5,7 @@ Axes are the anchor's; positions and directions are (n, 3) float64."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,12 +21,15 @@ from arfx.stages.light.planes import ENDLESS, SAME_DEPTH, Planes, on_plane
 from arfx.stages.light.surfels import texels_of
 from arfx.stages.triangles import Triangles, anchor_mesh
 
+if TYPE_CHECKING:
+    from scipy.interpolate import RegularGridInterpolator
+
 UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show
 LIFT = 1e-4  # of the object's size, by which rays start off a surface
 AROUND = 3.0  # radii of the object, within which a plane's mean is taken
 # places of a plane that stand for what the picture shows of it: so many a side, out to arcsinh of
-# radii, and of which so many are averaged
-_LATTICE, _FARTHEST, _NEAREST = 81, 4.0, 12
+# radii
+_LATTICE, _FARTHEST = 41, 4.0
 LINEAR = np.asarray(SRGB.decode(np.arange(256) / 255), float)  # of a colour's codes
 
 
@@ -152,9 +155,10 @@ class Surroundings:
         self._means = np.tile(guess, (len(self.axes), 1))
         self._radius_m = radius_m
         self._shown = [self._shown_places(k) for k in range(len(self.axes))]
-        for k, (places, radiance) in enumerate(self._shown):
-            near = (np.abs(places) <= np.arcsinh(AROUND)).all(1)
+        for k, (places, seen, radiance) in enumerate(self._shown):
+            near = seen & (np.abs(places) <= np.arcsinh(AROUND)).all(1)
             self._means[k] = radiance[near].mean(0) if near.any() else self._means[0]
+        self._beside = [self._filled(k) for k in range(len(self.axes))]
         self._irradiance = environment.irradiance(self._means[0], up)
 
     def first_plane(
@@ -194,7 +198,8 @@ class Surroundings:
         radiance, known = self._picture(positions, plane)
         for k in np.unique(plane[~known]):
             rows = np.flatnonzero(~known & (plane == k))
-            radiance[rows] = self._around(k, self._logarithmic(positions[rows], k))
+            at = np.clip(self._logarithmic(positions[rows], k), -_FARTHEST, _FARTHEST)
+            radiance[rows] = self._beside[k](at)
         return radiance
 
     def _logarithmic(self, positions: np.ndarray, plane: int) -> np.ndarray:
@@ -203,26 +208,31 @@ class Surroundings:
         along = (positions - origin) @ np.stack([x, y], -1)
         return np.asarray(np.arcsinh(along / self._radius_m))
 
-    def _shown_places(self, plane: int) -> tuple[np.ndarray, np.ndarray]:
-        """(places (n, 2), radiance (n, 3)) of a lattice on a plane, where the picture shows it."""
+    def _shown_places(self, plane: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(places (n, 2), whether the picture shows them (n,), their radiance (n, 3)) of a
+        lattice on a plane."""
         t = np.linspace(-_FARTHEST, _FARTHEST, _LATTICE)
-        places = np.stack(np.meshgrid(t, t), -1).reshape(-1, 2)
+        places = np.stack(np.meshgrid(t, t, indexing="ij"), -1).reshape(-1, 2)
         origin, x, y, _ = self.axes[plane]
         u, v = np.hsplit(np.sinh(places) * self._radius_m, 2)
-        radiance, known = self._picture(origin + u * x + v * y, np.full(len(u), plane))
-        return places[known], radiance[known]
+        radiance, shown = self._picture(origin + u * x + v * y, np.full(len(u), plane))
+        return places, shown, radiance
 
-    def _around(self, plane: int, places: np.ndarray) -> np.ndarray:
-        """(n, 3) mean of what is shown nearest to places, the nearer the heavier; the plane's
-        mean where nothing is."""
-        from scipy.spatial import cKDTree
+    def _filled(self, plane: int) -> RegularGridInterpolator:
+        """Radiance of a plane by `_logarithmic` places. What is not shown is the mean of all that
+        is, by the inverse cube of the distance: an area as wide as it is far counts."""
+        from scipy.interpolate import RegularGridInterpolator
+        from scipy.spatial.distance import cdist
 
-        shown, radiance = self._shown[plane]
-        if len(shown) < _NEAREST:
-            return np.broadcast_to(self._means[plane], (len(places), 3))
-        distance, row = cKDTree(shown).query(places, _NEAREST)
-        weight = 1 / np.maximum(distance, 1e-6) ** 2
-        return np.average(radiance[row], 1, np.repeat(weight[..., None], 3, -1))
+        places, shown, radiance = self._shown[plane]
+        hidden = np.flatnonzero(~shown)
+        if shown.any():
+            weight = cdist(places[hidden], places[shown]) ** -3.0
+            radiance[hidden] = weight @ radiance[shown] / weight.sum(1, keepdims=True)
+        else:
+            radiance[:] = self._means[plane]
+        t = np.linspace(-_FARTHEST, _FARTHEST, _LATTICE)
+        return RegularGridInterpolator((t, t), radiance.reshape(_LATTICE, _LATTICE, 3))
 
     def _picture(
         self, positions: np.ndarray, plane: np.ndarray
