@@ -62,53 +62,52 @@ def on_cube(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return 2 * axis + (major < 0), np.choose(axis, [-z, x, x]), np.choose(axis, [y, -z, y])
 
 
-def between_texels(size: int, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _between_texels(size: int, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """((n, 4) numbers of the texels around directions (n, 3) in a cube of faces (size, size),
     (n, 4) weights of them): linear between the texels of a face, the outermost beyond them.
     """
     face, *across = on_cube(np.asarray(directions, float))
     u, v = (np.clip((t + 1) / 2 * size - 0.5, 0, size - 1) for t in across)
     column, row = (np.minimum(t.astype(np.intp), max(size - 2, 0)) for t in (u, v))
+    columns = np.stack([column, np.minimum(column + 1, size - 1)], -1)
+    rows = np.stack([row, np.minimum(row + 1, size - 1)], -1)
     right, below = u - column, v - row
-    first = (face * size + row) * size + column
-    beside, under = min(1, size - 1), min(size, size * size - size)
-    texels = np.stack([first, first + beside, first + under, first + under + beside], -1)
-    weights = [
-        (1 - below) * (1 - right),
-        (1 - below) * right,
-        below * (1 - right),
-        below * right,
-    ]
-    return texels, np.stack(weights, -1)
+    texels = (face[:, None, None] * size + rows[:, :, None]) * size + columns[:, None]
+    weights = np.stack([1 - below, below], -1)[:, :, None]
+    weights = weights * np.stack([1 - right, right], -1)[:, None]
+    return texels.reshape(-1, 4), weights.reshape(-1, 4)
+
+
+def _weighed(faces: np.ndarray, texels: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(n, c) sums of texels of a cube (6, size, size, c); as `_between_texels`."""
+    near = faces.reshape(-1, faces.shape[-1])[texels]
+    return np.asarray(np.einsum("nk,nkc->nc", weights, near))
 
 
 def look_up(faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """(n, 3) radiance in directions (n, 3), axes of the cube (6, size, size, 3): linear
     between the texels of a face.
     """
-    texels, weights = between_texels(faces.shape[1], directions)
-    near = faces.reshape(-1, faces.shape[-1])[texels]
-    return np.einsum("nk,nkc->nc", weights, near)
+    return _weighed(faces, *_between_texels(faces.shape[1], directions))
 
 
 @lru_cache(maxsize=8)
 def _border(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """((6, size + 2, size + 2) whether a texel of `bordered` is one of its border, and of
-    those the texels of their neighbours and weights: `between_texels`)."""
+    those the texels of their neighbours and weights: `_between_texels`)."""
     around = np.ones((6, size + 2, size + 2), bool)
     around[:, 1:-1, 1:-1] = False
     places = on_faces((np.arange(-1, size + 1) + 0.5) / size * 2 - 1)[around]
-    return around, *between_texels(size, places)
+    return around, *_between_texels(size, places)
 
 
 def bordered(faces: np.ndarray) -> np.ndarray:
     """(6, n + 2, n + 2, c) of a cube (6, n, n, c): each face with a texel of its neighbours
     all around.
     """
-    around, texels, weights = _border(faces.shape[1])
+    around, *near = _border(faces.shape[1])
     out = np.empty((*around.shape, faces.shape[-1]), faces.dtype)
-    near = faces.reshape(-1, faces.shape[-1])[texels]
-    out[:, 1:-1, 1:-1], out[around] = faces, np.einsum("nk,nkc->nc", weights, near)
+    out[:, 1:-1, 1:-1], out[around] = faces, _weighed(faces, *near)
     return out
 
 

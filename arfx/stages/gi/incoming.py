@@ -31,10 +31,9 @@ from arfx.stages.light.transport import SKY
 
 _LIGHT_STEP = 0.03
 _PLANE_STEP = 0.05  # of the planes' mean: of their change that is 1 %
-# what the sky sends straight to the object is that of the frame: steps are left in what bounces
-_SHARE_STEP = (
-    1 / 4
-)  # of the way from one map of the surroundings to the next, a second later
+# Of the way from one map of the surroundings to the next, a second later. What the sky sends
+# straight to the object is that of the frame: steps are left in what bounces.
+_SHARE_STEP = 1 / 4
 _AXES_STEP = 1 / 16
 _NEAR_RADII = 3  # of the object: how far the plane counts for its mean
 
@@ -109,7 +108,7 @@ def sky_radiance(facts: FrameFacts, scene: Scene, light: Light) -> np.ndarray:
     `sky_texels` numbers them.
     """
     around = frame_surroundings(facts, scene, light)
-    cube = around.cubes()[1].astype(np.float32)
+    cube = around.cube(around.wide).astype(np.float32)
     coarse = [cv2.resize(face, (SKY, SKY), interpolation=cv2.INTER_AREA) for face in cube]
     cube_from_anchor = around.axes @ scene.world_from_anchor.rotation
     return look_up(
@@ -135,7 +134,7 @@ def in_steps(facts: FrameFacts, light: Light) -> FrameFacts:
 
 
 def mean_in_steps(mean: np.ndarray) -> np.ndarray:
-    """The planes' mean radiance (3,), the same."""
+    """The planes' mean radiance (3,), as `in_steps` has the light."""
     return _powers(mean, _PLANE_STEP)
 
 

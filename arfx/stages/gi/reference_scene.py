@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 UNSEEN_ALBEDO = 0.4  # of a plane that the picture does not show
 LIFT = 1e-4  # of the object's size, by which rays start off a surface
 AROUND = 3.0  # radii of the object, within which a plane's mean is taken
-# places of a plane that stand for what the picture shows of it: so many a side, out to arcsinh of
-# radii
-_LATTICE, _FARTHEST = 41, 4.0
+# along a side of the lattice that stands for a plane's picture: arcsinh of radii of the object
+_LATTICE = np.linspace(-4, 4, 41)
 LINEAR = np.asarray(SRGB.decode(np.arange(256) / 255), float)  # of a colour's codes
 
 
@@ -154,11 +153,12 @@ class Surroundings:
         guess = UNSEEN_ALBEDO * look_up(below, up[None])
         self._means = np.tile(guess, (len(self.axes), 1))
         self._radius_m = radius_m
-        self._shown = [self._shown_places(k) for k in range(len(self.axes))]
-        for k, (places, seen, radiance) in enumerate(self._shown):
-            near = seen & (np.abs(places) <= np.arcsinh(AROUND)).all(1)
+        self._beside = []
+        for k in range(len(self.axes)):
+            places, radiance, known = self._lattice_of(k)
+            near = known & (np.abs(places) <= np.arcsinh(AROUND)).all(1)
             self._means[k] = radiance[near].mean(0) if near.any() else self._means[0]
-        self._beside = [self._filled(k) for k in range(len(self.axes))]
+            self._beside.append(_filled(places, radiance, known, self._means[k]))
         self._irradiance = environment.irradiance(self._means[0], up)
 
     def first_plane(
@@ -198,7 +198,7 @@ class Surroundings:
         radiance, known = self._picture(positions, plane)
         for k in np.unique(plane[~known]):
             rows = np.flatnonzero(~known & (plane == k))
-            at = np.clip(self._logarithmic(positions[rows], k), -_FARTHEST, _FARTHEST)
+            at = np.clip(self._logarithmic(positions[rows], k), _LATTICE[0], _LATTICE[-1])
             radiance[rows] = self._beside[k](at)
         return radiance
 
@@ -208,31 +208,13 @@ class Surroundings:
         along = (positions - origin) @ np.stack([x, y], -1)
         return np.asarray(np.arcsinh(along / self._radius_m))
 
-    def _shown_places(self, plane: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(places (n, 2), whether the picture shows them (n,), their radiance (n, 3)) of a
-        lattice on a plane."""
-        t = np.linspace(-_FARTHEST, _FARTHEST, _LATTICE)
-        places = np.stack(np.meshgrid(t, t, indexing="ij"), -1).reshape(-1, 2)
+    def _lattice_of(self, plane: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(places (n, 2) as `_logarithmic`, radiance (n, 3), known (n,)) of a plane's lattice; the
+        last two as `_picture`."""
+        places = np.stack(np.meshgrid(_LATTICE, _LATTICE, indexing="ij"), -1).reshape(-1, 2)
         origin, x, y, _ = self.axes[plane]
         u, v = np.hsplit(np.sinh(places) * self._radius_m, 2)
-        radiance, shown = self._picture(origin + u * x + v * y, np.full(len(u), plane))
-        return places, shown, radiance
-
-    def _filled(self, plane: int) -> RegularGridInterpolator:
-        """Radiance of a plane by `_logarithmic` places. What is not shown is the mean of all that
-        is, by the inverse cube of the distance: an area as wide as it is far counts."""
-        from scipy.interpolate import RegularGridInterpolator
-        from scipy.spatial.distance import cdist
-
-        places, shown, radiance = self._shown[plane]
-        hidden = np.flatnonzero(~shown)
-        if shown.any():
-            weight = cdist(places[hidden], places[shown]) ** -3.0
-            radiance[hidden] = weight @ radiance[shown] / weight.sum(1, keepdims=True)
-        else:
-            radiance[:] = self._means[plane]
-        t = np.linspace(-_FARTHEST, _FARTHEST, _LATTICE)
-        return RegularGridInterpolator((t, t), radiance.reshape(_LATTICE, _LATTICE, 3))
+        return places, *self._picture(origin + u * x + v * y, np.full(len(u), plane))
 
     def _picture(
         self, positions: np.ndarray, plane: np.ndarray
@@ -261,6 +243,23 @@ class Surroundings:
         """(n, 3) what a white surface gets from all around with nothing in the way: the end of a
         path."""
         return look_up(self._irradiance, normals @ self.environment.turn.T)
+
+
+def _filled(
+    places: np.ndarray, radiance: np.ndarray, known: np.ndarray, otherwise: np.ndarray
+) -> RegularGridInterpolator:
+    """A lattice's radiance between its places. What is not known is the mean of all that is, by the
+    inverse cube of the distance: an area as wide as it is far counts; `otherwise` (3,) where
+    nothing is."""
+    from scipy.interpolate import RegularGridInterpolator
+    from scipy.spatial.distance import cdist
+
+    filled = np.where(known[:, None], radiance, otherwise)
+    if known.any():
+        weight = cdist(places[~known], places[known]) ** -3.0
+        filled[~known] = weight @ radiance[known] / weight.sum(1, keepdims=True)
+    side = len(_LATTICE)
+    return RegularGridInterpolator((_LATTICE, _LATTICE), filled.reshape(side, side, 3))
 
 
 def _chosen(distances: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -278,9 +278,9 @@ class Gi(Stage):
         here, transport = now.crop(box), prepared.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
         left, sky = lit.indirect.left, sky_radiance(view.facts, view.scene, view.light)
-        change = incoming.change(
-            lit.mean, left if LEVELS[view.level].by_frame else 0 * left
-        )
+        change = np.zeros((len(transport.texels), 3))
+        if LEVELS[view.level].by_frame:
+            change = incoming.change(lit.mean, left)
         more = transport.more_from_around(change, sky - lit.sky)
         nodes = lit.received + transport.grid.nodes(more)
         layers = surface.coverage, surface.normal, surface.position

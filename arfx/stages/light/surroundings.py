@@ -99,17 +99,15 @@ class FrameSurroundings:
             _weighed(self.parts.texels, self.narrow, self.wide), self.axes
         )
 
+    def cube(self, factors: np.ndarray) -> np.ndarray:
+        """(6, n, n, 3) radiance of the parts by `narrow` or `wide`; not filtered."""
+        finest, side = self.parts.texels[:, level_slices()[0]], SIDES[0] + 2
+        texels = np.einsum("pc,pnc->nc", factors, finest).reshape(6, side, side, 3)
+        return np.asarray(texels[:, 1:-1, 1:-1])
+
     def cubes(self) -> tuple[np.ndarray, np.ndarray]:
-        """(6, n, n, 3) radiance as a mirror sees it, and as a matt surface does; not filtered."""
-        finest = self.parts.texels[:, level_slices()[0]]
-        side = SIDES[0] + 2
-        narrow, wide = (
-            np.einsum("pc,pnc->nc", factors, finest).reshape(6, side, side, 3)[
-                :, 1:-1, 1:-1
-            ]
-            for factors in (self.narrow, self.wide)
-        )
-        return narrow, wide
+        """As a mirror sees them, and as a matt surface does."""
+        return self.cube(self.narrow), self.cube(self.wide)
 
 
 def frame_environment(facts: FrameFacts, scene: Scene, light: Light) -> Environment:
