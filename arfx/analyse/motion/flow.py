@@ -280,25 +280,25 @@ def _normal_equations(
     """(gh, gw, 9) : at each node the sums of xx, xy, yy, xe, ye, x, y, e and 1: slopes, and
     what is missing (e).
     """
-    from scipy.ndimage import map_coordinates
-
     h, w = small.shape
     rows = _hat_weights(h, back.shape[0], first[1], pitch[1])
     columns = _hat_weights(w, back.shape[1], first[0], pitch[0])
-    y, x = np.mgrid[0:h, 0:w]
-    moved_x, moved_y = rows @ np.moveaxis(back, -1, 0) @ columns.T
-    to_x, to_y = x + moved_x, y + moved_y
-    e = small - map_coordinates(reference, [to_y, to_x], mode="nearest")
+    y, x = np.mgrid[0:h, 0:w].astype(np.float32)
+    to_x, to_y = rows @ np.moveaxis(back.astype(np.float32), -1, 0) @ columns.T + (x, y)
     gy, gx = np.gradient(small)
+    # OpenCV reads at 1/32 px: the slopes make up for the rest of the way
+    fine_x, fine_y = (np.round(to * 32) / 32 for to in (to_x, to_y))
+    e = small - cv2.remap(reference, fine_x, fine_y, cv2.INTER_LANCZOS4)
+    e -= gx * (to_x - fine_x) + gy * (to_y - fine_y)
     weight = trusted / (1 + (e / _MISFIT) ** 2)
     for at, size in ((x, w), (y, h), (to_x, w), (to_y, h)):
         weight[(at < _RIM_PX) | (at >= size - _RIM_PX)] = 0
     one = np.ones_like(e)
     terms = np.stack([gx * gx, gx * gy, gy * gy, gx * e, gy * e, gx, gy, e, one])
-    return np.moveaxis(rows.T @ (terms * weight) @ columns, 0, -1)
+    return np.moveaxis(rows.T @ (terms * weight) @ columns, 0, -1).astype(float)
 
 
 def _hat_weights(size: int, nodes: int, first: float, pitch: float) -> np.ndarray:
     """(size, nodes) share of each node in the linear interpolation at every pixel."""
     at = (np.arange(size) - first) / pitch
-    return np.maximum(1 - np.abs(at[:, None] - np.arange(nodes)), 0)
+    return np.maximum(1 - np.abs(at[:, None] - np.arange(nodes)), 0).astype(np.float32)
