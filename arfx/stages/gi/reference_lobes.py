@@ -108,15 +108,18 @@ def lobe_width(roughness: np.ndarray) -> np.ndarray:
     return np.interp(half_deg, (NARROW_DEG, WIDE_DEG), (0.0, 1.0))
 
 
-def lost_share(roughness: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """(k, 1) light that single reflections of a white mirror lose, over what they reflect:
-    microfacets send it on to each other, and the lobe gives it back (Turquin 2019)."""
+def even_shares(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(a, b), each (k, 1): F0 a + b of even light is mirrored. What single reflections of a white
+    mirror lose of it, 1 - a - b, microfacets send on to each other, and the lobe gives it back
+    (Turquin 2019)."""
     direct, grazing = gloss_weights(roughness[:, 0], cosine[:, 0])
-    return divide(1.0, direct + grazing)[:, None] - 1
+    return direct[:, None], grazing[:, None]
 
 
 class MaterialLobes:
-    """Lambert under GGX. normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3)
+    """Lambert under GGX: the matt part gets what a dielectric does not mirror of even light.
+
+    normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3)
     metal, f0, roughness (k, 1);  width (k, 1) : of `lobe_width`, of what is mirrored"""
 
     def __init__(
@@ -133,18 +136,18 @@ class MaterialLobes:
         # normals of a mesh may look away from what sees it
         view[:, 2] = np.maximum(view[:, 2], 1e-4)
         self._view = normalise(view)
-        self._diffuse = albedo * (1 - metal)
-        self._matt_f0 = f0
         self._f0 = f0 + albedo * metal
         self._a = np.clip(roughness, SMOOTHEST, 1) ** 2
         self.width = lobe_width(roughness)
         cosine = self._view[:, 2:]
-        self._returned = 1 + self._f0 * lost_share(roughness, cosine)
-        mirrored = schlick(self._f0, cosine)
-        scattered = self._diffuse * (1 - schlick(f0, cosine))
-        most = mirrored.max(1, keepdims=True)
+        direct, grazing = even_shares(roughness, cosine)
+        lost = divide(1.0, direct + grazing) - 1
+        self._returned = 1 + self._f0 * lost
+        coat = (f0 * direct + (f0 > 0) * grazing) * (1 + f0 * lost)
+        self._diffuse = albedo * (1 - metal) * (1 - np.minimum(coat, 1))
+        most = schlick(self._f0, cosine).max(1, keepdims=True)
         # of a direction for the gloss
-        self._chance = divide(most, most + scattered.max(1, keepdims=True))
+        self._chance = divide(most, most + self._diffuse.max(1, keepdims=True))
 
     def directions(self, numbers: np.ndarray) -> np.ndarray:
         """(k, 3) unit, from numbers (k, 3) in [0, 1)."""
@@ -174,8 +177,7 @@ class MaterialLobes:
         of_gloss = divide(spread, 2 * (cos_view + seen))
         mirrored = schlick(self._f0, grazing) * share * self._returned
         cosine = cos_light / np.pi
-        under_gloss = 1 - schlick(self._matt_f0, grazing)
-        scattered = self._diffuse * under_gloss * cosine
+        scattered = self._diffuse * cosine
         density = cosine + self._chance * (of_gloss - cosine)
         above = d[:, 2:] > ABOVE
         return Reflected(scattered * above, mirrored * above, density * above)
