@@ -23,7 +23,7 @@ from trimesh.visual.material import PBRMaterial
 
 ROOT = Path(__file__).parents[1]
 SIZE = "12cm"
-FRAMES, REFERENCE_S = 2, 20.0
+FRAMES, SAMPLES, WINDOW_PX = 2, 256, 8000
 
 
 def revolved(profile: np.ndarray, sections: int = 96) -> trimesh.Trimesh:
@@ -174,6 +174,7 @@ def measure(name: str, case: Case, folder: Path) -> dict[str, dict[str, float]]:
         "model": {"file": str(model), "fit": SIZE, **case.model},
         "pipeline": {"stages": ["lightmap", "gi"]},
         "light": {"given": [40, 50, 0.5, 0.5, 0.5]},
+        "gi": {"samples": SAMPLES},
     }
     if case.sun:
         panorama(folder / "sun.hdr")
@@ -184,7 +185,7 @@ def measure(name: str, case: Case, folder: Path) -> dict[str, dict[str, float]]:
     options = Options(progress=lambda *_: None, notice=lambda _: None)
     inputs = open_inputs(load(job_of(case.scene, folder), more, parameters()))
     job = plan_job(inputs, work, options)
-    return measured(job, list(job.stages), ["gi"], FRAMES, REFERENCE_S)["gi"]
+    return measured(job, list(job.stages), ["gi"], FRAMES, WINDOW_PX)["gi"]
 
 
 def main() -> int:

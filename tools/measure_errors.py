@@ -69,10 +69,10 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "errors")
     parser.add_argument("--frames", type=int, default=2, help="how many stand for a clip")
     parser.add_argument(
-        "--reference-s",
-        type=float,
-        default=8.0,
-        help="what a stage's references may take on a clip",
+        "--window-px",
+        type=int,
+        default=8000,
+        help="area of the pictures that are compared, about the object's middle",
     )
     parser.add_argument("--workers", type=int, default=2, help="clips at once")
     parser.add_argument(
@@ -101,7 +101,7 @@ def main() -> int:
         ]
         futures = {
             pool.submit(
-                measure_clip, n, given.output, given.frames, given.reference_s, given.stage
+                measure_clip, n, given.output, given.frames, given.window_px, given.stage
             ): n
             for n in waiting
         }
@@ -131,7 +131,7 @@ def main() -> int:
 
 
 def measure_clip(
-    name: str, folder: Path, frames: int, reference_s: float, stages: Sequence[str] | None
+    name: str, folder: Path, frames: int, window_px: int, stages: Sequence[str] | None
 ) -> str:
     """Writes folder/NAME.json: stage -> level -> {error, seconds}. Returns what was done,
     in words.
@@ -156,7 +156,7 @@ def measure_clip(
             rows.pop(stage, None)
         try:
             rows |= (
-                measured(job, [*usual, *effects], wanted, frames, reference_s)
+                measured(job, [*usual, *effects], wanted, frames, window_px)
                 if wanted
                 else {}
             )
@@ -170,7 +170,7 @@ def measure_clip(
 
 
 def measured(
-    job: Job, names: Sequence[str], wanted: Sequence[str], frames: int, reference_s: float
+    job: Job, names: Sequence[str], wanted: Sequence[str], frames: int, window_px: int
 ) -> dict[str, Any]:
     """Of the `wanted` stages, in a job of the stages `names`."""
     from arfx.core.stage import level_named
@@ -188,7 +188,7 @@ def measured(
         plan_frame(list(stages.values()), levels, f, job.scene, rect) for f in job.facts
     ]
     part = replace(job, stages=stages, plan=replace(job.plan, frames=plans))
-    found = measure(part, frames, lambda *_: None, wanted, reference_s)
+    found = measure(part, frames, lambda *_: None, wanted, window_px)
     rows: dict[str, Any] = {}
     for r in found.effects:
         if r.level != LEFT_OUT and sum(d.pixels for d in r.by_frame.values()) >= FEWEST_PX:

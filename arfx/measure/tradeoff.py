@@ -150,11 +150,12 @@ def measure(
     frames: int,
     progress: Progress,
     only: Collection[str] | None = None,
-    reference_s: float = REFERENCE_S,
+    window_px: int | None = None,
 ) -> Measurements:
     """job : up to its plan;  only : the levels of these effects under the job's formula,
     and no pipelines; None = everything
-    reference_s : what all references of the pictures may take together
+    window_px : area of the pictures, and references are not timed; None = as large as lets all
+    references take REFERENCE_S
 
     Raises NothingToDoError where no frame shows the object."""
     stages = job.stages
@@ -213,13 +214,14 @@ def measure(
             (n, level)
             for n in (names if only is None else effects)
             for level in stages[n].levels
+            if window_px is None or (n, level) not in slow
         )
         time_frame(
             work.main.times, work.main.frames[sample.index], work.base, wanted, work.new
         )
     chains = [{**usual, n: work.best[n]} for n in effects]
     _choose_windows(
-        work, chains if only is not None else [work.best, *chains], following, reference_s
+        work, chains if only is not None else [work.best, *chains], following, window_px
     )
     found = work.found
     for k, name in enumerate(effects):
@@ -230,7 +232,7 @@ def measure(
     ]
     if only is None:
         progress("pipelines", len(samples) + len(effects), total)
-        found.pipelines = _pipelines(work, reference_s)
+        found.pipelines = _pipelines(work, REFERENCE_S)
         found.pipelines += _other_pipeline(work, other)
     found.prepare_s = work.main.prepared.prepare_s
     progress("pipelines", total, total)
@@ -278,11 +280,12 @@ def _choose_windows(
     work: _Work,
     chains: Sequence[Mapping[str, str]],
     following: int | None,
-    reference_s: float,
+    window_px: int | None,
 ) -> None:
-    """As large as lets all references of these pictures take `reference_s`, and at most MOST_PX."""
+    """As `measure` says, and at most MOST_PX."""
     camera: Rect = work.job.inputs.camera.rect
-    area = float(min(max(b.plan.changed.area for b in work.main.frames.values()), MOST_PX))
+    whole = max(b.plan.changed.area for b in work.main.frames.values())
+    area = float(min(whole, MOST_PX if window_px is None else window_px))
     while True:
         for i, b in work.main.frames.items():
             of = work.main.frames[i - 1] if i == following else b
@@ -290,8 +293,9 @@ def _choose_windows(
                 b, window=window_of(of.plan, of.facts, camera, area)
             )
         if (
-            sum(_pictures_s(work, b, chains) for b in work.main.frames.values())
-            <= reference_s
+            window_px is not None
+            or sum(_pictures_s(work, b, chains) for b in work.main.frames.values())
+            <= REFERENCE_S
             or area <= LEAST_PX
         ):
             break

@@ -20,7 +20,7 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Stage, View, level_named
 from arfx.measure.difference import Difference, difference, mean_flicker, touched
 from arfx.measure.steps import FrameRenderer, PreparedStages, chain_of, window_of
-from arfx.measure.tradeoff import Measurements, Setup, _Work
+from arfx.measure.tradeoff import Measurements, Setup, _choose_windows, _Work
 from arfx.measure.tradeoff_frames import NAMES, Sample, pick_frames
 from arfx.measure.tradeoff_html import MOST_BYTES, _share, error_map, page, recommendation
 from arfx.measure.tradeoff_pipelines import LEFT_OUT, Row, front, level_sets, worth_showing
@@ -297,6 +297,23 @@ def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
         False,
         True,
     ], "indirect light takes over the light without direction, and gives it back"
+
+
+def test_pictures_of_a_given_size_ask_no_reference_for_its_time() -> None:
+    stages = stages_of({n: kind.Params() for n, kind in STAGES.items()}, ("raster", "gi"))
+    best = {"raster": "reference", "gi": "reference"}
+    slow = frozenset(best.items())
+    frame: Any = replace(tiny_frame(stages), slow=slow)
+    job: Any = SimpleNamespace(
+        scene=scene(), inputs=SimpleNamespace(camera=SimpleNamespace(rect=camera().rect))
+    )
+    main = Setup(frame.prepared, {3: frame})
+    work = _Work(job, [], main, best, best, best, slow, {}, found())
+    whole = frame.plan.changed.area
+    for asked in (whole // 4, 4 * whole):
+        _choose_windows(work, [best], None, asked)
+        area = work.found.windows[3].area
+        assert area == pytest.approx(min(asked, whole), rel=0.1)
 
 
 def test_a_step_is_timed_upon_the_steps_before_it_that_are_not_left_out(
