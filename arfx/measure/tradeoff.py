@@ -154,8 +154,7 @@ def measure(
 ) -> Measurements:
     """job : up to its plan;  only : the levels of these effects under the job's formula,
     and no pipelines; None = everything
-    window_px : area of the pictures, and references are not timed; None = as large as lets all
-    references take REFERENCE_S
+    window_px : area of the pictures, no reference is timed; None = as REFERENCE_S allows
 
     Raises NothingToDoError where no frame shows the object."""
     stages = job.stages
@@ -284,23 +283,19 @@ def _choose_windows(
 ) -> None:
     """As `measure` says, and at most MOST_PX."""
     camera: Rect = work.job.inputs.camera.rect
-    whole = max(b.plan.changed.area for b in work.main.frames.values())
-    area = float(min(whole, MOST_PX if window_px is None else window_px))
+    frames = work.main.frames
+    most = MOST_PX if window_px is None else window_px
+    area = float(min(max(b.plan.changed.area for b in frames.values()), most))
     while True:
-        for i, b in work.main.frames.items():
-            of = work.main.frames[i - 1] if i == following else b
-            work.main.frames[i] = replace(
-                b, window=window_of(of.plan, of.facts, camera, area)
-            )
-        if (
-            window_px is not None
-            or sum(_pictures_s(work, b, chains) for b in work.main.frames.values())
-            <= REFERENCE_S
-            or area <= LEAST_PX
-        ):
+        for i, b in frames.items():
+            of = frames[i - 1] if i == following else b
+            frames[i] = replace(b, window=window_of(of.plan, of.facts, camera, area))
+        if window_px is not None or area <= LEAST_PX:
+            break
+        if sum(_pictures_s(work, b, chains) for b in frames.values()) <= REFERENCE_S:
             break
         area = max(area * 0.8, LEAST_PX)
-    work.found.windows = {i: b.window for i, b in work.main.frames.items()}
+    work.found.windows = {i: b.window for i, b in frames.items()}
 
 
 def _pictures_s(
