@@ -18,12 +18,12 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
-from measure_errors import measured
+from measure_errors import SAMPLES, WINDOW_PX, measured
 from trimesh.visual.material import PBRMaterial
 
 ROOT = Path(__file__).parents[1]
 SIZE = "12cm"
-FRAMES, SAMPLES, WINDOW_PX = 2, 256, 8000
+FRAMES = 2
 
 
 def revolved(profile: np.ndarray, sections: int = 96) -> trimesh.Trimesh:

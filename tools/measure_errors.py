@@ -56,6 +56,7 @@ NOISE, HOLES, EDGE_PX = 0.004, 0.03, 1  # of that depth, as of scene 0022's
 APERTURE = 1 / 30  # of the picture's width, where a clip does not say how large its blur is
 SHIPPED = ROOT / "arfx" / "plan" / "default_errors.json"
 SAMPLES = 256  # paths a pixel of gi's reference: the noise of 64 is 2 levels on white
+WINDOW_PX = 8000  # of the pictures that are compared
 FEWEST_PX = 200  # that an effect must touch to be counted
 LEAST_ERROR = 0.02  # grey levels, of an effect's cheapest level, to be counted
 NINE_IN_TEN = (5, 95)  # percentiles
@@ -71,7 +72,7 @@ def main() -> int:
     parser.add_argument(
         "--window-px",
         type=int,
-        default=8000,
+        default=WINDOW_PX,
         help="area of the pictures that are compared, about the object's middle",
     )
     parser.add_argument("--workers", type=int, default=2, help="clips at once")

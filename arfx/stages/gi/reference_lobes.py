@@ -108,16 +108,10 @@ def lobe_width(roughness: np.ndarray) -> np.ndarray:
     return np.interp(half_deg, (NARROW_DEG, WIDE_DEG), (0.0, 1.0))
 
 
-def even_shares(roughness: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(a, b), each (k, 1): F0 a + b of even light is mirrored. What single reflections of a white
-    mirror lose of it, 1 - a - b, microfacets send on to each other, and the lobe gives it back
-    (Turquin 2019)."""
-    direct, grazing = gloss_weights(roughness[:, 0], cosine[:, 0])
-    return direct[:, None], grazing[:, None]
-
-
 class MaterialLobes:
-    """Lambert under GGX: the matt part gets what a dielectric does not mirror of even light.
+    """Lambert under GGX: the matt part gets what a dielectric does not mirror of even light. What
+    single reflections lose, microfacets send on to each other, and the lobe gives it back (Turquin
+    2019).
 
     normals, towards (k, 3) : unit, towards the viewer;  albedo (k, 3)
     metal, f0, roughness (k, 1);  width (k, 1) : of `lobe_width`, of what is mirrored"""
@@ -140,7 +134,8 @@ class MaterialLobes:
         self._a = np.clip(roughness, SMOOTHEST, 1) ** 2
         self.width = lobe_width(roughness)
         cosine = self._view[:, 2:]
-        direct, grazing = even_shares(roughness, cosine)
+        even = gloss_weights(roughness[:, 0], cosine[:, 0])
+        direct, grazing = (share[:, None] for share in even)
         lost = divide(1.0, direct + grazing) - 1
         self._returned = 1 + self._f0 * lost
         coat = (f0 * direct + (f0 > 0) * grazing) * (1 + f0 * lost)

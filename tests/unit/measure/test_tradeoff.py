@@ -299,7 +299,11 @@ def test_what_is_left_of_a_job_has_the_settings_of_a_job_of_its_own() -> None:
     ], "indirect light takes over the light without direction, and gives it back"
 
 
-def test_pictures_of_a_given_size_ask_no_reference_for_its_time() -> None:
+def test_pictures_of_a_given_size_ask_no_reference_for_its_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("arfx.measure.tradeoff._pictures_s", lambda *_: np.inf)
+    monkeypatch.setattr("arfx.measure.tradeoff.LEAST_PX", 1)
     stages = stages_of({n: kind.Params() for n, kind in STAGES.items()}, ("raster", "gi"))
     best = {"raster": "reference", "gi": "reference"}
     slow = frozenset(best.items())
