@@ -4,9 +4,10 @@ A price is linear in a few terms of the work, with coefficients >= 0, so that mo
 never costs less:
 
 frames 1 per run · mpx pixels given, millions · object_mpx those of them in the object's box
-· mfaces triangles, millions · lamps lights with a direction · lamp_mpx these times
-object_mpx · depth_mpx those of mpx in a frame with measured depth · new_directions,
-new_lights 1 where the frame's light is not one that was met before"""
+· texture_mpx these times the textures of a face, in the mean · mfaces triangles, millions
+· lamps lights with a direction · lamp_mpx these times object_mpx · depth_mpx those of mpx in
+a frame with measured depth · new_directions, new_lights 1 where the frame's light is not one
+that was met before"""
 
 from __future__ import annotations
 
@@ -24,6 +25,7 @@ TERMS = (
     "frames",
     "mpx",
     "object_mpx",
+    "texture_mpx",
     "mfaces",
     "lamps",
     "lamp_mpx",

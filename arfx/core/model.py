@@ -168,6 +168,12 @@ class Model:
         return sum(len(p.faces) for p in self.parts)
 
     @property
+    def textures_per_face(self) -> float:
+        """In the mean over all faces."""
+        textures = sum(len(p.faces) * len(p.material.textures) for p in self.parts)
+        return textures / max(self.face_count, 1)
+
+    @property
     def vertices(self) -> np.ndarray:
         """(n, 3) of all parts together, file axes and units."""
         return np.concatenate([p.vertices for p in self.parts])

@@ -25,7 +25,8 @@ from arfx.core.cost import UNCALIBRATED, Price, Prices, prices_file, shipped_pri
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DirectionalLight, Light
-from arfx.core.model import Model
+from arfx.core.model import Model, Texture
+from arfx.core.numerics import normalise
 from arfx.core.stage import Stage
 from arfx.core.waiting import Progress
 from arfx.measure.bench import Cell, Runs, Stopwatch, check, make_cells
@@ -36,13 +37,14 @@ from arfx.run.job import MOST_THREADS, worker_count
 from arfx.stages import ON_DEPTH, STAGES
 
 # Width, height, fraction of the picture under the object, (longitudes, latitudes): 720 to
-# 24,000 triangles; its shape, and whether depth was measured. Small ones come early: they
+# 24,000 triangles; its shape (SHAPES), and whether depth was measured. Small ones come early: they
 # tell what a frame costs by itself.
 SCENES = (
     (640, 480, 0.08, (60, 51), "pile", False),
     (160, 120, 0.1, (60, 51), "ball", True),
     (320, 240, 0.3, (20, 19), "pile", True),
     (1280, 720, 0.04, (60, 51), "ball", False),
+    (640, 360, 0.2, (60, 51), "textured", False),
     (480, 360, 0.15, (120, 101), "pile", True),
     (960, 540, 0.25, (20, 19), "ball", False),
 )
@@ -162,7 +164,7 @@ def calibrate(
                 width,
                 height,
                 covered,
-                (ball if shape == "ball" else sphere_cluster)(*triangles),
+                SHAPES[shape](*triangles),
             )
             alone += _time_scene(at.with_depth() if deep else at, slow, stage, timed, watch)
             progress("calibrate scenes", k + 1, len(plan))
@@ -279,6 +281,30 @@ def sphere_cluster(longitudes: int, latitudes: int) -> Model:
     )
     parts = tuple(replace(one, vertices=one.vertices * 0.33 + at) for at in positions)
     return Model(parts, up=whole.up, source="benchmark pile")
+
+
+def textured_ball(longitudes: int, latitudes: int) -> Model:
+    """A ball with a texture for each property of its material, as a scanned thing has."""
+    (one,) = ball(longitudes, latitudes).parts
+    noise = np.random.default_rng(7).integers(0, 256, (512, 512, 4), np.uint8)
+    noise[..., 3] = 255
+    texture = Texture(noise)
+    # along the picture's rows, to the east
+    east = np.stack([-one.normals[:, 1], one.normals[:, 0], np.zeros(len(one.normals))], -1)
+    tangents = np.column_stack([normalise(east), np.ones(len(east))])
+    material = replace(
+        one.material,
+        base_texture=texture,
+        metallic_roughness_texture=texture,
+        emissive_texture=texture,
+        normal_texture=texture,
+        occlusion_texture=texture,
+    )
+    part = replace(one, material=material, tangents=tangents)
+    return Model((part,), up="z", source="benchmark ball with textures")
+
+
+SHAPES = {"ball": ball, "pile": sphere_cluster, "textured": textured_ball}
 
 
 def _new_light(at: BenchScene, runs: Runs) -> FrameFacts:

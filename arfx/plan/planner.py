@@ -85,6 +85,7 @@ def terms_of(
         "frames": 1.0,
         "mpx": need.area / 1e6,
         "object_mpx": object_mpx,
+        "texture_mpx": scene.model.textures_per_face * object_mpx,
         "lamps": lamps,
         "lamp_mpx": lamps * object_mpx,
         "depth_mpx": 0.0 if facts.real_depth is None else need.area / 1e6,

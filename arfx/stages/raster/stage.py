@@ -54,7 +54,7 @@ class Raster(Stage):
     name = "raster"
     levels = ("draft", "standard", "reference")
     Params = RasterParams
-    terms = ("frames", "mpx", "object_mpx", "mfaces")
+    terms = ("frames", "mpx", "object_mpx", "texture_mpx", "mfaces")
 
     @classmethod
     def settled(cls, params: RasterParams) -> RasterParams:

@@ -15,6 +15,9 @@ from arfx.core.cost import (
     sum_independent,
     with_spread,
 )
+from arfx.measure.bench_scene import ball, bench_scene
+from arfx.measure.costs import textured_ball
+from arfx.plan.planner import terms_of
 
 PRICES = Prices(
     {"dof/draft": Price({"frames": 0.002, "mpx": 0.03}, 0.2, 9)},
@@ -77,3 +80,15 @@ def test_the_shipped_list_prices_every_stage_at_every_level() -> None:
             assert found is not None and 0 <= found.low_s <= found.seconds <= found.high_s
             prepared = [key for key in shipped.prices if key.startswith(f"prepare {name}/")]
             assert prepared, f"what {name} prepares has a price"
+
+
+def test_five_textures_cost_more_than_one() -> None:
+    shipped = load_prices(Path("/nonexistent/costs.json"))
+    seconds = []
+    for model in (ball(), textured_ball(60, 51)):
+        scene = bench_scene(640, 360, 0.2, model)
+        need = scene.scene.camera.rect
+        found = shipped.predict("raster/standard", terms_of(need, scene.facts, scene.scene))
+        assert found is not None
+        seconds.append(found.seconds)
+    assert seconds[1] > 2 * seconds[0]
