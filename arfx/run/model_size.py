@@ -24,8 +24,8 @@ _REMEDY = (
 
 
 def model_size(scene: Scene, facts: Sequence[FrameFacts]) -> dict[str, Any]:
-    """Metres. size_m : the object's longest side;  marker_m : the print's below it, None
-    without markers
+    """Metres. size_m : the object's longest side;  marker : key of the print below it, None
+    without markers;  marker_m : its side
     distance_m : from the camera to the marker or place below it, median over the clip, None
     if never seen
     """
@@ -41,6 +41,7 @@ def model_size(scene: Scene, facts: Sequence[FrameFacts]) -> dict[str, Any]:
     )
     return {
         "size_m": float(np.ptp(scene.model.bounds, axis=0).max()) * scale,
+        "marker": None if placed is None else placed.key,
         "marker_m": None if placed is None else placed.size_m,
         "distance_m": float(np.median(away)) if away else None,
     }
@@ -48,7 +49,9 @@ def model_size(scene: Scene, facts: Sequence[FrameFacts]) -> dict[str, Any]:
 
 def size_in_words(size: dict[str, Any]) -> str:
     """The same in a line."""
-    marker = "" if size["marker_m"] is None else f", marker {_length(size['marker_m'])}"
+    marker = ""
+    if size["marker"] is not None:
+        marker = f" on marker {size['marker']} ({_length(size['marker_m'])})"
     distance = "" if size["distance_m"] is None else f", {_length(size['distance_m'])} away"
     return f"object {_length(size['size_m'])}{marker}{distance}"
 

@@ -46,11 +46,11 @@ def scene(side: float, inward: bool = False) -> Scene:
 def test_sizes_that_fit_say_nothing() -> None:
     assert check_size(scene(0.2), FACTS) == []
     assert model_size(scene(0.2), FACTS) == pytest.approx(
-        {"size_m": 0.2, "marker_m": 0.1, "distance_m": 0.5}
+        {"size_m": 0.2, "marker": "36h11:3", "marker_m": 0.1, "distance_m": 0.5}
     )
     assert (
         size_in_words(model_size(scene(0.2), FACTS))
-        == "object 200 mm, marker 100 mm, 500 mm away"
+        == "object 200 mm on marker 36h11:3 (100 mm), 500 mm away"
     )
 
 
@@ -73,7 +73,8 @@ def test_a_camera_inside_the_object_is_an_error() -> None:
     with pytest.raises(
         ConfigError,
         match=(
-            r"the camera is inside the object \(object 20 m, marker 100 mm, 500 mm away\)"
+            r"the camera is inside the object \(object 20 m on marker 36h11:3 "
+            r"\(100 mm\), 500 mm away\)"
         ),
     ) as e:
         check_size(scene(20.0), FACTS)
