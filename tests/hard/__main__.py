@@ -56,14 +56,14 @@ def case_rows(jobs: int) -> list[Row]:
     for case in CASES:
         names = {node.split("::")[1] for node in case.tests}
         mine = [c for c in cases if c.attrib["name"].split("[")[0] in names]
-        failed = [
-            c for c in mine if c.find("failure") is not None or c.find("error") is not None
-        ]
+        faults = [fault for c in mine for fault in (*c.iter("failure"), *c.iter("error"))]
+        for fault in faults:
+            print(fault.text)
         skipped = [c for c in mine if c.find("skipped") is not None]
         verdict = (
             "holds"
-            if mine and not failed
-            else f"{len(failed)} of {len(mine)} fail"
+            if mine and not faults
+            else f"{len(faults)} of {len(mine)} fail"
             if mine
             else "no test ran"
         )
