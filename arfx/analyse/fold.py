@@ -213,22 +213,6 @@ class Fold(Stateful):
     def step(self, frame: AnalysisFrame) -> None:
         """Take the next frame."""
 
-    def end(self, frame: AnalysisFrame) -> dict[str, Any] | None:
-        """The stretch is over. frame : the first one of the next
-
-        Returns what a new start at that frame would lose, for `go_on` there; None = nothing.
-        """
-        return None
-
-    def go_on(self, lost: dict[str, Any]) -> None:
-        """Before the first frame: begin with what `end` of the stretch before returned."""
-
-    def settle(self, later: Self) -> Mapping[str, Any]:
-        """Before `join`: settings of AnalyseParams that `later` has to be made again with,
-        as the clip before it says.
-        """
-        return {}
-
     def join(self, later: Self, shift: int) -> None:
         """Add what the next stretch learned. shift : to be added to its frames' numbers"""
 

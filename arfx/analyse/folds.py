@@ -53,8 +53,8 @@ class Analyser:
     """Feed frames in order with `step`, then call `finish`. wanted : names of folds; what
     this job cannot have is left out
 
-    Or feed each stretch of a clip to an analyser of its own, `end` it, and `join` these in
-    order to one that saw no frame.
+    Or feed each stretch of a clip to an analyser of its own, and `join` these in order to one
+    that saw no frame.
 
     Raises ConfigError for no marker, the same one twice, or a map that lacks one."""
 
@@ -75,32 +75,6 @@ class Analyser:
         """Raises InputError for another size or order."""
         for fold in self.folds.values():
             fold.step(frame)
-
-    def end(self, frame: AnalysisFrame) -> dict[str, Any] | None:
-        """The stretch is over. frame : the first one of the next;  what it returns is for
-        `go_on`, None = nothing is lost
-        """
-        lost = {
-            name: of
-            for name, fold in self.folds.items()
-            if (of := fold.end(frame)) is not None
-        }
-        return lost or None
-
-    def go_on(self, lost: dict[str, Any]) -> None:
-        """Before the first frame: what `end` of the stretch before returned."""
-        for name, of in lost.items():
-            self.folds[name].go_on(of)
-
-    def settle(self, later: Analyser) -> dict[str, Any]:
-        """Settings of AnalyseParams that the next stretch has to be made again with before
-        it is joined; mostly none.
-        """
-        return {
-            k: v
-            for name, fold in self.folds.items()
-            for k, v in fold.settle(later.folds[name]).items()
-        }
 
     def join(self, later: Analyser, shift: int = 0) -> None:
         """Add the next stretch. shift : to be added to its frames' numbers"""

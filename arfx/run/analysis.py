@@ -122,10 +122,7 @@ class _Pass:
         self.seconds: Any = Counter()
         self.walls, self.names = dict[str, float](), list[str]()
         self._progress, self._shown = progress, 0
-        self._next, self._lost = (
-            0,
-            None,
-        )  # the stretch that is joined next, and what the one before gives it
+        self._next = 0  # the stretch that is joined next
         self._ready = {part.first for part in stretches.parts if self._path(part).exists()}
         self._rows = {row["key"]: row for row in log.rows() if row["work"] == STRETCH}
 
@@ -142,10 +139,8 @@ class _Pass:
         made_before = frames - sum(waiting.values())
 
         def tasks() -> Iterator[Task]:
-            for k, part in enumerate(parts):
-                if (
-                    part.first in waiting and k >= self._next
-                ):  # it may have been made otherwise meanwhile
+            for part in parts:
+                if part.first in waiting:
                     yield (
                         str(folder.path),
                         self.key,
@@ -196,29 +191,19 @@ class _Pass:
         )
 
     def _join_ready(self) -> None:
-        """As far as the stretches are there. One that goes on with what would be lost is
-        made here, with the next ones of its
-        kind: it has to wait for the one before."""
+        """As far as the stretches are there."""
         parts = self.stretches.parts
-        while self._next < len(parts) and (
-            self._lost is not None or parts[self._next].first in self._ready
-        ):
-            part, lost = parts[self._next], self._lost
+        while self._next < len(parts) and parts[self._next].first in self._ready:
+            part = parts[self._next]
             start = time.perf_counter()
-            found, name, own_s = self._found(part, lost)
-            later = self._analyser_of(found)
-            if changes := self.analyser.settle(later):
-                found, name, again_s = self._found(part, lost, changes)
-                later, own_s = self._analyser_of(found), own_s + again_s
+            found, name, own_s = self._found(part)
+            later = Analyser(self.context.job, self.context.wanted)
+            later.restore(found["folds"])
             self.analyser.join(later, len(self.pts) - part.first)
             self.keys += [len(self.pts) + k for k in found["keys"]]
             self.pts += found["pts"]
             self.before += found["before"]
-            self.ended, self.truncated, self._lost = (
-                found["ended"],
-                found["truncated"],
-                found["lost"],
-            )
+            self.ended, self.truncated = found["ended"], found["truncated"]
             self._next += 1
             self.names.append(name)
             if row := self._rows.get(name):
@@ -228,43 +213,30 @@ class _Pass:
                         self.walls[process] = max(self.walls.get(process, 0.0), wall_s)
             self.seconds.update({"analyse": time.perf_counter() - start - own_s})
 
-    def _analyser_of(self, found: dict[str, Any]) -> Analyser:
-        later = Analyser(self.context.job, self.context.wanted)
-        later.restore(found["folds"])
-        return later
-
-    def _found(
-        self,
-        part: Stretch,
-        lost: dict[str, Any] | None,
-        changes: Mapping[str, Any] = {},
-    ) -> tuple[dict[str, Any], str, float]:
+    def _found(self, part: Stretch) -> tuple[dict[str, Any], str, float]:
         """(what a stretch holds, name of its file, seconds that it took to make it now).
 
         From its file, if that is whole.
         """
-        path = self._path(
-            part, *([codec.dumps([lost, dict(changes)]).hex()] if lost or changes else [])
-        )
+        path = self._path(part)
         with contextlib.suppress(OSError, ValueError):
             found = codec.loads(path.read_bytes())
             if isinstance(found, dict) and isinstance(found.get("folds"), dict):
                 return found, path.name, 0.0
         start = time.perf_counter()
-        found, seconds = made(self.context, part, self._tick, True, lost, changes)
+        found, seconds = made(self.context, part, self._tick, True)
         write(path, codec.dumps(found))
         self._note(
             path.name, {"first": part.first, "last": part.last, "seconds": seconds, **who()}
         )
         return found, path.name, time.perf_counter() - start
 
-    def _path(self, part: Stretch, *more: str) -> Path:
+    def _path(self, part: Stretch) -> Path:
         name = digest(
             self.key,
             sorted(self.context.wanted),
             part.to_json(),
             self.stretches.length_s,
-            *more,
         )
         path: Path = self.folder.stretches / f"{part.first:06d}-{part.last:06d}.{name}"
         return path

@@ -14,7 +14,7 @@ import threading
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Generator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -285,25 +285,17 @@ def made(
     stretch: Stretch,
     tick: Tick,
     alone: bool,
-    lost: dict[str, Any] | None = None,
-    changes: Mapping[str, Any] = {},
     seeks: bool = True,
 ) -> tuple[dict[str, Any], dict[str, float]]:
     """What a stretch is found to hold, and seconds.
 
-    lost, changes : of the stretch before, and of the clip up to here (`Analyser.go_on`,
-    `Analyser.settle`);  seeks : else the clip is decoded from its start
-    {"folds": `Analyser.state`, "lost": `Analyser.end`, "pts": of its
-    frames, "keys": numbers in it of key frames, "before": frames of the clip that were
-    decoded before the span, "ended": it reaches the clip's end, "truncated": why early}"""
-    analyser = Analyser(
-        replace(context.job, params=replace(context.job.params, **changes)), context.wanted
-    )
-    if lost is not None:
-        analyser.go_on(lost)
+    seeks : else the clip is decoded from its start
+    {"folds": `Analyser.state`, "pts": of its frames, "keys": numbers in it of key frames,
+    "before": frames of the clip that were decoded before the span, "ended": it reaches the
+    clip's end, "truncated": why early}"""
+    analyser = Analyser(context.job, context.wanted)
     pts, keys = list[int](), list[int]()
     out: dict[str, Any] = {
-        "lost": lost,
         "pts": pts,
         "keys": keys,
         "before": 0,
@@ -345,9 +337,6 @@ def made(
         frame = next(all_frames, None)
         while frame is not None:
             if stretch.ends is not None and frame.pts >= stretch.ends:
-                start = time.perf_counter()
-                out["lost"] = analyser.end(shown(frame)) if pts else lost
-                analyse_s += time.perf_counter() - start
                 source.put_back(frame, stretch.ends)
                 break
             following = next(all_frames, None)

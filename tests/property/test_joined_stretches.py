@@ -26,8 +26,7 @@ import arfx.analyse
 import arfx.run
 from arfx.analyse.fold import PLANE, Analysis, AnalysisFrame, AnalysisJob, Fold, Stateful
 from arfx.analyse.folds import FOLDS, ON_PLANE, Analyser
-from arfx.analyse.markers import pattern_tracker, tracker
-from arfx.analyse.markers.tracker import Tracks
+from arfx.analyse.markers import coded, pictured, tracker
 from arfx.analyse.motion import flow
 from arfx.analyse.params import AnalyseParams
 from arfx.core import codec
@@ -119,15 +118,15 @@ def quick_search() -> Iterator[None]:
     """Frames small enough for the tests are reduced, and prints lost and found, as in large ones."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tracker, "LOSS_SEARCH_FRAMES", 2)
-        for module in (tracker, pattern_tracker):
+        patch.setattr(tracker, "SEARCH_INTERVAL_S", 0.6)
+        for module in (tracker, coded, pictured):
             patch.setattr(module, "REDUCED_PX", 50_000)
-            patch.setattr(module, "SEARCH_INTERVAL_S", 0.6)
         yield
 
 
-def made(transfer: str = "auto") -> Made:
+def made() -> Made:
     """What a job folds over its frames, with everything that can be asked for."""
-    params = AnalyseParams(transfer=transfer)
+    params = AnalyseParams()
     double, length_s = CAM.scaled_to(960, 540), FRAMES * STEP_S
     return {
         "markers": Analyser(
@@ -152,32 +151,19 @@ def shown(k: int, number: int) -> AnalysisFrame:
 
 
 def stretch(
-    first: int, end: int, lost: dict[str, Any], transfer: str = "auto", number: int = 0,
-    look: Callable[[Made], None] = lambda _: None,
-) -> tuple[Made, dict[str, Any]]:  # fmt: skip
-    """What frames first ...
-
-    end - 1 hold, numbered from `number`, and what the next stretch would lose. look : after
-    each
-    """
-    folds = made(transfer)
-    for name, analyser in folds.items():
-        if lost.get(name) is not None:
-            analyser.go_on(codec.loads(codec.dumps(lost[name])))
+    first: int, end: int, number: int = 0, look: Callable[[Made], None] = lambda _: None
+) -> Made:
+    """What frames first ... end - 1 hold, numbered from `number`. look : after each"""
+    folds = made()
     for k in range(first, end):
         for analyser in folds.values():
             analyser.step(shown(k, number + k - first))
         look(folds)
-    behind = (
-        {name: a.end(shown(end, number + end - first)) for name, a in folds.items()}
-        if end < FRAMES
-        else {}
-    )
-    return folds, behind
+    return folds
 
 
-def restored(folds: Made, transfer: str = "auto") -> Made:
-    out = made(transfer)
+def restored(folds: Made) -> Made:
+    out = made()
     for name, analyser in out.items():
         analyser.restore(codec.loads(codec.dumps(folds[name].state())))
     return out
@@ -185,19 +171,11 @@ def restored(folds: Made, transfer: str = "auto") -> Made:
 
 def joined(numbered: bool = True, cuts: tuple[int, ...] = CUTS) -> Made:
     """The clip by its stretches. numbered : their frames know their numbers in the clip"""
-    whole, lost = made(), dict[str, Any]()
+    whole = made()
     for a, b in pairwise(cuts):
-        part, behind = stretch(a, b, lost, "auto", a if numbered else 0)
-        later = restored(part)
+        later = restored(stretch(a, b, a if numbered else 0))
         for name, analyser in whole.items():
-            if changes := analyser.settle(later[name]):
-                again, behind[name] = (
-                    stretch(a, b, lost, **changes, number=a if numbered else 0),
-                    behind.get(name),
-                )
-                later[name] = restored(again[0])[name]
             analyser.join(later[name], 0 if numbered else a)
-        lost = behind
     return whole
 
 
@@ -219,7 +197,7 @@ def every_kind() -> set[type]:
         for kind in left.pop().__subclasses__():
             out.add(kind)
             left.append(kind)
-    return {kind for kind in out if kind.__module__.startswith("arfx.")} - {Fold, Tracks}
+    return {kind for kind in out if kind.__module__.startswith("arfx.")} - {Fold}
 
 
 def within(top: Any) -> Iterator[Stateful]:
@@ -291,7 +269,7 @@ def uncut_and_constant() -> tuple[Made, set[tuple[str, str]]]:
                 if not identical(v, before[n])
             )
 
-    return stretch(0, FRAMES, {}, look=look)[0], constant
+    return stretch(0, FRAMES, look=look), constant
 
 
 @pytest.fixture(scope="module")
@@ -324,7 +302,6 @@ def test_every_attribute_is_given_or_carried_or_learned(
 def test_one_stretch_joined_to_nothing_is_that_stretch(uncut: Made) -> None:
     whole, later = made(), restored(uncut)
     for name, analyser in whole.items():
-        assert not analyser.settle(later[name])
         analyser.join(later[name])
     assert identical(state(whole), state(uncut))
 

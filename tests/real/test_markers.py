@@ -51,7 +51,7 @@ def compared(
         Analyser(AnalysisJob(markers, cam)),
         MarkerDetector([markers[0].family]),
     )
-    found = analyser.folds["markers"]._tracker  # type: ignore[attr-defined]
+    found = analyser.folds["markers"]._coded  # type: ignore[attr-defined]
     missed, more, worst = set(), set(), 0.0
     for k, t, luma in frames(path):
         analyser.step(AnalysisFrame(k, t, luma))

@@ -1,9 +1,8 @@
 """Sub-pixel corners of square markers: lines through the four sides' edges, met at the corners.
 
 Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples
-share (shared_px). `EdgeRefiner` decides once per clip in which values edges are symmetric,
-light or code: until then both are computed and kept. Each stretch decides for itself; one
-that decided otherwise than the clip before it is made again (`settle`). Leaves out: rolling
+share (shared_px). `EdgeRefiner` decides once per stretch of the clip in which values edges
+are symmetric, light or code: until then both are computed and kept. Leaves out: rolling
 shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker."""
 
 from __future__ import annotations
@@ -259,19 +258,12 @@ class EdgeRefiner(Stateful):
             self.table = linear_table(self.transfer)
             self._other = self._other if self.transfer == CODE else []
 
-    def settle(self, later: EdgeRefiner) -> str | None:
-        """Decide with what the next stretch saw, if that is enough.
-
-        Returns the transfer to make it again with, or None
-        """
+    def join(self, later: EdgeRefiner, shift: int) -> None:
+        """Add the next stretch. One with too little to tell by takes what the clip has told."""
         if self.transfer == AUTO:
             self._skews += later._skews
             self._frames += later._frames
             self._decide()
-        return None if later.transfer in (AUTO, self.transfer) else self.transfer
-
-    def join(self, later: EdgeRefiner, shift: int) -> None:
-        """Add the next stretch, which is settled."""
         if self.transfer in (AUTO, CODE):
             self._other += shifted(later._other, shift)
 

@@ -73,6 +73,10 @@ class Detection:
     misplaced_px: float = 0.0
 
     @property
+    def quad_px(self) -> np.ndarray:
+        return self.corners_px
+
+    @property
     def side_px(self) -> float:
         return mean_side(self.corners_px)
 

@@ -6,15 +6,16 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
+from arfx.analyse.markers.coded import CodedPrints
 from arfx.analyse.markers.corners import EdgeRefiner
 from arfx.analyse.markers.detect import Detection, Record
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
-from arfx.analyse.markers.pattern_tracker import PatternTracker
+from arfx.analyse.markers.pictured import PicturedPrints
 from arfx.analyse.markers.scan import DictionaryScan
 from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.visibility import ShotDetector
@@ -29,8 +30,8 @@ class Markers(Fold):
     """
 
     name = "markers"
-    given = frozenset({"job", "_coded"})
-    carried = frozenset({"detections", "prints", "_tracker", "_patterns"})
+    given = frozenset({"job"})
+    carried = frozenset({"detections", "prints", "_coded", "_pictured"})
 
     def __init__(self, job: AnalysisJob) -> None:
         super().__init__(job)
@@ -53,16 +54,14 @@ class Markers(Fold):
         self.records: list[Record] = []
         self.detections: tuple[Detection, ...] = ()
         self.prints: tuple[Detection, ...] = ()
-        self._coded = [m for m in job.markers if isinstance(m, MarkerSpec)]
+        coded = [m.key for m in job.markers if isinstance(m, MarkerSpec)]
         ink, paper = job.light.ink, job.light.paper
         prints = [
             PatternPicture(key, coded_luma(picture, ink, paper))
             for key, picture in job.prints.items()
         ]
-        self._tracker, self._patterns = (
-            Tracker([m.key for m in self._coded], job.params),
-            PatternTracker(prints),
-        )
+        self._coded = Tracker(CodedPrints(coded, job.params.detect_inverted))
+        self._pictured = Tracker(PicturedPrints(prints, job.camera))
         self._refiner = EdgeRefiner(job.params.transfer)
         self._cut, self._survey = ShotDetector(), DictionaryScan()
         self._others: Counter[str] = Counter()
@@ -93,18 +92,20 @@ class Markers(Fold):
                 f"frame {index} at {time_s:g} s comes after frame {records[-1].index} at"
                 f" {records[-1].time_s:g} s"
             )
-        found = self._tracker.step(frame.time_s, luma, frame.following)
-        patterns, searched = self._patterns.step(frame.time_s, luma, self.camera)
+        found, pictured = self._coded.search(frame), self._pictured.search(frame)
         refined = self._refiner.refine(
             frame.index, luma, (*found.sightings, *found.duplicates), self.camera
         )
         coded, duplicates = refined[: len(found.sightings)], refined[len(found.sightings) :]
-        self.detections, self.prints = (*coded, *patterns), (*refined, *patterns)
+        self.detections, self.prints = (
+            (*coded, *pictured.sightings),
+            (*refined, *pictured.sightings),
+        )
         self._others.update(found.others)
         self._ever_seen |= bool(self.detections)
         if not self._ever_seen:
             self._survey.step(frame.index, luma)
-        whole = found.whole or searched
+        whole = found.whole or pictured.whole
         self.records.append(
             Record(
                 frame.index,
@@ -127,27 +128,6 @@ class Markers(Fold):
                 detections=(*replaced[:n], *was.detections[n:]),
                 duplicates=replaced[n:],
             )
-
-    def end(self, frame: AnalysisFrame) -> dict[str, Any] | None:
-        """Where the prints that are followed were, unless a search of that frame finds each
-        of them.
-        """
-        tracker, patterns = self._tracker.anew(), self._patterns.anew()
-        tracker.step(frame.time_s, frame.luma)
-        patterns.step(frame.time_s, frame.luma, self.camera)
-        if self._tracker.led_on(tracker, frame.time_s) and self._patterns.led_on(
-            patterns, frame.time_s
-        ):
-            return None
-        return {"tracker": self._tracker.state(), "patterns": self._patterns.state()}
-
-    def go_on(self, lost: dict[str, Any]) -> None:
-        self._tracker.restore(lost["tracker"])
-        self._patterns.restore(lost["patterns"])
-
-    def settle(self, later: Self) -> dict[str, Any]:
-        transfer = self._refiner.settle(later._refiner)
-        return {} if transfer is None else {"transfer": transfer}
 
     def join(self, later: Self, shift: int) -> None:
         """Raises InputError where the frames have another size."""
@@ -181,7 +161,8 @@ class Markers(Fold):
         if self._ever_seen:
             return clip.adding(edge_transfer=self._refiner.transfer)
         wanted = ", ".join(m.key for m in self.job.markers)
-        families = ", ".join(dict.fromkeys(m.family for m in self._coded))
+        coded = [m.family for m in self.job.markers if isinstance(m, MarkerSpec)]
+        families = ", ".join(dict.fromkeys(coded))
         message = f"no configured marker ({wanted}) in {len(self.records)} frames"
         if not families:
             raise NothingToDoError(

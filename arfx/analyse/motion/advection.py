@@ -43,9 +43,6 @@ class Advection(Fold):
     def step(self, frame: AnalysisFrame) -> None:
         self._motion.step(frame.index, frame.luma)
 
-    def end(self, frame: AnalysisFrame) -> None:
-        self._motion.step(frame.index, frame.luma, True)
-
     def join(self, later: Self, shift: int) -> None:
         self._motion.join(later._motion, shift)
 

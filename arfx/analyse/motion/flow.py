@@ -12,7 +12,7 @@ blur of 1280 x 720) a frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -83,30 +83,30 @@ def node_positions(width: int, height: int) -> np.ndarray:
 class BackgroundMotion(Stateful):
     """Collects MotionSteps, in order. size : width, height of the frames"""
 
-    carried = frozenset({"_reference", "_last"})
+    carried = frozenset({"_last"})
 
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
-        self._reference: np.ndarray | None = None
-        self._last: np.ndarray | float = (
-            0.0  # back of the last epoch, 0 where that is the key
-        )
         self.size = (0, 0)
+        self._first: np.ndarray | None = None  # small picture of the first frame
+        self._key: np.ndarray | None = None  # and of the last key frame
+        # back of the last epoch, 0 where that is the key
+        self._last: np.ndarray | float = 0.0
 
     def join(self, later: BackgroundMotion, shift: int) -> None:
-        steps = shifted(
-            later.steps, shift
-        )  # the first of which says of its frame only that it is the first
-        self.steps += (
-            steps[1:]
-            if self.steps and steps and self.steps[-1].index == steps[0].index
-            else steps
-        )
-        self.size = later.size if later.steps else self.size
+        """Add the next stretch, whose first frame is a key frame: it is compared with the
+        last one here."""
+        steps = shifted(later.steps, shift)
+        if self._key is not None and later._first is not None:
+            found = _back(later._first, self._key, *self.size)
+            steps[0] = replace(steps[0], back=None if found is None else found[0])
+        self.steps += steps
+        if later.steps:
+            self._first = later._first if self._first is None else self._first
+            self._key, self.size = later._key, later.size
 
-    def step(self, index: int, luma: np.ndarray, last: bool = False) -> None:
-        """Take the next frame. luma : (h, w) uint8;  last : the stretch is over, and this
-        is the first frame of the next, a key frame"""
+    def step(self, index: int, luma: np.ndarray) -> None:
+        """Take the next frame. luma : (h, w) uint8"""
         h, w = luma.shape
         factor = max(w / WIDTH_PX, 1.0)
         small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
@@ -114,21 +114,22 @@ class BackgroundMotion(Stateful):
             cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA)
         )
         self.size = (w, h)
-        found = None if self._reference is None else _back(small, self._reference, w, h)
+        if self._key is None:
+            self._first = small
+        found = None if self._key is None else _back(small, self._key, w, h)
         back, far = None, True
         if found is not None:
             back, agreed = found
-            back = np.round(back * STEPS_PER_PX) / STEPS_PER_PX
             inside = (slice(BORDER, -BORDER),) * 2
             moved = np.linalg.norm((back - self._last)[inside], axis=-1)
-            if float(np.quantile(moved, 0.9)) <= HOLD_PX and not last:
+            if float(np.quantile(moved, 0.9)) <= HOLD_PX:
                 return
             way = float(np.median(np.linalg.norm(back[inside], axis=-1)))
-            far = last or way > KEY_FRACTION * w or agreed < _CHANGED
+            far = way > KEY_FRACTION * w or agreed < _CHANGED
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
         self._last = 0.0 if far or back is None else back
         if far:
-            self._reference = small
+            self._key = small
 
 
 def _back(
@@ -165,9 +166,8 @@ def _back(
         (0.5 - BORDER * GRID_PX) / scale - 0.5,
         _at_nodes(back, trust, width, height) / scale,
     )
-    return (refined(rough, small, reference, trust, first, GRID_PX / scale) * scale).astype(
-        np.float32
-    ), agreed
+    back = refined(rough, small, reference, trust, first, GRID_PX / scale) * scale
+    return (np.round(back * STEPS_PER_PX) / STEPS_PER_PX).astype(np.float32), agreed
 
 
 def _slope(small: np.ndarray) -> np.ndarray:

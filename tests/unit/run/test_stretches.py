@@ -335,32 +335,6 @@ def test_times_that_go_back_make_one_stretch(
     )
 
 
-def test_a_stretch_that_decided_otherwise_is_made_again(
-    clip_of: ClipOf,
-    of_open_gop: tuple[Any, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """What edges are symmetric in is decided by the first ones; a later stretch that says
-    otherwise is not believed.
-    """
-    from arfx.analyse.markers import corners
-
-    decide = corners._transfer_of
-    seen: list[int] = []
-
-    def other(skews: Any) -> str:
-        seen.append(len(skews))
-        return (
-            corners.CODE if len(seen) == 3 else decide(skews)
-        )  # the second stretch: the first, joined, decides too
-
-    monkeypatch.setattr(corners, "_transfer_of", other)
-    again = analysed(clip_of(open_gop), tmp_path / "again")
-    assert len([*(tmp_path / "again" / "stretches").iterdir()]) == 5
-    assert written(again, tmp_path / "a.jsonl") == of_open_gop
-
-
 def test_a_span_is_cut_within(clip_of: ClipOf) -> None:
     span = Span(probe(clip_of(closed_gop)), 0.6, 2.6)
     with ClipReader(span.info) as reader:

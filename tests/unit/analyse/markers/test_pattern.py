@@ -14,7 +14,8 @@ from arfx.analyse.fold import AnalysisJob
 from arfx.analyse.folds import Analyser, AnalysisFrame
 from arfx.analyse.markers.detect import Detection
 from arfx.analyse.markers.pattern import PatternPicture, check_turned, coded_luma, plausible
-from arfx.analyse.markers.pattern_tracker import PatternTracker
+from arfx.analyse.markers.pictured import PicturedPrints
+from arfx.analyse.markers.tracker import Tracker
 from arfx.core.camera import Camera
 from arfx.core.marker import PatternSpec
 from arfx.core.pose import Pose, rotation_angle_rad
@@ -51,9 +52,9 @@ def frame(
 def tracked(
     known: PatternPicture, frames: list[np.ndarray], cam: Camera = CAM
 ) -> list[Detection | None]:
-    tracker = PatternTracker([known])
+    tracker = Tracker(PicturedPrints([known], cam))
     return [
-        next(iter(tracker.step(k / 25, luma, cam)[0]), None)
+        next(iter(tracker.search(AnalysisFrame(k, k / 25, luma)).sightings), None)
         for k, luma in enumerate(frames)
     ]
 

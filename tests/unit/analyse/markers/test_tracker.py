@@ -9,11 +9,11 @@ import pytest
 
 from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
+from arfx.analyse.markers.coded import CodedPrints
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.markers.fold import Markers
 from arfx.analyse.markers.tracker import LOSS_SEARCH_FRAMES, Found, Tracker
 from arfx.analyse.params import AnalyseParams
-from arfx.core import codec
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
@@ -48,14 +48,13 @@ def test_part_gives_the_corners_of_the_whole() -> None:
     )
 
 
-class Counted(Tracker):
-    """searched_px : pixels that the detector was given in the last step"""
+class Counted:
+    """A tracker. searched_px : pixels that the detector was given in the last frame"""
 
-    searched_px = 0
-
-    def step(self, *frame: Any) -> Found:
-        self.searched_px = 0
-        search = MarkerDetector(self.detector.families, self.detector.min_side_px).search
+    def __init__(self, *keys: str) -> None:
+        prints = CodedPrints(keys)
+        self.tracker, self.searched_px, self._frames = Tracker(prints), 0, 0
+        search = prints.detector.search
 
         def counted(
             luma: np.ndarray, rect: Rect | None = None, factor: int = 1, **more: float
@@ -63,12 +62,17 @@ class Counted(Tracker):
             self.searched_px += (luma.size if rect is None else rect.area) // factor**2
             return search(luma, rect, factor, **more)
 
-        self.detector.search = counted  # type: ignore[method-assign]
-        return super().step(*frame)
+        prints.detector.search = counted  # type: ignore[method-assign]
+
+    def step(self, time_s: float, luma: np.ndarray, following: Any = None) -> Found:
+        self.searched_px = 0
+        shown = AnalysisFrame(self._frames, time_s, luma, None, following)
+        self._frames += 1
+        return self.tracker.search(shown)
 
 
 def test_tracked_marker_costs_a_part_and_a_lost_one_is_searched_whole() -> None:
-    tracker = Counted([M.key], AnalyseParams())
+    tracker = Counted(M.key)
     whole = []
     for k in range(12):
         found = tracker.step(k / 30, frame((M, at(300 + 8 * k, 200)), seed=k))
@@ -107,18 +111,15 @@ def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_i
         for k in range(27)
     ]
 
-    def seen(tracker: Counted, first: int, ahead: bool) -> list[tuple[bool, int]]:
+    def seen(tracker: Counted, ahead: bool) -> list[tuple[bool, int]]:
         found = []
-        for k in range(first, len(clip)):
+        for k in range(len(clip)):
             following = (lambda k=k: clip[k + 1]) if ahead and k + 1 < len(clip) else None  # type: ignore[misc]
             got = tracker.step(k / 30, clip[k], following)
             found.append((bool(got.sightings), tracker.searched_px))
         return found
 
-    every, ahead = (
-        seen(Counted([M.key], AnalyseParams()), 0, False),
-        seen(Counted([M.key], AnalyseParams()), 0, True),
-    )
+    every, ahead = seen(Counted(M.key), False), seen(Counted(M.key), True)
     assert (
         [s for s, _ in ahead]
         == [s for s, _ in every]
@@ -127,12 +128,6 @@ def test_while_nothing_is_in_view_every_second_frame_is_looked_at_and_a_marker_i
     gone = slice(2 + LOSS_SEARCH_FRAMES, 21)
     assert all(px > 0 for _, px in every[gone])
     assert sum(px for _, px in ahead[gone]) < 0.7 * sum(px for _, px in every[gone])
-    for stop in (12, 13):  # a checkpoint at either of the two frames
-        first, second = Tracker([M.key], AnalyseParams()), Counted([M.key], AnalyseParams())
-        for k in range(stop):
-            first.step(k / 30, clip[k], lambda k=k: clip[k + 1])  # type: ignore[misc]
-        second.restore(codec.loads(codec.dumps(first.state())))
-        assert seen(second, stop, True) == ahead[stop:]
 
 
 def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
@@ -151,7 +146,7 @@ def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
         (18, [M.key], False),
         (70, [M.key, OTHER.key], False),
     ):
-        tracker = Counted(keys, AnalyseParams())
+        tracker = Counted(*keys)
         for k in range(8):
             image = clip_frame(k, side_px, second=k < 4)
             found = tracker.step(k / 30, image)
@@ -167,24 +162,22 @@ def test_small_frames_are_searched_in_parts_while_all_is_seen_well() -> None:
 
 
 def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
-    tracker = Tracker([M.key], AnalyseParams())
-    small = tilted([0.2, 0.1, 0], [0.2, 0.1, Z])
-    tracker.step(0.0, frame((M, small)))
-    big = tilted([0.1, 0, 0], [-0.15, -0.05, Z * 0.8])
-    found = tracker.step(1 / 30, frame((M, small), (M, big)))
-    assert len(found.sightings) == 1
-    tracker.tracks[M.key].time_s = -9.0
-    del tracker.tracks[M.key]
-    both = tracker.step(
-        3.0, frame((M, small), (M, big))
-    )  # found anew: the larger, and the rival is known
-    assert (
-        len(both.duplicates) == 1 and both.sightings[0].side_px > both.duplicates[0].side_px
-    )
-    tracker.tracks[M.key].quad = both.duplicates[0].quad_px
-    tracker.last_whole_s = -9.0
-    again = tracker._choose(3.03, [*both.sightings, *both.duplicates], True)
-    assert np.array_equal(again.sightings[0].quad_px, both.duplicates[0].quad_px)
+    """A smaller one that leaps is found by a search of the whole frame, and followed though
+    the larger one is found too; anew, the larger one is taken."""
+    big = (M, tilted([0.1, 0, 0], [-0.15, -0.05, Z * 0.8]))
+    before, after = at(700, 350), at(600, 420)
+    both = frame((M, after), big)
+    tracker = Counted(M.key)
+    assert len(tracker.step(0.0, frame((M, before))).sightings) == 1
+    for found, followed in (
+        (tracker.step(0.04, both), True),
+        (Counted(M.key).step(0.04, both), False),
+    ):
+        assert found.whole and len(found.sightings) == len(found.duplicates) == 1
+        away = found.sightings[0].quad_px.mean(0) - CAM.project(
+            after.apply(M.corners_m)
+        ).mean(0)
+        assert (np.linalg.norm(away) < 3) == followed
 
 
 def run(analyser: Analyser, first: int, end: int) -> None:
@@ -197,14 +190,6 @@ def test_two_stretches_are_one_clip() -> None:
     whole, first, second, both = (Analyser(AnalysisJob((M,), CAM)) for _ in range(4))
     run(whole, 0, 16)
     run(first, 0, 9)
-    assert (
-        first.end(
-            AnalysisFrame(
-                9, 9 / 15, frame((M, at(300 + 6 * 9, 200, 0.2 + 0.02 * 9)), seed=9)
-            )
-        )
-        is None
-    )
     run(second, 9, 16)
     for part in (first, second):
         both.join(part)
@@ -290,45 +275,3 @@ def test_markers_that_no_pose_fits_are_nothing_to_work_on(change: str) -> None:
         pytest.raises(NothingToDoError, match="in 6 of 6 frames, but no pose fits"),
     ):
         a.finish()
-
-
-class Job:
-    """Frames with two prints of one key: the first is followed from the start, the other,
-    larger one comes later.
-    """
-
-    small, large = (MarkerSpec("36h11", 3, size) for size in (0.1, 0.14))
-
-    def shown(self, k: int) -> AnalysisFrame:
-        prints = [
-            (self.small, at(200 + 4 * k, 180)),
-            *([(self.large, at(640, 330))] if k >= 5 else []),
-        ]
-        return AnalysisFrame(k, k / 15, frame(*prints, seed=k))
-
-    def stretch(self, first: int, end: int, lost: Any = None) -> tuple[Analyser, Any]:
-        analyser = Analyser(AnalysisJob((M,), CAM))
-        if lost is not None:
-            analyser.go_on(lost)
-        for k in range(first, end):
-            analyser.step(self.shown(k))
-        return analyser, analyser.end(self.shown(end))
-
-
-def test_the_print_that_is_followed_is_followed_across_a_border() -> None:
-    job = Job()
-    nothing = job.stretch(0, 4)[1]
-    assert nothing is None, (
-        "nothing is lost where a search finds the print that is followed"
-    )
-    lost = job.stretch(0, 8)[1]
-    assert lost is not None
-    anew, followed = (
-        job.stretch(8, 12)[0],
-        job.stretch(8, 12, codec.loads(codec.dumps(lost)))[0],
-    )
-    x = [
-        a.folds["markers"].records[0].detections[0].corners_px[:, 0].mean()
-        for a in (anew, followed)
-    ]  # type: ignore[attr-defined]
-    assert abs(x[0] - 640) < 3 and abs(x[1] - 232) < 3
