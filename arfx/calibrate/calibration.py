@@ -27,13 +27,10 @@ from arfx.calibrate.screen import (
     most_varied,
     reject_views,
 )
-from arfx.calibrate.solve import Evidence, Fit, Uncertainty, choose_model, fit, uncertainty
+from arfx.calibrate.solve import Evidence, Fit, Uncertainty, choose_model, uncertainty
 from arfx.errors import InputError, NothingToDoError
 
 KEEP_VIEWS = 40  # more add little (errors fall with the root) and cost linearly
-SECOND_OPINIONS = (
-    60  # pictures searched with both chessboard finders; of a video's frames the first ones
-)
 UPSIDE_DOWN = (
     3,
     4,
@@ -66,14 +63,12 @@ class Found(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """fitted, known, seen : solution, uncertainty from the views alone, coverage. finder_sd
-    : (p,) what the choice of corner finder adds, 0 where there is only one;
-    standard_deviations : (p,) both together. evidence : every lens model's showing"""
+    """fitted, known, seen : solution, its uncertainty, coverage; evidence : every lens model's
+    showing"""
 
     spec: BoardSpec
     fitted: Fit
     known: Uncertainty
-    finder_sd: np.ndarray
     seen: Coverage
     projection_sd_px: np.ndarray
     chosen: Evidence
@@ -85,10 +80,6 @@ class Calibration(NamedTuple):
     rejected: tuple[Rejected, ...]
     upside_down: tuple[str, ...]
     notices: tuple[str, ...]
-
-    @property
-    def standard_deviations(self) -> np.ndarray:
-        return np.hypot(self.known.standard_deviations, self.finder_sd)
 
 
 def find_board(
@@ -113,7 +104,7 @@ def find_board(
             continue
         kinds[name] = (gray.shape[1], gray.shape[0], turn)
         searched += 1
-        view = find_view(gray, spec, name, second_opinion=searched <= SECOND_OPINIONS)
+        view = find_view(gray, spec, name)
         if view is None and spec.kind == CHARUCO and not views:
             other = replace(spec, legacy=not spec.legacy)
             view = find_view(gray, other, name)
@@ -237,14 +228,11 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
     chosen, table = choose_model(trimmed)
     fitted = chosen.fitted or again
     known = uncertainty(fitted)
-    between = _finder_difference(fitted)
     seen = coverage(fitted)
-    # the difference between finders is one direction of the parameters, not p independent ones
-    total = known._replace(covariance=known.covariance + np.outer(between, between))
-    sd = total.standard_deviations
-    projection = projection_uncertainty_px(fitted, total)
+    focal_sd = float(max(known.standard_deviations[:2]))
+    projection = projection_uncertainty_px(fitted, known)
     measured = figures(
-        fitted, seen, float(max(sd[:2])), projection, chosen.held_out_rms_px, len(rejected)
+        fitted, seen, focal_sd, projection, chosen.held_out_rms_px, len(rejected)
     )
     word, reasons = judge(measured)
     oriented = [v for v in fitted.views if v.upside_down is not None]
@@ -279,7 +267,6 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
         found.spec,
         fitted,
         known,
-        np.abs(between),
         seen,
         projection,
         chosen,
@@ -292,25 +279,6 @@ def calibrate(found: Found, keep: int = KEEP_VIEWS) -> Calibration:
         turned,
         tuple(notices),
     )
-
-
-def _finder_difference(fitted: Fit) -> np.ndarray:
-    """(p,) what the parameters move by when the other corner finder is taken, over sqrt(2):
-    the standard deviation of two equally careful measurements. On the views that have both;
-    0 where fewer than half of them, or fewer than 5, do."""
-    both = [v for v in fitted.views if v.alternative is not None]
-    nothing = np.zeros(len(fitted.model.parameters))
-    if len(both) < max(5, len(fitted.views) / 2):
-        return nothing
-    try:
-        other = fit(
-            [replace(v, pixels=v.alternative) for v in both if v.alternative is not None],
-            fitted.model,
-        )
-        own = fit(both, fitted.model)
-    except NothingToDoError:
-        return nothing
-    return (other.values - own.values) / np.sqrt(2)
 
 
 def _first_names(names: Sequence[str]) -> str:

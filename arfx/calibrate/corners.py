@@ -12,7 +12,7 @@ Source: Förstner and Gülch 1987 (cornerSubPix); Duda and Frese 2018 (the secto
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import cv2
@@ -52,10 +52,7 @@ class View:
     name : picture, or clip and time; size : (width, height) px
     ids : (n,) corner numbers, row by row; board_m : (n, 3) metres; pixels : (n, 2) float64
     finder : which corner finder; sharpness : see `corner_sharpness`; upside_down : None
-    where the board cannot tell
-    alternative : (n, 2) the same corners by the other finder, or None; their disagreement
-    is a systematic error that
-        residuals do not show"""
+    where the board cannot tell"""
 
     name: str
     size: tuple[int, int]
@@ -65,24 +62,15 @@ class View:
     finder: str
     sharpness: float = 0.0
     upside_down: bool | None = None
-    alternative: np.ndarray | None = field(default=None, repr=False)
-    OF_CORNERS: ClassVar = ("ids", "board_m", "pixels", "alternative")
+    OF_CORNERS: ClassVar = ("ids", "board_m", "pixels")
 
 
-def find_view(
-    gray: np.ndarray, spec: BoardSpec, name: str, second_opinion: bool = False
-) -> View | None:
-    """The board in a picture (h, w) uint8, or None.
-
-    second_opinion : find chessboard corners with the other finder as well (3-10 x the time)
-    """
-    if spec.kind == CHESSBOARD:
-        found = _chessboard(gray, spec, second_opinion)
-    else:
-        found = _charuco(gray, spec)
+def find_view(gray: np.ndarray, spec: BoardSpec, name: str) -> View | None:
+    """The board in a picture (h, w) uint8, or None."""
+    found = (_chessboard if spec.kind == CHESSBOARD else _charuco)(gray, spec)
     if found is None:
         return None
-    ids, pixels, finder, alternative = found
+    ids, pixels, finder = found
     board = spec.corners_m[ids]
     # least squares slope of pixel y on board y: does the board's y, down its rows, run
     # upwards in the picture?
@@ -96,11 +84,10 @@ def find_view(
         finder,
         corner_sharpness(gray, pixels),
         None if spec.turn_is_ambiguous else bool(rise < 0),
-        alternative,
     )
 
 
-_Corners = tuple[np.ndarray, np.ndarray, str, np.ndarray | None]  # of a View
+_Corners = tuple[np.ndarray, np.ndarray, str]  # of a View
 
 
 def _charuco(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
@@ -112,7 +99,7 @@ def _charuco(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
     if np.linalg.matrix_rank(board - board.mean(0), tol=0.1 * spec.square_m) < 2:
         return None  # all on one row: no plane
     white = (1 - spec.marker_m / spec.square_m) / 2
-    return ids, _refined(gray, corners, CLEAR_FRACTION * white), "charuco", None
+    return ids, _refined(gray, corners, CLEAR_FRACTION * white), "charuco"
 
 
 def _refined(gray: np.ndarray, rough: np.ndarray, share: float) -> np.ndarray:
@@ -125,29 +112,20 @@ def _refined(gray: np.ndarray, rough: np.ndarray, share: float) -> np.ndarray:
     return cv2.cornerSubPix(gray, rough.copy(), (half, half), (-1, -1), STOP).astype(float)
 
 
-def _chessboard(gray: np.ndarray, spec: BoardSpec, second_opinion: bool) -> _Corners | None:
+def _chessboard(gray: np.ndarray, spec: BoardSpec) -> _Corners | None:
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     found, rough = cv2.findChessboardCorners(gray, spec.inner, flags=flags)
-    finder, others = "gradient", []
-    if second_opinion or not found:
-        by_sectors, corners = cv2.findChessboardCornersSB(
-            gray, spec.inner, flags=0 if found else cv2.CALIB_CB_NORMALIZE_IMAGE
-        )
-        if by_sectors:
-            sectors = np.asarray(corners, float).reshape(-1, 2)
-            others = [sectors, sectors[::-1]]
+    finder = "gradient"
     if not found:
-        if not others:
-            return None
-        finder, rough = "gradient on the sector grid", others[0]
+        finder = "gradient on the sector grid"
+        flags = cv2.CALIB_CB_NORMALIZE_IMAGE
+        found, rough = cv2.findChessboardCornersSB(gray, spec.inner, flags=flags)
+    if not found:
+        return None
     # one pass only: a first one with a larger window (to pull back corners that the grid
     # search left far off) moved corners of left02 in OpenCV's set to their neighbours'
     # edges; such corners are rather dropped later (screen.drop_corners)
     pixels = _refined(gray, rough, REFINE_FRACTION)
-    # the other finder's corners in our order, unless it numbers them in a way that is not a
-    # half turn, or is far off: 3 px away is another corner
-    near = (o for o in others if np.linalg.norm(o - pixels, axis=1).max() < 3.0)
-    alternative = next(near, None)
     grid = pixels.reshape(spec.inner[1], spec.inner[0], 2)
     # the inner squares next to the first and the last corner: they lie inside the grid, so
     # they are always in the picture. Is the first white, its opposite black? Then the grid
@@ -156,8 +134,7 @@ def _chessboard(gray: np.ndarray, spec: BoardSpec, second_opinion: bool) -> _Cor
     first, last = (cv2.getRectSubPix(gray, (3, 3), end.tolist()).mean() for end in ends)
     if not spec.turn_is_ambiguous and first > last:
         pixels = pixels[::-1].copy()
-        alternative = None if alternative is None else alternative[::-1].copy()
-    return np.arange(len(pixels)), pixels, finder, alternative
+    return np.arange(len(pixels)), pixels, finder
 
 
 def corner_sharpness(gray: np.ndarray, pixels: np.ndarray) -> float:

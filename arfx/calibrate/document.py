@@ -34,11 +34,10 @@ def document(result: Calibration) -> dict[str, Any]:
         "camera_matrix": camera.matrix.tolist(),
         "distortion_coefficients": camera.distortion.tolist(),
         "lens_model": fitted.model.name,
-        "standard_deviations": by_name(result.standard_deviations),
+        "standard_deviations": by_name(known.standard_deviations),
         "standard_deviation_parts": {
             "independent_corners": by_name(known.independent),
             "between_views_jackknife": by_name(known.jackknife),
-            "between_corner_finders": by_name(result.finder_sd),
         },
         "reprojection_rms_px": fitted.rms_px,
         "held_out_rms_px": result.chosen.held_out_rms_px,
@@ -114,7 +113,10 @@ def summary(result: Calibration) -> list[str]:
     """Lines for a terminal."""
     fitted, tilt = result.fitted, result.seen.tilt_deg
     pairs = zip(
-        fitted.model.parameters, fitted.values, result.standard_deviations, strict=True
+        fitted.model.parameters,
+        fitted.values,
+        result.known.standard_deviations,
+        strict=True,
     )
     numbers = [
         f"{n} {v:.2f} ±{s:.2f}" if n[0] in "fc" else f"{n} {v:.4f} ±{s:.4f}"

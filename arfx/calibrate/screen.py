@@ -153,9 +153,7 @@ def drop_corners(fitted: Fit) -> tuple[list[View], int]:
         while (misses := np.linalg.norm(residual, axis=1)).max() > limit:
             kept = np.arange(len(misses)) != misses.argmax()
             arrays = {name: getattr(trimmed, name) for name in View.OF_CORNERS}
-            trimmed = replace(
-                trimmed, **{k: a[kept] for k, a in arrays.items() if a is not None}
-            )
+            trimmed = replace(trimmed, **{k: a[kept] for k, a in arrays.items()})
             if len(view.ids) - len(trimmed.ids) > MOST_CORNERS * len(view.ids):
                 trimmed = view
                 break

@@ -105,8 +105,8 @@ class Fit(NamedTuple):
 
 
 class Uncertainty(NamedTuple):
-    """covariance : (p, p) of `model.parameters`, the jackknife's, or that of independent
-    errors where it is larger; independent, jackknife : (p,) standard deviations of each;
+    """covariance : (p, p) of `model.parameters`: that of independent errors, each parameter's
+    deviation enlarged to the jackknife's; independent, jackknife : (p,) standard deviations;
     sigma_px : noise of one coordinate of one corner;
     condition : of the normal matrix with unit diagonal (poses eliminated); inf = something
     cannot be determined
@@ -241,21 +241,13 @@ def uncertainty(fitted: Fit) -> Uncertainty:
         ]
     )
     steps -= steps.mean(0)
-    jack = (n - 1) / n * steps.T @ steps
-    a, b = np.sqrt(np.diag(independent)), np.sqrt(np.diag(jack))
-    # The jackknife's matrix holds the true correlations, but with few views it is singular,
-    # and so blind to some directions: then the correlations of the other one. Either way
-    # each parameter gets the larger of its two standard deviations.
-    shape, size = (jack, b) if n >= 2 * p else (independent, a)
-    correlation = shape * divide(1.0, np.outer(size, size))
-    larger = np.maximum(a, b) * scale
-    return Uncertainty(
-        correlation * np.outer(larger, larger),
-        a * scale,
-        b * scale,
-        sigma,
-        condition(normal),
-    )
+    a = np.sqrt(np.diag(independent))
+    b = np.sqrt((n - 1) / n * (steps**2).sum(0))
+    # the correlations of independent errors: with few views the jackknife's are blind to some
+    # directions
+    factor = scale * np.maximum(1.0, divide(b, a))
+    covariance = independent * np.outer(factor, factor)
+    return Uncertainty(covariance, a * scale, b * scale, sigma, condition(normal))
 
 
 def _inverse(normal: np.ndarray) -> np.ndarray:

@@ -32,7 +32,8 @@ from arfx.errors import InputError
 SUPPORTED = (
     "OpenCV YAML, XML or JSON (camera_matrix, distortion_coefficients, image_width,"
     " image_height), NumPy .npz with these names, ROS camera_info YAML, COLMAP cameras.txt"
-    " or cameras.bin, Kalibr camchain YAML, WPILib or PhotonVision JSON"
+    " or cameras.bin, Kalibr camchain YAML, WPILib or PhotonVision JSON; YAML or JSON with"
+    " fx, fy, width, height and maybe cx, cy, distortion"
 )
 # How other files begin -> what they are, and what to do.
 _OTHERS = {

@@ -3,7 +3,7 @@ and people can read.
 
 Read: OpenCV YAML/XML/JSON, NumPy .npz, ROS camera_info YAML, COLMAP cameras.txt and .bin,
 Kalibr camchain YAML, WPILib and
-PhotonVision JSON; each also packed by gzip.
+PhotonVision JSON; by hand fx, fy, cx, cy, width, height; each also packed by gzip.
 Pixel centres: all of these put them at integers, except COLMAP, whose centres lie at .5
 (corrected here). Left out: lens models that OpenCV's polynomials cannot express
 (field-of-view, omnidirectional, division)."""
@@ -32,6 +32,7 @@ from arfx.media.camera_documents import (
 
 # Every name that the formats above give to the same thing, lower case, without underscores.
 MATRIX_NAMES = ("cameramatrix", "cameraintrinsics", "intrinsicmatrix", "k", "mtx")
+FOCAL_NAMES, CENTRE_NAMES = ("fx", "fy"), ("cx", "cy")  # single, in a file by hand
 DISTORTION_NAMES = (
     "distortioncoefficients",
     "distcoeffs",
@@ -97,6 +98,13 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     """OpenCV, ROS, WPILib, PhotonVision: the same things under different names."""
     flat = _flat(document)
     matrix = _numbers(_first(flat, MATRIX_NAMES), where, "the camera matrix")
+    if matrix is None and flat.keys() >= set(FOCAL_NAMES):
+        middle = [(side - 1) / 2 for side in _size(flat, where)]
+        centre = [flat.get(n, m) for n, m in zip(CENTRE_NAMES, middle, strict=True)]
+        four = _numbers(
+            [*map(flat.get, FOCAL_NAMES), *centre], where, "the list fx, fy, cx, cy"
+        )
+        matrix = None if four is None else _matrix(*four)
     if matrix is None:
         keys = ", ".join(map(str, list(document)[:8])) or "nothing"
         raise InputError(

@@ -8,8 +8,10 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
+from arfx.core.numerics import normalise
 from arfx.reproduce.work import Clip, Shot
-from arfx.synth.tracer import Lens, Room, Samples, render_rows
+from arfx.synth.rays import Rays
+from arfx.synth.tracer import radiance
 from arfx.synth.world import World
 
 FOOTPRINT_RAD = 0.03  # of a ray: about what a pixel of the ball mirrors
@@ -40,13 +42,8 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     )
     seen = position - shot.renderer.facts.pose.inverse().translation_m
     towards = seen - 2 * (seen * normal).sum(-1, keepdims=True) * normal
-    light = np.array(
-        [
-            radiance(room, p + _LIFT_M * n, d)
-            for p, n, d in zip(position, normal, towards, strict=True)
-        ]
-    )
-    unit = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+    light, _ = radiance(mirror_rays(position + _LIFT_M * normal, towards), room)
+    unit = normalise(towards)
     for lamp in room.lights:
         cosine = 1 / np.hypot(1, lamp[6])  # of half its angular size
         light[unit @ lamp[:3] > cosine] += lamp[3:6] / (2 * (1 - cosine))
@@ -57,15 +54,9 @@ def mirrored_room(clip: Clip, shot: Shot, picture: np.ndarray) -> np.ndarray:
     return out
 
 
-def radiance(room: Room, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """(3,) that comes to a point from a direction of any length."""
-    forward = direction / np.linalg.norm(direction)
-    aside = np.cross(forward, np.eye(3)[np.abs(forward).argmin()])
-    aside /= np.linalg.norm(aside)
-    rotation = np.ascontiguousarray(np.stack([aside, np.cross(forward, aside), forward], 1))
-    rays = FOOTPRINT_RAD * np.stack(np.meshgrid([0.0, 1.0], [0.0, 1.0]), -1)
-    out = np.zeros((2, 2, 3))
-    lens = Lens(rays, rotation, np.ascontiguousarray(origin), 0.0, 1.0)
-    every = Samples(np.ones((2, 2), bool), 1.0, 1.0, 0)
-    render_rows(0, 1, lens, room, every, out, np.zeros((2, 2), np.uint16))
-    return np.asarray(out[0, 0])
+def mirror_rays(origins: np.ndarray, towards: np.ndarray) -> Rays:
+    """From points (n, 3) in directions (n, 3) of any length, each as wide as `FOOTPRINT_RAD`."""
+    forward = normalise(towards)
+    aside = normalise(np.cross(forward, np.eye(3)[np.abs(forward).argmin(-1)]))
+    spans = FOOTPRINT_RAD * np.stack([aside, np.cross(forward, aside)], 1)
+    return Rays(origins, forward, spans, np.zeros(len(forward)))

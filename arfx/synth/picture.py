@@ -6,6 +6,7 @@ Samples over pixel, shutter and lens are averaged in linear light."""
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,12 +15,26 @@ from arfx.core.colour import Transfer
 from arfx.core.machine import usable_cores
 from arfx.core.pose import Pose
 from arfx.synth.description import SceneFile
-from arfx.synth.tracer import Lens, Room, Samples, render_rows, surfaces
+from arfx.synth.rays import Rays, Room
+from arfx.synth.tracer import radiance, surfaces
 from arfx.synth.world import World
 
 # a rolling shutter moves the scene once per band: under 2 px of motion in hand-held footage
 _BAND_ROWS = 24
+_RAYS = 8192  # in one array: some megabytes of numbers
 _KEEP_BYTES = 400e6  # rays kept from frame to frame
+
+
+class Samples(NamedTuple):
+    """One sample in every chosen (h, w) bool pixel, of this weight.
+
+    footprint: width in pixels that it stands for
+    """
+
+    chosen: np.ndarray
+    footprint: float
+    weight: float
+    seed: int
 
 
 class Picture:
@@ -91,21 +106,47 @@ class Picture:
         met: np.ndarray,
     ) -> None:
         """Add samples of that place in each pixel, so late after the frame's own time."""
-        world = self.world
-        rows, lens, rays = world.camera.height, world.scene.lens, self.rays(*place)
-        roll = world.scene.hidden.rolling_shutter_s
-        bands = [(y, min(y + _BAND_ROWS, rows)) for y in range(0, rows, _BAND_ROWS)]
-        shared = None if roll else self._seen(frame, late_s)
+        rows, roll = len(out), self.world.scene.hidden.rolling_shutter_s
+        rays, work = self.rays(*place), []
+        for first in range(0, rows, _BAND_ROWS if roll else rows):
+            band = samples.chosen[first : first + _BAND_ROWS if roll else rows]
+            late = late_s + roll * ((first + len(band) / 2) / rows - 0.5)
+            room, pose = self._seen(frame, late)
+            y, x = np.nonzero(band)
+            work += [
+                (room, pose, y[i : i + _RAYS] + first, x[i : i + _RAYS])
+                for i in range(0, len(y), _RAYS)
+            ]
 
-        def one(band: tuple[int, int]) -> None:
-            late = late_s + roll * ((band[0] + band[1]) / 2 / rows - 0.5)
-            room, pose = shared or self._seen(frame, late)
-            turn = np.ascontiguousarray(pose.rotation)
-            size, focus = lens.aperture_m, lens.focus_m or 1.0
-            seen = Lens(rays, turn, pose.translation_m, size, focus)
-            render_rows(*band, seen, room, samples, out, met)
+        def one(part: tuple[Room, Pose, np.ndarray, np.ndarray]) -> None:
+            room, pose, y, x = part
+            met[y, x] = 1
+            mapped = np.isfinite(rays[y, x]).all(-1)
+            y, x = y[mapped], x[mapped]
+            light, met[y, x] = radiance(self._through_lens(rays, y, x, pose, samples), room)
+            out[y, x] += samples.weight * light
 
-        list(self._pool.map(one, bands))
+        list(self._pool.map(one, work))
+
+    def _through_lens(
+        self, rays: np.ndarray, y: np.ndarray, x: np.ndarray, pose: Pose, samples: Samples
+    ) -> Rays:
+        """In the room, through each pixel (n,) and a random point of the aperture."""
+        lens, number = self.world.scene.lens, y * rays.shape[1] + x
+        ahead, starts = rays[y, x], np.zeros((len(y), 3))
+        if lens.aperture_m > 0:
+            radius = 0.5 * lens.aperture_m * np.sqrt(_noise(samples.seed, 2 * number))
+            angle = 2 * np.pi * _noise(samples.seed, 2 * number + 1)
+            starts[:, 0], starts[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
+            ahead = ahead - starts[:, :2] / (lens.focus_m or 1.0)
+        spans = samples.footprint * _footprints(rays, y, x)
+        turn = pose.rotation.T
+        return Rays(
+            starts @ turn + pose.translation_m,
+            ahead @ turn[:2] + turn[2],
+            spans @ turn[:2],
+            2 * np.pi * _noise(samples.seed + 7, number),
+        )
 
     def _seen(self, frame: int, late_s: float = 0.0) -> tuple[Room, Pose]:
         """The room so late after the frame's own time, and room_from_camera."""
@@ -144,6 +185,27 @@ class Picture:
             )
             out[here] = world.camera.project(move.apply(points[here])) - grid[here]
         return out
+
+
+def _footprints(rays: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """(n, 2, 2) what pixels span, right and down, as camera directions without z."""
+    height, width = rays.shape[:2]
+    here = rays[y, x]
+    right = rays[y, np.where(x + 1 < width, x + 1, x - 1)] - here
+    down = rays[np.where(y + 1 < height, y + 1, y - 1), x] - here
+    # a neighbour beyond the lens's field: assume square pixels
+    right = np.where(np.isfinite(right), right, down[:, ::-1] * [1, -1])
+    down = np.where(np.isfinite(down), down, right[:, ::-1] * [-1, 1])
+    return np.nan_to_num(np.stack([right, down], 1))
+
+
+def _noise(seed: int, numbers: np.ndarray) -> np.ndarray:
+    """0..1 from a seed and integers (n,): the finaliser of MurmurHash3."""
+    h = numbers.astype(np.uint64) * np.uint64(0xC2B2AE3D27D4EB4F)
+    h ^= np.uint64(seed * 0x9E3779B97F4A7C15 % 2**64)
+    for factor in (0xFF51AFD7ED558CCD, 0xC4CEB9FE1A85EC53):
+        h = (h ^ h >> np.uint64(33)) * np.uint64(factor)
+    return (h >> np.uint64(11)) / 2.0**53
 
 
 def gain_at(scene: SceneFile, time_s: float) -> float:

@@ -1,26 +1,62 @@
-"""Compiled rays against rectangles and spheres, and what of a light's disc a point sees.
+"""Compiled loops over rays: what they meet, and the light that comes from there.
 
-Vectors are tuples of three numbers. Row layouts (float64):
+Row layouts (float64):
 rectangle  0-2 centre, 3-5 u, 6-8 v, 9-11 normal, 12 half width, 13 half height, 14 texture,
-15 object, 16 gloss, 17 whether it is a face of a closed box
+15 object, 16 gloss
 sphere     0-2 centre, 3 radius, 4-6 albedo, 7 object
 light      0-2 unit vector towards it, 3-5 rgb, 6 tangent of half its angular size
+texture    0 first row of the table, 1 columns, 2 rows, 3 smallest box in texels (0: cells
+stay hard-edged)
 """
 
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from arfx.core.compiled import line_kernel
-from arfx.core.vectors import cross, dot, minus, shifted, unit, vector
+from arfx.core.vectors import cross, dot, minus, scaled, shifted, unit, vector
 
 FAR = 1e30  # nothing is met
+# start of a shadow ray above its surface: float64 hit points are off by 1e-15 m, sheets lie
+# 2e-4 m apart
+LIFT_M = 2e-5
 _DISC_SAMPLES = 16
 _GOLDEN_ANGLE = 2.399963229728653
+_GLOSS_EXPONENT = 40
+_LEAST_TEXELS = 1e-4  # half a box's side, so that its mean is a quotient of numbers above 0
+_NUMBERS = 65521  # below 2^16, prime: of two surfaces under many lights few get the same
+
+
+class Rays(NamedTuple):
+    """starts, towards (n, 3): towards of any length;  spans (n, 2, 3): what a ray stands for,
+    right and down, as differences of `towards`;  turns (n,): of the samples of a lamp's disc
+    """
+
+    starts: np.ndarray
+    towards: np.ndarray
+    spans: np.ndarray
+    turns: np.ndarray
+
+
+class Room(NamedTuple):
+    """What there is, by rows, and its ambient light (3,);  table (n, 3): of the textures
+    sky (h, w, 3): radiance by direction, (0, ...) = black"""
+
+    rects: np.ndarray
+    spheres: np.ndarray
+    lights: np.ndarray
+    ambient: np.ndarray
+    textures: np.ndarray
+    table: np.ndarray
+    sky: np.ndarray
 
 
 @line_kernel(error_model="numpy")
-def _rectangle_at(start, towards, rects, i, farthest):
+def _rectangle_distance(start, towards, rects, i, farthest):
     """Where a ray meets rectangle i, in units of `towards`; `farthest` if not before.
     Without a division but for a ray that meets it: both sides are times |towards·n|."""
     offset, normal = minus(vector(rects[i]), start), vector(rects[i, 9:])
@@ -38,7 +74,7 @@ def _rectangle_at(start, towards, rects, i, farthest):
 
 
 @line_kernel(error_model="numpy")
-def _sphere_at(start, towards, spheres, i, farthest):
+def _sphere_distance(start, towards, spheres, i, farthest):
     """Where a ray meets sphere i, in units of `towards`; `farthest` if not before."""
     offset, squared = minus(vector(spheres[i]), start), dot(towards, towards)
     middle = dot(offset, towards) / squared
@@ -47,57 +83,51 @@ def _sphere_at(start, towards, spheres, i, farthest):
     if inside <= 0.0:
         return farthest
     half = math.sqrt(inside / squared)
-    at = middle - half if middle - half > 1e-9 else middle + half
-    return at if 1e-9 < at < farthest else farthest
+    distance = middle - half if middle - half > 1e-9 else middle + half
+    return distance if 1e-9 < distance < farthest else farthest
 
 
 @line_kernel(error_model="numpy")
-def nearest(start, towards, rects, spheres):
-    """(distance in units of `towards`, or FAR; index of the first surface along a ray, a
-    sphere's counted on behind the rectangles)."""
+def _intersect(start, towards, rects, spheres, any_hit):
+    """(distance in units of `towards`, or FAR; index of the surface along a ray, a sphere's
+    counted on behind the rectangles): the nearest, or with `any_hit` the first that is found.
+    """
     best, index = FAR, -1
-    for i in range(rects.shape[0]):
-        at = _rectangle_at(start, towards, rects, i, best)
-        if at < best:
-            best, index = at, i
-    for i in range(spheres.shape[0]):
-        at = _sphere_at(start, towards, spheres, i, best)
-        if at < best:
-            best, index = at, rects.shape[0] + i
+    for i in range(rects.shape[0] + spheres.shape[0]):
+        if i < rects.shape[0]:
+            distance = _rectangle_distance(start, towards, rects, i, best)
+        else:
+            distance = _sphere_distance(start, towards, spheres, i - rects.shape[0], best)
+        if distance < best:
+            best, index = distance, i
+            if any_hit:
+                break
     return best, index
 
 
 @line_kernel(error_model="numpy")
-def _blocked(start, towards, rects, spheres):
-    """Whether a ray meets anything."""
-    for i in range(rects.shape[0]):
-        # what enters a box leaves it by another face
-        enters_box = rects[i, 17] > 0.0 and dot(towards, vector(rects[i, 9:])) < 0.0
-        if not enters_box and _rectangle_at(start, towards, rects, i, FAR) < FAR:
-            return True
-    for i in range(spheres.shape[0]):  # noqa: SIM110 - numba has no generators here
-        if _sphere_at(start, towards, spheres, i, FAR) < FAR:
-            return True
-    return False
+def first_hits(starts, towards, rects, spheres, distance, index):
+    """Fill distance (n,) and index (n,) of what rays (n, 3) meet; index -1 = nothing."""
+    for n in range(towards.shape[0]):
+        start, direction = vector(starts[n]), vector(towards[n])
+        distance[n], index[n] = _intersect(start, direction, rects, spheres, False)
 
 
 @line_kernel(error_model="numpy")
-def visible(point, lights, k, rects, spheres, turn):
-    """Fraction 0..1 of light k's disc that a point sees: five rays, and sixteen more where
-    these disagree.
-    """
-    light, disc = vector(lights[k]), lights[k, 6]
+def _visible(point, light, disc, rects, spheres, turn):
+    """Fraction 0..1 of a light's disc that a point sees: five rays, and sixteen more where
+    these disagree. disc : tangent of half its angular size;  turn : of the sixteen, radians"""
     if disc == 0.0:
-        return 0.0 if _blocked(point, light, rects, spheres) else 1.0
+        return 1.0 if _intersect(point, light, rects, spheres, True)[1] < 0 else 0.0
     x, y, z = light
     a = unit((0.0, z, -y) if abs(x) < 0.6 else (-z, 0.0, x))
     b = cross(light, a)
-    visible_rays = 0
+    lit = 0
     for j in range(5 + _DISC_SAMPLES):
         if j == 5:
-            if visible_rays == 0 or visible_rays == 5:
-                return visible_rays / 5.0
-            visible_rays = 0
+            if lit == 0 or lit == 5:
+                return lit / 5.0
+            lit = 0
         c, s = 0.0, 0.0
         if j >= 5:
             radius = disc * math.sqrt((j - 4.5) / _DISC_SAMPLES)
@@ -108,6 +138,82 @@ def visible(point, lights, k, rects, spheres, turn):
         elif j < 4:
             s = disc * (5 - 2 * j)
         towards = shifted(shifted(light, c, a), s, b)
-        if not _blocked(point, towards, rects, spheres):
-            visible_rays += 1
-    return visible_rays / _DISC_SAMPLES
+        if _intersect(point, towards, rects, spheres, True)[1] < 0:
+            lit += 1
+    return lit / _DISC_SAMPLES
+
+
+@line_kernel(error_model="numpy")
+def _albedo(hit, towards, distance, spans, rect, texture, table):
+    """Of a rectangle at a point, over what a ray's spans (2, 3) cover there: the mean of its
+    texture over a box, from the summed-area table, bilinear between the table's nodes."""
+    normal, offset = vector(rect[9:]), minus(hit, vector(rect))
+    first, smallest = int(texture[0]), 0.5 * texture[3]
+    low, high, area = (0.0, 0.0), (0.0, 0.0), 1.0
+    for axis in range(2):  # along u, then v
+        along, half, size = vector(rect[3 + 3 * axis :]), rect[12 + axis], texture[1 + axis]
+        texels, squared = size / (2.0 * half), 0.0  # per metre
+        for span in spans:  # carried along the ray onto the surface
+            rise = dot(span, normal) / dot(towards, normal)
+            length = distance * (dot(span, along) - rise * dot(towards, along))
+            squared += length * length
+        reach = max(0.5 * math.sqrt(squared) * texels, smallest, _LEAST_TEXELS)
+        place = dot(offset, along) * (1.0 - 2.0 * axis)  # v runs up, rows run down
+        centre = (place + half) * texels
+        # kept inside the texture without becoming empty
+        least = min(max(centre - reach, 0.0), size - _LEAST_TEXELS)
+        most = max(min(centre + reach, size), _LEAST_TEXELS)
+        low, high, area = (low[1], least), (high[1], most), area * (most - least)
+    total = (0.0, 0.0, 0.0)
+    for corner in range(16):  # four of the box, times four nodes around each
+        x = high[0] if corner & 1 else low[0]
+        y = high[1] if corner & 2 else low[1]
+        column, row = int(x) + (corner >> 2 & 1), int(y) + (corner >> 3)
+        weight = (1.0 - abs(column - x)) * (1.0 - abs(row - y))
+        if weight > 0.0:
+            sign = 1.0 if corner & 3 in (0, 3) else -1.0
+            node = first + row * (int(texture[1]) + 1) + column
+            total = shifted(total, sign * weight, vector(table[node]))
+    return scaled(1.0 / area, total)
+
+
+@line_kernel(error_model="numpy")
+def shade(rays: Rays, distances, indices, room: Room, radiance, numbers):
+    """Fill radiance (n, 3) and numbers (n,) of rays that meet these surfaces (indices (n,), -1 =
+    nothing is left as it is). numbers : for the surface and the lights that it sees; 0 where
+    it sees a part of one, and on a print, whose edges are hard"""
+    rects, spheres, lights = room.rects, room.spheres, room.lights
+    for n in range(len(indices)):
+        i = indices[n]
+        if i < 0:
+            continue
+        towards, distance = vector(rays.towards[n]), distances[n]
+        hit = shifted(vector(rays.starts[n]), distance, towards)
+        gloss, whole, number = 0.0, True, i + 1
+        if i < rects.shape[0]:
+            texture = room.textures[int(rects[i, 14])]
+            spans = vector(rays.spans[n, 0]), vector(rays.spans[n, 1])
+            albedo = _albedo(hit, towards, distance, spans, rects[i], texture, room.table)
+            normal, gloss, whole = vector(rects[i, 9:]), rects[i, 16], texture[3] > 0.0
+            if dot(towards, normal) > 0.0:
+                normal = scaled(-1.0, normal)
+        else:
+            ball = spheres[i - rects.shape[0]]
+            normal = scaled(1.0 / ball[3], minus(hit, vector(ball)))
+            albedo = vector(ball[4:])
+        light, shine = vector(room.ambient), (0.0, 0.0, 0.0)
+        point = shifted(hit, LIFT_M, normal)
+        for k in range(lights.shape[0]):
+            lamp, rgb, seen = vector(lights[k]), vector(lights[k, 3:]), 0.0
+            facing = dot(normal, lamp)
+            if facing > 0.0:
+                seen = _visible(point, lamp, lights[k, 6], rects, spheres, rays.turns[n])
+            number = 2 * number + (seen > 0.0)
+            whole = whole and (seen == 0.0 or seen == 1.0)
+            light = shifted(light, seen * facing, rgb)
+            if gloss * seen > 0.0:
+                half = max(dot(normal, unit(minus(lamp, unit(towards)))), 0.0)
+                shine = shifted(shine, seen * gloss * half**_GLOSS_EXPONENT, rgb)
+        for c in range(3):
+            radiance[n, c] = albedo[c] * light[c] + shine[c]
+        numbers[n] = 2 + number % _NUMBERS if whole else 0

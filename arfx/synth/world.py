@@ -24,13 +24,13 @@ from arfx.synth.description import (
     SceneObject,
     Sphere,
 )
+from arfx.synth.rays import Room
 from arfx.synth.textures import (
     environment_lights,
     environment_picture,
     sheet_albedo,
     texture_albedo,
 )
-from arfx.synth.tracer import Room
 
 
 class World:
@@ -52,7 +52,7 @@ class World:
         ]
         self._rects, self._spheres = (
             np.array([row for row in rows if len(row) == columns]).reshape(-1, columns)
-            for columns in (18, 8)
+            for columns in (17, 8)
         )
         self.textures, self.table = _summed_areas(self._pictures)
         self.ambient = np.asarray(scene.light.ambient_rgb, float)
@@ -110,7 +110,7 @@ class World:
             return [_rect(0 * z, x, y, np.array([*size, 0.0]) / 2, texture, number, gloss)]
         half = np.array(p.size_m) / 2
         return [
-            _rect(half * np.cross(u, v) + half * z, u, v, half, texture, number, closed=1.0)
+            _rect(half * np.cross(u, v) + half * z, u, v, half, texture, number)
             for u, v in ((x, -y), (x, y), (-y, z), (y, z), (x, z), (-x, z))
         ]
 
@@ -193,12 +193,11 @@ def _rect(
     texture: int,
     number: int,
     gloss: float = 0.0,
-    closed: float = 0.0,
 ) -> np.ndarray:
     """half : (3,) of what it is a side of, along the object's axes"""
     sides = half @ abs(u), half @ abs(v)
     return np.array(
-        [*centre, *u, *v, *np.cross(u, v), *sides, texture, number, gloss, closed], float
+        [*centre, *u, *v, *np.cross(u, v), *sides, texture, number, gloss], float
     )
 
 

@@ -80,9 +80,38 @@ class LazyGroup(click.Group):
             command: click.Command = module.command
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name, command, rest = super().resolve_command(ctx, args)
+        if command is not None:
+            _check_given_once(click.Context(command, ctx, name), rest)
+        return name, command, rest
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([*COMMANDS.items()])
+
+
+def _check_given_once(context: click.Context, arguments: Sequence[str]) -> None:
+    """Raises UsageError for an option that takes one value and is given several: click takes the
+    last and drops the others in silence."""
+    try:
+        *_, order = context.command.make_parser(context).parse_args([*arguments])
+    except click.UsageError:  # which the command itself raises, with its usage
+        return
+    for option in {p for p in order if isinstance(p, click.Option) and order.count(p) > 1}:
+        heads = [word.partition("=") for word in arguments]
+        values = [
+            value if equals else following
+            for (head, equals, value), following in zip(
+                heads, [*arguments[1:], ""], strict=True
+            )
+            if head in option.opts
+        ]
+        if not (option.multiple or option.is_flag or len(set(values)) == 1):
+            name, given = option.opts[-1], ", ".join(values)
+            raise click.UsageError(f"{name} takes one value, {given} are given", context)
 
 
 @click.group(

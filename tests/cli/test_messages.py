@@ -44,6 +44,16 @@ def test_every_command_takes_json_verbose_and_quiet(name: str) -> None:
     assert {"--json", "-v", "--verbose", "-q", "--quiet"} <= flags
 
 
+def test_of_several_values_none_is_dropped_in_silence(arfx: Run) -> None:
+    for words in (("--model", "b.glb"), ("--model=b.glb",)):
+        r = arfx("process", "clip.mp4", "--model", "a.glb", *words)
+        assert r.code == 2 and "--model takes one value, a.glb, b.glb are given" in r.err
+    r = arfx(
+        "plan", "no.mp4", "--crf", "20", "--crf", "20", "--set", "a.b=1", "--set", "a.c=1"
+    )
+    assert "takes one value" not in r.err
+
+
 @pytest.fixture(scope="module")
 def place(material: Material, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the commands below work on."""

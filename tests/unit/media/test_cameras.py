@@ -58,6 +58,35 @@ def same(
 
 
 @pytest.mark.parametrize(
+    ("text", "centre", "distortion"),
+    [
+        ("fx: 801.5\nfy: 799.125\ncx: 322.25\ncy: 239.75\n", (322.25, 239.75), ()),
+        ("fx: 801.5\nfy: 799.125\n", (319.5, 239.5), ()),
+        (
+            "fx: 801.5\nfy: 799.125\ndistortion: [-0.1, 0, 0, 0]\n",
+            (319.5, 239.5),
+            (-0.1, 0, 0, 0),
+        ),
+    ],
+)
+def test_a_file_by_hand(
+    tmp_path: Path, text: str, centre: tuple[float, float], distortion: tuple[float, ...]
+) -> None:
+    k = K.copy()
+    k[:2, 2] = centre
+    read = load_camera(write(tmp_path, "camera.yaml", f"{text}width: 640\nheight: 480\n"))
+    same(read, k, np.array(distortion))
+
+
+def test_a_file_by_hand_states_numbers_and_a_size(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not state the picture size"):
+        load_camera(write(tmp_path, "a.yaml", "fx: 800\nfy: 800\n"))
+    text = "fx: wide\nfy: 800\nwidth: 640\nheight: 480\n"
+    with pytest.raises(InputError, match="fx, fy, cx, cy is not a list of numbers"):
+        load_camera(write(tmp_path, "b.yaml", text))
+
+
+@pytest.mark.parametrize(
     ("d", "model"),
     [
         (D5, BROWN),

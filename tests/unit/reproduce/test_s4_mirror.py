@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.reproduce.s4_mirror import radiance
+from arfx.reproduce.s4_mirror import mirror_rays
 from arfx.synth.description import parse_scene
 from arfx.synth.picture import Picture
+from arfx.synth.tracer import radiance
 from arfx.synth.world import World
 
 SCENE = """
@@ -36,15 +37,10 @@ def test_a_ray_meets_what_the_camera_sees() -> None:
     room, pose = world.at(0.0), world.camera_at(0, 0.0).inverse()
     room = room._replace(sky=np.full((2, 4, 3), 0.25))
     seen = Picture(world).radiance(0)
-    for x, y in (
-        (33, 22),
-        (20, 40),
-        (50, 30),
-    ):  # the sphere, the plane before it, beside it
-        direction = pose.rotation @ world.camera.directions(np.array([[x, y]], float))[0]
-        assert radiance(room, pose.translation_m, direction) == pytest.approx(
-            seen[y, x], rel=0.02
-        ), (x, y)
-    assert radiance(
-        room, np.array([0.0, 0, 1]), np.array([0.1, 0.2, 3.0])
-    ) == pytest.approx([0.25] * 3), "the sky"
+    pixels = np.array([[33, 22], [20, 40], [50, 30]])  # sphere, the plane before it, beside it
+    towards = world.camera.directions(pixels.astype(float)) @ pose.rotation.T
+    starts = np.tile(pose.translation_m, (3, 1))
+    light, _ = radiance(mirror_rays(starts, towards), room)
+    assert light == pytest.approx(seen[pixels[:, 1], pixels[:, 0]], rel=0.02)
+    up = mirror_rays(np.array([[0.0, 0, 1]]), np.array([[0.1, 0.2, 3.0]]))
+    assert radiance(up, room)[0] == pytest.approx(0.25), "the sky"
