@@ -22,7 +22,7 @@ from arfx.analyse.lens import side_blurs
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
 from arfx.analyse.pose.planar import both_poses
-from arfx.analyse.pose.visibility import ShotDetector, find_cuts
+from arfx.analyse.pose.shots import find_cuts, thumbnail, unlikeness
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, smallest_family
@@ -96,8 +96,7 @@ def inspect(
     whole = len(pts) <= READ_WHOLE
     detector = MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX)
     found: dict[str, Found] = {}
-    levels, clipped, dark, cuts = [], [], [], ShotDetector()
-    signal: list[tuple[float, float]] = []
+    levels, clipped, dark, thumbnails = [], [], [], []
     lowest, highest = (0, 255) if info.full_range else (16, 235)
     looked, read = [], 0
     with ClipReader(info) as reader:
@@ -109,7 +108,7 @@ def inspect(
             read += 1
             luma = frame.luma()
             if whole:
-                signal.append(cuts.step(luma))
+                thumbnails.append(thumbnail(luma))
                 if frame.index not in at:
                     continue
             looked.append(frame.index)
@@ -138,7 +137,11 @@ def inspect(
             "level_change": max(levels, default=0.0) - min(levels, default=0.0),
         },
         "cuts": (
-            find_cuts([a for a, _ in signal], [b for _, b in signal], [False] * len(signal))
+            find_cuts(
+                unlikeness(thumbnails, 1),
+                unlikeness(thumbnails, 2),
+                [False] * len(thumbnails),
+            )
             if whole
             else None
         ),

@@ -81,12 +81,12 @@ class Detection:
         return mean_side(self.corners_px)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Record:
     """One frame.
 
-    duplicates : further prints with a key that is in `detections` too;  dissimilarity :
-    ShotDetector's two numbers
+    duplicates : further prints with a key that is in `detections` too
+    thumbnail : (18, 32) uint8, the whole picture
     """
 
     index: int
@@ -94,7 +94,7 @@ class Record:
     detections: tuple[Detection, ...]
     duplicates: tuple[Detection, ...]
     whole: bool
-    dissimilarity: tuple[float, float]
+    thumbnail: np.ndarray
 
 
 def mean_side(quad: np.ndarray) -> float:

@@ -18,7 +18,7 @@ from arfx.analyse.markers.pattern import PatternPicture, coded_luma
 from arfx.analyse.markers.pictured import PicturedPrints
 from arfx.analyse.markers.scan import DictionaryScan
 from arfx.analyse.markers.tracker import Tracker
-from arfx.analyse.pose.visibility import ShotDetector
+from arfx.analyse.pose.shots import thumbnail
 from arfx.core.marker import MarkerSpec
 from arfx.errors import ConfigError, InputError, NothingToDoError
 
@@ -63,7 +63,7 @@ class Markers(Fold):
         self._coded = Tracker(CodedPrints(coded, job.params.detect_inverted))
         self._pictured = Tracker(PicturedPrints(prints, job.camera))
         self._refiner = EdgeRefiner(job.params.transfer)
-        self._cut, self._survey = ShotDetector(), DictionaryScan()
+        self._survey = DictionaryScan()
         self._others: Counter[str] = Counter()
         self._ever_seen = False
 
@@ -113,7 +113,7 @@ class Markers(Fold):
                 self.detections,
                 duplicates,
                 whole,
-                self._cut.step(luma),
+                thumbnail(luma),
             )
         )
         self._correct()
@@ -139,11 +139,7 @@ class Markers(Fold):
                     " before it are not"
                 )
             self.camera = later.camera
-        records, unlike = shifted(later.records, shift), self._cut.join(later._cut)
-        records[: len(unlike)] = [
-            replace(r, dissimilarity=d) for r, d in zip(records, unlike, strict=False)
-        ]
-        self.records += records
+        self.records += shifted(later.records, shift)
         self._refiner.join(later._refiner, shift)
         self._correct()
         self._others.update(later._others)

@@ -30,9 +30,9 @@ from arfx.analyse.pose.planar import (
     rms_px,
     stack,
 )
+from arfx.analyse.pose.shots import find_cuts, unlikeness
 from arfx.analyse.pose.smooth import smooth_poses
 from arfx.analyse.pose.visibility import (
-    find_cuts,
     opacities,
     visible_intervals,
     without_flickers,
@@ -463,8 +463,8 @@ def _shots(records: Sequence[Record]) -> np.ndarray:
                 if (old := known.get(s.key)) is not None
             )
         )
-    before, before_last = zip(*(r.dissimilarity for r in records), strict=True)
-    cuts = find_cuts(before, before_last, followed)
+    thumbnails = [r.thumbnail for r in records]
+    cuts = find_cuts(unlikeness(thumbnails, 1), unlikeness(thumbnails, 2), followed)
     return np.cumsum(np.isin(np.arange(len(records)), cuts))
 
 

@@ -1,18 +1,16 @@
 """When the object is there: measured frames, bridged gaps, absence and the fades at its
-ends; where a new shot begins; where in each frame the model can be seen, and how much its
-position in the picture jitters.
+ends; where in each frame the model can be seen, and how much its position in the picture
+jitters.
 
 Source: docs/methods/pose.md#presence."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
-from arfx.analyse.fold import Analysis, Fold, Stateful
+from arfx.analyse.fold import Analysis, Fold
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import EPS_DEPTH_M
@@ -21,13 +19,6 @@ from arfx.core.scene import Scene
 
 MIN_FRAMES = 3
 FADE_FRAMES = 5  # over which the object fades in and out around an absence
-THUMBNAIL = (32, 18)
-# 1 - correlation of thumbnails; hand-held clips stay below .1, unrelated pictures lie
-# around 1
-DISSIMILAR = 0.45
-_STANDS_OUT = 3.0
-# of a cut's dissimilarity: on one side of it at least, frames follow each other with less
-_CALM = 0.6
 # above this many vertices their convex hull is taken once: it projects to the same box
 _HULL_POINTS = 400
 
@@ -78,87 +69,6 @@ def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray) -> np.ndarra
             fade = np.minimum(fade, rise[::-1])
         out[first:end] = fade
     return out
-
-
-class ShotDetector(Stateful):
-    """Unlikeness of successive frames, 0 (same up to brightness and contrast) to 2."""
-
-    def __init__(self) -> None:
-        self._first: list[
-            np.ndarray
-        ] = []  # thumbnails of the first two frames, and of the last two
-        self._last: list[np.ndarray] = []
-
-    def step(self, luma: np.ndarray) -> tuple[float, float]:
-        """To the frame before, and to the one before that; 0 where there is none. luma :
-        (h, w) uint8.
-        """
-        step = max(
-            1, min(luma.shape[0] // (4 * THUMBNAIL[1]), luma.shape[1] // (4 * THUMBNAIL[0]))
-        )
-        thin = np.ascontiguousarray(luma[::step, ::step])
-        thumb = cv2.resize(thin, THUMBNAIL, interpolation=cv2.INTER_AREA)
-        return self._follow(thumb)
-
-    def _follow(self, thumb: np.ndarray) -> tuple[float, float]:
-        first, second = [
-            *(dissimilarity(thumb, old) for old in reversed(self._last)),
-            0.0,
-            0.0,
-        ][:2]
-        self._first = [*self._first, thumb][:2]
-        self._last = [*self._last, thumb][-2:]
-        return first, second
-
-    def join(self, later: ShotDetector) -> list[tuple[float, float]]:
-        """Add the next stretch. What `step` would have returned of its first frames, two at most"""
-        unlike = [self._follow(thumb) for thumb in later._first]
-        if len(later._last) == 2:
-            self._last = later._last
-        return unlike
-
-
-def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:
-    """1 - correlation of two pictures of one size; flat pictures are compared by their
-    level alone.
-    """
-    levels = float(a.mean()), float(b.mean())
-    x, y = (v.ravel() - level for v, level in zip((a, b), levels, strict=True))
-    sx, sy = math.sqrt(x @ x / x.size), math.sqrt(y @ y / y.size)
-    least, most = sorted((sx, sy))
-    if least < 2.0:  # less contrast than noise: no structure to compare
-        same = most < 2.0 and abs(levels[0] - levels[1]) < 20
-        return 0.0 if same else float(most > 8.0)
-    return 1.0 - float(x @ y / (x.size * sx * sy))
-
-
-def find_cuts(
-    before: Sequence[float], before_last: Sequence[float], followed: Sequence[bool]
-) -> list[int]:
-    """Frames that begin a new shot.
-
-    before, before_last : ShotDetector of every frame;  followed : a marker moved on
-    smoothly from the frame before
-    """
-    cuts = []
-    n = len(before)
-    for k in range(1, n):
-        if before[k] < DISSIMILAR or followed[k]:
-            continue
-        # the next frame is like the last one, a flash or one broken frame; or back from
-        # such a frame
-        if any(before_last[i] < DISSIMILAR / 2 for i in (k, k + 1) if 2 <= i < n):
-            continue
-        near, beside = (
-            [before[i] for i in range(max(1, k - reach), min(n, k + reach + 1)) if i != k]
-            for reach in (4, 1)
-        )
-        if near and before[k] < _STANDS_OUT * float(np.median(near)):
-            continue
-        if beside and min(beside) > _CALM * before[k]:
-            continue  # the midst of a quick move
-        cuts.append(k)
-    return cuts
 
 
 class ModelBox(Fold):

@@ -15,6 +15,7 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.marker_codes import dictionary
 from arfx.core.pose import Pose, rotation_from_rotvec
 
+THUMBNAIL = np.random.default_rng(0).integers(0, 256, (18, 32), np.uint8)
 FACING = np.diag([1.0, -1.0, -1.0])  # a marker that looks straight into the camera
 
 
@@ -58,7 +59,7 @@ def records(
             if px is not None and visible(k, m):
                 sigma = max(claimed_px if claimed_px is not None else noise_px, 0.01)
                 seen.append(Detection(m.key, px + noise, sigma, 0.8, False))
-        out.append(Record(k, float(t), tuple(seen), (), False, (0.0, 0.0)))
+        out.append(Record(k, float(t), tuple(seen), (), False, THUMBNAIL))
     return out
 
 

@@ -22,10 +22,8 @@ from arfx.analyse.pose.at_rest import (
 from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.planar import stack
+from arfx.analyse.pose.shots import dissimilarity, find_cuts, thumbnail, unlikeness
 from arfx.analyse.pose.visibility import (
-    ShotDetector,
-    dissimilarity,
-    find_cuts,
     jitter_px,
     opacities,
     visible_intervals,
@@ -90,7 +88,7 @@ def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
             wrong.key, wrong.corners_px + np.array([90, -60]), wrong.sigma_px, 0.8, False
         ),
     )
-    rec[20] = Record(20, rec[20].time_s, seen, (), False, (0.0, 0.0))
+    rec[20] = Record(20, rec[20].time_s, seen, (), False, rec[20].thumbnail)
     a = solve(rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, [])
     assert a.summary["map"]["given"] and a.summary["dropped"] == 1
     assert np.degrees(rotation_angle_rad(a.facts[20].camera_from_world, ORBIT[20])) < 0.3  # type: ignore[arg-type]
@@ -201,10 +199,9 @@ def test_cut_is_found_flash_and_pan_are_not() -> None:
     white = np.full_like(one, 255)
 
     def cuts(clip: list[np.ndarray], followed: bool = False) -> list[int]:
-        signal = ShotDetector()
-        values = [signal.step(f) for f in clip]
+        thumbnails = [thumbnail(f) for f in clip]
         return find_cuts(
-            [v[0] for v in values], [v[1] for v in values], [followed] * len(clip)
+            unlikeness(thumbnails, 1), unlikeness(thumbnails, 2), [followed] * len(clip)
         )
 
     assert cuts([*shift, *[two] * 5]) == [10]

@@ -5,6 +5,7 @@ a cut.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad
-from tests.unit.analyse.synthetic import camera, records, tilted
+from tests.unit.analyse.synthetic import THUMBNAIL, camera, records, tilted
 
 M = MarkerSpec("36h11", 3, 0.16)
 CAM = camera()
@@ -281,8 +282,8 @@ def test_cut_is_not_smoothed_over_and_times_may_be_uneven() -> None:
         tilted([-0.4, 0.2, 1.0], [0.05, 0.1 * np.sin(t), away(60)]) for t in times[50:]
     ]
     rec = records(CAM, truth, times, {M: Pose.identity()}, 0.05)
-    for k, dissimilarity in ((50, (1.0, 1.0)), (51, (0.0, 1.0))):
-        rec[k] = Record(k, rec[k].time_s, rec[k].detections, (), False, dissimilarity)
+    other = rng.integers(0, 256, THUMBNAIL.shape, np.uint8)
+    rec[50:] = [replace(r, thumbnail=other) for r in rec[50:]]
     a = analysed(rec)
     assert a.summary["cuts"] == [50] and [f.shot for f in a.facts] == [0] * 50 + [1] * 50
     deg, mm = pose_errors(a.facts, truth, raw=False)

@@ -1,0 +1,79 @@
+"""Where a new shot begins: frames that are unlike those before them, while no marker moves on.
+
+Source: docs/methods/pose.md#presence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+THUMBNAIL = (32, 18)
+# 1 - correlation of thumbnails; hand-held clips stay below .1, unrelated pictures lie
+# around 1
+DISSIMILAR = 0.45
+_STANDS_OUT = 3.0
+# of a cut's dissimilarity: on one side of it at least, frames follow each other with less
+_CALM = 0.6
+
+
+def thumbnail(luma: np.ndarray) -> np.ndarray:
+    """(18, 32) uint8 of luma (h, w) uint8."""
+    step = max(
+        1, min(luma.shape[0] // (4 * THUMBNAIL[1]), luma.shape[1] // (4 * THUMBNAIL[0]))
+    )
+    thin = np.ascontiguousarray(luma[::step, ::step])
+    return cv2.resize(thin, THUMBNAIL, interpolation=cv2.INTER_AREA)
+
+
+def unlikeness(thumbnails: Sequence[np.ndarray], apart: int) -> list[float]:
+    """Of each frame's thumbnail the dissimilarity to that of the frame so many before it, 0
+    where there is none."""
+    pairs = zip(thumbnails[apart:], thumbnails, strict=False)
+    found = [0.0] * apart + [dissimilarity(a, b) for a, b in pairs]
+    return found[: len(thumbnails)]
+
+
+def dissimilarity(a: np.ndarray, b: np.ndarray) -> float:
+    """1 - correlation of two pictures of one size, 0 (same up to brightness and contrast) to
+    2; flat pictures are compared by their level alone.
+    """
+    levels = float(a.mean()), float(b.mean())
+    x, y = (v.ravel() - level for v, level in zip((a, b), levels, strict=True))
+    sx, sy = math.sqrt(x @ x / x.size), math.sqrt(y @ y / y.size)
+    least, most = sorted((sx, sy))
+    if least < 2.0:  # less contrast than noise: no structure to compare
+        same = most < 2.0 and abs(levels[0] - levels[1]) < 20
+        return 0.0 if same else float(most > 8.0)
+    return 1.0 - float(x @ y / (x.size * sx * sy))
+
+
+def find_cuts(
+    before: Sequence[float], before_last: Sequence[float], followed: Sequence[bool]
+) -> list[int]:
+    """Frames that begin a new shot.
+
+    before, before_last : `unlikeness` to the frame before, and to the one before that
+    followed : a marker moved on smoothly from the frame before
+    """
+    cuts = []
+    n = len(before)
+    for k in range(1, n):
+        if before[k] < DISSIMILAR or followed[k]:
+            continue
+        # the next frame is like the last one, a flash or one broken frame; or back from
+        # such a frame
+        if any(before_last[i] < DISSIMILAR / 2 for i in (k, k + 1) if 2 <= i < n):
+            continue
+        near, beside = (
+            [before[i] for i in range(max(1, k - reach), min(n, k + reach + 1)) if i != k]
+            for reach in (4, 1)
+        )
+        if near and before[k] < _STANDS_OUT * float(np.median(near)):
+            continue
+        if beside and min(beside) > _CALM * before[k]:
+            continue  # the midst of a quick move
+        cuts.append(k)
+    return cuts
