@@ -1,13 +1,13 @@
 """What is learned of a clip, each thing by a fold: it is fed the frames of a stretch of the
-clip in order. What the folds of all stretches learned is joined, in order, and says what it
-means when the whole clip is known."""
+clip in order, and makes rows of tables. It says what the rows of all stretches mean when the
+whole clip is known."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from arfx.core.scene import Scene
 from arfx.core.stage import Check
 
 MARKER, PLANE = "marker", "plane"  # what the object stands on
-T = TypeVar("T")
 PLANE_MARKER = MarkerSpec(
     PLANE, 0, 0.1
 )  # in place of a marker; its square is that beside which the plane's radiance is read
@@ -164,57 +163,24 @@ class Analysis:
         )
 
 
-class Stateful:
-    """Its state is what it learned: all attributes but these two kinds. `core.codec` must
-    be able to write it; parts that are Stateful have their own.
-
-    given : names of the attributes that the constructor's arguments make and no frame changes
-    carried : of those that go from one frame to the next, and begin anew with every stretch
-    """
-
-    given: ClassVar[frozenset[str]] = frozenset()
-    carried: ClassVar[frozenset[str]] = frozenset()
-
-    def state(self) -> dict[str, Any]:
-        """By attribute. It is shared with the object: to be written before the next frame."""
-        left_out = self.given | self.carried
-        kept = {
-            k: v
-            for k, v in vars(self).items()
-            if k not in left_out and not isinstance(v, Fold)
-        }
-        return {k: v.state() if isinstance(v, Stateful) else v for k, v in kept.items()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Take over `state` of an object that was made with the same arguments."""
-        for k, v in state.items():
-            mine = getattr(self, k)
-            if isinstance(mine, Stateful):
-                mine.restore(v)
-            else:
-                setattr(self, k, v)
-
-
-class Fold(Stateful):
-    """One thing that is learned of a clip. An attribute that is another fold is no part of
-    its state.
+class Fold:
+    """One thing that is learned of a clip. What it takes from frames are rows, in lists that
+    begin with the frame's number; all else that it keeps goes from one frame to the next, and
+    begins anew with every part of the clip.
 
     name : what stages (`Stage.facts`) and other folds ask for;  needs : the folds that its
-    constructor is given; they have seen
-    a frame, and are finished, before it"""
+    constructor is given; they have seen a frame, and are finished, before it
+    rows : attributes that are lists of rows, and of which kind"""
 
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
-    given = frozenset({"job"})
+    rows: ClassVar[Mapping[str, type]] = {}
 
     def __init__(self, job: AnalysisJob, *needed: Fold) -> None:
         self.job = job
 
     def step(self, frame: AnalysisFrame) -> None:
         """Take the next frame."""
-
-    def join(self, later: Self, shift: int) -> None:
-        """Add what the next stretch learned. shift : to be added to its frames' numbers"""
 
     def finish(self, clip: Analysis) -> Analysis:
         """The clip with what was learned."""
@@ -224,17 +190,3 @@ class Fold(Stateful):
     def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterable[Check]:
         """Its estimates, from what it left in the clip. Nothing where it was not asked for."""
         return ()
-
-
-def shifted(items: Sequence[T], shift: int) -> list[T]:
-    """Tuples and dataclasses whose first field is the number of a frame, with `shift` added
-    to it.
-    """
-
-    def moved(item: Any) -> Any:
-        if isinstance(item, tuple):
-            return (item[0] + shift, *item[1:])
-        first = fields(item)[0].name
-        return replace(item, **{first: getattr(item, first) + shift})
-
-    return [moved(item) for item in items] if shift else list(items)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import reduce
-from typing import Any
 
 from arfx.analyse.depth.plane_pose import PlanePose, RealPlanes
 from arfx.analyse.depth.scale import Depth
@@ -19,6 +18,7 @@ from arfx.analyse.markers.fold import Markers
 from arfx.analyse.motion.advection import Advection
 from arfx.analyse.pose.fold import MarkerPose
 from arfx.analyse.pose.visibility import ModelBox
+from arfx.analyse.tables import Tables, by_columns, rows_of
 
 # Every fold behind those that it needs. On a plane there are no markers, nor what needs them.
 FOLDS: dict[str, type[Fold]] = {
@@ -53,8 +53,8 @@ class Analyser:
     """Feed frames in order with `step`, then call `finish`. wanted : names of folds; what
     this job cannot have is left out
 
-    Or feed each stretch of a clip to an analyser of its own, and `join` these in order to one
-    that saw no frame.
+    Or feed each stretch of a clip to an analyser of its own, and `add` the tables of these in
+    order to one that saw no frame.
 
     Raises ConfigError for no marker, the same one twice, or a map that lacks one."""
 
@@ -76,10 +76,20 @@ class Analyser:
         for fold in self.folds.values():
             fold.step(frame)
 
-    def join(self, later: Analyser, shift: int = 0) -> None:
-        """Add the next stretch. shift : to be added to its frames' numbers"""
-        for name, fold in self.folds.items():
-            fold.join(later.folds[name], shift)
+    def tables(self) -> Tables:
+        """What the frames showed: the rows of every fold, by "fold/attribute"."""
+        return {
+            f"{fold.name}/{name}": by_columns(getattr(fold, name), kind)
+            for fold in self.folds.values()
+            for name, kind in fold.rows.items()
+        }
+
+    def add(self, tables: Tables, shift: int = 0) -> None:
+        """Add what the next frames showed. shift : to be added to their numbers"""
+        for fold in self.folds.values():
+            for name, kind in fold.rows.items():
+                rows = rows_of(tables[f"{fold.name}/{name}"], kind, shift)
+                getattr(fold, name).extend(rows)
 
     def finish(self, clip: Analysis | None = None) -> Analysis:
         """clip : what is known of it beside the frames.
@@ -89,10 +99,3 @@ class Analyser:
         return reduce(
             lambda clip, fold: fold.finish(clip), self.folds.values(), clip or Analysis()
         )
-
-    def state(self) -> dict[str, Any]:
-        return {name: fold.state() for name, fold in self.folds.items()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        for name, fold in self.folds.items():
-            fold.restore(state[name])

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Self
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.markers.corners import linear_table
 from arfx.analyse.markers.fold import Markers
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens_fit import LensFit, lens_from_blur
@@ -38,7 +39,6 @@ _FAINT = 20.0  # light (of 255) across an edge
 _STRAY = 0.25  # share of the gradient's size that lies outside of the edge
 _ROUNDS = 10
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
-Readings = Sequence[tuple[int, str, np.ndarray, np.ndarray]]
 _SIGMA_PX, _SIGMA_FRACTION = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
 
 
@@ -125,35 +125,46 @@ def _deviation(
     )
 
 
+class SideBlurs(NamedTuple):
+    """The blur of a print's sides, (4,) px, in one frame, in the values of a transfer;
+    corners (4, 2) px"""
+
+    frame: int
+    transfer: str
+    key: str
+    blurs: np.ndarray
+    corners: np.ndarray
+
+
 class FootageLens(Fold):
-    """readings : (frame, marker key, (4,) blur of its sides px, corners (4, 2) px) in order"""
+    """The lens behind the footage's blur."""
 
     name = "lens"
     needs = ("markers", "pose")
+    rows: ClassVar[Mapping[str, type]] = {"readings": SideBlurs}
 
     def __init__(self, job: AnalysisJob, markers: Markers, pose: Fold) -> None:
         super().__init__(job)
         self._markers = markers
-        self.readings: list[tuple[int, str, np.ndarray, np.ndarray]] = []
+        self.readings: list[SideBlurs] = []
 
     def step(self, frame: AnalysisFrame) -> None:
-        for s in self._markers.detections:
-            family = s.key.rpartition(":")[0]
-            if family not in FAMILIES:  # a pattern: nothing is known of the edges around it
+        for s in self._markers.shown:
+            corners = s.print.corners_px
+            family = s.print.key.rpartition(":")[0]
+            # nothing is known of the edges around a pattern
+            if s.duplicate or family not in FAMILIES:
                 continue
-            blur = side_blurs(
-                frame.luma, s.corners_px, cells_per_side(family), self._markers.table
-            )
-            if np.isfinite(blur).any():
-                self.readings.append((frame.index, s.key, blur, s.corners_px))
-
-    def join(self, later: Self, shift: int) -> None:
-        self.readings += shifted(later.readings, shift)
+            table = linear_table(s.transfer)
+            blurs = side_blurs(frame.luma, corners, cells_per_side(family), table)
+            if np.isfinite(blurs).any():
+                row = SideBlurs(frame.index, s.transfer, s.print.key, blurs, corners)
+                self.readings.append(row)
 
     def finish(self, clip: Analysis) -> Analysis:
-        fit = footage_lens(
-            clip.facts, self.readings, self.job.markers, clip.world_from_marker
-        )
+        transfer = clip.summary["edge_transfer"]
+        readings = [r for r in self.readings if r.transfer == transfer]
+        fit = footage_lens(clip.facts, readings, self.job.markers, clip.world_from_marker)
         notice = (
             None
             if fit.known
@@ -166,14 +177,14 @@ class FootageLens(Fold):
 
 def footage_lens(
     facts: Sequence[FrameFacts],
-    readings: Readings,
+    readings: Sequence[SideBlurs],
     markers: Sequence[Marker],
     world_from_marker: Mapping[str, Pose],
 ) -> LensFit:
     corners_m = {m.key: m.corners_m for m in markers}
     before: dict[str, tuple[int, np.ndarray]] = {}
     rows = []
-    for number, key, blurs, corners in readings:
+    for number, _, key, blurs, corners in readings:
         last, before[key] = before.get(key), (number, corners)
         fact = facts[number]
         if (

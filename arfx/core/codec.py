@@ -1,90 +1,18 @@
-"""What is written down and read again: state as bytes, exactly (`dumps`), and dataclasses
-as JSON (`Document`).
-
-State, from one process to the next, keeps type, bits and order: it is pickled, but for
-arrays, of which type, shape and bytes are. What is read can only be plain values, numeric
-arrays and scalars, Counters and dataclasses of arfx: no file names code to run. A file
-begins with its format and a digest of the rest: one of another version, or a damaged one,
-is refused as a whole."""
+"""Dataclasses as JSON, and back: `Document`, by pydantic, with annotations for what JSON has
+no words for."""
 
 from __future__ import annotations
 
 import base64
-import hashlib
-import io
 import math
-import pickle
-import sys
-import zlib
-from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter
 from pydantic_core import core_schema
-
-FORMAT = b"arfx state 2\n"
-_DIGEST_BYTES = 16
-
-
-class _Pickler(pickle.Pickler):
-    def persistent_id(self, v: Any) -> Any:
-        if not isinstance(v, np.ndarray | np.generic):
-            return None
-        if v.dtype.kind not in "biufc":
-            raise TypeError(f"an array of {v.dtype} cannot be stored")
-        order: Any = "F" if v.flags.fnc else "C"  # sums may depend on it
-        return isinstance(v, np.generic), v.dtype.str, v.shape, order, v.tobytes(order)
-
-    def reducer_override(self, v: Any) -> Any:
-        if isinstance(v, type | Counter):
-            return NotImplemented
-        if is_dataclass(v):  # by its fields: what it keeps beside them differs
-            return type(v), tuple(getattr(v, f.name) for f in fields(v))
-        raise TypeError(f"{type(v).__name__} cannot be stored")
-
-
-class _Unpickler(pickle.Unpickler):
-    def persistent_load(self, saved: Any) -> Any:
-        scalar, dtype, shape, order, data = saved
-        array = np.frombuffer(data, dtype).reshape(shape, order=order).copy(order)
-        return array[()] if scalar else array
-
-    def find_class(self, module: str, name: str) -> Any:
-        kind = getattr(sys.modules.get(module), name, None)
-        ours = module.startswith("arfx.") and isinstance(kind, type) and is_dataclass(kind)
-        if ours or kind is Counter:
-            return kind
-        raise pickle.UnpicklingError(f"{module}.{name} is not taken")
-
-
-def dumps(value: Any) -> bytes:
-    """Raises TypeError for a value of a type that is not taken."""
-    plain = io.BytesIO()
-    pickler = _Pickler(plain, 5)
-    pickler.fast = True  # without references: equal values give equal bytes
-    pickler.dump(value)
-    body = zlib.compress(plain.getvalue(), 1)
-    return FORMAT + _digest(body) + body
-
-
-def loads(data: bytes) -> Any:
-    """What `dumps` was given; arrays are new and writable. Raises ValueError for other data."""
-    head = len(FORMAT) + _DIGEST_BYTES
-    digest, body = data[len(FORMAT) : head], data[head:]
-    if not data.startswith(FORMAT) or digest != _digest(body):
-        raise ValueError("not a state of this version, or damaged")
-    try:
-        return _Unpickler(io.BytesIO(zlib.decompress(body))).load()
-    except Exception as e:  # whole, but of other classes
-        raise ValueError(f"not a state of these classes: {e}") from e
-
-
-def _digest(body: bytes) -> bytes:
-    return hashlib.blake2b(body, digest_size=_DIGEST_BYTES).digest()
 
 
 class Document:

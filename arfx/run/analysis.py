@@ -14,7 +14,7 @@ from typing import Any
 
 from arfx.analyse.fold import Analysis, AnalysisJob
 from arfx.analyse.folds import Analyser
-from arfx.core import codec
+from arfx.analyse.tables import Tables, from_bytes, rows_of, to_bytes
 from arfx.core.waiting import Progress
 from arfx.media.clip import ClipInfo
 from arfx.media.frames import (
@@ -28,14 +28,18 @@ from arfx.run.executors import Done, Results, Task, run_serial
 from arfx.run.folder import JobFolder, digest, write
 from arfx.run.source import release
 from arfx.run.stretches import (
+    END,
+    FRAMES,
     Context,
     Span,
     Stretch,
+    StretchEnd,
     Stretches,
+    StretchFrame,
     analyse_stretch,
     cut,
     keep,
-    made,
+    observe,
     whole,
 )
 from arfx.run.times import ANALYSIS, STRETCH, WorkLog
@@ -118,7 +122,7 @@ class _Pass:
         self.folder, self.key, self.log = folder, key, log
         self.analyser = Analyser(context.job, context.wanted)
         self.pts, self.keys = list[int](), list[int]()
-        self.before, self.ended, self.truncated = stretches.before, False, None
+        self.before, self.ended, self.truncated = stretches.before, False, ""
         self.seconds: Any = Counter()
         self.walls, self.names = dict[str, float](), list[str]()
         self._progress, self._shown = progress, 0
@@ -196,14 +200,15 @@ class _Pass:
         while self._next < len(parts) and parts[self._next].first in self._ready:
             part = parts[self._next]
             start = time.perf_counter()
-            found, name, own_s = self._found(part)
-            later = Analyser(self.context.job, self.context.wanted)
-            later.restore(found["folds"])
-            self.analyser.join(later, len(self.pts) - part.first)
-            self.keys += [len(self.pts) + k for k in found["keys"]]
-            self.pts += found["pts"]
-            self.before += found["before"]
-            self.ended, self.truncated = found["ended"], found["truncated"]
+            tables, name, own_s = self._tables(part)
+            first = len(self.pts)
+            self.analyser.add(tables, first - part.first)
+            frames = rows_of(tables[FRAMES], StretchFrame, first)
+            self.keys += [f.frame for f in frames if f.key]
+            self.pts += [f.pts for f in frames]
+            (end,) = rows_of(tables[END], StretchEnd)
+            self.before += end.before
+            self.ended, self.truncated = end.ended, end.truncated
             self._next += 1
             self.names.append(name)
             if row := self._rows.get(name):
@@ -213,23 +218,23 @@ class _Pass:
                         self.walls[process] = max(self.walls.get(process, 0.0), wall_s)
             self.seconds.update({"analyse": time.perf_counter() - start - own_s})
 
-    def _found(self, part: Stretch) -> tuple[dict[str, Any], str, float]:
-        """(what a stretch holds, name of its file, seconds that it took to make it now).
+    def _tables(self, part: Stretch) -> tuple[Tables, str, float]:
+        """(what a stretch shows, name of its file, seconds that it took to make it now).
 
         From its file, if that is whole.
         """
         path = self._path(part)
         with contextlib.suppress(OSError, ValueError):
-            found = codec.loads(path.read_bytes())
-            if isinstance(found, dict) and isinstance(found.get("folds"), dict):
-                return found, path.name, 0.0
+            tables = from_bytes(path.read_bytes())
+            if END in tables:
+                return tables, path.name, 0.0
         start = time.perf_counter()
-        found, seconds = made(self.context, part, self._tick, True)
-        write(path, codec.dumps(found))
+        tables, seconds = observe(self.context, part, self._tick, True)
+        write(path, to_bytes(tables))
         self._note(
             path.name, {"first": part.first, "last": part.last, "seconds": seconds, **who()}
         )
-        return found, path.name, time.perf_counter() - start
+        return tables, path.name, time.perf_counter() - start
 
     def _path(self, part: Stretch) -> Path:
         name = digest(

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from arfx.analyse.fold import MARKER, Analysis, AnalysisJob
+from arfx.analyse.tables import to_bytes
 from arfx.config.sections import JobConfig, frozen
-from arfx.core import codec, interrupt
+from arfx.core import interrupt
 from arfx.core.cost import load_prices
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.machine import usable_cores
@@ -39,7 +40,7 @@ from arfx.run.keys import job_keys
 from arfx.run.model_size import check_size
 from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
 from arfx.run.place import Places
-from arfx.run.planned import ClipAnalysis, Job, JobPlan, places_in_words
+from arfx.run.planned import MAPS, ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
 from arfx.run.schedule import Chunk, borders, find_chunk
 from arfx.run.stretches import analyse_stretch
@@ -328,7 +329,7 @@ def _analyse(
     for notice in notices:
         options.notice(notice)
     write_facts(folder.facts, clip.facts)
-    write(folder.environment, codec.dumps(dict(clip.environment_maps)))
+    write(folder.environment, to_bytes({MAPS: dict(clip.environment_maps)}))
     ClipAnalysis(
         done.pts,
         done.keys,

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from arfx.analyse.tables import from_bytes
 from arfx.config.sections import JobConfig
-from arfx.core import codec
 from arfx.core.camera import Camera
 from arfx.core.codec import Document
 from arfx.core.cost import Prices
@@ -23,6 +23,7 @@ from arfx.run.folder import JobFolder, write
 from arfx.run.inputs import Inputs, make_scene
 from arfx.run.times import WorkLog
 
+MAPS = "maps"  # the table of a clip's surroundings, in a file of their own
 _PLACES_SAID = 5  # places, of those where frames are missing
 
 
@@ -65,7 +66,8 @@ class ClipAnalysis(Document):
             self.static,
             self.real_planes,
         )
-        return replace(scene, environment_maps=codec.loads(folder.environment.read_bytes()))
+        maps = from_bytes(folder.environment.read_bytes()).get(MAPS, {})
+        return replace(scene, environment_maps=maps)
 
     def write(self, folder: JobFolder) -> None:
         write(folder.frames, json.dumps(self.to_json(), default=float))

@@ -17,13 +17,13 @@ from collections.abc import Callable, Collection, Generator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
-from arfx.core import codec
+from arfx.analyse.tables import Tables, by_columns, to_bytes
 from arfx.core.camera import Camera
 from arfx.core.codec import Document, Packed
 from arfx.core.colour import Transfer
@@ -250,8 +250,7 @@ def analyse_stretch(
     alone: bool = False,
     paths: Paths = (),
 ) -> dict[str, Any]:
-    """Analyse frames first … last into a file that appears when it is whole: what `made`
-    returns, as `core.codec` writes it.
+    """Analyse frames first … last into a file of tables that appears when it is whole.
 
     target : its path;  alone : no other one is analysed meanwhile, so that decoding gets
     threads of its own
@@ -262,13 +261,13 @@ def analyse_stretch(
     context = open_context(folder, key, paths)
     stretch = next(s for s in context.stretches.parts if (s.first, s.last) == (first, last))
     try:
-        found, seconds = made(context, stretch, tick, alone)
+        tables, seconds = observe(context, stretch, tick, alone)
     except FrameDamageError:
         if stretch.begins is None:
             raise
         # a strict decoder that began in an open group may miss what it needs not
-        found, seconds = made(context, stretch, tick, alone, seeks=False)
-    write(Path(target), codec.dumps(found))
+        tables, seconds = observe(context, stretch, tick, alone, seeks=False)
+    write(Path(target), to_bytes(tables))
     return {
         "file": Path(target).name,
         "first": first,
@@ -280,28 +279,43 @@ def analyse_stretch(
     }
 
 
-def made(
+class StretchFrame(NamedTuple):
+    """A frame of a stretch. frame : from 0;  key : decoding can begin there"""
+
+    frame: int
+    pts: int
+    key: bool
+
+
+class StretchEnd(NamedTuple):
+    (
+        """How a stretch ended. before : frames of the clip that were decoded before the span;
+    ended : it reaches the clip's end;  truncated : why early, or """
+        ""
+    )
+
+    before: int
+    ended: bool
+    truncated: str
+
+
+FRAMES, END = "stretch/frames", "stretch/end"
+
+
+def observe(
     context: Context,
     stretch: Stretch,
     tick: Tick,
     alone: bool,
     seeks: bool = True,
-) -> tuple[dict[str, Any], dict[str, float]]:
-    """What a stretch is found to hold, and seconds.
+) -> tuple[Tables, dict[str, float]]:
+    """What the frames of a stretch show, and seconds: the tables of its `Analyser`, and of
+    StretchFrame and StretchEnd.
 
-    seeks : else the clip is decoded from its start
-    {"folds": `Analyser.state`, "pts": of its frames, "keys": numbers in it of key frames,
-    "before": frames of the clip that were decoded before the span, "ended": it reaches the
-    clip's end, "truncated": why early}"""
+    seeks : else the clip is decoded from its start"""
     analyser = Analyser(context.job, context.wanted)
-    pts, keys = list[int](), list[int]()
-    out: dict[str, Any] = {
-        "pts": pts,
-        "keys": keys,
-        "before": 0,
-        "ended": False,
-        "truncated": None,
-    }
+    shown = list[StretchFrame]()
+    end = StretchEnd(0, False, "")
     careful = context.stretches.careful
     source = stretch_at(context.span.info, stretch.begins, alone, careful, seeks)
     decoded_s, analyse_s = source.seconds, 0.0
@@ -315,23 +329,23 @@ def made(
             raise FrameTimesError(f"{context.span.info.path}: frame times go backwards")
 
     def frames() -> Generator[Frame]:
+        nonlocal end
         for frame in source:
             check()
             if context.span.behind(frame.pts):
                 return
             if context.span.before(frame.pts):
-                out["before"] += 1
+                end = end._replace(before=end.before + 1)
             else:
                 yield frame
         check()
-        out["ended"], out["truncated"] = True, source.reader.truncated
+        end = end._replace(ended=True, truncated=source.reader.truncated or "")
 
-    def shown(frame: Frame, following: Frame | None = None) -> AnalysisFrame:
-        luma, after = (
-            np.ascontiguousarray(frame.luma()),
-            None if following is None else following.luma,
-        )
-        return AnalysisFrame(stretch.first + len(pts), frame.time_s, luma, frame, after)
+    def step(frame: Frame, following: Frame | None) -> None:
+        luma = np.ascontiguousarray(frame.luma())
+        after = None if following is None else following.luma
+        index = stretch.first + len(shown)
+        analyser.step(AnalysisFrame(index, frame.time_s, luma, frame, after))
 
     with contextlib.closing(frames()) as all_frames:
         frame = next(all_frames, None)
@@ -341,12 +355,14 @@ def made(
                 break
             following = next(all_frames, None)
             start = time.perf_counter()
-            analyser.step(shown(frame, following))
+            step(frame, following)
             analyse_s += time.perf_counter() - start
-            if frame.key:
-                keys.append(len(pts))
-            pts.append(frame.pts)
+            shown.append(StretchFrame(len(shown), frame.pts, frame.key))
             tick()
             frame = following
-    out["folds"] = analyser.state()
-    return out, {"decode": source.seconds - decoded_s, "analyse": analyse_s}
+    tables = {
+        **analyser.tables(),
+        FRAMES: by_columns(shown, StretchFrame),
+        END: by_columns([end], StretchEnd),
+    }
+    return tables, {"decode": source.seconds - decoded_s, "analyse": analyse_s}

@@ -4,9 +4,9 @@ marker says it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from arfx.analyse.fold import (
     AnalysisJob,
     Fold,
 )
-from arfx.analyse.pose.at_rest import RestCheck
+from arfx.analyse.pose.at_rest import RestCheck, RestMotion, RestPicture, rests
 from arfx.analyse.pose.fold import figures
 from arfx.core.facts import INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.pose import Pose
@@ -28,42 +28,46 @@ from arfx.errors import NothingToDoError
 MAPS = 4  # that planes are looked for in, over the clip
 
 
+class FrameTime(NamedTuple):
+    frame: int
+    time_s: float
+
+
 class PlanePose(Fold):
     """Every frame's pose over the dominant plane, whose middle is the world's origin: of a
-    camera at rest, or of given poses.
-
-    times_s : of the frames;  rest : whether the camera stands still"""
+    camera at rest, or of given poses."""
 
     name = "pose"
+    rows: ClassVar[Mapping[str, type]] = {
+        "times": FrameTime,
+        "pictures": RestPicture,
+        "motions": RestMotion,
+    }
 
     def __init__(self, job: AnalysisJob) -> None:
         super().__init__(job)
-        self.times_s: list[float] = []
-        self.rest = RestCheck()
+        self.times: list[FrameTime] = []
+        self._rest = RestCheck()
+        self.pictures, self.motions = self._rest.pictures, self._rest.motions
 
     def step(self, frame: AnalysisFrame) -> None:
         if self.job.poses is None:
-            self.rest.step(frame.time_s, frame.luma)
-        self.times_s.append(frame.time_s)
-
-    def join(self, later: Self, shift: int) -> None:
-        self.times_s += later.times_s
-        self.rest.join(later.rest)
+            self._rest.step(frame.index, frame.time_s, frame.luma)
+        self.times.append(FrameTime(frame.index, frame.time_s))
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError: no plane, or a camera that moves and no poses."""
         maps, camera, given = self.job.depth, self.job.camera, self.job.poses
         assert maps is not None
-        if given is None and not self.rest.rests:
+        still, moved_px = rests(self.pictures, self.motions)
+        if given is None and not still:
             raise NothingToDoError(
-                f"--anchor plane: the camera moves ({self.rest.moved_px:.1f} px), and no"
+                f"--anchor plane: the camera moves ({moved_px:.1f} px), and no"
                 " poses are given",
                 "--poses FILE (tx ty tz qx qy qz qw a frame), a camera at rest, or a"
                 " marker",
             )
-        poses: list[tuple[Pose, bool] | None] = [(Pose.identity(), True)] * len(
-            self.times_s
-        )
+        poses: list[tuple[Pose, bool] | None] = [(Pose.identity(), True)] * len(self.times)
         if given is not None:
             poses = given.of_frames(*clip.frame_span, self.job.params.max_gap_s)
         if not any(poses):
@@ -95,7 +99,7 @@ class PlanePose(Fold):
                 " use a marker",
             )
         plane = level[0].real_plane()
-        facts = [FrameFacts(k, t) for k, t in enumerate(self.times_s)]
+        facts = [FrameFacts(k, t) for k, t in self.times]
         for k, pose in enumerate(poses):
             if pose is not None:
                 stands, status = (
@@ -108,7 +112,7 @@ class PlanePose(Fold):
                     raw_camera_from_world=stands,
                     opacity=1.0,
                 )
-        evidence = {"moved_px": self.rest.moved_px} if given is None else {}
+        evidence = {"moved_px": moved_px} if given is None else {}
         about = {
             "kind": PLANE,
             "poses": "a camera at rest" if given is None else "given",

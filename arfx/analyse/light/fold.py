@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from arfx.analyse.fold import (
     AnalysisJob,
     Fold,
     Picture,
-    Stateful,
-    shifted,
 )
 from arfx.analyse.light import patches
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
@@ -49,7 +47,15 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.rect import Rect
 from arfx.core.stage import Check
 
-Reading = tuple[int, str, patches.Patches]
+
+class Reading(NamedTuple):
+    """A print's cells in one frame."""
+
+    frame: int
+    key: str
+    cells: patches.Patches
+
+
 # intensity, variance, clipped share and albedo of the patches
 Solve = Callable[
     [np.ndarray, np.ndarray, np.ndarray, np.ndarray, LightParams],
@@ -71,11 +77,14 @@ LEAST_FACING = 0.15
 
 
 class LightOfMarkers(Fold):
-    """readings : (frame, marker key, Patches) in order"""
+    """samples : of the surroundings"""
 
     name = "light"
     needs: ClassVar[tuple[str, ...]] = ("markers", "pose")
-    given = frozenset({"job", "_meters"})
+    rows: ClassVar[Mapping[str, type]] = {
+        "readings": Reading,
+        "samples": EnvironmentSample,
+    }
 
     def __init__(self, job: AnalysisJob, markers: Markers | None, pose: Fold) -> None:
         super().__init__(job)
@@ -91,11 +100,8 @@ class LightOfMarkers(Fold):
                 patches.pattern_meter(print_, ink, paper, soft) for soft in patches.SOFT
             ]
         self.readings: list[Reading] = []
-        self._surroundings = EnvironmentSamples(job.length_s)
-
-    @property
-    def samples(self) -> list[Any]:
-        return self._surroundings.samples
+        self.samples: list[EnvironmentSample] = []
+        self._looks = Looks(job.length_s)
 
     def step(self, frame: AnalysisFrame) -> None:
         picture = frame.picture
@@ -109,24 +115,12 @@ class LightOfMarkers(Fold):
             cells, albedo, scale = patches.meter_for(self._meters[s.key], s.side_px, blur)
             shape = (picture.rect.height, picture.rect.width)
             points = place_samples(s.corners_px, cells, s.inverted, blur, shape, scale)
-            self.readings.append(
-                (
-                    frame.index,
-                    s.key,
-                    patches.reduced(picture.linear_at(points.pixels()), points, albedo),
-                )
-            )
+            cells_seen = patches.reduced(picture.linear_at(points.pixels()), points, albedo)
+            self.readings.append(Reading(frame.index, s.key, cells_seen))
         if seen:
             quad, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
-            self._surroundings.step(
-                frame.time_s,
-                picture,
-                lambda small: environment_sample(frame.index, small, quad, width),
-            )
-
-    def join(self, later: Self, shift: int) -> None:
-        self.readings += shifted(later.readings, shift)
-        self._surroundings.join(later._surroundings, shift)
+            for small in self._looks.due(frame.time_s, picture, SURROUNDINGS_PX):
+                self.samples.append(environment_sample(frame.index, small, quad, width))
 
     def finish(self, clip: Analysis) -> Analysis:
         return with_light(
@@ -174,21 +168,20 @@ class LightOnPlane(LightOfMarkers):
     plane is."""
 
     needs = ("pose",)
-    given = LightOfMarkers.given | {"_markers", "readings"}
+    rows: ClassVar[Mapping[str, type]] = {"pictures": Look}
 
     def __init__(self, job: AnalysisJob, pose: Fold) -> None:
         super().__init__(job, None, pose)
+        self.pictures: list[Look] = []
 
     def step(self, frame: AnalysisFrame) -> None:
         if frame.picture is not None:
-            self._surroundings.step(
-                frame.time_s, frame.picture, lambda small: (frame.index, small)
-            )
+            for small in self._looks.due(frame.time_s, frame.picture, SURROUNDINGS_PX):
+                self.pictures.append(Look(frame.index, small))
 
     def finish(self, clip: Analysis) -> Analysis:
-        camera, pictures = self.job.camera, self.samples
-        self._surroundings.samples = []
-        for k, small in pictures:
+        camera = self.job.camera
+        for k, small in self.pictures:
             if (pose := clip.facts[k].camera_from_world) is not None:
                 quad = camera.project(pose.apply(clip.anchor.corners_m))
                 if np.isfinite(quad).all():
@@ -196,41 +189,24 @@ class LightOnPlane(LightOfMarkers):
         return super().finish(clip)
 
 
-class EnvironmentSamples(Stateful):
-    """What is made of the frames' small pictures at some times, evenly over the clip.
-
-    length_s : of all frames
-    """
-
-    given = frozenset({"_interval_s"})
-    carried = frozenset({"_next_s"})
+class Looks:
+    """At which frames a small picture is taken, evenly over the clip. length_s : of all frames"""
 
     def __init__(self, length_s: float = 0.0) -> None:
-        self.samples: list[Any] = []
         self._next_s: float | None = None
         self._interval_s = max(SURROUNDINGS_S, length_s / MOST_ENVIRONMENT_SAMPLES)
 
-    def step(
-        self,
-        time_s: float,
-        picture: Picture,
-        sample: Callable[[np.ndarray], Any],
-        width: int = SURROUNDINGS_PX,
-    ) -> None:
-        """width : of the small picture, at most"""
+    def due(self, time_s: float, picture: Picture, width: int) -> list[np.ndarray]:
+        """The frame, made so wide at most, where it is time for one; else nothing."""
         if self._next_s is None:  # at once, unless not every stretch has one
             self._next_s = time_s
             if self._interval_s > SURROUNDINGS_S:
                 self._next_s = self._interval_s * np.ceil(time_s / self._interval_s)
         if time_s < self._next_s:
-            return
+            return []
         self._next_s = time_s + self._interval_s
         small = picture.reduced(width)
-        if min(small.shape[:2]) >= 3:
-            self.samples.append(sample(small))
-
-    def join(self, later: EnvironmentSamples, shift: int) -> None:
-        self.samples += shifted(later.samples, shift)
+        return [small] if min(small.shape[:2]) >= 3 else []
 
 
 class Environment(Fold):
@@ -238,23 +214,18 @@ class Environment(Fold):
 
     name = "environment"
     needs = ("light",)
+    rows: ClassVar[Mapping[str, type]] = {"looks": Look}
 
     def __init__(self, job: AnalysisJob, light: LightOfMarkers) -> None:
         super().__init__(job)
         self._light = light
-        self._looks = EnvironmentSamples(job.length_s)
+        self._due = Looks(job.length_s)
+        self.looks: list[Look] = []
 
     def step(self, frame: AnalysisFrame) -> None:
         if frame.picture is not None:
-            self._looks.step(
-                frame.time_s,
-                frame.picture,
-                lambda small: Look(frame.index, small.astype(np.float16)),
-                LOOK_PX,
-            )
-
-    def join(self, later: Self, shift: int) -> None:
-        self._looks.join(later._looks, shift)
+            for small in self._due.due(frame.time_s, frame.picture, LOOK_PX):
+                self.looks.append(Look(frame.index, small.astype(np.float16)))
 
     def finish(self, clip: Analysis) -> Analysis:
         job, anchor, still_camera = (
@@ -272,7 +243,7 @@ class Environment(Fold):
         else:
             facts, maps = with_seen(
                 clip.facts,
-                self._looks.samples,
+                self.looks,
                 job.camera,
                 still_camera,
                 anchor.translation_m,

@@ -22,6 +22,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -66,9 +67,8 @@ LAMP_DEG = 15.0  # around a lamp in which bright pixels are the lamp
 LAMP = (0.75, 0.95)  # linear light from which they are partly and wholly
 
 
-@dataclass(frozen=True, eq=False)
-class Look:
-    """A small picture of one frame. picture : (h, w, 3) float16, linear"""
+class Look(NamedTuple):
+    """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear"""
 
     frame: int
     picture: np.ndarray

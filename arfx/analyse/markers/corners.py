@@ -1,19 +1,19 @@
 """Sub-pixel corners of square markers: lines through the four sides' edges, met at the corners.
 
 Two errors are predicted: what scatters along a side (sigma_px), and what all of its samples
-share (shared_px). `EdgeRefiner` decides once per stretch of the clip in which values edges
-are symmetric, light or code: until then both are computed and kept. Leaves out: rolling
-shutter. Source: docs/methods/pose.md#corners. Cost: about .2 ms per marker."""
+share (shared_px). In which values edges are symmetric, light or code, is known once all of
+the clip is (`chosen_transfer`): corners are refined in both. Leaves out: rolling shutter.
+Source: docs/methods/pose.md#corners. Cost: about .4 ms per marker."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Stateful, shifted
 from arfx.analyse.markers import corner_kernels as kernels
 from arfx.analyse.markers.corner_kernels import FRACTIONS, SAMPLES
 from arfx.analyse.markers.detect import Candidate, Detection
@@ -42,11 +42,9 @@ _BLUR_CELLS, _NEXT_CELL = (
 )
 _ROWS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
 FAINT = 2.0  # light (of 255) across an edge below which it is taken for none
-AUTO, LIGHT, CODE = "auto", "srgb", "gamma:1"
-SIGHTINGS = 12  # decide after so many
-# or after so many with a marker in them, by what there is: edges too poor to tell are poor
-# later too
-FRAMES = 120
+LIGHT, CODE = "srgb", "gamma:1"
+TRANSFERS = LIGHT, CODE  # from coded luma to the values in which corners are refined
+SIGHTINGS = 12  # by fewer than that nothing is decided
 # Measured: true linear blur gives skews up to .03 in light; camera-sharpened footage .19 in
 # light and -.03 in code.
 _SKEWED = 0.07
@@ -74,9 +72,12 @@ class Corners:
     skew: np.ndarray
 
 
-def linear_table(transfer: str = "srgb") -> np.ndarray:
-    """(256,) float32: coded luma to linear light on a scale of 0..255."""
-    return (Transfer(transfer).decode(np.arange(256) / 255.0) * 255.0).astype(np.float32)
+@cache
+def linear_table(transfer: str = LIGHT) -> np.ndarray:
+    """(256,) float32: coded luma to linear light on a scale of 0..255; read-only."""
+    table = (Transfer(transfer).decode(np.arange(256) / 255.0) * 255.0).astype(np.float32)
+    table.flags.writeable = False
+    return table
 
 
 def refine_corners(
@@ -221,69 +222,21 @@ def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
     return np.where(np.isfinite(out), out, 0.0)
 
 
-class EdgeRefiner(Stateful):
-    """Refines sightings. transfer : "auto" until decided;  table : (256,) coded luma to
-    linear light, as decided so far
-    """
-
-    def __init__(self, transfer: str = AUTO) -> None:
-        self.transfer = transfer
-        self.table = linear_table(LIGHT if transfer == AUTO else transfer)
-        self._skews: list[tuple[float, float]] = []
-        self._frames = 0  # with a marker, before the decision
-        self._other: list[
-            tuple[int, tuple[Detection, ...]]
-        ] = []  # what frames would be in code
-
-    def refine(
-        self, frame: int, luma: np.ndarray, found: Sequence[Candidate], camera: Camera
-    ) -> tuple[Detection, ...]:
-        """frame : number of the record, for `corrections`."""
-        if not found:
-            return ()
-        first, skew = _refined(luma, found, self.table, camera)
-        if self.transfer == AUTO:
-            second, skew_code = _refined(luma, found, linear_table(CODE), camera)
-            both = np.stack([skew, skew_code], -1)
-            self._skews += [(float(a), float(b)) for a, b in both[np.isfinite(both).all(1)]]
-            self._frames += 1
-            self._other.append((frame, second))
-            self._decide()
-        return first
-
-    def _decide(self) -> None:
-        """If there is enough to tell by."""
-        if len(self._skews) >= SIGHTINGS or self._frames >= FRAMES:
-            self.transfer = _transfer_of(self._skews)
-            self.table = linear_table(self.transfer)
-            self._other = self._other if self.transfer == CODE else []
-
-    def join(self, later: EdgeRefiner, shift: int) -> None:
-        """Add the next stretch. One with too little to tell by takes what the clip has told."""
-        if self.transfer == AUTO:
-            self._skews += later._skews
-            self._frames += later._frames
-            self._decide()
-        if self.transfer in (AUTO, CODE):
-            self._other += shifted(later._other, shift)
-
-    def corrections(self) -> list[tuple[int, tuple[Detection, ...]]]:
-        """(frame, sightings) to replace, once, after a decision against what was assumed."""
-        if self.transfer == AUTO:
-            return []
-        out, self._other = self._other, []
-        return out
-
-
-def _transfer_of(skews: Sequence[tuple[float, float]]) -> str:
-    """LIGHT or CODE. skews : of edges in light and in code"""
-    in_light, in_code = np.abs(np.median(np.array(skews or [(0.0, 0.0)]), axis=0))
+def chosen_transfer(skews: Sequence[tuple[float, float]]) -> str:
+    """LIGHT or CODE: in which edges are symmetric. skews : of edges in light and in code"""
+    known = [s for s in skews if np.isfinite(s).all()]
+    if len(known) < SIGHTINGS:
+        return LIGHT
+    in_light, in_code = np.abs(np.median(known, axis=0))
     return CODE if in_light > _SKEWED and in_code < 0.5 * in_light else LIGHT
 
 
-def _refined(
+def refine_found(
     luma: np.ndarray, found: Sequence[Candidate], table: np.ndarray, camera: Camera
 ) -> tuple[tuple[Detection, ...], np.ndarray]:
+    """The prints that were found, refined, and (n,) the skew of their edges, as `Corners`."""
+    if not found:
+        return (), np.zeros(0)
     quads = np.stack([c.quad_px for c in found])
     r = refine_corners(
         luma, quads, np.array([cells_per_side(c.family) for c in found]), table, camera

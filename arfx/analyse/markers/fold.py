@@ -1,37 +1,79 @@
-"""The configured prints in every frame: found, their corners refined, cuts between shots
-noticed; and what else was there.
+"""The configured prints in every frame: found, their corners refined; and what else was
+there.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
-from typing import Self
+from collections.abc import Container, Iterable, Mapping, Sequence
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.coded import CodedPrints
-from arfx.analyse.markers.corners import EdgeRefiner
-from arfx.analyse.markers.detect import Detection, Record
+from arfx.analyse.markers.corners import (
+    CODE,
+    TRANSFERS,
+    chosen_transfer,
+    linear_table,
+    refine_found,
+)
+from arfx.analyse.markers.detect import Candidate, Detection, Record
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
 from arfx.analyse.markers.pictured import PicturedPrints
-from arfx.analyse.markers.scan import DictionaryScan
+from arfx.analyse.markers.scan import SCANS, likeliest, scan
 from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.shots import thumbnail
 from arfx.core.marker import MarkerSpec
 from arfx.errors import ConfigError, InputError, NothingToDoError
 
+ANY = ""  # in place of a transfer: of prints that are found in the picture itself
+
+
+class FrameRow(NamedTuple):
+    """A frame. whole : all of it was searched;  thumbnail : (18, 32) uint8"""
+
+    frame: int
+    time_s: float
+    width: int
+    height: int
+    whole: bool
+    thumbnail: np.ndarray
+
+
+class Sighting(NamedTuple):
+    """A print in one frame, refined in one of TRANSFERS, or in ANY. skew : as of `Corners`
+    duplicate : a further one of the same key"""
+
+    frame: int
+    transfer: str
+    duplicate: bool
+    skew: float
+    print: Detection
+
+
+class OtherPrint(NamedTuple):
+    """A print that is not configured. scanned : found by a search for all families, else one
+    of a family that is;  key : "" = that search found nothing"""
+
+    frame: int
+    scanned: bool
+    key: str
+
 
 class Markers(Fold):
-    """records : of every frame;  camera : at the clip's size
+    """The prints in every frame.
 
-    detections : in the last frame, as it was refined at once;  prints : these and their duplicates
-    """
+    shown : in the last frame
+    records : of every frame, at the end;  camera : at the clip's size"""
 
     name = "markers"
-    given = frozenset({"job"})
-    carried = frozenset({"detections", "prints", "_coded", "_pictured"})
+    rows: ClassVar[Mapping[str, type]] = {
+        "frames": FrameRow,
+        "prints": Sighting,
+        "others": OtherPrint,
+    }
 
     def __init__(self, job: AnalysisJob) -> None:
         super().__init__(job)
@@ -51,9 +93,11 @@ class Markers(Fold):
                 f"it holds {', '.join(job.marker_map)}",
             )
         self.camera = job.camera
+        self.frames: list[FrameRow] = []
+        self.prints: list[Sighting] = []
+        self.others: list[OtherPrint] = []
         self.records: list[Record] = []
-        self.detections: tuple[Detection, ...] = ()
-        self.prints: tuple[Detection, ...] = ()
+        self.shown: list[Sighting] = []
         coded = [m.key for m in job.markers if isinstance(m, MarkerSpec)]
         ink, paper = job.light.ink, job.light.paper
         prints = [
@@ -62,124 +106,142 @@ class Markers(Fold):
         ]
         self._coded = Tracker(CodedPrints(coded, job.params.detect_inverted))
         self._pictured = Tracker(PicturedPrints(prints, job.camera))
-        self._refiner = EdgeRefiner(job.params.transfer)
-        self._survey = DictionaryScan()
-        self._others: Counter[str] = Counter()
-        self._ever_seen = False
 
     @property
-    def table(self) -> np.ndarray:
-        """(256,) coded luma to linear light, as decided so far."""
-        return self._refiner.table
+    def detections(self) -> list[Detection]:
+        """In the last frame, in light, without duplicates."""
+        return [s.print for s in self.shown if s.transfer != CODE and not s.duplicate]
 
     def step(self, frame: AnalysisFrame) -> None:
         """Raises InputError for luma of another type or size, and for frames out of order."""
-        index, time_s, luma, records = frame.index, frame.time_s, frame.luma, self.records
+        index, time_s, luma = frame.index, frame.time_s, frame.luma
         if luma.ndim != 2 or luma.dtype != np.uint8:
             raise InputError(
                 f"frame {index}: luma is {luma.dtype} of shape {luma.shape}",
                 "uint8 of shape (height, width)",
             )
-        if (luma.shape[1], luma.shape[0]) != (self.camera.width, self.camera.height):
-            if records:
+        height, width = luma.shape
+        if self.frames:
+            last = self.frames[-1]
+            _require_size(index, (width, height), (last.width, last.height))
+            if index != last.frame + 1 or time_s <= last.time_s:
                 raise InputError(
-                    f"frame {index} is {luma.shape[1]}x{luma.shape[0]}, the frames before"
-                    " it are not"
+                    f"frame {index} at {time_s:g} s comes after frame {last.frame} at"
+                    f" {last.time_s:g} s"
                 )
-            self.camera = self.camera.scaled_to(luma.shape[1], luma.shape[0])
-        if records and (index != records[-1].index + 1 or time_s <= records[-1].time_s):
-            raise InputError(
-                f"frame {index} at {time_s:g} s comes after frame {records[-1].index} at"
-                f" {records[-1].time_s:g} s"
-            )
+        self.camera = self.job.camera.scaled_to(width, height)
         found, pictured = self._coded.search(frame), self._pictured.search(frame)
-        refined = self._refiner.refine(
-            frame.index, luma, (*found.sightings, *found.duplicates), self.camera
-        )
-        coded, duplicates = refined[: len(found.sightings)], refined[len(found.sightings) :]
-        self.detections, self.prints = (
-            (*coded, *pictured.sightings),
-            (*refined, *pictured.sightings),
-        )
-        self._others.update(found.others)
-        self._ever_seen |= bool(self.detections)
-        if not self._ever_seen:
-            self._survey.step(frame.index, luma)
+        every = (*found.sightings, *found.duplicates)
+        refined = self._refined(index, luma, every, len(found.sightings))
+        refined += [Sighting(index, ANY, False, np.nan, s) for s in pictured.sightings]
+        self.shown = refined
+        self.prints += refined
+        if not self.prints:
+            self._look_for_others(index, luma, found.others)
         whole = found.whole or pictured.whole
-        self.records.append(
-            Record(
-                frame.index,
-                frame.time_s,
-                self.detections,
-                duplicates,
-                whole,
-                thumbnail(luma),
-            )
-        )
-        self._correct()
+        self.frames.append(FrameRow(index, time_s, width, height, whole, thumbnail(luma)))
 
-    def _correct(self) -> None:
-        first = self.records[0].index if self.records else 0
-        for index, replaced in self._refiner.corrections():
-            was = self.records[index - first]
-            n = len(replaced) - len(was.duplicates)
-            self.records[index - first] = replace(
-                was,
-                detections=(*replaced[:n], *was.detections[n:]),
-                duplicates=replaced[n:],
-            )
+    def _refined(
+        self, index: int, luma: np.ndarray, found: Sequence[Candidate], first: int
+    ) -> list[Sighting]:
+        """first : so many of them are no duplicates"""
+        out = []
+        for transfer in TRANSFERS:
+            table = linear_table(transfer)
+            prints, skews = refine_found(luma, found, table, self.camera)
+            out += [
+                Sighting(index, transfer, k >= first, float(skew), one)
+                for k, (one, skew) in enumerate(zip(prints, skews, strict=True))
+            ]
+        return out
 
-    def join(self, later: Self, shift: int) -> None:
-        """Raises InputError where the frames have another size."""
-        mine, others = ((c.width, c.height) for c in (self.camera, later.camera))
-        if later.records:
-            if self.records and mine != others:
-                raise InputError(
-                    f"frame {len(self.records)} is {others[0]}x{others[1]}, the frames"
-                    " before it are not"
-                )
-            self.camera = later.camera
-        self.records += shifted(later.records, shift)
-        self._refiner.join(later._refiner, shift)
-        self._correct()
-        self._others.update(later._others)
-        if not self._ever_seen:
-            self._survey.join(later._survey)
-        self._ever_seen |= later._ever_seen
+    def _look_for_others(self, index: int, luma: np.ndarray, ids: Iterable[str]) -> None:
+        self.others += [OtherPrint(index, False, key) for key in ids]
+        if index in SCANS:
+            self.others += [
+                OtherPrint(index, True, key) for key in ("", *sorted(scan(luma)))
+            ]
 
     def finish(self, clip: Analysis) -> Analysis:
-        """Raises NothingToDoError if no configured marker was ever seen, saying what was."""
-        if not self.records:
+        """Raises NothingToDoError if no configured marker was ever seen, saying what was;
+        InputError where frames differ in size."""
+        if not self.frames:
             raise NothingToDoError(
                 "the clip holds no frame",
                 "is it empty, or does --start lie behind its end?",
             )
-        if self._ever_seen:
-            return clip.adding(edge_transfer=self._refiner.transfer)
+        size = self.frames[0].width, self.frames[0].height
+        for row in self.frames:
+            _require_size(row.frame, (row.width, row.height), size)
+        self.camera = self.job.camera.scaled_to(*size)
+        if not self.prints:
+            raise self._nothing_seen()
+        in_light, in_code = (
+            [s for s in self.prints if s.transfer == transfer] for transfer in TRANSFERS
+        )
+        transfer = chosen_transfer(
+            [(a.skew, b.skew) for a, b in zip(in_light, in_code, strict=True)]
+        )
+        self.records = self._records((transfer, ANY))
+        return clip.adding(edge_transfer=transfer)
+
+    def _records(self, transfers: Container[str]) -> list[Record]:
+        shown: dict[int, tuple[list[Detection], list[Detection]]] = {}
+        for s in self.prints:
+            if s.transfer in transfers:
+                shown.setdefault(s.frame, ([], []))[s.duplicate].append(s.print)
+        out = []
+        for f in self.frames:
+            detections, duplicates = shown.get(f.frame, ([], []))
+            out.append(
+                Record(
+                    f.frame,
+                    f.time_s,
+                    tuple(detections),
+                    tuple(duplicates),
+                    f.whole,
+                    f.thumbnail,
+                )
+            )
+        return out
+
+    def _nothing_seen(self) -> NothingToDoError:
         wanted = ", ".join(m.key for m in self.job.markers)
         coded = [m.family for m in self.job.markers if isinstance(m, MarkerSpec)]
         families = ", ".join(dict.fromkeys(coded))
-        message = f"no configured marker ({wanted}) in {len(self.records)} frames"
+        message = f"no configured marker ({wanted}) in {len(self.frames)} frames"
         if not families:
-            raise NothingToDoError(
+            return NothingToDoError(
                 message,
                 "is the print flat, sharp, at least 50 px wide, and its picture this one?",
             )
         message += f"; dictionaries tried: {families}"
-        ids = sorted(self._others, key=lambda k: (-self._others[k], k))[:6]
-        other = self._survey.text()
+        counts = Counter(o.key for o in self.others if not o.scanned)
+        ids = sorted(counts, key=lambda k: (-counts[k], k))[:6]
+        scanned = Counter(o.key for o in self.others if o.scanned)
+        scans = scanned.pop("", 0)
+        strangers = likeliest(scanned)
         if ids:
-            raise NothingToDoError(
+            return NothingToDoError(
                 f"{message}; ids of the same dictionary seen: {', '.join(ids)}",
                 f"configure one of those: --marker {ids[0]}:SIZE",
             )
-        if other:
-            first = self._survey.likeliest()[0]
-            raise NothingToDoError(
-                f"{message}; other dictionaries saw: {other}",
-                f"perhaps --marker {first}:SIZE",
+        if strangers:
+            other = ", ".join(
+                f"{key} ({scanned[key]} of {scans} sampled frames)" for key in strangers[:6]
             )
-        raise NothingToDoError(
+            return NothingToDoError(
+                f"{message}; other dictionaries saw: {other}",
+                f"perhaps --marker {strangers[0]}:SIZE",
+            )
+        return NothingToDoError(
             f"{message}; no marker of any dictionary was seen",
             "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?",
+        )
+
+
+def _require_size(index: int, size: tuple[int, int], before: tuple[int, int]) -> None:
+    if size != before:
+        raise InputError(
+            f"frame {index} is {size[0]}x{size[1]}, the frames before it are not"
         )

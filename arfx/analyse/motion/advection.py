@@ -7,13 +7,20 @@ Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Self
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
-from arfx.analyse.motion.flow import GRID_PX, BackgroundMotion, MotionStep, node_positions
+from arfx.analyse.motion.flow import (
+    GRID_PX,
+    BackgroundMotion,
+    KeyPicture,
+    MotionStep,
+    joined_steps,
+    node_positions,
+)
 from arfx.core.advection import AdvectionField, pack_detail, pack_positions
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
@@ -35,24 +42,23 @@ class Advection(Fold):
 
     name = "flow"
     needs = ("pose",)
+    rows: ClassVar[Mapping[str, type]] = {"steps": MotionStep, "pictures": KeyPicture}
 
     def __init__(self, job: AnalysisJob, pose: Fold) -> None:
         super().__init__(job)
         self._motion = BackgroundMotion()
+        self.steps, self.pictures = self._motion.steps, self._motion.pictures
 
     def step(self, frame: AnalysisFrame) -> None:
         self._motion.step(frame.index, frame.luma)
 
-    def join(self, later: Self, shift: int) -> None:
-        self._motion.join(later._motion, shift)
-
     def finish(self, clip: Analysis) -> Analysis:
-        camera = self.job.camera.scaled_to(*self._motion.size)
+        first = self.pictures[0]
+        camera = self.job.camera.scaled_to(first.width, first.height)
         reach_m = AROUND * clip.anchor.size_m
+        steps = joined_steps(self.steps, self.pictures)
         return clip.adding(
-            with_advection(
-                clip.facts, self._motion.steps, camera, clip.world_from_anchor, reach_m
-            )
+            with_advection(clip.facts, steps, camera, clip.world_from_anchor, reach_m)
         )
 
 

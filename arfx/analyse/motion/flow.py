@@ -12,13 +12,13 @@ blur of 1280 x 720) a frame.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Stateful, shifted
 from arfx.core.advection import STEPS_PER_PX
 from arfx.core.numerics import divide
 
@@ -80,30 +80,26 @@ def node_positions(width: int, height: int) -> np.ndarray:
     return np.stack(np.meshgrid(x, y), -1)
 
 
-class BackgroundMotion(Stateful):
-    """Collects MotionSteps, in order. size : width, height of the frames"""
+class KeyPicture(NamedTuple):
+    """The first frame of a stretch, or its last key frame. picture : (h, w) uint8, reduced;
+    width, height : of the frame;  begins : it is the first one"""
 
-    carried = frozenset({"_last"})
+    frame: int
+    picture: np.ndarray
+    width: int
+    height: int
+    begins: bool
+
+
+class BackgroundMotion:
+    """Collects MotionSteps of a stretch, in order, and the pictures that it is compared with
+    those beside it by."""
 
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
-        self.size = (0, 0)
-        self._first: np.ndarray | None = None  # small picture of the first frame
-        self._key: np.ndarray | None = None  # and of the last key frame
+        self.pictures: list[KeyPicture] = []
         # back of the last epoch, 0 where that is the key
         self._last: np.ndarray | float = 0.0
-
-    def join(self, later: BackgroundMotion, shift: int) -> None:
-        """Add the next stretch, whose first frame is a key frame: it is compared with the
-        last one here."""
-        steps = shifted(later.steps, shift)
-        if self._key is not None and later._first is not None:
-            found = _back(later._first, self._key, *self.size)
-            steps[0] = replace(steps[0], back=None if found is None else found[0])
-        self.steps += steps
-        if later.steps:
-            self._first = later._first if self._first is None else self._first
-            self._key, self.size = later._key, later.size
 
     def step(self, index: int, luma: np.ndarray) -> None:
         """Take the next frame. luma : (h, w) uint8"""
@@ -113,10 +109,8 @@ class BackgroundMotion(Stateful):
         small = np.ascontiguousarray(
             cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA)
         )
-        self.size = (w, h)
-        if self._key is None:
-            self._first = small
-        found = None if self._key is None else _back(small, self._key, w, h)
+        key = self.pictures[-1].picture if self.pictures else None
+        found = None if key is None else _back(small, key, w, h)
         back, far = None, True
         if found is not None:
             back, agreed = found
@@ -129,7 +123,21 @@ class BackgroundMotion(Stateful):
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
         self._last = 0.0 if far or back is None else back
         if far:
-            self._key = small
+            self.pictures[1:] = [KeyPicture(index, small, w, h, not self.pictures)]
+
+
+def joined_steps(
+    steps: Sequence[MotionStep], pictures: Sequence[KeyPicture]
+) -> list[MotionStep]:
+    """Of all stretches: the first frame of each, a key frame, is compared with the last key
+    frame before it."""
+    before, backs = None, {}
+    for picture in pictures:
+        if picture.begins and before is not None:
+            found = _back(picture.picture, before, picture.width, picture.height)
+            backs[picture.frame] = None if found is None else found[0]
+        before = picture.picture
+    return [replace(s, back=backs.get(s.index, s.back)) for s in steps]
 
 
 def _back(

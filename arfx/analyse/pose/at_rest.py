@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Stateful
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
@@ -63,11 +63,8 @@ class FlowSample:
     there: np.ndarray
 
 
-class BackgroundFlow(Stateful):
+class BackgroundFlow:
     """Collects corner flow: pairs of frames with matched points. length_s : of all frames"""
-
-    given = frozenset({"_stride"})
-    carried = frozenset({"_image", "_points", "_index", "_time_s"})
 
     def __init__(self, length_s: float = 0.0) -> None:
         self._image: np.ndarray | None = None
@@ -226,53 +223,68 @@ def epipolar_distance(
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
-class RestCheck(Stateful):
-    """Fed the frames in order. moved_px : the farthest that the middle corner was seen from
-    its place, clip px
+class RestPicture(NamedTuple):
+    """The first picture of a part of the clip. picture : (h, w) uint8, reduced;  points : (n,
+    2) its corners;  factor : clip px in one of its own"""
 
-    Each stretch is held against its own first picture, and that against the clip's."""
+    frame: int
+    picture: np.ndarray
+    points: np.ndarray
+    factor: int
 
-    carried = frozenset({"_next_s"})
+
+class RestMotion(NamedTuple):
+    """How far the corners of a part's first picture were in a later one. moved_px : the
+    middle one, clip px, 0 where none was found;  rests : whether they stay"""
+
+    frame: int
+    moved_px: float
+    rests: bool
+
+
+class RestCheck:
+    """Fed the frames of a part of the clip in order."""
 
     def __init__(self) -> None:
-        # reduced, its corners, and clip px in one of its own
-        self._first: tuple[np.ndarray, np.ndarray, int] | None = None
+        self.pictures: list[RestPicture] = []
+        self.motions: list[RestMotion] = []
         self._next_s = -np.inf
-        self.rests = True
-        self.moved_px = 0.0
 
-    def step(self, time_s: float, luma: np.ndarray) -> None:
+    def step(self, index: int, time_s: float, luma: np.ndarray) -> None:
         """luma : (h, w) uint8"""
         if time_s < self._next_s:
             return
         self._next_s = time_s + INTERVAL_S
         factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
         small = _reduced(luma, factor)
-        if self._first is not None:
-            self._compare(small, *self._first)
+        if self.pictures:
+            self.motions += _motion(index, small, self.pictures[0])
             return
         mask = (_contrast(small, _WINDOW_PX)[1] > _NOISE**2).astype(np.uint8)
-        self._first = small, _corners(small, REST_POINTS, mask), factor
+        points = _corners(small, REST_POINTS, mask)
+        self.pictures.append(RestPicture(index, small, points, factor))
 
-    def join(self, later: RestCheck) -> None:
-        if self._first is None:
-            self._first = later._first
-        elif later._first is not None and self.rests:
-            self._compare(later._first[0], *self._first)
-        self.moved_px = max(self.moved_px, later.moved_px)
-        self.rests &= later.rests
 
-    def _compare(
-        self, small: np.ndarray, first: np.ndarray, points: np.ndarray, factor: int
-    ) -> None:
-        if (
-            len(points) < _LEAST_POINTS
-        ):  # nothing to see: nothing that could tell of a motion
-            return
-        there, good, _ = cv2.calcOpticalFlowPyrLK(first, small, points, None)  # type: ignore[call-overload]
-        away = np.linalg.norm(there - points, axis=1)
-        away[good.ravel() == 0] = np.inf  # a corner that is lost may have left the picture
-        seen = away[np.isfinite(away)]
-        if len(seen):
-            self.moved_px = max(self.moved_px, factor * float(np.median(seen)))
-        self.rests &= bool((away < REST_PX).mean() >= REST_FRACTION)
+def rests(
+    pictures: Sequence[RestPicture], motions: Sequence[RestMotion]
+) -> tuple[bool, float]:
+    """(whether the camera stands still, the farthest that the middle corner was seen from its
+    place, clip px): of `RestCheck`, each part against its own first picture, and these against
+    the clip's."""
+    every = [*motions]
+    for later in pictures[1:]:
+        every += _motion(later.frame, later.picture, pictures[0])
+    return all(m.rests for m in every), max((m.moved_px for m in every), default=0.0)
+
+
+def _motion(index: int, small: np.ndarray, first: RestPicture) -> list[RestMotion]:
+    """None where there is nothing to see: nothing that could tell of a motion."""
+    if len(first.points) < _LEAST_POINTS:
+        return []
+    points = first.points
+    there, good, _ = cv2.calcOpticalFlowPyrLK(first.picture, small, points, None)  # type: ignore[call-overload]
+    away = np.linalg.norm(there - points, axis=1)
+    away[good.ravel() == 0] = np.inf  # a corner that is lost may have left the picture
+    seen = away[np.isfinite(away)]
+    moved_px = first.factor * float(np.median(seen)) if len(seen) else 0.0
+    return [RestMotion(index, moved_px, bool((away < REST_PX).mean() >= REST_FRACTION))]

@@ -8,11 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
-from typing import Any, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold, shifted
+from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Record
 from arfx.analyse.markers.fold import Markers
@@ -67,23 +67,19 @@ class MarkerPose(Fold):
 
     name = "pose"
     needs = ("markers",)
+    rows: ClassVar[Mapping[str, type]] = {"samples": FlowSample}
 
     def __init__(self, job: AnalysisJob, markers: Markers) -> None:
         super().__init__(job)
         self.markers = markers
         self.flow = BackgroundFlow(job.length_s)
+        self.samples = self.flow.samples
 
     def step(self, frame: AnalysisFrame) -> None:
         if self.job.params.static == "auto":
-            boxes = (
-                Rect.around(s.corners_px) for s in self.markers.prints
-            )  # rarely asked for
-            self.flow.step(
-                frame.index, frame.time_s, frame.luma, boxes, bool(self.markers.detections)
-            )
-
-    def join(self, later: Self, shift: int) -> None:
-        self.flow.samples += shifted(later.flow.samples, shift)
+            shown = self.markers.shown
+            boxes = (Rect.around(s.print.corners_px) for s in shown)  # rarely asked for
+            self.flow.step(frame.index, frame.time_s, frame.luma, boxes, bool(shown))
 
     def finish(self, clip: Analysis) -> Analysis:
         """Raises NothingToDoError where no frame has a pose."""
@@ -94,7 +90,7 @@ class MarkerPose(Fold):
             self.markers.camera,
             job.params,
             job.marker_map,
-            self.flow.samples,
+            self.samples,
         )
         if all(f.status == ABSENT for f in found.facts):
             seen = sum(bool(r.detections) for r in records)
