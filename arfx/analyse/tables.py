@@ -56,7 +56,7 @@ def rows_of(columns: Mapping[str, np.ndarray], kind: type, shift: int = 0) -> li
         elif name + _SHAPES in columns:
             values.append(_arrays(columns[name], columns[name + _SHAPES]))
         else:
-            column = columns[name] if values else columns[name] + shift
+            column = columns[name] + shift if shift and not values else columns[name]
             values.append(column.tolist() if column.ndim == 1 else [*column])
     return [kind(*row) for row in zip(*values, strict=True)]
 
