@@ -1,35 +1,28 @@
-"""Every fold of the analysis, fed a clip in stretches: what they learned is joined, and
-nothing of it is lost.
-
-The folds are found, not listed: a new one fails here until the clip below gives all of its
-state something to do."""
+"""Every fold of the analysis, fed a clip in stretches: their rows are joined, and nothing of
+them is lost."""
 
 from __future__ import annotations
 
 import copy
-import importlib
-import inspect
-import pkgutil
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-import arfx.analyse
-import arfx.run
-from arfx.analyse.fold import PLANE, Analysis, AnalysisFrame, AnalysisJob, Fold, Stateful
+from arfx.analyse.fold import PLANE, Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import FOLDS, ON_PLANE, Analyser
 from arfx.analyse.markers import coded, pictured, tracker
 from arfx.analyse.motion import flow
+from arfx.analyse.motion.flow import joined_steps
 from arfx.analyse.params import AnalyseParams
-from arfx.core import codec
+from arfx.analyse.pose.at_rest import rests
+from arfx.analyse.tables import Tables, from_bytes, to_bytes
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.core.rect import Rect
 from arfx.papers import FORMULAS
@@ -150,84 +143,28 @@ def shown(k: int, number: int) -> AnalysisFrame:
     return AnalysisFrame(number, frame.time_s, frame.luma(), frame, after)
 
 
-def stretch(
-    first: int, end: int, number: int = 0, look: Callable[[Made], None] = lambda _: None
-) -> Made:
-    """What frames first ... end - 1 hold, numbered from `number`. look : after each"""
+def stretch(first: int, end: int, number: int = 0) -> Made:
+    """What frames first ... end - 1 hold, numbered from `number`."""
     folds = made()
     for k in range(first, end):
         for analyser in folds.values():
             analyser.step(shown(k, number + k - first))
-        look(folds)
     return folds
 
 
-def restored(folds: Made) -> Made:
-    out = made()
-    for name, analyser in out.items():
-        analyser.restore(codec.loads(codec.dumps(folds[name].state())))
-    return out
+def tables(folds: Made) -> dict[str, Tables]:
+    return {name: analyser.tables() for name, analyser in folds.items()}
 
 
 def joined(numbered: bool = True, cuts: tuple[int, ...] = CUTS) -> Made:
     """The clip by its stretches. numbered : their frames know their numbers in the clip"""
     whole = made()
     for a, b in pairwise(cuts):
-        later = restored(stretch(a, b, a if numbered else 0))
+        later = stretch(a, b, a if numbered else 0)
         for name, analyser in whole.items():
-            analyser.join(later[name], 0 if numbered else a)
+            kept = from_bytes(to_bytes(later[name].tables()))
+            analyser.add(kept, 0 if numbered else a)
     return whole
-
-
-def state(folds: Made) -> dict[str, Any]:
-    return {name: analyser.state() for name, analyser in folds.items()}
-
-
-def modules() -> Iterator[ModuleType]:
-    for room in (arfx.analyse, arfx.run):
-        for m in pkgutil.walk_packages(room.__path__, room.__name__ + "."):
-            if m.name != "arfx.run.preload":  # that loads compiled code, for seconds
-                yield importlib.import_module(m.name)
-
-
-def every_kind() -> set[type]:
-    list(modules())
-    out, left = set(), [Stateful]
-    while left:
-        for kind in left.pop().__subclasses__():
-            out.add(kind)
-            left.append(kind)
-    return {kind for kind in out if kind.__module__.startswith("arfx.")} - {Fold}
-
-
-def within(top: Any) -> Iterator[Stateful]:
-    if isinstance(top, Analyser):
-        for fold in top.folds.values():
-            yield from within(fold)
-        return
-    yield top
-    for v in vars(top).values():
-        if isinstance(v, Stateful) and not isinstance(v, Fold):
-            yield from within(v)
-
-
-def test_whatever_is_fed_frame_by_frame_is_a_fold() -> None:
-    for module in modules():
-        for _, kind in inspect.getmembers(module, inspect.isclass):
-            fed = (
-                "step" in vars(kind)
-                and kind.__module__ == module.__name__
-                and not getattr(kind, "_is_protocol", False)
-            )
-            assert not fed or kind is Analyser or issubclass(kind, Stateful), (
-                f"{kind.__module__}.{kind.__name__} has a step"
-            )
-
-
-def own(f: Stateful) -> dict[str, Any]:
-    return {
-        n: v for n, v in vars(f).items() if n not in f.given and not isinstance(v, Stateful)
-    }
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -251,30 +188,8 @@ def flow_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def uncut_and_constant() -> tuple[Made, set[tuple[str, str]]]:
-    """The clip in one stretch, and which attributes no frame changed."""
-    folds = [f for top in made().values() for f in within(top)]
-    first, constant = (
-        [own(f) for f in folds],
-        {(type(f).__name__, n) for f in folds for n in own(f)},
-    )
-
-    def look(folds: Made) -> None:
-        for before, f in zip(
-            first, (f for top in folds.values() for f in within(top)), strict=True
-        ):
-            constant.difference_update(
-                (type(f).__name__, n)
-                for n, v in own(f).items()
-                if not identical(v, before[n])
-            )
-
-    return stretch(0, FRAMES, look=look), constant
-
-
-@pytest.fixture(scope="module")
-def uncut(uncut_and_constant: tuple[Made, set[tuple[str, str]]]) -> Made:
-    return uncut_and_constant[0]
+def uncut() -> Made:
+    return stretch(0, FRAMES)
 
 
 @pytest.fixture(scope="module")
@@ -282,28 +197,39 @@ def in_stretches() -> Made:
     return joined()
 
 
-def test_every_attribute_is_given_or_carried_or_learned(
-    uncut_and_constant: tuple[Made, set[tuple[str, str]]],
-) -> None:
-    uncut, constant = uncut_and_constant
-    folds = [f for top in uncut.values() for f in within(top)]
-    assert {type(f) for f in folds} == every_kind(), (
-        "the test does not make every fold, or not with all that it can do"
-    )
-    assert all(f.given | f.carried <= vars(f).keys() for f in folds)
-    constant = constant - {
-        ("RestCheck", "_factor")
-    }  # these frames are small enough as they are
-    assert not constant, (
-        "state that nothing in the clip changes: is it given, or does the clip lack it?"
-    )
+def test_the_clip_gives_every_table_rows(uncut: Made) -> None:
+    """So that the tests below hold every one of them, those of new folds too."""
+    every = {
+        (kind, name) for kind in (*FOLDS.values(), *ON_PLANE.values()) for name in kind.rows
+    }
+    given = {
+        (type(fold), name)
+        for analyser in uncut.values()
+        for fold in analyser.folds.values()
+        for name in fold.rows
+        if getattr(fold, name)
+    }
+    assert every <= given
 
 
-def test_one_stretch_joined_to_nothing_is_that_stretch(uncut: Made) -> None:
-    whole, later = made(), restored(uncut)
-    for name, analyser in whole.items():
-        analyser.join(later[name])
-    assert identical(state(whole), state(uncut))
+def test_rows_come_back_from_a_file_as_they_were(uncut: Made) -> None:
+    for analyser, again in zip(uncut.values(), made().values(), strict=True):
+        again.add(from_bytes(to_bytes(analyser.tables())))
+        for name, fold in analyser.folds.items():
+            for table in fold.rows:
+                rows = getattr(fold, table), getattr(again.folds[name], table)
+                assert [*map(values, rows[0])] and identical(
+                    *([*map(values, part)] for part in rows)
+                ), (name, table)
+
+
+def values(row: Any) -> Any:
+    """What a row holds, numbers as Python's own."""
+    if isinstance(row, np.generic):
+        return row.item()
+    if isinstance(row, tuple):
+        return [values(v) for v in row]
+    return [values(getattr(row, f.name)) for f in fields(row)] if is_dataclass(row) else row
 
 
 def test_what_stretches_learned_is_what_the_clip_shows(
@@ -315,6 +241,8 @@ def test_what_stretches_learned_is_what_the_clip_shows(
     exact = {M.key, OTHER.key}
     for name in ("markers", "printed"):
         one, cut = (folds[name].folds["markers"] for folds in (uncut, in_stretches))
+        summaries = [fold.finish(Analysis()).summary for fold in (one, cut)]
+        assert summaries == [{"edge_transfer": "gamma:1"}] * 2
         assert [r.index for r in cut.records] == [*range(FRAMES)]
         for a, b in zip(one.records, cut.records, strict=True):
             assert a.time_s == b.time_s and identical(a.thumbnail, b.thumbnail)
@@ -326,25 +254,22 @@ def test_what_stretches_learned_is_what_the_clip_shows(
                 np.abs(seen[1][k].corners_px - d.corners_px).max() < 0.05
                 for k, d in seen[0].items()
             )
-        assert one._refiner.transfer == cut._refiner.transfer == "gamma:1"
     one, cut = (folds["printed"].folds for folds in (uncut, in_stretches))
-    # until a stretch has decided in what edges are symmetric its samples lie by the corners
-    # as they were assumed
-    assert [r[:2] for r in cut["light"].readings] == [
-        r[:2] for r in one["light"].readings
-    ] and len(cut["light"].readings) > 15
-    cut = in_stretches["markers"].folds
-    steps = cut["flow"]._motion.steps
+    assert len(cut["light"].readings) > 15
+    assert identical(
+        *([values(r) for r in folds["light"].readings] for folds in (one, cut))
+    )
+    flow_fold = in_stretches["markers"].folds["flow"]
+    steps = joined_steps(flow_fold.steps, flow_fold.pictures)
     assert {3, 14, 15, 26} <= {s.index for s in steps if s.key and s.back is not None}, (
         "a border in a shot leads on"
     )
     assert [s.index for s in steps if s.back is None] == [0, CUT] and len(
         {s.index for s in steps}
     ) == len(steps)
-    assert (
-        in_stretches["plane"].folds["pose"].times_s == uncut["plane"].folds["pose"].times_s
-    )
-    assert not in_stretches["plane"].folds["pose"].rest.rests
+    one, cut = (folds["plane"].folds["pose"] for folds in (uncut, in_stretches))
+    assert one.times == cut.times
+    assert not rests(cut.pictures, cut.motions)[0]
     before, after = (
         folds["printed"].folds["pose"].finish(Analysis()) for folds in (uncut, in_stretches)
     )
@@ -358,13 +283,10 @@ def test_what_stretches_learned_is_what_the_clip_shows(
 
 
 def test_frames_are_numbered_where_they_come_to_lie() -> None:
-    numbered, again = state(joined(cuts=(0, 11, 15))), state(joined(False, (0, 11, 15)))
-    assert (
-        numbered["markers"]["light"]["readings"]
-        and numbered["printed"]["light"]["readings"]
-    )
+    numbered, again = (tables(joined(n, (0, 11, 15))) for n in (True, False))
+    for name in ("markers", "printed"):
+        assert len(numbered[name]["light/readings"]["frame"])
     for name in ("markers", "printed", "plane"):
-        a, b = again[name], numbered[name]
-        for fold in a.keys() & {"markers"}:  # other dictionaries are looked for by number
-            a[fold].pop("_survey"), b[fold].pop("_survey")
-        assert identical(a, b), name
+        for table in again[name]:
+            if table != "markers/others":  # other dictionaries are looked for by number
+                assert identical(again[name][table], numbered[name][table]), (name, table)

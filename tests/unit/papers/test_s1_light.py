@@ -34,7 +34,7 @@ def run(clip: Clip, **settings: Any) -> Analysis:
         AnalysisJob((MARKER,), clip_camera(), light=PrintedLightParams(**settings)),
         *[None] * 2,
     )  # type: ignore
-    fold.readings, fold._surroundings.samples = taken.readings, taken.samples
+    fold.readings, fold.samples = taken.readings, taken.samples
     return fold.finish(analysis)
 
 

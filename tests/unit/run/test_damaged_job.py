@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from arfx.analyse.tables import from_bytes
 from arfx.config.load import load
-from arfx.core import codec
 from arfx.core.facts import read_facts
 from arfx.errors import ArfxError, ConfigError, InputError, JobInterruptedError
 from arfx.measure import report_html
@@ -23,6 +23,7 @@ from arfx.run import schedule
 from arfx.run.folder import JobFolder
 from arfx.run.job import Options, process
 from arfx.run.parameters import parameters
+from arfx.run.planned import MAPS
 from tests.clips import MARKER, write_camera, write_clip, write_model
 
 FRAMES, CHUNK = 8, 4  # two chunks: the first is kept, the second left to do
@@ -151,7 +152,7 @@ def test_maps_of_the_surroundings_are_kept_beside_the_facts_and_made_anew(
         JobFolder(tmp_path / "job"),
     )
     process(given, Options(job.path, notice=lambda _: None))
-    maps = codec.loads(job.environment.read_bytes())
+    maps = from_bytes(job.environment.read_bytes())[MAPS]
     seen = [f.seen_environment for f in read_facts(job.facts)]
     assert {name for s in seen if s for name in s.maps} == set(maps) != set()
     assert job.facts.stat().st_size < 50_000 * FRAMES

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from arfx.analyse.markers.corners import (
-    AUTO,
     CODE,
-    FRAMES,
     LIGHT,
     SIGHTINGS,
-    EdgeRefiner,
+    TRANSFERS,
+    chosen_transfer,
     linear_table,
     refine_corners,
+    refine_found,
 )
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.core.camera import Camera
@@ -246,26 +246,25 @@ def test_marker_at_the_frame_border_stays_finite() -> None:
 @pytest.mark.parametrize("linear, expected", [(True, LIGHT), (False, CODE)])
 def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> None:
     m = MarkerSpec("36h11", 1, 0.1)
-    refiner, detector = EdgeRefiner(), MarkerDetector(["36h11"])
+    detector = MarkerDetector(["36h11"])
+    skews: list[tuple[float, float]] = []
     for k, pose in enumerate(poses(34, m.size_m, SIGHTINGS + 4)):
         image = picture(
             CAM, [(m, pose)], BACK, noise=1.0, blur_px=0.8, seed=k, linear=linear
         )
-        refiner.refine(k, image, [c for c in detector.search(image) if c.key == m.key], CAM)
-    assert refiner.transfer == expected
-    replaced = refiner.corrections()
-    assert (len(replaced) >= SIGHTINGS - 2) == (expected == CODE)
-    assert not refiner.corrections()  # once only
+        found = [c for c in detector.search(image) if c.key == m.key]
+        in_light, in_code = (
+            refine_found(image, found, linear_table(transfer), CAM)[1]
+            for transfer in TRANSFERS
+        )
+        skews += zip(in_light.tolist(), in_code.tolist(), strict=True)
+    assert chosen_transfer(skews) == expected
+    assert chosen_transfer(skews[: SIGHTINGS - 1]) == LIGHT, "too few to tell by"
 
 
-def test_edges_too_poor_to_tell_are_taken_for_light_after_a_while() -> None:
-    refiner = EdgeRefiner()
+def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
     poor = Candidate("36h11", 1, np.array([[100.0, 60], [160, 60], [160, 120], [100, 120]]))
-    for k in range(FRAMES):
-        assert refiner.transfer == AUTO and len(refiner.state()["_other"]) == k
-        refiner.refine(k, np.full((240, 320), 90, np.uint8), [poor], CAM)
-    assert (
-        refiner.transfer == LIGHT
-        and not refiner.state()["_other"]
-        and not refiner.corrections()
-    )
+    flat = np.full((240, 320), 90, np.uint8)
+    _, skew = refine_found(flat, [poor], TABLE, CAM)
+    assert np.isnan(skew).all()
+    assert chosen_transfer([(float(skew[0]), 0.5)] * (2 * SIGHTINGS)) == LIGHT

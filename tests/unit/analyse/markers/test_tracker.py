@@ -192,7 +192,7 @@ def test_two_stretches_are_one_clip() -> None:
     run(first, 0, 9)
     run(second, 9, 16)
     for part in (first, second):
-        both.join(part)
+        both.add(part.tables())
     a, b = whole.finish(), both.finish()
     assert [{**f.to_json(), "whole_frame_search": True} for f in a.facts] == [
         {**f.to_json(), "whole_frame_search": True} for f in b.facts
