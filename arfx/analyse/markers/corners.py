@@ -210,9 +210,9 @@ class EdgeRefiner(Stateful):
     linear light, as decided so far
     """
 
-    def __init__(self, transfer: str = AUTO) -> None:
-        self.transfer = transfer
-        self.table = linear_table(LIGHT if transfer == AUTO else transfer)
+    def __init__(self) -> None:
+        self.transfer = AUTO
+        self.table = linear_table(LIGHT)
         self._skews: list[tuple[float, float]] = []
         self._frames = 0  # with a marker, before the decision
         self._other: list[

@@ -5,8 +5,9 @@ noticed; and what else was there.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -19,8 +20,12 @@ from arfx.analyse.markers.pictured import PicturedPrints
 from arfx.analyse.markers.scan import DictionaryScan
 from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.visibility import ShotDetector
+from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
+from arfx.core.stage import Check
 from arfx.errors import ConfigError, InputError, NothingToDoError
+
+MOST_MISFIT_PX = 1.0  # of a flat print from its picture; blur of 2.5 px makes as much
 
 
 class Markers(Fold):
@@ -62,7 +67,7 @@ class Markers(Fold):
         ]
         self._coded = Tracker(CodedPrints(coded, job.params.detect_inverted))
         self._pictured = Tracker(PicturedPrints(prints, job.camera))
-        self._refiner = EdgeRefiner(job.params.transfer)
+        self._refiner = EdgeRefiner()
         self._cut, self._survey = ShotDetector(), DictionaryScan()
         self._others: Counter[str] = Counter()
         self._ever_seen = False
@@ -159,7 +164,9 @@ class Markers(Fold):
                 "is it empty, or does --start lie behind its end?",
             )
         if self._ever_seen:
-            return clip.adding(edge_transfer=self._refiner.transfer)
+            return clip.adding(
+                edge_transfer=self._refiner.transfer, pattern_misfit_px=self._misfits()
+            )
         wanted = ", ".join(m.key for m in self.job.markers)
         coded = [m.family for m in self.job.markers if isinstance(m, MarkerSpec)]
         families = ", ".join(dict.fromkeys(coded))
@@ -187,3 +194,23 @@ class Markers(Fold):
             f"{message}; no marker of any dictionary was seen",
             "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?",
         )
+
+    def _misfits(self) -> dict[str, float]:
+        """Median of every pictured print that was seen."""
+        every = dict[str, list[float]]()
+        for s in (s for r in self.records for s in r.detections):
+            if s.key in self.job.prints:
+                every.setdefault(s.key, []).append(s.misfit_px)
+        return {key: float(np.median(values)) for key, values in every.items()}
+
+    @staticmethod
+    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
+        for key, value in summary.get("pattern_misfit_px", {}).items():
+            yield Check(
+                f"{key}: misfit of the picture (px)",
+                round(value, 3),
+                MOST_MISFIT_PX,
+                value <= MOST_MISFIT_PX,
+                "its corners are off by about as much: fix the print to something flat, and"
+                " give the picture that was printed",
+            )
