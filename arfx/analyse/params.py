@@ -23,16 +23,12 @@ class AnalyseParams:
     static : which of camera and marker stands still: auto (decided from the background),
     camera or marker
     detect_inverted : also detect white-on-black prints
-    transfer : how luma relates to light (srgb, gamma:2.2, ...), because blurred edges are
-    located in linear light. auto takes
-        sRGB unless the first edges are symmetric in coded values, as after sharpening in the camera
     """
 
     max_gap_s: float = 0.5
     smoothing: float = 1.0
     static: str = "auto"
     detect_inverted: bool = True
-    transfer: str = "auto"
 
     def __post_init__(self) -> None:
         if self.static not in STATIC:

@@ -13,6 +13,7 @@ GONE: Mapping[tuple[str | int, ...], str] = {
     ("analyse", "reduced_search_every"): _SEARCH,
     ("analyse", "reduced_px"): _SEARCH,
     ("analyse", "min_side_px"): "prints are found from 9 px on: leave it out",
+    ("analyse", "transfer"): "it is told by the edges of the first prints: leave it out",
     ("analyse", "fade_frames"): "the object fades over 5 frames: leave it out",
     ("light", "albedos"): "`light.ink` and `light.paper` say what a print reflects",
     (

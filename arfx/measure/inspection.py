@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from arfx.analyse.lens import side_blurs
+from arfx.analyse.markers.corners import refine_corners
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
 from arfx.analyse.pose.planar import both_poses
@@ -34,6 +35,9 @@ from arfx.media.codecs import open_video
 from arfx.media.frames import ClipReader, read_on
 
 MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
+_UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+_SQUARE = 0.1  # by which sides and diagonals of a square may differ
+_SAME_SIZE = 0.06  # prints of one size are measured as different by less
 _LIGHT = 255 * SRGB.decode(np.arange(256) / 255)
 # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
 READ_WHOLE = 900
@@ -127,7 +131,10 @@ def inspect(
             "truncated": truncated,
         },
         "samples": looked,
-        "markers": [m.to_json(len(looked)) for m in markers],
+        "markers": [
+            {**m.to_json(len(looked)), "size_of_first": relative_size(markers[0], m)}
+            for m in markers
+        ],
         "left_out": [m.to_json(len(looked)) for m in left_out],
         "marker_coverage": float(divide(len(seen), len(looked))),
         "light": {
@@ -191,17 +198,20 @@ def _record(
     luma: np.ndarray,
     camera: Camera | None,
 ) -> None:
-    for c in seen:
+    cells = np.array([cells_per_side(c.family) for c in seen])
+    quads = np.reshape([c.quad_px for c in seen], (-1, 4, 2))
+    refined = refine_corners(luma, quads, cells, _LIGHT.astype(np.float32)).corners_px
+    for c, quad in zip(seen, refined, strict=True):
         m = found.setdefault(c.key, Found(c.family, c.id))
         counts, sure = legible(luma, c)
         m.counted |= {index} if counts else set()
         m.sure |= sure
         if index in m.quads:
             m.twice += 1
-            m.quads[index].append(c.quad_px)
+            m.quads[index].append(quad)
             continue
         m.frames.append(index)
-        m.quads[index] = [c.quad_px]
+        m.quads[index] = [quad]
         m.sides_px.append(c.side_px)
         blurs = side_blurs(luma, c.quad_px, cells_per_side(c.family), _LIGHT)
         if np.isfinite(blurs).any():
@@ -269,11 +279,51 @@ def _spread(values: Sequence[float]) -> dict[str, float] | None:
     return quantiles(values, min=0, median=50, max=100) if values else None
 
 
+def relative_size(first: Found, m: Found) -> float | None:
+    """How large a print is in sides of the first one, of the frames that show both in one
+    plane; None where there are none.
+
+    There the homography that makes the first one's image a unit square makes the other's a
+    square, too.
+    """
+    sizes = list[float]()
+    for i in first.quads.keys() & m.quads.keys():
+        if len(first.quads[i]) == len(m.quads[i]) == 1:
+            quads = (q[i][0].astype(np.float32) for q in (first.quads, m.quads))
+            flat = cv2.getPerspectiveTransform(next(quads), _UNIT)
+            a, b, c, d = cv2.perspectiveTransform(next(quads)[None], flat)[0]
+            spans = np.linalg.norm([b - a, c - b, d - c, a - d, c - a, d - b], axis=1)
+            spans /= [1, 1, 1, 1, np.sqrt(2), np.sqrt(2)]
+            if spans.max() <= (1 + _SQUARE) * spans.min():
+                sizes.append(float(spans.mean()))
+    middle = float(np.median(sizes)) if sizes else 0.0
+    alike = sum(abs(size - middle) <= _SAME_SIZE * middle for size in sizes)
+    together = len(first.quads.keys() & m.quads.keys())
+    return middle if 2 * alike > together else None
+
+
+def size_names(markers: Sequence[dict[str, Any]]) -> list[str]:
+    """A word for the size of each marker of `inspect`: SIZE, SIZE2 … for those that are known
+    to be of other sizes.
+    """
+    groups, names = [1.0], list[str]()
+    for m in markers:
+        size = m["size_of_first"] or 1.0
+        same = [k for k, g in enumerate(groups) if abs(size / g - 1) <= _SAME_SIZE]
+        if not same:
+            groups.append(size)
+        k = same[0] if same else len(groups) - 1
+        names.append(f"SIZE{k + 1}" if k else "SIZE")
+    return names
+
+
 def suggestion(document: dict[str, Any], clip: Path, camera: Path | None) -> str:
     """The `arfx process` command for the markers found; empty without one. SIZE is to be
-    measured on the print.
+    measured on the print, SIZE2 … on prints of other sizes.
     """
-    markers = [f"--marker {m['marker']}:SIZE" for m in document["markers"][:8]]
+    found = document["markers"]
+    sizes = zip(found, size_names(found), strict=True)
+    markers = [f"--marker {m['marker']}:{size}" for m, size in sizes]
     files = f"{shlex.quote(str(clip))} --camera {shlex.quote(str(camera or 'camera.yaml'))}"
     if not markers:
         return ""

@@ -73,6 +73,7 @@ def _detail(document: dict[str, Any]) -> None:
 
 def _print(document: dict[str, Any]) -> None:
     from arfx.analyse.markers.detect import SCANNED_FAMILIES
+    from arfx.measure.inspection import size_names
 
     c, light = document["clip"], document["light"]
     pixels = (
@@ -156,6 +157,13 @@ def _print(document: dict[str, Any]) -> None:
             "Calibrate the camera with `arfx calibrate`; without --camera the field of view"
             " is guessed."
         )
+    first, names = document["markers"][0]["marker"], size_names(document["markers"])
+    for name, m in zip(names, document["markers"], strict=True):
+        if name != "SIZE":
+            click.echo(
+                f"{m['marker']} is about {m['size_of_first']:.2g} times as large as {first}:"
+                f" {name}"
+            )
     click.echo("\nNext, with SIZE = the measured side of the black square (such as 165mm):")
     click.echo("  " + document["suggestion"])
 

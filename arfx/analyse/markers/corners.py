@@ -14,9 +14,15 @@ from functools import cache
 import cv2
 import numpy as np
 
-from arfx.analyse.markers import corner_kernels as kernels
-from arfx.analyse.markers.corner_kernels import FRACTIONS, SAMPLES
 from arfx.analyse.markers.detect import Candidate, Detection
+from arfx.analyse.markers.edges import (
+    FRACTIONS,
+    SAMPLES,
+    WINDOW_FRACTION,
+    WINDOW_PX,
+    Edges,
+    find_edges,
+)
 from arfx.analyse.markers.inner_edges import misplaced_px
 from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import Transfer
@@ -41,7 +47,8 @@ _BLUR_CELLS, _NEXT_CELL = (
     (0.0, 0.001, 0.002, 0.005, 0.014, 0.03),
 )
 _ROWS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 1), (2, -1), (1, 2), (1, -2))
-FAINT = 2.0  # light (of 255) across an edge below which it is taken for none
+FAINT = 0.25  # light (of 255) across an edge below which it is taken for none
+MOST_PX = 1e5  # of a corner from the picture's: those that are farther off make no sense
 LIGHT, CODE = "srgb", "gamma:1"
 TRANSFERS = LIGHT, CODE  # from coded luma to the values in which corners are refined
 SIGHTINGS = 12  # by fewer than that nothing is decided
@@ -99,34 +106,26 @@ def refine_corners(
     cell = _cell_px(start, np.reshape(cells, n))
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
-    quad, stats, ok = start.copy(), np.zeros((n, 6)), np.zeros(n, bool)
-    light, bend = np.array(table, float), _bend(start, camera)
-    luma = luma.view()
-    luma.flags.writeable = False  # whoever made it, it is one type to the compiler
-    far = (reach > half).any(1)
-
-    def attempt(rows: np.ndarray, reach: np.ndarray, least_gain: np.ndarray) -> None:
-        moved, found = start[rows], stats[rows]
-        kernels.refine_quad(
-            luma, light, moved, bend[rows], half[rows], reach[rows], least_gain[rows],
-            FRACTIONS, found,
-        )  # fmt: skip
-        ok[rows] = _clear(start[rows], moved, found, half[rows], reach[rows])
-        quad[rows], stats[rows] = moved, found
-
-    if min(luma.shape) > 1:
-        attempt(np.arange(n), half, np.where(far, FAINT, 0.0))
-        attempt(np.flatnonzero(~ok & far), reach, np.zeros(n))
-    # a corner is where two lines meet, each known at its end to about twice the error of its mean
-    sigma = np.maximum(2.0 * stats[:, kernels.SPREAD] / np.sqrt(SAMPLES), 0.01)
-    return Corners(
-        np.where(ok[:, None, None], quad, start),
-        np.where(ok, sigma, 1.0),
-        np.where(ok, stats[:, kernels.BLUR], np.nan),
-        stats[:, kernels.INVERTED] > 0,
-        ok,
-        np.where(ok, stats[:, kernels.SKEW], np.nan),
-    )
+    bend = _bend(start, camera)
+    quad, sigma, refined = start.copy(), np.ones(n), np.zeros(n, bool)
+    blur, skew, inverted = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, bool)
+    sensible = (np.abs(start) < MOST_PX).all((1, 2)) & (min(luma.shape) > 1)
+    far = sensible & (reach > half).any(1)
+    for rows, reaches in ((sensible, (half, half)), (far, (reach, half, half))):
+        rows = np.flatnonzero(rows & ~refined)
+        if not len(rows):
+            continue
+        here = [r[rows] for r in reaches]
+        edges = find_edges(luma, table, start[rows], bend[rows], half[rows], here)
+        ok = _clear(start[rows], edges, half[rows], here[0])
+        inverted[rows] = edges.inverted
+        rows, edges = rows[ok], edges[ok]
+        refined[rows], quad[rows], blur[rows] = True, edges.quad, edges.blur
+        skew[rows] = edges.skew
+        # a corner is where two lines meet, each known at its end to about twice the error of
+        # its mean
+        sigma[rows] = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)
+    return Corners(quad, sigma, blur, inverted, refined, skew)
 
 
 def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -139,7 +138,7 @@ def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) ->
     several. A side that crosses many rows of pixels averages that away; one that keeps
     within a row, be it a diagonal one, does not. And blur brings the cells behind the
     border near."""
-    side = np.roll(corners_px, -1, 1) - corners_px
+    side = corners_px[:, [1, 2, 3, 0]] - corners_px
     shared = np.zeros(side.shape[:2])
     for x, y in _ROWS:
         crossed = np.abs(
@@ -147,11 +146,9 @@ def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) ->
         )  # rows of pixels along (x, y): 1 / |(x, y)| apart
         shared += 1.0 / ((x * x + y * y) * (1.0 + (crossed / 1.2) ** 4) ** 2)
     cell, blur = _cell_px(corners_px, cells), np.asarray(blur_px)[:, None]
-    window = np.clip(
-        kernels.WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *kernels.WINDOW_PX
-    )
+    window = np.clip(WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *WINDOW_PX)
     step = np.minimum(
-        np.interp(blur, _STEP_BLUR_PX, _STEP_PX) * (kernels.WINDOW_PX[1] / window) ** 2,
+        np.interp(blur, _STEP_BLUR_PX, _STEP_PX) * (WINDOW_PX[1] / window) ** 2,
         _STEP_PX[0],
     )
     near = cell * np.interp(divide(blur, cell), _BLUR_CELLS, _NEXT_CELL)
@@ -166,8 +163,8 @@ def _cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,)
     along a side.
     """
-    length = np.linalg.norm(np.roll(quad, -1, 1) - quad, axis=-1)
-    opposite = np.roll(length, 2, 1)
+    length = np.linalg.norm(quad[:, [1, 2, 3, 0]] - quad, axis=-1)
+    opposite = length[:, [2, 3, 0, 1]]
     across, up = quad[:, 2] - quad[:, 0], quad[:, 3] - quad[:, 1]
     area = np.abs(across[:, 0] * up[:, 1] - across[:, 1] * up[:, 0]) / 2
     deep = divide(2 * area[:, None], length + opposite) * np.minimum(
@@ -177,49 +174,36 @@ def _cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def _clear(
-    start: np.ndarray,
-    quad: np.ndarray,
-    stats: np.ndarray,
-    half: np.ndarray,
-    reach: np.ndarray,
+    start: np.ndarray, edges: Edges, half: np.ndarray, reach: np.ndarray
 ) -> np.ndarray:
     """(n,) Was an edge found, of enough contrast, straight, and not some other one far away?"""
-    near = np.abs(quad - start).max((1, 2)) <= np.maximum(3.0, 1.5 * reach.max(1))
-    return (
-        (stats[:, kernels.OK] > 0)
-        & near
-        & (stats[:, kernels.GAIN] > FAINT)
-        & (stats[:, kernels.SPREAD] < half.max(1))
-    )
+    away = np.abs(edges.quad - start).max((1, 2))
+    near = away <= np.maximum(3.0, 1.5 * reach.max(1))
+    return near & (edges.gain > FAINT) & (edges.spread < half.max(1))
 
 
 def _bend(quad: np.ndarray, camera: Camera | None) -> np.ndarray:
     """(n, 4, SAMPLES, 2) px by which the image of a straight side leaves its chord."""
-    n = len(quad)
-    none = np.zeros((n, 4, SAMPLES, 2))
     if camera is None or not camera.distorted:
-        return none
-    p = quad.reshape(-1, 1, 2)
-    if camera.model == FISHEYE:
-        ideal = cv2.fisheye.undistortPoints(p, camera.matrix, camera.distortion)
-    else:
-        ideal = cv2.undistortPoints(p, camera.matrix, camera.distortion)
-    ideal = ideal.reshape(n, 4, 2)
-    f = FRACTIONS[:, None]
-    ends = camera.distort(ideal)
-    along = camera.distort(ideal[:, :, None] * (1 - f) + ideal[:, [1, 2, 3, 0], None] * f)
-    # ideal fractions are not picture fractions: only the part across the chord matters, so
-    # project it out
-    a, b = ends[:, :, None], ends[:, [1, 2, 3, 0], None]
-    off = (along - a) * [camera.fx, camera.fy]
-    chord = (b - a) * [camera.fx, camera.fy]
-    fraction = divide((off * chord).sum(-1), (chord * chord).sum(-1) + 0 * off[..., 0])
-    across = off - chord * fraction[..., None]
-    out = np.empty_like(none)
-    for i, j in np.ndindex(n, 4):  # resample to the picture's fractions
-        for axis in range(2):
-            out[i, j, :, axis] = np.interp(FRACTIONS, fraction[i, j], across[i, j, :, axis])
-    return np.where(np.isfinite(out), out, 0.0)
+        return np.zeros((len(quad), 4, SAMPLES, 2))
+    chord = (quad[:, [1, 2, 3, 0]] - quad)[:, :, None]
+    foot = quad[:, :, None] + FRACTIONS[:, None] * chord
+    focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    undistort = (
+        cv2.fisheye.undistortPoints if camera.model == FISHEYE else cv2.undistortPoints
+    )
+    ideal = undistort(quad.reshape(-1, 1, 2), camera.matrix, camera.distortion)
+    ideal = ideal.reshape(quad.shape)
+    ideal += (quad - centre) / focal - camera.distort(ideal)  # OpenCV takes five steps only
+    side = (ideal[:, [1, 2, 3, 0]] - ideal)[:, :, None]
+    share = np.full((*foot.shape[:3], 1), 0.0) + FRACTIONS[:, None]
+    for _ in range(2):  # where along the ideal side: the lens moves points along it, too
+        straight = ideal[:, :, None] + share * side
+        off = camera.distort(straight) * focal + centre - foot
+        along = divide((off * chord).sum(-1), (chord * chord).sum(-1))[..., None]
+        share = share - along
+    off -= along * chord
+    return np.where(np.isfinite(off), off, 0.0)
 
 
 def chosen_transfer(skews: Sequence[tuple[float, float]]) -> str:

@@ -63,6 +63,7 @@ class Detection:
     misplaced_px
     blur_px : nan where unknown;  misplaced_px : by how much the cells between contradict
     the corners, root mean square
+    misfit_px : of a pictured print, how far its texture lies from that of a flat print
     """
 
     key: str
@@ -71,6 +72,7 @@ class Detection:
     blur_px: float
     inverted: bool
     misplaced_px: float = 0.0
+    misfit_px: float = 0.0
 
     @property
     def quad_px(self) -> np.ndarray:

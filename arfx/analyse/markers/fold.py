@@ -5,8 +5,8 @@ there.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping, Sequence
-from typing import ClassVar, NamedTuple
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -25,9 +25,12 @@ from arfx.analyse.markers.pictured import PicturedPrints
 from arfx.analyse.markers.scan import SCANS, likeliest, scan
 from arfx.analyse.markers.tracker import Tracker
 from arfx.analyse.pose.shots import thumbnail
+from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
+from arfx.core.stage import Check
 from arfx.errors import ConfigError, InputError, NothingToDoError
 
+MOST_MISFIT_PX = 1.0  # of a flat print from its picture; blur of 2.5 px makes as much
 ANY = ""  # in place of a transfer: of prints that are found in the picture itself
 
 
@@ -183,7 +186,7 @@ class Markers(Fold):
             [(a.skew, b.skew) for a, b in zip(in_light, in_code, strict=True)]
         )
         self.records = self._records((transfer, ANY))
-        return clip.adding(edge_transfer=transfer)
+        return clip.adding(edge_transfer=transfer, pattern_misfit_px=self._misfits())
 
     def _records(self, transfers: Container[str]) -> list[Record]:
         shown: dict[int, tuple[list[Detection], list[Detection]]] = {}
@@ -238,6 +241,26 @@ class Markers(Fold):
             f"{message}; no marker of any dictionary was seen",
             "is the marker sharp, evenly lit, at least 12 px wide and with a white margin?",
         )
+
+    def _misfits(self) -> dict[str, float]:
+        """Median of every pictured print that was seen."""
+        every = dict[str, list[float]]()
+        for s in (s for r in self.records for s in r.detections):
+            if s.key in self.job.prints:
+                every.setdefault(s.key, []).append(s.misfit_px)
+        return {key: float(np.median(values)) for key, values in every.items()}
+
+    @staticmethod
+    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
+        for key, value in summary.get("pattern_misfit_px", {}).items():
+            yield Check(
+                f"{key}: misfit of the picture (px)",
+                round(value, 3),
+                MOST_MISFIT_PX,
+                value <= MOST_MISFIT_PX,
+                "its corners are off by about as much: fix the print to something flat, and"
+                " give the picture that was printed",
+            )
 
 
 def _require_size(index: int, size: tuple[int, int], before: tuple[int, int]) -> None:

@@ -19,7 +19,9 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from scipy.optimize import approx_fprime, least_squares
 
+from arfx.analyse.markers.texture import even_contrast, follow
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.numerics import divide
@@ -37,7 +39,7 @@ MOST_SIGMA_PX = 2.0  # of the print's corners
 SHARE = 0.3  # of the corners in view that must agree
 # SIFT's threshold of contrast: half of the usual one, for prints that are small or blurred
 _FAINT = 0.02
-_POINTS, _WINDOW_PX, _EVEN_PX = 160, 15, 25
+_POINTS, _MARGIN_PX = 160, 7
 _REACH = 3  # further halvings of the images for a homography that is only about right
 _BLURRED, _SHARED = (
     2,
@@ -63,6 +65,9 @@ _AGREEING, _SAME = (
     0.7,
 )  # share of corners; correlation of the even pictures: 0.66 where half of a print tells its turn
 _STEP = 1e-4  # of a homography's numbers, for its derivative
+_WORN = 4.0  # deviations at which a point counts half
+_ALIKE = 1.5  # corners whose windows overlap err alike: factor on the deviation of a fit
+_LEAST_PX = 1e-4  # of residuals: no corner is followed better
 _NODE_PX = 8  # between points for which lens distortion is computed
 
 
@@ -87,12 +92,15 @@ class Alignment:
     """ideal_from_unit : (3, 3);  corners_px : (4, 2) of the print in the picture, order of
     MarkerSpec.corners_m
     sigma_px : standard deviation of their coordinates;  share : of the print's corners that agree
+    misfit_px : root mean square distance of what was followed in the texture from where a
+    flat print of this picture has it
     """
 
     ideal_from_unit: np.ndarray
     corners_px: np.ndarray
     sigma_px: float
     share: float
+    misfit_px: float
 
 
 class PatternPicture:
@@ -167,8 +175,9 @@ class PatternPicture:
         for level, factor in zip(
             self._levels_for(camera, ideal_from_unit), (1.0, _SHARED), strict=False
         ):
-            near = _aligned(level, luma, camera, ideal_from_unit, _REACH)
-            there = near and _aligned(level, luma, camera, near.ideal_from_unit, 0)
+            near = _match(level, luma, camera, ideal_from_unit, _REACH)
+            exact = near and _match(level, luma, camera, near.ideal_from_unit, 0)
+            there = exact and _aligned(exact, camera)
             if there and factor * there.sigma_px <= MOST_SIGMA_PX:
                 return replace(there, sigma_px=factor * there.sigma_px)
         return None
@@ -214,7 +223,10 @@ def check_turned(name: str, luma: np.ndarray) -> None:
             there.ideal_from_unit @ picture.levels[0].unit_from_level,
             (w, h),
         )
-        if np.corrcoef(picture.levels[0].even.ravel(), _even(seen).ravel())[0, 1] >= _SAME:
+        if (
+            np.corrcoef(picture.levels[0].even.ravel(), even_contrast(seen).ravel())[0, 1]
+            >= _SAME
+        ):
             raise ConfigError(
                 f"pattern {name} looks the same when it is turned by {degrees} degrees: its"
                 " pose would be a guess",
@@ -321,23 +333,15 @@ def coded_luma(linear: np.ndarray, ink: float, paper: float) -> np.ndarray:
 
 
 def _level(image: np.ndarray) -> Level:
-    even = _even(image)
+    even = even_contrast(image)
     inside = np.zeros_like(even)
-    margin = min(_WINDOW_PX // 2, min(even.shape) // 8)
+    margin = min(_MARGIN_PX, min(even.shape) // 8)
     inside[margin:-margin, margin:-margin] = 255
     apart = max(max(even.shape) / 28, 2.0)
     points = cv2.goodFeaturesToTrack(even, _POINTS, 0.02, apart, mask=inside, blockSize=5)
     return Level(
         even, np.zeros((0, 2), np.float32) if points is None else points.reshape(-1, 2)
     )
-
-
-def _even(image: np.ndarray) -> np.ndarray:
-    """(h, w) uint8 of even local contrast about 128."""
-    f, n = image.astype(np.float32), (_EVEN_PX, _EVEN_PX)
-    mean = cv2.blur(f, n)
-    spread = np.sqrt(np.maximum(cv2.blur(f * f, n) - mean * mean, 0) + 9.0)
-    return np.clip(128 + 45 * (f - mean) / spread + 0.5, 0, 255).astype(np.uint8)
 
 
 def _mapped(h: np.ndarray, xy: np.ndarray) -> np.ndarray:
@@ -358,131 +362,119 @@ def _cut_out(
     w, h = size
     corners = _pixels(camera, ideal_from_level, _CORNERS * [w, h] - 0.5)
     side = float(np.linalg.norm(corners - np.roll(corners, -1, 0), axis=1).max())
-    x0, y0, k = 0, 0, int(side / max(size))
-    if k > 1:  # the frame is finer than the finest level
-        part = Rect.around(corners, 2.0 * k).clip(Rect.of(luma.shape[1], luma.shape[0]))
-        if part.width < 4 * k or part.height < 4 * k:
-            return np.zeros((h, w), np.uint8)
-        x0, y0 = part.x0, part.y0
-        luma = luma[y0 : y0 + part.height // k * k, x0 : x0 + part.width // k * k]
-        luma = cv2.resize(
-            luma, (luma.shape[1] // k, luma.shape[0] // k), interpolation=cv2.INTER_AREA
-        )
-    k = max(k, 1)
-    here = np.array(
-        [[1 / k, 0, (0.5 - x0) / k - 0.5], [0, 1 / k, (0.5 - y0) / k - 0.5], [0, 0, 1]]
-    )
-    if not camera.distorted:
-        m = here @ camera.matrix @ ideal_from_level
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return cv2.warpPerspective(
-            luma, m, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
-        )
+    k = max(int(side / max(size)), 1)  # the frame may be finer than the finest level
+    part = Rect.around(corners, 2.0 * k).clip(Rect.of(luma.shape[1], luma.shape[0]))
+    columns, rows = part.width // k, part.height // k
+    if min(columns, rows) < 4:
+        return np.zeros((h, w), np.uint8)
+    luma = luma[part.y0 : part.y0 + rows * k, part.x0 : part.x0 + columns * k]
+    luma = cv2.resize(luma, (columns, rows), interpolation=cv2.INTER_AREA)
     nodes = [(np.arange(-1, n // _NODE_PX + 2) + 0.5) * _NODE_PX - 0.5 for n in size]
     grid = np.stack(np.meshgrid(*nodes), -1)
     at = _pixels(camera, ideal_from_level, grid.reshape(-1, 2)).reshape(grid.shape)
-    at = np.where(np.isfinite(at), (at - [x0, y0] + 0.5) / k - 0.5, -1e4).astype(np.float32)
-    full = cv2.resize(
-        at,
-        (grid.shape[1] * _NODE_PX, grid.shape[0] * _NODE_PX),
-        interpolation=cv2.INTER_LINEAR,
+    at = np.where(np.isfinite(at), (at - [part.x0, part.y0] + 0.5) / k - 0.5, -1e4).astype(
+        np.float32
     )
-    full = full[_NODE_PX : _NODE_PX + h, _NODE_PX : _NODE_PX + w]
-    return cv2.remap(
-        luma,
-        full[..., 0].copy(),
-        full[..., 1].copy(),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
+    many = (grid.shape[1] * _NODE_PX, grid.shape[0] * _NODE_PX)
+    full = cv2.resize(at, many, interpolation=cv2.INTER_LINEAR)
+    x, y = cv2.split(full[_NODE_PX : _NODE_PX + h, _NODE_PX : _NODE_PX + w])
+    return cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _aligned(
+@dataclass(frozen=True, eq=False)
+class _Match:
+    """Corners of the picture that were followed into the frame and back.
+
+    ideal_from_level : where the frame was cut out;  level_from_unit : where the corners have
+    the print in the cut-out
+    units, moved : (n, 2) of the print, and px of the cut-out;  agree : (n,) on a homography
+    share : of the corners in view that agree
+    """
+
+    ideal_from_level: np.ndarray
+    level_from_unit: np.ndarray
+    units: np.ndarray
+    moved: np.ndarray
+    agree: np.ndarray
+    share: float
+
+    @property
+    def ideal_from_unit(self) -> np.ndarray:
+        return self.ideal_from_level @ self.level_from_unit
+
+
+def _match(
     level: Level, luma: np.ndarray, camera: Camera, ideal_from_unit: np.ndarray, reach: int
-) -> Alignment | None:
+) -> _Match | None:
+    """None where too few corners agree on a homography."""
     ideal_from_level = ideal_from_unit @ level.unit_from_level
     h, w = level.even.shape
-    picture, points = level.even, level.points
-    seen = _even(_cut_out(luma, camera, ideal_from_level, (w, h)))
-    at = _pixels(camera, ideal_from_level, points.astype(float))
+    seen = even_contrast(_cut_out(luma, camera, ideal_from_level, (w, h)))
+    at = _pixels(camera, ideal_from_level, level.points.astype(float))
     there = (at > 2).all(1) & (at < [luma.shape[1] - 3, luma.shape[0] - 3]).all(1)
-    points = points[there]
+    points = level.points[there]
     if len(points) < LEAST_POINTS:
         return None
-    moved = _followed(picture, seen, points, reach)
-    good = (
-        np.linalg.norm(_followed(seen, picture, moved, reach) - points, axis=1) < _RETURN_PX
-    )
+    moved, away = follow(level.even, seen, points, reach)
+    good = away < _RETURN_PX
     needed = max(LEAST_POINTS, SHARE * len(points))
     if good.sum() < needed:
         return None
     a, b = points[good].astype(float), moved[good].astype(float)
-    start, inside = cv2.findHomography(a, b, cv2.USAC_MAGSAC, _AGREE_PX, maxIters=2000)
-    if start is None or inside.sum() < needed:
+    found, agree = cv2.findHomography(a, b, cv2.USAC_MAGSAC, _AGREE_PX, maxIters=2000)
+    if found is None or agree.sum() < needed:
         return None
-    inside = inside.ravel() > 0
-    # in units of the longer side: all numbers of the homography are of the size of 1
-    to_px = np.diag([float(max(w, h)), float(max(w, h)), 1.0])
-    start = np.linalg.inv(to_px) @ start @ to_px
-    numbers, covariance = _fitted(a[inside] / max(w, h), b[inside] / max(w, h), start)
-    if not np.isfinite(numbers).all():
+    units = _mapped(level.unit_from_level, a)
+    level_from_unit = found @ np.linalg.inv(level.unit_from_level)
+    share = float(agree.sum() / len(points))
+    return _Match(ideal_from_level, level_from_unit, units, b, agree.ravel() > 0, share)
+
+
+def _aligned(match: _Match, camera: Camera) -> Alignment | None:
+    """None for a quad that no print can show."""
+    units, moved, about = match.units, match.moved, match.ideal_from_unit
+    fit = _fitted(match.level_from_unit, units[match.agree], moved[match.agree])
+    if fit is None:
         return None
-    start_from_unit = np.linalg.inv(level.unit_from_level @ to_px)
+    change, covariance = fit
 
-    def moved_by(numbers: np.ndarray) -> np.ndarray:
-        fit = np.insert(numbers, 8, 1.0, axis=-1).reshape(*numbers.shape[:-1], 3, 3)
-        return np.asarray(ideal_from_level @ to_px @ fit @ start_from_unit)
+    def corners_by(change: np.ndarray) -> np.ndarray:
+        return _pixels(camera, about @ _matrix(change), _CORNERS)
 
-    new = moved_by(numbers)
-    new = new / new[2, 2] if new[2, 2] else new
-    corners = _pixels(camera, new, _CORNERS)
+    new, corners = about @ _matrix(change), corners_by(change)
     if not plausible(corners):
         return None
-    ahead, behind = (
-        _pixels(camera, moved_by(numbers + step * np.eye(8)), _CORNERS)
-        for step in (_STEP, -_STEP)
-    )
-    slope = (ahead - behind) / (2 * _STEP)
-    sigma = float(np.sqrt(np.einsum("inc,ij,jnc->", slope, covariance, slope) / 8))
-    return Alignment(new, corners, sigma, float(inside.sum() / len(points)))
+    slope = approx_fprime(change, lambda c: corners_by(c).ravel(), _STEP)
+    sigma = float(np.sqrt(np.trace(slope @ covariance @ slope.T) / 8))
+    off = _pixels(camera, new, units) - _pixels(camera, match.ideal_from_level, moved)
+    misfit = float(np.sqrt((off**2).sum(1).mean()))
+    return Alignment(divide(new, new[2, 2]), corners, sigma, match.share, misfit)
 
 
-def _followed(
-    first: np.ndarray, second: np.ndarray, points: np.ndarray, reach: int
-) -> np.ndarray:
-    """(n, 2) where points of one image are in another; far away where they are lost."""
-    window = (_WINDOW_PX, _WINDOW_PX)
-    start, out = np.array(points, np.float32), np.zeros(points.shape, np.float32)
-    moved, ok, _ = cv2.calcOpticalFlowPyrLK(
-        first, second, start, out, winSize=window, maxLevel=reach, criteria=(3, 20, 0.005)
-    )
-    return np.where(np.asarray(ok) > 0, moved, -1e4).astype(np.float32)
+def _matrix(change: np.ndarray) -> np.ndarray:
+    """(3, 3) homography of the unit square onto nearly itself, by eight numbers."""
+    return np.eye(3) + np.append(change, 0.0).reshape(3, 3)
 
 
 def _fitted(
-    a: np.ndarray, b: np.ndarray, start: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Robust least squares for the homography from a (n, 2) to b (n, 2): (its first eight
-    numbers, the last is 1; their covariance (8, 8)).
+    level_from_unit: np.ndarray, units: np.ndarray, moved: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Robust least squares for a homography: (change (8,) of the unit square before it, its
+    covariance); None where it places the points nowhere.
+
+    units, moved : (n, 2) points of the print, and where they are on the level
     """
-    h = divide(start, start[2, 2])
-    normal, size = np.eye(8), 0.0
-    from_a = np.column_stack([a, np.ones(len(a))])
-    none = np.zeros_like(from_a)
-    for _ in range(6):
-        p = from_a @ h.T
-        y = divide(p[:, :2], p[:, 2:])
-        rows = [
-            np.column_stack([from_a, none, -y[:, :1] * a]),
-            np.column_stack([none, from_a, -y[:, 1:] * a]),
-        ]
-        j = divide(np.stack(rows, 1), p[:, 2, None, None])
-        r = b - y
-        length = np.linalg.norm(r, axis=1)
-        # of one coordinate: a Rayleigh median is 1.177 of it
-        size = max(1.4826 * float(np.median(length)) / 1.177, 1e-7)
-        weight = 1 / (1 + (length / (3 * size)) ** 2) ** 2
-        normal = np.einsum("n,nki,nkj->ij", weight, j, j)
-        right = np.einsum("n,nki,nk->i", weight, j, r)
-        h = h + np.append(np.linalg.lstsq(normal, right, rcond=None)[0], 0.0).reshape(3, 3)
-    return h.ravel()[:8], np.linalg.pinv(normal, hermitian=True) * size**2
+
+    def missed(change: np.ndarray) -> np.ndarray:
+        return (_mapped(level_from_unit @ _matrix(change), units) - moved).ravel()
+
+    def deviation(residuals: np.ndarray) -> float:
+        return max(1.4826 * float(np.median(np.abs(residuals))), _LEAST_PX)
+
+    first = missed(np.zeros(8))
+    if not np.isfinite(first).all():
+        return None
+    worn = _WORN * deviation(first)
+    fit = least_squares(missed, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5)
+    inverse = np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True)
+    return fit.x, inverse * (_ALIKE * deviation(fit.fun)) ** 2

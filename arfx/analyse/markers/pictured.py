@@ -66,4 +66,11 @@ def _aligned(
     there = picture.align(frame.luma, camera, about)
     if there is None:
         return None
-    return Detection(picture.name, there.corners_px, there.sigma_px, math.nan, False)
+    return Detection(
+        picture.name,
+        there.corners_px,
+        there.sigma_px,
+        math.nan,
+        False,
+        misfit_px=there.misfit_px,
+    )

@@ -16,6 +16,8 @@ from arfx.measure.inspection import (
     Found,
     _record,
     confirmed,
+    relative_size,
+    size_names,
     suggestion,
     tilt_deg,
 )
@@ -172,6 +174,25 @@ def test_tilt_is_the_angle_to_the_line_of_sight(tilt: float) -> None:
     assert tilt_deg(np.full((4, 2), np.nan), camera) is None
 
 
+def test_prints_of_other_sizes_in_one_plane_have_a_size_of_their_own() -> None:
+    """12 px a cell: 96 px of 8 cells, 72 of 6; seen at a slant, and one moved out of the plane."""
+    page = sheet(("36h11", 7, (60, 60)), ("4X4_50", 3, (300, 80)), ("36h11", 5, (420, 300)))
+    corners = np.array([[0, 0], [640, 0], [640, 480], [0, 480]], np.float32)
+    slanted = np.array([[30, 20], [600, 60], [620, 460], [10, 420]], np.float32)
+    h = cv2.getPerspectiveTransform(corners, slanted)
+    luma = cv2.warpPerspective(page, h, (640, 480), borderValue=230)
+    seen: dict[str, Found] = {}
+    _record(seen, MarkerDetector(SCANNED_FAMILIES, MIN_SIDE_PX).search(luma), 0, luma, None)
+    first, small, same = (seen[k] for k in ("36h11:7", "4X4_1000:3", "36h11:5"))
+    assert relative_size(first, small) == pytest.approx(0.75, abs=0.02)
+    assert relative_size(first, same) == pytest.approx(1.0, abs=0.02)
+    small.quads[0][0][2] += [12, 9]
+    assert relative_size(first, small) is None
+    sizes = (1.0, 0.75, None, 0.74, 2.0, 1.02)
+    names = size_names([{"size_of_first": size} for size in sizes])
+    assert names == ["SIZE", "SIZE2", "SIZE", "SIZE2", "SIZE3", "SIZE"]
+
+
 def test_the_suggestion_is_a_command_that_a_shell_takes(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
@@ -180,12 +201,15 @@ def test_the_suggestion_is_a_command_that_a_shell_takes(
 
     document = {
         "clip": {"container": "mov"},
-        "markers": [{"marker": "36h11:3"}, {"marker": "4X4_50:0"}],
+        "markers": [
+            {"marker": "36h11:3", "size_of_first": 1.0},
+            {"marker": "4X4_50:0", "size_of_first": 0.5},
+        ],
     }
     words = shlex.split(suggestion(document, Path("my clip.mp4"), Path("a b.yaml")))
     assert words[:5] == ["arfx", "process", "my clip.mp4", "--camera", "a b.yaml"]
     assert [words[i + 1] for i, w in enumerate(words) if w == "--marker"] == [
         "36h11:3:SIZE",
-        "4X4_50:0:SIZE",
+        "4X4_50:0:SIZE2",
     ]
     assert suggestion({"markers": []}, Path("c.mp4"), None) == ""

@@ -13,6 +13,7 @@ import pytest
 from arfx.analyse.fold import AnalysisJob
 from arfx.analyse.folds import Analyser, AnalysisFrame
 from arfx.analyse.markers.detect import Detection
+from arfx.analyse.markers.fold import Markers
 from arfx.analyse.markers.pattern import PatternPicture, check_turned, coded_luma, plausible
 from arfx.analyse.markers.pictured import PicturedPrints
 from arfx.analyse.markers.tracker import Tracker
@@ -175,6 +176,25 @@ def test_a_rectangle_has_a_pose_as_a_marker_has() -> None:
     for fact, pose in zip(clip.facts, poses, strict=True):
         assert np.degrees(rotation_angle_rad(fact.pose, pose)) < 0.3
         assert np.linalg.norm(fact.pose.translation_m - pose.translation_m) < 1e-3
+
+
+@pytest.mark.parametrize(("bend", "flat"), [(0.0, True), (0.02, False)])
+def test_a_print_that_is_not_flat_is_told_by_its_misfit(bend: float, flat: bool) -> None:
+    """Bent like a wave, by a share of its height: 2 px in the frame."""
+    h, w = GREY.shape
+    x, y = np.meshgrid(np.arange(w), np.arange(h))
+    y = y + bend * h * np.cos(2 * np.pi * x / w)
+    bent = cv2.remap(
+        GREY.astype(np.float32), x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )  # fmt: skip
+    analyser = Analyser(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
+    for k in range(4):
+        view = hung(CAM, bent, PRINT.corners_m, place(k), BACK)
+        analyser.step(AnalysisFrame(k, k / 25, picture(CAM, [], 0.8 * view, 1.5, 0.6, k)))
+    clip = analyser.finish()
+    (check,) = Markers.health(clip.facts, clip.summary)
+    assert check.ok == flat and check.name.startswith(PRINT.key) and "flat" in check.action
 
 
 def test_a_print_that_is_never_seen_is_said() -> None:

@@ -1,0 +1,201 @@
+"""Straight edges along the sides of quads: light is sampled along 4 x 32 normals of each, a
+robust line is laid through where it falls, and the corners are where the lines meet.
+
+A Gaussian window keeps off what lies beside an edge: first about the side, then about the
+line that was found, as wide as the edge's blur. All is sampled once more from there. n
+quads are worked on as one array; no result depends on the others. Points are complex
+numbers here, x + iy.
+Source: docs/methods/pose.md#corners."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import cv2
+import numpy as np
+
+from arfx.core.rect import Rect
+
+SAMPLES = 32  # normals per side
+STEPS = 33  # samples along a normal
+# Where along a side: its rounded and occluded ends are left out. Uneven, lest the samples
+# keep step with the pixels that a slanted edge crosses (at a slope of 1 in 2 even ones
+# every 2.2 px saw one phase of them all: .05 px of error became .02).
+_EVEN = (np.arange(SAMPLES) + 0.5) / SAMPLES
+FRACTIONS = 0.05 + 0.9 * (_EVEN + 0.15 * np.sin(2 * np.pi * _EVEN) / (2 * np.pi))
+_LINE = np.stack([1 - FRACTIONS, FRACTIONS])  # of a line's values at its ends
+_PRODUCTS = (_LINE.T[:, :, None] * _LINE.T[:, None]).reshape(SAMPLES, 4)
+_RIDGE = 1e-9 * np.eye(2)
+_NEXT, _BEFORE = [1, 2, 3, 0], [3, 0, 1, 2]  # of the corners, clockwise
+_ALONG = np.linspace(-1, 1, STEPS)
+_MIDDLES = (_ALONG[1:] + _ALONG[:-1]) / 2
+# A normal on which the edge is fainter than so much of the side's (its upper quartile)
+# meets something that covers the print.
+_THERE = 0.5
+_LINES = 2  # laid through the samples of one place
+_ROUNDS = 2  # of a robust line, each with the weights of the one before
+# Standard deviation of scatter over its mean size, under the weights of a robust line: 1.54
+# for a Gaussian; more, as that between pixels is none (errors held against what is said of
+# them: tests/unit/analyse/markers/test_aliasing.py).
+_DEVIATION = 1.65
+# Least standard deviation of the window: a narrower one sees the steps of the pixels in a
+# sharp edge and is drawn towards them, by up to .13 px at .7 px. Noise gains nothing from a
+# narrow window. Small cells need one: what is beyond is near.
+WINDOW_PX = (0.7, 1.3)
+WINDOW_FRACTION = 0.4  # of what is looked at to one side, between those two
+_REMAP_STEPS = 32  # OpenCV reads between pixels at so many places per px
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Of n quads. quad : (n, 4, 2) px, the lines' corners; not finite where two are parallel
+
+    gain : (n,) light of 255 that falls across the faintest side;  spread : (n,) px along a
+    side, median of sides;  blur, skew, inverted : (n,) as of Corners
+    """
+
+    quad: np.ndarray
+    gain: np.ndarray
+    spread: np.ndarray
+    blur: np.ndarray
+    skew: np.ndarray
+    inverted: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> Edges:
+        return Edges(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+
+def find_edges(
+    luma: np.ndarray,
+    table: np.ndarray,
+    start: np.ndarray,
+    bend: np.ndarray,
+    half: np.ndarray,
+    reaches: Sequence[np.ndarray],
+) -> Edges:
+    """Edges near quads.
+
+    luma : (h, w) uint8;  table : (256,) float32 to light of 255;  start : (n, 4, 2) px
+    bend : (n, 4, SAMPLES, 2) px off the chord;  half : (n, 4) px, as of which the window is
+    reaches : (n, 4) px to either side of an edge, each time that it is sampled"""
+    margin = int(np.ceil(3 * max(r.max() for r in reaches)))
+    lights = [_Light(luma, table, quad, margin) for quad in start]
+    corners, off_chord = (a[..., 0] + 1j * a[..., 1] for a in (start, bend))
+    least = np.clip(WINDOW_FRACTION * half, *WINDOW_PX)
+    weight = there = np.ones((*half.shape, SAMPLES))
+    with np.errstate(all="ignore"):  # what is not finite is no edge
+        for first, far in enumerate(reaches):
+            fall, place = _profiles(lights, corners, off_chord, far)
+            inverted = fall.sum((1, 2, 3)) < 0
+            fall[inverted] *= -1
+            mean = np.einsum("ijst,ijs->ijt", fall, there)
+            blur, skew = _shape(mean / there.sum(-1)[..., None], far)
+            fit = np.minimum(np.maximum(1.2 * blur[:, None], least), far / 2)
+            ends = np.zeros((*half.shape, 2))
+            for again in range(_LINES):
+                new = first == again == 0  # nothing is known yet
+                window = far / 2 if new else fit
+                # of a displacement a window of width w over an edge of width b sees only
+                # w2 / (w2 + b2)
+                more = 1.0 if new else np.minimum(1 + (blur[:, None] / window) ** 2, 3)
+                line = ends @ _LINE
+                away = place - line[..., None]
+                inside = fall * np.exp(-0.5 * (away / window[..., None, None]) ** 2)
+                own = inside.sum(-1)
+                clear = np.sort(own, -1)[..., 3 * SAMPLES // 4]
+                there = own >= _THERE * clear[..., None]
+                mass = (own * there).sum(-1) / there.sum(-1)
+                seen = np.einsum("...t,...t->...", inside, away)
+                seen *= (more / mass)[..., None]
+                most = far[..., None]
+                off = np.clip(line + seen, -most, most)
+                ends, spread, weight = _lines(off, there, weight)
+            corners = _meeting(corners, ends)
+    quad = np.stack([corners.real, corners.imag], -1)
+    spread = np.sort(spread, -1)[:, 1:3].mean(-1)
+    return Edges(quad, clear.min(1), spread, blur, skew, inverted)
+
+
+class _Light:
+    """Linear light around a quad. origin : px of its first pixel"""
+
+    def __init__(
+        self, luma: np.ndarray, table: np.ndarray, quad: np.ndarray, margin: int
+    ) -> None:
+        h, w = luma.shape
+        part = Rect.around(quad, margin).clip(Rect.of(w, h))
+        part = Rect.of(w, h) if part.empty else part
+        self.values = cv2.LUT(luma[part.slices], table)
+        self.origin = np.complex64(part.x0 + 1j * part.y0)
+
+    def sampled(self, places: np.ndarray) -> np.ndarray:
+        """(m, k) at places (m, k) complex64 px; the border is replicated."""
+        xy = places - self.origin
+        border = cv2.BORDER_REPLICATE
+        return cv2.remap(self.values, xy.real, xy.imag, cv2.INTER_LINEAR, borderMode=border)
+
+
+def _profiles(
+    lights: Sequence[_Light], corners: np.ndarray, off_chord: np.ndarray, far: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 4, SAMPLES, STEPS - 1) how much darker it gets from sample to sample, inwards; and
+    where, px from the chord."""
+    chord = corners[:, _NEXT] - corners
+    inwards = (1j * chord / np.abs(chord)).astype(np.complex64)[..., None, None]
+    foot = corners[..., None] + FRACTIONS * chord[..., None] + off_chord
+    along = (far[..., None] * _ALONG).astype(np.float32)[:, :, None]
+    wanted = foot.astype(np.complex64)[..., None] + along * inwards
+    exact = np.round(wanted * _REMAP_STEPS) / _REMAP_STEPS
+    along = along + ((exact - wanted) * inwards.conj()).real
+    exact[~np.isfinite(exact)] = 0  # of a quad of which nothing will come
+    exact = exact.reshape(len(lights), -1, STEPS)
+    light = np.stack([one.sampled(at) for one, at in zip(lights, exact, strict=True)])
+    light = light.reshape(along.shape)
+    return light[..., :-1] - light[..., 1:], (along[..., :-1] + along[..., 1:]) / 2
+
+
+def _lines(
+    off: np.ndarray, there: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Robust lines (iterated, Geman-McClure) through samples off (n, 4, SAMPLES) that are
+    there: values at their ends (n, 4, 2), spread px (n, 4), and the samples' weights."""
+    weight = weight * there
+    for _ in range(_ROUNDS):
+        normal = (weight @ _PRODUCTS).reshape(*off.shape[:2], 2, 2) + _RIDGE
+        ends = np.linalg.solve(normal, ((weight * off) @ _LINE.T)[..., None])[..., 0]
+        missed = np.abs(off - ends @ _LINE)
+        scale = _DEVIATION * (weight * missed).sum(-1) / weight.sum(-1) + 1e-3
+        weight = there / (1 + (missed / (2.75 * scale[..., None])) ** 2) ** 2
+    return ends, scale, weight
+
+
+def _meeting(corners: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(n, 4) where the sides meet, moved inwards by ends (n, 4, 2)."""
+    chord = corners[:, _NEXT] - corners
+    inwards = 1j * chord / np.abs(chord)
+    begin = corners + inwards * ends[..., 0]
+    d = chord + inwards * (ends[..., 1] - ends[..., 0])
+    before = d[:, _BEFORE].conj()  # of the side that ends here
+    gap = begin[:, _BEFORE] - begin
+    return begin + d * ((before * gap).imag / (before * d).imag)
+
+
+def _shape(mean: np.ndarray, far: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviation px and skew (n,) of the mean profiles (n, 4, STEPS - 1) over the
+    sides; the narrowing by the window that it is seen through is taken out."""
+    place, most = far[..., None] * _MIDDLES, far**2
+    second = _moments(np.maximum(mean, 0) * np.exp(-2 * _MIDDLES**2), place)[0]
+    variance = 1 / np.maximum(1 / second - 4 / most, 1 / most)
+    blur = np.sqrt(np.sort(np.maximum(variance, 0.04), -1)[:, 1:3].mean(-1))
+    near = np.exp(-0.5 * (place / (1.5 * blur[:, None, None])) ** 2)
+    return blur, _moments(mean * near, place)[1].mean(-1) / blur**3
+
+
+def _moments(profile: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means of the square and of the cube of `place` about its mean, under profiles along the
+    last axis."""
+    profile = profile / profile.sum(-1, keepdims=True)
+    away = place - (profile * place).sum(-1, keepdims=True)
+    squares = profile * away * away
+    return squares.sum(-1), (squares * away).sum(-1)

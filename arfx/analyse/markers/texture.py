@@ -1,0 +1,45 @@
+"""Texture of pictures, compared whatever the light: local contrast made even, and points that
+are followed from one picture to another and back."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+_NOISE = 3.0  # grey levels of contrast that are noise
+
+
+def even_contrast(image: np.ndarray, window_px: int = 25) -> np.ndarray:
+    """(h, w) uint8 about 128: contrast against the neighbourhood, over how much of it there is.
+
+    image : (h, w) uint8;  window_px : side of the neighbourhood"""
+    value, window = image.astype(np.float32), (window_px, window_px)
+    mean = cv2.blur(value, window)
+    spread = np.sqrt(
+        np.maximum(cv2.blur(value * value, window) - mean * mean, 0) + _NOISE**2
+    )
+    return np.clip(128 + 45 * (value - mean) / spread + 0.5, 0, 255).astype(np.uint8)
+
+
+def follow(
+    first: np.ndarray,
+    second: np.ndarray,
+    points: np.ndarray,
+    halvings: int,
+    window_px: int = 15,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points of one picture in another, by Lucas and Kanade: ((n, 2) px, (n,) px by which the
+    way back misses where they came from; inf where they are lost).
+
+    first, second : (h, w) uint8;  points : (n, 2) px;  halvings : of the pictures, for those
+    that moved far"""
+    options = {
+        "winSize": (window_px, window_px),
+        "maxLevel": halvings,
+        "criteria": (3, 20, 0.005),
+    }
+    start = points.astype(np.float32)
+    there, seen, _ = cv2.calcOpticalFlowPyrLK(first, second, start, None, **options)  # type: ignore[call-overload]
+    back, seen_back, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, **options)  # type: ignore[call-overload]
+    away = np.linalg.norm(back - start, axis=1)
+    return there, np.where((seen > 0).ravel() & (seen_back > 0).ravel(), away, np.inf)
