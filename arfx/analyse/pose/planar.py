@@ -53,19 +53,24 @@ def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
     return np.stack(columns, -1)
 
 
+def _in_camera(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+    """(n, p, 3) the corners in camera coordinates."""
+    return seen.points_m @ np.swapaxes(rotation, 1, 2) + translation[:, None]
+
+
 def residuals(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
     """(n, p, 2) px, predicted minus seen.
 
     Points behind the camera count as straight on its plane (EPS_DEPTH_M).
     """
-    q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
+    q = _in_camera(rotation, translation, seen)
     z = np.maximum(q[..., 2:], EPS_DEPTH_M)
     return np.einsum("npij,npj->npi", seen.px_per_ideal, q[..., :2] / z - seen.ideal)
 
 
 def jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
     """(n, p, 2, 6) px per left perturbation of the pose."""
-    q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
+    q = _in_camera(rotation, translation, seen)
     z = np.maximum(q[..., 2], EPS_DEPTH_M)
     view = np.zeros((*q.shape[:-1], 2, 3))  # of (x/z, y/z), by the point
     view[..., 0, 0] = view[..., 1, 1] = 1 / z
@@ -98,12 +103,10 @@ def refine_poses(
         missed, j = residuals(*pose, part), jacobian(*pose, part)
         factor = huber_cost(missed, part.weight)[1]
         weighted = j * (part.weight * factor)[..., None, None]
-        normal = np.einsum("npki,npkj->nij", weighted, j)
+        normal = _products(weighted, j)
         diagonal = np.einsum("nii->ni", normal)
         diagonal += diagonal * damping[at, None] + 1e-12
-        step = np.linalg.solve(
-            normal, np.einsum("npki,npk->ni", -weighted, missed)[..., None]
-        )
+        step = -np.linalg.solve(normal, _products(weighted, missed[..., None]))
         turned, moved = apply_step(*pose, step[..., 0])
         now, _ = huber_cost(residuals(turned, moved, part), part.weight)
         # settled twice in a row: a refused step may by chance cost the same as the place it
@@ -126,7 +129,13 @@ def information(
 ) -> np.ndarray:
     """(n, 6, 6) Fisher information of each pose from its corners."""
     j = jacobian(rotation, translation, seen)
-    return np.einsum("npki,npkj->nij", j * seen.weight[..., None, None], j)
+    return _products(j * seen.weight[..., None, None], j)
+
+
+def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n, i, j) sums over corners and coordinates of a (n, p, 2, i) times b (n, p, 2, j)."""
+    a, b = (v.reshape(len(v), 2 * v.shape[1], v.shape[-1]) for v in (a, b))
+    return np.swapaxes(a, 1, 2) @ b
 
 
 def apply_step(
