@@ -313,9 +313,6 @@ def test_every_attribute_is_given_or_carried_or_learned(
         "the test does not make every fold, or not with all that it can do"
     )
     assert all(f.given | f.carried <= vars(f).keys() for f in folds)
-    constant = constant - {
-        ("RestCheck", "_factor")
-    }  # these frames are small enough as they are
     assert not constant, (
         "state that nothing in the clip changes: is it given, or does the clip lack it?"
     )
