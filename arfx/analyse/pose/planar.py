@@ -164,24 +164,19 @@ def stack(poses: list[Pose]) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])
 
 
-def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
-    """IPPE's one or two solutions, best first, wherever they lie.
+def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> np.ndarray:
+    """(k, 2, 3) rotation vector and translation of IPPE's one or two solutions, best first,
+    wherever they lie; k = 0 for corners that no direction leads to.
 
     corners_m : (4, 3) of a rectangle, order of MarkerSpec.corners_m;  ideal : (4, 2)
     normalised, without lens distortion
     """
     if not np.isfinite(ideal).all():
-        return []
+        return np.zeros((0, 2, 3))
     square = corners_m[1, 0] == corners_m[1, 1]
     method = cv2.SOLVEPNP_IPPE_SQUARE if square else cv2.SOLVEPNP_IPPE
-    count, rvecs, tvecs, _ = cv2.solvePnPGeneric(
-        np.ascontiguousarray(corners_m),
-        np.ascontiguousarray(ideal)[:, None],
-        np.eye(3),
-        None,
-        flags=method,
-    )
-    return [Pose.from_rotvec(rvecs[k], tvecs[k]) for k in range(count)]
+    solved = cv2.solvePnPGeneric(corners_m, ideal, np.eye(3), None, flags=method)
+    return np.stack(solved[1:3], 1)[..., 0]
 
 
 def frontal_poses(
@@ -227,11 +222,10 @@ def hypotheses(
         return out
     points, ideal, px_per_ideal = np.asarray(corners_m)[at], ideal[at], px_per_ideal[at]
     n = len(points)
-    every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
-    of, (rotation, translation) = (
-        np.array([i for i, _ in every], int),
-        stack([p for _, p in every]),
-    )
+    solved = [both_poses(*one) for one in zip(points, ideal, strict=True)]
+    of = np.repeat(np.arange(n), [*map(len, solved)])
+    rotvec, translation = np.concatenate(solved).swapaxes(0, 1)
+    rotation = rotation_from_rotvec(rotvec)
     ahead = _in_sight(rotation, translation)
     # IPPE returns rubbish for a marker that faces the camera, or is parallel to the
     # picture, exactly: starts of their own
@@ -252,18 +246,15 @@ def hypotheses(
     rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     error[~(_in_sight(rotation, translation) & np.isfinite(error))] = np.inf
-    order = np.lexsort((error, owner))[
-        ::-1
-    ]  # worst first: of those assigned to one place the last one stays
+    # worst first: of those assigned to one place the last one stays
+    order = np.lexsort((error, owner))[::-1]
     order = order[np.isfinite(error[order])]
     best, other = np.full((2, n), -1)
     best[owner[order]] = order
-    apart = (
-        8 * np.sin(_SAME_RAD / 2) ** 2
-    )  # squared distance of two rotation matrices by that angle
-    order = order[
-        ((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2)) > apart
-    ]
+    # squared distance of two rotation matrices by that angle
+    apart = 8 * np.sin(_SAME_RAD / 2) ** 2
+    away = ((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2))
+    order = order[away > apart]
     other[owner[order]] = order
     for k, pair in zip(at.tolist(), np.stack([best, other], 1).tolist(), strict=True):
         out[k] = tuple(
