@@ -1,10 +1,15 @@
 """The lens that a clip was filmed with, from the blur of its markers' sides against their
-distance (core/lens_fit.py).
+distance; refused where they do not determine it.
 
 Blur is the standard deviation of a side's mean profile of gradients, under a Gaussian
 window whose own narrowing is taken out, in linear light. Sides that move across themselves
 count less, or not at all: motion blurs them too. Both halves of the clip have to give the
-same lens."""
+same lens.
+
+An edge that a disc of radius r blurs has the standard deviation r / 2, and r = k |d - f|
+with the dioptre d of its distance, the focus dioptre f and k px a dioptre; what the lens
+and the sensor blur in the focus, s0, adds in squares: s^2 = s0^2 + (k / 2)^2 (d - f)^2.
+That is a parabola in d: a linear problem, no pole at infinity."""
 
 from __future__ import annotations
 
@@ -18,10 +23,10 @@ from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.corners import linear_table
 from arfx.analyse.markers.fold import Markers
 from arfx.core.facts import MEASURED, FrameFacts
-from arfx.core.lens_fit import LensFit, lens_from_blur
+from arfx.core.lens import LensFit
 from arfx.core.marker import FAMILIES, Marker
 from arfx.core.marker_codes import cells_per_side
-from arfx.core.numerics import divide, normalise
+from arfx.core.numerics import condition, divide, normalise
 from arfx.core.pose import Pose
 
 NORMALS = 24  # per side
@@ -40,6 +45,10 @@ _STRAY = 0.25  # share of the gradient's size that lies outside of the edge
 _ROUNDS = 10
 MOST_MOTION_PX = 3.0  # across a side from frame to frame
 _SIGMA_PX, _SIGMA_FRACTION = 0.06, 0.04  # of a measured blur: noise, and what is not a disc
+MIN_EDGES = 8
+MAX_CONDITION = 1e6  # of the normal matrix in scaled dioptres: float64 leaves 10 digits
+# residuals beyond this many standard deviations count linearly: motion blurs some frames
+_HUBER = 1.5
 
 
 def side_blurs(
@@ -230,3 +239,70 @@ def footage_lens(
             )
             return replace(fit, known=False, reason=words)
     return fit
+
+
+def lens_from_blur(
+    dioptre: np.ndarray, blur_px: np.ndarray, sigma_px: np.ndarray | float = 0.1
+) -> LensFit:
+    """Fit a lens.
+    dioptre : (n,) 1 / distance of edges, 1/m;  blur_px : (n,) standard deviation of each
+    sigma_px : of blur_px, one or (n,);  values that are not finite are left out"""
+    from scipy.optimize import least_squares
+
+    rows = np.stack(np.broadcast_arrays(dioptre, blur_px, sigma_px)).astype(float)
+    d, blur, sigma = rows[:, (np.isfinite(rows) & (rows > 0)).all(0)]
+    if len(d) < MIN_EDGES:
+        words = (
+            f"{len(d)} edges of known distance and blur, at least {MIN_EDGES} are needed"
+        )
+        return LensFit(False, words)
+    middle, spread = float(d.mean()), float(np.subtract(*np.percentile(d, (95, 5))))
+    if spread < 1e-6 * middle:
+        words = "the markers are all at one distance: any focus explains the blur"
+        return LensFit(False, words)
+    error = 2 * blur * sigma  # of blur squared
+    a = np.vander((d - middle) / spread, 3) / error[:, None]
+    if condition(a.T @ a) > MAX_CONDITION:
+        words = "the markers' distances do not separate a parabola from a line"
+        return LensFit(False, words)
+    b = blur**2 / error
+    p = least_squares(
+        lambda p: a @ p - b,
+        np.linalg.lstsq(a, b)[0],
+        lambda p: a,
+        loss="huber",
+        f_scale=_HUBER,
+        xtol=1e-12,
+    ).x
+    missed = np.abs(a @ p - b)
+    weight = np.minimum(1.0, divide(_HUBER, missed, where_zero=1.0))
+    scatter = max((weight * missed**2).sum() / max(weight.sum() - 3, 1.0), 1.0)
+    covariance = np.linalg.inv(a.T @ (weight[:, None] * a)) * scatter
+    growth, slope, level = p.tolist()
+    if not growth > 3 * np.sqrt(covariance[0, 0]):
+        why = "the blur does not grow away from any one distance beyond its noise"
+        return LensFit(False, f"{why}: distances differ by {100 * spread / middle:.1f} %")
+    bend = slope / (2 * growth)
+    focus, k = middle - spread * bend, 2 * np.sqrt(growth) / spread
+    sharp = level - growth * bend**2  # squared
+    by_p = [
+        [spread * bend / growth, -spread / (2 * growth), 0],
+        [1 / (np.sqrt(growth) * spread), 0, 0],
+        [bend**2, -bend, 1],
+    ]
+    ci, k_ci, sharp_ci = 1.96 * np.sqrt(np.diag(by_p @ covariance @ np.transpose(by_p)))
+    if sharp < -3 / 1.96 * sharp_ci:
+        words = (
+            "the blur grows faster with distance than a lens's: something else blurs some"
+        )
+        return LensFit(False, f"{words} edges")
+    if ci > 0.5 * middle or focus < -ci:
+        limits = f"{focus - ci:.2g} to {focus + ci:.2g} dioptres"
+        return LensFit(False, f"the focus is somewhere within {limits}: not known")
+    focus = max(focus, 0.0)
+    words = (
+        f"focus at {focus:.3g} +- {ci:.2g} dioptres, {k:.3g} +- {k_ci:.2g} px a dioptre,"
+        f" from {len(d)} edges"
+    )
+    sharp_px = float(np.sqrt(max(sharp, 0.0)))
+    return LensFit(True, words, float(k), focus, sharp_px, float(k_ci), float(ci))

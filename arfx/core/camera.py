@@ -134,16 +134,39 @@ class Camera(Document):
         return np.stack([xd, yd], -1)
 
     def undistort(self, xy: np.ndarray) -> np.ndarray:
-        """Distorted normalised coordinates (..., 2) to ideal ones: Newton with a numerical
-        Jacobian. Points that no direction maps to (beyond the fold) give NaN."""
+        """Distorted normalised coordinates (..., 2) to ideal ones. Points that no direction
+        maps to (beyond the fold) give NaN.
+        """
         target = np.asarray(xy, float)
         if not self.distorted:
             return target.copy()
+        guess = (
+            self._fisheye_angle(target) if self.model == FISHEYE else self._newton(target)
+        )
+        found = np.linalg.norm(self.distort(guess) - target, axis=-1) <= 1e-6
+        guess[~found | (np.linalg.norm(guess, axis=-1) > self.max_radius)] = np.nan
+        return guess
+
+    def _fisheye_angle(self, target: np.ndarray) -> np.ndarray:
+        """Newton in the angle to the axis: up to 90 degrees, where no step in x/z, y/z leads."""
+        k1, k2, k3, k4 = self.distortion
+        distorted = np.polynomial.Polynomial([0, 1, 0, k1, 0, k2, 0, k3, 0, k4])
+        slope, radius = distorted.deriv(), np.linalg.norm(target, axis=-1)
+        angle = np.minimum(radius, np.pi / 2)
+        for _ in range(20):
+            missed = distorted(angle) - radius
+            angle = np.clip(angle - divide(missed, slope(angle)), 0, np.pi / 2)
+        ratio = divide(np.tan(angle), radius, where_zero=1.0)
+        return np.asarray(target * ratio[..., None])
+
+    def _newton(self, target: np.ndarray) -> np.ndarray:
+        """Newton with a numerical Jacobian; near a fold cv2.undistortPoints, a fixed-point
+        iteration, ends beside the answer.
+        """
         h, guess = 1e-6, target.copy()
         along_x, along_y = np.array([h, 0.0]), np.array([0.0, h])
-        todo = np.ones(
-            target.shape[:-1], bool
-        )  # each point until its own steps end, whatever points are beside it
+        # each point until its own steps end, whatever points are beside it
+        todo = np.ones(target.shape[:-1], bool)
         for _ in range(12):
             at = guess[todo]
             if not len(at):
@@ -156,12 +179,10 @@ class Camera(Document):
             sy = divide(err[..., 1] * dx[..., 0] - err[..., 0] * dx[..., 1], det)
             step = np.stack([sx, sy], -1)
             size = np.linalg.norm(step, axis=-1)
-            guess[todo] = (
-                at + step * np.minimum(1.0, divide(0.3, size, where_zero=1.0))[..., None]
-            )  # damped near a fold
+            # damped near a fold
+            damped = np.minimum(1.0, divide(0.3, size, where_zero=1.0))
+            guess[todo] = at + step * damped[..., None]
             todo[todo] = size > 1e-12
-        found = np.linalg.norm(self.distort(guess) - target, axis=-1) <= 1e-6
-        guess[~found | (np.linalg.norm(guess, axis=-1) > self.max_radius)] = np.nan
         return guess
 
     def project(self, points_camera: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from arfx.core.advection import AdvectionField
 from arfx.core.codec import Array, Document
 from arfx.core.cube import CubeMap, SeenEnvironment
 from arfx.core.guard import atomic_write
-from arfx.core.lens_fit import LensFit
+from arfx.core.lens import LensFit
 from arfx.core.light import Light
 from arfx.core.pose import Pose
 from arfx.core.real_depth import RealDepth

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from arfx.core.codec import Document, Unbounded
 from arfx.core.numerics import divide
 from arfx.errors import InputError
 
@@ -117,3 +118,21 @@ def depth_of_field(lens: Lens, coc_mm: float) -> Limits:
 def hyperfocal_mm(focal_mm: float, fnumber: float, coc_mm: float) -> float:
     """Nearest focus distance at which infinity still passes as sharp: F^2 / (N c) + F."""
     return focal_mm / fnumber * focal_mm / coc_mm + focal_mm
+
+
+@dataclass(frozen=True, slots=True)
+class LensFit(Document):
+    """What the footage tells of the lens that it was filmed with.
+    known : whether the footage determines it;  reason : why not, or how well
+    px_per_dioptre : radius of the blur circle by the distance from the focus, 1/m;  focus :
+    dioptre, 1/m
+    sharp_px : standard deviation of an edge in the focus
+    focus_ci95, px_per_dioptre_ci95 : half widths of the 95 % intervals"""
+
+    known: bool
+    reason: str
+    px_per_dioptre: float = 0.0
+    focus: float = 0.0
+    sharp_px: float = 0.0
+    px_per_dioptre_ci95: Unbounded = float("inf")
+    focus_ci95: Unbounded = float("inf")

@@ -29,6 +29,7 @@ from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, smallest_family
 from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import angle_between, divide
+from arfx.core.pose import Pose
 from arfx.measure.truth import quantiles
 from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import open_video
@@ -226,9 +227,10 @@ def tilt_deg(quad_px: np.ndarray, camera: Camera) -> float | None:
     planar pose; None without one.
     """
     poses = both_poses(MarkerSpec("", 0, 1.0).corners_m, camera.normalised(quad_px))
-    if not poses:
+    if not len(poses):
         return None
-    normal, towards = poses[0].rotation[:, 2], -poses[0].translation_m
+    better = Pose.from_rotvec(*poses[0])
+    normal, towards = better.rotation[:, 2], -better.translation_m
     return float(np.degrees(angle_between(normal, towards)))
 
 

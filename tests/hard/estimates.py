@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from arfx.analyse.lens import lens_from_blur
 from arfx.analyse.light.fit import REFUSED, fit
 from arfx.analyse.light.photometry import EXACT, MEASURED, solve
 from arfx.analyse.pose.planar import Observed, hypotheses, information
-from arfx.core.lens_fit import lens_from_blur
 from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec

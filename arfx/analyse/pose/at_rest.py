@@ -1,9 +1,10 @@
-"""Which of camera and marker stands still, from picture corners outside the markers,
-followed over about a third of a second.
+"""Which of camera and marker stands still, from picture corners that are followed from one
+snapshot of the clip to another.
 
-Corners are taken twice, from the image and from its contrast against the neighbourhood,
-which a change of light leaves. Where there is no marker, `RestCheck` looks for the first
-picture's corners in later ones, about 2 ms each time.
+Corners are taken twice, from the reduced picture and from its contrast against the
+neighbourhood, which a change of light leaves, and followed there and back (Lucas, Kanade).
+With markers: corners outside of them, over about a third of a second. Without: those of the
+first picture in later ones.
 Source: docs/methods/pose.md#rest."""
 
 from __future__ import annotations
@@ -30,24 +31,86 @@ LEAST_DEPTH_M = 0.1  # nothing filmed stands closer
 NEAREST = 1 / 3  # of the marker's distance: nothing before that is taken for background
 # of a point's way by which it may be missed: the patch around it is seen from elsewhere
 DRIFT = 0.02
-NEAR_PX, FLAT = (
-    17,
-    4.0,
-)  # neighbourhood that contrast is compared with, and grey levels of contrast that are noise
-# in the reduced image, over INTERVAL_S; tracking noise of a still clip is about .05 to .15
-STILL_PX = 0.35
+# neighbourhood that contrast is compared with, and grey levels of contrast that are noise
+NEAR_PX, FLAT = 17, 4.0
+# in the reduced image, over INTERVAL_S: tracking noise of a still clip is about .05 to .15;
+# and since the first picture: light and compression move corners by more
+STILL_PX, REST_PX = 0.35, 0.6
 # share of points: moving shadows and what a hand moves beside the marker are the others
 AT_REST = 0.45
+_BACK_PX = 0.3  # from its start, in the reduced image: a corner that came back
 _MIN_POINTS = 6
-REST_WIDTH_PX = 480  # of the reduced pictures of `RestCheck`
-REST_POINTS = 80
-REST_PX = 0.7  # in a reduced picture: sensor noise and compression move corners by a tenth
-REST_FRACTION = 0.6  # of the corners that have to stay
-_LEAST_POINTS = 8
-_WINDOW_PX, _NOISE = (
-    15,
-    5.0,
-)  # neighbourhood of a corner, and grey levels of contrast in it that noise alone makes
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A reduced picture. luma : (h, w) uint8;  corners : (h, w) uint8, 0 where none is taken
+    pixel_px : clip px in one of its own"""
+
+    luma: np.ndarray
+    corners: np.ndarray
+    pixel_px: int
+
+
+def snapshot(luma: np.ndarray, markers: Iterable[Rect] | None = None) -> Snapshot:
+    """luma : (h, w) uint8;  markers : no corners there; without them those that stand out
+    of noise are taken
+    """
+    factor = max(1, luma.shape[1] // WIDTH_PX)
+    size = luma.shape[1] // factor, luma.shape[0] // factor
+    small = cv2.resize(luma, size, interpolation=cv2.INTER_AREA)
+    if markers is None:
+        return Snapshot(small, (_contrast(small)[1] > FLAT).astype(np.uint8), factor)
+    corners = np.ones_like(small)
+    for r in markers:
+        r = r.pad(max(r.width, r.height) // 3)
+        rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
+        corners[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = 0
+    return Snapshot(small, corners, factor)
+
+
+def follow(first: Snapshot, second: Snapshot) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, 2), (n, 2) of the first one's corners in both, clip px; NaN in the second
+    where they are lost.
+    """
+    places = [np.zeros((0, 2, 2))]
+    for before, now in zip(_views(first.luma), _views(second.luma), strict=True):
+        points = cv2.goodFeaturesToTrack(before, POINTS, 0.02, 8, mask=first.corners)
+        if points is None or len(points) < _MIN_POINTS:
+            continue
+        there, good = _tracked(before, now, points)
+        back, good_back = _tracked(now, before, there)
+        came_back = np.linalg.norm(back - points, axis=2, keepdims=True) < _BACK_PX
+        there = np.where(good & good_back & came_back, there, np.nan)
+        places.append(np.concatenate([points, there], 1))
+    here, there = (np.concatenate(places).swapaxes(0, 1) + 0.5) * first.pixel_px - 0.5
+    return here, there
+
+
+def _tracked(
+    before: np.ndarray, now: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 1, 2) places in the second picture, and (n, 1, 1) whether they were found."""
+    options = {"winSize": (11, 11), "maxLevel": 3}
+    there, good, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, **options)  # type: ignore[call-overload]
+    return there, good[..., None] > 0
+
+
+def _views(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The picture, and its contrast against the neighbourhood (h, w) uint8: a change of
+    light or exposure leaves that nearly as it was.
+    """
+    off, size = _contrast(image)
+    return image, np.clip(128 + 48 * off / (size + FLAT), 0, 255).astype(np.uint8)
+
+
+def _contrast(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) float32 difference to the mean of the neighbourhood; root mean square of that
+    in it.
+    """
+    value, window = image.astype(np.float32), (NEAR_PX, NEAR_PX)
+    off = value - cv2.blur(value, window)
+    return off, np.sqrt(cv2.blur(off * off, window))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +127,11 @@ class FlowSample:
 
 
 class BackgroundFlow:
-    """Collects corner flow: pairs of frames with matched points. length_s : of all frames"""
+    """samples : of pairs of frames, in order. length_s : of all frames"""
 
     def __init__(self, length_s: float = 0.0) -> None:
-        self._image: np.ndarray | None = None
-        self._points = [
-            np.zeros((0, 2), np.float32)
-        ] * 2  # in the image itself, and in the evened one
-        self._index, self._time_s = 0, -np.inf
+        self._before: tuple[int, Snapshot] | None = None
+        self._time_s = -np.inf
         self._stride = max(int(np.ceil(length_s / INTERVAL_S / MAX_SAMPLES)), 1)
         self.samples: list[FlowSample] = []
 
@@ -89,86 +149,23 @@ class BackgroundFlow:
         since = time_s - self._time_s
         if since < INTERVAL_S:
             return
-        recent = (
-            self._image is not None
-            and since < 3 * INTERVAL_S
-            and max(map(len, self._points)) >= _MIN_POINTS
-        )
-        factor = max(1, luma.shape[1] // WIDTH_PX)
-        small = _reduced(luma, factor) if fresh or recent else luma
-        if recent:
-            self._follow(index, small, factor)
-        self._image, self._time_s = None, time_s if fresh else -np.inf
-        if not fresh or int(time_s / INTERVAL_S) % self._stride:
+        before = self._before if since < 3 * INTERVAL_S else None
+        first = fresh and int(time_s / INTERVAL_S) % self._stride == 0
+        self._before, self._time_s = None, time_s if fresh else -np.inf
+        if not first and before is None:
             return
-        mask = np.full(small.shape, 255, np.uint8)
-        for r in markers:
-            r = r.pad(max(r.width, r.height) // 3)
-            rows = slice(max(r.y0 // factor, 0), r.y1 // factor + 1)
-            mask[rows, max(r.x0 // factor, 0) : r.x1 // factor + 1] = 0
-        self._points = [
-            _corners(view, POINTS, mask) for view in (small, _local_contrast(small))
-        ]
-        self._image, self._index = small, index
-
-    def _follow(self, index: int, small: np.ndarray, factor: int) -> None:
-        assert self._image is not None
-        from_, to = [], []
-        views = (self._image, small), (_local_contrast(self._image), _local_contrast(small))
-        for points, (before, now) in zip(self._points, views, strict=True):
-            if len(points) < _MIN_POINTS:
-                continue
-            options = {"winSize": (11, 11), "maxLevel": 3}
-            there, good, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, **options)  # type: ignore[call-overload]
-            back, good_back, _ = cv2.calcOpticalFlowPyrLK(
-                now, before, there, None, **options
-            )  # type: ignore[call-overload]
-            # which of them lead back to where they came from
-            keep = (
-                (good.ravel() > 0)
-                & (good_back.ravel() > 0)
-                & (np.linalg.norm(back - points, axis=1) < 0.3)
-            )
-            if keep.sum() >= _MIN_POINTS:
-                from_.append(points[keep])
-                to.append(there[keep])
-        if not from_:
-            return
-        a, b = ((np.concatenate(p).astype(float) + 0.5) * factor - 0.5 for p in (from_, to))
-        self.samples.append(
-            FlowSample(self._index, index - self._index, factor, a.round(3), b.round(3))
-        )
-
-
-def _reduced(luma: np.ndarray, factor: int) -> np.ndarray:
-    h, w = luma.shape
-    return cv2.resize(luma, (w // factor, h // factor), interpolation=cv2.INTER_AREA)
-
-
-def _corners(image: np.ndarray, most: int, mask: np.ndarray) -> np.ndarray:
-    """(n, 2) float32"""
-    found = cv2.goodFeaturesToTrack(image, most, 0.02, 8, mask=mask)
-    return (
-        np.zeros((0, 2), np.float32)
-        if found is None
-        else found.reshape(-1, 2).astype(np.float32)
-    )
-
-
-def _local_contrast(image: np.ndarray) -> np.ndarray:
-    """(h, w) uint8 contrast against the neighbourhood: a change of light or exposure leaves
-    it nearly as it was.
-    """
-    off, square = _contrast(image, NEAR_PX)
-    size = np.sqrt(np.maximum(square, 0)) + FLAT
-    return np.clip(128 + 48 * off / size, 0, 255).astype(np.uint8)
-
-
-def _contrast(image: np.ndarray, window_px: int) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w) float32 difference to the mean of the neighbourhood; mean square of that in it."""
-    value, window = image.astype(np.float32), (window_px, window_px)
-    off = value - cv2.blur(value, window)
-    return off, cv2.blur(off * off, window)
+        now = snapshot(luma, markers)
+        if first:
+            self._before = index, now
+        if before is not None:
+            here, there = follow(before[1], now)
+            found = np.isfinite(there).all(1)
+            if found.sum() >= _MIN_POINTS:
+                places = here[found].round(3), there[found].round(3)
+                number = before[0]
+                self.samples.append(
+                    FlowSample(number, index - number, now.pixel_px, *places)
+                )
 
 
 def decide_static(
@@ -224,13 +221,10 @@ def epipolar_distance(
 
 
 class RestPicture(NamedTuple):
-    """The first picture of a part of the clip. picture : (h, w) uint8, reduced;  points : (n,
-    2) its corners;  factor : clip px in one of its own"""
+    """The first picture of a part of the clip."""
 
     frame: int
-    picture: np.ndarray
-    points: np.ndarray
-    factor: int
+    snapshot: Snapshot
 
 
 class RestMotion(NamedTuple):
@@ -255,14 +249,11 @@ class RestCheck:
         if time_s < self._next_s:
             return
         self._next_s = time_s + INTERVAL_S
-        factor = max(1, round(luma.shape[1] / REST_WIDTH_PX))
-        small = _reduced(luma, factor)
+        now = RestPicture(index, snapshot(luma))
         if self.pictures:
-            self.motions += _motion(index, small, self.pictures[0])
-            return
-        mask = (_contrast(small, _WINDOW_PX)[1] > _NOISE**2).astype(np.uint8)
-        points = _corners(small, REST_POINTS, mask)
-        self.pictures.append(RestPicture(index, small, points, factor))
+            self.motions.append(_motion(self.pictures[0], now))
+        else:
+            self.pictures.append(now)
 
 
 def rests(
@@ -271,20 +262,15 @@ def rests(
     """(whether the camera stands still, the farthest that the middle corner was seen from its
     place, clip px): of `RestCheck`, each part against its own first picture, and these against
     the clip's."""
-    every = [*motions]
-    for later in pictures[1:]:
-        every += _motion(later.frame, later.picture, pictures[0])
+    every = [*motions, *(_motion(pictures[0], later) for later in pictures[1:])]
     return all(m.rests for m in every), max((m.moved_px for m in every), default=0.0)
 
 
-def _motion(index: int, small: np.ndarray, first: RestPicture) -> list[RestMotion]:
-    """None where there is nothing to see: nothing that could tell of a motion."""
-    if len(first.points) < _LEAST_POINTS:
-        return []
-    points = first.points
-    there, good, _ = cv2.calcOpticalFlowPyrLK(first.picture, small, points, None)  # type: ignore[call-overload]
-    away = np.linalg.norm(there - points, axis=1)
-    away[good.ravel() == 0] = np.inf  # a corner that is lost may have left the picture
-    seen = away[np.isfinite(away)]
-    moved_px = first.factor * float(np.median(seen)) if len(seen) else 0.0
-    return [RestMotion(index, moved_px, bool((away < REST_PX).mean() >= REST_FRACTION))]
+def _motion(first: RestPicture, now: RestPicture) -> RestMotion:
+    here, there = follow(first.snapshot, now.snapshot)
+    away = np.linalg.norm(there - here, axis=1)
+    # a corner that is lost may have left the picture; without any nothing could tell
+    near = away < REST_PX * now.snapshot.pixel_px
+    stays = not len(away) or bool(near.mean() > AT_REST)
+    moved_px = float(np.nanmedian(away)) if np.isfinite(away).any() else 0.0
+    return RestMotion(now.frame, moved_px, stays)

@@ -28,6 +28,7 @@ from arfx.core.pose import Pose, skew
 
 # frames that the adjustment uses, evenly spread over those with two or more markers
 MAX_FRAMES = 200
+_FEW = 10  # frames of a marker that none of these shows
 _VOTERS, _JUDGES = 40, 60
 T = TypeVar("T")
 
@@ -70,8 +71,12 @@ def map_markers(frames: Sequence[Sequence[View]], keys: Sequence[str]) -> Marker
     unmapped = tuple(k for k in present if k not in start)
     if len(start) == 1:
         return MarkerMap(start, unmapped)
-    chosen = [[*f.values()] for f in together if sum(k in start for k in f) > 1]
-    return _adjust(_evenly(chosen, MAX_FRAMES), start, unmapped)
+    shared = [f for f in together if sum(k in start for k in f) > 1]
+    chosen = _evenly(shared, MAX_FRAMES)
+    for key in start:
+        if not any(key in f for f in chosen):
+            chosen += _evenly([f for f in shared if key in f], _FEW)
+    return _adjust([[*f.values()] for f in chosen], start, unmapped)
 
 
 def _evenly(items: Sequence[T], most: int) -> list[T]:
@@ -109,17 +114,19 @@ def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float
         for pa in f[a].solutions
         for pb in f[b].solutions
     ]
-    rotation, translation = stack(candidates)
-    error = []
-    for f in _evenly(frames, _JUDGES):
-        seen = observe([[f[b]]], {b: Pose.identity()}, [b])
-        missed = [
-            rms_px(
-                residuals(p.rotation @ rotation, p.apply(translation), seen), seen.weight
-            )
-            for p in f[a].solutions
-        ]
-        error.append(np.min(missed, axis=0))
+    # every solution of a, in every frame, with every candidate
+    judges = _evenly(frames, _JUDGES)
+    count = np.array([len(f[a].solutions) for f in judges])
+    rotation, translation = stack([p for f in judges for p in f[a].solutions])
+    turn, shift = stack(candidates)
+    moved = (rotation[:, None] @ shift[..., None])[..., 0] + translation[:, None]
+    seen = observe([[f[b]] for f in judges], {b: Pose.identity()}, [b])
+    seen = seen.take(np.repeat(np.arange(len(judges)), count * len(candidates)))
+    turned = (rotation[:, None] @ turn).reshape(-1, 3, 3)
+    missed = rms_px(residuals(turned, moved.reshape(-1, 3), seen), seen.weight)
+    error = np.minimum.reduceat(
+        missed.reshape(-1, len(candidates)), np.cumsum(count) - count
+    )
     typical = np.median(error, axis=0)
     best = int(typical.argmin())
     return float(typical[best] / np.sqrt(len(frames))), candidates[best]

@@ -53,19 +53,24 @@ def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
     return np.stack(columns, -1)
 
 
+def _in_camera(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
+    """(n, p, 3) the corners in camera coordinates."""
+    return seen.points_m @ np.swapaxes(rotation, 1, 2) + translation[:, None]
+
+
 def residuals(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
     """(n, p, 2) px, predicted minus seen.
 
     Points behind the camera count as straight on its plane (EPS_DEPTH_M).
     """
-    q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
+    q = _in_camera(rotation, translation, seen)
     z = np.maximum(q[..., 2:], EPS_DEPTH_M)
     return np.einsum("npij,npj->npi", seen.px_per_ideal, q[..., :2] / z - seen.ideal)
 
 
 def jacobian(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:
     """(n, p, 2, 6) px per left perturbation of the pose."""
-    q = np.einsum("nij,npj->npi", rotation, seen.points_m) + translation[:, None]
+    q = _in_camera(rotation, translation, seen)
     z = np.maximum(q[..., 2], EPS_DEPTH_M)
     view = np.zeros((*q.shape[:-1], 2, 3))  # of (x/z, y/z), by the point
     view[..., 0, 0] = view[..., 1, 1] = 1 / z
@@ -98,12 +103,10 @@ def refine_poses(
         missed, j = residuals(*pose, part), jacobian(*pose, part)
         factor = huber_cost(missed, part.weight)[1]
         weighted = j * (part.weight * factor)[..., None, None]
-        normal = np.einsum("npki,npkj->nij", weighted, j)
+        normal = _products(weighted, j)
         diagonal = np.einsum("nii->ni", normal)
         diagonal += diagonal * damping[at, None] + 1e-12
-        step = np.linalg.solve(
-            normal, np.einsum("npki,npk->ni", -weighted, missed)[..., None]
-        )
+        step = -np.linalg.solve(normal, _products(weighted, missed[..., None]))
         turned, moved = apply_step(*pose, step[..., 0])
         now, _ = huber_cost(residuals(turned, moved, part), part.weight)
         # settled twice in a row: a refused step may by chance cost the same as the place it
@@ -126,7 +129,13 @@ def information(
 ) -> np.ndarray:
     """(n, 6, 6) Fisher information of each pose from its corners."""
     j = jacobian(rotation, translation, seen)
-    return np.einsum("npki,npkj->nij", j * seen.weight[..., None, None], j)
+    return _products(j * seen.weight[..., None, None], j)
+
+
+def _products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n, i, j) sums over corners and coordinates of a (n, p, 2, i) times b (n, p, 2, j)."""
+    a, b = (v.reshape(len(v), 2 * v.shape[1], v.shape[-1]) for v in (a, b))
+    return np.swapaxes(a, 1, 2) @ b
 
 
 def apply_step(
@@ -155,24 +164,19 @@ def stack(poses: list[Pose]) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])
 
 
-def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> list[Pose]:
-    """IPPE's one or two solutions, best first, wherever they lie.
+def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> np.ndarray:
+    """(k, 2, 3) rotation vector and translation of IPPE's one or two solutions, best first,
+    wherever they lie; k = 0 for corners that no direction leads to.
 
     corners_m : (4, 3) of a rectangle, order of MarkerSpec.corners_m;  ideal : (4, 2)
     normalised, without lens distortion
     """
     if not np.isfinite(ideal).all():
-        return []
+        return np.zeros((0, 2, 3))
     square = corners_m[1, 0] == corners_m[1, 1]
     method = cv2.SOLVEPNP_IPPE_SQUARE if square else cv2.SOLVEPNP_IPPE
-    count, rvecs, tvecs, _ = cv2.solvePnPGeneric(
-        np.ascontiguousarray(corners_m),
-        np.ascontiguousarray(ideal)[:, None],
-        np.eye(3),
-        None,
-        flags=method,
-    )
-    return [Pose.from_rotvec(rvecs[k], tvecs[k]) for k in range(count)]
+    solved = cv2.solvePnPGeneric(corners_m, ideal, np.eye(3), None, flags=method)
+    return np.stack(solved[1:3], 1)[..., 0]
 
 
 def frontal_poses(
@@ -218,11 +222,10 @@ def hypotheses(
         return out
     points, ideal, px_per_ideal = np.asarray(corners_m)[at], ideal[at], px_per_ideal[at]
     n = len(points)
-    every = [(i, p) for i in range(n) for p in both_poses(points[i], ideal[i])]
-    of, (rotation, translation) = (
-        np.array([i for i, _ in every], int),
-        stack([p for _, p in every]),
-    )
+    solved = [both_poses(*one) for one in zip(points, ideal, strict=True)]
+    of = np.repeat(np.arange(n), [*map(len, solved)])
+    rotvec, translation = np.concatenate(solved).swapaxes(0, 1)
+    rotation = rotation_from_rotvec(rotvec)
     ahead = _in_sight(rotation, translation)
     # IPPE returns rubbish for a marker that faces the camera, or is parallel to the
     # picture, exactly: starts of their own
@@ -243,18 +246,15 @@ def hypotheses(
     rotation, translation, _ = refine_poses(rotation, translation, seen, iterations=80)
     error = rms_px(residuals(rotation, translation, seen), seen.weight)
     error[~(_in_sight(rotation, translation) & np.isfinite(error))] = np.inf
-    order = np.lexsort((error, owner))[
-        ::-1
-    ]  # worst first: of those assigned to one place the last one stays
+    # worst first: of those assigned to one place the last one stays
+    order = np.lexsort((error, owner))[::-1]
     order = order[np.isfinite(error[order])]
     best, other = np.full((2, n), -1)
     best[owner[order]] = order
-    apart = (
-        8 * np.sin(_SAME_RAD / 2) ** 2
-    )  # squared distance of two rotation matrices by that angle
-    order = order[
-        ((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2)) > apart
-    ]
+    # squared distance of two rotation matrices by that angle
+    apart = 8 * np.sin(_SAME_RAD / 2) ** 2
+    away = ((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2))
+    order = order[away > apart]
     other[owner[order]] = order
     for k, pair in zip(at.tolist(), np.stack([best, other], 1).tolist(), strict=True):
         out[k] = tuple(

@@ -28,11 +28,7 @@ TURN, ROLL, SIDEWAYS, DISTANCE, SHAKE = range(5)
 # (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4
 # turns a frame by 20 degrees.
 LEAST, MOST = 1e-12, 1e4
-# Factors on a value, for what is tried beside it.
-_ALL, _FAR, _NEAR, _NEXT = (
-    10.0 ** np.arange(-reach, reach + step, step)
-    for reach, step in ((16, 1), (5, 1), (2, 1), (1, 0.5))
-)
+_LOST = 5.0  # nats: values beyond one so much worse than the best are not tried
 _BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
 _WINDOW, _CONTEXT = 24, 18  # frames
 # A window has little evidence on its own: each factor of ten away from the shot's value
@@ -74,7 +70,7 @@ def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
                 evidence(part, trial[GROUP]) - _HOLD * np.abs(np.log10(trial / shot)).sum()
             )
 
-        return _ascend(total, shot, range(SHAKE + 1), _FAR)[1]
+        return _ascend(total, shot, range(SHAKE + 1), 10, 1e5)[1]
 
     values = np.log(parallel_map(of_window, centres.tolist()))
     at = np.arange(n - 1) + 0.5
@@ -86,16 +82,28 @@ def _ascend(
     total: Callable[[np.ndarray], float],
     value: np.ndarray,
     order: Iterable[int],
-    factors: np.ndarray,
+    step: float,
+    reach: float = np.inf,
 ) -> tuple[float, np.ndarray]:
-    """Total and values (groups,) when one group after the other has taken its best."""
+    """Total and values (groups,) when one group after the other has taken its best.
+
+    step : factor between two trials of a value;  reach : factor on a value, at most
+
+    Both ways the trials end where the total has fallen by _LOST: evidence has one peak for
+    each density, and at most a plateau below it."""
+    best = total(value)
     for i in order:
-        near = np.unique(np.clip(value[i] * factors, LEAST, MOST))
-        trial = np.repeat(value[None], len(near), 0)
-        trial[:, i] = near
-        totals = [total(t) for t in trial]
-        value = trial[int(np.argmax(totals))]
-    return max(totals), value
+        start, limits = value, np.clip(value[i] * np.array([1 / reach, reach]), LEAST, MOST)
+        for factor in (1 / step, step):
+            trial, reached = start.copy(), best
+            while trial[i] != (last := np.clip(trial[i] * factor, *limits)):
+                trial[i] = last
+                reached = total(trial)
+                if reached > best:
+                    best, value = reached, trial.copy()
+                if reached < best - _LOST:
+                    break
+    return best, value
 
 
 def _density_of_shot(chain: Chain) -> np.ndarray:
@@ -113,17 +121,19 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     def total(trial: np.ndarray) -> float:
         return sum(evidence(b, trial[GROUP]) for b in blocks)
 
-    _, shot = _ascend(total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), _ALL)
-    moving, shot = _ascend(total, shot, range(SHAKE), _NEAR)
+    _, shot = _ascend(total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), 10)
+    moving, shot = _ascend(total, shot, range(SHAKE), 10, 100)
     # what was sideways motion is now the shake: from the one peak no single number leads to
     # the other
     start = shot.copy()
     start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
-    _, other = _ascend(total, start, (SIDEWAYS, TURN, DISTANCE), _ALL)
-    shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), _NEAR)
+    _, other = _ascend(total, start, (SIDEWAYS, TURN, DISTANCE), 10)
+    shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), 10, 100)
     if shaking > moving + _EARNED:
-        return _ascend(total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), _NEXT)[1]
-    return _ascend(total, shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), _NEXT)[1]
+        return _ascend(
+            total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), 10**0.5, 10
+        )[1]
+    return _ascend(total, shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), 10**0.5, 10)[1]
 
 
 def smooth_poses(

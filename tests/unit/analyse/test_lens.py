@@ -10,9 +10,8 @@ import pytest
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
-from arfx.analyse.lens import side_blurs
+from arfx.analyse.lens import lens_from_blur, side_blurs
 from arfx.core.colour import SRGB
-from arfx.core.lens_fit import lens_from_blur
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from tests.clips import MARKER, clip_camera, picture
 

@@ -58,6 +58,15 @@ def test_fisheye_is_cv2_fisheye() -> None:
     np.testing.assert_allclose(camera.normalised(reference), p[:, :2] / p[:, 2:], atol=1e-9)
 
 
+@pytest.mark.parametrize("tilt_deg", [10.0, 70.0, 80.0, 89.0])
+def test_a_fisheye_has_directions_up_to_its_side(tilt_deg: float) -> None:
+    camera = Camera(1920, 1080, K, np.array([0.04, -0.02, 0.01, -0.003]), FISHEYE)
+    r = np.tan(np.radians(tilt_deg))
+    ideal = r * np.array([[1, 0], [0.6, -0.8], [0, 1]])
+    pixels = camera.project(np.column_stack([ideal, np.ones(3)]))
+    np.testing.assert_allclose(camera.normalised(pixels), ideal, rtol=1e-8, atol=1e-8)
+
+
 def test_fisheye_without_coefficients_holds_the_four_zeros_that_opencv_wants() -> None:
     bare = Camera(1920, 1080, K, np.zeros(0), FISHEYE)
     ideal = cv2.fisheye.undistortPoints(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from arfx.core.facts import FrameFacts
-from arfx.core.lens_fit import LensFit
+from arfx.core.lens import LensFit
 from arfx.core.light import DirectionalLight, Light
 from arfx.core.pose import Pose
 from arfx.core.real_depth import RealDepth, tile_ranges

@@ -7,8 +7,7 @@ import pytest
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
-from arfx.core.lens import Lens, circle_of_confusion_mm
-from arfx.core.lens_fit import LensFit
+from arfx.core.lens import Lens, LensFit, circle_of_confusion_mm
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect

@@ -20,6 +20,7 @@ from arfx.analyse.pose.at_rest import (
     epipolar_distance,
 )
 from arfx.analyse.pose.fold import solve
+from arfx.analyse.pose.marker_map import MAX_FRAMES
 from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.planar import stack
 from arfx.analyse.pose.shots import dissimilarity, find_cuts, thumbnail, unlikeness
@@ -77,6 +78,24 @@ def test_marker_never_seen_with_others_is_left_out_and_named() -> None:
     a = solve(rec, [A, B, C], CAM, PARAMS, None, [])
     assert set(a.world_from_marker) == {A.key, B.key} and any(C.key in n for n in a.notices)
     assert {f.status for f in a.facts[31:]} == {"absent"}
+
+
+def test_a_marker_seen_with_others_in_one_frame_of_a_long_clip_is_mapped() -> None:
+    """No frame that is taken from the clip evenly may be that one."""
+    n = 2 * MAX_FRAMES + 20
+    path = [ORBIT[k % N] for k in range(n)]
+    taken = np.linspace(0, n - 1, MAX_FRAMES).round()
+    rare = next(k for k in range(100, n) if k not in taken)
+    seen = records(
+        CAM,
+        path,
+        np.arange(n) / 30,
+        LAYOUT,
+        0.1,
+        visible=lambda k, m: m is not C or k == rare,
+    )
+    got = solve(seen, [A, B, C], CAM, PARAMS, None, []).world_from_marker[C.key]
+    assert np.linalg.norm(got.translation_m - LAYOUT[C].translation_m) < 5e-3
 
 
 def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.core.lens_fit import MIN_EDGES, lens_from_blur
+from arfx.analyse.lens import MIN_EDGES, lens_from_blur
 
 
 def edges(
