@@ -13,17 +13,16 @@ import atexit
 import contextlib
 import functools
 import hashlib
-import inspect
 import os
 import platform
+import re
 import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from types import FunctionType, ModuleType
+from types import FunctionType
 from typing import Any
 
 from arfx.core.machine import cache_folder, instructions
@@ -40,6 +39,8 @@ _REQUIRED = {"abm", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"}
 # Four channels of a pixel, written one by one, become one vector. Off by default, and not
 # part of the index of cached code.
 _SLP = "NUMBA_SLP_VECTORIZE"
+_IMPORTS = re.compile(r"^from (arfx[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+_COMPILES = re.compile(r"^@(line_kernel|numba\.njit)", re.MULTILINE)
 _LOCATORS, _FOLDER = "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CACHE_DIR"
 
 
@@ -96,8 +97,8 @@ class CacheLocator:
     def ensure_cache_path(self) -> None:
         Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
 
-    def get_source_stamp(self) -> _Stamp:
-        return _Stamp(self._function)
+    def get_source_stamp(self) -> str:
+        return _stamp(self._file)
 
     def get_disambiguator(self) -> str:
         return str(self._function.__code__.co_firstlineno)
@@ -126,65 +127,24 @@ def _take_damaged_files_for_stale() -> None:
     index_file._load_index, index_file._load_data = index_or_empty, data_or_missing
 
 
-class _Stamp:
-    """Digest of all that the code compiled for a function depends on, made when first
-    compared: what the function calls may be defined further down. Pickled it is a
-    string."""
-
-    def __init__(self, function: FunctionType) -> None:
-        self._function = function
-
-    @functools.cached_property
-    def digest(self) -> str:
-        parts = hashlib.sha256(f"{_SLP}={os.environ.get(_SLP)}".encode())
-        for part in _sources(self._function, set()):
-            parts.update(part)
-        return parts.hexdigest()
-
-    def __eq__(self, other: object) -> bool:
-        return self.digest == (other.digest if isinstance(other, _Stamp) else other)
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
-    def __reduce__(self) -> tuple[type[str], tuple[str]]:
-        return str, (self.digest,)
-
-
-def _sources(function: FunctionType, seen: set[int]) -> Iterator[bytes]:
-    """The files of a function, of the compiled functions it calls and of the named tuples
-    it says it takes, and the values that are compiled in as constants."""
-    if id(function) in seen:
-        return
-    seen.add(id(function))
-    yield _file_digest(function.__code__.co_filename)
-    for name in sorted(
-        set(map(str, function.__annotations__.values())) & function.__globals__.keys()
-    ):
-        if file := getattr(
-            sys.modules.get(function.__globals__[name].__module__), "__file__", None
-        ):
-            yield _file_digest(file)
-    names = inspect.getclosurevars(function)
-    for value in (*names.nonlocals.values(), *names.globals.values()):
-        called = getattr(value, "py_func", None)
-        if called is not None:
-            if called.__module__.partition(".")[0] in _PACKAGES:
-                yield from _sources(called, seen)
-        elif isinstance(value, ModuleType):
-            if value.__name__.partition(".")[0] in _PACKAGES and value.__file__:
-                yield _file_digest(value.__file__)
-        elif isinstance(value, type):
-            yield repr(value).encode()
-        elif hasattr(value, "tobytes"):
-            yield f"{value.dtype} {value.shape}".encode() + value.tobytes()
-        elif isinstance(value, bool | int | float | complex | str | tuple):
-            yield repr(value).encode()
+@functools.cache
+def _stamp(file: str) -> str:
+    """Digest of all that functions compiled in a module depend on: its text, and that of the
+    modules of arfx that it imports from, of those that compile too with what these import."""
+    text = _text(file)
+    names = set[str]()
+    for module, imported in _IMPORTS.findall(text):
+        names |= {module, *(f"{module}.{name}" for name in re.findall(r"\w+", imported))}
+    parts = [f"{_SLP}={os.environ.get(_SLP)}", text]
+    for name in sorted(names & sys.modules.keys()):
+        other = str(sys.modules[name].__file__)
+        parts.append(_stamp(other) if _COMPILES.search(_text(other)) else _text(other))
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
 @functools.cache
-def _file_digest(file: str) -> bytes:
-    return hashlib.sha256(Path(file).read_bytes()).digest()
+def _text(file: str) -> str:
+    return Path(file).read_text(encoding="utf-8")
 
 
 # Folders of compiled code, of which files are unpickled, that are not used as others may

@@ -33,34 +33,25 @@ from arfx.media.camera_documents import (
 # Every name that the formats above give to the same thing, lower case, without underscores.
 MATRIX_NAMES = ("cameramatrix", "cameraintrinsics", "intrinsicmatrix", "k", "mtx")
 FOCAL_NAMES, CENTRE_NAMES = ("fx", "fy"), ("cx", "cy")  # single, in a file by hand
-DISTORTION_NAMES = (
-    "distortioncoefficients",
-    "distcoeffs",
-    "distcoefs",
-    "distortioncoeffs",
-    "distortion",
-    "dist",
-    "d",
+DISTORTION_NAMES = tuple(
+    [
+        "distortioncoefficients",
+        "distcoeffs",
+        "distcoefs",
+        "distortioncoeffs",
+        "distortion",
+        "dist",
+        "d",
+    ]
 )
 SIZE_NAMES = ("imagesize", "imgsize", "resolution", "size")
 WIDTH_NAMES, HEIGHT_NAMES = ("imagewidth", "width", "w"), ("imageheight", "height", "h")
 MODEL_NAMES = ("distortionmodel", "cameramodel", "model")
 FISHEYE_WORDS = {"fisheye", "equidistant", "kannala_brandt", "kannalabrandt", "kb4"}
-BROWN_WORDS = {
-    "",
-    "pinhole",
-    "plumb_bob",
-    "radtan",
-    "rational_polynomial",
-    "brown",
-    "brown_conrady",
-    "opencv",
-    "none",
-    "thin_prism",
-    "rational",
-    "radial",
-    "perspective",
-}
+BROWN_WORDS = (
+    "pinhole plumb_bob radtan rational_polynomial brown brown_conrady opencv none"
+    " thin_prism rational radial perspective"
+)
 _SHAPE = "fx 0 cx / 0 fy cy / 0 0 1, row by row"
 _LARGEST_PX = 65536
 COLMAP_CENTRE_PX = (
@@ -118,7 +109,7 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     word = str(_first(flat, MODEL_NAMES) or "")
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
     fisheye = word.lower() in FISHEYE_WORDS or str(flat.get("fisheyemodel", 0)) == "1"
-    if not fisheye and word.lower() not in BROWN_WORDS:
+    if not fisheye and word and word.lower() not in BROWN_WORDS.split():
         raise _error(
             where,
             f"lens model {word!r} is not supported",

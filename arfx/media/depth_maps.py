@@ -106,7 +106,7 @@ class DepthVideo:
                 return at.last
         except av.FFmpegError as e:
             raise InputError(
-                f"depth {self.path}: map {number} cannot be decoded: {e}"
+                f"depth {self.path}: map {number} cannot be decoded: {e.strerror}"
             ) from None
         raise InputError(
             f"depth {self.path}: map {number} cannot be decoded where it was listed",
@@ -160,7 +160,7 @@ def open_frames(path: Path) -> DepthVideo | DepthPages:
             base = stream.time_base
             listed = sorted({p.pts for p in container.demux(stream) if p.pts is not None})
     except av.FFmpegError as e:
-        raise InputError(f"depth {path} cannot be read as a video: {e}") from None
+        raise InputError(f"depth {path} cannot be read as a video: {e.strerror}") from None
     if not listed or base is None:
         raise InputError(f"depth {path} holds no frame with a time")
     times = tuple(float((pts - listed[0]) * base) for pts in listed)

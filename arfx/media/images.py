@@ -126,8 +126,7 @@ def read_exr(path: Path, kind: str) -> np.ndarray:
             return np.asarray(next(c.decode(video=0)).to_ndarray())
     except (av.error.FFmpegError, StopIteration, IndexError, struct.error, ValueError) as e:
         raise InputError(
-            f"{kind} {path} cannot be read as an EXR image:"
-            f" {str(e) or 'its header is damaged'}"
+            f"{kind} {path} cannot be read as an EXR image: it is damaged, or cut short"
         ) from e
 
 
@@ -142,7 +141,7 @@ def _exr_header(data: bytes) -> list[tuple[bytes, int, int]]:
         at += len(name) + len(kind) + 6
         (size,) = struct.unpack_from("<i", data, at - 4)
         if size < 0:
-            raise ValueError("its header is damaged")
+            raise ValueError
         found.append((name, at, size))
         at += size
     return found
@@ -219,9 +218,9 @@ def _decode_heif(data: bytes, path: Path, kind: str, flags: int) -> np.ndarray:
             if flags == cv2.IMREAD_GRAYSCALE:
                 return np.asarray(picture.convert("L"))
             return np.asarray(picture.convert("RGB"))[..., ::-1]
-    except (OSError, ValueError, EOFError, RuntimeError, SyntaxError) as e:
+    except (OSError, ValueError, EOFError, RuntimeError, SyntaxError):
         raise InputError(
-            f"{kind} {path} cannot be read: {str(e)[:200]}", "is it damaged?"
+            f"{kind} {path} cannot be read: it is damaged, or cut short", "save it again"
         ) from None
 
 
@@ -273,9 +272,7 @@ def _tiff_sizes(source: Path | io.BytesIO) -> list[tuple[int, int]]:
     ) as file:  # its pages alone: what its metadata names is not opened
         for page in cast(list[Any], file.pages):
             if page.offset in sizes:
-                raise ValueError(
-                    "a page comes after itself"
-                )  # tifffile would go round for ever
+                raise ValueError  # it comes after itself: tifffile would go round for ever
             sizes[page.offset] = (page.imagewidth, page.imagelength)
     return list(sizes.values())
 
@@ -287,8 +284,7 @@ def _check_size(
         pages = sizes()
     except Exception as e:  # whatever the readers of headers stumble over
         raise InputError(
-            f"{kind} {path} cannot be read: {str(e)[:200] or type(e).__name__}",
-            "is it damaged?",
+            f"{kind} {path} cannot be read: its header is damaged", "save it again"
         ) from e
     if not pages:
         raise InputError(

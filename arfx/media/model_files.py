@@ -73,7 +73,7 @@ class ModelFolder:
         except Exception as e:  # whatever its header holds
             unknown = isinstance(e, Image.UnidentifiedImageError)
             kinds = "not a picture of the kinds that are read: " + ", ".join(PICTURES)
-            self.refused.append(kinds if unknown else str(e))
+            self.refused.append(kinds if unknown else "a picture's header is damaged")
             return None
 
     def read(self, name: str) -> bytes:

@@ -76,9 +76,8 @@ class Textures:
                     np.asarray(_in_8_bits(image).convert("RGBA")),
                 )
             except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
-                what = f"cannot decode a texture ({e})"
-                hint = "the image is damaged or cut short"
-                raise InputError(f"model {self.path}: {what}", hint) from e
+                what = "a texture is damaged or cut short"
+                raise InputError(f"model {self.path}: {what}", "export it again") from e
         return self._arrays[id(image)][1]
 
     def texture(self, image: Any) -> Texture | None:

@@ -64,14 +64,15 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
             parts = _read(ModelFile(data, kind, header, folder, Textures(folder), notices))
     except ArfxError:
         raise
-    except ImportError as e:
-        hint = "convert it to GLB, OBJ, PLY or STL"
-        raise InputError(f"cannot read model {path}: {e}", hint) from e
     except Exception as e:  # parsers raise whatever they stumble over
-        own = isinstance(e, (OSError, ValueError)) and not header
-        what = (own and str(e).split("\n")[0][:300]) or "its values do not fit together"
+        what = "what it holds does not fit together"
         hint = "the file is damaged or not what its name says"
-        raise InputError(f"cannot read model {path} ({what})", hint) from e
+        if kind == "dae" and isinstance(e, ImportError):
+            what, hint = (
+                "the package pycollada is not installed",
+                "convert it to GLB or OBJ",
+            )
+        raise InputError(f"cannot read model {path}: {what}", hint) from e
     if not parts:
         hint = "a mesh with triangles is needed; points and lines cannot be rendered"
         raise InputError(f"model {path} has no faces", hint)

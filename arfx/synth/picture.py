@@ -6,7 +6,7 @@ Samples over pixel, shutter and lens are averaged in linear light."""
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from functools import cache, partial
 
 import cv2
 import numpy as np
@@ -23,18 +23,6 @@ from arfx.synth.world import World
 _BAND_ROWS = 24
 _RAYS = 8192  # in one array: some megabytes of numbers
 _KEEP_BYTES = 400e6  # rays kept from frame to frame
-
-
-class Samples(NamedTuple):
-    """One sample in every chosen (h, w) bool pixel, of this weight.
-
-    footprint: width in pixels that it stands for
-    """
-
-    chosen: np.ndarray
-    footprint: float
-    weight: float
-    seed: int
 
 
 class Picture:
@@ -71,14 +59,12 @@ class Picture:
         """(h, w, 3) float64 linear radiance of a frame, before exposure.
         Where neither a surface nor a shadow ends and nothing moves or blurs, one sample of
         a whole pixel stands for all."""
-        world, scene = self.world, self.world.scene
-        shape, n = (world.camera.height, world.camera.width), self.side
-        out, met = np.zeros((*shape, 3)), np.zeros(shape, np.uint16)
-        chosen = np.ones(shape, bool)
+        scene, n = self.world.scene, self.side
+        shape, seed = (self.world.camera.height, self.world.camera.width), frame * 4096
+        out, chosen = np.zeros((*shape, 3)), np.ones(shape, bool)
         if n == 1 or not (scene.lens.shutter_s or scene.lens.aperture_m):
-            self._sample(
-                frame, 0.0, (0.0, 0.0), Samples(chosen, 1.0, 1.0, frame * 4096), out, met
-            )
+            light, number = self._sample(frame, 0.0, (0.0, 0.0), chosen, 1.0, seed)
+            out, met = light.reshape(out.shape), number.reshape(shape)
             box = np.ones((3, 3), np.uint8)
             chosen = ((met == 0) | (cv2.erode(met, box) != cv2.dilate(met, box))) & (n > 1)
             out[chosen] = 0
@@ -87,8 +73,9 @@ class Picture:
         for k in range(n * n) if chosen.any() else ():
             place = (k % n + 0.5) / n - 0.5, (k // n + 0.5) / n - 0.5
             late = scene.lens.shutter_s * ((order[k] + 0.5) / (n * n) - 0.5)
-            samples = Samples(chosen, 1 / n, 1 / (n * n), frame * 4096 + k)
-            self._sample(frame, late, place, samples, out, met)
+            out[chosen] += (
+                self._sample(frame, late, place, chosen, 1 / n, seed + k)[0] / n**2
+            )
         if (sigma := scene.lens.softness_px) > 0:
             side = 2 * int(np.ceil(4 * sigma)) + 1
             return np.asarray(
@@ -101,51 +88,53 @@ class Picture:
         frame: int,
         late_s: float,
         place: tuple[float, float],
-        samples: Samples,
-        out: np.ndarray,
-        met: np.ndarray,
-    ) -> None:
-        """Add samples of that place in each pixel, so late after the frame's own time."""
-        rows, roll = len(out), self.world.scene.hidden.rolling_shutter_s
-        rays, work = self.rays(*place), []
-        for first in range(0, rows, _BAND_ROWS if roll else rows):
-            band = samples.chosen[first : first + _BAND_ROWS if roll else rows]
-            late = late_s + roll * ((first + len(band) / 2) / rows - 0.5)
-            room, pose = self._seen(frame, late)
-            y, x = np.nonzero(band)
-            work += [
-                (room, pose, y[i : i + _RAYS] + first, x[i : i + _RAYS])
-                for i in range(0, len(y), _RAYS)
-            ]
+        chosen: np.ndarray,
+        footprint: float,
+        seed: int,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Of each chosen pixel (h, w) one sample at that place in it, so late after the frame's
+        own time, for a footprint of that width in pixels; as `tracer.radiance` gives them."""
+        pixels, rays = np.argwhere(chosen), self.rays(*place)
+        rows, roll = len(chosen), self.world.scene.hidden.rolling_shutter_s
+        cuts = np.arange(_RAYS, len(pixels), _RAYS)
+        if roll:
+            cuts = np.searchsorted(pixels[:, 0], range(_BAND_ROWS, rows, _BAND_ROWS))
+        seen = cache(partial(self._seen, frame))
 
-        def one(part: tuple[Room, Pose, np.ndarray, np.ndarray]) -> None:
-            room, pose, y, x = part
-            met[y, x] = 1
-            mapped = np.isfinite(rays[y, x]).all(-1)
-            y, x = y[mapped], x[mapped]
-            light, met[y, x] = radiance(self._through_lens(rays, y, x, pose, samples), room)
-            out[y, x] += samples.weight * light
+        def one(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            y, x = part.T
+            first = y[0] // _BAND_ROWS * _BAND_ROWS
+            middle = (first + min(first + _BAND_ROWS, rows)) / 2
+            room, pose = seen(late_s + (roll and roll * (middle / rows - 0.5)))
+            return radiance(self._through_lens(rays, y, x, pose, footprint, seed), room)
 
-        list(self._pool.map(one, work))
+        parts = filter(len, np.split(pixels, cuts))
+        light, numbers = zip(*self._pool.map(one, parts), strict=True)
+        return np.concatenate(light), np.concatenate(numbers)
 
     def _through_lens(
-        self, rays: np.ndarray, y: np.ndarray, x: np.ndarray, pose: Pose, samples: Samples
+        self,
+        rays: np.ndarray,
+        y: np.ndarray,
+        x: np.ndarray,
+        pose: Pose,
+        footprint: float,
+        seed: int,
     ) -> Rays:
         """In the room, through each pixel (n,) and a random point of the aperture."""
         lens, number = self.world.scene.lens, y * rays.shape[1] + x
         ahead, starts = rays[y, x], np.zeros((len(y), 3))
         if lens.aperture_m > 0:
-            radius = 0.5 * lens.aperture_m * np.sqrt(_noise(samples.seed, 2 * number))
-            angle = 2 * np.pi * _noise(samples.seed, 2 * number + 1)
+            radius = 0.5 * lens.aperture_m * np.sqrt(_noise(seed, 2 * number))
+            angle = 2 * np.pi * _noise(seed, 2 * number + 1)
             starts[:, 0], starts[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
             ahead = ahead - starts[:, :2] / (lens.focus_m or 1.0)
-        spans = samples.footprint * _footprints(rays, y, x)
         turn = pose.rotation.T
         return Rays(
             starts @ turn + pose.translation_m,
             ahead @ turn[:2] + turn[2],
-            spans @ turn[:2],
-            2 * np.pi * _noise(samples.seed + 7, number),
+            footprint * _footprints(rays, y, x) @ turn[:2],
+            2 * np.pi * _noise(seed + 7, number),
         )
 
     def _seen(self, frame: int, late_s: float = 0.0) -> tuple[Room, Pose]:

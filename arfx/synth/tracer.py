@@ -18,11 +18,13 @@ from arfx.synth.rays import Rays, Room, first_hits, shade
 
 def radiance(rays: Rays, room: Room) -> tuple[np.ndarray, np.ndarray]:
     """(n, 3) what comes along rays; (n,) uint16 a number for the surface and the lights that it
-    sees: 1 where nothing is met, 0 where a part of a light is seen, and on a print."""
+    sees: 1 where nothing is met, as by a ray that is NaN, 0 where a part of a light is seen,
+    and on a print."""
     distance, index = _hits(rays.starts, rays.towards, room)
     light, numbers = np.zeros((len(index), 3)), np.ones(len(index), np.uint16)
     if room.sky.size:
-        light[index < 0] = _sky(room.sky, rays.towards[index < 0])
+        away = (index < 0) & np.isfinite(rays.towards[:, 0])
+        light[away] = _sky(room.sky, rays.towards[away])
     shade(rays, distance, index, room, light, numbers)
     return light, numbers
 

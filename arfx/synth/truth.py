@@ -88,11 +88,11 @@ def read_truth(path: Path) -> Truth:
     try:
         header, *frames = [json.loads(line) for line in text.splitlines()]
         if header.get("arfx_truth") != 1:
-            raise ValueError("no header of version 1")
+            raise ValueError
         return Truth(header, tuple(FrameTruth.from_json(f) for f in frames))
-    except (ValueError, KeyError, TypeError) as e:
+    except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
-            f"{path} is not a truth file: {e!r}", "made by `arfx synth`"
+            f"{path} is not a truth file of version 1", "`arfx synth` makes it"
         ) from None
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 
 import numba
 import numpy as np
@@ -130,64 +132,47 @@ def function(file: Path, source: str, **known: object) -> FunctionType:
     return module["f"]
 
 
-CALLS = "def f(x):\n    return KIND(g(x) + SIZE + TABLE[0])\n"
+CALLER = "from arfx.callee import (\n    g,\n    SIZE,\n)\nfrom arfx.size import OTHER\n"
+CALLEE = "from arfx.size import SIZE\n@line_kernel()\ndef g(x):\n    return x + SIZE\n"
 
 
-def stamp(
-    tmp_path: Path,
-    caller: str = CALLS,
-    callee: str = "@numba.njit\ndef f(x):\n    return x\n",
-    size: int = 3,
-    kind: type = np.float32,
-) -> str:
-    compiled._file_digest.cache_clear()
-    called = function(tmp_path / "callee.py", callee)
-    made = function(
-        tmp_path / "caller.py", caller, SIZE=size, TABLE=np.full(2, size), KIND=kind
-    )
-    made.__globals__["g"] = called  # after it: what it calls may stand further down
-    stamp = compiled.CacheLocator(made, str(tmp_path / "caller.py")).get_source_stamp()
-    assert stamp == stamp.digest and stamp.__reduce__() == (str, (stamp.digest,))
-    return stamp.digest
+@pytest.fixture
+def stamp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
+    """The stamp of a function in `caller`, which imports of `callee`, as that of `size`."""
+
+    def stamped(**texts: str) -> str:
+        texts = {"caller": CALLER, "callee": CALLEE, "size": "SIZE = OTHER = 3\n"} | texts
+        for name, text in texts.items():
+            file = tmp_path / f"{name}.py"
+            file.write_text(text)
+            module = ModuleType(f"arfx.{name}")
+            module.__file__ = str(file)
+            monkeypatch.setitem(sys.modules, module.__name__, module)
+        compiled._stamp.cache_clear()
+        compiled._text.cache_clear()
+        made = function(tmp_path / "f.py", "def f():\n    return 0\n")
+        return compiled.CacheLocator(made, str(tmp_path / "caller.py")).get_source_stamp()
+
+    yield stamped
+    compiled._stamp.cache_clear()
+    compiled._text.cache_clear()
 
 
-def test_code_is_stale_when_what_it_calls_or_holds_has_changed(tmp_path: Path) -> None:
-    before = stamp(tmp_path)
-    assert stamp(tmp_path) == before
-    assert stamp(tmp_path, size=4) != before
-    assert stamp(tmp_path, kind=np.float64) != before
-    assert stamp(tmp_path, caller=CALLS + "# another\n") != before
-    assert stamp(tmp_path, callee="@numba.njit\ndef f(x):\n    return x + 1\n") != before
-
-
-def test_code_is_stale_when_a_named_tuple_that_it_takes_has_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_code_is_stale_when_what_it_calls_or_holds_has_changed(
+    stamp: Callable[..., str],
 ) -> None:
-    """Fields are taken by their place: another order would give one array for the other."""
-    monkeypatch.syspath_prepend(tmp_path)
-    name = f"tuples_{tmp_path.name}".replace("-", "_")
-    (tmp_path / f"{name}.py").write_text(
-        "from typing import NamedTuple\nclass Pair(NamedTuple):\n    a: int\n    b: int\n"
-    )
-    pair, source = (
-        importlib.import_module(name).Pair,
-        "def f(pair: Pair):\n    return pair.a\n",
-    )
-    stamps = []
-    for _ in range(2):
-        compiled._file_digest.cache_clear()
-        stamps.append(
-            compiled.CacheLocator(
-                function(tmp_path / "takes.py", source, Pair=pair), "takes.py"
-            )
-            .get_source_stamp()
-            .digest
-        )
-        (tmp_path / f"{name}.py").write_text(
-            "from typing import NamedTuple\nclass Pair(NamedTuple):\n    b: int\n    a:"
-            " int\n"
-        )
-    assert stamps[0] != stamps[1]
+    before = stamp()
+    assert stamp() == before
+    assert stamp(caller=CALLER + "# another\n") != before
+    assert stamp(callee=CALLEE.replace("x + SIZE", "x - SIZE")) != before
+    assert stamp(size="SIZE = OTHER = 4\n") != before
+
+
+def test_code_is_stale_when_what_it_calls_is_given_another_value(
+    stamp: Callable[..., str],
+) -> None:
+    caller = "from arfx.callee import g\n"
+    assert stamp(caller=caller) != stamp(caller=caller, size="SIZE = 4\n")
 
 
 def test_code_for_a_type_that_is_gone_is_stale(
@@ -211,12 +196,22 @@ def test_code_for_a_type_that_is_gone_is_stale(
 
 
 def test_code_that_was_compiled_without_the_slp_pass_is_stale(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stamp: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert numba.config.SLP_VECTORIZE == 1
-    before = stamp(tmp_path)
+    before = stamp()
     monkeypatch.setenv("NUMBA_SLP_VECTORIZE", "0")
-    assert stamp(tmp_path) != before
+    assert stamp() != before
+
+
+def test_every_compiling_module_is_known_as_one() -> None:
+    """What such a module imports counts into the stamp of whoever calls it."""
+    root = Path(compiled.__file__).parents[1]
+    decorated = re.compile(r"^@.*(line_kernel|jit)\b", re.MULTILINE)
+    texts = [file.read_text() for file in root.rglob("*.py")]
+    assert sum(map(bool, map(decorated.search, texts))) > 10
+    for text in filter(decorated.search, texts):
+        assert compiled._COMPILES.search(text)
 
 
 def test_a_line_kernel_counts_no_references(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,12 @@ OBJ = (
     " 3/3\n"
 )
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+
+
+# of messages that Python, numpy and trimesh raise where a file is damaged
+PYTHON = (
+    r"Error|could not|No module|NoneType|' object|invalid literal|unpack|shape|unexpected"
+)
 
 
 def header(**changes: Any) -> dict[str, Any]:
@@ -223,6 +230,7 @@ def test_damaged_gltf_is_one_message(tmp_path: Path, change: Any) -> None:
     with pytest.raises(InputError) as e:
         load_model(gltf(tmp_path, damaged(change)))
     assert "a.gltf" in e.value.message and "\n" not in e.value.message
+    assert not re.search(PYTHON, str(e.value))
 
 
 @pytest.mark.parametrize(
@@ -262,11 +270,33 @@ def test_odd_obj_is_read_or_one_message(tmp_path: Path, body: str) -> None:
         model = load_model(tmp_path / "a.obj")
     except InputError as e:
         assert "a.obj" in e.message and "\n" not in e.message
+        assert not re.search(PYTHON, str(e))
     else:
         assert all(
             np.isfinite(p.vertices).all() and (p.uv is None or np.isfinite(p.uv).all())
             for p in model.parts
         )
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        (
+            "a.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nend_header\nx\n",
+        ),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex x\nend_header\n"),
+        ("a.off", b"OFF\n3 1 0\n0 0 0\n1 0 x\n0 1 0\n3 0 1 2\n"),
+        ("a.off", b"OFF\n3 1 0\n0 0 0\n1 0\n"),
+        ("a.off", b"nothing of the kind\n"),
+        ("a.stl", bytes(80) + b"\x0c\0\0\0" + bytes(range(200))),
+    ],
+)
+def test_damage_is_told_in_words(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match="does not fit together") as e:
+        load_model(tmp_path / name)
+    assert not re.search(PYTHON, str(e.value))
 
 
 def test_mtl_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
