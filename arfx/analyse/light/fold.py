@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
+from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -25,6 +26,7 @@ from arfx.analyse.fold import (
     shifted,
 )
 from arfx.analyse.light import patches
+from arfx.analyse.light.brightness import background_change, small_luma
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
 from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
@@ -71,11 +73,14 @@ LEAST_FACING = 0.15
 
 
 class LightOfMarkers(Fold):
-    """readings : (frame, marker key, Patches) in order"""
+    """readings : (frame, marker key, Patches) in order;  changes : (frame, of the background
+    from the frame before)
+    """
 
     name = "light"
     needs: ClassVar[tuple[str, ...]] = ("markers", "pose")
     given = frozenset({"job", "_meters"})
+    carried = frozenset({"_small"})
 
     def __init__(self, job: AnalysisJob, markers: Markers | None, pose: Fold) -> None:
         super().__init__(job)
@@ -91,6 +96,8 @@ class LightOfMarkers(Fold):
                 patches.pattern_meter(print_, ink, paper, soft) for soft in patches.SOFT
             ]
         self.readings: list[Reading] = []
+        self.changes: list[tuple[int, float]] = []
+        self._small: np.ndarray | None = None
         self._surroundings = EnvironmentSamples(job.length_s)
 
     @property
@@ -101,6 +108,9 @@ class LightOfMarkers(Fold):
         picture = frame.picture
         if picture is None or self._markers is None:
             return
+        before, self._small = self._small, small_luma(frame.luma)
+        if before is not None:
+            self.changes.append((frame.index, background_change(before, self._small)))
         seen = self._markers.detections
         for s in seen:
             if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
@@ -126,11 +136,17 @@ class LightOfMarkers(Fold):
 
     def join(self, later: Self, shift: int) -> None:
         self.readings += shifted(later.readings, shift)
+        self.changes += shifted(later.changes, shift)
         self._surroundings.join(later._surroundings, shift)
 
     def finish(self, clip: Analysis) -> Analysis:
         return with_light(
-            clip, self.readings, self.samples, self.job.light, self.job.panorama
+            clip,
+            self.readings,
+            self.samples,
+            self.job.light,
+            self.job.panorama,
+            changes=dict(self.changes),
         )
 
     @staticmethod
@@ -301,12 +317,13 @@ def with_light(
     panorama: np.ndarray | None = None,
     solve: Solve = solve_patches,
     static_frame_light: Callable[..., StaticFrameLight] = StaticFrameLight,
+    changes: Mapping[int, float] = MappingProxyType({}),
 ) -> Analysis:
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was
     found in summary["light"].
 
     panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and
-    light out of patches
+    light out of patches;  changes : of the background, by frame (Readings.change)
     """
     facts, turns = analysis.facts, analysis.static == "camera"
     posed = {
@@ -320,6 +337,7 @@ def with_light(
     readings, photometry = _readings(
         analysis, patch_readings, static_from_world, params, solve
     )
+    readings = replace(readings, change=changes)
     anchor = analysis.anchor
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
@@ -444,7 +462,8 @@ def _readings(
             float(np.linalg.norm(stands.translation_m)), 1e-9
         )
         if facing >= LEAST_FACING:
-            rows.append((frame, static_from_world[frame] @ marker.rotation[:, 2], cells))
+            normal = static_from_world[frame] @ marker.rotation[:, 2]
+            rows.append((frame, normal, cells, key))
     # a print partly in a real shadow does not show the lamps' light; where most prints are,
     # nothing else is left
     lit = [
@@ -453,7 +472,7 @@ def _readings(
         if not patches.clearly_shadowed(patches.quadrant_radiance(row[2], np.zeros(3)))
     ]
     rows = lit if 2 * len(lit) > len(rows) else rows
-    seen = [p for _, _, p in rows]
+    seen = [row[2] for row in rows]
     photometry, other = solve(
         *patches.stack(seen), patches.albedos(seen, params.ink, params.paper), params
     )
@@ -461,6 +480,11 @@ def _readings(
         np.array([r[0] for r in rows], int),
         np.array([r[1] for r in rows]).reshape(-1, 3),
     )
+    keys = np.array([r[3] for r in rows], dtype=object)
+    numbers = np.unique(keys.astype(str), return_inverse=True)[1].ravel()
+    stood_on = keys == analysis.anchor.key
     used = photometry.seen
     light = [r.at(used) for r in (photometry.reading, other) if r is not None]
-    return Readings(frames[used], normals[used], light), photometry
+    return Readings(
+        frames[used], normals[used], numbers[used], stood_on[used], light
+    ), photometry

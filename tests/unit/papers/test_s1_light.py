@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from arfx.analyse.fold import Analysis, AnalysisJob
-from arfx.analyse.light.light_map import Observation
 from arfx.core.cube import look_up
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.numerics import angle_between, normalise
 from arfx.errors import ConfigError
 from arfx.papers.s1_light import (
     LightMap,
+    Observation,
     PrintedLight,
     PrintedLightParams,
     eq9_lights,
@@ -41,7 +41,7 @@ def run(clip: Clip, **settings: Any) -> Analysis:
 def seen(normals: list[np.ndarray] | np.ndarray, level: float = 0.6) -> Observation:
     """Of one frame. level : light of each"""
     n = np.atleast_2d(normals)
-    return Observation(0.0, n, np.full(n.shape, level), np.full(n.shape, 1e-6))
+    return Observation(n, np.full(n.shape, level), np.full(n.shape, 1e-6))
 
 
 def off_deg(found: np.ndarray, true: np.ndarray) -> float:
