@@ -27,7 +27,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.analyse.fold import Analysis
-from arfx.analyse.light.fold import LightOfMarkers, with_light
+from arfx.analyse.light.fold import LightOfMarkers
+from arfx.analyse.light.frames import with_light
 from arfx.analyse.light.hypotheses import MEASURED, REFUSED
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.photometry import UNKNOWN_VARIANCE, Photometry
@@ -290,7 +291,7 @@ class PrintedLight(LightOfMarkers):
             _: np.ndarray,
             clipped: np.ndarray,
             rho: np.ndarray,
-            _unused: LightParams,
+            _most_bias: np.ndarray | None,
         ) -> tuple[Photometry, None]:
             if (
                 params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()

@@ -15,7 +15,7 @@ from arfx.analyse.light.photometry import EXACT, INK, PAPER, solve
 from arfx.analyse.params import LightParams
 from arfx.core.colour import SRGB
 from arfx.core.light import DirectionalLight, Light, triple
-from arfx.core.numerics import angle_between, divide, normalise
+from arfx.core.numerics import angle_between, normalise
 from arfx.papers.s1_gain import brightness, eq6_smallest_vector, gain_and_bias
 from arfx.papers.s1_light import (
     LightMap,
@@ -274,7 +274,7 @@ def equation_7() -> Iterator[Item]:
         for x in values:
             printed.add(UP, np.full(3, x))
             variance += (DRIFT_PER_S * corrected) ** 2 / 30  # what it may have changed by
-            gain = 1 - divide(NOISE**2, NOISE**2 + variance)
+            gain = 1 - NOISE**2 / (NOISE**2 + variance)
             corrected, variance = corrected + gain * (x - corrected), gain * NOISE**2
             out.append((printed.M[at, 0], corrected))
         return np.array(out)
@@ -465,9 +465,7 @@ def equation_9(seeds: int) -> Iterator[Item]:
 
 def reading(n: np.ndarray, level: float) -> Observation:
     normals = np.atleast_2d(n)
-    return Observation(
-        normals, np.full(normals.shape, level), np.full(normals.shape, 1e-6)
-    )
+    return Observation(normals, np.full(normals.shape, level), np.full(normals.shape, 1e-6))
 
 
 def off_deg(found: np.ndarray, lamps: np.ndarray) -> float | None:

@@ -37,7 +37,9 @@ def main() -> int:
     start = time.monotonic()
     wanted = [(look, of) for look, of in LOOKS if given.clip in look.name]
     with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as pool:
-        rows = [r for found in pool.map(findings, *zip(*wanted, strict=True)) for r in found]
+        rows = [
+            r for found in pool.map(findings, *zip(*wanted, strict=True)) for r in found
+        ]
         if given.cones and not given.clip:
             rows.append(pool.submit(cones, given.cones).result())
     given.output.mkdir(parents=True, exist_ok=True)

@@ -47,6 +47,10 @@ def steady(time_s: np.ndarray) -> np.ndarray:
     return np.zeros(np.shape(time_s))
 
 
+def dim(time_s: np.ndarray) -> np.ndarray:
+    return np.full(np.shape(time_s), -3.0)
+
+
 def ramps(time_s: np.ndarray) -> np.ndarray:
     """Half a stop up and down, at 1 stop a second, after a quarter of a second at rest."""
     phase = np.clip(np.asarray(time_s) - 0.25, 0, None)
@@ -194,7 +198,9 @@ def scene(desk: Desk, ink: float = INK, lamp: float = 1.0) -> SceneFile:
                 "rotate_deg": [tilt, 0, turn],
                 "ink": ink,
             }
-            for key, (x, y), tilt, turn in zip(PRINTS, places, tilts, TURNS_DEG, strict=False)
+            for key, (x, y), tilt, turn in zip(
+                PRINTS, places, tilts, TURNS_DEG, strict=False
+            )
         ],
         "shot": [{"frames": desk.frames, "path": path}],
     }
@@ -275,12 +281,15 @@ def film(look: Look, path: Path) -> np.ndarray:
         coded = encode(np.clip(light, 0, 1)).astype(np.float32)
         if phone.halo:
             coded = coded + phone.halo * (coded - cv2.GaussianBlur(coded, (0, 0), SHARP_PX))
-        coded = coded + rng.normal(0, phone.noise_grey / 255, coded.shape).astype(np.float32)
+        coded = coded + rng.normal(0, phone.noise_grey / 255, coded.shape).astype(
+            np.float32
+        )
         out.write(np.clip(coded, 0, 1).astype(np.float32), time_s)
     out.close()
     gains = phone.gain(np.arange(look.frames) / look.fps)[:, None, None]
     return np.asarray(
-        np.percentile((filmed * gains)[::7, ::5, ::5].reshape(-1, 3), 1, axis=0) + phone.black
+        np.percentile((filmed * gains)[::7, ::5, ::5].reshape(-1, 3), 1, axis=0)
+        + phone.black
     )
 
 

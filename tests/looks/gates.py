@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from arfx.core.light import Light
 from tests.calibrated import clips
 from tests.calibrated.scenes import CASES
 from tests.looks import film
-from tests.looks.film import Look, Phone, ramps, steps
+from tests.looks.film import Look, Phone, dim, ramps, steps
 
 ALBEDOS = np.array([[0.7, 0.7, 0.7], [0.55, 0.25, 0.2]])
 NORMALS = 24  # over the half of the sphere that faces up from the desk
@@ -123,7 +123,9 @@ def behind(s: Seen) -> Finding:
 def tint(s: Seen) -> Finding:
     """Chroma against the picture's, both over their means."""
     off = (s.own.chroma - s.own.chroma.mean(0)) - (s.truth.chroma - s.truth.chroma.mean(0))
-    return Finding(s.look.name, "chroma behind the picture", _mostly(np.abs(off).max(1)), 2.0)
+    return Finding(
+        s.look.name, "chroma behind the picture", _mostly(np.abs(off).max(1)), 2.0
+    )
 
 
 def darkened(s: Seen) -> Finding:
@@ -144,7 +146,9 @@ def darkened(s: Seen) -> Finding:
 def black(s: Seen) -> Finding:
     """Above the clip's darkest hundredth, linear light, in the worst channel."""
     bias = np.array([f.bias_rgb for f in s.analysis.facts])
-    return Finding(s.look.name, "black level too high", float((bias - s.darkest).max()), 0.0)
+    return Finding(
+        s.look.name, "black level too high", float((bias - s.darkest).max()), 0.0
+    )
 
 
 def half_lit(s: Seen) -> Finding:
@@ -176,10 +180,12 @@ def _mostly(values: np.ndarray) -> float:
 
 Measure = Callable[[Seen], Finding]
 STEADY: tuple[Measure, ...] = (luma_flicker, chroma_flicker, black)
-SIX = {"prints": 6, "side_m": 0.05, "distance_m": 0.45}
-TILTED = SIX | {"tilt_deg": 40.0, "side_m": 0.055}
+SIX: dict[str, Any] = {"prints": 6, "side_m": 0.05, "distance_m": 0.45}
+TILTED: dict[str, Any] = SIX | {"tilt_deg": 40.0, "side_m": 0.055}
 HUNTING = Phone(hunting=0.03, rolling_s=0.02)
-PURPLE = (0.06, 0.03, 0.09)
+SMALL: dict[str, Any] = {"prints": 6, "side_m": 0.022, "distance_m": 0.45}
+DIM: dict[str, Any] = SMALL | {"side_m": 0.028}
+PURPLE, BLUE = (0.06, 0.03, 0.09), (0.05, 0.08, 0.25)
 LOOKS: tuple[tuple[Look, tuple[Measure, ...]], ...] = (
     (Look("constant, one print"), (*STEADY, not_shaded)),
     (Look("constant, six prints", **SIX), STEADY),
@@ -191,7 +197,12 @@ LOOKS: tuple[tuple[Look, tuple[Measure, ...]], ...] = (
     (Look("black level .02", Phone(black=(0.02, 0.02, 0.02))), STEADY),
     (Look("purple ink", ink=PURPLE), STEADY),
     (Look("purple ink, glossy, tilted", ink=PURPLE, gloss=0.1, **TILTED), STEADY),
+    (Look("blue ink", ink=BLUE), STEADY),
     (Look("glossy", gloss=0.1), STEADY),
+    (Look("six small prints", **SMALL), STEADY),
+    (Look("dim, six small prints", Phone(dim, noise_grey=2.0), **SMALL), STEADY),
+    (Look("dim, glossy, small", Phone(dim, noise_grey=1.5), gloss=0.2, **DIM), STEADY),
+    (Look("dim, blue ink, small", Phone(dim, noise_grey=2.0), ink=BLUE, **SMALL), STEADY),
     (Look("ramps of 1 stop/s", Phone(ramps, rolling_s=0.02)), (behind, black)),
     (Look("ramps, tilted prints", Phone(ramps, rolling_s=0.02), **TILTED), (behind, black)),
     (Look("steps of 20 %", Phone(steps)), (behind, not_shaded)),

@@ -17,10 +17,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from arfx.core.numerics import divide
-
 WITNESS_PX = (64, 36)  # of the small pictures that are compared
-DARKEST, BRIGHTEST = 16, 240  # coded luma between which a pixel says how the exposure changed
+DARKEST, BRIGHTEST = (
+    16,
+    240,
+)  # coded luma between which a pixel says how the exposure changed
 GAMMA = 2.2  # of coded luma, about
 LEAST_CHANGE = 0.012  # of the background's logarithm: less is its noise, it rests
 SCALES = (3, 8, 24)  # readings before and after, over which a change is looked for
@@ -35,8 +36,10 @@ BORNE_OUT = 0.3
 DRIFT, CHROMA_DRIFT = 0.003, 0.001  # of the logarithm at rest, over the root of a second
 OUT = 3.5  # deviations beyond which a print disagrees with the others
 LEAST_SIGMA = 3e-4
-STEP = 0.05  # of luma's logarithm, from one reading to the next: the light was switched
-STEP_SHARE = 0.6  # of what differs before and after that has to happen at once
+# A step of luma's logarithm from one reading to the next: the light was switched. So much, and
+# so many deviations, beyond what the readings around, this many on either side, change by.
+STEP, STEP_SURE, AROUND = 0.05, 8.0, 3
+STANDS_OUT = 3.0  # times the largest of these
 _PASSES = 30  # of alternating means: few prints that are seen in turn take that many
 
 
@@ -45,7 +48,9 @@ def small_luma(luma: np.ndarray) -> np.ndarray:
     width, height = WITNESS_PX
     thin = max(1, min(luma.shape[0] // (4 * height), luma.shape[1] // (4 * width)))
     picture = np.ascontiguousarray(luma[::thin, ::thin])
-    return np.asarray(cv2.resize(picture, WITNESS_PX, interpolation=cv2.INTER_AREA), np.float32)
+    return np.asarray(
+        cv2.resize(picture, WITNESS_PX, interpolation=cv2.INTER_AREA), np.float32
+    )
 
 
 def background_change(before: np.ndarray, after: np.ndarray) -> float:
@@ -58,7 +63,9 @@ def background_change(before: np.ndarray, after: np.ndarray) -> float:
     (x, y), _ = cv2.phaseCorrelate(a - a.mean(), b - b.mean(), window)
     shift = np.array([[1, 0, x], [0, 1, y]])
     moved = cv2.warpAffine(before, shift, WITNESS_PX, flags=cv2.INTER_LINEAR)
-    inside = (moved > DARKEST) & (moved < BRIGHTEST) & (after > DARKEST) & (after < BRIGHTEST)
+    inside = (
+        (moved > DARKEST) & (moved < BRIGHTEST) & (after > DARKEST) & (after < BRIGHTEST)
+    )
     if inside.mean() < 0.1:
         return float("nan")
     return float(GAMMA * np.median(np.log(after[inside] / moved[inside])))
@@ -115,21 +122,28 @@ def common_level(
 
 
 def steps(times_s: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """(s,) times between readings at which luma jumps at once, and stays so.
+    """(s,) times between readings at which luma jumps: by far more, and otherwise, than before
+    and after, and not back at once.
 
     times_s : (n,) ascending;  level : (n, 3) logarithms of successive readings
     """
-    luma = level.mean(1)
-    if len(luma) < 4:
+    if len(level) < 2 * AROUND + 2:
         return np.zeros(0)
-    jump = np.diff(luma)
-    lasting = _difference(luma[:, None], SCALES[0])[1:, 0]
-    usual = _noise(luma[:, None])[0] * np.sqrt(2)
-    clear = np.abs(jump) > np.maximum(SURE * usual, STEP)
-    at_once = np.abs(jump) > STEP_SHARE * np.abs(lasting)
-    stays = (jump * lasting > 0) & (np.abs(lasting) > STEP_SHARE * np.abs(jump))
-    at = np.flatnonzero(clear & at_once & stays)
+    jump = np.diff(level.mean(1))
+    off = np.abs(jump - np.median(_neighbours(jump), 1))
+    clear = off > max(STEP, STEP_SURE * 1.4826 * float(np.median(off)))
+    # a frame that disagrees is two in a row, and what turns past a lamp several
+    clear &= off > STANDS_OUT * _neighbours(off).max(1)
+    clear[:AROUND] = clear[-AROUND:] = False
+    at = np.flatnonzero(clear)
     return (times_s[at] + times_s[at + 1]) / 2
+
+
+def _neighbours(value: np.ndarray) -> np.ndarray:
+    """(n, 2 AROUND) of value (n,), without itself."""
+    padded = np.pad(value, AROUND, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
+    return np.delete(windows, AROUND, axis=1)
 
 
 def _smoothed(
@@ -170,23 +184,29 @@ def _followed(
     """
     chroma = background is None
     sigma = np.maximum(_noise(value), floor + LEAST_SIGMA)
-    noise = np.clip(size, 0.25, 1e4)[:, None] * (sigma * (CHROMA_NOISE if chroma else 1)) ** 2
+    noise = (
+        np.clip(size, 0.25, 1e4)[:, None] * (sigma * (CHROMA_NOISE if chroma else 1)) ** 2
+    )
     drift = CHROMA_DRIFT if chroma else DRIFT
     rest = drift * np.sqrt(np.maximum(np.diff(times_s[seen]), 1e-6))
     moves = np.zeros(len(seen))
     expected = np.zeros((len(seen), 1))
     if background is not None:
-        known = np.where(np.abs(background) > LEAST_CHANGE, background, 0.0)
-        expected[:, 0] = np.nan_to_num(known)
+        known = np.nan_to_num(background)
+        noise_of_it = float(_noise(known[:, None])[0])
+        shows = np.abs(known) > max(LEAST_CHANGE, SURE * noise_of_it)
+        expected[:, 0] = np.where(shows, known, 0.0)
         moves = np.abs(expected[:, 0])
     out = _solve(value, noise, np.hypot(rest, moves[1:]), expected)
     for scale in SCALES:
         off = value - out
         found = _difference(off, scale)
-        sure = CHROMA_JUMP if chroma and scale == SCALES[0] else CHROMA_SURE
+        sure = np.array([CHROMA_JUMP if scale == SCALES[0] else CHROMA_SURE])
         if background is not None:
-            shown = _around(np.nan_to_num(background), scale)
-            borne_out = np.isnan(background) | (shown * found[:, 0] > BORNE_OUT * found[:, 0] ** 2)
+            shown = _around(known, scale)
+            borne_out = np.isnan(background) | (
+                shown * found[:, 0] > BORNE_OUT * found[:, 0] ** 2
+            )
             sure = np.where(borne_out, SURE, DOUBTED)[:, None]
         deviation = 1.25 * np.sqrt(2 / scale) * np.maximum(_noise(off), floor + LEAST_SIGMA)
         clear = (np.abs(found) > sure * deviation).any(1)

@@ -306,7 +306,7 @@ class StaticFrameLight:
         """
         y, variance = self.reading.y, self.reading.variance
         bright = float(np.percentile(y.max(1), 90))
-        used = (made > LEAST_SEEN * bright).all(1)
+        used = np.asarray((made > LEAST_SEEN * bright).all(1))
         made, y, variance = made[used], y[used], variance[used]
         factor = np.clip(divide(y, made), LEAST_FACTOR, MOST_FACTOR)
         relative = (variance / made**2).mean(1) + MODEL_ERROR**2
@@ -340,7 +340,9 @@ class StaticFrameLight:
                 self.change,
             )
         )
-        return {self.frames[r]: models[i].scaled(factors[r]) for r, i in enumerate(of_frame)}
+        return {
+            self.frames[r]: models[i].scaled(factors[r]) for r, i in enumerate(of_frame)
+        }
 
     def report(
         self,

@@ -100,7 +100,9 @@ def test_prints_that_come_and_go_leave_the_level_as_it_is() -> None:
     print_ = np.tile(np.arange(3), 60)
     level = np.repeat((0.1 * print_)[:, None], 3, 1)
     kept = RNG(0).random(180) < 0.6
-    common, offsets = common_level(frame[kept], print_[kept], level[kept], np.ones(kept.sum()))
+    common, offsets = common_level(
+        frame[kept], print_[kept], level[kept], np.ones(kept.sum())
+    )
     assert np.ptp(common) < 1e-3
     assert np.diff(offsets[:, 0]) == pytest.approx([0.1, 0.1], abs=1e-3)
 
@@ -113,13 +115,17 @@ def test_frames_without_a_reading_have_what_lies_between() -> None:
     unknown = np.full(30, np.nan)
     found = brightness(times, frame, zeros, level, ones, zeros == 0, unknown)
     assert found.shape == (30, 3) and np.abs(found).max() < 1e-9
-    one = brightness(times, frame[:1], zeros[:1], level[:1] + 0.3, ones[:1], zeros[:1] == 0, unknown)
+    one = brightness(
+        times, frame[:1], zeros[:1], level[:1] + 0.3, ones[:1], zeros[:1] == 0, unknown
+    )
     assert one == pytest.approx(np.full((30, 3), 0.3))
 
 
 def test_the_background_says_how_the_exposure_changed() -> None:
     ground = cv2.resize(
-        RNG(3).uniform(60, 140, (24, 40)).astype(np.float32), (400, 240), interpolation=cv2.INTER_CUBIC
+        RNG(3).uniform(60, 140, (24, 40)).astype(np.float32),
+        (400, 240),
+        interpolation=cv2.INTER_CUBIC,
     )
     first = np.rint(ground[10:190, 20:340]).astype(np.uint8)
     shifted = ground[13:193, 25:345]
@@ -136,7 +142,11 @@ def test_a_background_of_nothing_says_nothing() -> None:
 
 def at(level: np.ndarray, noise: float) -> list[int]:
     level = level + noise * RNG(0).normal(size=len(level))
-    return (np.ceil(steps(np.arange(len(level)), level[:, None] * np.ones(3)))).astype(int).tolist()
+    return (
+        (np.ceil(steps(np.arange(len(level)), level[:, None] * np.ones(3))))
+        .astype(int)
+        .tolist()
+    )
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.1, 0.8), (0.5, 0.6)])
