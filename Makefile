@@ -1,4 +1,4 @@
-# make demo | test | check | fuzz | bench | hard | calibrated | errors | golden | wheel | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
+# make demo | test | check | fuzz | bench | hard | calibrated | looks | errors | golden | wheel | clean      (a bare Python >= 3.11 is all it needs; PYTHON= chooses one)
 PYTHON ?= python3
 BIN := .venv/bin
 # Test processes: the suite is bound by compute, and more would fight over two cores.
@@ -10,7 +10,7 @@ SEED ?= 0
 # -v undoes the -q of pyproject.toml, so that the closing line is pytest's full one; -rfEs names what fails and gives the reason of every skip.
 PYTEST = $(BIN)/python -m pytest -v -rfEs -n $(JOBS) --dist worksteal --durations 10
 
-.PHONY: help demo test check lint fuzz bench hard calibrated errors golden wheel clean distclean venv
+.PHONY: help demo test check lint fuzz bench hard calibrated looks errors golden wheel clean distclean venv
 
 help:
 	@echo "make demo    makes a sample clip, puts a model on its marker, writes demo/"
@@ -21,6 +21,7 @@ help:
 	@echo "make hard    every hard scene, stated hard case, sweep and clip towards a singularity: one table, hard/table.md"
 	@echo "make errors  measures the errors of all levels that are shipped: a table, plots and arfx/plan/default_errors.json"
 	@echo "make calibrated  some 300 random clips: is the light's direction as far off as is stated? calibrated/table.md"
+	@echo "make looks   does the light hold on clips as telephones film them? each against its truth, looks/table.md"
 	@echo "make golden  renders the expected pictures of sample_scenes/ anew; look at them before committing"
 	@echo "make wheel   a wheel for this Python that carries compiled code, in dist/"
 	@echo "make clean   removes what was built or made; make distclean also .venv"
@@ -60,6 +61,9 @@ errors: venv
 calibrated: venv
 	$(BIN)/python -m tests.calibrated
 
+looks: venv
+	$(BIN)/python -m tests.looks
+
 golden: venv
 	$(BIN)/python -m tests.golden.regenerate
 
@@ -67,7 +71,7 @@ wheel: venv
 	$(BIN)/python tools/build_wheel.py
 
 clean:
-	rm -rf build dist out demo hard calibrated .pytest_cache .mypy_cache .ruff_cache .hypothesis tests/golden/failed
+	rm -rf build dist out demo hard calibrated looks .pytest_cache .mypy_cache .ruff_cache .hypothesis tests/golden/failed
 	find arfx cli tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean

@@ -18,7 +18,7 @@ read, are left to the corrected fold. Its errors: docs/methods/light.md#errata."
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
@@ -27,11 +27,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arfx.analyse.fold import Analysis
-from arfx.analyse.light.fold import LightOfMarkers, with_light
+from arfx.analyse.light.fold import LightOfMarkers
+from arfx.analyse.light.frames import with_light
 from arfx.analyse.light.hypotheses import MEASURED, REFUSED
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import Observation
-from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import UNKNOWN_VARIANCE, Photometry
 from arfx.analyse.light.static_frame import Lights, StaticFrameLight
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.params import LightParams
@@ -103,11 +103,35 @@ class PrintedLightParams(LightParams):
         return [name for name in unused if getattr(self, name) != getattr(type(self), name)]
 
 
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """The readings of one frame.
+
+    normals : (k, 3) unit;  irradiance, variance : (k, 3); what is not finite is left out.
+    """
+
+    normals: np.ndarray
+    irradiance: np.ndarray
+    variance: np.ndarray
+
+    @property
+    def usable(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """(unit normal, irradiance) of the readings that are finite and known."""
+        n, x, v = normalise(self.normals), self.irradiance, self.variance
+        fine = n.any(1) & (np.isfinite(x) & (v >= 0) & (v < UNKNOWN_VARIANCE)).all(1)
+        return zip(n[fine], x[fine], strict=True)
+
+
 def eq8_weight(cosine: np.ndarray, s: float) -> np.ndarray:
     """f(n) for n.n' = cosine: without the square of the angle, and with the condition
     cos(n.n') > 0, which always holds.
     """
     return np.where(np.cos(cosine) > 0, np.exp(-arccos(cosine) * (1 / (2 * s * s))), 0.0)
+
+
+def squared_weight(cosine: np.ndarray, s: float) -> np.ndarray:
+    """f(n) as meant: with the square of the angle, and nothing where n turns away from n'."""
+    return np.where(cosine > 0, np.exp(-(arccos(cosine) ** 2) / (2 * s * s)), 0.0)
 
 
 def eq7_update(M: np.ndarray, f: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -198,7 +222,7 @@ def lights_of(
     out, cubes = [], []
     beyond = np.zeros(3)
     for o in seen:
-        readings = [(turn @ n, x) for n, x, _ in zip(*o.usable, strict=True)]
+        readings = [(turn @ n, x) for n, x in o.usable]
         for n, x in readings:
             map_.add(n, x)
         M = map_.of_middles
@@ -230,7 +254,11 @@ class PrintedStaticFrameLight(StaticFrameLight):
         """Each frame's light map and its peaks; frames without a reading have those before them."""
         if not self.lit:
             return super().from_markers(rests, samples)
-        solution, cubes, turn = lights_of(self.observations, self.params)
+        ends = np.searchsorted(self.numbers, self.lit)[1:]
+        y, variance = self.reading.y, self.reading.variance
+        rows = (np.split(a, ends) for a in (self.normals, y, variance))
+        seen = [Observation(*of_frame) for of_frame in zip(*rows, strict=True)]
+        solution, cubes, turn = lights_of(seen, self.params)
         last = np.clip(np.searchsorted(self.lit, self.frames, side="right") - 1, 0, None)
         self.maps = {
             k: CubeMap.of(cubes[i], turn @ self.static_from_world[k])
@@ -263,7 +291,7 @@ class PrintedLight(LightOfMarkers):
             _: np.ndarray,
             clipped: np.ndarray,
             rho: np.ndarray,
-            _unused: LightParams,
+            _most_bias: np.ndarray | None,
         ) -> tuple[Photometry, None]:
             if (
                 params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()

@@ -10,8 +10,6 @@ import numpy as np
 
 from arfx.analyse.light.fit import FittedLight, LightFit, fit
 from arfx.analyse.light.hypotheses import MEASURED
-from arfx.analyse.light.light_map import UNKNOWN, Observation
-from arfx.analyse.light.light_map import LightMap as CorrectedMap
 from arfx.analyse.light.patches import WHITE
 from arfx.analyse.light.photometry import EXACT, INK, PAPER, solve
 from arfx.analyse.params import LightParams
@@ -21,11 +19,13 @@ from arfx.core.numerics import angle_between, normalise
 from arfx.papers.s1_gain import brightness, eq6_smallest_vector, gain_and_bias
 from arfx.papers.s1_light import (
     LightMap,
+    Observation,
     PrintedLightParams,
     eq8_weight,
     eq9_lights,
     hemisphere,
     lights_of,
+    squared_weight,
 )
 from arfx.papers.s1_lightmap import phong
 from arfx.reproduce.rows import Item, Row, both, compared, curves, shown
@@ -33,6 +33,7 @@ from arfx.reproduce.work import Work
 from arfx.stages.composite import shade
 
 BIAS = 12.0  # of 255, in all clips of this module
+NOISE, DRIFT_PER_S = 0.05, 0.05  # of readings; by which the light changes in a second
 S_RAD, EPSILON_DEG = 0.2, 30.0  # s of (8), epsilon of (9): the paper has no values
 UP = np.array([0.0, 0.0, 1.0])
 RHO = np.where(WHITE, PAPER, INK)
@@ -268,18 +269,18 @@ def equation_7() -> Iterator[Item]:
         """(t, 2) printed and corrected map at a normal that shows these values (t,), one
         after the other.
         """
-        printed, corrected, out = LightMap(3, S_RAD), CorrectedMap(), []
+        printed, corrected, variance, out = LightMap(3, S_RAD), 0.0, np.inf, []
         at = int((printed.n @ UP).argmax())
-        for x in np.repeat(values[:, None], 3, 1):
-            printed.add(UP, x)
-            noise = np.full((1, 3), 0.05**2)
-            corrected.wait(1 / 30)
-            corrected.add(Observation(0.0, corrected.vertices[:1], x[None], noise))
-            out.append((printed.M[at, 0], corrected.value[0, 0]))
+        for x in values:
+            printed.add(UP, np.full(3, x))
+            variance += (DRIFT_PER_S * corrected) ** 2 / 30  # what it may have changed by
+            gain = 1 - NOISE**2 / (NOISE**2 + variance)
+            corrected, variance = corrected + gain * (x - corrected), gain * NOISE**2
+            out.append((printed.M[at, 0], corrected))
         return np.array(out)
 
     last = both((seen(np.full(1000, 0.7))[-1] / 0.7).tolist())
-    noisy = seen(0.7 + 0.05 * np.random.default_rng(0).normal(size=400))
+    noisy = seen(0.7 + NOISE * np.random.default_rng(0).normal(size=400))
     yield compared(
         "equation (7), constant light after 1,000 updates",
         "1",
@@ -288,7 +289,7 @@ def equation_7() -> Iterator[Item]:
         "",
         1e-6,
     )
-    left = both(100 * float(s) / 0.05 for s in np.std(noisy[50:], axis=0))
+    left = both(100 * float(s) / NOISE for s in np.std(noisy[50:], axis=0))
     yield shown(
         "equation (7), noise of one normal that is left",
         "M ← (1 − f) M + f x",
@@ -319,15 +320,7 @@ def printed_weight(cosine: np.ndarray) -> np.ndarray:
 
 
 def corrected_weight(cosine: np.ndarray) -> np.ndarray:
-    """Of an observation of no light and variance 1: the variance of the vertices that it
-    reaches is 1 over it.
-    """
-    c = np.asarray(cosine, float)
-    vertices = np.stack([np.sqrt(np.maximum(1 - c * c, 0)), 0 * c, c], -1)
-    known = CorrectedMap(vertices, S_RAD)
-    known.add(Observation(0.0, UP[None], np.zeros((1, 3)), np.ones((1, 3))))
-    variance = known.variance[:, 0]
-    return np.where(variance < UNKNOWN, 1 / variance, 0.0)
+    return squared_weight(cosine, S_RAD)
 
 
 def equation_8() -> Iterator[Item]:
@@ -472,9 +465,7 @@ def equation_9(seeds: int) -> Iterator[Item]:
 
 def reading(n: np.ndarray, level: float) -> Observation:
     normals = np.atleast_2d(n)
-    return Observation(
-        0.0, normals, np.full(normals.shape, level), np.full(normals.shape, 1e-6)
-    )
+    return Observation(normals, np.full(normals.shape, level), np.full(normals.shape, 1e-6))
 
 
 def off_deg(found: np.ndarray, lamps: np.ndarray) -> float | None:
@@ -497,7 +488,7 @@ def one_lamp(seed: int, params: PrintedLightParams) -> tuple[float | None, float
     x = lit(n, lamp, 0.4) * (1 + 0.005 * rng.normal(size=(100, 1)))
     lights = lights_of(
         [
-            Observation(0.0, a[None], b[None], np.full((1, 3), 1e-5))
+            Observation(a[None], b[None], np.full((1, 3), 1e-5))
             for a, b in zip(n, x, strict=True)
         ],
         params,

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from arfx.analyse.fold import Analysis
-from arfx.analyse.light.fold import Reading, with_light
+from arfx.analyse.light.frames import Reading, with_light
 from arfx.analyse.light.patches import Patches
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED, FrameFacts

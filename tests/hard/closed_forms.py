@@ -9,12 +9,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from arfx.analyse.light.light_map import LightMap, Observation
 from arfx.core.camera import Camera
 from arfx.core.lens import Lens, circle_of_confusion_mm, depth_of_field
 from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation
-from arfx.papers.s1_light import eq8_weight
+from arfx.papers.s1_light import eq8_weight, squared_weight
 from arfx.papers.s2_lens import printed_limits
 from arfx.papers.s4_volumes import octree_of
 from arfx.papers.s4_voxels import Volume
@@ -66,14 +65,8 @@ def _light_weight(delta: float, formula: str, data: Data) -> Answer:
     """Eq. (8) at an angle delta from the normal, against the exponential itself."""
     s = 0.2
     cosine = data(np.cos(delta))
-    known = LightMap(np.array([[0.0, 0, cosine]]), s)
-    up = np.array([[0.0, 0, 1]])
-    known.add(Observation(0.0, up, np.zeros((1, 3)), np.ones((1, 3))))
-    found = (
-        1 / float(known.variance[0, 0])
-        if formula == "corrected"
-        else float(eq8_weight(cosine, s))
-    )
+    weight = squared_weight if formula == "corrected" else eq8_weight
+    found = float(weight(cosine, s))
     return Answer(abs(found - float(np.exp(-(delta**2) / (2 * s * s)))))
 
 

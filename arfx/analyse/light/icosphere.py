@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from arfx.core.numerics import divide, normalise, same_rows
+from arfx.core.numerics import normalise, same_rows
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -46,24 +46,6 @@ class Icosphere:
         fine = np.asarray(d.any(-1))
         found = self._tree.query(np.where(fine[..., None], d, self.vertices[0]))[1]
         return np.where(fine, found, -1)
-
-    @cached_property
-    def _faces_tree(self) -> cKDTree:
-        from scipy.spatial import cKDTree
-
-        return cKDTree(self.centres)
-
-    def between(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(vertices (n, 3) of the faces that hold directions (n, 3), weights (n, 3) >= 0 of
-        sum 1): of the place where a direction meets its face, 0 for no direction.
-
-        Faces are nearly equilateral, so that the one with the nearest middle holds it, or is
-        beside it by a hair."""
-        d = normalise(np.asarray(directions, float))
-        around = self.faces[self._faces_tree.query(d)[1]]
-        corners = np.swapaxes(self.vertices[around], 1, 2)
-        weights = np.clip(np.linalg.solve(corners, d[..., None])[..., 0], 0, None)
-        return around, divide(weights, weights.sum(1, keepdims=True))
 
 
 @lru_cache(maxsize=8)

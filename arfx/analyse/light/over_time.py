@@ -44,10 +44,6 @@ _CELL_LEVEL = 4  # 4 degrees: within, normals count as one
 _WINDOW_S = 0.25
 LONGEST_WINDOW_S = 2.0  # changing light is treated as constant for so long at most
 _LEAST_PIECE = 8  # observations of a segment whose light can be asked for
-_JUMP_SIGMA, _LEAST_JUMP = (
-    8.0,
-    0.03,
-)  # of a step between two frames: usual deviations, share of the level
 _LEAST_FRAMES = 0.8  # share of the frames that show normals apart
 # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
 _APART = 0.97
@@ -77,7 +73,7 @@ def fit_over_time(
 
     times_s : (k,) of each observation, one at least, any order;  normals, irradiance,
     variance : (k, 3) as in fit.fit, finite
-    breaks_s : times at which the light steps (light_map.changes); no span crosses one
+    breaks_s : times at which the light steps (brightness.steps); no span crosses one
     """
     order = np.argsort(times_s, kind="stable")  # what lies between two times is a slice
     times, n, E, v = (a[order] for a in (times_s, normals, irradiance, variance))
@@ -145,10 +141,6 @@ def fit_over_time(
     constant = run(every)
     if constant.model_error <= _GOOD_ERROR and drift(times, n, E) <= _MOST_DRIFT:
         return CONSTANT, [Span(start, stop, constant)]
-    breaks_s = [
-        *breaks_s,
-        *(j for j in jumps(times, E) if all(abs(j - b) > _WINDOW_S for b in breaks_s)),
-    ]
     segments = window_edges(start, stop, breaks_s, np.inf)
     # the account whose refusal says most: the first that explains what was seen
     best_refusal = constant
@@ -247,33 +239,6 @@ def switches(
     if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
         return None
     return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
-
-
-def jumps(times_s: np.ndarray, irradiance: np.ndarray) -> list[float]:
-    """Times at which the light of one normal after the other jumps: from one frame to the
-    next it changes by far more, and otherwise, than before and after. Empty where frames
-    show several normals: what is seen of them may change."""
-    t, first, count = np.unique(times_s, return_index=True, return_counts=True)
-    if len(t) < 8 or (count > 1).any():
-        return []
-    light = np.asarray(irradiance, float).mean(1)[first]
-    step = np.diff(light)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(step, 3, mode="edge"), 7)[
-        :, [0, 1, 2, 4, 5, 6]
-    ]
-    off = np.abs(step - np.median(around, 1))
-    usual = 1.4826 * float(np.median(off))
-    near = np.diff(t) < 2 * np.median(np.diff(t))
-    near[:3] = near[-3:] = False
-    found = (
-        near & (off > _JUMP_SIGMA * usual) & (off > _LEAST_JUMP * np.percentile(light, 90))
-    )
-    at = np.flatnonzero(found)
-    alone = (
-        np.diff(at, prepend=-9) > 3
-    )  # two in a row are a frame that disagrees, or a highlight that passes
-    alone &= np.append(alone[1:], True)
-    return [float((t[i] + t[i + 1]) / 2) for i in at[alone]]
 
 
 def window_edges(

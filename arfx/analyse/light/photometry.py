@@ -38,6 +38,10 @@ WORST_BIAS = (
 # of the bright patches' median that has to be light: less is haze, or no print at all
 LEAST_CONTRAST = 0.05
 MOST_CONDITION = 1e12  # that is told
+TOO_BRIGHT = (
+    "dark cells are brighter than the clip's darkest hundredth allows: blur, gloss or ink of"
+    " another colour"
+)
 UNUSABLE = "no patch is usable: all are clipped, missing or not finite"
 _HUBER, _PASSES, _INK_STEPS = 1.345, 25, 4
 
@@ -97,14 +101,17 @@ class Photometry:
 class Tolerances(NamedTuple):
     """What is not exactly as stated. ink_sigma : standard deviation of the ink's albedo
     transfer : range by which the exponent of the camera's curve may be off
-    steps : of 1/255 by which the coded values of all dark cells may be off together"""
+    steps : of 1/255 by which the coded values of all dark cells may be off together
+    blur : of a dark cell's stated deviation by which they may be: what blur brings in from
+    beside is the same in all frames"""
 
     ink_sigma: float = INK_SIGMA
     transfer: float = TRANSFER
     steps: float = STEPS
+    blur: float = 0.5
 
 
-USUAL, EXACT = Tolerances(), Tolerances(0, 0, 0)
+USUAL, EXACT = Tolerances(), Tolerances(0, 0, 0, 0)
 
 
 class Channel(NamedTuple):
@@ -130,16 +137,26 @@ def solve(
     albedo: np.ndarray,
     clipped: np.ndarray | None = None,
     tolerances: Tolerances = USUAL,
+    most_bias: np.ndarray | None = None,
 ) -> Photometry:
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None =
     equal and unknown
     albedo : (p,), (t, p) or (t, p, 3);  clipped : (t, p) shares, for the report
-    tolerances : go into bias_95"""
+    tolerances : go into bias_95
+    most_bias : (3,) what the clip's darkest pixels show: no black level is above it"""
     channels, ignored = weighted(intensity, variance, albedo)
     known = variance is not None
-    return assemble(
-        [_solve_channel(*c, known, tolerances) for c in channels], clipped, ignored
-    )
+    most = np.full(3, np.inf) if most_bias is None else most_bias
+    parts = [
+        _solve_channel(*c, known, tolerances, float(m))
+        for c, m in zip(channels, most, strict=True)
+    ]
+    if any(p.reason == TOO_BRIGHT for p in parts):  # then no channel's is the camera's
+        parts = [
+            fallback(*c, TOO_BRIGHT, p.rank, p.condition)
+            for c, p in zip(channels, parts, strict=True)
+        ]
+    return assemble(parts, clipped, ignored)
 
 
 def weighted(
@@ -205,8 +222,10 @@ def _solve_channel(
     rho: np.ndarray,
     known: bool,
     tolerances: Tolerances,
+    most_bias: float,
 ) -> Channel:
     """Shared bias. grey, w0, rho : as of `weighted`;  known : the variances are
+    most_bias : above it is what ink and gloss show, not the camera's bias
 
     The solution takes the stated ink; the interval holds what an ink with its tolerance as
     prior, solved for beside the bias, makes of the bias too. (Gloss and glare bend dark
@@ -271,6 +290,8 @@ def _solve_channel(
         why += (
             f": the bias would be uncertain by {half:.2g} at a level of {max(level, 0):.2g}"
         )
+    elif b > most_bias:
+        why = TOO_BRIGHT
     elif bright < -doubt:
         why = "dark cells are brighter than bright ones"
     elif bright * float(np.abs(rho).max()) < LEAST_CONTRAST * level:
@@ -278,7 +299,7 @@ def _solve_channel(
     if why:
         return fallback(grey, w0, rho, why, unknowns, condition)
     dark = rho < (rho.min(1, keepdims=True) + rho.max(1, keepdims=True)) / 2
-    ink_sigma, transfer, steps = tolerances
+    ink_sigma, transfer, steps, blur = tolerances
     low, high = b - half, b + half
     if ink_sigma > 0:
         off, wide, light = 0.0, half + 1.96 * ink_sigma * bright, y
@@ -308,8 +329,9 @@ def _solve_channel(
     # linear light per coded value: sRGB's slope, of which all curves are near enough
     ink_level = max(float(np.median(grey[dark & usable])), 0.0031)
     step = steps / 255 * 2.4 / 1.055 * ink_level ** (1 - 1 / 2.4)
+    beside = 1.96 * blur * known * float(np.median(1 / np.sqrt(w0[dark & usable])))
     low, high = (
-        b + sign * float(np.hypot(away, step))
+        b + sign * float(np.linalg.norm([away, step, beside]))
         for sign, away in ((-1, b - low - min(moved)), (1, high + max(moved) - b))
     )
     return Channel(

@@ -7,20 +7,19 @@ are equirectangular, z up: the middle column looks along x, the left half holds 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import cv2
 import numpy as np
 
-from arfx.analyse.light import light_map
+from arfx.analyse.light.brightness import brightness, common_level, steps
 from arfx.analyse.light.fit import best_verdict, span_deg
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.light_map import DRIFT_PER_S
 from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
@@ -50,10 +49,6 @@ AMBIENT, DIRECT = (
 )  # radiance of a white surface without, and from a facing light, where only a direction is given
 ASSUMED = "assumed"
 LEAST_FACTOR, MOST_FACTOR = 1 / 16, 16.0  # of a frame's brightness to its model's
-_PASSES = 2
-_LEAST_KNOWN = 1e-9  # of what ties a value to its neighbours
-JUMP = 0.15  # of the factor's logarithm from one frame to the next: a switch, not a drift
-UNKNOWN = light_map.UNKNOWN  # variance
 MOST_GAINS = 200  # in the report
 ALIKE_DEG = 15.0  # lights before and after a span that is refused, to be used in it
 MODEL_ERROR = (
@@ -146,12 +141,18 @@ def fitted_to(
 @dataclass(frozen=True, eq=False)
 class Readings:
     """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, STATIC axes
+    print_ : (k,) int, which one;  stood_on : (k,) bool, the anchor
     light : what a white surface shows there; behind it the same of one kind of cells alone
-    (patches.comparable), where prints are overexposed"""
+    (patches.comparable), where prints are overexposed
+    change : of the background from the frame before, by frame (brightness.background_change)
+    """
 
     frame: np.ndarray
     normal: np.ndarray
+    print_: np.ndarray
+    stood_on: np.ndarray
     light: Sequence[LightReading]
+    change: Mapping[int, float] = field(default_factory=dict)
 
 
 class StaticFrameLight:
@@ -177,18 +178,9 @@ class StaticFrameLight:
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
         self.readings = [light.at(mine) for light in readings.light]
         self.reading = self.readings[0]
-        # first : reading of each lit frame
-        lit, self.first = np.unique(self.numbers, return_index=True)
-        self.lit, self.at_s = lit.tolist(), self.times_s(lit)
-        self.observations = [
-            light_map.Observation(
-                time_s, self.normals[a:b], self.reading.y[a:b], self.reading.variance[a:b]
-            )
-            for time_s, (a, b) in zip(
-                self.at_s.tolist(), pairwise([*self.first.tolist(), len(mine)]), strict=True
-            )
-        ]
-        self.kinds = light_map.changes(self.observations)
+        self.print_, self.stood_on = readings.print_[mine], readings.stood_on[mine]
+        self.lit = np.unique(self.numbers).tolist()
+        self.change = np.array([readings.change.get(k, np.nan) for k in self.frames])
 
     def times_s(self, frames: Iterable[int]) -> np.ndarray:
         return np.array([self.facts[k].time_s for k in frames])
@@ -204,7 +196,7 @@ class StaticFrameLight:
             soft, source = self._surroundings(samples)
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
             return dict.fromkeys(self.frames, soft), self.report(REFUSED, source, why, soft)
-        breaks = self.at_s[self.kinds == light_map.STEP].tolist()
+        breaks = self._steps_s().tolist()
         fit_params = FitParams(self.params.most_lights, likely=self.params.claims == LIKELY)
         model, spans, self.reading = fit_temporal_model(
             self.times_s(self.numbers), self.normals, self.readings, breaks, fit_params
@@ -293,55 +285,64 @@ class StaticFrameLight:
         )
         return (matched(light, n, measured) if len(n) else light), "environment"
 
+    def _steps_s(self) -> np.ndarray:
+        """(s,) times at which the light steps, beside what turning prints show."""
+        even = Light.of_soft(
+            np.outer(np.eye(9)[0], self.reading.y.mean(0) * np.sqrt(4 * np.pi)), (), ""
+        )
+        shape = matched(even, self.normals, self.reading.y)
+        used, level, variance = self._levels(shape.radiance(self.normals))
+        if not used.any():
+            return np.zeros(0)
+        frame = self.numbers[used]
+        common, _ = common_level(frame, self.print_[used], level, variance)
+        return steps(self.times_s(np.unique(frame)), common)
+
+    def _levels(self, made: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(readings (k,) bool that say how bright their frames are; of these the logarithm
+        (n, 3) of what they show over what was made, and its variance (n,)).
+
+        made : (k, 3) of a model
+        """
+        y, variance = self.reading.y, self.reading.variance
+        bright = float(np.percentile(y.max(1), 90))
+        used = np.asarray((made > LEAST_SEEN * bright).all(1))
+        made, y, variance = made[used], y[used], variance[used]
+        factor = np.clip(divide(y, made), LEAST_FACTOR, MOST_FACTOR)
+        relative = (variance / made**2).mean(1) + MODEL_ERROR**2
+        return used, np.log(factor), relative / factor.mean(1) ** 2
+
     def _follow(
         self, models: Sequence[Light], of_frame: np.ndarray | None = None
     ) -> Lights:
         """Each frame's model, times a factor per channel so that the markers look as they
-        were measured.
+        were measured (brightness.brightness).
 
         of_frame : (frames,) number of each frame's model, None = all have the first.
-        Factors are smoothed over both past and
-        future, but never over a step of the light; frames without a reading take that
-        between those before and after, up to a step."""
-        count, y = len(self.lit), self.reading.y
+        """
         of_frame = np.zeros(len(self.frames), int) if of_frame is None else of_frame
-        of_reading = of_frame[np.searchsorted(self.frames, self.numbers)]
-        bright = float(np.percentile(y.max(1), 90))
-        made = np.zeros(y.shape)
+        position = np.searchsorted(self.frames, self.numbers)
+        of_reading = of_frame[position]
+        made = np.zeros(self.reading.y.shape)
         for i, model in enumerate(models):
             made[of_reading == i] = model.radiance(self.normals[of_reading == i])
-        weight = np.where(
-            made > LEAST_SEEN * bright,
-            divide(made, self.reading.variance + (MODEL_ERROR * made) ** 2),
-            0,
+        used, level, variance = self._levels(made)
+        if not used.any():
+            return {k: models[i] for k, i in zip(self.frames, of_frame, strict=True)}
+        factors = np.exp(
+            brightness(
+                self.times_s(self.frames),
+                position[used],
+                self.print_[used],
+                level,
+                variance,
+                self.stood_on[used],
+                self.change,
+            )
         )
-        fraction, shown = (np.add.reduceat(weight * a, self.first) for a in (made, y))
-        factors, variance = (
-            divide(shown, fraction, where_zero=1.0),
-            divide(1.0, fraction, where_zero=UNKNOWN),
-        )
-        at, now = self.at_s, self.times_s(self.frames)
-        # the factors change by more than JUMP from one to the next, in all channels, and stay so
-        size = np.log(np.maximum(np.abs(factors), 1e-6))
-        before, here, later = size[:-1], size[1:], np.concatenate([size[2:], size[-1:]])
-        jumps = (np.abs(later - here) < np.abs(later - before)).all(1) & (
-            np.abs(here - before) > JUMP
-        ).all(1)
-        stepped = (self.kinds == light_map.STEP) | np.append(False, jumps)
-        variance[(self.kinds == light_map.OUTLIER) & ~stepped] = UNKNOWN
-        factors = np.clip(
-            smoothed(at, factors, variance, stepped),
-            LEAST_FACTOR,
-            MOST_FACTOR,
-        )
-        after = np.searchsorted(self.lit, self.frames)
-        last, first = np.minimum(after, count - 1), np.clip(after - 1, 0, count - 1)
-        fraction = np.clip(
-            divide(now - at[first], at[last] - at[first], where_zero=1.0), 0, 1
-        )
-        fraction[(at[last] > now) & stepped[last]] = 0.0
-        every = factors[first] + fraction[:, None] * (factors[last] - factors[first])
-        return {self.frames[r]: models[i].scaled(every[r]) for r, i in enumerate(of_frame)}
+        return {
+            self.frames[r]: models[i].scaled(factors[r]) for r, i in enumerate(of_frame)
+        }
 
     def report(
         self,
@@ -394,37 +395,6 @@ def fit_temporal_model(
         if better == MEASURED or (verdict in ("", REFUSED) and better != verdict):
             found, verdict = (account, spans, reading), better
     return found
-
-
-def smoothed(
-    time_s: np.ndarray,
-    value: np.ndarray,
-    variance: np.ndarray,
-    step: np.ndarray,
-) -> np.ndarray:
-    """(n, 3) values of a random walk seen with noise, from all of the past and the future.
-
-    time_s : (n,);  value, variance : (n, 3), UNKNOWN = not seen;  step : (n,) the walk
-    begins anew there"""
-    from scipy.linalg import solveh_banded
-
-    if len(value) == 1:  # LAPACK takes no matrix of one
-        return value
-    waits = DRIFT_PER_S**2 * np.maximum(np.diff(time_s), 1e-6)[:, None]
-    out = value
-    for _ in range(_PASSES):  # what is expected of it goes with its size
-        size = np.maximum(np.abs(out[1:] * out[:-1]), 1e-12)
-        tie = np.where(step[1:, None], 0.0, 1 / (waits * size))
-        bands = np.zeros((2, *value.shape))
-        bands[0, 1:] = -tie
-        bands[1, 1:] += tie
-        bands[1, :-1] += tie
-        seen = np.maximum(1 / variance, _LEAST_KNOWN * bands[1])  # else it is singular
-        bands[1] += seen
-        out = np.stack(
-            [solveh_banded(bands[..., c], (value * seen)[:, c]) for c in range(3)], 1
-        )
-    return out
 
 
 def used_spans(spans: Sequence[Span]) -> np.ndarray:

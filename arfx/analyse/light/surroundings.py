@@ -18,7 +18,7 @@ ms a frame at SIZE 16.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -139,18 +139,25 @@ def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
 class EnvironmentSample:
     """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA
     axes (`fold`)
-    plane : (3,) radiance beside the marker, as seen"""
+    plane : (3,) radiance beside the marker, as seen
+    darkest : (3,) linear light of the picture's darkest hundredth"""
 
     frame: int
     cube: np.ndarray
     plane: np.ndarray
+    darkest: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
 
 
 def environment_sample(
-    frame: int, picture: np.ndarray, quad: np.ndarray, width: int
+    frame: int,
+    picture: np.ndarray,
+    quad: np.ndarray,
+    width: int,
+    darkest: np.ndarray | None = None,
 ) -> EnvironmentSample:
     """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame, made smaller;  quad :
-    (4, 2) a marker's corners in the frame's pixels;  width : of the frame
+    (4, 2) a marker's corners in the frame's pixels;  width : of the frame;  darkest : of
+    EnvironmentSample
     """
     quad = (quad + 0.5) * (picture.shape[1] / width) - 0.5
     middle = quad.mean(0)
@@ -168,7 +175,10 @@ def environment_sample(
         (max(3, picture.shape[1] // 2), max(3, picture.shape[0] // 2)),
     )
     return EnvironmentSample(
-        frame, fold(small, FACE_PX), np.clip(np.median(beside, 0), 0, None)
+        frame,
+        fold(small, FACE_PX),
+        np.clip(np.median(beside, 0), 0, None),
+        np.full(3, np.inf) if darkest is None else darkest,
     )
 
 

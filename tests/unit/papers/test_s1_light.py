@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from arfx.analyse.fold import Analysis, AnalysisJob
-from arfx.analyse.light.light_map import Observation
 from arfx.core.cube import look_up
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.numerics import angle_between, normalise
 from arfx.errors import ConfigError
 from arfx.papers.s1_light import (
     LightMap,
+    Observation,
     PrintedLight,
     PrintedLightParams,
+    eq8_weight,
     eq9_lights,
     hemisphere,
     lights_of,
+    squared_weight,
     upright,
 )
 from arfx.papers.s1_lightmap import printed_map
@@ -41,7 +44,7 @@ def run(clip: Clip, **settings: Any) -> Analysis:
 def seen(normals: list[np.ndarray] | np.ndarray, level: float = 0.6) -> Observation:
     """Of one frame. level : light of each"""
     n = np.atleast_2d(normals)
-    return Observation(0.0, n, np.full(n.shape, level), np.full(n.shape, 1e-6))
+    return Observation(n, np.full(n.shape, level), np.full(n.shape, 1e-6))
 
 
 def off_deg(found: np.ndarray, true: np.ndarray) -> float:
@@ -236,3 +239,39 @@ def test_the_papers_light_map_is_written_with_every_frame(level: int) -> None:
         shown = look_up(cube, directions @ f.camera_from_world.rotation @ axes.T)
         assert shown == pytest.approx(look_up(light.cube, directions @ turn.T), abs=0.01)
     assert corrected(Clip(frames=4)).facts[0].light_map is None
+
+
+@pytest.mark.parametrize(
+    ("f", "table"),
+    [
+        (eq8_weight, [1, 0.8040, 0.3359, 0.1129, 0.0127, 0.0014]),
+        (squared_weight, [1, 0.9962, 0.9092, 0.6833, 0.2180, 0.0325]),
+    ],
+)
+def test_weights_are_those_of_the_table(f: Callable, table: list[float]) -> None:
+    angles = np.radians([0, 1, 5, 10, 20, 30])
+    assert np.abs(f(np.cos(angles), 0.2) - table).max() < 5.1e-5
+
+
+def test_only_the_weight_as_meant_excludes_normals_that_turn_away() -> None:
+    cosine = np.cos(np.radians([89.0, 91, 135, 180]))
+    assert (eq8_weight(cosine, 2.0) > 0).all()
+    assert (squared_weight(cosine, 2.0) > 0).tolist() == [True, False, False, False]
+
+
+def test_constant_light_stays_constant_for_1000_updates() -> None:
+    """M begins at black, and the newest reading replaces all older ones."""
+    M = LightMap(3, 0.2)
+    for _ in range(1000):
+        M.add(UP, np.full(3, 0.7))
+    near = M.n[:, 2] > np.cos(np.radians(10))
+    assert near.sum() > 9 and np.abs(M.M[near] / 0.7 - 1).max() < 1e-6
+
+
+@pytest.mark.parametrize("where", ["normal", "value", "variance", "no normal"])
+def test_what_is_not_finite_is_left_out(where: str) -> None:
+    n, x, v = UP[None].copy(), np.full((1, 3), 0.9), np.full((1, 3), 1e-6)
+    {"normal": n, "value": x, "variance": v, "no normal": n}[where][0, 1] = np.nan
+    if where == "no normal":
+        n[:] = 0
+    assert not list(Observation(n, x, v).usable)

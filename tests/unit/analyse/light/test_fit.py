@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from arfx.analyse.light.brightness import steps
 from arfx.analyse.light.fit import MOST_SIZE_DEG, LightFit, fit
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
 from arfx.analyse.light.over_time import (
@@ -413,15 +414,15 @@ def test_the_cone_holds_what_slow_errors_do_where_normals_hardly_separate_ambien
 def test_both_halves_of_a_print_turned_while_a_lamp_is_switched_are_claimed(
     left: float,
 ) -> None:
-    """No step is told: it is found from the readings."""
+    """The step is found from the readings."""
     t, n, d, _ = print_turned(2)
     on = np.where(np.arange(72) < 36, 1.0, left)
     E = (0.4 + on * np.clip(n @ d, 0, None)) * (
         1 + 0.003 * np.random.default_rng(0).normal(size=72)
     )
-    account, spans = fit_over_time(
-        t, n, 0.5 * np.repeat(E[:, None], 3, 1), np.full((72, 3), 2e-6)
-    )
+    light = 0.5 * np.repeat(E[:, None], 3, 1)
+    found = steps(t, np.log(light)).tolist()
+    account, spans = fit_over_time(t, n, light, np.full((72, 3), 2e-6), found)
     assert account == (SWITCHED if left == 0 else SEGMENTS) and len(spans) == 2
     assert spans[0].stop_s == pytest.approx((t[35] + t[36]) / 2) and all(
         s.fit.told(s.group)[0] != REFUSED for s in spans
@@ -443,9 +444,9 @@ def test_a_lamp_that_is_moved_has_a_direction_of_its_own_on_either_side() -> Non
         * (0.4 + np.clip((n * lamps).sum(1), 0, None))
         * (1 + 0.003 * np.random.default_rng(0).normal(size=72))
     )
-    account, spans = fit_over_time(
-        t, n, np.repeat(E[:, None], 3, 1), np.full((72, 3), 2e-6)
-    )
+    light = np.repeat(E[:, None], 3, 1)
+    found = steps(t, np.log(light)).tolist()
+    account, spans = fit_over_time(t, n, light, np.full((72, 3), 2e-6), found)
     assert account == WINDOWS and len(spans) == 2
     for s, lamp in zip(spans, (d, at(100, 40)), strict=True):
         assert (

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.light.fold import LightOfMarkers, Reading, _certain_bias, with_light
+from arfx.analyse.light.fold import LightOfMarkers
+from arfx.analyse.light.frames import Reading, _certain_bias, with_light
 from arfx.analyse.light.patches import WHITE, Patches
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.markers.detect import Detection

@@ -16,7 +16,6 @@ from arfx.analyse.light.over_time import (
     drift,
     fit_over_time,
     gains,
-    jumps,
     matched,
 )
 from arfx.analyse.light.static_frame import span_report, used_spans
@@ -137,7 +136,6 @@ def told(
         )
 
     monkeypatch.setattr(over_time, "fit", made_up)
-    monkeypatch.setattr(over_time, "jumps", lambda *_: [])
     times = np.repeat(np.arange(100) / 25, len(tilts))
     normals = np.tile(tilts, (100, 1))
     light = np.where(times > 1.98, 2.0, 1.0)[:, None] * np.ones(3)
@@ -178,21 +176,6 @@ def test_halves_may_differ_more_where_frames_show_several_normals(
         and found.lights[0].confidence_deg == pytest.approx(4.0)
     )
     assert told(20.0, TILTS, monkeypatch)[1].verdict == REFUSED
-
-
-def test_a_jump_of_one_normals_light_is_found_and_its_turning_is_not() -> None:
-    n = turned(72)[:, :, 2]
-    times = np.arange(72) / 12
-    light = 0.3 + 0.6 * np.clip(n @ LAMP, 0, None)
-    noisy = light * (1 + 0.003 * np.random.default_rng(0).normal(size=72))
-    assert jumps(times, np.repeat(noisy[:, None], 3, 1)) == []
-    dimmed = np.where(np.arange(72) < 40, noisy, 0.8 * noisy)
-    assert jumps(times, np.repeat(dimmed[:, None], 3, 1)) == [pytest.approx(39.5 / 12)]
-    assert (
-        jumps(np.repeat(times, 2), np.repeat(dimmed, 2)[:, None] * np.ones(3)) == []
-    )  # several prints in each frame
-    noisy[40] *= 0.8
-    assert jumps(times, np.repeat(noisy[:, None], 3, 1)) == []  # one frame disagrees
 
 
 def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees() -> None:

@@ -13,8 +13,7 @@ import pytest
 
 from arfx.analyse.fold import AnalysisFrame, AnalysisJob
 from arfx.analyse.folds import Analyser
-from arfx.analyse.light import fold as light_fold
-from arfx.analyse.light.fold import solve_patches
+from arfx.analyse.light import frames as light_frames
 from arfx.analyse.light.patches import (
     SOFT,
     Patches,
@@ -25,7 +24,7 @@ from arfx.analyse.light.patches import (
     reduced,
     stack,
 )
-from arfx.analyse.light.photometry import Photometry
+from arfx.analyse.light.photometry import Photometry, solve
 from arfx.analyse.light.samples import place_samples
 from arfx.analyse.params import LightParams
 from arfx.core.marker import PatternSpec
@@ -75,7 +74,7 @@ def test_light_and_bias_come_out_of_its_patches(formula: str) -> None:
     rho = albedos(patches, INK, PAPER)
     solved: Photometry
     if formula == "corrected":
-        solved, _ = solve_patches(grey, variance, clipped, rho, LightParams())
+        solved = solve(grey, variance, rho, clipped)
     else:
         solved = gain_and_bias(grey, albedo=rho, clipped=clipped)
     assert solved.determined.all()
@@ -150,14 +149,14 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
         kinds = {"light": FORMULAS["paper"]["light"]}
         params = kinds["light"].Params()
     solved: list[Photometry] = []
-    kept = light_fold._readings
+    kept = light_frames._readings
 
     def readings(*a: object) -> object:
         out = kept(*a)  # type: ignore[arg-type]
         solved.append(out[1])
         return out
 
-    monkeypatch.setattr(light_fold, "_readings", readings)
+    monkeypatch.setattr(light_frames, "_readings", readings)
     job = AnalysisJob((PRINT,), CAM, light=params, kinds=kinds, prints={PRINT.key: PRINTED})
     analyser, back = (
         Analyser(job, {"light"}),
@@ -179,5 +178,6 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
         analyser.step(AnalysisFrame(k, k / 25, luma, Picture(view)))
     clip = analyser.finish()
     assert clip.summary["light"]["photometry"]["readings_used"] == len(LIGHTS)
-    np.testing.assert_allclose(solved[0].y, LIGHTS, rtol=0.03)
+    # a bias that is not certain, of up to .012, is in the light
+    np.testing.assert_allclose(solved[0].y, LIGHTS, rtol=0.04)
     np.testing.assert_allclose(solved[0].bias, BIAS, atol=0.003)

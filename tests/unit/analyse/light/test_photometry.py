@@ -113,7 +113,10 @@ def test_the_inks_tolerance_is_in_the_interval() -> None:
         rho=np.where(WHITE, 0.87, 0.044), noise=1e-4, low=0.6, high=0.6
     )  # other print than assumed
     p = solve(
-        grey, np.full(grey.shape, 1e-8), RHO, tolerances=Tolerances(transfer=0, steps=0)
+        grey,
+        np.full(grey.shape, 1e-8),
+        RHO,
+        tolerances=Tolerances(transfer=0, steps=0, blur=0),
     )
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
     assert (
@@ -130,7 +133,7 @@ def test_another_ink_is_in_the_interval_where_the_light_changes_too() -> None:
             grey,
             np.full(grey.shape, 2.5e-7) if known else None,
             RHO,
-            tolerances=Tolerances(transfer=0, steps=0),
+            tolerances=Tolerances(transfer=0, steps=0, blur=0),
         )
         assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all() and np.ptp(
             p.bias_95, axis=1
@@ -146,7 +149,7 @@ def test_a_curve_of_another_exponent_is_in_the_interval() -> None:
             np.abs(grey) ** exponent,
             np.full(grey.shape, 1e-7),
             RHO,
-            tolerances=Tolerances(transfer=0, steps=0),
+            tolerances=Tolerances(transfer=0, steps=0, blur=0),
         )
         assert not ((narrow.bias_95[:, 0] < 0.02) & (narrow.bias_95[:, 1] > 0.02)).any()
 
