@@ -242,7 +242,7 @@ def test_what_stretches_learned_is_what_the_clip_shows(
     for name in ("markers", "printed"):
         one, cut = (folds[name].folds["markers"] for folds in (uncut, in_stretches))
         summaries = [fold.finish(Analysis()).summary for fold in (one, cut)]
-        assert summaries == [{"edge_transfer": "gamma:1"}] * 2
+        assert [summary["edge_transfer"] for summary in summaries] == ["gamma:1"] * 2
         assert [r.index for r in cut.records] == [*range(FRAMES)]
         for a, b in zip(one.records, cut.records, strict=True):
             assert a.time_s == b.time_s and identical(a.thumbnail, b.thumbnail)
