@@ -240,10 +240,6 @@ class Camera(Document):
         m[2] = [0, 0, 1]
         return replace(self, width=width, height=height, matrix=m)
 
-    def ideal(self) -> Camera:
-        """The same camera without lens distortion."""
-        return replace(self, distortion=np.zeros(0), model=BROWN)
-
     @staticmethod
     def guess(
         width: int, height: int, horizontal_fov_deg: float = 65.0, pixel_aspect: float = 1.0
