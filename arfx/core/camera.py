@@ -159,30 +159,29 @@ class Camera(Document):
         ratio = divide(np.tan(angle), radius, where_zero=1.0)
         return np.asarray(target * ratio[..., None])
 
+    def stretch(self, xy: np.ndarray) -> np.ndarray:
+        """(..., 2, 2) change of `distort` with ideal coordinates (..., 2): central differences."""
+        h = 1e-6
+        ends = [self.distort(xy + axis) - self.distort(xy - axis) for axis in h * np.eye(2)]
+        return np.stack(ends, -1) / (2 * h)
+
     def _newton(self, target: np.ndarray) -> np.ndarray:
-        """Newton with a numerical Jacobian; near a fold cv2.undistortPoints, a fixed-point
-        iteration, ends beside the answer.
-        """
-        h, guess = 1e-6, target.copy()
-        along_x, along_y = np.array([h, 0.0]), np.array([0.0, h])
+        """Near a fold cv2.undistortPoints, a fixed-point iteration, ends beside the answer."""
+        guess = target.copy()
         # each point until its own steps end, whatever points are beside it
         todo = np.ones(target.shape[:-1], bool)
         for _ in range(12):
             at = guess[todo]
             if not len(at):
                 break
-            dx = (self.distort(at + along_x) - self.distort(at - along_x)) / (2 * h)
-            dy = (self.distort(at + along_y) - self.distort(at - along_y)) / (2 * h)
-            err = target[todo] - self.distort(at)
-            det = dx[..., 0] * dy[..., 1] - dy[..., 0] * dx[..., 1]
-            sx = divide(err[..., 0] * dy[..., 1] - err[..., 1] * dy[..., 0], det)
-            sy = divide(err[..., 1] * dx[..., 0] - err[..., 0] * dx[..., 1], det)
-            step = np.stack([sx, sy], -1)
-            size = np.linalg.norm(step, axis=-1)
+            missed = target[todo] - self.distort(at)
+            along_x, along_y = np.moveaxis(self.stretch(at), -1, 0)
+            change = np.stack([_cross(missed, along_y), _cross(along_x, missed)], -1)
+            step = divide(change, _cross(along_x, along_y)[..., None])
+            size = np.linalg.norm(step, axis=-1, keepdims=True)
             # damped near a fold
-            damped = np.minimum(1.0, divide(0.3, size, where_zero=1.0))
-            guess[todo] = at + step * damped[..., None]
-            todo[todo] = size > 1e-12
+            guess[todo] = at + step * np.minimum(1.0, divide(0.3, size, where_zero=1.0))
+            todo[todo] = size[..., 0] > 1e-12
         return guess
 
     def project(self, points_camera: np.ndarray) -> np.ndarray:
@@ -241,10 +240,6 @@ class Camera(Document):
         m[2] = [0, 0, 1]
         return replace(self, width=width, height=height, matrix=m)
 
-    def ideal(self) -> Camera:
-        """The same camera without lens distortion."""
-        return replace(self, distortion=np.zeros(0), model=BROWN)
-
     @staticmethod
     def guess(
         width: int, height: int, horizontal_fov_deg: float = 65.0, pixel_aspect: float = 1.0
@@ -267,6 +262,10 @@ class Camera(Document):
             source=f"guess ({horizontal_fov_deg:g} deg along the long side)",
             guessed=True,
         )
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
 def _tilt(tx: float, ty: float) -> np.ndarray:

@@ -184,32 +184,19 @@ def _on(cloud: Cloud, rows: np.ndarray, normal: np.ndarray, offset: float) -> np
 def _likeliest(
     cloud: Cloud, free: np.ndarray, seeds: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Of planes by the neighbours of the seeds that with the most points; the best few are
-    refitted to what lies on them before they are compared.
-    """
+    """Of planes by the neighbours of the seeds that with the most points."""
     sparse = np.flatnonzero(free)
     sparse = sparse[:: max(1, len(sparse) // SCORED)]
-
-    def support(plane: tuple[np.ndarray, float]) -> int:
-        return len(_on(cloud, sparse, *plane))
-
     near = cloud.points[cloud.neighbours[seeds]]
     hypotheses = [_fit(points, np.ones(len(points))) for points in near]
-    best = sorted(hypotheses, key=support, reverse=True)[:8]
-    for k, plane in enumerate(best):
-        for _ in range(3):
-            rows = _on(cloud, sparse, *plane)
-            if len(rows) < 8:
-                break
-            plane = best[k] = _fit(cloud.points[rows], cloud.noise_m[rows] ** -2)
-    return max(best, key=support)
+    return max(hypotheses, key=lambda plane: len(_on(cloud, sparse, *plane)))
 
 
 def _refined(
     cloud: Cloud, free: np.ndarray, normal: np.ndarray, offset: float
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
     rows = np.zeros(0, int)
-    for _ in range(6):
+    for _ in range(12):
         rows = _connected(cloud, _on(cloud, np.flatnonzero(free), normal, offset))
         if len(rows) < 8:
             return None

@@ -41,16 +41,8 @@ class Observed(NamedTuple):
 
 
 def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
-    """(..., 2, 2) px per unit of ideal normalised coordinates, at ideal (..., 2): central
-    differences.
-    """
-    h = 1e-6
-    focal = np.array([camera.fx, camera.fy])
-    columns = [
-        (camera.distort(ideal + axis) - camera.distort(ideal - axis)) / (2 * h) * focal
-        for axis in np.eye(2) * h
-    ]
-    return np.stack(columns, -1)
+    """(..., 2, 2) px per unit of ideal normalised coordinates, at ideal (..., 2)."""
+    return camera.stretch(ideal) * np.array([[camera.fx], [camera.fy]])
 
 
 def _in_camera(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:

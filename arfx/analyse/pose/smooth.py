@@ -70,7 +70,7 @@ def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
                 evidence(part, trial[GROUP]) - _HOLD * np.abs(np.log10(trial / shot)).sum()
             )
 
-        return _ascend(total, shot, range(SHAKE + 1), 10, 1e5)[1]
+        return _ascend(total, shot, range(SHAKE + 1), 10)[1]
 
     values = np.log(parallel_map(of_window, centres.tolist()))
     at = np.arange(n - 1) + 0.5
@@ -83,26 +83,23 @@ def _ascend(
     value: np.ndarray,
     order: Iterable[int],
     step: float,
-    reach: float = np.inf,
 ) -> tuple[float, np.ndarray]:
     """Total and values (groups,) when one group after the other has taken its best.
 
-    step : factor between two trials of a value;  reach : factor on a value, at most
+    step : factor between two trials of a value
 
     Both ways the trials end where the total has fallen by _LOST: evidence has one peak for
     each density, and at most a plateau below it."""
     best = total(value)
     for i in order:
-        start, limits = value, np.clip(value[i] * np.array([1 / reach, reach]), LEAST, MOST)
+        start = value
         for factor in (1 / step, step):
             trial, reached = start.copy(), best
-            while trial[i] != (last := np.clip(trial[i] * factor, *limits)):
-                trial[i] = last
+            while reached >= best - _LOST and LEAST < trial[i] * factor < MOST:
+                trial[i] *= factor
                 reached = total(trial)
                 if reached > best:
                     best, value = reached, trial.copy()
-                if reached < best - _LOST:
-                    break
     return best, value
 
 
@@ -122,18 +119,18 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
         return sum(evidence(b, trial[GROUP]) for b in blocks)
 
     _, shot = _ascend(total, np.array([1e-3, 1e-3, 1e-3, 1e-3, LEAST]), range(SHAKE), 10)
-    moving, shot = _ascend(total, shot, range(SHAKE), 10, 100)
+    moving, shot = _ascend(total, shot, range(SHAKE), 10)
     # what was sideways motion is now the shake: from the one peak no single number leads to
     # the other
     start = shot.copy()
     start[SHAKE], start[SIDEWAYS], start[TURN] = shot[SIDEWAYS], LEAST, LEAST
     _, other = _ascend(total, start, (SIDEWAYS, TURN, DISTANCE), 10)
-    shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), 10, 100)
+    shaking, other = _ascend(total, other, (SHAKE, ROLL, SIDEWAYS, TURN), 10)
     if shaking > moving + _EARNED:
-        return _ascend(
-            total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), 10**0.5, 10
-        )[1]
-    return _ascend(total, shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), 10**0.5, 10)[1]
+        return _ascend(total, other, 2 * (SHAKE, ROLL, DISTANCE, SIDEWAYS, TURN), 10**0.5)[
+            1
+        ]
+    return _ascend(total, shot, 2 * (TURN, ROLL, SIDEWAYS, DISTANCE), 10**0.5)[1]
 
 
 def smooth_poses(
