@@ -37,7 +37,9 @@ def test_a_ray_meets_what_the_camera_sees() -> None:
     room, pose = world.at(0.0), world.camera_at(0, 0.0).inverse()
     room = room._replace(sky=np.full((2, 4, 3), 0.25))
     seen = Picture(world).radiance(0)
-    pixels = np.array([[33, 22], [20, 40], [50, 30]])  # sphere, the plane before it, beside it
+    pixels = np.array(
+        [[33, 22], [20, 40], [50, 30]]
+    )  # sphere, the plane before it, beside it
     towards = world.camera.directions(pixels.astype(float)) @ pose.rotation.T
     starts = np.tile(pose.translation_m, (3, 1))
     light, _ = radiance(mirror_rays(starts, towards), room)
