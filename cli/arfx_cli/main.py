@@ -10,6 +10,7 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -100,18 +101,18 @@ def _check_given_once(context: click.Context, arguments: Sequence[str]) -> None:
         *_, order = context.command.make_parser(context).parse_args([*arguments])
     except click.UsageError:  # which the command itself raises, with its usage
         return
-    for option in {p for p in order if isinstance(p, click.Option) and order.count(p) > 1}:
-        heads = [word.partition("=") for word in arguments]
-        values = [
-            value if equals else following
-            for (head, equals, value), following in zip(
-                heads, [*arguments[1:], ""], strict=True
+    words = [part for word in arguments for part in word.split("=", word.startswith("--"))]
+    for option in {p for p in order if isinstance(p, click.Option)}:
+        count = order.count(option)
+        if count < 2 or option.multiple or option.is_flag:
+            continue
+        values = [given for word, given in pairwise([*words, ""]) if word in option.opts]
+        all_known = len(values) == count  # not those of -oNAME
+        if not all_known or len(set(values)) > 1:
+            given = ", ".join(values) if all_known else count
+            raise click.UsageError(
+                f"{option.opts[-1]} takes one value, {given} are given", context
             )
-            if head in option.opts
-        ]
-        if not (option.multiple or option.is_flag or len(set(values)) == 1):
-            name, given = option.opts[-1], ", ".join(values)
-            raise click.UsageError(f"{name} takes one value, {given} are given", context)
 
 
 @click.group(
