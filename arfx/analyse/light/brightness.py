@@ -17,6 +17,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from arfx.core.numerics import divide
+
 WITNESS_PX = (64, 36)  # of the small pictures that are compared
 DARKEST, BRIGHTEST = (
     16,
@@ -34,8 +36,9 @@ STATED, MOST_STATED = 0.25, 0.004
 # of the background's change in that of the prints, from which it bears it out
 BORNE_OUT = 0.3
 DRIFT, CHROMA_DRIFT = 0.003, 0.001  # of the logarithm at rest, over the root of a second
-OUT = 3.5  # deviations beyond which a print disagrees with the others
+HUBER = 1.345  # deviations beyond which a print disagrees with the others, and counts less
 LEAST_SIGMA = 3e-4
+NOISE_OVER = 31  # readings, of which the noise is told
 # A step of luma's logarithm from one reading to the next: the light was switched. So much, and
 # so many deviations, beyond what the readings around, this many on either side, change by.
 STEP, STEP_SURE, AROUND = 0.05, 8.0, 3
@@ -117,7 +120,7 @@ def common_level(
         common = _means(index, level - offsets[print_], agrees)
         off = np.abs(level - offsets[print_] - common[index])
         sigma = 1.4826 * np.median(off, 0) + LEAST_SIGMA
-        agrees = weight / (1 + ((off / (OUT * sigma)) ** 4).max(1))
+        agrees = weight * np.minimum(1, divide(HUBER, (off / sigma).max(1), where_zero=1.0))
     return common, offsets
 
 
@@ -193,8 +196,8 @@ def _followed(
     expected = np.zeros((len(seen), 1))
     if background is not None:
         known = np.nan_to_num(background)
-        noise_of_it = float(_noise(known[:, None])[0])
-        shows = np.abs(known) > max(LEAST_CHANGE, SURE * noise_of_it)
+        noise_of_it = _noise(known[:, None])[:, 0]
+        shows = np.abs(known) > np.maximum(LEAST_CHANGE, SURE * noise_of_it)
         expected[:, 0] = np.where(shows, known, 0.0)
         moves = np.abs(expected[:, 0])
     out = _solve(value, noise, np.hypot(rest, moves[1:]), expected)
@@ -272,11 +275,18 @@ def _around(value: np.ndarray, scale: int) -> np.ndarray:
 
 
 def _noise(value: np.ndarray) -> np.ndarray:
-    """(c,) deviation of white noise in successive values (n, c)."""
+    """(n, c) deviation of white noise in successive values (n, c), over the readings around."""
     if len(value) < 3:
-        return np.full(value.shape[1], 1.0)
-    bent = value[1:-1] - (value[:-2] + value[2:]) / 2
-    return 1.4826 / np.sqrt(1.5) * np.median(np.abs(bent), 0)
+        return np.ones_like(value)
+    bent = np.abs(value[1:-1] - (value[:-2] + value[2:]) / 2)
+    padded = np.pad(
+        bent,
+        ((NOISE_OVER // 2 + 1,) * 2, (0, 0)),
+        mode="reflect" if len(bent) > NOISE_OVER else "edge",
+    )
+    windows = np.lib.stride_tricks.sliding_window_view(padded, NOISE_OVER, axis=0)
+    local, usual = np.median(windows, -1), np.median(bent, 0)
+    return 1.4826 / np.sqrt(1.5) * np.maximum(local, usual)
 
 
 def _means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:

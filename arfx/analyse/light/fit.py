@@ -20,6 +20,7 @@ from arfx.analyse.light.hypotheses import (
     LEAST_SHADOW,
     LIKELY,
     MEASURED,
+    MOST_OFF_DEG,
     REFUSED,
     Assessment,
     LightHypotheses,
@@ -277,7 +278,9 @@ def fit(
             verdict,
             doubt,
         )
-        lights.append(doubted(one, cone, spread, doubt) if verdict == LIKELY else one)
+        if verdict == LIKELY:
+            one = doubted(one, max(cone, min(spread, MOST_OFF_DEG)), spread, doubt)
+        lights.append(one)
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
         reason += f"; the second {_words(known[1])}"
