@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from arfx.core.pixels import Pixels
+from arfx.core.pixels import Pixels, Plate
 from arfx.core.rect import EMPTY, Rect
 
 
@@ -96,40 +96,40 @@ def packed(array: np.ndarray) -> np.ndarray:
     return out
 
 
-UNWRITTEN = Pixels(EMPTY)
-
-
 @dataclass(frozen=True)
 class Layers:
     """Layers seen over one rectangle, read-only: each as it was written, neutral where
-    nothing has written it.
-    written : what stages wrote so far
+    nothing has written it, IMAGE as the plate.
+    written : what stages wrote so far, and the plate
     A layer's neutral pixels are made when it is asked for, so cropping first costs nothing
     for what is cut off."""
 
     rect: Rect
-    written: Mapping[Layer, Pixels] = field(default_factory=dict)
+    written: Mapping[Layer, Pixels | Plate] = field(default_factory=dict)
 
     def __getitem__(self, name: Layer) -> np.ndarray:
-        """(h, w, ...) over `rect`. Raises KeyError for PLATE and IMAGE where they do not
-        cover `rect`, as they have no neutral value."""
-        pixels = self.written.get(name, UNWRITTEN)
-        where, array = pixels.part, pixels.array
-        if pixels.rest is not None and pixels.rect.contains(self.rect):
-            seen = pixels(self.rect).view()
-        elif where.contains(self.rect) and not where.empty:
-            seen = array[self.rect.slices_in(where)].view()
+        """(h, w, ...) over `rect`. Raises KeyError for PLATE where it does not cover
+        `rect`, and for IMAGE where neither does, as they have no neutral value."""
+        held = self.written.get(name)
+        if held is not None and held.rect.contains(self.rect):
+            seen = held.part(self.rect).view()
+        elif name is Layer.IMAGE and held is None:
+            return self[Layer.PLATE]
         else:
-            seen = neutral(name, self.rect)
-            both = where.clip(self.rect)
-            if not both.empty:
-                seen[both.slices_in(self.rect)] = array[both.slices_in(where)]
+            seen = (
+                self[Layer.PLATE].copy()
+                if name is Layer.IMAGE
+                else neutral(name, self.rect)
+            )
+            if held is not None and not (both := held.rect.clip(self.rect)).empty:
+                seen[both.slices_in(self.rect)] = held.part(both)
         seen.setflags(write=False)
         return seen
 
     def extent(self, name: Layer) -> Rect:
         """Pixels of `rect` outside which the layer is neutral."""
-        return self.written.get(name, UNWRITTEN).written.bounds.clip(self.rect)
+        held = self.written.get(name)
+        return EMPTY if held is None else held.rect.clip(self.rect)
 
     def crop(self, rect: Rect) -> Layers:
         """The part inside `rect`, which must lie in this rectangle."""

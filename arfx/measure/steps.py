@@ -17,6 +17,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
+from arfx.core.pixels import Plate
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -125,7 +126,7 @@ class FrameRenderer:
         if chain in self.rendered:
             self.rendered[chain] = self.rendered.pop(chain)  # used last
             return self.rendered[chain]
-        layers = FrameLayers(self.plate, self.prepared.scene.camera.rect)
+        layers = FrameLayers(Plate.of(self.plate, self.prepared.scene.camera.rect))
         if chain:
             layers.stored = dict(self.after(chain[:-1]).stored)
             out = self.out(chain)

@@ -13,12 +13,11 @@ from typing import Any
 import av
 import numpy as np
 
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.layers import packed
+from arfx.core.rect import Rect
 from arfx.errors import RenderError
-from arfx.media.planes import FrameFormat, Orientation, copy_picture, planes_of
+from arfx.media.planes import FrameFormat, copy_picture, planes_of
 
-# pixels of a rectangle for each that is wanted, from which these alone are converted
-MIN_SPARSE_RATIO = 8
 SWS_MATRIX = {
     "bt709": "ITU709",
     "bt601": "ITU601",
@@ -104,14 +103,24 @@ class Frame:
             )
         return self.format.orientation.coded_rect(rect, self.rect.width, self.rect.height)
 
-    def linear(self, rect: Rect) -> np.ndarray:
+    def linear(self, rect: Rect, out: np.ndarray | None = None) -> np.ndarray:
         """(h, w, 3) float32 linear RGB of an upright rectangle; not clipped, so slightly
         below 0 and above 1 occur. Any two rectangles agree where they meet. Raises
-        RenderError if rect is empty or leaves the picture."""
-        r, (kernels, planes) = self._coded(rect), self._stored(self.picture)
-        out = np.empty((r.height, r.width, 3), np.float32)
-        kernels.read(planes, astuple(r), out)
-        return np.ascontiguousarray(self.format.orientation.upright(out))
+        RenderError if rect is empty or leaves the picture.
+
+        out : to write it to, None = a new array"""
+        from arfx.media import samples  # whose compiler takes long to load
+
+        f, r = self.format, self._coded(rect)
+        if out is None:
+            out = np.empty((rect.height, rect.width, 3), np.float32)
+        coded = f.orientation.coded(out)
+        into = coded if coded.flags.c_contiguous else np.empty(coded.shape, np.float32)
+        planes = samples.three(planes_of(self.picture, f.layout))
+        samples.read(samples.samples_of(f), planes, astuple(r), into)
+        if into is not coded:
+            coded[...] = into
+        return out
 
     def linear_at(self, pixels: np.ndarray) -> np.ndarray:
         """(n, 3) float32: `linear` of single upright pixels (n, 2) int, x and y.
@@ -120,79 +129,21 @@ class Frame:
         """
         if not len(pixels):
             return np.zeros((0, 3), np.float32)
-        x, y = pixels[:, 0], pixels[:, 1]
-        rect = Rect(int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1)
-        if not self.row_by_row or self._coded(rect).area < MIN_SPARSE_RATIO * len(pixels):
-            return np.ascontiguousarray(self.linear(rect)[y - rect.y0, x - rect.x0])
-        out = np.empty((len(pixels), 3), np.float32)
-        kernels, planes = self._stored(self.picture)
-        kernels.read_at(planes, np.ascontiguousarray(pixels, np.int32), out)
-        return out
+        (x0, y0), (x1, y1) = pixels.min(0).tolist(), pixels.max(0).tolist()
+        around = self.linear(Rect(x0, y0, x1 + 1, y1 + 1))
+        return np.ascontiguousarray(around[pixels[:, 1] - y0, pixels[:, 0] - x0])
 
-    def _stored(self, picture: av.VideoFrame) -> Any:
-        from arfx.media import kernels  # whose compiler takes long to load
-
-        planes = planes_of(picture, self.format.layout)
-        return kernels, kernels.stored(planes, self.format)
-
-    def dimmed(
-        self,
-        rect: Rect,
-        transmittance: np.ndarray,
-        opacity: float,
-        bias: np.ndarray,
-        hole: Rect,
-    ) -> Frame:
-        """A new frame with less light inside `rect`, but for `hole`: every linear value's
-        part above `bias` (3,) is multiplied by 1 + opacity (transmittance - 1).
-        transmittance : (h, w, 3 or 1) float32 over the upright `rect`; 1 keeps a pixel's
-        bits. Errors, range: see `edited`.
-        """
-        f, r = self.format, self._coded(rect)
-        h = EMPTY if hole.empty else self._coded(hole)
-        if transmittance.shape[:2] != (rect.height, rect.width) or transmittance.shape[
-            2
-        ] not in (1, 3):
-            raise RenderError(
-                f"frame {self.index}: {transmittance.shape} shares of light for"
-                f" {rect.to_json()}"
-            )
-        picture = copy_picture(self.picture, f.layout)
-        kernels, planes = self._stored(picture)
-        kernels.dim(
-            planes,
-            astuple(r),
-            astuple(h),
-            kernels.read_only(f.orientation.coded(transmittance)),
-            np.float32(opacity),
-            bias.astype(np.float32),
-        )
-        return replace(self, picture=picture)
-
-    @property
-    def row_by_row(self) -> bool:
-        """Whether `edited` takes `columns`."""
-        return self.format.orientation == Orientation()
-
-    def edited(
-        self,
-        rect: Rect,
-        before: np.ndarray,
-        after: np.ndarray,
-        columns: np.ndarray | None = None,
-        in_place: bool = False,
-    ) -> Frame:
+    def edited(self, rect: Rect, before: np.ndarray, after: np.ndarray) -> Frame:
         """A new frame whose stored samples differ by convert(after) - convert(before)
         inside `rect`.
 
-        before, after : (h, w, 3) float32 linear RGB of the upright rectangle; equal pixels
-        keep their bits.
-        columns : (h, 2) int32 of each row, outside of which neither is looked at; None =
-        all. Only where `row_by_row`
-        in_place : this frame's own samples are changed; only for one that `dimmed` or `edited` made
+        before : (h, w, 3) float32, `linear` of the upright rectangle;  after : what it is
+        to become; where they are equal the samples keep their bits
         New values are clipped to the legal range; samples that already lay beyond it may
         stay there. Raises RenderError for a rectangle outside the picture, other shapes, or
         values that are not finite."""
+        from arfx.media import samples
+
         f, r = self.format, self._coded(rect)
         shape = (rect.height, rect.width, 3)
         if before.shape != shape or after.shape != shape:
@@ -200,12 +151,10 @@ class Frame:
                 f"frame {self.index}: edit of {shape} pixels given {before.shape} before,"
                 f" {after.shape} after"
             )
-        picture = self.picture if in_place else copy_picture(self.picture, f.layout)
-        if columns is None:
-            columns = np.tile(np.array([0, r.width], np.int32), (r.height, 1))
-        kernels, planes = self._stored(picture)
-        light = (kernels.read_only(f.orientation.coded(x)) for x in (before, after))
-        if bad := kernels.edit(planes, astuple(r), columns, *light):
+        picture = copy_picture(self.picture, f.layout)
+        old, new = (samples.three(planes_of(p, f.layout)) for p in (self.picture, picture))
+        light = (packed(f.orientation.coded(x)) for x in (before, after))
+        if bad := samples.add(samples.samples_of(f), old, new, astuple(r), *light):
             raise RenderError(
                 f"frame {self.index}: {bad} edited pixels in {rect.to_json()} are not"
                 " finite numbers"

@@ -13,7 +13,7 @@ import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer, Layers
-from arfx.core.pixels import Attenuated, Pixels, Region
+from arfx.core.pixels import Pixels, Plate
 from arfx.core.plan import FramePlan
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
@@ -26,18 +26,15 @@ from arfx.media.frame import Frame
 class FrameLayers:
     """The layers of one frame while its plan runs."""
 
-    plate: np.ndarray | Pixels
-    rect: Rect
-    stored: dict[Layer, Pixels] = field(default_factory=dict)
+    plate: Plate
+    stored: dict[Layer, Pixels | Plate] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        given = self.plate
-        plate = (
-            given
-            if isinstance(given, Pixels)
-            else Pixels(self.rect, rest=lambda part: given[part.slices_in(self.rect)])
-        )
-        self.plate, self.stored = plate, {Layer.PLATE: plate, Layer.IMAGE: plate}
+        self.stored = {Layer.PLATE: self.plate}
+
+    @property
+    def rect(self) -> Rect:
+        return self.plate.rect
 
     def view(self, rect: Rect) -> Layers:
         """Read-only layers over `rect`."""
@@ -51,20 +48,13 @@ class FrameLayers:
         """
         new = (output if isinstance(output, Pixels) else Pixels(need, output)).clip(out)
         before = self.stored.get(name)
-        if name is Layer.IMAGE:
-            assert before is not None
-            rest = new.rest or before
-            if (rest.plate if isinstance(rest, Attenuated) else rest) is not before:
-                new, rest = Pixels(out, new(out)), before
-            self.stored[name] = Pixels(
-                before.rect, new.array, rest, new.part, new.written.rects
-            )
-        elif before is None or out.contains(before.part):
+        kept = new.rect if name is Layer.IMAGE else out
+        if before is None or kept.contains(before.rect):
             self.stored[name] = new
-        else:
-            whole = before.part.union(out)
+        elif not kept.empty:
+            whole = before.rect.union(kept)
             merged = self.view(whole)[name].copy()
-            merged[out.slices_in(whole)] = Layers(out, {name: new})[name]
+            merged[kept.slices_in(whole)] = Layers(kept, {name: new})[name]
             self.stored[name] = Pixels(whole, merged)
         return new
 
@@ -83,39 +73,11 @@ class FrameResult:
         return self.layers.view(self.rect)[Layer.IMAGE]
 
     def onto(self, frame: Frame) -> Frame:
-        """The frame with what is new written into its planes.
-
-        A shadow that no stage read is applied to the stored samples.
-        """
-        out, plate, image = (
-            frame,
-            self.layers.stored[Layer.PLATE],
-            self.layers.stored[Layer.IMAGE],
-        )
-        region, light = image.written.clip(self.rect), image.rest
-        if isinstance(light, Attenuated):
-            if not (where := light.rect.clip(self.rect)).empty:
-                transmittance, hole = (
-                    light.transmittance[where.slices_in(light.rect)],
-                    region.bounds.clip(where),
-                )
-                out = frame.dimmed(
-                    where, transmittance, float(light.opacity), light.bias, hole
-                )
-        elif frame.row_by_row:
-            region.grow(image.painted.clip(self.rect))
-        else:
-            region = Region([self.rect])
-        if not region.rects:
-            return out
-        rect = (
-            region.bounds
-            if region.bounds == region.rects[0]
-            else image.part.union(region.bounds)
-        )
-        columns = region.columns(rect) if frame.row_by_row else None
-        before, after = plate.over(rect, region.rects), image.over(rect, region.rects)
-        return out.edited(rect, before, after, columns, out is not frame)
+        """The frame with what is new written into its planes."""
+        image = self.layers.stored.get(Layer.IMAGE)
+        if image is None or (rect := image.rect.clip(self.rect)).empty:
+            return frame
+        return frame.edited(rect, self.layers.plate.part(rect), image.part(rect))
 
 
 def ready_stages(
@@ -126,7 +88,7 @@ def ready_stages(
 
 
 def run_frame(
-    plate: np.ndarray | Pixels,
+    plate: Plate | np.ndarray,
     facts: FrameFacts,
     plan: FramePlan,
     ready: Mapping[str, ReadyStage],
@@ -134,22 +96,23 @@ def run_frame(
 ) -> FrameResult:
     """Run a plan that has steps.
 
-    plate : (h, w, 3) float32 linear light over plan.rect;  ready : the stages of the plan,
-    at its levels
+    plate : over plan.rect; an array (h, w, 3) is linear light already;  ready : the stages
+    of the plan, at its levels
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not
     measured
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not
     finite; with the distribution, what a plug-in raises, and a layer beside IMAGE."""
-    layers = FrameLayers(plate, plan.rect)
+    if isinstance(plate, np.ndarray):
+        plate = Plate.of(plate, plan.rect)
+    layers = FrameLayers(plate)
     if real_depth_m is not None:
         layers.put(Layer.REAL_DEPTH, real_depth_m, plan.rect, plan.rect)
     seconds: dict[str, float] = {}
-    source = layers.stored[Layer.PLATE]
 
     def own_time() -> float:
         """Seconds so far without those of converting the plate, which are no stage's."""
-        return time.perf_counter() - source.seconds
+        return time.perf_counter() - plate.seconds
 
     for step in plan.steps:
         at = ready[step.stage]
@@ -185,23 +148,20 @@ def _require_picture(made: object, seen: Rect) -> None:
 
 
 def _require_finite(pixels: Pixels, layer: Layer, stage: str, index: int) -> None:
-    rects, array = pixels.written.rects, pixels.array
-    if array.dtype.kind != "f" or not rects:
+    array = pixels.array
+    if array.dtype.kind != "f" or not array.size:
         return
-    flat = array.ravel()
-    with np.errstate(all="ignore"):
-        # a sum of squares is a quick proof; beside the written pixels anything may lie
-        if np.isfinite(np.vdot(flat, flat)) or all(
-            np.isfinite(array[r.slices_in(pixels.part)]).all() for r in rects
-        ):
-            return
-    bad = np.zeros(array.shape[:2], bool)
-    for r in rects:
-        at = r.slices_in(pixels.part)
-        bad[at] = ~np.isfinite(array[at].reshape(*bad[at].shape, -1)).all(-1)
+    if array.flags.c_contiguous:
+        flat = array.ravel()
+        with np.errstate(all="ignore"):
+            if np.isfinite(np.vdot(flat, flat)):  # a quick proof
+                return
+    if np.isfinite(array).all():
+        return
+    bad = ~np.isfinite(array.reshape(*array.shape[:2], -1)).all(-1)
     y, x = np.argwhere(bad)[0]
     raise RenderError(
         f"stage {stage!r} made {bad.sum()} pixels of layer {layer} that are not finite"
-        f" numbers, frame {index}, first at x {x + pixels.part.x0}, y {y + pixels.part.y0}",
+        f" numbers, frame {index}, first at x {x + pixels.rect.x0}, y {y + pixels.rect.y0}",
         "please report this with the job folder; --set or another level may avoid it",
     )

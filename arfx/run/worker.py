@@ -23,7 +23,7 @@ from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
 from arfx.core.colour import Transfer
 from arfx.core.facts import FrameFacts
-from arfx.core.pixels import Pixels
+from arfx.core.pixels import Plate
 from arfx.core.plan import FramePlan, levels_of
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage
@@ -261,7 +261,7 @@ def _frame(
 ) -> Frame:
     if not plan.steps or plan.changed.empty:
         return frame
-    plate = Pixels(plan.rect, rest=frame.linear)
+    plate = Plate(plan.rect, frame.linear)
     depth = None
     if context.depth is not None and any(
         "depth" in context.stages[s.stage].facts for s in plan.steps

@@ -19,8 +19,8 @@ import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
-from arfx.core.layers import Layer
-from arfx.core.pixels import Attenuated, Pixels
+from arfx.core.layers import Layer, packed
+from arfx.core.pixels import Pixels, bands
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import Demand, Stage, View
@@ -33,20 +33,24 @@ class Composite(Stage):
         return Demand(None, "something virtual is in view")
 
     def run(self, view: View, prepared: Any) -> Mapping[Layer, Pixels]:
-        """The object's box; the shadow beside it is worked out only where a later stage
-        asks for it.
-        """
+        """The object's box and the shadow, together."""
         now, facts = view.layers, view.facts
         drawn = now.extent(Layer.VIRTUAL).union(now.extent(Layer.COVERAGE))
-        box = now.crop(drawn.clip(facts.raster_box))
-        shaded, plate = now.crop(now.extent(Layer.SHADOW)), now.written[Layer.PLATE]
+        box = drawn.clip(facts.raster_box)
+        shaded = now.crop(now.extent(Layer.SHADOW).union(box))
         opacity, bias = np.float32(facts.opacity), np.array(facts.bias_rgb, np.float32)
-        mixed = np.empty((box.rect.height, box.rect.width, 3), np.float32)
-        if not box.rect.empty:
-            over = box[Layer.VIRTUAL], box[Layer.COVERAGE], box[Layer.SHADOW]
-            _over(box[Layer.PLATE], *over, opacity, bias, mixed)
-        rest = Attenuated(plate, shaded.rect, shaded[Layer.SHADOW], opacity, bias, shade)
-        return {Layer.IMAGE: Pixels(now.rect, mixed, rest, box.rect)}
+        image = np.empty((shaded.rect.height, shaded.rect.width, 3), np.float32)
+        shadow = shaded[Layer.SHADOW]
+        # by bands, so that the plate's pixels are used while they are in the cache
+        for band in bands(shaded.rect):
+            part = band.slices_in(shaded.rect)
+            shade(now.crop(band)[Layer.PLATE], shadow[part], opacity, bias, image[part])
+        if not box.empty:
+            over = now.crop(box)
+            layers = (over[n] for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW))
+            out = image[box.slices_in(shaded.rect)]
+            _over(over[Layer.PLATE], *layers, opacity, bias, out)
+        return {Layer.IMAGE: Pixels(shaded.rect, image)}
 
 
 # Both take differences, so that a pixel with nothing virtual keeps its exact value.
@@ -61,23 +65,19 @@ def shade(
 ) -> None:
     """The plane's pixels without an object before it: the same as `_over` with coverage 0.
 
-    plate, shadow, out : (h, w, 3)"""
-    if not plate.size:
-        return
-    flat, shares = (np.ascontiguousarray(a).reshape(len(a), -1) for a in (plate, shadow))
-    lines = _shade(flat, shares, opacity, np.tile(bias, plate.shape[1]))
-    out[...] = lines.reshape(plate.shape)
+    plate, shadow, out : (h, w, 3), the last with its rows end to end"""
+    lines = (packed(a).reshape(len(a), -1) for a in (plate, shadow))
+    _shade(*lines, opacity, np.tile(bias, plate.shape[1]), out.reshape(len(out), -1))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _shade(plate, shadow, opacity, bias):  # pragma: no cover - compiled
-    """(h, 3 w) from lines of pixels; bias : (3 w,)"""
-    out, one = np.empty_like(plate), np.float32(1)
+def _shade(plate, shadow, opacity, bias, out):  # pragma: no cover - compiled
+    """out, plate, shadow : (h, 3 w) lines of pixels;  bias : (3 w,)"""
+    one = np.float32(1)
     for y in range(plate.shape[0]):
         for k in range(plate.shape[1]):
             dim = shadow[y, k] - one
             out[y, k] = plate[y, k] + opacity * (plate[y, k] * dim - bias[k] * dim)
-    return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -64,7 +64,9 @@ def hard_layers(rect: Rect) -> Layers:
 def run(at: ReadyStage, layers: Layers, f: FrameFacts) -> Mapping[Layer, np.ndarray]:
     made = at.stage.run(at.view(layers, f), at.prepared)
     return {
-        name: Layers(layers.rect, {name: a})[name] if isinstance(a, Pixels) else a
+        name: Layers(layers.rect, {**layers.written, name: a})[name]
+        if isinstance(a, Pixels)
+        else a
         for name, a in made.items()
     }
 

@@ -143,8 +143,7 @@ class Dof(Stage):
         layers = layers_of_light(now, facts, real, prepared, coc, self.params)
         image = blurred(now[Layer.IMAGE], layers, view.out, LEVELS[view.level], self.params)
         rows = Rect(now.rect.x0, view.out.y0, now.rect.x1, view.out.y1)
-        below = now.written[Layer.IMAGE]
-        return {Layer.IMAGE: Pixels(now.rect, image, below, rows, [view.out])}
+        return {Layer.IMAGE: Pixels(rows, image).clip(view.out)}
 
     def _frame(self, facts: FrameFacts, scene: Scene) -> tuple[CircleOfConfusion, Real]:
         """The lens, and where the real scene stands."""

@@ -274,7 +274,7 @@ class Gi(Stage):
         out = now.crop(part)[Layer.VIRTUAL].copy()
         box = model.clip(view.out).pad(1).clip(model).clip(now.rect)
         if box.empty:
-            return Pixels(now.rect, out, part=part)
+            return Pixels(part, out)
         here, transport = now.crop(box), prepared.transport
         surface = Surface(*(packed(here[Layer(name)]) for name in Surface._fields))
         left, sky = lit.indirect.left, sky_radiance(view.facts, view.scene, view.light)
@@ -290,7 +290,7 @@ class Gi(Stage):
             light *= share_above_surface(surface.normal, smooth)[..., None]
         added, both = reflected_light(surface, light, sight), box.clip(part)
         out[both.slices_in(part)] += added[both.slices_in(box)]
-        return Pixels(now.rect, out, part=part)
+        return Pixels(part, out)
 
     def _shadow(
         self,
@@ -319,7 +319,7 @@ class Gi(Stage):
         mirror = mirror.clip(part)
         if not mirror.empty:
             self._mirror(shadow[mirror.slices_in(part)], view, prepared, sight, mirror)
-        return Pixels(now.rect, shadow, part=part)
+        return Pixels(part, shadow)
 
     def _mirror(
         self, shadow: np.ndarray, view: View, prepared: Prepared, sight: Sight, rect: Rect

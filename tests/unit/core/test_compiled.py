@@ -112,7 +112,7 @@ def refuse(*a, dir=None, **k):
         raise PermissionError(13, "Permission denied", str(dir))
     return made(*a, dir=dir, **k)
 tempfile.TemporaryFile = refuse
-import arfx.core.rect, arfx.media.lines, arfx.stages.composite
+import arfx.core.rect, arfx.media.samples, arfx.stages.composite
 """
     got = subprocess.run(
         [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from arfx.core.layers import Layer, Layers
-from arfx.core.pixels import Attenuated, Pixels
+from arfx.core.pixels import Pixels, Plate
 from arfx.core.plan import FramePlan, Step
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, Stage
@@ -19,8 +19,7 @@ from arfx.run.frame import FrameLayers, ready_stages, run_frame
 from arfx.run.schedule import borders
 from arfx.stages.composite import Composite
 from tests.scenes import facts, layers_of, scene
-from tests.unit.media.test_dimming import samples
-from tests.unit.media.test_frame import frame
+from tests.unit.media.test_frame import frame, samples
 
 SCENE = scene()
 FACTS = facts(SCENE)
@@ -29,7 +28,7 @@ LEVEL = "standard"
 
 def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
     plate = np.random.default_rng(0).random((20, 30, 3), dtype=np.float32)
-    layers = FrameLayers(plate, Rect(10, 10, 40, 30))
+    layers = FrameLayers(Plate.of(plate, Rect(10, 10, 40, 30)))
     inner = Rect(15, 12, 20, 18)
     layers.put(Layer.COVERAGE, np.ones((6, 5), np.float32), inner, inner)
     view = layers.view(Rect(14, 11, 21, 19))
@@ -48,18 +47,10 @@ def test_canvas_fills_with_nothing_virtual_and_keeps_what_is_outside() -> None:
 
 def test_what_a_stage_wrote_of_image_lies_over_what_was_there() -> None:
     whole, inner, dark = Rect(0, 0, 40, 30), Rect(5, 5, 20, 20), Rect(10, 10, 30, 25)
-    layers = FrameLayers(np.ones((30, 40, 3), np.float32), whole)
+    layers = FrameLayers(Plate.of(np.ones((30, 40, 3), np.float32), whole))
     layers.put(Layer.IMAGE, np.full((15, 15, 3), 3, np.float32), inner, inner)
-    plate, left = layers.stored[Layer.PLATE], np.full((15, 20, 1), 0.5, np.float32)
-    light = Attenuated(
-        plate,
-        dark,
-        left,
-        np.float32(1),
-        np.zeros(3, np.float32),
-        lambda p, k, _, __, out: np.multiply(p, k, out),
-    )
-    layers.put(Layer.IMAGE, Pixels(dark, rest=light), dark, dark)
+    half = Pixels(dark, np.full((15, 20, 3), 0.5, np.float32))
+    layers.put(Layer.IMAGE, half, whole, whole)
     expected = np.ones((30, 40, 3), np.float32)
     expected[inner.slices], expected[dark.slices] = 3, 0.5
     assert np.array_equal(layers.view(whole)[Layer.IMAGE], expected)
@@ -140,9 +131,12 @@ class Shade(Paint):
 
 
 @pytest.mark.parametrize("bias", [0.0, -0.02])
-def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
-    """Nothing but the object's own pixels is converted, and the picture is the one that
-    whole conversion gives.
+@pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv422p10le", "gbrp"])
+def test_object_and_shadow_are_written_in_linear_light(
+    pixel_format: str, bias: float
+) -> None:
+    """The stored picture's light is the plate's times the shadow, to a step; what neither
+    reaches keeps its bits.
     """
     stages: dict[str, Any] = {"paint": Spot(), "shade": Shade(), "composite": Composite()}
     levels = {n: LEVEL for n in stages}
@@ -150,103 +144,36 @@ def test_a_plane_in_shadow_is_dimmed_where_it_is_stored(bias: float) -> None:
         opacity=0.9, bias_rgb=(bias, bias, bias), model_box=Rect(42, 32, 58, 48)
     )
     plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
-    picture = frame("yuv420p", SCENE.camera.width, SCENE.camera.height, smooth=True)
-    asked: list[Rect] = []
-
-    def linear(rect: Rect) -> np.ndarray:
-        asked.append(rect)
-        return picture.linear(rect)
-
-    found = run_frame(
-        Pixels(plan.rect, rest=linear), f, plan, ready_stages(plan, stages, SCENE)
-    )
-    assert plan.changed == Rect(20, 20, 90, 80)
-    dimmed = samples(found.onto(picture))
-    assert asked and all(Rect(40, 30, 60, 50).contains(r) for r in asked)
-    whole = picture.edited(plan.changed, picture.linear(plan.changed), found.image)
-    for a, b in zip(dimmed, samples(whole), strict=True):
-        assert np.abs(a - b).max() <= 1
-    assert np.abs(dimmed[0] - samples(picture)[0]).max() > 10
-    for a, b in zip(dimmed, samples(found.onto(picture)), strict=True):
-        np.testing.assert_array_equal(
-            a, b, err_msg="the same when IMAGE was asked for meanwhile"
-        )
-
-
-class Streak(Stage):
-    """Brightens some columns of each row of IMAGE, and says which."""
-
-    name = "streak"
-
-    def demand(self, f: Any, s: Any, frame: Rect) -> Any:
-        from arfx.core.stage import Demand
-
-        return Demand(Rect(10, 10, 120, 100), "streak")
-
-    def needs(self, out: Rect, *_: Any) -> Rect:
-        return out
-
-    def run(self, view: Any, prepared: Any) -> dict[Layer, Pixels]:
-        now = view.layers
-        made, rows = np.full((now.rect.height, now.rect.width, 3), np.nan, np.float32), []
-        for y in range(20, 60):
-            rows.append(
-                Rect(11 + y // 2, y, 57 + y // 3, y + 1).shift(now.rect.x0, now.rect.y0)
-            )
-            made[rows[-1].slices_in(now.rect)] = 1.3 * now.crop(rows[-1])[
-                Layer.IMAGE
-            ] + np.float32(0.02)
-        return {Layer.IMAGE: Pixels(now.rect, made, now.written[Layer.IMAGE], written=rows)}
-
-
-@pytest.mark.parametrize("pixel_format", ["yuv420p", "yuv422p10le", "gbrp"])
-def test_a_stage_that_made_some_columns_gives_the_stored_samples_of_one_that_made_all(
-    pixel_format: str,
-) -> None:
-    stages: dict[str, Any] = {
-        "paint": Spot(),
-        "shade": Shade(),
-        "composite": Composite(),
-        "streak": Streak(),
-    }
-    levels = {n: LEVEL for n in stages}
-    f = FACTS.with_(model_box=Rect(42, 32, 58, 48))
-    plan = plan_frame(list(stages.values()), levels, f, SCENE, SCENE.camera.rect)
     picture = frame(pixel_format, SCENE.camera.width, SCENE.camera.height, smooth=True)
-    found = run_frame(
-        Pixels(plan.rect, rest=picture.linear), f, plan, ready_stages(plan, stages, SCENE)
-    )
-    out = samples(found.onto(picture))
-    assert np.isfinite(found.image).all()
-    whole = picture.edited(plan.changed, picture.linear(plan.changed), found.image)
-    for a, b in zip(out, samples(whole), strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert np.abs(out[0] - samples(picture)[0]).max() > 10
+    plate = Plate(plan.rect, picture.linear)
+    found = run_frame(plate, f, plan, ready_stages(plan, stages, SCENE))
+    assert plan.changed == Rect(20, 20, 90, 80)
+    out = found.onto(picture)
+    beside = Rect(20, 52, 90, 80)  # no object there
+    before, after = picture.linear(beside), out.linear(beside)
+    left = np.linspace(0.4, 1, 70, dtype=np.float32)[None, :, None]
+    expected = bias + (1 + 0.9 * (left - 1)) * (before - bias)
+    step = 1 / (picture.format.layout.peak * 219 / 255)
+    coded = [picture.format.transfer.encode(x) for x in (after, expected)]
+    assert np.abs(coded[0] - coded[1])[2:-2, 2:-2].max() < 2.5 * step
+    for a, b in zip(samples(out), samples(picture), strict=True):
+        assert np.array_equal(a[82:], b[82:]) and np.abs(a - b).max() > 10 * (len(a) > 200)
 
 
-def test_a_plate_is_converted_once() -> None:
+def test_a_plate_is_converted_once_in_bands() -> None:
     asked: list[Rect] = []
 
-    def read(rect: Rect) -> np.ndarray:
+    def read(rect: Rect, out: np.ndarray) -> None:
         asked.append(rect)
-        return np.full((rect.height, rect.width, 3), len(asked), np.float32)
+        out[...] = len(asked)
 
-    plate = Pixels(Rect(0, 0, 50, 40), rest=read)
-    assert plate(Rect(5, 5, 20, 20)).shape == (15, 15, 3) and plate(
-        Rect(6, 6, 9, 9)
-    ).shape == (3, 3, 3)
-    assert asked == [Rect(5, 5, 20, 20)], "first what was asked for"
-    assert plate(Rect(0, 0, 30, 8)).shape == (8, 30, 3) and plate(
-        Rect(40, 30, 50, 40)
-    ).shape == (10, 10, 3)
-    assert sum(r.area for r in asked) == 50 * 40 and plate.seconds > 0, (
-        "then bands, and nothing twice"
-    )
-    count = len(asked)
-    assert (
-        plate.over(plate.rect, [Rect(2, 2, 48, 38)]).shape == (40, 50, 3)
-        and len(asked) == count
-    )
+    plate = Plate(Rect(2, 40, 50, 200), read)
+    assert plate.part(Rect(5, 70, 20, 90)).shape == (20, 15, 3)
+    assert asked == [Rect(2, 64, 50, 128)], "its band, over all columns"
+    assert plate.part(Rect(5, 50, 20, 130)).shape == (80, 15, 3)
+    assert asked[1:] == [Rect(2, 40, 50, 64), Rect(2, 128, 50, 192)]
+    whole = plate.part(plate.rect)
+    assert len(asked) == 4 and (whole[24:88] == 1).all() and (whole[-8:] == 4).all()
     gone = weakref.ref(plate)
     del plate
     assert gone() is None, (
@@ -283,7 +210,9 @@ def test_composite_leaves_bare_pixels_bit_identical() -> None:
             **{n: neutral(n, rect) for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW)},
         },
     )
-    out = ReadyStage.of(Composite(), SCENE, LEVEL).run(layers, FACTS)[Layer.IMAGE](rect)
+    out = ReadyStage.of(Composite(), SCENE, LEVEL).run(layers, FACTS)[Layer.IMAGE]
+    assert isinstance(out, Pixels)
+    out = Layers(rect, {**layers.written, Layer.IMAGE: out})[Layer.IMAGE]
     assert np.array_equal(out, plate)
 
 

@@ -62,7 +62,7 @@ def test_the_white_furnace_of_a_box_vanishes_and_lost_light_is_seen(
         made = dict(run(self, window, *rest))
         for layer, a in made.items():
             if isinstance(a, Pixels):
-                a.array = 0.9 * a.array
+                made[layer] = Pixels(a.rect, 0.9 * a.array)
             else:
                 made[layer] = 0.9 * a
         return made

@@ -99,7 +99,7 @@ def blurred(
     out = ready.run(at.layers, at.facts)[Layer.IMAGE]
     if seconds is not None:
         seconds.append(time.perf_counter() - start)
-    return out(at.layers.rect) if isinstance(out, Pixels) else out
+    return out.part(at.layers.rect) if isinstance(out, Pixels) else out
 
 
 def with_layers(at: Shot, **arrays: np.ndarray) -> Shot:

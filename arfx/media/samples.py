@@ -1,0 +1,350 @@
+"""Between stored samples and linear light, over a rectangle: two compiled loops.
+
+A pixel's coded values come from its planes by one matrix, chroma being linear between its
+samples; what they mean in linear light, and the way back, are tables of the transfer
+function with straight lines between their entries. Nothing is clipped when reading: values
+beyond black and white come out below 0 and above 1. RGB and grey go the same way, with
+another matrix.
+
+A table has 64 entries for each step of the samples (up to 12 bits) when it is read, and when
+it is written a 16th of a step lies between two (a 4th from 13 bits on), so that what is not
+changed keeps its bits and what is lies within a step."""
+
+# mypy: disable-error-code="no-untyped-def, index, assignment, call-arg, var-annotated"
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from arfx.core.colour import Transfer, yuv_from_rgb
+from arfx.core.compiled import FAST, line_kernel
+from arfx.media.planes import FrameFormat
+
+_F, _I, _U = np.float32, np.int32, np.uint32
+MARGIN = 16  # values by which lines of chroma are longer than the picture's part
+CODED_LEAST, CODED_MOST = -1.5, 2.5  # beyond every sum that the matrices make of samples
+DARKEST, BRIGHTEST = -32, 8  # first and last octave of linear light that is told apart
+
+
+class Samples(NamedTuple):
+    """What stored samples stand for.
+
+    size : columns and rows of the picture;  steps : log2 of the chroma step (x, y)
+    levels : (3, 5) of each plane's samples: that of 0, size of a step, steps up to 1, lowest
+    and highest legal one
+    rgb_from_planes, planes_from_rgb : (3, 3), coded
+    middle : (x, y) 0 where chroma lies on the left/top luma sample of its group, 0.5 in its
+    middle
+    taps_x, taps_y : weights of the luma samples from 2^step - 1 before to 2^step - 1 behind a
+    group's first one in its chroma
+    decoding, encoding : (n,) float32 tables;  scale : entries of the first to one;  shift :
+    bits of a float that the second leaves out
+    """
+
+    size: tuple[int, int]
+    steps: tuple[int, int]
+    levels: tuple[tuple[np.float32, ...], ...]
+    rgb_from_planes: tuple[tuple[np.float32, ...], ...]
+    planes_from_rgb: tuple[tuple[np.float32, ...], ...]
+    middle: tuple[np.float32, np.float32]
+    taps_x: np.ndarray
+    taps_y: np.ndarray
+    decoding: np.ndarray
+    encoding: np.ndarray
+    scale: np.float32
+    shift: np.int32
+
+
+def decoding_table(transfer: Transfer, bits: int) -> np.ndarray:
+    """(n,) float32 linear light of coded values from CODED_LEAST to CODED_MOST, 2^bits to one."""
+    coded = np.arange(CODED_LEAST * 2**bits, CODED_MOST * 2**bits + 1) / 2**bits
+    return transfer.decode(coded).astype(np.float32)
+
+
+def encoding_table(transfer: Transfer, bits: int) -> np.ndarray:
+    """(n,) float32 coded values of linear ones, 2^bits an octave from DARKEST on: each from
+    a float's exponent and first bits to the next."""
+    k = np.arange((127 + DARKEST) << bits, (127 + BRIGHTEST) << bits)
+    first = (k << (23 - bits)).astype(np.uint32).view(np.float32).astype(float)
+    middle = first * (1 + 2.0 ** -(bits + 2))
+    middle[0] = 0
+    return transfer.encode(middle).astype(np.float32)
+
+
+# Places in a table and what lies there in loops apart: the first becomes vector code, and the
+# second is twice as quick alone.
+@line_kernel(fastmath=FAST)
+def _looked_up(table, places, out):
+    for i in range(out.shape[0]):
+        out[i] = table[places[i]]
+
+
+@line_kernel(fastmath=FAST)
+def _decode(line, table, scale, places):
+    """Coded values (n,) become linear light."""
+    last = _I(table.shape[0] - 1)
+    for i in range(line.shape[0]):
+        place = _I((line[i] - _F(CODED_LEAST)) * scale + _F(0.5))
+        places[i] = _U(max(min(place, last), _I(0)))
+    _looked_up(table, places, line)
+
+
+@line_kernel(fastmath=FAST)
+def _encode(bits, table, shift, places, out):
+    """out (n,) = the coded values, without their signs, of linear light's bits."""
+    last, first = _I(table.shape[0] - 1), _I((127 + DARKEST) << 23)
+    none, positive = _I(0), _I(0x7FFFFFFF)
+    for i in range(out.shape[0]):
+        place = _I(_I(_I(bits[i] & positive) - first) >> shift)
+        places[i] = _U(max(min(place, last), none))
+    _looked_up(table, places, out)
+
+
+@line_kernel(fastmath=FAST)
+def _chroma_line(s, plane, level, row, left, samples, out):
+    """out[: w + 2^step] = a line of chroma at the luma columns from the group of `left` on,
+    up to the last of w = len(out) - MARGIN. samples : scratch"""
+    (width, height), (sx, sy) = s.size, s.steps
+    last = (height - 1) >> sy
+    place = min(max((_F(row) + s.middle[1]) / _F(1 << sy) - s.middle[1], _F(0)), _F(last))
+    r0 = _I(place)
+    share = place - _F(r0)
+    first = (left >> sx) - 1  # with one sample more at both ends
+    n = ((left + out.shape[0] - MARGIN - 1) >> sx) - first + 2
+    a, b = max(-first, 0), min(n, -(-width >> sx) - first)
+    above = plane[r0][first + a : first + b]
+    below = plane[min(r0 + 1, last)][first + a : first + b]
+    inner = samples[a:b]
+    for k in range(b - a):
+        top = _F(above[k])
+        inner[k] = (top + share * (_F(below[k]) - top) - level[0]) * level[1]
+    samples[0], samples[n - 1] = samples[a], samples[b - 1]
+    if sx == 1:  # in pairs
+        before, behind = s.middle[0] * _F(0.5), _F(0.5) - s.middle[0] * _F(0.5)
+        for k in range(n - 2):
+            x = samples[k + 1]
+            out[2 * k] = x + before * (samples[k] - x)
+            out[2 * k + 1] = x + behind * (samples[k + 2] - x)
+        return
+    for k in range(1 << sx):
+        part = (_F(k) + s.middle[0]) / _F(1 << sx) - s.middle[0]
+        other = samples[2:] if part >= 0 else samples
+        for i in range(n - 2):
+            x = samples[i + 1]
+            out[(i << sx) + k] = x + abs(part) * (other[i] - x)
+
+
+@line_kernel(fastmath=False)  # so sums of three products are rounded alike everywhere
+def _coded_line(s, planes, row, left, scratch, out):
+    """out (3 w,) = R'G'B' of one line from column `left` on. scratch : (3, >= w + MARGIN)"""
+    w, m, level = out.shape[0] // 3, s.rgb_from_planes, s.levels[0]
+    for c in range(2):
+        line = scratch[c][: w + MARGIN]
+        _chroma_line(s, planes[1 + c], s.levels[1 + c], row, left, scratch[2], line)
+    start = left - ((left >> s.steps[0]) << s.steps[0])
+    u, v = scratch[0][start:], scratch[1][start:]
+    one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
+    luma = planes[0][row][left : left + w]
+    for k in range(w):
+        i, y = np.uintp(k) * three, (_F(luma[k]) - level[0]) * level[1]
+        out[i] = m[0][0] * y + m[0][1] * u[k] + m[0][2] * v[k]
+        out[i + one] = m[1][0] * y + m[1][1] * u[k] + m[1][2] * v[k]
+        out[i + two] = m[2][0] * y + m[2][1] * u[k] + m[2][2] * v[k]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def read(s, planes, rect, out):
+    """out (h, w, 3) float32 linear RGB of coded `rect` (x0, y0, x1, y1)."""
+    w = out.shape[1]
+    places = np.empty(3 * w, np.uint32)
+    _read_lines(s, planes, rect, np.empty((3, w + MARGIN), np.float32), places, out)
+
+
+@line_kernel(fastmath=FAST)
+def _read_lines(s, planes, rect, scratch, places, out):
+    for j in range(out.shape[0]):
+        line = out[j].reshape(-1)
+        _coded_line(s, planes, rect[1] + j, rect[0], scratch, line)
+        _decode(line, s.decoding, s.scale, places)
+
+
+@numba.njit(cache=True, nogil=True, fastmath=FAST)
+def add(s, planes, target, rect, before, after):
+    """Adds the difference of two pictures to stored samples.
+
+    planes : as they are read;  target : copies of them, which are changed;  rect : coded
+    before, after : (h, w, 3) float32 linear light; equal values change nothing
+    Only chroma samples of the rectangle, grown to their grid, can change. Returns how many
+    pixels are not finite; their lines are left alone.
+    """
+    w = rect[2] - rect[0]
+    left, top = rect[0] >> s.steps[0], rect[1] >> s.steps[1]
+    right, bottom = -(-rect[2] >> s.steps[0]), -(-rect[3] >> s.steps[1])
+    sums = np.zeros((2, bottom - top, right - left), np.float32)
+    scratch = np.empty((3, w + MARGIN), np.float32)
+    work = scratch, np.empty((2, 3 * w), np.float32), np.empty(3 * w, np.uint32)
+    bad = _add_lines(s, planes, target, rect, before, after, work, sums)
+    for c in range(2):
+        for r in range(sums.shape[1]):
+            line = target[1 + c][top + r][left:right]
+            _add_steps(line, sums[c, r], s.levels[1 + c])
+    return bad
+
+
+@line_kernel(fastmath=FAST)
+def _add_lines(s, planes, target, rect, before, after, work, sums):
+    scratch, bad = work[0], 0
+    for j in range(before.shape[0]):
+        old, new = before[j].reshape(-1), after[j].reshape(-1)
+        first, last = 0, old.shape[0]
+        while first < last and old[first] == new[first]:
+            first += 1
+        while last > first and old[last - 1] == new[last - 1]:
+            last -= 1
+        first, last = first // 3, (last + 2) // 3
+        if last <= first:
+            continue
+        old, new = old[3 * first : 3 * last], new[3 * first : 3 * last]
+        n, row, left = last - first, rect[1] + j, rect[0] + first
+        coded, wanted = work[1][0][: 3 * n], work[1][1][: 3 * n]
+        _coded_line(s, planes, row, left, scratch, coded)
+        found = _differences(s, old, new, coded, wanted, work[2])
+        bad += found
+        if not found:
+            luma = target[0][row][left : left + n]
+            _add_line(s, luma, row, left, coded, rect, scratch, sums)
+    return bad
+
+
+@line_kernel(fastmath=FAST)
+def _differences(s, before, after, coded, wanted, places):
+    """coded (3 n,), of `before`, becomes the difference to that of `after`, which is kept
+    between black and white or where it already lay beyond. Returns how many pixels of
+    `after` are not finite."""
+    bits = after.view(np.int32)
+    infinite, highest, bad = _I(0x7F800000), _I(0), 0  # all bits of the exponent are set
+    for i in range(bits.shape[0]):
+        highest = max(highest, _I(bits[i] & infinite))
+    if highest == infinite:
+        for k in range(bits.shape[0] // 3):
+            most = _I(0)
+            for i in range(3 * k, 3 * k + 3):
+                most = max(most, _I(bits[i] & infinite))
+            bad += most == infinite
+        return bad
+    _encode(bits, s.encoding, s.shift, places, wanted)
+    zero, one = _F(0), _F(1)
+    for i in range(before.shape[0]):
+        old, new = coded[i], wanted[i] if after[i] >= zero else -wanted[i]
+        new = min(max(new, min(old, zero)), max(old, one))
+        coded[i] = zero if before[i] == after[i] else new - old
+    return bad
+
+
+@line_kernel(fastmath=FAST)
+def _add_steps(line, differences, level):
+    """Differences (n,) in steps, rounded, to stored samples; legal ones stay legal, others
+    go no further out."""
+    scale, low, high = level[2], level[3], level[4]
+    for k in range(differences.shape[0]):
+        old = _F(line[k])
+        new = old + np.rint(differences[k] * scale)
+        line[k] = _I(min(max(new, min(old, low)), max(old, high)))
+
+
+@line_kernel(fastmath=FAST)
+def _add_line(s, luma, row, left, coded, rect, scratch, sums):
+    """Adds the differences `coded` (3 n,) of one line to its luma and to the sums of chroma.
+    Beyond the line they are zero, beyond the picture its edge goes on."""
+    (width, height), (sx, sy), m = s.size, s.steps, s.planes_from_rgb
+    n, groups_left, groups_top = luma.shape[0], rect[0] >> sx, rect[1] >> sy
+    first = left >> sx
+    last = min(((left + n - 1) >> sx) + 2, groups_left + sums.shape[2])
+    start = left - (first << sx) + (1 << sx) - 1  # place of the first pixel in a line
+    end = start + n
+    y, u, v = scratch[0][:n], scratch[1][start:end], scratch[2][start:end]
+    one, two, three = np.uintp(1), np.uintp(2), np.uintp(3)
+    for k in range(n):
+        i = np.uintp(k) * three
+        r, g, b = coded[i], coded[i + one], coded[i + two]
+        y[k] = m[0][0] * r + m[0][1] * g + m[0][2] * b
+        u[k] = m[1][0] * r + m[1][1] * g + m[1][2] * b
+        v[k] = m[2][0] * r + m[2][1] * g + m[2][2] * b
+    _add_steps(luma, y, s.levels[0])
+    for c in range(1, 3):
+        line = scratch[c]
+        line[:start] = line[start] if left == 0 else _F(0)
+        line[end : end + (2 << sx)] = line[end - 1] if left + n == width else _F(0)
+    for group in range(row >> sy, min((row >> sy) + 2, groups_top + sums.shape[1])):
+        weight = _F(0)
+        for k in range(s.taps_y.shape[0]):
+            place = (group << sy) + k + 1 - (1 << sy)
+            if min(max(place, 0), height - 1) == row:
+                weight += s.taps_y[k]
+        for c in range(2 if weight > 0 else 0):
+            line = sums[c][group - groups_top][first - groups_left : last - groups_left]
+            _add_reduced(scratch[1 + c], sx, s.taps_x, weight, line)
+
+
+@line_kernel(fastmath=FAST)
+def _add_reduced(line, step, taps, weight, out):
+    """out[i] += weight times the weighted sum of the samples of `line` from i << step on."""
+    if step == 1:
+        a, b, c = weight * taps[0], weight * taps[1], weight * taps[2]
+        for i in range(out.shape[0]):
+            out[i] += a * line[2 * i] + b * line[2 * i + 1] + c * line[2 * i + 2]
+        return
+    for k in range(taps.shape[0]):
+        share = weight * taps[k]
+        for i in range(out.shape[0]):
+            out[i] += share * line[(i << step) + k]
+
+
+def _taps(step: int, cosited: bool) -> np.ndarray:
+    n = 1 << step
+    away = np.arange(1 - n, n)
+    share = (n - abs(away)) / n**2 if cosited else (away >= 0) / n
+    return share.astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def samples_of(f: FrameFormat) -> Samples:
+    """What the samples of a format stand for."""
+    layout = f.layout
+    luma, chroma = ((zero, 1 / n, n, *legal) for zero, n, *legal in f.stored)
+    from_rgb = yuv_from_rgb(f.matrix)
+    to_rgb = np.linalg.inv(from_rgb)
+    if layout.kind == "rgb":  # as green, blue, red
+        from_rgb, chroma = np.eye(3)[[1, 2, 0]], luma
+        to_rgb = from_rgb.T
+    elif layout.kind == "gray":  # three times the same plane: no difference of "chroma"
+        from_rgb, to_rgb = from_rgb * [[1], [0], [0]], np.ones((3, 3)) * [1, 0, 0]
+    steps, cosited = (layout.sub_x, layout.sub_y), f.cosited
+    middle = tuple(np.float32(0 if left else 0.5) for left in cosited)
+    levels, to_rgb, from_rgb = (
+        tuple(tuple(map(np.float32, row)) for row in rows_)
+        for rows_ in ((luma, chroma, chroma), to_rgb, from_rgb)
+    )
+    fine = min(layout.depth + 2, 14)
+    return Samples(
+        (f.width, f.height),
+        steps,
+        levels,
+        to_rgb,
+        from_rgb,
+        middle,
+        _taps(steps[0], cosited[0]),
+        _taps(steps[1], cosited[1]),
+        decoding_table(f.transfer, fine + 4),
+        encoding_table(f.transfer, fine),
+        np.float32(2 ** (fine + 4)),
+        np.int32(23 - fine),
+    )
+
+
+def three(planes: list[np.ndarray]) -> Any:
+    """The planes for the loops: grey three times."""
+    return tuple((planes * 3)[:3])
