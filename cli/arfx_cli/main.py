@@ -21,7 +21,7 @@ from arfx.core import interrupt
 from arfx.core.machine import collect_seldom
 from arfx.core.opener import check_name
 from arfx.errors import JobInterruptedError, explained
-from arfx_cli.console import tell
+from arfx_cli.console import note, tell
 
 # command -> one-line help. Its module here, of that name, is imported only when it runs.
 COMMANDS = {
@@ -86,7 +86,7 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name, command, rest = super().resolve_command(ctx, args)
         if command is not None:
-            _check_given_once(click.Context(command, ctx, name), rest)
+            _note_repeats(click.Context(command, ctx, name), rest)
         return name, command, rest
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -94,24 +94,22 @@ class LazyGroup(click.Group):
             formatter.write_dl([*COMMANDS.items()])
 
 
-def _check_given_once(context: click.Context, arguments: Sequence[str]) -> None:
-    """Raises UsageError for an option that takes one value and is given several: click takes the
-    last and drops the others in silence."""
+def _note_repeats(context: click.Context, arguments: Sequence[str]) -> None:
+    """Of an option that takes one value click uses the last, and drops others in silence."""
     try:
-        *_, order = context.command.make_parser(context).parse_args([*arguments])
+        used, _, order = context.command.make_parser(context).parse_args([*arguments])
     except click.UsageError:  # which the command itself raises, with its usage
         return
     words = [part for word in arguments for part in word.split("=", word.startswith("--"))]
     for option in {p for p in order if isinstance(p, click.Option)}:
-        count = order.count(option)
+        count, last = order.count(option), used.get(option.name)
         if count < 2 or option.multiple or option.is_flag:
             continue
         values = [given for word, given in pairwise([*words, ""]) if word in option.opts]
-        all_known = len(values) == count  # not those of -oNAME
-        if not all_known or len(set(values)) > 1:
-            given = ", ".join(values) if all_known else count
-            raise click.UsageError(
-                f"{option.opts[-1]} takes one value, {given} are given", context
+        lost = "".join(f", not {value}" for value in values if value != last)
+        if lost or len(values) < count:  # those of -oNAME
+            note(
+                f"{option.opts[-1]} takes one value and is given {count}: {last} is used{lost}"
             )
 
 
