@@ -125,7 +125,9 @@ class InputSection(Section):
     )
     end: Time | None = _field(None, "Last moment to process.", "--end T")
     transfer: Annotated[str, BeforeValidator(_transfer)] = _field(
-        "srgb", "How coded values become light: srgb, bt709, bt1886, gamma:X."
+        "srgb",
+        "How coded values become light: srgb, bt709, bt1886, hlg, pq, gamma:X; a clip's tag"
+        " of HLG or PQ goes before it.",
     )
 
 

@@ -8,7 +8,7 @@ import math
 import re
 import shlex
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -18,7 +18,7 @@ import av
 import numpy as np
 
 from arfx.core.codec import Document
-from arfx.core.colour import SRGB, Transfer
+from arfx.core.colour import HLG, PQ, SRGB, Transfer
 from arfx.errors import InputError
 from arfx.media.codecs import check_size, open_video
 from arfx.media.photos import is_photo
@@ -42,13 +42,11 @@ _MATRIX = {
     9: "bt2020",
     10: "bt2020",
 }  # ITU-T H.273 table 4
-_HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # H.273 table 3
+_HDR = {16: PQ, 18: HLG}  # ITU-T H.273 table 3
 # from this field order on a clip is interlaced; the odd ones show the bottom field first
 _FIELDS = 2
-_TO_SDR = (
-    "zscale=t=linear:npl=100,format=gbrpf32le,zscale=p=bt709,tonemap=hable:desat=0,"
-    "zscale=t=bt709:m=bt709:r=tv,format=yuv420p"
-)
+# What changes from scene to scene, and is of the picture before it was changed
+_DYNAMIC = {"DOVI_METADATA": "Dolby Vision", "DYNAMIC_HDR_PLUS": "HDR10+"}
 _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
 
 
@@ -83,7 +81,9 @@ class ClipInfo(Document):
     start_pts : of the first frame
     frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s
     is this stream's, not the file's;
-    notices : what a user should know;  field_order : FFmpeg's number (libavcodec/defs.h)"""
+    notices : what a user should know;  field_order : FFmpeg's number (libavcodec/defs.h)
+    mastering_display : x, y of red, green, blue and white, least and most cd/m2 (SMPTE ST 2086)
+    content_light : most and average cd/m2 (CTA-861.3)"""
 
     path: Path
     width: int
@@ -116,6 +116,12 @@ class ClipInfo(Document):
     streams: tuple[StreamInfo, ...] = field(default_factory=tuple)
     notices: tuple[str, ...] = ()
     field_order: int = 0
+    mastering_display: tuple[float, ...] | None = None
+    content_light: tuple[int, int] | None = None
+
+    @property
+    def hdr(self) -> bool:
+        return self.transfer_tag in _HDR
 
     @property
     def fields(self) -> str:
@@ -204,9 +210,9 @@ def _describe(stream: Any, used: bool) -> StreamInfo:
 
 def probe(path: Path | str, transfer: Transfer = SRGB) -> ClipInfo:
     """Reads a clip's properties and decodes its first frame.
-    transfer : how coded values become light; the stream's own tag is not used for SDR (see
-    ARCHITECTURE.md, Numbers)
-    Raises InputError: missing, not a video, no video stream, HDR transfer, nothing decodable.
+    transfer : how coded values become light; the stream's own tag is used for HLG and PQ
+    alone (see ARCHITECTURE.md, Numbers)
+    Raises InputError: missing, not a video, no video stream, nothing decodable.
     """
     path = Path(path)
     with open_video(path) as container:
@@ -261,14 +267,16 @@ def _info(
         for name in ("colorspace", "color_trc", "color_primaries")
         if (tags := [int(getattr(of, name)) for of in (first, ctx)])
     )
-    if trc in _HDR:
-        hint = f"convert it to BT.709 first: {ffmpeg_command(path, _TO_SDR, 'sdr')}"
-        raise InputError(
-            f"{path} is HDR video with transfer {_HDR[trc]}; only SDR video is processed",
-            hint,
-        )
     layout, notice = working_layout(first.format.name)
     notices = [notice] if notice else []
+    beside = _side_data(first)
+    for name in sorted(beside.keys() & _DYNAMIC.keys()):
+        notices.append(
+            f"the clip's {_DYNAMIC[name]} metadata is left out; its picture, colour tags"
+            " and static HDR data are kept"
+        )
+    if trc in _HDR:
+        transfer = Transfer(_HDR[trc])
     matrix = _MATRIX.get(space)
     stated = matrix is not None
     if matrix is None:
@@ -284,7 +292,7 @@ def _info(
     full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
     full = full or (layout.kind == "gray" and range_tag == 0)
     stated = stated and (layout.kind != "rgb" or space in (0, UNSPECIFIED))
-    turn = _display_matrix(first)
+    turn = _display_matrix(first, beside)
     orientation, exact = orientation_of(turn)
     if not exact:
         notices.append(
@@ -354,27 +362,48 @@ def _info(
         tuple(_describe(s, s.index == stream.index) for s in container.streams),
         tuple(notices),
         order,
+        _mastering_display(beside),
+        _content_light(beside),
     )
 
 
-def _display_matrix(picture: av.VideoFrame) -> tuple[int, ...] | None:
-    """FFmpeg's nine numbers (libavutil/display.h), None where the picture has none."""
+def _side_data(picture: av.VideoFrame) -> dict[str, bytes]:
+    """What a picture carries, by FFmpeg's name of its type."""
     try:
-        sides = picture.side_data
-    # PyAV lists none where it does not know the type of one, as of EXIF; the turn alone it
-    # knows
-    except ValueError:
-        if not picture.rotation:
-            return None
-        angle = math.radians(picture.rotation)
-        c, s = (round(f(angle) * (1 << 16)) for f in (math.cos, math.sin))
-        return c, -s, 0, s, c, 0, 0, 0, 1 << 30
-    named: dict[str, Any] = {s.type.name: s for s in list(sides)}  # type: ignore[attr-defined]
-    return (
-        struct.unpack("=9i", bytes(named["DISPLAYMATRIX"])[:36])
-        if "DISPLAYMATRIX" in named
-        else None
-    )
+        sides = list(picture.side_data)
+    except ValueError:  # PyAV lists none where it does not know the type of one, as of EXIF
+        return {}
+    return {s.type.name: bytes(s) for s in sides}  # type: ignore[attr-defined, call-overload]
+
+
+def _display_matrix(
+    picture: av.VideoFrame, beside: Mapping[str, bytes]
+) -> tuple[int, ...] | None:
+    """FFmpeg's nine numbers (libavutil/display.h), None where the picture has none."""
+    if "DISPLAYMATRIX" in beside:
+        return struct.unpack("=9i", beside["DISPLAYMATRIX"][:36])
+    if not picture.rotation:
+        return None
+    angle = math.radians(picture.rotation)
+    c, s = (round(f(angle) * (1 << 16)) for f in (math.cos, math.sin))
+    return c, -s, 0, s, c, 0, 0, 0, 1 << 30
+
+
+def _mastering_display(beside: Mapping[str, bytes]) -> tuple[float, ...] | None:
+    """Of FFmpeg's ten fractions and two flags (libavutil/mastering_display_metadata.h)."""
+    data = beside.get("MASTERING_DISPLAY_METADATA", b"")
+    if len(data) < 88:
+        return None
+    *numbers, primaries, luminance = struct.unpack("=22i", data[:88])
+    pairs = list(zip(numbers[::2], numbers[1::2], strict=True))
+    if not (primaries and luminance and all(below for _, below in pairs)):
+        return None
+    return tuple(above / below for above, below in pairs)
+
+
+def _content_light(beside: Mapping[str, bytes]) -> tuple[int, int] | None:
+    data = beside.get("CONTENT_LIGHT_LEVEL", b"")
+    return struct.unpack("=2I", data[:8]) if len(data) >= 8 else None
 
 
 def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:

@@ -90,7 +90,7 @@ def plan_output(
     size that the codec has no pixel format for.
     InputError: an interlaced clip, for a codec without fields."""
     path, settings = Path(path), settings or OutputSettings()
-    container, codec = _choose(path, settings)
+    container, codec = _choose(path, settings, info.hdr)
     if codec.sequence:
         return _plan_sequence(info, path, codec, settings)
     if container == PHOTO:
@@ -154,7 +154,7 @@ def plan_output(
         codec.name,
         container,
         fmt,
-        _options(codec, settings),
+        _with_static_hdr(_options(codec, settings), info, codec, notices),
         codec.threads,
         matrix,
         full,
@@ -174,7 +174,8 @@ def check_format(path: Path, settings: OutputSettings) -> None:
     _choose(path, settings)
 
 
-def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
+def _choose(path: Path, settings: OutputSettings, hdr: bool = False) -> tuple[str, Codec]:
+    """hdr : the clip is HLG or PQ, which players expect in H.265"""
     suffix = path.suffix.lower()
     name = settings.codec.lower() if settings.codec else None
     name = _ALIASES.get(name, name) if name else None
@@ -218,7 +219,9 @@ def _choose(path: Path, settings: OutputSettings) -> tuple[str, Codec]:
             f"{path}: unknown output format {suffix or '(no extension)'!r}", hint
         )
     container = SUFFIX_CONTAINER[suffix]
-    return container, CODECS[name or ("av1" if container == "webm" else "h264")]
+    return container, CODECS[
+        name or ("av1" if container == "webm" else "h265" if hdr else "h264")
+    ]
 
 
 def names_sequence(path: Path) -> bool:
@@ -282,6 +285,37 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
                 f"{codec.encoder} does not take preset {preset!r}", usual
             ) from None
     return tuple(sorted(options.items()))
+
+
+def _with_static_hdr(
+    options: tuple[tuple[str, str], ...], info: ClipInfo, codec: Codec, notices: list[str]
+) -> tuple[tuple[str, str], ...]:
+    """The encoder's options with the clip's mastering display and content light level.
+
+    x265 counts in units of H.265 (.00002, and .0001 cd/m2), SVT-AV1 in those of the numbers."""
+    display, light = info.mastering_display, info.content_light
+    if display is None and light is None:
+        return options
+    name, keys, units = {
+        "h265": ("x265-params", ("master-display", "max-cll"), (50000, 10000)),
+        "av1": ("svtav1-params", ("mastering-display", "content-light"), (1, 1)),
+    }.get(codec.name, ("", ("", ""), (1, 1)))
+    if not name:
+        notices.append(
+            f"{codec.name} files do not keep the clip's mastering display and light level"
+        )
+        return options
+    said = []
+    if display is not None:
+        numbers = [f"{units[0] * x:.10g}" for x in display[:8]]
+        red, green, blue, white = (",".join(numbers[k : k + 2]) for k in range(0, 8, 2))
+        least, most = (f"{units[1] * x:.10g}" for x in display[8:])
+        said.append(f"{keys[0]}=G({green})B({blue})R({red})WP({white})L({most},{least})")
+    if light is not None:
+        said.append(f"{keys[1]}={light[0]},{light[1]}")
+    held = dict(options)
+    held[name] = ":".join([held[name], *said])
+    return tuple(sorted(held.items()))
 
 
 def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> None:

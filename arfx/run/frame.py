@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from arfx.core.facts import FrameFacts
@@ -20,6 +21,9 @@ from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, Stage, blamed
 from arfx.errors import RenderError
 from arfx.media.frame import Frame
+
+# What the renderer takes from the model's files, whose colours are those of BT.709
+MODEL_COLOURS = (Layer.ALBEDO, Layer.EMISSIVE)
 
 
 @dataclass
@@ -93,6 +97,7 @@ def run_frame(
     plan: FramePlan,
     ready: Mapping[str, ReadyStage],
     real_depth_m: np.ndarray | None = None,
+    colours: np.ndarray | None = None,
 ) -> FrameResult:
     """Run a plan that has steps.
 
@@ -100,6 +105,8 @@ def run_frame(
     of the plan, at its levels
     real_depth_m : (h, w) float32 over plan.rect, what stages read as REAL_DEPTH; None = not
     measured
+    colours : (3, 3) from the models' colours to the clip's, as of `core.colour.from_bt709`;
+    None = they are the same
 
     Raises RenderError naming stage, frame and pixel if a stage makes a value that is not
     finite; with the distribution, what a plug-in raises, and a layer beside IMAGE."""
@@ -124,11 +131,22 @@ def run_frame(
                 _require_picture(made, step.need)
             for name, output in made.items():
                 layer = Layer(name)
+                if colours is not None and layer in MODEL_COLOURS:
+                    output = _converted(output, colours)
                 new = layers.put(layer, output, step.need, step.out)
                 if layer is not Layer.DEPTH:  # infinite where nothing is
                     _require_finite(new, layer, stage.name, facts.index)
         seconds[stage.name] = seconds.get(stage.name, 0.0) + own_time() - start
     return FrameResult(plan.changed, seconds, layers)
+
+
+def _converted(output: np.ndarray | Pixels, colours: np.ndarray) -> np.ndarray | Pixels:
+    """Linear colours (h, w, 3) in other primaries."""
+    if isinstance(output, Pixels):
+        return Pixels(output.rect, _converted(output.array, colours))
+    if not output.size:
+        return output
+    return cv2.transform(np.ascontiguousarray(output), colours.astype(np.float32))
 
 
 def _require_picture(made: object, seen: Rect) -> None:

@@ -18,10 +18,12 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from arfx.config.load import load
 from arfx.config.sections import JobConfig
 from arfx.core.camera import Camera
-from arfx.core.colour import Transfer
+from arfx.core.colour import Transfer, from_bt709
 from arfx.core.facts import FrameFacts
 from arfx.core.pixels import Plate
 from arfx.core.plan import FramePlan, levels_of
@@ -62,6 +64,7 @@ class Context:
     plans: Lines[FramePlan]
     depth: DepthMaps | None = None
     careful: bool = False
+    colours: np.ndarray | None = None
     ready: dict[tuple[str, str], ReadyStage] = field(default_factory=dict)
 
 
@@ -136,6 +139,7 @@ def open_context(path: str, job_key: str, paths: Paths) -> Context:
         Lines(folder.plan, FramePlan.from_line),
         job_depth(config),
         analysed.careful,
+        from_bt709(info.primaries_tag),
     )
 
 
@@ -272,7 +276,7 @@ def _frame(
         )
         seconds["decode"] += time.perf_counter() - start
     ready = {s.stage: context.ready[s.stage, s.level] for s in plan.steps}
-    result = run_frame(plate, facts, plan, ready, depth)
+    result = run_frame(plate, facts, plan, ready, depth, context.colours)
     for name, s in result.seconds.items():
         stage_seconds[name] = stage_seconds.get(name, 0.0) + s
     start = time.perf_counter()

@@ -377,18 +377,6 @@ def test_errors_name_the_file(tmp_path: Path) -> None:
         probe(sound)
 
 
-def test_hdr_is_refused(tmp_path: Path) -> None:
-    clip = make_clip(tmp_path / "hdr.mkv", [0, 40], codec="libx265", pix_fmt="yuv420p10le", time_base=Fraction(1, 1000),
-                     options={"x265-params": "log-level=none:"
-                              "bframes=0:transfer=arib-std-b67:colorprim=bt2020:colormatrix=bt2020nc"})  # fmt: skip
-    with pytest.raises(InputError, match="HLG") as e:
-        probe(clip)
-    assert (
-        f"ffmpeg -i {clip} -vf zscale=t=linear" in e.value.hint
-        and e.value.hint.endswith(str(tmp_path / "hdr-sdr.mkv"))
-    )
-
-
 FULL_DISK = """
 import resource, signal, sys
 from pathlib import Path

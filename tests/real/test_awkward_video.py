@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arfx.errors import InputError
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.media.join import join_chunks
@@ -85,9 +84,9 @@ def test_what_is_in_the_clip(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["bt2020_10bit.mp4", "nasa_13013_hdr.mp4"])
-def test_hdr_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match="PQ"):
-        probe(DATA / name)
+def test_hdr_is_read_in_its_own_light(name: str) -> None:
+    info = probe(DATA / name)
+    assert info.hdr and info.transfer.name == "pq" and info.bit_depth == 10
 
 
 @pytest.mark.parametrize("name", CLIPS)

@@ -126,7 +126,7 @@ def test_linear_light_is_the_textbooks(name: str, location: str) -> None:
         )
 
 
-@pytest.mark.parametrize("transfer", ["srgb", "bt709", "bt1886", "gamma:2.2"])
+@pytest.mark.parametrize("transfer", ["srgb", "bt709", "bt1886", "gamma:2.2", "hlg", "pq"])
 def test_light_follows_the_transfer(transfer: str) -> None:
     f = frame("yuv444p10le", transfer=Transfer(transfer))
     linear, textbook = f.linear(f.rect), reference_linear(f)
@@ -135,7 +135,7 @@ def test_light_follows_the_transfer(transfer: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["gbrp", "gbrp10le", "gray", "gray10le"])
-@pytest.mark.parametrize("transfer", ["srgb", "bt1886"])
+@pytest.mark.parametrize("transfer", ["srgb", "bt1886", "hlg", "pq"])
 def test_every_value_is_written_as_the_nearest_step(name: str, transfer: str) -> None:
     """From black to white, through all steps: what is written is read as what was wanted."""
     f = frame(name, 64, 16, transfer=Transfer(transfer))
