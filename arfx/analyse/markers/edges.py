@@ -79,8 +79,8 @@ def find_edges(
     luma : (h, w) uint8;  table : (256,) float32 to light of 255;  start : (n, 4, 2) px
     bend : (n, 4, SAMPLES, 2) px off the chord;  half : (n, 4) px, as of which the window is
     reaches : (n, 4) px to either side of an edge, each time that it is sampled"""
-    margin = int(np.ceil(3 * max(r.max() for r in reaches)))
-    lights = [_Light(luma, table, quad, margin) for quad in start]
+    margins = 3 * np.max(reaches, axis=(0, 2))
+    lights = [_Light(luma, table, *of) for of in zip(start, margins, strict=True)]
     corners, off_chord = (a[..., 0] + 1j * a[..., 1] for a in (start, bend))
     least = np.clip(WINDOW_FRACTION * half, *WINDOW_PX)
     weight = there = np.ones((*half.shape, SAMPLES))
@@ -93,12 +93,12 @@ def find_edges(
             blur, skew = _shape(mean / there.sum(-1)[..., None], far)
             fit = np.minimum(np.maximum(1.2 * blur[:, None], least), far / 2)
             ends = np.zeros((*half.shape, 2))
+            # a window of width w over an edge of width b sees only w2 / (w2 + b2) of a
+            # displacement
+            more = np.minimum(1 + (blur[:, None] / fit) ** 2, 3)
             for again in range(_LINES):
                 new = first == again == 0  # nothing is known yet
-                window = far / 2 if new else fit
-                # of a displacement a window of width w over an edge of width b sees only
-                # w2 / (w2 + b2)
-                more = 1.0 if new else np.minimum(1 + (blur[:, None] / window) ** 2, 3)
+                window, gain = (far / 2, 1.0) if new else (fit, more)
                 line = ends @ _LINE
                 away = place - line[..., None]
                 inside = fall * np.exp(-0.5 * (away / window[..., None, None]) ** 2)
@@ -107,7 +107,7 @@ def find_edges(
                 there = own >= _THERE * clear[..., None]
                 mass = (own * there).sum(-1) / there.sum(-1)
                 seen = np.einsum("...t,...t->...", inside, away)
-                seen *= (more / mass)[..., None]
+                seen *= (gain / mass)[..., None]
                 most = far[..., None]
                 off = np.clip(line + seen, -most, most)
                 ends, spread, weight = _lines(off, there, weight)
@@ -121,10 +121,10 @@ class _Light:
     """Linear light around a quad. origin : px of its first pixel"""
 
     def __init__(
-        self, luma: np.ndarray, table: np.ndarray, quad: np.ndarray, margin: int
+        self, luma: np.ndarray, table: np.ndarray, quad: np.ndarray, margin: float
     ) -> None:
         h, w = luma.shape
-        part = Rect.around(quad, margin).clip(Rect.of(w, h))
+        part = Rect.around(quad, float(margin)).clip(Rect.of(w, h))
         part = Rect.of(w, h) if part.empty else part
         self.values = cv2.LUT(luma[part.slices], table)
         self.origin = np.complex64(part.x0 + 1j * part.y0)

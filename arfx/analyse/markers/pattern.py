@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.optimize import approx_fprime, least_squares
 
 from arfx.analyse.markers.texture import even_contrast, follow
 from arfx.core.camera import Camera
@@ -444,6 +443,8 @@ def _aligned(match: _Match, camera: Camera) -> Alignment | None:
     new, corners = about @ _matrix(change), corners_by(change)
     if not plausible(corners):
         return None
+    from scipy.optimize import approx_fprime
+
     slope = approx_fprime(change, lambda c: corners_by(c).ravel(), _STEP)
     sigma = float(np.sqrt(np.trace(slope @ covariance @ slope.T) / 8))
     off = _pixels(camera, new, units) - _pixels(camera, match.ideal_from_level, moved)
@@ -474,6 +475,8 @@ def _fitted(
     first = missed(np.zeros(8))
     if not np.isfinite(first).all():
         return None
+    from scipy.optimize import least_squares
+
     worn = _WORN * deviation(first)
     fit = least_squares(missed, np.zeros(8), loss="arctan", f_scale=worn, ftol=1e-5)
     inverse = np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True)
