@@ -596,3 +596,21 @@ def test_what_is_sunk_under_the_plane_casts_nothing_on_it() -> None:
     assert (
         run_stage(whole, pose=pose, params=PLANE, faint=0.0)[Layer.SHADOW][..., 0] != shadow
     ).mean() > 0.01
+
+
+def test_a_needle_whose_area_is_rounded_away_has_no_height() -> None:
+    """Its corners in another order have an area: it was divided by."""
+    corners = np.array(
+        [
+            [14.500542640686035, 53.2870979309082],
+            [-1.947291374206543, 30.760379791259766],
+            [9.061826705932617, 45.83831024169922],
+        ],
+        np.float32,
+    )
+    u, v = np.ascontiguousarray(corners.T)
+    height = np.ones(3, np.float32)
+    for order in itertools.permutations(range(3)):
+        faces = np.array([order], np.int32)
+        made = height_map(u, v, height, faces, 64, 64, np.float32(-1))
+        assert set(np.unique(made)) <= {-1.0, 1.0}
