@@ -2,7 +2,7 @@
 
 State: 6 position-like and 6 velocity-like numbers. The first six are measured. The
 information of all states is a matrix of 24 diagonals: solved by its banded Cholesky factor,
-whose diagonal gives the evidence; covariances by the recursion of Takahashi (1973).
+whose diagonal gives the evidence; covariances by Takahashi's recursion (1973).
 Source: docs/methods/pose.md#smoothing."""
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 DIM = 12
 # What is known before the first frame: nothing. Standard deviations of 10 (radians, or
@@ -79,6 +78,8 @@ def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
 
     density : (n - 1, 7) of the noise, or (7,) for all links
     Raises LinAlgError where rounding leaves no digits of the measurements."""
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
     n = len(chain.information)
     # the inverse of white noise's covariance by Woodbury's identity: of what the shake frees
     # no digits are lost beside what hardly moves
