@@ -18,6 +18,7 @@ _START = np.diag([1e-2] * 6 + [1e-4] * 6)
 # of the least measurement's information, what the links' rounding may be at most: 1e-16 of
 # theirs for each of a thousand frames
 _DIGITS = 1e-13
+_MOST = 1e12  # no motion is so quick: it is not for its firmness that nothing is found
 # share of a shake in which its axes go their own ways: 1e-4 of its size
 _LOOSE = 1e-8
 
@@ -69,15 +70,16 @@ def least_density(information: np.ndarray, firm: np.ndarray) -> np.ndarray:
     motion so slow is smoothed over some 800 frames. Arguments as of Chain.
     """
     seen = information[information.any((1, 2))]
-    weakest = np.median(np.linalg.eigvalsh(seen)[:, 0]) if len(seen) else 0.0
-    return _DIGITS * firm[:, 0, :1] / max(weakest, 1.0)
+    weakest = np.median(np.linalg.eigvalsh(seen)[:, 0]) if len(seen) else 1.0
+    return _DIGITS * firm[:, 0, :1] / max(weakest, 1e-9)
 
 
 def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
     """Every state given all measurements.
 
-    density : (n - 1, 7) of the noise, or (7,) for all links
-    Raises LinAlgError where rounding leaves no digits of the measurements."""
+    density : (n - 1, 7) of the noise, or (7,) for all links; where rounding leaves no digits
+    of the measurements, so much larger that it does
+    Raises LinAlgError for numbers that are not finite."""
     from scipy.linalg import cho_solve_banded, cholesky_banded
 
     n = len(chain.information)
@@ -107,10 +109,16 @@ def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
     # it, for rows of 25
     band = np.zeros((n, DIM, 2 * DIM + 1))
     band.reshape(n, -1)[:, : 2 * DIM**2] = np.triu(rows).reshape(n, -1)
-    factor = cholesky_banded(
-        band.reshape(-1, 2 * DIM + 1).T, overwrite_ab=True, lower=True, check_finite=False
-    )
+    lower = band.reshape(-1, 2 * DIM + 1).T
+    try:
+        factor = cholesky_banded(lower, overwrite_ab=True, lower=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        if chain.least.max() > _MOST:
+            raise
+        return smooth_chain(chain._replace(least=10 * chain.least), density)
     mean = cho_solve_banded((factor, True), right.ravel(), check_finite=False)
+    if not np.isfinite(mean).all():
+        raise np.linalg.LinAlgError("the smoother's chain is not finite")
     missed = ((chain.offset[:, None] @ firm)[:, 0] * chain.offset).sum()
     log = (right.ravel() @ mean - missed) / 2
     log -= np.log(factor[0]).sum()
@@ -119,13 +127,8 @@ def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
 
 
 def evidence(chain: Chain, density: np.ndarray) -> float:
-    """Log evidence, up to a constant of the chain, of noise densities, as of smooth_chain;
-    -inf of those that leave no digits.
-    """
-    try:
-        return smooth_chain(chain, density).evidence
-    except np.linalg.LinAlgError:
-        return -np.inf
+    """Log evidence, up to a constant of the chain, of noise densities, as of smooth_chain."""
+    return smooth_chain(chain, density).evidence
 
 
 def covariances(factor: np.ndarray) -> np.ndarray:

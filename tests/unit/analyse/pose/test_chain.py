@@ -135,6 +135,31 @@ def test_extreme_noise_stays_regular(q: float, dt_s: float) -> None:
     ).all()  # never worse than a frame alone
 
 
+@pytest.mark.parametrize("tilt", [1e-8, 1e-3, 1.0])
+def test_a_tilt_that_no_frame_tells_stays_regular(tilt: float) -> None:
+    n, dt_s = 200, np.full(199, SHORTEST_STEP_S)
+    before = np.tile(-np.eye(DIM) - SHORTEST_STEP_S * np.eye(DIM, k=6), (n - 1, 1, 1))
+    after, shake = np.tile(np.eye(DIM), (n - 1, 1, 1)), np.zeros((n - 1, 6, 2))
+    size = np.array([tilt, tilt, 1e4, 1e9, 1e9, 1e4])
+    value = np.random.default_rng(0).normal(0, 1, (n, 6)) / np.sqrt(size)
+    seen = chain(
+        np.tile(np.diag(size), (n, 1, 1)),
+        value * size,
+        before,
+        after,
+        after[:, 0] * 0,
+        dt_s,
+        shake,
+    )
+    mean, cov = smoothed(seen, np.full(7, LEAST))
+    assert np.isfinite(mean).all() and (np.linalg.eigvalsh(cov[:, :6, :6]) > 0).all()
+    assert (np.abs(mean[:, :6]) < 6 / np.sqrt(size)).all()
+    # a guess far too low: more noise is taken until something is left of the measurements
+    bent = seen.links + 0.05 * np.random.default_rng(1).normal(0, 1, seen.links.shape)
+    firmer = seen._replace(links=bent, least=seen.least * 1e-15)
+    assert np.isfinite(smooth_chain(firmer, np.full(7, 1e-25)).mean).all()
+
+
 def test_axes_that_are_all_but_bound_together_stay_regular() -> None:
     """A camera turned wildly about itself, and nothing else moves: turn and place are one,
     to nine digits and more.
