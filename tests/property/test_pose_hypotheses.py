@@ -81,7 +81,9 @@ def test_nearly_frontal_views_give_finite_poses(tilt: float) -> None:
 
 
 def test_corners_that_no_direction_leads_to_give_no_pose() -> None:
-    assert not len(both_poses(M.corners_m, np.full((4, 2), np.nan)))
+    in_a_line = 0.01 * np.array([[0, 0], [1, 1], [2, 2], [3, 3.0]])
+    for nowhere in (np.full((4, 2), np.nan), np.zeros((4, 2)), in_a_line):
+        assert both_poses(M.corners_m, nowhere).shape == (0, 2, 3)
 
 
 @settings(max_examples=30, deadline=None)

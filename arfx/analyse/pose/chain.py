@@ -1,9 +1,9 @@
-"""A Gauss-Markov chain: Kalman filter, Rauch-Tung-Striebel smoother, and the evidence for
-its noise.
+"""A Gauss-Markov chain: the mean, the covariance and the evidence of all its states at once.
 
-State: 6 position-like and 6 velocity-like numbers. The first six are measured.
-Covariance form: regular for a density of nearly zero, and for directions that no
-measurement fixes. Source: docs/methods/pose.md#smoothing."""
+State: 6 position-like and 6 velocity-like numbers. The first six are measured. The
+information of all states is a matrix of 24 diagonals: solved by its banded Cholesky factor,
+whose diagonal gives the evidence; covariances by Takahashi's recursion (1973).
+Source: docs/methods/pose.md#smoothing."""
 
 from __future__ import annotations
 
@@ -11,103 +11,133 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.analyse.pose.kernels import filter_chain
-
 DIM = 12
 # What is known before the first frame: nothing. Standard deviations of 10 (radians, or
-# e-folds of distance) and of 100 per second lie beyond anything filmed, and their squares
-# times the information of a corner still leave digits.
-_START = np.diag([1e2] * 6 + [1e4] * 6)
+# e-folds of distance) and of 100 per second lie beyond anything filmed.
+_START = np.diag([1e-2] * 6 + [1e-4] * 6)
+# of the least measurement's information, what the links' rounding may be at most: 1e-16 of
+# theirs for each of a thousand frames
+_DIGITS = 1e-13
+_MOST = 1e12  # no motion is so quick: it is not for its firmness that nothing is found
+# share of a shake in which its axes go their own ways: 1e-4 of its size
+_LOOSE = 1e-8
 
 
 class Chain(NamedTuple):
-    """What was measured of each state, and how it follows from the one before:
-    x_k+1 = move_k x_k + shift_k + noise_k, noise through `gate_k`.
+    """What was measured of each state, and how it is linked to the next:
+    links_k [x_k, x_k+1] + offset_k = noise_k, white acceleration for a while.
 
-    rows (n, 6, 6), values (n, 6) : independent measurements of unit noise, rows_k x_k[:6] =
-    values_k; a row of zeros measures nothing
-    move, gate : (n - 1, 12, 12);  shift : (n - 1, 12);  dt_s : (n - 1,)
-    shake : (n - 1, 6, 6) covariance, per unit of its density, of what turns and moves the
-    marker at once
-    Only the turns' blocks (3 x 3, of angles and of their velocities) are free: the other
-    axes have constant velocity."""
+    information (n, 6, 6), pull (n, 6) : of the measurements, and this times what they
+    measured; zero where there are none
+    links : (n - 1, 12, 24);  offset : (n - 1, 12)
+    firm : (n - 1, 2, 2) information of noise of unit density about place and velocity
+    shake : (n - 1, 6, 2) what turns and moves the marker at once, about two axes
+    least : (n - 1, 1) densities below it count as it, see least_density"""
 
-    rows: np.ndarray
-    values: np.ndarray
-    move: np.ndarray
-    gate: np.ndarray
-    shift: np.ndarray
-    dt_s: np.ndarray
+    information: np.ndarray
+    pull: np.ndarray
+    links: np.ndarray
+    offset: np.ndarray
+    firm: np.ndarray
     shake: np.ndarray
+    least: np.ndarray
 
     def part(self, first: int, end: int) -> Chain:
         """The states first .. end - 1."""
         links = (a[first : end - 1] for a in self[2:])
-        return Chain(self.rows[first:end], self.values[first:end], *links)
+        return Chain(self.information[first:end], self.pull[first:end], *links)
 
 
-def linked(
-    rows: np.ndarray,
-    values: np.ndarray,
-    before: np.ndarray,
-    after: np.ndarray,
-    offset: np.ndarray,
-    dt_s: np.ndarray,
-    shake: np.ndarray,
-) -> Chain:
-    """With links by residuals before_k x_k + after_k x_k+1 + offset_k = noise_k.
+class Smoothed(NamedTuple):
+    """mean (n, 12);  factor (25, 12 n) : lower banded Cholesky factor of the information of
+    all states;  evidence : its logarithm, up to a constant of the chain"""
 
-    after : 1 but for the turns
+    mean: np.ndarray
+    factor: np.ndarray
+    evidence: float
+
+
+def information_of_noise(dt_s: np.ndarray) -> np.ndarray:
+    """(n, 2, 2) about place and velocity, of white acceleration of unit density over dt_s
+    (n,): inverse of [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
     """
-    gate = after.copy()
-    gate[:, :3, :3] = np.linalg.inv(after[:, :3, :3])
-    shift = -np.einsum("nij,nj->ni", gate, offset)
-    return Chain(rows, values, -gate @ before, gate, shift, dt_s, shake)
+    both = -6 / dt_s**2
+    return np.moveaxis(np.array([[12 / dt_s**3, both], [both, 4 / dt_s]]), -1, 0)
 
 
-def smooth_chain(chain: Chain, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (n, 12) and covariance (n, 12, 12) of every state given all measurements.
-
-    density : (n - 1, 7), or (7,) for all links
+def least_density(information: np.ndarray, firm: np.ndarray) -> np.ndarray:
+    """(n - 1, 1) with which rounding leaves digits of the measurements beside the links: a
+    motion so slow is smoothed over some 800 frames. Arguments as of Chain.
     """
-    _, ahead_x, ahead_p, means, covs = _filter(chain, density)
-    # gain^T = ahead^-1 move p, each axis scaled to its own size first
-    size = 1 / np.sqrt(np.einsum("nii->ni", ahead_p[1:]))
-    scaled = ahead_p[1:] * size[:, :, None] * size[:, None]
-    gain = size[:, :, None] * np.linalg.solve(
-        scaled, size[:, :, None] * (chain.move @ covs[:-1])
-    )
-    for k in range(len(means) - 2, -1, -1):
-        means[k] += (means[k + 1] - ahead_x[k + 1]) @ gain[k]
-        covs[k] += gain[k].T @ (covs[k + 1] - ahead_p[k + 1]) @ gain[k]
-    if not (np.isfinite(means).all() and np.isfinite(covs).all()):
-        raise np.linalg.LinAlgError("the smoother's chain is singular")
-    return means, covs
+    seen = information[information.any((1, 2))]
+    weakest = np.median(np.linalg.eigvalsh(seen)[:, 0]) if len(seen) else 1.0
+    return _DIGITS * firm[:, 0, :1] / max(weakest, 1e-9)
+
+
+def smooth_chain(chain: Chain, density: np.ndarray) -> Smoothed:
+    """Every state given all measurements.
+
+    density : (n - 1, 7) of the noise, or (7,) for all links; where rounding leaves no digits
+    of the measurements, so much larger that it does
+    Raises LinAlgError for numbers that are not finite."""
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
+    n = len(chain.information)
+    # the inverse of white noise's covariance by Woodbury's identity: of what the shake frees
+    # no digits are lost beside what hardly moves
+    own = np.maximum(density[..., :6], chain.least) + _LOOSE * density[..., 6:]
+    shake = density[..., 6, None, None]
+    axes = chain.shake / own[..., None]
+    freed = np.eye(2) + shake * (np.swapaxes(chain.shake, 1, 2) @ axes)
+    undone = axes @ np.linalg.solve(freed, np.swapaxes(axes, 1, 2))
+    firm = np.eye(6) / own[..., None] - shake * undone
+    firm = chain.firm[:, :, None, :, None] * firm[:, None, :, None]
+    firm = firm.reshape(-1, DIM, DIM)
+    held = firm @ chain.links
+    linked = np.swapaxes(chain.links, 1, 2) @ held
+    rows = np.zeros((n, DIM, 2 * DIM))
+    rows[:, :6, :6] = chain.information
+    rows[0, :, :DIM] += _START
+    rows[:-1] += linked[:, :DIM]
+    rows[1:, :, :DIM] += linked[:, DIM:, DIM:]
+    right = np.zeros((n, DIM))
+    right[:, :6] = chain.pull
+    push = (chain.offset[:, None] @ held)[:, 0]
+    right[:-1] -= push[:, :DIM]
+    right[1:] -= push[:, DIM:]
+    # a column of the band begins at its diagonal: 24 numbers farther than the one before
+    # it, for rows of 25
+    band = np.zeros((n, DIM, 2 * DIM + 1))
+    band.reshape(n, -1)[:, : 2 * DIM**2] = np.triu(rows).reshape(n, -1)
+    lower = band.reshape(-1, 2 * DIM + 1).T
+    try:
+        factor = cholesky_banded(lower, overwrite_ab=True, lower=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        if chain.least.max() > _MOST:
+            raise
+        return smooth_chain(chain._replace(least=10 * chain.least), density)
+    mean = cho_solve_banded((factor, True), right.ravel(), check_finite=False)
+    if not np.isfinite(mean).all():
+        raise np.linalg.LinAlgError("the smoother's chain is not finite")
+    missed = ((chain.offset[:, None] @ firm)[:, 0] * chain.offset).sum()
+    log = (right.ravel() @ mean - missed) / 2
+    log -= np.log(factor[0]).sum()
+    log -= (np.log(own).sum(-1) + np.linalg.slogdet(freed)[1]).sum()
+    return Smoothed(mean.reshape(n, DIM), factor, float(log))
 
 
 def evidence(chain: Chain, density: np.ndarray) -> float:
-    """Log evidence, up to a constant, of noise densities, as of smooth_chain."""
-    return _filter(chain, density)[0]
+    """Log evidence, up to a constant of the chain, of noise densities, as of smooth_chain."""
+    return smooth_chain(chain, density).evidence
 
 
-def _filter(
-    chain: Chain, density: np.ndarray
-) -> tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Log evidence, and states before and after their measurements; see `filter_chain`.
-
-    The noise is white acceleration over each link."""
-    dt = chain.dt_s[:, None, None]
-    white = density[..., :6, None] * np.eye(6) + density[..., 6, None, None] * chain.shake
-    gate = chain.gate[:, :6, :6]
-    place = gate @ white
-    both = place * dt**2 / 2
-    noise = np.block(
-        [
-            [place @ np.swapaxes(gate, 1, 2) * dt**3 / 3, both],
-            [np.swapaxes(both, 1, 2), white * dt],
-        ]
-    )
-    rows, values, move, _, shift, *_ = chain
-    n = len(rows)
-    states = [np.empty((n, *shape)) for shape in 2 * ((DIM,), (DIM, DIM))]
-    return filter_chain(_START, move, shift, noise, rows, values, *states), *states
+def covariances(factor: np.ndarray) -> np.ndarray:
+    """(n, 12, 12) of every state given all measurements. factor : of Smoothed"""
+    n = factor.shape[1] // DIM
+    rows = factor.T.reshape(n, -1)[:, : 2 * DIM**2].reshape(n, DIM, 2 * DIM)
+    inverse = np.linalg.inv(rows[..., :DIM])
+    gain = inverse @ rows[..., DIM:]
+    out = inverse @ np.swapaxes(inverse, 1, 2)
+    for k in range(n - 2, -1, -1):
+        out[k] += gain[k] @ out[k + 1] @ gain[k].T
+    return out

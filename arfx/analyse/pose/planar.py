@@ -168,7 +168,7 @@ def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> np.ndarray:
     square = corners_m[1, 0] == corners_m[1, 1]
     method = cv2.SOLVEPNP_IPPE_SQUARE if square else cv2.SOLVEPNP_IPPE
     solved = cv2.solvePnPGeneric(corners_m, ideal, np.eye(3), None, flags=method)
-    return np.reshape(np.stack(solved[1:3], 1), (-1, 2, 3))
+    return np.stack(solved[1:3], 1).reshape(-1, 2, 3)
 
 
 def frontal_poses(

@@ -15,7 +15,14 @@ from functools import cached_property
 
 import numpy as np
 
-from arfx.analyse.pose.chain import Chain, evidence, linked, smooth_chain
+from arfx.analyse.pose.chain import (
+    Chain,
+    covariances,
+    evidence,
+    information_of_noise,
+    least_density,
+    smooth_chain,
+)
 from arfx.analyse.pose.planar import Observed, huber_cost, jacobian, residuals
 from arfx.core.parallel import parallel_map
 from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
@@ -25,10 +32,12 @@ from arfx.core.pose import rotation_from_rotvec, rotvec_from_rotation, skew
 # which turns the marker and moves it sideways at once. And of each group its first axis.
 GROUP, _FIRST = [0, 0, 1, 2, 2, 3, 4], [0, 2, 3, 5, 6]
 TURN, ROLL, SIDEWAYS, DISTANCE, SHAKE = range(5)
-# (rad, 1)^2 / s^3. Least: drifts by 1e-5 in ten seconds, below anything visible. Most: 1e4
+# (rad, 1)^2 / s^3. Least: drifts by 2e-4 in ten seconds, below anything visible. Most: 1e4
 # turns a frame by 20 degrees.
-LEAST, MOST = 1e-12, 1e4
-_LOST = 5.0  # nats: values beyond one so much worse than the best are not tried
+LEAST, MOST = 1e-10, 1e4
+# nats: values beyond one so much worse than the best are not tried; nor those below one
+# that makes no difference
+_LOST, _FLAT = 5.0, 1e-3
 _BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
 _WINDOW, _CONTEXT = 24, 18  # frames
 # A window has little evidence on its own: each factor of ten away from the shot's value
@@ -40,13 +49,13 @@ _EARNED = 3.0
 # Between two frames: what moves is unknown after ten seconds as after a day, whose cube
 # leaves no digits for the corners.
 LONGEST_STEP_S = 10.0
+# A camera of 250 frames a second: what hardly moves in less is so firm that rounding leaves
+# nothing of the corners.
+SHORTEST_STEP_S = 4e-3
 PASSES = 4  # linearisations between two estimates of the motion's noise
 _STIFF = np.array(
     [1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-6, LEAST]
 )  # start of the second attempt: hardly any motion but sideways
-# share of a shake in which its axes go their own ways: 1e-4 of its size, and nothing is
-# singular
-_LOOSE = 1e-8
 _UNSURE_RAD = (
     0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
 )
@@ -54,7 +63,7 @@ _UNSURE_RAD = (
 
 def _density_over_time(chain: Chain, shot: np.ndarray) -> np.ndarray:
     """(1 or n - 1, 7) densities: those of the shot (groups,), and how they change with time."""
-    n = len(chain.rows)
+    n = len(chain.information)
     if n <= _WINDOW + _CONTEXT:
         return shot[None, GROUP]
     centres = np.unique(
@@ -97,9 +106,11 @@ def _ascend(
             trial, reached = start.copy(), best
             while reached >= best - _LOST and LEAST < trial[i] * factor < MOST:
                 trial[i] *= factor
-                reached = total(trial)
+                before, reached = reached, total(trial)
                 if reached > best:
                     best, value = reached, trial.copy()
+                if factor < 1 and abs(reached - before) < _FLAT:
+                    break
     return best, value
 
 
@@ -107,7 +118,7 @@ def _density_of_shot(chain: Chain) -> np.ndarray:
     """(groups,) one value each for a shot: the likelier of a marker that moves on its own
     and of a camera that shakes.
     """
-    n = len(chain.rows)
+    n = len(chain.information)
     if n < 3:
         return np.full(SHAKE + 1, 1e-2)
     blocks = [chain]
@@ -150,7 +161,7 @@ def smooth_poses(
     """
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
-    dt = np.clip(np.diff(times_s), 1e-4, LONGEST_STEP_S)
+    dt = np.clip(np.diff(times_s), SHORTEST_STEP_S, LONGEST_STEP_S)
     raw = _Path(rotation, translation, seen, dt, centre)
     # Twice: from the raw poses, and from a path that hardly moves. Where the corners do not
     # fix a tilt (a frontal
@@ -169,7 +180,7 @@ def smooth_poses(
     _, path, density = max(attempts, key=lambda a: a[0])
     density = np.clip(density / max(strength**3, 1e-200), LEAST, MOST)
     path = path.iterated(density, PASSES)
-    _, covariance = smooth_chain(path.chain, density)
+    covariance = covariances(smooth_chain(path.chain, density).factor)
     to_left = _to_left(_position(path.rotation, path.translation, centre)[0])
     covariance = to_left @ covariance[:, :6, :6] @ np.swapaxes(to_left, 1, 2)
     middle = np.median(density[:, _FIRST], axis=0)
@@ -188,40 +199,36 @@ class _Path:
 
     @cached_property
     def chain(self) -> Chain:
-        """The corners, linearised here (QR); and constant velocity between frames:
+        """The corners, linearised here; and constant velocity between frames:
         Log(R_k+1 R_k^T) and the place's difference, minus dt times the velocity.
         """
-        rotation, translation, seen, dt = (
-            self.rotation,
-            self.translation,
-            self.seen,
-            self.dt,
-        )
+        rotation, translation, dt = self.rotation, self.translation, self.dt
         p, position = _position(rotation, translation, self.centre)
-        r = residuals(rotation, translation, seen)
-        _, factor = huber_cost(r, seen.weight)
-        root = np.sqrt(seen.weight * factor)[..., None]
-        j = jacobian(rotation, translation, seen) @ _to_left(p)[:, None]
-        own, rows = np.linalg.qr((j * root[..., None]).reshape(len(p), -1, 6))
-        values = -np.einsum("nki,nk->ni", own, (r * root).reshape(len(p), -1))
+        missed = residuals(rotation, translation, self.seen)
+        _, factor = huber_cost(missed, self.seen.weight)
+        j = jacobian(rotation, translation, self.seen) @ _to_left(p)[:, None]
+        weighted = j * (self.seen.weight * factor)[..., None, None]
+        information = np.einsum("npki,npkj->nij", weighted, j)
+        pull = np.einsum("npki,npk->ni", weighted, -missed)
         turn = rotvec_from_rotation(rotation[1:] @ np.swapaxes(rotation[:-1], 1, 2))
-        bend = (
-            skew(turn) / 2
-        )  # inverse Jacobians of SO(3), left and right, to second order in the turn between frames
-        after = np.tile(np.eye(12), (len(dt), 1, 1))
-        before = -after - dt[:, None, None] * np.eye(12, k=6)
-        after[:, :3, :3] -= bend
-        before[:, :3, :3] -= bend
+        # inverse Jacobians of SO(3), left and right, to second order in the turn between
+        # frames
+        bend = skew(turn) / 2
+        links = np.tile(np.eye(12, 24, k=12) - np.eye(12, 24), (len(dt), 1, 1))
+        links[:, :, :12] -= dt[:, None, None] * np.eye(12, k=6)
+        links[:, :3, :3] -= bend
+        links[:, :3, 12:15] -= bend
         offset = np.hstack([turn, np.diff(position, axis=0), np.zeros((len(dt), 6))])
         shake = _shake((position[1:] + position[:-1]) / 2)
-        return linked(rows, values, before, after, offset, dt, shake)
+        firm = information_of_noise(dt)
+        least = least_density(information, firm)
+        return Chain(information, pull, links, offset, firm, shake, least)
 
     def iterated(self, density: np.ndarray, passes: int) -> _Path:
         """Smoothed and linearised anew, up to `passes` times."""
         path = self
         for _ in range(passes):
-            mean, _ = smooth_chain(path.chain, density)
-            step = mean[:, :6]
+            step = smooth_chain(path.chain, density).mean[:, :6]
             # linearisation holds for about .3 rad: a frame that wants more gets there in
             # several passes
             size = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
@@ -236,13 +243,11 @@ class _Path:
 
     def typical_turn_error(self) -> float:
         """Median over the frames seen of the largest standard deviation of a turn, radians."""
-        rows = self.chain.rows[self.chain.rows.any((1, 2))]
-        scale = 1 / np.sqrt(np.maximum((rows**2).sum(1), 1e-30))
-        scaled = rows * scale[:, None]
-        spread = np.linalg.pinv(np.swapaxes(scaled, 1, 2) @ scaled, hermitian=True)
-        return float(
-            np.sqrt(np.median((np.einsum("nii->ni", spread) * scale**2)[:, :3].max(1)))
-        )
+        seen = self.chain.information[self.chain.information.any((1, 2))]
+        scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", seen), 1e-30))
+        spread = np.linalg.pinv(scale[:, :, None] * seen * scale[:, None], hermitian=True)
+        variance = np.einsum("nii->ni", spread) * scale**2
+        return float(np.sqrt(np.median(variance[:, :3].max(1))))
 
     def likelihood(self, density: np.ndarray) -> float:
         """Log evidence with the true misfit at these poses in place of the linearised one's
@@ -250,7 +255,8 @@ class _Path:
         """
         r = residuals(self.rotation, self.translation, self.seen)
         cost, _ = huber_cost(r, self.seen.weight)
-        return float(evidence(self.chain, density) - cost.sum())
+        _, size = np.linalg.slogdet(self.chain.links[..., 12:])
+        return float(evidence(self.chain, density) + size.sum() - cost.sum())
 
 
 def _position(
@@ -295,5 +301,4 @@ def _shake(position: np.ndarray) -> np.ndarray:
     one, none = np.ones_like(x), np.zeros_like(x)
     turn_x = np.stack([one, none, none, -x * y, -1 - y * y, y], -1)
     turn_y = np.stack([none, one, none, 1 + x * x, x * y, -x], -1)
-    axes = np.stack([turn_x, turn_y], -1)
-    return axes @ np.swapaxes(axes, 1, 2) + _LOOSE * np.eye(6)
+    return np.stack([turn_x, turn_y], -1)
