@@ -370,10 +370,10 @@ def _info(
 def _side_data(picture: av.VideoFrame) -> dict[str, bytes]:
     """What a picture carries, by FFmpeg's name of its type."""
     try:
-        sides = list(picture.side_data)
+        sides: list[Any] = list(picture.side_data)
     except ValueError:  # PyAV lists none where it does not know the type of one, as of EXIF
         return {}
-    return {s.type.name: bytes(s) for s in sides}  # type: ignore[attr-defined, call-overload]
+    return {s.type.name: bytes(s) for s in sides}
 
 
 def _display_matrix(

@@ -310,6 +310,13 @@ def _taps(step: int, cosited: bool) -> np.ndarray:
     return share.astype(np.float32)
 
 
+def _float32(values: Any) -> Any:
+    """Nested tuples of them: the compiler knows that nobody writes to these."""
+    if np.ndim(values):
+        return tuple(map(_float32, values))
+    return np.float32(values)
+
+
 @lru_cache(maxsize=8)
 def samples_of(f: FrameFormat) -> Samples:
     """What the samples of a format stand for."""
@@ -323,19 +330,15 @@ def samples_of(f: FrameFormat) -> Samples:
     elif layout.kind == "gray":  # three times the same plane: no difference of "chroma"
         from_rgb, to_rgb = from_rgb * [[1], [0], [0]], np.ones((3, 3)) * [1, 0, 0]
     steps, cosited = (layout.sub_x, layout.sub_y), f.cosited
-    middle = tuple(np.float32(0 if left else 0.5) for left in cosited)
-    levels, to_rgb, from_rgb = (
-        tuple(tuple(map(np.float32, row)) for row in rows_)
-        for rows_ in ((luma, chroma, chroma), to_rgb, from_rgb)
-    )
+    middle = [0 if left else 0.5 for left in cosited]
     fine = min(layout.depth + 2, 14)
     return Samples(
         (f.width, f.height),
         steps,
-        levels,
-        to_rgb,
-        from_rgb,
-        middle,
+        _float32((luma, chroma, chroma)),
+        _float32(to_rgb),
+        _float32(from_rgb),
+        _float32(middle),
         _taps(steps[0], cosited[0]),
         _taps(steps[1], cosited[1]),
         decoding_table(f.transfer, fine + 4),

@@ -142,11 +142,11 @@ def run_frame(
 
 def _converted(output: np.ndarray | Pixels, colours: np.ndarray) -> np.ndarray | Pixels:
     """Linear colours (h, w, 3) in other primaries."""
-    if isinstance(output, Pixels):
-        return Pixels(output.rect, _converted(output.array, colours))
-    if not output.size:
+    array = output.array if isinstance(output, Pixels) else output
+    if not array.size:
         return output
-    return cv2.transform(np.ascontiguousarray(output), colours.astype(np.float32))
+    array = cv2.transform(np.ascontiguousarray(array), colours.astype(np.float32))
+    return Pixels(output.rect, array) if isinstance(output, Pixels) else array
 
 
 def _require_picture(made: object, seen: Rect) -> None:

@@ -47,9 +47,15 @@ class Composite(Stage):
             shade(now.crop(band)[Layer.PLATE], shadow[part], opacity, bias, image[part])
         if not box.empty:
             over = now.crop(box)
-            layers = (over[n] for n in (Layer.VIRTUAL, Layer.COVERAGE, Layer.SHADOW))
-            out = image[box.slices_in(shaded.rect)]
-            _over(over[Layer.PLATE], *layers, opacity, bias, out)
+            _over(
+                over[Layer.PLATE],
+                over[Layer.VIRTUAL],
+                over[Layer.COVERAGE],
+                over[Layer.SHADOW],
+                opacity,
+                bias,
+                image[box.slices_in(shaded.rect)],
+            )
         return {Layer.IMAGE: Pixels(shaded.rect, image)}
 
 
@@ -66,8 +72,8 @@ def shade(
     """The plane's pixels without an object before it: the same as `_over` with coverage 0.
 
     plate, shadow, out : (h, w, 3), the last with its rows end to end"""
-    lines = (packed(a).reshape(len(a), -1) for a in (plate, shadow))
-    _shade(*lines, opacity, np.tile(bias, plate.shape[1]), out.reshape(len(out), -1))
+    old, left = (packed(a).reshape(len(a), -1) for a in (plate, shadow))
+    _shade(old, left, opacity, np.tile(bias, plate.shape[1]), out.reshape(len(out), -1))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -53,7 +53,8 @@ def write_hdr_clip(path: Path, kind: str) -> Path:
             planes = yuv[..., 0] * 876 + 64, *np.moveaxis(chroma * 896 + 512, -1, 0)
             frame = av.VideoFrame(camera.width, camera.height, "yuv420p10le")
             for plane, values in zip(frame.planes, planes, strict=True):
-                rows = np.frombuffer(plane, "<u2").reshape(-1, plane.line_size // 2)
+                rows = np.frombuffer(plane, np.dtype("<u2"))  # type: ignore[call-overload]
+                rows = rows.reshape(-1, plane.line_size // 2)
                 h, w = values.shape
                 rows[:h, :w] = np.rint(values)
             frame.pts, frame.time_base = i, Fraction(1, 30)

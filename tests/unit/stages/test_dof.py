@@ -102,7 +102,7 @@ def test_a_part_is_as_in_the_whole_picture(level: str) -> None:
         )
         made = ready.run(at.layers.crop(need), at.facts, part)[Layer.IMAGE]
         np.testing.assert_allclose(
-            made(part), whole[part.slices], rtol=0, atol=1e-5, err_msg=str(part)
+            made.part(part), whole[part.slices], rtol=0, atol=1e-5, err_msg=str(part)
         )
 
 
