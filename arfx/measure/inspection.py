@@ -288,20 +288,19 @@ def relative_size(first: Found, m: Found) -> float | None:
     There the homography that makes the first one's image a unit square makes the other's a
     square, too.
     """
-    sizes = list[float]()
-    for i in first.quads.keys() & m.quads.keys():
-        if len(first.quads[i]) == len(m.quads[i]) == 1:
-            quads = (q[i][0].astype(np.float32) for q in (first.quads, m.quads))
-            flat = cv2.getPerspectiveTransform(next(quads), _UNIT)
-            a, b, c, d = cv2.perspectiveTransform(next(quads)[None], flat)[0]
-            spans = np.linalg.norm([b - a, c - b, d - c, a - d, c - a, d - b], axis=1)
-            spans /= [1, 1, 1, 1, np.sqrt(2), np.sqrt(2)]
-            if spans.max() <= (1 + _SQUARE) * spans.min():
-                sizes.append(float(spans.mean()))
+    sizes, together = list[float](), first.quads.keys() & m.quads.keys()
+    for i in together:
+        ours, theirs = (q[i][0].astype(np.float32) for q in (first.quads, m.quads))
+        flat = cv2.getPerspectiveTransform(ours, _UNIT)
+        quad = cv2.perspectiveTransform(theirs[None], flat)[0]
+        sides = np.linalg.norm(quad - quad[[1, 2, 3, 0]], axis=1)
+        across = np.linalg.norm(quad[:2] - quad[2:], axis=1) / np.sqrt(2)
+        spans = np.append(sides, across)
+        if spans.max() <= (1 + _SQUARE) * spans.min():
+            sizes.append(float(spans.mean()))
     middle = float(np.median(sizes)) if sizes else 0.0
-    alike = sum(abs(size - middle) <= _SAME_SIZE * middle for size in sizes)
-    together = len(first.quads.keys() & m.quads.keys())
-    return middle if 2 * alike > together else None
+    alike = sum(abs(size - middle) <= _SAME_SIZE / 2 * middle for size in sizes)
+    return middle if 2 * alike > len(together) else None
 
 
 def size_names(markers: Sequence[dict[str, Any]]) -> list[str]:
@@ -311,10 +310,9 @@ def size_names(markers: Sequence[dict[str, Any]]) -> list[str]:
     groups, names = [1.0], list[str]()
     for m in markers:
         size = m["size_of_first"] or 1.0
-        same = [k for k, g in enumerate(groups) if abs(size / g - 1) <= _SAME_SIZE]
-        if not same:
-            groups.append(size)
-        k = same[0] if same else len(groups) - 1
+        group = next((g for g in groups if abs(size / g - 1) <= _SAME_SIZE), size)
+        groups += [] if group in groups else [group]
+        k = groups.index(group)
         names.append(f"SIZE{k + 1}" if k else "SIZE")
     return names
 
