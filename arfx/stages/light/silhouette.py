@@ -113,7 +113,6 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
         ua, va, ha = u[i], v[i], height[i]
         ub, vb, hb = u[j], v[j], height[j]
         uc, vc, hc = u[k], v[k], height[k]
-        area = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
         if vb < va:
             ua, va, ha, ub, vb, hb = ub, vb, hb, ua, va, ha
         if vc < vb:
@@ -124,9 +123,9 @@ def height_map(u, v, height, faces, rows, columns, empty):  # pragma: no cover -
             max(np.int64(np.ceil(va)), zero),
             min(np.int64(np.ceil(vc)), np.int64(rows)),
         )
-        if first >= last or area == 0:
+        across = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)  # of rounding 0 too
+        if first >= last or across == 0:
             continue
-        across = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
         du = ((hb - ha) * (vc - va) - (vb - va) * (hc - ha)) / across
         dv = ((ub - ua) * (hc - ha) - (hb - ha) * (uc - ua)) / across
         top, low = max(ha, hb, hc), min(ha, hb, hc)
