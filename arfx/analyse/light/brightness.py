@@ -199,7 +199,8 @@ def _followed(
         noise_of_it = _noise(known[:, None])[:, 0]
         shows = np.abs(known) > np.maximum(LEAST_CHANGE, SURE * noise_of_it)
         expected[:, 0] = np.where(shows, known, 0.0)
-        moves = np.abs(expected[:, 0])
+        near = np.pad(np.abs(expected[:, 0]), 1)
+        moves = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])
     out = _solve(value, noise, np.hypot(rest, moves[1:]), expected)
     for scale in SCALES:
         off = value - out
@@ -276,17 +277,14 @@ def _around(value: np.ndarray, scale: int) -> np.ndarray:
 
 def _noise(value: np.ndarray) -> np.ndarray:
     """(n, c) deviation of white noise in successive values (n, c), over the readings around."""
-    if len(value) < 3:
+    if len(value) < 4:
         return np.ones_like(value)
-    bent = np.abs(value[1:-1] - (value[:-2] + value[2:]) / 2)
-    padded = np.pad(
-        bent,
-        ((NOISE_OVER // 2 + 1,) * 2, (0, 0)),
-        mode="reflect" if len(bent) > NOISE_OVER else "edge",
-    )
+    bent = np.abs(np.diff(value, 3, axis=0)) / np.sqrt(20)  # of white noise, as it is
+    before = NOISE_OVER // 2 + 1
+    padded = np.pad(bent, ((before, NOISE_OVER + 2 - before), (0, 0)), mode="symmetric")
     windows = np.lib.stride_tricks.sliding_window_view(padded, NOISE_OVER, axis=0)
     local, usual = np.median(windows, -1), np.median(bent, 0)
-    return 1.4826 / np.sqrt(1.5) * np.maximum(local, usual)
+    return 1.4826 * np.maximum(local, usual)
 
 
 def _means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:

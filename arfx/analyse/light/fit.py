@@ -183,6 +183,7 @@ def fit(
     variance: np.ndarray | None = None,
     group: np.ndarray | None = None,
     params: Params = Params(),  # noqa: B008 - frozen
+    lit: np.ndarray | None = None,
 ) -> LightFit:
     """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);
     variance : (k, 3), of noise alone
@@ -190,8 +191,10 @@ def fit(
     directions are shared by all
     groups, amplitudes are each group's own. What is not finite is left out.
     Nothing non-finite leaves.
+    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
+    are shared by all groups too
     """
-    s = gather(normals, irradiance, variance, group, MODEL_ERROR)
+    s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
     if s is None:
         none = np.zeros((1, 3))
         return LightFit(REFUSED, "no usable observation", none, none)
@@ -225,7 +228,7 @@ def fit(
         error = max(error, 1e-4) * float(np.sqrt(misfit))
         if error > MOST_ERROR:
             break
-        s = gather(normals, irradiance, variance, group, error) or s
+        s = gather(normals, irradiance, variance, group, error, lit) or s
         found = LightHypotheses(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:

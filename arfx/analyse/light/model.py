@@ -7,7 +7,7 @@ as one `body`.
 
 Arrays, k samples long in their last axis, so that the loops over them run in vector
 registers: normals (3, k), means of unit vectors; value (3, k) by channel; weight (k,);
-starts (g + 1,) of the groups; dirs (q, 3) unit;
+starts (g + 1,) of the groups; lit (k,) share of the lamps that is on; dirs (q, 3) unit;
 column (q,) int 0..m-1; strength (q,); soft (q,) sine of the half-angle of its disc, 1 = a
 dome; body (q,) int, -1 = held; amp (g, 3, m + 1), ambient first; residual (3, k), times
 sqrt(weight)."""
@@ -32,6 +32,7 @@ class Observations(NamedTuple):
     value: np.ndarray
     weight: np.ndarray
     starts: np.ndarray
+    lit: np.ndarray
 
 
 class Columns(NamedTuple):
@@ -111,7 +112,7 @@ def _fill_columns(
     """A (m + 1, k) : what each column's lights give each normal, of strength 1; the first
     is ambient light.
     """
-    normals, (column, strength, soft, _) = seen.normals, columns
+    normals, lit, (column, strength, soft, _) = seen.normals, seen.lit, columns
     k = normals.shape[1]
     for p in range(len(A)):
         for i in range(k):
@@ -119,7 +120,7 @@ def _fill_columns(
     for q in range(len(dirs)):
         x, y, z, size, s = dirs[q, 0], dirs[q, 1], dirs[q, 2], strength[q], soft[q]
         row = A[column[q] + 1]
-        if s >= 1:  # a dome
+        if s >= 1:  # a dome: not switched with the lamps
             for i in range(k):
                 low = max(
                     normals[0, i] * x + normals[1, i] * y + normals[2, i] * z + 1, 0.0
@@ -130,11 +131,14 @@ def _fill_columns(
             for i in range(k):
                 c = normals[0, i] * x + normals[1, i] * y + normals[2, i] * z
                 low = max(c + s, 0.0)
-                row[i] += size * (c if c >= s else low * low * scale)
+                row[i] += size * lit[i] * (c if c >= s else low * low * scale)
         else:
             for i in range(k):
-                c = normals[0, i] * x + normals[1, i] * y + normals[2, i] * z
-                row[i] += size * max(c, 0.0)
+                row[i] += (
+                    size
+                    * lit[i]
+                    * max(normals[0, i] * x + normals[1, i] * y + normals[2, i] * z, 0.0)
+                )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FAST)

@@ -1,11 +1,12 @@
 """Lights that change: the simplest account of a whole clip that holds.
 
 1. constant: one fit for all;
-2. segments: the directions of the clip, colours and brightness of their own between one
-   step and the next; of a lamp that is switched off none;
-3. shared: the same, with a factor for every frame where frames show several normals, else
+2. switched: the lamps are all on or all off between one step of the light and the next;
+3. segments: the directions of the clip, colours and brightness of their own between one
+   step and the next;
+4. shared: the same, with a factor for every frame where frames show several normals, else
    in windows of a few seconds;
-4. windows: a fit for each segment that holds alone, or for each window.
+5. windows: a fit for each segment that holds alone, or for each window.
 The next one is tried where the one before does not explain the observations, or only with a
 second light. A light that is refused for another reason stays refused: cut into pieces, its
 evidence only gets less. Source: docs/methods/light.md#time."""
@@ -28,8 +29,9 @@ from arfx.core.numerics import angle_between, divide
 _APART_DEG = 10.0
 # between the halves of a clip whose brightness wanders while one normal is seen at a time
 _AGREE_DEG = 3.0
-CONSTANT, SEGMENTS, SHARED, WINDOWS = (
+CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = (
     "constant",
+    "switched",
     "segments",
     "shared",
     "windows",
@@ -66,7 +68,7 @@ def fit_over_time(
     breaks_s: Sequence[float] = (),
     params: Params = Params(),  # noqa: B008 - frozen
 ) -> tuple[str, list[Span]]:
-    """(CONSTANT, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from
+    """(CONSTANT, SWITCHED, SEGMENTS, SHARED or WINDOWS, spans in order, without gaps, from
     the first to the last observation).
 
     times_s : (k,) of each observation, one at least, any order;  normals, irradiance,
@@ -80,10 +82,13 @@ def fit_over_time(
     def run(
         rows: slice,
         group: np.ndarray | None = None,
+        lit: np.ndarray | None = None,
         lights: int = 2,
     ) -> LightFit:
         p = replace(params, most_lights=min(params.most_lights, lights))
-        return fit(n[rows], E[rows], v[rows], None if group is None else group[rows], p)
+        return fit(
+            n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit
+        )
 
     # where most frames show normals that are apart, changing light is distinguished from a
     # changing direction
@@ -102,7 +107,7 @@ def fit_over_time(
         middle = min(max(middle, rows.start), rows.stop)
         first, off = found.lights[0], 0.0
         for half in (slice(rows.start, middle), slice(middle, rows.stop)):
-            lights = run(half, group, len(found.lights)).lights
+            lights = run(half, group, None, len(found.lights)).lights
             apart = [angle_between(li.direction, first.direction) for li in lights]
             off = max(off, float(np.degrees(min(apart, default=np.inf))))
         if off <= agree_deg:
@@ -140,6 +145,16 @@ def fit_over_time(
     # the account whose refusal says most: the first that explains what was seen
     best_refusal = constant
     held: list[tuple[str, LightFit, list[Span]]] = []  # accounts that explain it
+    if (lit := switches(times, E, segments)) is not None:
+        group = _group(times, segments)
+        found = run(every, group, lit)
+        if holds(found, lit[group].astype(int)):
+            dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
+            spans = [
+                Span(a, b, found if on else dark)
+                for on, (a, b) in zip(lit, pairwise(segments), strict=True)
+            ]
+            held.append((SWITCHED, found, spans))
     for name, window_s in ((SEGMENTS, np.inf), (SHARED, LONGEST_WINDOW_S)):
         edges = window_edges(start, stop, breaks_s, window_s)
         if name == SHARED:
@@ -148,7 +163,9 @@ def fit_over_time(
             pumped = _exposure_drift_fit(times, n, E, v, params)
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
                 return SHARED, [Span(start, stop, pumped)]
-        elif len(edges) < 3:
+        elif len(edges) < 3 or any(
+            f.verdict == MEASURED or len(f.lights) == 1 for _, f, _ in held
+        ):
             continue
         group = _group(times, edges)
         found = run(every, group)
@@ -199,6 +216,29 @@ def fit_over_time(
     if not last.claimed and not best_refusal.claimed:
         last = replace(last, reason=best_refusal.reason)
     return CONSTANT, [Span(start, stop, last)]
+
+
+def switches(
+    times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]
+) -> np.ndarray | None:
+    """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where
+    steps do not go down and up in turn.
+
+    What a step does is seen from the observations, times ascending, right before and after it."""
+    light, t = irradiance.mean(1), times_s
+    signs = []
+    for edge in edges[1:-1]:
+        at = int(np.searchsorted(t, edge))
+        if not 0 < at < len(t):
+            return None
+        signs.append(
+            np.sign(
+                light[at:][t[at:] == t[at]].mean() - light[:at][t[:at] == t[at - 1]].mean()
+            )
+        )
+    if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
+        return None
+    return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
 
 
 def window_edges(

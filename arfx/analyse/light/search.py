@@ -53,7 +53,8 @@ class Samples:
     channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective :
     number of independent values
-    gamma : exponent that has been taken out of the values"""
+    gamma : exponent that has been taken out of the values
+    lit : (k,) share of the lamps that is on, 0..1"""
 
     normals: np.ndarray
     value: np.ndarray
@@ -62,11 +63,12 @@ class Samples:
     scale: np.ndarray
     effective: float
     gamma: float
+    lit: np.ndarray
 
     @cached_property
     def data(self) -> light_model.Observations:
         normals, value = (np.ascontiguousarray(a.T) for a in (self.normals, self.value))
-        return light_model.Observations(normals, value, self.weight, self.starts)
+        return light_model.Observations(normals, value, self.weight, self.starts, self.lit)
 
     @property
     def groups(self) -> int:
@@ -112,6 +114,7 @@ def gather(
     variance: np.ndarray | None,
     group: np.ndarray | None,
     model_error: float,
+    lit: np.ndarray | None = None,
 ) -> Samples | None:
     """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3) or
     what broadcasts, group (k,) int.
@@ -119,6 +122,8 @@ def gather(
     model_error : systematic error of the irradiance relative to its bright level. It is one
     and the same within a coarse
     cell of normals, so that more observations there add nothing beyond it.
+    lit : (g,) share of the lamps that is on in each group; then all groups are one, with
+    the same light
     """
     n, E = (
         np.asarray(normals, float).reshape(-1, 3),
@@ -158,8 +163,10 @@ def gather(
         if model_error > 0
         else 3.0 * len(N)
     )
-    starts = np.searchsorted(groups, np.arange(groups.max() + 2))
-    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, 1.0)
+    starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
+    if lit is not None:
+        starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, 1.0, on)
 
 
 def _mean(

@@ -100,7 +100,10 @@ class MarkerPose(Fold):
                 "are the marker's size and the camera calibration right, and of this clip?",
             )
         return replace(
-            found, frame_span=clip.frame_span, summary={**found.summary, **clip.summary}
+            found,
+            frame_span=clip.frame_span,
+            summary={**found.summary, **clip.summary},
+            notices=(*clip.notices, *found.notices),
         )
 
     @staticmethod
