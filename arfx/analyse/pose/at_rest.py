@@ -110,7 +110,7 @@ def _contrast(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     value, window = image.astype(np.float32), (NEAR_PX, NEAR_PX)
     off = value - cv2.blur(value, window)
-    return off, np.sqrt(cv2.blur(off * off, window))
+    return off, np.sqrt(np.maximum(cv2.blur(off * off, window), 0))
 
 
 @dataclass(frozen=True, eq=False)
