@@ -18,8 +18,9 @@ import av
 import numpy as np
 
 from arfx.core.codec import Document
-from arfx.core.colour import HLG, PQ, SRGB, Transfer
+from arfx.core.colour import SRGB, Transfer
 from arfx.errors import InputError
+from arfx.media import hdr
 from arfx.media.codecs import check_size, open_video
 from arfx.media.photos import is_photo
 from arfx.media.planes import (
@@ -42,11 +43,8 @@ _MATRIX = {
     9: "bt2020",
     10: "bt2020",
 }  # ITU-T H.273 table 4
-_HDR = {16: PQ, 18: HLG}  # ITU-T H.273 table 3
 # from this field order on a clip is interlaced; the odd ones show the bottom field first
 _FIELDS = 2
-# What changes from scene to scene, and is of the picture before it was changed
-_DYNAMIC = {"DOVI_METADATA": "Dolby Vision", "DYNAMIC_HDR_PLUS": "HDR10+"}
 _MIDDLE_SITED = ("mjpeg", "mpeg1video", "jpeg2000")
 
 
@@ -121,7 +119,7 @@ class ClipInfo(Document):
 
     @property
     def hdr(self) -> bool:
-        return self.transfer_tag in _HDR
+        return self.transfer_tag in hdr.TRANSFERS
 
     @property
     def fields(self) -> str:
@@ -269,14 +267,9 @@ def _info(
     )
     layout, notice = working_layout(first.format.name)
     notices = [notice] if notice else []
-    beside = _side_data(first)
-    for name in sorted(beside.keys() & _DYNAMIC.keys()):
-        notices.append(
-            f"the clip's {_DYNAMIC[name]} metadata is left out; its picture, colour tags"
-            " and static HDR data are kept"
-        )
-    if trc in _HDR:
-        transfer = Transfer(_HDR[trc])
+    beside = hdr.side_data(first)
+    notices += hdr.left_out(beside)
+    transfer = hdr.TRANSFERS.get(trc, transfer)
     matrix = _MATRIX.get(space)
     stated = matrix is not None
     if matrix is None:
@@ -362,18 +355,9 @@ def _info(
         tuple(_describe(s, s.index == stream.index) for s in container.streams),
         tuple(notices),
         order,
-        _mastering_display(beside),
-        _content_light(beside),
+        hdr.mastering_display(beside),
+        hdr.content_light(beside),
     )
-
-
-def _side_data(picture: av.VideoFrame) -> dict[str, bytes]:
-    """What a picture carries, by FFmpeg's name of its type."""
-    try:
-        sides: list[Any] = list(picture.side_data)
-    except ValueError:  # PyAV lists none where it does not know the type of one, as of EXIF
-        return {}
-    return {s.type.name: bytes(s) for s in sides}
 
 
 def _display_matrix(
@@ -387,23 +371,6 @@ def _display_matrix(
     angle = math.radians(picture.rotation)
     c, s = (round(f(angle) * (1 << 16)) for f in (math.cos, math.sin))
     return c, -s, 0, s, c, 0, 0, 0, 1 << 30
-
-
-def _mastering_display(beside: Mapping[str, bytes]) -> tuple[float, ...] | None:
-    """Of FFmpeg's ten fractions and two flags (libavutil/mastering_display_metadata.h)."""
-    data = beside.get("MASTERING_DISPLAY_METADATA", b"")
-    if len(data) < 88:
-        return None
-    *numbers, primaries, luminance = struct.unpack("=22i", data[:88])
-    pairs = list(zip(numbers[::2], numbers[1::2], strict=True))
-    if not (primaries and luminance and all(below for _, below in pairs)):
-        return None
-    return tuple(above / below for above, below in pairs)
-
-
-def _content_light(beside: Mapping[str, bytes]) -> tuple[int, int] | None:
-    data = beside.get("CONTENT_LIGHT_LEVEL", b"")
-    return struct.unpack("=2I", data[:8]) if len(data) >= 8 else None
 
 
 def _tagged_duration(metadata: dict[str, str]) -> Fraction | None:

@@ -217,6 +217,14 @@ CODECS = {
     "png": Codec("png", "png", (), sequence=True),
     "exr": Codec("exr", "exr", (), sequence=True),
 }
+# other names that are understood
+ALIASES = {
+    "hevc": "h265",
+    "avc": "h264",
+    "x264": "h264",
+    "x265": "h265",
+    "prores4444": "prores",
+}
 
 
 def open_encoder(context: Any) -> None:

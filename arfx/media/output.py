@@ -16,8 +16,10 @@ import av
 
 from arfx.core.codec import Document
 from arfx.errors import ConfigError, InputError
+from arfx.media import hdr
 from arfx.media.clip import PHOTO, UNSPECIFIED, ClipInfo, ffmpeg_command
 from arfx.media.codecs import (
+    ALIASES,
     CODECS,
     CONTAINER_SUFFIX,
     SUFFIX_CONTAINER,
@@ -33,13 +35,6 @@ MAX_TICKS = (1 << 31) - 1  # of a frame's time in mp4 and mov
 _PATTERN = re.compile(
     r"((?:[^%]|%%)*)%0?\d{0,2}d((?:[^%]|%%)*)"
 )  # one number of at most 99 digits
-_ALIASES = {
-    "hevc": "h265",
-    "avc": "h264",
-    "x264": "h264",
-    "x265": "h265",
-    "prores4444": "prores",
-}
 
 
 @dataclass(frozen=True)
@@ -149,12 +144,14 @@ def plan_output(
         notices.append(
             f"{counts} counts time in milliseconds: frame times are rounded to 1 ms"
         )
+    static = (info.mastering_display, info.content_light)
+    options = hdr.with_static_data(_options(codec, settings), codec.name, *static, notices)
     return OutputPlan(
         path,
         codec.name,
         container,
         fmt,
-        _with_static_hdr(_options(codec, settings), info, codec, notices),
+        options,
         codec.threads,
         matrix,
         full,
@@ -178,7 +175,7 @@ def _choose(path: Path, settings: OutputSettings, hdr: bool = False) -> tuple[st
     """hdr : the clip is HLG or PQ, which players expect in H.265"""
     suffix = path.suffix.lower()
     name = settings.codec.lower() if settings.codec else None
-    name = _ALIASES.get(name, name) if name else None
+    name = ALIASES.get(name, name) if name else None
     if name is not None and name not in CODECS:
         raise ConfigError(
             f"unknown codec {settings.codec!r}", "one of " + ", ".join(CODECS)
@@ -285,37 +282,6 @@ def _options(codec: Codec, settings: OutputSettings) -> tuple[tuple[str, str], .
                 f"{codec.encoder} does not take preset {preset!r}", usual
             ) from None
     return tuple(sorted(options.items()))
-
-
-def _with_static_hdr(
-    options: tuple[tuple[str, str], ...], info: ClipInfo, codec: Codec, notices: list[str]
-) -> tuple[tuple[str, str], ...]:
-    """The encoder's options with the clip's mastering display and content light level.
-
-    x265 counts in units of H.265 (.00002, and .0001 cd/m2), SVT-AV1 in those of the numbers."""
-    display, light = info.mastering_display, info.content_light
-    if display is None and light is None:
-        return options
-    name, keys, units = {
-        "h265": ("x265-params", ("master-display", "max-cll"), (50000, 10000)),
-        "av1": ("svtav1-params", ("mastering-display", "content-light"), (1, 1)),
-    }.get(codec.name, ("", ("", ""), (1, 1)))
-    if not name:
-        notices.append(
-            f"{codec.name} files do not keep the clip's mastering display and light level"
-        )
-        return options
-    said = []
-    if display is not None:
-        numbers = [f"{units[0] * x:.10g}" for x in display[:8]]
-        red, green, blue, white = (",".join(numbers[k : k + 2]) for k in range(0, 8, 2))
-        least, most = (f"{units[1] * x:.10g}" for x in display[8:])
-        said.append(f"{keys[0]}=G({green})B({blue})R({red})WP({white})L({most},{least})")
-    if light is not None:
-        said.append(f"{keys[1]}={light[0]},{light[1]}")
-    held = dict(options)
-    held[name] = ":".join([held[name], *said])
-    return tuple(sorted(held.items()))
 
 
 def check_times(plan: OutputPlan, pts: Sequence[int], time_base: Fraction) -> None:

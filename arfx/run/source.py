@@ -6,9 +6,11 @@ from the key frame before, which may lie hundreds of frames back."""
 
 from __future__ import annotations
 
+import multiprocessing
 import threading
 import time
 from collections.abc import Generator, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +22,44 @@ from arfx.media.clip import ClipInfo
 from arfx.media.depth_maps import DepthMaps, fill_holes
 from arfx.media.frames import ClipReader, Frame
 from arfx.run.background_io import ahead
+
+KEPT_BYTES = 256_000_000  # of decoded frames: some three seconds of 1080p, six of 720p
+
+
+class KeptFrames:
+    """Frames that this process decoded to analyse a clip, until each is rendered: those of
+    a short clip are decoded once. None of a clip that is longer than KEPT_BYTES, nor where
+    other processes would render them."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._info: ClipInfo | None = None
+        self._frames: dict[int, Frame] = {}
+        self._left = 0
+
+    def begin(self, info: ClipInfo | None) -> None:
+        """Frames of this clip follow; what is kept of another one goes."""
+        with self._lock:
+            if self._info != info:
+                self._info, self._frames, self._left = info, {}, KEPT_BYTES
+
+    def add(self, info: ClipInfo, frame: Frame) -> None:
+        size = sum(p.buffer_size for p in frame.picture.planes)
+        with self._lock:
+            if self._info != info or self._left < 0 or frame.pts in self._frames:
+                return
+            self._left -= size
+            self._frames[frame.pts] = frame
+            if self._left < 0:
+                self._frames = {}
+
+    def take(self, info: ClipInfo, pts: int) -> Frame | None:
+        """The frame of that time, which is no longer kept."""
+        with self._lock:
+            return self._frames.pop(pts, None) if self._info == info else None
+
+
+_kept = KeptFrames()
 
 
 class Source:
@@ -38,19 +78,24 @@ class Source:
         careful: bool,
     ) -> None:
         self.info, self.pts, self.index = info, pts, index
-        self._read(threads, careful)
+        self.careful, self._threads = careful, threads
+        self._reader: ClipReader | None = None
+        self._frames: Iterator[Frame] = iter(())
 
     def _read(self, threads: int, careful: bool) -> None:
         self.careful = careful
         self._reader = ClipReader(self.info, threads, careful)
-        self._frames: Iterator[Frame] = self._reader.frames(
-            self.pts[self.index], first_index=self.index
-        )
+        self._frames = self._reader.frames(self.pts[self.index], first_index=self.index)
 
     def next(self) -> Frame | None:
         """Frame number `index` of the job, which moves on; None where the file does not
         hold a frame of that time.
         """
+        if not self.careful and (kept := _kept.take(self.info, self.pts[self.index])):
+            self.index += 1
+            return replace(kept, index=self.index - 1)
+        if self._reader is None:
+            self._read(self._threads, self.careful)
         frame = self._next()
         if frame is None and not self.careful:
             self._read(1, True)
@@ -69,7 +114,8 @@ class Source:
         return None
 
     def close(self) -> None:
-        self._reader.close()
+        if self._reader is not None:
+            self._reader.close()
         self._frames = iter(())
 
 
@@ -97,6 +143,8 @@ class StretchFrames:
             strict=not careful and (first_pts is None or not alone),
             seeks=seeks,
         )
+        self._keeps = not careful and multiprocessing.parent_process() is None
+        _kept.begin(info if self._keeps else None)
         frames = self._timed(self.reader.frames(first_pts))
         self._frames = ahead(frames) if alone else frames
         self._back: Frame | None = None
@@ -105,6 +153,8 @@ class StretchFrames:
         start = time.perf_counter()
         for frame in frames:
             self.seconds += time.perf_counter() - start
+            if self._keeps:
+                _kept.add(self.info, frame)
             yield frame
             start = time.perf_counter()
 

@@ -8,12 +8,14 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from arfx.errors import JobInterruptedError, RenderError
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
 from arfx.run import executors
+from arfx.run import source as source_module
 from arfx.run.folder import JobFolder
 from arfx.run.job import _interruptible
 from arfx.run.source import Source, release, source_at, stretch_at
@@ -146,3 +148,42 @@ def test_an_interrupt_that_a_library_swallows_still_ends_the_job(tmp_path: Path)
             signal.raise_signal(signal.SIGINT)
         check()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_frames_of_a_short_clip_are_decoded_once(
+    clip: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the same samples as those that are decoded again; too many are not kept."""
+    info = probe(clip)
+    opened: list[bool] = []
+    open_reader = ClipReader._open
+    monkeypatch.setattr(
+        ClipReader, "_open", lambda self: opened.append(True) or open_reader(self)
+    )
+    for most, readers in ((source_module.KEPT_BYTES, 0), (1_000_000, 1)):
+        monkeypatch.setattr(source_module, "KEPT_BYTES", most)
+        source_module._kept.begin(None)
+        stretch = stretch_at(info, None, False)
+        analysed = list(stretch)
+        release()
+        opened.clear()
+        rendered = Source(info, [f.pts for f in analysed], 0, threads=1, careful=False)
+        for k, frame in enumerate(analysed):
+            again = rendered.next()
+            assert again is not None and (again.index, again.pts) == (k, frame.pts)
+            assert np.array_equal(again.luma(), frame.luma())
+        rendered.close()
+        assert len(opened) == readers
+
+
+def test_a_frame_that_was_analysed_is_decoded_again_when_it_is_rendered_twice(
+    clip: Path,
+) -> None:
+    info = probe(clip)
+    source_module._kept.begin(None)
+    pts = [f.pts for f in stretch_at(info, None, False)]
+    release()
+    for _ in range(2):
+        source = Source(info, pts, 4, threads=1, careful=False)
+        assert [f.pts for _ in range(3) if (f := source.next())] == pts[4:7]
+        source.close()
