@@ -175,7 +175,8 @@ class LightOnPlane(LightOfMarkers):
     plane is."""
 
     needs = ("pose",)
-    given = LightOfMarkers.given | {"_markers", "readings"}
+    given = LightOfMarkers.given | {"_markers", "readings", "changes", "_small"}
+    carried = frozenset()
 
     def __init__(self, job: AnalysisJob, pose: Fold) -> None:
         super().__init__(job, None, pose)
