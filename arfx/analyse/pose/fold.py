@@ -278,7 +278,7 @@ def solve(
     path = world_path(views.frames, layout.world_from_marker, keys, shot, times)
     every = visible_intervals(path.measured, shot, times, params.max_gap_s)
     present = without_flickers(every, path.measured, shot)
-    opacity = opacities(present, shot)
+    opacity = opacities(present, shot, times)
     told = np.where(path.measured, MEASURED, INTERPOLATED)
     status = np.where(opacity > 0, told, ABSENT).tolist()
     rotation, translation = path.rotation.copy(), path.translation.copy()

@@ -18,7 +18,7 @@ from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
 
 MIN_FRAMES = 3
-FADE_FRAMES = 5  # over which the object fades in and out around an absence
+FADE_S = 0.15  # in which the object fades in and out around an absence
 # above this many vertices their convex hull is taken once: it projects to the same box
 _HULL_POINTS = 400
 
@@ -53,21 +53,22 @@ def without_flickers(
     ]
 
 
-def opacities(present: Sequence[tuple[int, int]], shot: np.ndarray) -> np.ndarray:
-    """(n,) 0..1: 1 inside a stretch, ramping over its first and last frames where an
-    absence follows in the same shot.
+def opacities(
+    present: Sequence[tuple[int, int]], shot: np.ndarray, times_s: np.ndarray
+) -> np.ndarray:
+    """(n,) 0..1: 1 inside a stretch, ramping over FADE_S from and to an absence in the same
+    shot.
 
     At the ends of the clip and at cuts the object is there at once: nothing was absent before.
     """
-    n = len(shot)
-    out = np.zeros(n)
+    out = np.zeros(len(shot))
     for first, end in present:
-        rise, fade = np.arange(1, end - first + 1) / (FADE_FRAMES + 1), np.ones(end - first)
+        t, away_s = times_s[first:end], np.full(end - first, FADE_S)
         if first > 0 and shot[first - 1] == shot[first]:
-            fade = np.minimum(fade, rise)
-        if end < n and shot[end] == shot[end - 1]:
-            fade = np.minimum(fade, rise[::-1])
-        out[first:end] = fade
+            away_s = np.minimum(away_s, t - times_s[first - 1])
+        if end < len(shot) and shot[end] == shot[end - 1]:
+            away_s = np.minimum(away_s, times_s[end] - t)
+        out[first:end] = away_s / FADE_S
     return out
 
 

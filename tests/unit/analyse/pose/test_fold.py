@@ -282,9 +282,11 @@ def test_presence_and_fades() -> None:
     assert visible_intervals(measured, shot, times, 0.6) == [(0, 12)]
     shot[3:] = 1
     assert visible_intervals(measured, shot, times, 0.6) == [(0, 2), (3, 12)]
-    o = opacities([(0, 4), (8, 12)], np.zeros(12, int))
+    o = opacities([(0, 4), (8, 12)], np.zeros(12, int), 0.25 * times)
     np.testing.assert_allclose(o * 6, [4, 3, 2, 1, 0, 0, 0, 0, 1, 2, 3, 4])
-    assert (opacities([(0, 2), (3, 12)], shot)[3:] == 1).all()
+    assert (opacities([(0, 2), (3, 12)], shot, 0.25 * times)[3:] == 1).all()
+    few = opacities([(0, 4), (8, 12)], np.zeros(12, int), times)
+    np.testing.assert_allclose(few[:4], [1, 1, 1, 2 / 3])  # .15 s, whatever the rate
 
 
 def static_clip(kind: str) -> tuple[str, dict[str, float]]:

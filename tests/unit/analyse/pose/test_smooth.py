@@ -302,8 +302,8 @@ def test_gaps_are_bridged_longer_ones_fade_and_strength_zero_changes_nothing() -
     opacity = np.array([f.opacity for f in a.facts])
     assert (
         (opacity[:54] == 1).all()
-        and (np.diff(opacity[54:61]) < 0).all()
-        and (np.diff(opacity[84:91]) > 0).all()
+        and (np.diff(opacity[55:61]) < 0).all()
+        and (np.diff(opacity[84:90]) > 0).all()
     )
     assert opacity[90:].min() == 1 and all(
         f.camera_from_world is None for f in a.facts[60:85]
