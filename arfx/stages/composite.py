@@ -72,8 +72,9 @@ def shade(
     """The plane's pixels without an object before it: the same as `_over` with coverage 0.
 
     plate, shadow, out : (h, w, 3), the last with its rows end to end"""
-    old, left = (packed(a).reshape(len(a), -1) for a in (plate, shadow))
-    _shade(old, left, opacity, np.tile(bias, plate.shape[1]), out.reshape(len(out), -1))
+    lines = len(plate), 3 * plate.shape[1]
+    old, left = (packed(a).reshape(lines) for a in (plate, shadow))
+    _shade(old, left, opacity, np.tile(bias, plate.shape[1]), out.reshape(lines))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

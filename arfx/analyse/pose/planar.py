@@ -198,6 +198,14 @@ def _in_sight(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     return np.isfinite(translation).all(-1) & (translation[..., 2] > 0) & (towards < 0)
 
 
+def _mirrored(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) rotations of markers that, seen from afar, look the same: leaning as much, the
+    other way along the ray to their middle."""
+    ray = normalise(translation)
+    mirror = np.eye(3) - 2 * ray[:, :, None] * ray[:, None]
+    return mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
+
+
 def hypotheses(
     corners_m: np.ndarray,
     ideal: np.ndarray,
@@ -222,12 +230,17 @@ def hypotheses(
     # IPPE returns rubbish for a marker that faces the camera, or is parallel to the
     # picture, exactly: starts of their own
     ray = np.concatenate([ideal.mean(1), np.ones((n, 1))], 1)
-    starts = [(rotation[ahead], translation[ahead])]
+    # and, where it returns one alone, its twin: the same but for depth, mirrored in its middle
+    alone = ahead & (np.bincount(of[ahead], minlength=n)[of] == 1)
+    starts = [
+        (rotation[ahead], translation[ahead]),
+        (_mirrored(rotation[alone], translation[alone]), translation[alone]),
+    ]
     starts += [
         frontal_poses(points, ideal, d)
         for d in (ray, np.broadcast_to([0.0, 0.0, 1.0], (n, 3)))
     ]
-    owner = np.concatenate([of[ahead], np.arange(n), np.arange(n)])
+    owner = np.concatenate([of[ahead], of[alone], np.arange(n), np.arange(n)])
     rotation, translation = (np.concatenate(parts) for parts in zip(*starts, strict=True))
     seen = Observed(
         points[owner],
