@@ -226,8 +226,20 @@ def radiance(look: Look) -> np.ndarray:
     if look.hidden_s is not None:
         times = np.arange(look.frames) / look.fps
         hidden = (times >= look.hidden_s[0]) & (times < look.hidden_s[1])
-        out = np.where(hidden[:, None, None, None], np.float32(0.2), out)
+        covered = np.stack([_grown(m) for m in _inked(look.desk)]) & hidden[:, None, None]
+        out = np.where(covered[..., None], np.float32(0.2), out)
     return out
+
+
+def _inked(desk: Desk) -> np.ndarray:
+    """(frames, h, w) where the prints' dark cells are."""
+    more = np.abs(_radiance(desk, MORE_INK) - _radiance(desk)).max(-1)
+    return np.asarray(more > 1e-3)
+
+
+def _grown(mask: np.ndarray) -> np.ndarray:
+    """By half of a small print's side."""
+    return cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
 
 
 def hand(look: Look) -> np.ndarray:

@@ -27,7 +27,7 @@ DARKEST, BRIGHTEST = (
 GAMMA = 2.2  # of coded luma, about
 LEAST_CHANGE = 0.012  # of the background's logarithm: less is its noise, it rests
 SCALES = (3, 8, 24)  # readings before and after, over which a change is looked for
-SURE, DOUBTED = 4.0, 8.0  # deviations that a change takes; where the background shows none
+SURE, DOUBTED = 4.0, 10.0  # deviations that a change takes; where the background shows none
 # A codec takes one or two steps of 8-bit chroma at a key frame, 2 % of white's blue each, and
 # leaves them: beyond the noise within seconds, chroma is off by so many deviations of it.
 CHROMA_SURE, CHROMA_NOISE, CHROMA_JUMP = 6.0, 4.0, 15.0
