@@ -20,8 +20,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
-from arfx.analyse.markers.corners import linear_table
-from arfx.analyse.markers.fold import Markers
+from arfx.analyse.markers.corners import LIGHT, linear_table
+from arfx.analyse.markers.fold import ANY, Markers
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens import LensFit
 from arfx.core.marker import FAMILIES, Marker
@@ -164,7 +164,7 @@ class FootageLens(Fold):
             # nothing is known of the edges around a pattern
             if s.duplicate or family not in FAMILIES:
                 continue
-            table = linear_table(s.transfer)
+            table = linear_table(s.transfer or LIGHT)
             blurs = side_blurs(frame.luma, corners, cells_per_side(family), table)
             if np.isfinite(blurs).any():
                 row = SideBlurs(frame.index, s.transfer, s.print.key, blurs, corners)
@@ -172,7 +172,7 @@ class FootageLens(Fold):
 
     def finish(self, clip: Analysis) -> Analysis:
         transfer = clip.summary["edge_transfer"]
-        readings = [r for r in self.readings if r.transfer == transfer]
+        readings = [r for r in self.readings if r.transfer in (transfer, ANY)]
         fit = footage_lens(clip.facts, readings, self.job.markers, clip.world_from_marker)
         notice = (
             None

@@ -14,10 +14,11 @@ from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.markers.coded import CodedPrints
 from arfx.analyse.markers.corners import (
     CODE,
-    TRANSFERS,
+    LIGHT,
     chosen_transfer,
     linear_table,
     refine_found,
+    symmetric_in_light,
 )
 from arfx.analyse.markers.detect import Candidate, Detection, Record
 from arfx.analyse.markers.pattern import PatternPicture, coded_luma
@@ -31,7 +32,8 @@ from arfx.core.stage import Check
 from arfx.errors import ConfigError, InputError, NothingToDoError
 
 MOST_MISFIT_PX = 1.0  # of a flat print from its picture; blur of 2.5 px makes as much
-ANY = ""  # in place of a transfer: of prints that are found in the picture itself
+# in place of a transfer: of prints that are symmetric in light, or found in the picture itself
+ANY = ""
 
 
 class FrameRow(NamedTuple):
@@ -46,7 +48,7 @@ class FrameRow(NamedTuple):
 
 
 class Sighting(NamedTuple):
-    """A print in one frame, refined in one of TRANSFERS, or in ANY. skew : as of `Corners`
+    """A print in one frame, refined in LIGHT, in CODE, or as in ANY. skew : as of `Corners`
     duplicate : a further one of the same key"""
 
     frame: int
@@ -148,14 +150,25 @@ class Markers(Fold):
         self, index: int, luma: np.ndarray, found: Sequence[Candidate], first: int
     ) -> list[Sighting]:
         """first : so many of them are no duplicates"""
+        prints, skews = refine_found(luma, found, linear_table(LIGHT), self.camera)
+        doubtful = [k for k, skew in enumerate(skews) if not symmetric_in_light(skew)]
+        again = [found[k] for k in doubtful]
+        others = dict(
+            zip(
+                doubtful,
+                zip(
+                    *refine_found(luma, again, linear_table(CODE), self.camera), strict=True
+                ),
+                strict=True,
+            )
+        )
         out = []
-        for transfer in TRANSFERS:
-            table = linear_table(transfer)
-            prints, skews = refine_found(luma, found, table, self.camera)
-            out += [
-                Sighting(index, transfer, k >= first, float(skew), one)
-                for k, (one, skew) in enumerate(zip(prints, skews, strict=True))
-            ]
+        for k, (one, skew) in enumerate(zip(prints, skews, strict=True)):
+            transfer = LIGHT if k in others else ANY
+            out.append(Sighting(index, transfer, k >= first, float(skew), one))
+            if k in others:
+                other, skew_in_code = others[k]
+                out.append(Sighting(index, CODE, k >= first, float(skew_in_code), other))
         return out
 
     def _look_for_others(self, index: int, luma: np.ndarray, ids: Iterable[str]) -> None:
@@ -179,11 +192,9 @@ class Markers(Fold):
         self.camera = self.job.camera.scaled_to(*size)
         if not self.prints:
             raise self._nothing_seen()
-        in_light, in_code = (
-            [s for s in self.prints if s.transfer == transfer] for transfer in TRANSFERS
-        )
         transfer = chosen_transfer(
-            [(a.skew, b.skew) for a, b in zip(in_light, in_code, strict=True)]
+            [s.skew for s in self.prints if s.transfer != CODE],
+            [s.skew for s in self.prints if s.transfer == CODE],
         )
         self.records = self._records((transfer, ANY))
         return clip.adding(edge_transfer=transfer, pattern_misfit_px=self._misfits())

@@ -10,11 +10,11 @@ from arfx.analyse.markers.corners import (
     CODE,
     LIGHT,
     SIGHTINGS,
-    TRANSFERS,
     chosen_transfer,
     linear_table,
     refine_corners,
     refine_found,
+    symmetric_in_light,
 )
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.core.camera import Camera
@@ -247,19 +247,17 @@ def test_marker_at_the_frame_border_stays_finite() -> None:
 def test_edge_domain_is_found_from_the_edges(linear: bool, expected: str) -> None:
     m = MarkerSpec("36h11", 1, 0.1)
     detector = MarkerDetector(["36h11"])
-    skews: list[tuple[float, float]] = []
+    skews: tuple[list[float], list[float]] = [], []
     for k, pose in enumerate(poses(34, m.size_m, SIGHTINGS + 4)):
         image = picture(
             CAM, [(m, pose)], BACK, noise=1.0, blur_px=0.8, seed=k, linear=linear
         )
         found = [c for c in detector.search(image) if c.key == m.key]
-        in_light, in_code = (
-            refine_found(image, found, linear_table(transfer), CAM)[1]
-            for transfer in TRANSFERS
-        )
-        skews += zip(in_light.tolist(), in_code.tolist(), strict=True)
-    assert chosen_transfer(skews) == expected
-    assert chosen_transfer(skews[: SIGHTINGS - 1]) == LIGHT, "too few to tell by"
+        for some, transfer in zip(skews, (LIGHT, CODE), strict=True):
+            some += refine_found(image, found, linear_table(transfer), CAM)[1].tolist()
+    assert chosen_transfer(*skews) == expected
+    few = skews[0][: SIGHTINGS - 1], skews[1]
+    assert chosen_transfer(*few) == LIGHT, "too few to tell by"
 
 
 def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
@@ -267,4 +265,5 @@ def test_edges_too_poor_to_tell_are_taken_for_light() -> None:
     flat = np.full((240, 320), 90, np.uint8)
     _, skew = refine_found(flat, [poor], TABLE, CAM)
     assert np.isnan(skew).all()
-    assert chosen_transfer([(float(skew[0]), 0.5)] * (2 * SIGHTINGS)) == LIGHT
+    assert symmetric_in_light(float(skew[0]))
+    assert chosen_transfer(skew.tolist() * (2 * SIGHTINGS), [0.5]) == LIGHT
