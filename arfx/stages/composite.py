@@ -71,8 +71,9 @@ def shade(
 ) -> None:
     """The plane's pixels without an object before it: the same as `_over` with coverage 0.
 
-    plate, shadow, out : (h, w, 3), the last with its rows end to end"""
+    plate, out : (h, w, 3), the last with its rows end to end;  shadow : (h, w, 3), or (h, w, 1)"""
     lines = len(plate), 3 * plate.shape[1]
+    shadow = np.broadcast_to(shadow, plate.shape)
     old, left = (packed(a).reshape(lines) for a in (plate, shadow))
     _shade(old, left, opacity, np.tile(bias, plate.shape[1]), out.reshape(lines))
 
