@@ -43,6 +43,7 @@ from arfx.run.place import Places
 from arfx.run.planned import MAPS, ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
 from arfx.run.schedule import Chunk, borders, find_chunk
+from arfx.run.source import frames_kept
 from arfx.run.stretches import analyse_stretch
 from arfx.run.summary import build_report
 from arfx.run.times import CHUNK, TimeSpent, WorkLog
@@ -100,6 +101,7 @@ def process(config: JobConfig, options: Options) -> dict[str, Any]:
         _interruptible(folder) as check,
         warn_if_unlisted(options.notice),
         open_cluster(options.executor, options.map_path, options.notice) as cluster,
+        frames_kept(),
     ):
 
         def progress(

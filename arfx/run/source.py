@@ -6,6 +6,7 @@ from the key frame before, which may lie hundreds of frames back."""
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import threading
 import time
@@ -60,6 +61,16 @@ class KeptFrames:
 
 
 _kept = KeptFrames()
+
+
+@contextlib.contextmanager
+def frames_kept() -> Iterator[None]:
+    """Within it, decoded frames may be kept; none is afterwards: a process that is forked
+    from this one could not free them."""
+    try:
+        yield
+    finally:
+        _kept.begin(None)
 
 
 class Source:
