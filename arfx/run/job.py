@@ -407,9 +407,8 @@ def _render(
     with contextlib.closing(results):  # an error here too stops the workers
         for result in results:
             files[result["first"]] = folder.chunks / result["file"]
-            if (
-                "seconds" in result
-            ):  # not of a chunk that was there already, though nobody had heard of it
+            # not of a chunk that was there already, though nobody had heard of it
+            if "seconds" in result:
                 job.log.note(CHUNK, names[result["first"]], **result)
     progress(sum(c.frames for c in todo))
     return [path for path in files.values() if path is not None]
