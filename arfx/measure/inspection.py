@@ -19,13 +19,12 @@ import cv2
 import numpy as np
 
 from arfx.analyse.lens import side_blurs
-from arfx.analyse.markers.corners import refine_corners
+from arfx.analyse.markers.corners import linear_table, refine_corners
 from arfx.analyse.markers.detect import SCANNED_FAMILIES, Candidate, MarkerDetector
 from arfx.analyse.markers.legible import HOLDS_FRAMES, legible
 from arfx.analyse.pose.planar import both_poses
 from arfx.analyse.pose.shots import find_cuts, thumbnail, unlikeness
 from arfx.core.camera import Camera
-from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec, smallest_family
 from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import angle_between, divide
@@ -39,7 +38,6 @@ MIN_SIDE_PX = 12.0  # smaller squares are found in any texture
 _UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 _SQUARE = 0.1  # by which sides and diagonals of a square may differ
 _SAME_SIZE = 0.06  # prints of one size are measured as different by less
-_LIGHT = 255 * SRGB.decode(np.arange(256) / 255)
 # clips up to this many frames are read whole (cuts are found too); longer ones by seeking
 READ_WHOLE = 900
 
@@ -201,7 +199,7 @@ def _record(
 ) -> None:
     cells = np.array([cells_per_side(c.family) for c in seen])
     quads = np.reshape([c.quad_px for c in seen], (-1, 4, 2))
-    refined = refine_corners(luma, quads, cells, _LIGHT.astype(np.float32)).corners_px
+    refined = refine_corners(luma, quads, cells, linear_table()).corners_px
     for c, quad in zip(seen, refined, strict=True):
         m = found.setdefault(c.key, Found(c.family, c.id))
         counts, sure = legible(luma, c)
@@ -214,7 +212,7 @@ def _record(
         m.frames.append(index)
         m.quads[index] = [quad]
         m.sides_px.append(c.side_px)
-        blurs = side_blurs(luma, c.quad_px, cells_per_side(c.family), _LIGHT)
+        blurs = side_blurs(luma, c.quad_px, cells_per_side(c.family), linear_table())
         if np.isfinite(blurs).any():
             m.blurs_px.append(float(np.nanmedian(blurs)))
         tilt = None if camera is None else tilt_deg(c.quad_px, camera)

@@ -153,21 +153,15 @@ class Markers(Fold):
         prints, skews = refine_found(luma, found, linear_table(LIGHT), self.camera)
         doubtful = [k for k, skew in enumerate(skews) if not symmetric_in_light(skew)]
         again = [found[k] for k in doubtful]
-        others = dict(
-            zip(
-                doubtful,
-                zip(
-                    *refine_found(luma, again, linear_table(CODE), self.camera), strict=True
-                ),
-                strict=True,
-            )
+        in_code = zip(
+            *refine_found(luma, again, linear_table(CODE), self.camera), strict=True
         )
         out = []
         for k, (one, skew) in enumerate(zip(prints, skews, strict=True)):
-            transfer = LIGHT if k in others else ANY
+            transfer = LIGHT if k in doubtful else ANY
             out.append(Sighting(index, transfer, k >= first, float(skew), one))
-            if k in others:
-                other, skew_in_code = others[k]
+            if k in doubtful:
+                other, skew_in_code = next(in_code)
                 out.append(Sighting(index, CODE, k >= first, float(skew_in_code), other))
         return out
 

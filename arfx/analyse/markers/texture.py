@@ -27,19 +27,22 @@ def follow(
     points: np.ndarray,
     halvings: int,
     window_px: int = 15,
+    rounds: int = 20,
+    least_px: float = 0.005,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points of one picture in another, by Lucas and Kanade: ((n, 2) px, (n,) px by which the
     way back misses where they came from; inf where they are lost).
 
-    first, second : (h, w) uint8;  points : (n, 2) px;  halvings : of the pictures, for those
-    that moved far"""
+    first, second : (h, w) uint8;  points : (n, 2) or (n, 1, 2) px
+    halvings : of the pictures, for those that moved far
+    rounds, least_px : a point is moved so often at most, while it moves by more"""
     options = {
         "winSize": (window_px, window_px),
         "maxLevel": halvings,
-        "criteria": (3, 20, 0.005),
+        "criteria": (3, rounds, least_px),
     }
     start = points.astype(np.float32)
     there, seen, _ = cv2.calcOpticalFlowPyrLK(first, second, start, None, **options)  # type: ignore[call-overload]
     back, seen_back, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, **options)  # type: ignore[call-overload]
-    away = np.linalg.norm(back - start, axis=1)
+    away = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
     return there, np.where((seen > 0).ravel() & (seen_back > 0).ravel(), away, np.inf)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from arfx.analyse.markers.texture import follow as follow_points
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
@@ -78,22 +79,11 @@ def follow(first: Snapshot, second: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         points = cv2.goodFeaturesToTrack(before, POINTS, 0.02, 8, mask=first.corners)
         if points is None or len(points) < _MIN_POINTS:
             continue
-        there, good = _tracked(before, now, points)
-        back, good_back = _tracked(now, before, there)
-        came_back = np.linalg.norm(back - points, axis=2, keepdims=True) < _BACK_PX
-        there = np.where(good & good_back & came_back, there, np.nan)
+        there, missed = follow_points(before, now, points, 3, 11, 30, 0.01)
+        there = np.where(missed[:, None, None] < _BACK_PX, there, np.nan)
         places.append(np.concatenate([points, there], 1))
     here, there = (np.concatenate(places).swapaxes(0, 1) + 0.5) * first.pixel_px - 0.5
     return here, there
-
-
-def _tracked(
-    before: np.ndarray, now: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 1, 2) places in the second picture, and (n, 1, 1) whether they were found."""
-    options = {"winSize": (11, 11), "maxLevel": 3}
-    there, good, _ = cv2.calcOpticalFlowPyrLK(before, now, points, None, **options)  # type: ignore[call-overload]
-    return there, good[..., None] > 0
 
 
 def _views(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

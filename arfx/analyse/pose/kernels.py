@@ -1,26 +1,8 @@
-"""Sorting and solving for other compiled code. Float64 throughout."""
+"""Solving for other compiled code, in float64."""
 
 from __future__ import annotations
 
 import numba
-
-
-@numba.njit(cache=True, nogil=True)
-def sort(v):  # pragma: no cover - compiled
-    """In place (Shell 1959), for some hundred numbers at most; none of them NaN. numpy's
-    own sort takes a second to compile.
-    """
-    gap = 1
-    while gap < len(v) // 9:
-        gap = 3 * gap + 1
-    while gap > 0:
-        for i in range(gap, len(v)):
-            x, j = v[i], i - gap
-            while j >= 0 and v[j] > x:
-                v[j + gap] = v[j]
-                j -= gap
-            v[j + gap] = x
-        gap //= 3
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
