@@ -208,7 +208,6 @@ def measured_job(told: Path, command: list[str]) -> None:
     """In a process of its own: the command, with its phases timed; what they took goes into
     the file `told`.
     """
-    from arfx.analyse.folds import Analyser
     from arfx.measure import report
     from arfx.run import analysis, job
     from arfx_cli import main as cli
@@ -216,7 +215,7 @@ def measured_job(told: Path, command: list[str]) -> None:
     phases = Phases()
     phases.of(analysis, "analyse_stretch", "stretches")
     phases.of(job, "_analyse", "their join")
-    phases.of(Analyser, "finish", "end of analysis")
+    phases.of(analysis, "analyse", "end of analysis")
     phases.of(job, "plan_job", "plan")
     phases.of(job, "_chunks", "keys of chunks")
     phases.of(job, "_render", "render")

@@ -1,1 +1,1 @@
-"""Reads a clip once, in order, and folds it into one small FrameFacts per frame."""
+"""Reads a clip once, and makes one small FrameFacts of each frame."""

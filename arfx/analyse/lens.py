@@ -19,9 +19,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.job import Analysis, AnalysisFrame
 from arfx.analyse.markers.corners import LIGHT, linear_table
-from arfx.analyse.markers.fold import ANY, Markers
+from arfx.analyse.markers.search import ANY, Sighting
 from arfx.core.facts import MEASURED, FrameFacts
 from arfx.core.lens import LensFit
 from arfx.core.marker import FAMILIES, Marker
@@ -145,20 +145,16 @@ class SideBlurs(NamedTuple):
     corners: np.ndarray
 
 
-class FootageLens(Fold):
-    """The lens behind the footage's blur."""
+class SideReader:
+    """Measures how the sides of coded prints are blurred."""
 
-    name = "lens"
-    needs = ("markers", "pose")
-    rows: ClassVar[Mapping[str, type]] = {"readings": SideBlurs}
+    tables: ClassVar[Mapping[str, type]] = {"sides": SideBlurs}
 
-    def __init__(self, job: AnalysisJob, markers: Markers, pose: Fold) -> None:
-        super().__init__(job)
-        self._markers = markers
-        self.readings: list[SideBlurs] = []
+    def __init__(self) -> None:
+        self.sides: list[SideBlurs] = []
 
-    def step(self, frame: AnalysisFrame) -> None:
-        for s in self._markers.shown:
+    def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
+        for s in shown:
             corners = s.print.corners_px
             family = s.print.key.rpartition(":")[0]
             # nothing is known of the edges around a pattern
@@ -168,20 +164,22 @@ class FootageLens(Fold):
             blurs = side_blurs(frame.luma, corners, cells_per_side(family), table)
             if np.isfinite(blurs).any():
                 row = SideBlurs(frame.index, s.transfer, s.print.key, blurs, corners)
-                self.readings.append(row)
+                self.sides.append(row)
 
-    def finish(self, clip: Analysis) -> Analysis:
-        transfer = clip.summary["edge_transfer"]
-        readings = [r for r in self.readings if r.transfer in (transfer, ANY)]
-        fit = footage_lens(clip.facts, readings, self.job.markers, clip.world_from_marker)
-        notice = (
-            None
-            if fit.known
-            else f"the lens cannot be measured from the footage: {fit.reason}"
-        )
-        return clip.adding(
-            (f.with_(lens=fit) for f in clip.facts), notice, footage_lens=fit.to_json()
-        )
+
+def with_lens(
+    clip: Analysis, sides: Sequence[SideBlurs], markers: Sequence[Marker]
+) -> Analysis:
+    """The clip with `lens` in every frame, and the fit in summary["footage_lens"]."""
+    transfer = clip.summary["edge_transfer"]
+    readings = [s for s in sides if s.transfer in (transfer, ANY)]
+    fit = footage_lens(clip.facts, readings, markers, clip.world_from_marker)
+    notice = (
+        None if fit.known else f"the lens cannot be measured from the footage: {fit.reason}"
+    )
+    return clip.adding(
+        (f.with_(lens=fit) for f in clip.facts), notice, footage_lens=fit.to_json()
+    )
 
 
 def footage_lens(

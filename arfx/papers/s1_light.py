@@ -1,5 +1,5 @@
 """Light from a printed pattern, as printed: Tan, Chen, Sun 2009, equations (7) to (9), and
-the fold of a clip. (2) and (4) to (6) are in s1_gain, (3) in s1_lightmap.
+the light of a clip. (2) and (4) to (6) are in s1_gain, (3) in s1_lightmap.
 
 The light x of each normal is folded into a map M (7), whose peaks are lights (9), as many
 as there are. Nothing fills M where no marker faced: it begins at 0 and stays there.
@@ -14,7 +14,7 @@ are left out as in the corrected method, since section 2.1 asks for a diffuse pr
 
 Deviations. I_c, for which no value is printed, is a share of the brightest unless
 `light.least_light` gives one. A light that is given, and clips in which no marker can be
-read, are left to the corrected fold. Its errors: docs/methods/light.md#errata."""
+read, are left to the corrected method. Its errors: docs/methods/light.md#errata."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis
-from arfx.analyse.light.fold import LightOfMarkers
-from arfx.analyse.light.frames import with_light
+from arfx.analyse.job import Analysis
+from arfx.analyse.light.frames import Reading, with_light
 from arfx.analyse.light.hypotheses import MEASURED, REFUSED
 from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.photometry import UNKNOWN_VARIANCE, Photometry
@@ -274,12 +273,21 @@ class PrintedStaticFrameLight(StaticFrameLight):
         return lights, self.report(verdict, "marker", peaks, middle)
 
 
-class PrintedLight(LightOfMarkers):
+class PrintedLight:
+    """The method under formula = "paper"."""
+
     Params = PrintedLightParams
 
-    def finish(self, clip: Analysis) -> Analysis:
-        params = self.job.light
-        assert isinstance(params, PrintedLightParams)
+    @staticmethod
+    def with_light(
+        clip: Analysis,
+        readings: Sequence[Reading],
+        samples: Sequence[EnvironmentSample],
+        params: PrintedLightParams,
+        panorama: np.ndarray | None,
+    ) -> Analysis:
+        """The clip with `light`, `bias_rgb` and `light_map`, as printed. Arguments as of
+        frames.with_light"""
         parts: list[PrintedStaticFrameLight] = []
 
         def printed_part(*of: Any) -> StaticFrameLight:
@@ -304,10 +312,10 @@ class PrintedLight(LightOfMarkers):
 
         clip = with_light(
             clip,
-            self.readings,
-            self.samples,
+            readings,
+            samples,
             params,
-            self.job.panorama,
+            panorama,
             solve,
             printed_part,
         )

@@ -23,9 +23,9 @@ OVER = 1e-6  # of half a face
 
 
 def step3_environment(image: np.ndarray, size: int = SIZE) -> np.ndarray:
-    """(6, size, size, 3) radiance as `surroundings.fold`: the picture in thirds, its middle the
-    front and, mirrored, the back, the parts beside the middle the sides. There is a seam where
-    those meet the back."""
+    """(6, size, size, 3) radiance as of `surroundings.cube_from_picture`: the picture in
+    thirds, its middle the front and, mirrored, the back, the parts beside the middle the sides.
+    There is a seam where those meet the back."""
     picture = foldable(image)
     h, w = picture.shape[:2]
     ys, xs = (np.linspace(0, n, 4).round().astype(int) for n in (h, w))

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from arfx.analyse.depth.planes import cloud_of, find_planes, scene_planes
-from arfx.analyse.light.surroundings import fold
+from arfx.analyse.light.surroundings import cube_from_picture
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB
 from arfx.core.cube import CubeMap, look_up
@@ -120,7 +120,7 @@ def panoramas(work: Work) -> Figure:
         -1,
     )
     pictures = {BEFORE: frame.original()}
-    for name, folded in ((PRINTED, step3_environment), (CORRECTED, fold)):
+    for name, folded in ((PRINTED, step3_environment), (CORRECTED, cube_from_picture)):
         radiance = look_up(folded(frame.plate, 64), around.reshape(-1, 3)).reshape(
             around.shape
         )
@@ -140,7 +140,7 @@ def environment() -> Iterator[Row]:
     """
     colours = np.random.default_rng(3).uniform(0.1, 0.9, (3, 3, 3))
     image = np.kron(colours, np.ones((40, 60, 1)))
-    printed, corrected = step3_environment(image, SIDE), fold(image, SIDE)
+    printed, corrected = step3_environment(image, SIDE), cube_from_picture(image, SIDE)
     why = (
         "the angle from the line of sight is the distance from the picture's middle, so"
         " that no edge of the cube shows as a seam"
@@ -178,7 +178,7 @@ def environment() -> Iterator[Row]:
     )
     flat = [
         float(np.ptp(f(np.full((90, 120, 3), 0.4), SIDE)))
-        for f in (step3_environment, fold)
+        for f in (step3_environment, cube_from_picture)
     ]
     item = "step 3, environment of a constant picture"
     yield said(
@@ -193,7 +193,9 @@ def environment() -> Iterator[Row]:
     smooth = np.stack(
         [np.sin(x + y) / 3 + 0.5, np.cos(y) / 3 + 0.5, np.sin(x) / 3 + 0.5], -1
     )
-    seam = [float(seam_ratio(f(smooth, SIDE))) for f in (step3_environment, fold)]
+    seam = [
+        float(seam_ratio(f(smooth, SIDE))) for f in (step3_environment, cube_from_picture)
+    ]
     yield said(
         "step 3, seams of the environment",
         "acceptable for the whole surroundings",

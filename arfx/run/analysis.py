@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from arfx.analyse.fold import Analysis, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.clip import analyse
+from arfx.analyse.job import Analysis, AnalysisJob
+from arfx.analyse.observe import Rows, add_rows
 from arfx.analyse.tables import Tables, from_bytes, rows_of, to_bytes
 from arfx.core.waiting import Progress
 from arfx.media.clip import ClipInfo
@@ -83,7 +84,7 @@ def analyse_clip(
 ) -> AnalysisPass:
     """Analyse the frames of span_s (seconds from the clip's first frame, ends included).
 
-    wanted : folds, by name;  folder, key : where the stretches are kept, and what they are of
+    wanted : facts, by name;  folder, key : where the stretches are kept, and what they are of
     run(tasks, most that there are, frames, progress) : has analyse_stretch called on tasks,
     whoever does it Stretches that are there already are taken as they are. Raises
     NothingToDoError if the span holds no frame, or nothing is seen to stand on."""
@@ -120,7 +121,7 @@ class _Pass:
         stretches = context.stretches
         self.context, self.stretches = context, stretches
         self.folder, self.key, self.log = folder, key, log
-        self.analyser = Analyser(context.job, context.wanted)
+        self.rows: Rows = {}
         self.pts, self.keys = list[int](), list[int]()
         self.before, self.ended, self.truncated = stretches.before, False, ""
         self.seconds: Any = Counter()
@@ -179,9 +180,8 @@ class _Pass:
                 f"{info.path}: the last frames cannot be decoded ({lost}); processed to the"
                 " last good frame"
             )
-        analysis = self.analyser.finish(
-            Analysis(frame_span=(times, self.before, self.ended and not truncated))
-        )
+        span = (times, self.before, self.ended and not truncated)
+        analysis = analyse(self.rows, self.context.job, self.context.wanted, span)
         self.seconds.update({"analyse": time.perf_counter() - start})
         self.log.note(ANALYSIS, self.key, self.seconds, self.walls, stretches=self.names)
         self._progress("analyse", len(self.pts), len(self.pts))
@@ -202,7 +202,7 @@ class _Pass:
             start = time.perf_counter()
             tables, name, own_s = self._tables(part)
             first = len(self.pts)
-            self.analyser.add(tables, first - part.first)
+            add_rows(self.rows, tables, first - part.first)
             frames = rows_of(tables[FRAMES], StretchFrame, first)
             self.keys += [f.frame for f in frames if f.key]
             self.pts += [f.pts for f in frames]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from arfx.analyse.fold import MARKER, Analysis, AnalysisJob
+from arfx.analyse.job import MARKER, Analysis, AnalysisJob
 from arfx.analyse.tables import to_bytes
 from arfx.config.sections import JobConfig, frozen
 from arfx.core import interrupt
@@ -38,7 +38,7 @@ from arfx.run.inputs import Inputs, make_scene, open_inputs
 from arfx.run.kernels import JOB, compile_ahead, loading, warn_if_unlisted
 from arfx.run.keys import job_keys
 from arfx.run.model_size import check_size
-from arfx.run.parameters import fold_classes, make_stages, pipeline, required_folds
+from arfx.run.parameters import light_method, make_stages, pipeline, required_facts
 from arfx.run.place import Places
 from arfx.run.planned import MAPS, ClipAnalysis, Job, JobPlan, places_in_words
 from arfx.run.predict import JobSize, choose, level_policy
@@ -281,7 +281,7 @@ def _analyse(
         inputs.poses,
         scene_of,
         options.progress,
-        fold_classes(config),
+        light_method(config),
         inputs.prints,
     )
     span = (config.input.start, config.input.end)
@@ -299,7 +299,7 @@ def _analyse(
     done = analyse_clip(
         inputs.info,
         job,
-        required_folds(config),
+        required_facts(config),
         span,
         options.progress,
         folder,

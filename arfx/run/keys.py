@@ -9,7 +9,7 @@ from dataclasses import replace
 from arfx.config.sections import frozen
 from arfx.run.folder import code_digest, digest, file_digest
 from arfx.run.inputs import Inputs
-from arfx.run.parameters import fold_classes, pipeline, required_folds
+from arfx.run.parameters import pipeline, required_facts
 from arfx.stages import STAGES
 
 
@@ -35,8 +35,7 @@ def job_keys(inputs: Inputs) -> tuple[str, str]:
         inputs.camera.to_json(),
         *(tree[section] for section in ("input", "marker", "pattern", "analyse", "light")),
         config.model.anchor,
-        sorted(required_folds(config)),
-        sorted(fold_classes(config)),
+        sorted(required_facts(config)),
         *(file_digest(path) for path in more if path),
     ]
     maps = (

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
+from arfx.analyse.job import Analysis
 from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.config.load import suggestion
 from arfx.config.sections import JobConfig
@@ -130,13 +131,13 @@ def quality_notices(config: JobConfig) -> list[str]:
     ]
 
 
-def fold_classes(config: JobConfig) -> dict[str, Any]:
-    """Classes of folds in place of the usual ones, by name."""
-    formula = config.params["light"].formula
-    return {"light": FORMULAS[formula]["light"]} if formula in FORMULAS else {}
+def light_method(config: JobConfig) -> Callable[..., Analysis] | None:
+    """A published method's light in place of the corrected one; None = the corrected."""
+    table = FORMULAS.get(config.params["light"].formula)
+    return None if table is None else table["light"].with_light
 
 
-def required_folds(config: JobConfig) -> frozenset[str]:
+def required_facts(config: JobConfig) -> frozenset[str]:
     """What the job needs of the analysis, by name: what its stages read, and what every job has."""
     stages = make_stages(config).values()
     wanted = {"pose", "light", "object"}.union(*(stage.facts for stage in stages))

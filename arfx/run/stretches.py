@@ -3,7 +3,7 @@ which leaves a file in the job folder.
 
 Where a clip is cut depends on it alone: at key frames, so that a worker can begin to decode
 there, at least LEAST_FRAMES apart. Every stretch is analysed as if nothing lay before it
-(`arfx.analyse.fold`), and sees the first frame of the next one."""
+(`arfx.analyse.observe`), and sees the first frame of the next one."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from arfx.analyse.fold import AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
+from arfx.analyse.observe import Observation
 from arfx.analyse.tables import Tables, by_columns, to_bytes
 from arfx.core.camera import Camera
 from arfx.core.codec import Document, Packed
@@ -34,7 +34,7 @@ from arfx.media.frames import ClipReader, FrameDamageError, FrameTimes, FrameTim
 from arfx.media.pose_files import CameraPath
 from arfx.run.folder import JobFolder, write
 from arfx.run.memory import peak_mb
-from arfx.run.parameters import fold_classes, required_folds
+from arfx.run.parameters import required_facts
 from arfx.run.source import stretch_at
 from arfx.run.worker import Paths, frozen_job, keep_memory, who
 
@@ -158,7 +158,7 @@ def whole(span: Span) -> Stretches:
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What a worker keeps between stretches of one job. wanted : folds, by name"""
+    """What a worker keeps between stretches of one job. wanted : facts, by name"""
 
     job: AnalysisJob
     wanted: Collection[str]
@@ -228,13 +228,12 @@ def _context(folder: JobFolder, paths: Paths) -> Context:
         poses=(
             None if config.input.poses is None else CameraPath(config.input.poses, (), None)
         ),  # that there are some
-        kinds=fold_classes(config),
         prints=kept.prints,
         length_s=kept.stretches.length_s,
     )
     return Context(
         job,
-        required_folds(config),
+        required_facts(config),
         Span(info, config.input.start, config.input.end),
         kept.stretches,
     )
@@ -309,11 +308,11 @@ def observe(
     alone: bool,
     seeks: bool = True,
 ) -> tuple[Tables, dict[str, float]]:
-    """What the frames of a stretch show, and seconds: the tables of its `Analyser`, and of
+    """What the frames of a stretch show, and seconds: the tables of its `Observation`, and of
     StretchFrame and StretchEnd.
 
     seeks : else the clip is decoded from its start"""
-    analyser = Analyser(context.job, context.wanted)
+    observation = Observation(context.job, context.wanted)
     shown = list[StretchFrame]()
     end = StretchEnd(0, False, "")
     careful = context.stretches.careful
@@ -345,7 +344,7 @@ def observe(
         luma = np.ascontiguousarray(frame.luma())
         after = None if following is None else following.luma
         index = stretch.first + len(shown)
-        analyser.step(AnalysisFrame(index, frame.time_s, luma, frame, after))
+        observation.step(AnalysisFrame(index, frame.time_s, luma, frame, after))
 
     with contextlib.closing(frames()) as all_frames:
         frame = next(all_frames, None)
@@ -361,7 +360,7 @@ def observe(
             tick()
             frame = following
     tables = {
-        **analyser.tables(),
+        **observation.tables(),
         FRAMES: by_columns(shown, StretchFrame),
         END: by_columns([end], StretchEnd),
     }

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.folds import FOLDS
+from arfx.analyse.clip import checks
 from arfx.analyse.pose.visibility import jitter_px, with_model
 from arfx.core.facts import ABSENT, FrameFacts
 from arfx.core.layers import Layers
@@ -181,8 +181,7 @@ def health(job: Job) -> Iterator[Check]:
             condition <= 1e8,
             "calibrate again",
         )
-    for fold in FOLDS.values():
-        yield from fold.health(facts, summary)
+    yield from checks(facts, summary)
     ran = levels_of(job.plan.frames)
     levels = {
         name: frozenset(level for stage, level in ran if stage == name)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from arfx.analyse.fold import Analysis
+from arfx.analyse.job import Analysis
 from arfx.analyse.params import LightParams
 from tests.calibrated import pixels, readings
 from tests.calibrated.scenes import CASES, Clip, drawn

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.params import LightParams
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
@@ -19,6 +18,7 @@ from arfx.synth.clip import make_clip
 from arfx.synth.description import SceneFile
 from arfx.synth.world import true_camera
 from tests.calibrated.scenes import ANCHOR_M, CUBE_M, FPS, KEY, OTHER_M, Clip, sphere
+from tests.observed import Observed
 
 FRAMES, WIDTH, HEIGHT = 48, 384, 288
 SKY_LAMPS = 40
@@ -157,7 +157,7 @@ class Filmed:
     def __init__(self, clip: Clip, folder: Path) -> None:
         asked = scene(clip)
         make_clip(asked, folder, truth_pictures=False)
-        self._analyser = Analyser(
+        self._analyser = Observed(
             AnalysisJob(tuple(m.spec for m in asked.marker), true_camera(asked)), {"light"}
         )
         with ClipReader(probe(folder / asked.clip.file)) as reader:
@@ -169,7 +169,5 @@ class Filmed:
                 )
 
     def lit(self, params: LightParams) -> Analysis:
-        self._analyser.folds["light"].job = replace(
-            self._analyser.folds["light"].job, light=params
-        )
+        self._analyser.job = replace(self._analyser.job, light=params)
         return self._analyser.finish()

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis
+from arfx.analyse.job import Analysis
 from arfx.analyse.light.frames import Reading, with_light
 from arfx.analyse.light.patches import Patches
 from arfx.analyse.params import LightParams

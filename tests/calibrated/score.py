@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis
+from arfx.analyse.job import Analysis
 from tests.calibrated.scenes import Clip
 
 REFUSED, MEASURED, LIKELY = "refused", "measured", "likely"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import Analysis
+from arfx.analyse.job import Analysis
 from arfx.analyse.params import LightParams
 from arfx.core.light import DirectionalLight, triple
 from arfx.synth.clip import frame_truth

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from arfx.analyse.fold import PLANE, AnalysisJob
+from arfx.analyse.job import PLANE, AnalysisJob
 from arfx.config.load import load
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.pose import Pose, rotation_from_euler_deg

@@ -18,8 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
-from arfx.analyse.fold import AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import (
@@ -28,6 +27,7 @@ from arfx.core.pose import (
     rotation_from_rotvec,
     rotvec_from_rotation,
 )
+from tests.observed import Observed
 from tests.unit.analyse.synthetic import FACING, background, camera, picture
 
 _PRINT = MarkerSpec("36h11", 3, 0.1)
@@ -284,7 +284,7 @@ class Found:
 def analyse(clip: Clip) -> Found:
     steps = np.linspace(0, 2, clip.frames)
     shown = [clip.shown(float(u)) for u in steps]
-    analyser = Analyser(AnalysisJob((_PRINT,), _CAMERA))
+    analyser = Observed(AnalysisJob((_PRINT,), _CAMERA))
     for k, s in enumerate(shown):
         analyser.step(AnalysisFrame(k, k / _FPS, frame(s, k)))
     facts = analyser.finish().facts

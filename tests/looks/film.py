@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.core.colour import Transfer
 from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import smoothstep
@@ -28,6 +27,7 @@ from arfx.synth.description import SceneFile
 from arfx.synth.encode import ClipFile
 from arfx.synth.picture import Picture
 from arfx.synth.world import World
+from tests.observed import Observed
 
 WIDTH, HEIGHT = 384, 216
 KEY_FRAME_S = 1.0
@@ -310,7 +310,7 @@ def analysed(look: Look, path: Path) -> Analysis:
     asked = look.scene
     markers = tuple(m.spec for m in asked.marker)
     job = AnalysisJob(markers, World(asked).camera, length_s=look.frames / look.fps)
-    analyser = Analyser(job, {"light"})
+    analyser = Observed(job, {"light"})
     with ClipReader(probe(path)) as reader:
         for k, frame in enumerate(reader.frames()):
             luma = np.ascontiguousarray(frame.luma())

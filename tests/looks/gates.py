@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis
+from arfx.analyse.job import Analysis
 from arfx.core.colour import Transfer, yuv_from_rgb
 from arfx.core.light import Light
 from tests.calibrated import clips

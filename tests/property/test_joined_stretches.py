@@ -1,9 +1,10 @@
-"""Every fold of the analysis, fed a clip in stretches: their rows are joined, and nothing of
-them is lost."""
+"""Every observer of the analysis, fed a clip in stretches: their rows are joined, and nothing
+of them is lost."""
 
 from __future__ import annotations
 
 import copy
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
@@ -15,18 +16,19 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import PLANE, Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import FOLDS, ON_PLANE, Analyser
+from arfx.analyse.clip import marker_poses
+from arfx.analyse.job import PLANE, Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.markers import coded, pictured, tracker
+from arfx.analyse.markers.search import choose_transfer, records
 from arfx.analyse.motion import flow
 from arfx.analyse.motion.flow import joined_steps
-from arfx.analyse.params import AnalyseParams
+from arfx.analyse.observe import KINDS
 from arfx.analyse.pose.at_rest import rests
 from arfx.analyse.tables import Tables, from_bytes, to_bytes
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.core.rect import Rect
-from arfx.papers import FORMULAS
 from tests.exact import identical
+from tests.observed import Observed
 from tests.unit.analyse.synthetic import background, camera, hung, picture, poster, tilted
 
 CAM = camera(480, 270, 450.0)
@@ -42,7 +44,7 @@ PRINT, PRINTED = PatternSpec(Path("poster.png"), 0.15, 0.1), poster(150, 100)
 
 @dataclass(frozen=True)
 class Shown:
-    """A frame of the clip below, as the folds read one."""
+    """A frame of the clip below, as the observers read one."""
 
     k: int
 
@@ -92,7 +94,6 @@ class Shown:
         return light[..., None] * np.array([1.0, 0.9, 0.7], np.float32)
 
 
-KINDS = {"light": FORMULAS["paper"]["light"]}
 CLIP = [Shown(k) for k in range(FRAMES)]
 CUTS = (
     0,
@@ -103,7 +104,8 @@ CUTS = (
     CUT,
     FRAMES,
 )  # before anything is seen; a single frame; a cut at a border
-Made = dict[str, Analyser]
+WANTED = {"light", "environment", "flow", "lens"}
+Made = dict[str, Observed]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -118,23 +120,14 @@ def quick_search() -> Iterator[None]:
 
 
 def made() -> Made:
-    """What a job folds over its frames, with everything that can be asked for."""
-    params = AnalyseParams()
-    double, length_s = CAM.scaled_to(960, 540), FRAMES * STEP_S
+    """What jobs observe, with everything that can be asked for."""
+    length_s = FRAMES * STEP_S
+    more: dict[str, Any] = {"prints": {PRINT.key: PRINTED}, "length_s": length_s}
     return {
-        "markers": Analyser(
-            AnalysisJob(
-                (M, PRINT), double, params, prints={PRINT.key: PRINTED}, length_s=length_s
-            ),
-            FOLDS,
+        "markers": Observed(
+            AnalysisJob((M, PRINT), CAM.scaled_to(960, 540), **more), WANTED
         ),
-        "printed": Analyser(
-            AnalysisJob((M,), double, params, kinds=KINDS, length_s=length_s),
-            {"light", "environment"},
-        ),
-        "plane": Analyser(
-            AnalysisJob((), CAM, params, anchor=PLANE, length_s=length_s), ON_PLANE
-        ),
+        "plane": Observed(AnalysisJob((), CAM, anchor=PLANE, length_s=length_s), WANTED),
     }
 
 
@@ -145,15 +138,15 @@ def shown(k: int, number: int) -> AnalysisFrame:
 
 def stretch(first: int, end: int, number: int = 0) -> Made:
     """What frames first ... end - 1 hold, numbered from `number`."""
-    folds = made()
+    every = made()
     for k in range(first, end):
-        for analyser in folds.values():
-            analyser.step(shown(k, number + k - first))
-    return folds
+        for observed in every.values():
+            observed.step(shown(k, number + k - first))
+    return every
 
 
-def tables(folds: Made) -> dict[str, Tables]:
-    return {name: analyser.tables() for name, analyser in folds.items()}
+def tables(every: Made) -> dict[str, Tables]:
+    return {name: observed.tables() for name, observed in every.items()}
 
 
 def joined(numbered: bool = True, cuts: tuple[int, ...] = CUTS) -> Made:
@@ -161,9 +154,9 @@ def joined(numbered: bool = True, cuts: tuple[int, ...] = CUTS) -> Made:
     whole = made()
     for a, b in pairwise(cuts):
         later = stretch(a, b, a if numbered else 0)
-        for name, analyser in whole.items():
+        for name, observed in whole.items():
             kept = from_bytes(to_bytes(later[name].tables()))
-            analyser.add(kept, 0 if numbered else a)
+            observed.add(kept, 0 if numbered else a)
     return whole
 
 
@@ -198,29 +191,22 @@ def in_stretches() -> Made:
 
 
 def test_the_clip_gives_every_table_rows(uncut: Made) -> None:
-    """So that the tests below hold every one of them, those of new folds too."""
-    every = {
-        (kind, name) for kind in (*FOLDS.values(), *ON_PLANE.values()) for name in kind.rows
-    }
+    """So that the tests below hold every one of them, those of new observers too."""
     given = {
-        (type(fold), name)
-        for analyser in uncut.values()
-        for fold in analyser.folds.values()
-        for name in fold.rows
-        if getattr(fold, name)
+        table
+        for observed in uncut.values()
+        for table, rows in observed.rows.items()
+        if rows
     }
-    assert every <= given
+    assert given == {*KINDS}
 
 
 def test_rows_come_back_from_a_file_as_they_were(uncut: Made) -> None:
-    for analyser, again in zip(uncut.values(), made().values(), strict=True):
-        again.add(from_bytes(to_bytes(analyser.tables())))
-        for name, fold in analyser.folds.items():
-            for table in fold.rows:
-                rows = getattr(fold, table), getattr(again.folds[name], table)
-                assert [*map(values, rows[0])] and identical(
-                    *([*map(values, part)] for part in rows)
-                ), (name, table)
+    for observed, again in zip(uncut.values(), made().values(), strict=True):
+        again.add(from_bytes(to_bytes(observed.tables())))
+        for table, rows in observed.rows.items():
+            one, other = ([*map(values, part)] for part in (rows, again.rows[table]))
+            assert one and identical(one, other), table
 
 
 def values(row: Any) -> Any:
@@ -238,41 +224,51 @@ def test_what_stretches_learned_is_what_the_clip_shows(
     """But for what begins anew: where the whole frame was searched, when pictures are
     taken, where a pattern is aligned from.
     """
-    exact = {M.key, OTHER.key}
-    for name in ("markers", "printed"):
-        one, cut = (folds[name].folds["markers"] for folds in (uncut, in_stretches))
-        summaries = [fold.finish(Analysis()).summary for fold in (one, cut)]
-        assert [summary["edge_transfer"] for summary in summaries] == ["gamma:1"] * 2
-        assert [r.index for r in cut.records] == [*range(FRAMES)]
-        for a, b in zip(one.records, cut.records, strict=True):
-            assert a.time_s == b.time_s and identical(a.thumbnail, b.thumbnail)
-            assert identical(a.duplicates, b.duplicates)
-            assert identical(*([d for d in r.detections if d.key in exact] for r in (a, b)))
-            seen = [{d.key: d for d in r.detections} for r in (a, b)]
-            assert seen[0].keys() <= seen[1].keys()
-            assert all(
-                np.abs(seen[1][k].corners_px - d.corners_px).max() < 0.05
-                for k, d in seen[0].items()
-            )
-    one, cut = (folds["printed"].folds for folds in (uncut, in_stretches))
-    assert len(cut["light"].readings) > 15
-    assert identical(
-        *([values(r) for r in folds["light"].readings] for folds in (one, cut))
-    )
-    flow_fold = in_stretches["markers"].folds["flow"]
-    steps = joined_steps(flow_fold.steps, flow_fold.pictures)
+    one, cut = uncut["markers"], in_stretches["markers"]
+    seen = []
+    for observed in (one, cut):
+        transfer = choose_transfer(observed.rows["prints"])
+        assert transfer == "gamma:1"
+        seen.append(records(observed.rows["frames"], observed.rows["prints"], transfer))
+    assert [r.index for r in seen[1]] == [*range(FRAMES)]
+    for a, b in zip(*seen, strict=True):
+        assert a.time_s == b.time_s and identical(a.thumbnail, b.thumbnail)
+        assert identical(a.duplicates, b.duplicates)
+        assert identical(*([d for d in r.detections if d.key == M.key] for r in (a, b)))
+        found = [{d.key: d for d in r.detections} for r in (a, b)]
+        assert found[0].keys() <= found[1].keys()
+        assert all(
+            np.abs(found[1][k].corners_px - d.corners_px).max() < 0.05
+            for k, d in found[0].items()
+        )
+    readings = [
+        [values(r) for r in observed.rows["readings"] if r.key == M.key]
+        for observed in (one, cut)
+    ]
+    assert len(readings[1]) > 15 and identical(*readings)
+    steps = joined_steps(cut.rows["steps"], cut.rows["key_pictures"])
     assert {3, 14, 15, 26} <= {s.index for s in steps if s.key and s.back is not None}, (
         "a border in a shot leads on"
     )
     assert [s.index for s in steps if s.back is None] == [0, CUT] and len(
         {s.index for s in steps}
     ) == len(steps)
-    one, cut = (folds["plane"].folds["pose"] for folds in (uncut, in_stretches))
-    assert one.times == cut.times
-    assert not rests(cut.pictures, cut.motions)[0]
-    before, after = (
-        folds["printed"].folds["pose"].finish(Analysis()) for folds in (uncut, in_stretches)
-    )
+    rows = in_stretches["plane"].rows
+    assert not rests(rows["rest_pictures"], rows["rest_motions"])[0]
+
+
+def test_poses_of_coded_prints_do_not_depend_on_where_a_clip_is_cut() -> None:
+    job = AnalysisJob((M,), CAM.scaled_to(960, 540), length_s=FRAMES * STEP_S)
+    clips = []
+    for cuts in ((0, FRAMES), CUTS):
+        whole = Observed(job)
+        for a, b in pairwise(cuts):
+            part = Observed(job)
+            for k in range(a, b):
+                part.step(shown(k, k))
+            whole.add(part.tables())
+        clips.append(marker_poses(Analysis(), defaultdict(list, whole.rows), job))
+    before, after = clips
     assert [(f.status, f.shot) for f in before.facts] == [
         (f.status, f.shot) for f in after.facts
     ]
@@ -284,9 +280,8 @@ def test_what_stretches_learned_is_what_the_clip_shows(
 
 def test_frames_are_numbered_where_they_come_to_lie() -> None:
     numbered, again = (tables(joined(n, (0, 11, 15))) for n in (True, False))
-    for name in ("markers", "printed"):
-        assert len(numbered[name]["light/readings"]["frame"])
-    for name in ("markers", "printed", "plane"):
+    assert len(numbered["markers"]["readings"]["frame"])
+    for name in ("markers", "plane"):
         for table in again[name]:
-            if table != "markers/others":  # other dictionaries are looked for by number
+            if table != "others":  # other dictionaries are looked for by number
                 assert identical(again[name][table], numbered[name][table]), (name, table)

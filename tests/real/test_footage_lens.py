@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from arfx.analyse.fold import AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.core.marker import MarkerSpec
 from arfx.media.cameras import load_camera
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
+from tests.observed import Observed
 
 CLIPS = (
     Path(__file__).parents[3] / "shared" / "data" / "marker_clips" / "wpilibsuite-allwpilib"
@@ -28,7 +28,7 @@ def test_a_deep_focus_tells_no_lens() -> None:
     """Its print lies at 1.4 m, tilted; all its sides are as sharp as one another."""
     info = probe(CLIPS / "fieldvideo_long.mp4")
     camera = load_camera(CLIPS / "camera.json").scaled_to(info.width, info.height)
-    analyser = Analyser(
+    analyser = Observed(
         AnalysisJob((MarkerSpec.parse("36h11:3:165.1mm"),), camera), {"lens"}
     )
     with ClipReader(info) as reader:

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.detect import MarkerDetector
 from arfx.analyse.pose.visibility import jitter_px
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader
+from tests.observed import Observed
 
 CLIPS = Path(__file__).parents[2].parent / "shared" / "data" / "marker_clips"
 pytestmark = [
@@ -44,14 +44,14 @@ def frames(path: Path) -> Iterator[tuple[int, float, np.ndarray]]:
 
 def compared(
     path: Path, markers: tuple[MarkerSpec, ...], cam: Camera, every: int
-) -> tuple[Analyser, set, set, float]:
+) -> tuple[Observed, set, set, float]:
     """(analyser after the clip, sightings missed, sightings more, largest corner difference
     px), against a search of the whole of every n-th frame."""
     analyser, detector = (
-        Analyser(AnalysisJob(markers, cam)),
+        Observed(AnalysisJob(markers, cam)),
         MarkerDetector([markers[0].family]),
     )
-    found = analyser.folds["markers"]._coded  # type: ignore[attr-defined]
+    found = analyser.search._coded
     missed, more, worst = set(), set(), 0.0
     for k, t, luma in frames(path):
         analyser.step(AnalysisFrame(k, t, luma))
@@ -78,7 +78,7 @@ def compared(
 
 
 @pytest.fixture(scope="module")
-def wall() -> tuple[Analyser, Analysis, set, set, float]:
+def wall() -> tuple[Observed, Analysis, set, set, float]:
     d = CLIPS / "wpilibsuite-allwpilib"
     j = json.loads((d / "camera.json").read_text())
     cam = Camera(1920, 1080, np.array(j["K"]).reshape(3, 3), np.array(j["dist"]))
@@ -111,8 +111,7 @@ def test_object_trembles_less_against_the_picture_and_stays_on_the_marker(
         [[x, y, z] for x in (-0.075, 0.075) for y in (-0.05, 0.05) for z in (0.0, 0.15)]
     )
     raw, smooth = (
-        jitter_px(analysis.facts, box, analyser.folds["markers"].camera, r)[1]
-        for r in (True, False)
+        jitter_px(analysis.facts, box, analyser.job.camera, r)[1] for r in (True, False)
     )
     assert (
         np.nanmedian(smooth) < np.nanmedian(raw) / 3

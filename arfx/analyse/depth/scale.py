@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisJob, Fold, Maps
+from arfx.analyse.job import Analysis, AnalysisJob, Maps
 from arfx.core.camera import Camera
 from arfx.core.codec import Document
 from arfx.core.facts import MEASURED, FrameFacts
@@ -53,41 +53,28 @@ class DepthScale(Document):
         return TYPICAL_NOISE if self.residual is None else _SIGMA * self.residual
 
 
-class Depth(Fold):
-    """Real depth: which map is of which frame, and its scale. Figures in summary["depth"]."""
-
-    name = "depth"
-    needs = ("pose",)
-
-    def finish(self, clip: Analysis) -> Analysis:
-        maps = self.job.depth
-        if maps is None:
-            return clip
-        return with_depth(clip, self.job, maps, maps.of_frames(*clip.frame_span))
-
-    @staticmethod
-    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
-        """How well its scale fits the markers' planes."""
-        depth = summary.get("depth")
-        if depth is None:
-            return
-        missed = "as stated" if depth["residual"] is None else depth["residual"]
+def depth_checks(summary: Mapping[str, Any]) -> Iterator[Check]:
+    """How well the scale of real depth fits the markers' planes."""
+    depth = summary.get("depth")
+    if depth is None:
+        return
+    missed = "as stated" if depth["residual"] is None else depth["residual"]
+    yield Check(
+        "real depth: miss of the markers' planes",
+        missed if depth["known"] else depth["reason"],
+        0.1,
+        depth["known"],
+        "not used: the real scene is the markers' planes",
+    )
+    if depth["known"]:
+        without = depth["frames_without"]
         yield Check(
-            "real depth: miss of the markers' planes",
-            missed if depth["known"] else depth["reason"],
-            0.1,
-            depth["known"],
-            "not used: the real scene is the markers' planes",
+            "frames without real depth",
+            without,
+            0,
+            without == 0,
+            "markers' planes there",
         )
-        if depth["known"]:
-            without = depth["frames_without"]
-            yield Check(
-                "frames without real depth",
-                without,
-                0,
-                without == 0,
-                "markers' planes there",
-            )
 
 
 def print_ratios(

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis
+from arfx.analyse.job import Analysis
 from arfx.analyse.light import patches
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
 from arfx.analyse.light.photometry import LightReading, Photometry

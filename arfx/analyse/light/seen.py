@@ -14,7 +14,7 @@ pictures agree best, infinite where they do not tell.
 Radiance is a share of the frame's light (`Light.mean_radiance`), so exposure does not
 matter. A lamp that is a light of its own is cut out. Source:
 docs/methods/gi.md#environment; the radius: plane sweep (Collins 1996), with spheres. Leaves
-out: things at several distances, people who walk through. Cost: some 10 ms for a look, some
+out: things at several distances, people who walk through. Cost: some 10 ms for a snapshot, some
 30 ms for a shot's radius."""
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from arfx.core.facts import FrameFacts
 from arfx.core.numerics import divide, smoothstep
 
 FACE_PX = 64  # of a map
-LOOK_PX = 128  # width of the pictures that are kept
+SNAPSHOT_PX = 128  # width of the pictures that are kept
 KEY_S = 1.0  # from map to map
 MOST_MAPS = 64  # in a clip, beside one for each shot: beyond that they lie farther apart
-NEAR_S = 1.0  # time in which a look's weight falls to 1 / e, before and after it
-LASTING = 1e-3  # weight of any other look of the shot
+NEAR_S = 1.0  # time in which a snapshot's weight falls to 1 / e, before and after it
+LASTING = 1e-3  # weight of any other snapshot of the shot
 EDGE = 0.12  # of a picture's shorter side, along which its weight falls to 0
 NEARNESSES = (
     0.0,
@@ -67,7 +67,7 @@ LAMP_DEG = 15.0  # around a lamp in which bright pixels are the lamp
 LAMP = (0.75, 0.95)  # linear light from which they are partly and wholly
 
 
-class Look(NamedTuple):
+class Snapshot(NamedTuple):
     """A small picture of one frame. picture : (h, w, 3) float16 or float32, linear"""
 
     frame: int
@@ -81,7 +81,7 @@ Seen = tuple[
 
 def with_seen(
     facts: Sequence[FrameFacts],
-    looks: Sequence[Look],
+    snapshots: Sequence[Snapshot],
     camera: Camera,
     still_camera: bool,
     centre_m: np.ndarray,
@@ -91,11 +91,11 @@ def with_seen(
     (3,) : of the anchor, WORLD
     """
     by_shot: dict[int, list[_Posed]] = {}
-    for look in looks:
-        f = facts[look.frame]
+    for snapshot in snapshots:
+        f = facts[snapshot.frame]
         if f.camera_from_world is not None and f.light is not None:
             by_shot.setdefault(f.shot, []).append(
-                _Posed.of(look, f, camera, still_camera, centre_m)
+                _Posed.of(snapshot, f, camera, still_camera, centre_m)
             )
     maps: dict[str, np.ndarray] = {}
     keys: dict[int, tuple[np.ndarray, list[str]]] = {}
@@ -158,7 +158,7 @@ def _named(rgba: np.ndarray, maps: dict[str, np.ndarray]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Posed:
-    """A look in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the
+    """A snapshot in the axes at rest. camera_from_static : rotation (3, 3);  centre_m : the
     anchor, camera axes
     picture : (h, w, 3) float32, without the camera's bias, over `level` (3,);  lamps :
     directions, axes at rest
@@ -174,7 +174,11 @@ class _Posed:
 
     @staticmethod
     def of(
-        look: Look, f: FrameFacts, camera: Camera, still_camera: bool, centre_m: np.ndarray
+        snapshot: Snapshot,
+        f: FrameFacts,
+        camera: Camera,
+        still_camera: bool,
+        centre_m: np.ndarray,
     ) -> _Posed:
         pose, light = f.pose, f.light
         assert light is not None
@@ -182,7 +186,7 @@ class _Posed:
         if still_camera:
             static, rotation = rotation, static
         level = light.mean_radiance
-        shown = np.clip(look.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None)
+        shown = np.clip(snapshot.picture.astype(np.float32) - np.array(f.bias_rgb), 0, None)
         return _Posed(
             f.time_s,
             divide(shown, level).astype(np.float32),
@@ -227,20 +231,24 @@ class _Posed:
         return rgb, weight
 
 
-def _inverse_radius(looks: Sequence[_Posed], up: np.ndarray) -> float:
-    """1/m: that of NEARNESSES with which the looks agree best on what is above the plane;
+def _inverse_radius(snapshots: Sequence[_Posed], up: np.ndarray) -> float:
+    """1/m: that of NEARNESSES with which the snapshots agree best on what is above the plane;
     the farthest of those as good.
     """
     chosen = [
-        looks[i] for i in np.unique(np.linspace(0, len(looks) - 1, SWEEP_LOOKS).astype(int))
+        snapshots[i]
+        for i in np.unique(np.linspace(0, len(snapshots) - 1, SWEEP_LOOKS).astype(int))
     ]
     d = face_directions(SWEEP_PX).reshape(-1, 3)
     d = d[d @ up > 0]
-    distance_m = float(np.mean([np.linalg.norm(look.centre_m) for look in looks]))
+    distance_m = float(
+        np.mean([np.linalg.norm(snapshot.centre_m) for snapshot in snapshots])
+    )
     cost, inverse = [], np.array(NEARNESSES) / max(distance_m, 1e-9)
     for inverse_radius in inverse:
         rgb, weight = map(
-            np.array, zip(*(look.seen(d, inverse_radius) for look in chosen), strict=True)
+            np.array,
+            zip(*(snapshot.seen(d, inverse_radius) for snapshot in chosen), strict=True),
         )
         total, weights = weight.sum(0), weight[..., None]
         # as it looks: a lamp does not outweigh the room
@@ -259,18 +267,18 @@ def _inverse_radius(looks: Sequence[_Posed], up: np.ndarray) -> float:
 
 
 def _maps(
-    looks: Sequence[_Posed], times: np.ndarray, inverse_radius: float
+    snapshots: Sequence[_Posed], times: np.ndarray, inverse_radius: float
 ) -> list[np.ndarray]:
     """(6, n, n, 4) float32 at each of `times`: radiance times the fourth, how well it is known."""
     d = face_directions(FACE_PX).reshape(-1, 3)
     sums, known = np.zeros((len(times), len(d), 4), np.float32), np.zeros(len(d))
     lasting = np.zeros((len(d), 4), np.float32)
-    for look in looks:
-        rgb, weight = look.seen(d, inverse_radius)
+    for snapshot in snapshots:
+        rgb, weight = snapshot.seen(d, inverse_radius)
         known = np.maximum(known, weight)
         row = np.concatenate([weight[:, None] * rgb, weight[:, None]], 1).astype(np.float32)
         lasting += np.float32(LASTING) * row
-        near = np.exp(-np.abs(times - look.time_s) / NEAR_S)
+        near = np.exp(-np.abs(times - snapshot.time_s) / NEAR_S)
         for k in np.flatnonzero(near > LASTING):
             sums[k] += np.float32(near[k]) * row
     out = []

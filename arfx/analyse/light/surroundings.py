@@ -56,7 +56,7 @@ def foldable(image: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(picture), picture, 0.0)
 
 
-def fold(image: np.ndarray, size: int = SIZE) -> np.ndarray:
+def cube_from_picture(image: np.ndarray, size: int = SIZE) -> np.ndarray:
     """(6, size, size, 3) float64 radiance, camera frame; faces, rows and columns as in
     `face_directions`. No seam anywhere: what is continuous in the picture is so on the
     sphere.
@@ -124,7 +124,7 @@ def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
     """(9, 3) harmonics, WORLD frame, of the radiance of a white diffuse surface over its
     normal (core.light.Light.soft).
 
-    faces : (6, n, n, 3) of `fold`;  world_from_camera : (3, 3) rotation"""
+    faces : (6, n, n, 3) of `cube_from_picture`;  world_from_camera : (3, 3) rotation"""
     directions = (
         face_directions(faces.shape[1]).reshape(-1, 3)
         @ np.asarray(world_from_camera, float).round(12).T
@@ -138,7 +138,7 @@ def soft_of(faces: np.ndarray, world_from_camera: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class EnvironmentSample:
     """One frame's surroundings. frame : its number;  cube : (6, n, n, 3) radiance, CAMERA
-    axes (`fold`)
+    axes (`cube_from_picture`)
     plane : (3,) radiance beside the marker, as seen
     darkest : (3,) linear light of the picture's darkest hundredth"""
 
@@ -176,7 +176,7 @@ def environment_sample(
     )
     return EnvironmentSample(
         frame,
-        fold(small, FACE_PX),
+        cube_from_picture(small, FACE_PX),
         np.clip(np.median(beside, 0), 0, None),
         np.full(3, np.inf) if darkest is None else darkest,
     )

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from arfx.analyse.fold import AnalysisFrame
+from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
 from arfx.analyse.markers.tracker import REDUCED_PX, Track
 from arfx.core.rect import Rect

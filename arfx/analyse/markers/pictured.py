@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from arfx.analyse.fold import AnalysisFrame
+from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.detect import Detection
 from arfx.analyse.markers.pattern import PatternPicture, frame_features, homography_of
 from arfx.analyse.markers.tracker import REDUCED_PX, Track

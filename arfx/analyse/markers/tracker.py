@@ -14,7 +14,7 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from arfx.analyse.fold import AnalysisFrame
+from arfx.analyse.job import AnalysisFrame
 
 # while a print is missing, the whole frame is searched at full resolution at least this often
 SEARCH_INTERVAL_S = 1.0

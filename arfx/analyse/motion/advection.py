@@ -7,18 +7,13 @@ Source: docs/methods/watercolor.md#advection. Cost: O(nodes) per epoch."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from collections.abc import Sequence
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
 from arfx.analyse.motion.flow import (
     GRID_PX,
-    BackgroundMotion,
-    KeyPicture,
     MotionStep,
-    joined_steps,
     node_positions,
 )
 from arfx.core.advection import AdvectionField, pack_detail, pack_positions
@@ -35,31 +30,6 @@ _NEW_SHOT_PX = 7919.0  # the pattern of another shot comes from that far away
 AROUND = (
     2.4  # sizes of the marker: within this, its pose gives the motion better than the flow
 )
-
-
-class Advection(Fold):
-    """How the background moves, for what is to lie still on it."""
-
-    name = "flow"
-    needs = ("pose",)
-    rows: ClassVar[Mapping[str, type]] = {"steps": MotionStep, "pictures": KeyPicture}
-
-    def __init__(self, job: AnalysisJob, pose: Fold) -> None:
-        super().__init__(job)
-        self._motion = BackgroundMotion()
-        self.steps, self.pictures = self._motion.steps, self._motion.pictures
-
-    def step(self, frame: AnalysisFrame) -> None:
-        self._motion.step(frame.index, frame.luma)
-
-    def finish(self, clip: Analysis) -> Analysis:
-        first = self.pictures[0]
-        camera = self.job.camera.scaled_to(first.width, first.height)
-        reach_m = AROUND * clip.anchor.size_m
-        steps = joined_steps(self.steps, self.pictures)
-        return clip.adding(
-            with_advection(clip.facts, steps, camera, clip.world_from_anchor, reach_m)
-        )
 
 
 def with_advection(

@@ -11,13 +11,15 @@ blur of 1280 x 720) a frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import cv2
 import numpy as np
 
+from arfx.analyse.job import AnalysisFrame
+from arfx.analyse.markers.search import Sighting
 from arfx.core.advection import STEPS_PER_PX
 from arfx.core.numerics import divide
 
@@ -90,24 +92,26 @@ class KeyPicture(NamedTuple):
 
 
 class BackgroundMotion:
-    """Collects MotionSteps of a stretch, in order, and the pictures that it is compared with
-    those beside it by."""
+    """Collects MotionSteps of a part of the clip, in order, and the pictures that it is
+    compared with those beside it by."""
+
+    tables: ClassVar[Mapping[str, type]] = {"steps": MotionStep, "key_pictures": KeyPicture}
 
     def __init__(self) -> None:
         self.steps: list[MotionStep] = []
-        self.pictures: list[KeyPicture] = []
+        self.key_pictures: list[KeyPicture] = []
         # back of the last epoch, 0 where that is the key
         self._last: np.ndarray | float = 0.0
 
-    def step(self, index: int, luma: np.ndarray) -> None:
-        """Take the next frame. luma : (h, w) uint8"""
+    def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
+        index, luma = frame.index, frame.luma
         h, w = luma.shape
         factor = max(w / WIDTH_PX, 1.0)
         small_size = (max(round(w / factor), 1), max(round(h / factor), 1))
         small = np.ascontiguousarray(
             cv2.resize(luma, small_size, interpolation=cv2.INTER_AREA)
         )
-        key = self.pictures[-1].picture if self.pictures else None
+        key = self.key_pictures[-1].picture if self.key_pictures else None
         found = None if key is None else _back(small, key, w, h)
         back, far = None, True
         if found is not None:
@@ -121,7 +125,8 @@ class BackgroundMotion:
         self.steps.append(MotionStep(index, back, far, _detail(small, w, h)))
         self._last = 0.0 if far or back is None else back
         if far:
-            self.pictures[1:] = [KeyPicture(index, small, w, h, not self.pictures)]
+            begins = not self.key_pictures
+            self.key_pictures[1:] = [KeyPicture(index, small, w, h, begins)]
 
 
 def joined_steps(

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
 
+from arfx.analyse.job import AnalysisFrame
+from arfx.analyse.markers.search import Sighting
 from arfx.analyse.markers.texture import follow as follow_points
 from arfx.core.camera import Camera
 from arfx.core.numerics import divide
@@ -117,44 +119,37 @@ class FlowSample:
 
 
 class BackgroundFlow:
-    """samples : of pairs of frames, in order. length_s : of all frames"""
+    """Follows corners of the background. length_s : of all frames"""
+
+    tables: ClassVar[Mapping[str, type]] = {"background": FlowSample}
 
     def __init__(self, length_s: float = 0.0) -> None:
+        self.background: list[FlowSample] = []
         self._before: tuple[int, Snapshot] | None = None
         self._time_s = -np.inf
         self._stride = max(int(np.ceil(length_s / INTERVAL_S / MAX_SAMPLES)), 1)
-        self.samples: list[FlowSample] = []
 
-    def step(
-        self,
-        index: int,
-        time_s: float,
-        luma: np.ndarray,
-        markers: Iterable[Rect],
-        fresh: bool,
-    ) -> None:
-        """markers : rectangles that hold configured or other markers;  fresh : a marker was
-        measured in this frame.
-        """
+    def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
+        time_s = frame.time_s
         since = time_s - self._time_s
         if since < INTERVAL_S:
             return
         before = self._before if since < 3 * INTERVAL_S else None
-        first = fresh and int(time_s / INTERVAL_S) % self._stride == 0
-        self._before, self._time_s = None, time_s if fresh else -np.inf
+        first = bool(shown) and int(time_s / INTERVAL_S) % self._stride == 0
+        self._before, self._time_s = None, time_s if shown else -np.inf
         if not first and before is None:
             return
-        now = snapshot(luma, markers)
+        now = snapshot(frame.luma, [Rect.around(s.print.corners_px) for s in shown])
         if first:
-            self._before = index, now
+            self._before = frame.index, now
         if before is not None:
             here, there = follow(before[1], now)
             found = np.isfinite(there).all(1)
             if found.sum() >= _MIN_POINTS:
                 places = here[found].round(3), there[found].round(3)
                 number = before[0]
-                self.samples.append(
-                    FlowSample(number, index - number, now.pixel_px, *places)
+                self.background.append(
+                    FlowSample(number, frame.index - number, now.pixel_px, *places)
                 )
 
 
@@ -163,7 +158,7 @@ def decide_static(
 ) -> tuple[str, dict[str, float]]:
     """("camera" | "marker" | "both", evidence).
 
-    samples : BackgroundFlow.samples;  camera_from_world : smoothed poses by frame
+    samples : of BackgroundFlow;  camera_from_world : smoothed poses by frame
     evidence : samples, share of background points at rest, share that move with the
     marker's world, marker_moves_px.
     Without evidence the answer is "both": nothing is known to stand still."""
@@ -227,23 +222,27 @@ class RestMotion(NamedTuple):
 
 
 class RestCheck:
-    """Fed the frames of a part of the clip in order."""
+    """Compares pictures of a part of the clip with its first one."""
+
+    tables: ClassVar[Mapping[str, type]] = {
+        "rest_pictures": RestPicture,
+        "rest_motions": RestMotion,
+    }
 
     def __init__(self) -> None:
-        self.pictures: list[RestPicture] = []
-        self.motions: list[RestMotion] = []
+        self.rest_pictures: list[RestPicture] = []
+        self.rest_motions: list[RestMotion] = []
         self._next_s = -np.inf
 
-    def step(self, index: int, time_s: float, luma: np.ndarray) -> None:
-        """luma : (h, w) uint8"""
-        if time_s < self._next_s:
+    def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
+        if frame.time_s < self._next_s:
             return
-        self._next_s = time_s + INTERVAL_S
-        now = RestPicture(index, snapshot(luma))
-        if self.pictures:
-            self.motions.append(_motion(self.pictures[0], now))
+        self._next_s = frame.time_s + INTERVAL_S
+        now = RestPicture(frame.index, snapshot(frame.luma))
+        if self.rest_pictures:
+            self.rest_motions.append(_motion(self.rest_pictures[0], now))
         else:
-            self.pictures.append(now)
+            self.rest_pictures.append(now)
 
 
 def rests(

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, Fold
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.numerics import EPS_DEPTH_M
@@ -70,20 +69,6 @@ def opacities(
             away_s = np.minimum(away_s, times_s[end] - t)
         out[first:end] = away_s / FADE_S
     return out
-
-
-class ModelBox(Fold):
-    """Where the job's model is in the picture."""
-
-    name = "object"
-    needs = ("pose",)
-
-    def finish(self, clip: Analysis) -> Analysis:
-        return (
-            clip
-            if self.job.scene is None
-            else clip.adding(with_model(clip.facts, self.job.scene(clip)))
-        )
 
 
 def with_model(facts: Sequence[FrameFacts], scene: Scene) -> tuple[FrameFacts, ...]:

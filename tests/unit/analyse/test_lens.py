@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.lens import lens_from_blur, side_blurs
 from arfx.core.colour import SRGB
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from tests.clips import MARKER, clip_camera, picture
+from tests.observed import Observed
 
 CAMERA = clip_camera(640, 480)
 
@@ -43,7 +43,7 @@ def blurred(pose: Pose, radius_px: float, seed: int) -> np.ndarray:
 def analysed(
     px_per_dioptre: float, focus_m: list[float], distance_m: np.ndarray
 ) -> Analysis:
-    analyser = Analyser(AnalysisJob((MARKER,), CAMERA), {"lens"})
+    analyser = Observed(AnalysisJob((MARKER,), CAMERA), {"lens"})
     for k, (z, focus) in enumerate(zip(distance_m, focus_m, strict=True)):
         turn = (
             rotation_from_euler_deg(180, 0, 0)

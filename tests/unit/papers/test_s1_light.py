@@ -1,4 +1,4 @@
-"""Tan, Chen, Sun 2009 as printed: peaks of the map, and the light that the fold makes of them."""
+"""Tan, Chen, Sun 2009 as printed: peaks of the map, and the light made of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import Analysis, AnalysisJob
+from arfx.analyse.job import Analysis
 from arfx.core.cube import look_up
 from arfx.core.facts import read_facts, write_facts
 from arfx.core.numerics import angle_between, normalise
@@ -26,19 +26,14 @@ from arfx.papers.s1_light import (
     upright,
 )
 from arfx.papers.s1_lightmap import printed_map
-from tests.clips import clip_camera
-from tests.unit.analyse.light.test_fold import AMBIENT, DIRECT, LAMP, MARKER, UP, Clip
-from tests.unit.analyse.light.test_fold import run as corrected
+from tests.unit.analyse.light.test_light import AMBIENT, DIRECT, LAMP, UP, Clip
+from tests.unit.analyse.light.test_light import run as corrected
 
 
 def run(clip: Clip, **settings: Any) -> Analysis:
     analysis, taken = clip.made()
-    fold = PrintedLight(
-        AnalysisJob((MARKER,), clip_camera(), light=PrintedLightParams(**settings)),
-        *[None] * 2,
-    )  # type: ignore
-    fold.readings, fold.samples = taken.readings, taken.samples
-    return fold.finish(analysis)
+    params = PrintedLightParams(**settings)
+    return PrintedLight.with_light(analysis, taken.readings, taken.samples, params, None)
 
 
 def seen(normals: list[np.ndarray] | np.ndarray, level: float = 0.6) -> Observation:

@@ -14,7 +14,7 @@ import av
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import AnalysisJob
+from arfx.analyse.job import AnalysisJob
 from arfx.analyse.tables import from_bytes, to_bytes
 from arfx.core.facts import write_facts
 from arfx.media.clip import probe

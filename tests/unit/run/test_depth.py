@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from arfx.analyse.depth.scale import with_depth
-from arfx.analyse.fold import Analysis, AnalysisJob
+from arfx.analyse.job import Analysis, AnalysisJob
 from arfx.errors import InputError
 from arfx.media.depth_maps import open_depth
 from tests.scenes import facts, scene

@@ -14,7 +14,7 @@ import av
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import AnalysisJob
+from arfx.analyse.job import AnalysisJob
 from arfx.config.load import load
 from arfx.media.clip import probe
 from arfx.media.frames import ClipReader

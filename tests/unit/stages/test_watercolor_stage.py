@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.motion.advection import with_advection
 from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.core.advection import AdvectionField, pack_detail, pack_positions
@@ -537,7 +538,8 @@ def test_in_a_pan_the_picture_goes_with_the_things() -> None:
     ]
     nodes, motion = still_field(*size, 8, 96), BackgroundMotion()
     for k, frame in enumerate(frames):
-        motion.step(k, np.clip(255 * frame.mean(-1), 0, 255).astype(np.uint8))
+        luma = np.clip(255 * frame.mean(-1), 0, 255).astype(np.uint8)
+        motion.step(AnalysisFrame(k, k / 30, luma))
     given = [
         FrameFacts(k, k / 30, advection=fact_of(nodes, nodes.u + step * k, nodes.v))
         for k in range(4)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from arfx.analyse.light.seen import Look
+from arfx.analyse.light.seen import Snapshot
 from arfx.core.camera import Camera
 from arfx.core.cube import face_directions, solid_angles
 from arfx.core.facts import MEASURED, FrameFacts
@@ -140,11 +140,11 @@ class Clip:
         ]
 
     @cached_property
-    def looks(self) -> list[Look]:
+    def looks(self) -> list[Snapshot]:
         step = max(1, round(0.5 * (self.frames - 1) / self.seconds))
         small = CAMERA.scaled_to(75, 100)
         return [
-            Look(k, self.picture(k, small).astype(np.float16))
+            Snapshot(k, self.picture(k, small).astype(np.float16))
             for k in range(0, self.frames, step)
         ]
 

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.light import frames as light_frames
 from arfx.analyse.light.patches import (
     SOFT,
@@ -31,6 +30,7 @@ from arfx.core.marker import PatternSpec
 from arfx.core.rect import Rect
 from arfx.papers import FORMULAS
 from arfx.papers.s1_gain import gain_and_bias
+from tests.observed import Observed
 from tests.unit.analyse.synthetic import background, camera, hung, poster, tilted
 
 INK, PAPER = 0.05, 0.88
@@ -144,10 +144,10 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
     """A light whose brightness changes, above a print that turns: each frame's brightness
     and the camera's bias.
     """
-    kinds, params = {}, LightParams()
+    method, params = None, LightParams()
     if formula == "paper":
-        kinds = {"light": FORMULAS["paper"]["light"]}
-        params = kinds["light"].Params()
+        printed = FORMULAS["paper"]["light"]
+        method, params = printed.with_light, printed.Params()
     solved: list[Photometry] = []
     kept = light_frames._readings
 
@@ -157,9 +157,10 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
         return out
 
     monkeypatch.setattr(light_frames, "_readings", readings)
-    job = AnalysisJob((PRINT,), CAM, light=params, kinds=kinds, prints={PRINT.key: PRINTED})
+    prints = {PRINT.key: PRINTED}
+    job = AnalysisJob((PRINT,), CAM, light=params, light_method=method, prints=prints)
     analyser, back = (
-        Analyser(job, {"light"}),
+        Observed(job, {"light"}),
         np.repeat(0.5 * background(320, 240)[..., None], 3, 2),
     )
     for k, light in enumerate(LIGHTS):

@@ -9,9 +9,9 @@ import pytest
 
 from arfx.analyse.light.surroundings import (
     EnvironmentSample,
+    cube_from_picture,
     environment_sample,
     face_directions,
-    fold,
     from_panorama,
     overhead,
     soft_light,
@@ -104,8 +104,8 @@ def test_the_papers_fold_has_a_seam_and_the_corrected_one_none() -> None:
         [x / 240, y / 180, 0.5 + 0 * x], -1
     )  # left dark, right bright: the back's edges clash
     assert largest_step(step3_environment(picture, 12)) > 0.3
-    assert largest_step(fold(picture, 12)) < 0.16
-    assert np.abs(fold(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
+    assert largest_step(cube_from_picture(picture, 12)) < 0.16
+    assert np.abs(cube_from_picture(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
     quad = np.array([[100.0, 80], [140, 80], [140, 120], [100, 120]])
     kept = environment_sample(0, picture, quad, 240).cube
     assert largest_step(kept) < 0.3 and kept.shape == (6, 6, 6, 3)
@@ -115,7 +115,7 @@ def test_the_corrected_fold_keeps_sides_where_they_are() -> None:
     picture = np.zeros((90, 120, 3))
     picture[:, 90:, 0] = 1  # right
     picture[70:, :, 1] = 1  # below
-    faces = fold(picture, 12)
+    faces = cube_from_picture(picture, 12)
     right, left, down, up = (
         look_up(faces, np.array([v], float))[0]
         for v in ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0])
@@ -213,7 +213,9 @@ def test_soft_light_of_a_grey_room_has_a_form_and_no_direction(
     plane_up: tuple[float, float, float], pitch: float
 ) -> None:
     turn, up, shown = looking(pitch), np.array(plane_up), np.array([0.6, 0.5, 0.4])
-    sample = EnvironmentSample(0, fold(np.full((90, 120, 3), 0.4), 6), np.full(3, 0.25))
+    sample = EnvironmentSample(
+        0, cube_from_picture(np.full((90, 120, 3), 0.4), 6), np.full(3, 0.25)
+    )
     light = soft_light([sample], [turn], up, shown)
     assert not light.lights
     np.testing.assert_allclose(light.radiance(up), shown, rtol=1e-6)

@@ -7,12 +7,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.corners import linear_table, refine_corners, shared_px
 from arfx.core.colour import Transfer
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
+from tests.observed import Observed
 from tests.unit.analyse.synthetic import FACING, background, camera, picture
 
 TABLE = linear_table()
@@ -134,7 +134,7 @@ def test_frontal_40_px_print_without_any_blur_is_never_mirrored(seed: int) -> No
     """
     m, cam = MarkerSpec("36h11", 3, 0.06), camera(320, 240, 433.0)
     back, phase = background(320, 240), np.random.default_rng(seed).uniform(0, 6, 4)
-    analyser, truth = Analyser(AnalysisJob((m,), cam)), []
+    analyser, truth = Observed(AnalysisJob((m,), cam)), []
     for k in range(40):
         a = k / 24
         roll = np.radians(8) * np.sin(2.2 * a + phase[0])

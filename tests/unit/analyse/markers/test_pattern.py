@@ -10,17 +10,17 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import AnalysisJob
-from arfx.analyse.folds import Analyser, AnalysisFrame
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.detect import Detection
-from arfx.analyse.markers.fold import Markers
 from arfx.analyse.markers.pattern import PatternPicture, check_turned, coded_luma, plausible
 from arfx.analyse.markers.pictured import PicturedPrints
+from arfx.analyse.markers.search import pattern_checks
 from arfx.analyse.markers.tracker import Tracker
 from arfx.core.camera import Camera
 from arfx.core.marker import PatternSpec
 from arfx.core.pose import Pose, rotation_angle_rad
 from arfx.errors import ConfigError, InputError, NothingToDoError
+from tests.observed import Observed
 from tests.unit.analyse.synthetic import background, camera, hung, picture, poster, tilted
 
 CAM = camera(320, 240, 330.0)
@@ -167,7 +167,7 @@ def test_plain_and_small_pictures_are_refused() -> None:
 
 def test_a_rectangle_has_a_pose_as_a_marker_has() -> None:
     """The whole analysis, from a print of 220 x 150 mm."""
-    analyser = Analyser(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
+    analyser = Observed(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
     poses = [place(k) for k in range(8)]
     for k, pose in enumerate(poses):
         analyser.step(AnalysisFrame(k, k / 25, frame(pose, seed=k)))
@@ -188,17 +188,17 @@ def test_a_print_that_is_not_flat_is_told_by_its_misfit(bend: float, flat: bool)
         GREY.astype(np.float32), x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )  # fmt: skip
-    analyser = Analyser(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
+    analyser = Observed(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
     for k in range(4):
         view = hung(CAM, bent, PRINT.corners_m, place(k), BACK)
         analyser.step(AnalysisFrame(k, k / 25, picture(CAM, [], 0.8 * view, 1.5, 0.6, k)))
     clip = analyser.finish()
-    (check,) = Markers.health(clip.facts, clip.summary)
+    (check,) = pattern_checks(clip.summary)
     assert check.ok == flat and check.name.startswith(PRINT.key) and "flat" in check.action
 
 
 def test_a_print_that_is_never_seen_is_said() -> None:
-    analyser = Analyser(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
+    analyser = Observed(AnalysisJob((PRINT,), CAM, prints={PRINT.key: PRINTED}))
     analyser.step(AnalysisFrame(0, 0.0, frame(None)))
     with pytest.raises(
         NothingToDoError, match=r"no configured marker \(poster.png\) in 1 frames"

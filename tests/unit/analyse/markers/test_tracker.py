@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import AnalysisFrame, AnalysisJob
-from arfx.analyse.folds import Analyser
+from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.coded import CodedPrints
 from arfx.analyse.markers.detect import Candidate, MarkerDetector
-from arfx.analyse.markers.fold import Markers
 from arfx.analyse.markers.tracker import LOSS_SEARCH_FRAMES, Found, Tracker
 from arfx.analyse.params import AnalyseParams
 from arfx.core.camera import Camera
@@ -19,6 +17,7 @@ from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.errors import ArfxError, ConfigError, InputError, NothingToDoError
+from tests.observed import Observed
 from tests.unit.analyse.synthetic import background, camera, picture, tilted
 
 CAM = camera(960, 540, 900.0)
@@ -180,14 +179,14 @@ def test_two_prints_of_one_id_are_told_apart_by_where_the_marker_was() -> None:
         assert (np.linalg.norm(away) < 3) == followed
 
 
-def run(analyser: Analyser, first: int, end: int) -> None:
+def run(analyser: Observed, first: int, end: int) -> None:
     for k in range(first, end):
         markers = [(M, at(300 + 6 * k, 200, 0.2 + 0.02 * k))] if k not in (6, 7) else []
         analyser.step(AnalysisFrame(k, k / 15, frame(*markers, seed=k)))
 
 
 def test_two_stretches_are_one_clip() -> None:
-    whole, first, second, both = (Analyser(AnalysisJob((M,), CAM)) for _ in range(4))
+    whole, first, second, both = (Observed(AnalysisJob((M,), CAM)) for _ in range(4))
     run(whole, 0, 16)
     run(first, 0, 9)
     run(second, 9, 16)
@@ -207,23 +206,23 @@ def test_two_stretches_are_one_clip() -> None:
 
 
 def test_no_configured_marker_says_what_is_there_instead() -> None:
-    a = Analyser(AnalysisJob((OTHER,), CAM))
+    a = Observed(AnalysisJob((OTHER,), CAM))
     for k in range(4):
         a.step(AnalysisFrame(k, k / 30, frame((M, at(300, 200)), seed=k)))
     with pytest.raises(NothingToDoError, match=r"36h11:7.*36h11:3"):
         a.finish()
-    b = Analyser(AnalysisJob((MarkerSpec("5X5_50", 2, 0.1),), CAM))
+    b = Observed(AnalysisJob((MarkerSpec("5X5_50", 2, 0.1),), CAM))
     for k in range(4):
         b.step(AnalysisFrame(k, k / 30, frame((M, at(300, 200)), seed=k)))
     with pytest.raises(
         NothingToDoError, match=r"tried: 5X5_50; other dictionaries saw: 36h11:3"
     ):
         b.finish()
-    photo = Analyser(AnalysisJob((MarkerSpec("5X5_50", 2, 0.1),), CAM))
+    photo = Observed(AnalysisJob((MarkerSpec("5X5_50", 2, 0.1),), CAM))
     photo.step(AnalysisFrame(0, 0.0, frame((M, at(300, 200)))))
     with pytest.raises(NothingToDoError, match=r"other dictionaries saw: 36h11:3 \(1 of 1"):
         photo.finish()
-    c = Analyser(AnalysisJob((M,), CAM))
+    c = Observed(AnalysisJob((M,), CAM))
     c.step(AnalysisFrame(0, 0.0, frame()))
     with pytest.raises(NothingToDoError, match="no marker of any dictionary") as e:
         c.finish()
@@ -232,14 +231,14 @@ def test_no_configured_marker_says_what_is_there_instead() -> None:
 
 def test_wrong_input_is_refused() -> None:
     with pytest.raises(ConfigError, match="twice"):
-        Analyser(AnalysisJob((M, M), CAM))
+        Observed(AnalysisJob((M, M), CAM))
     with pytest.raises(ConfigError):
-        Analyser(AnalysisJob((), CAM))
+        Observed(AnalysisJob((), CAM))
     with pytest.raises(ConfigError, match="map holds none"):
-        Analyser(AnalysisJob((M,), CAM, marker_map={"36h11:9": Pose.identity()}))
+        Observed(AnalysisJob((M,), CAM, marker_map={"36h11:9": Pose.identity()}))
     with pytest.raises(ConfigError, match="static"):
         AnalyseParams(static="both")
-    a = Analyser(AnalysisJob((M,), CAM))
+    a = Observed(AnalysisJob((M,), CAM))
     with pytest.raises(InputError, match="uint8"):
         a.step(AnalysisFrame(0, 0.0, np.zeros((540, 960))))
     with pytest.raises(ArfxError, match="aspect"):
@@ -252,13 +251,16 @@ def test_wrong_input_is_refused() -> None:
 
 
 def test_camera_of_another_size_is_scaled() -> None:
-    a = Analyser(AnalysisJob((M,), camera(1920, 1080, 1800.0)))
-    a.step(AnalysisFrame(0, 0.0, frame((M, at(400, 300)))))
-    markers = a.folds["markers"]
-    assert isinstance(markers, Markers) and (markers.camera.width, markers.camera.fx) == (
-        960,
-        900.0,
-    )
+    poses = []
+    own = camera(960, 540, 900.0)
+    for cam in (own.scaled_to(1920, 1080), own):
+        a = Observed(AnalysisJob((M,), cam))
+        for k in range(4):
+            a.step(AnalysisFrame(k, k / 30, frame((M, at(400, 300)))))
+        poses.append(a.finish().facts[0].camera_from_world)
+    a, b = poses
+    assert a is not None and b is not None
+    np.testing.assert_allclose(a.matrix, b.matrix, atol=1e-9)
 
 
 @pytest.mark.parametrize("change", ["distortion", "size"])
@@ -267,7 +269,7 @@ def test_markers_that_no_pose_fits_are_nothing_to_work_on(change: str) -> None:
         "distortion": Camera(960, 540, CAM.matrix, np.array([1e9, 0, 0, 0])),
     }.get(change, CAM)
     marker = MarkerSpec("36h11", 3, 1e-300 if change == "size" else 0.1)
-    a = Analyser(AnalysisJob((marker,), cam), {"light"})
+    a = Observed(AnalysisJob((marker,), cam), {"light"})
     for k in range(6):
         a.step(AnalysisFrame(k, k / 15, frame((M, at(300 + 6 * k, 200)), seed=k)))
     with (

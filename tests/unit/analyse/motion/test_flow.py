@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.motion.advection import determinants, relaxed, with_advection
 from arfx.analyse.motion.flow import (
     BORDER,
@@ -75,7 +76,7 @@ def still(t: int) -> np.ndarray:
 def folded(frames: list[np.ndarray]) -> BackgroundMotion:
     motion = BackgroundMotion()
     for k, frame in enumerate(frames):
-        motion.step(k, frame)
+        motion.step(AnalysisFrame(k, k / 30, frame))
     return motion
 
 
@@ -171,7 +172,8 @@ def test_any_size(size: tuple[int, int]) -> None:
     g = np.random.default_rng(0)
     motion = BackgroundMotion()
     for k in range(3):
-        motion.step(k, g.integers(0, 256, size).astype(np.uint8))
+        luma = g.integers(0, 256, size).astype(np.uint8)
+        motion.step(AnalysisFrame(k, k / 30, luma))
     frames = [FrameFacts(k, k / 30) for k in range(3)]
     for f in with_advection(
         frames, motion.steps, camera(size[1], size[0]), Pose.identity(), 0.0

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.pose.at_rest import RestCheck, rests
 
 GROUND = cv2.resize(
@@ -19,8 +20,8 @@ def told(frames: list[np.ndarray]) -> tuple[bool, float]:
     check, rng = RestCheck(), np.random.default_rng(1)
     for k, f in enumerate(frames):
         noisy = np.clip(f + rng.normal(0, 2, f.shape), 0, 255).astype(np.uint8)
-        check.step(k, 0.4 * k, noisy)
-    return rests(check.pictures, check.motions)
+        check.step(AnalysisFrame(k, 0.4 * k, noisy))
+    return rests(check.rest_pictures, check.rest_motions)
 
 
 def test_noise_and_what_moves_are_no_motion_of_the_camera() -> None:

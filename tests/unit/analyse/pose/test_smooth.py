@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import Analysis
+from arfx.analyse.job import Analysis
 from arfx.analyse.markers.detect import Record
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.planar import Observed
 from arfx.analyse.pose.smooth import LEAST, SHAKE, SIDEWAYS
+from arfx.analyse.pose.solve import solve_poses
 from arfx.core.camera import Camera
 from arfx.core.facts import FrameFacts
 from arfx.core.marker import MarkerSpec
@@ -33,7 +33,7 @@ def away(side_px: float) -> float:
 
 
 def analysed(rec: Sequence[Record], cam: Camera = CAM, **params: float) -> Analysis:
-    return solve(rec, [M], cam, AnalyseParams(static="camera", **params), None, [])  # type: ignore[arg-type]
+    return solve_poses(rec, [M], cam, AnalyseParams(static="camera", **params), None, [])  # type: ignore[arg-type]
 
 
 def pose_errors(

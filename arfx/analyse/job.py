@@ -1,13 +1,11 @@
-"""What is learned of a clip, each thing by a fold: it is fed the frames of a stretch of the
-clip in order, and makes rows of tables. It says what the rows of all stretches mean when the
-whole clip is known."""
+"""What the analysis of a clip is given, and what it gives."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,7 +17,6 @@ from arfx.core.pose import Pose
 from arfx.core.real_depth import RealPlane
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
-from arfx.core.stage import Check
 
 MARKER, PLANE = "marker", "plane"  # what the object stands on
 PLANE_MARKER = MarkerSpec(
@@ -96,7 +93,8 @@ class AnalysisJob:
     depth : maps of the real scene;  align : scale them to the markers' planes;  poses : of
     the camera, camera_from_given
     scene : of the job, once it is known what stands where;  progress : (phase, done, in all)
-    kinds : classes of folds in place of the usual ones, by name
+    light_method : (clip, readings, samples, settings, panorama) -> clip with light, in place of
+    the corrected method
     prints : pictures of the markers that are patterns, by key, (h, w, 3) linear
     length_s : about how long all frames last: what is kept of some of them is spread over that
     """
@@ -113,7 +111,7 @@ class AnalysisJob:
     poses: Poses | None = None
     scene: Callable[[Analysis], Scene] | None = None
     progress: Callable[[str, int, int | None], None] = lambda *_: None
-    kinds: Mapping[str, Any] = field(default_factory=dict)
+    light_method: Callable[..., Analysis] | None = None
     prints: Mapping[str, np.ndarray] = field(default_factory=dict)
     length_s: float = 0.0
 
@@ -161,32 +159,3 @@ class Analysis:
             summary={**self.summary, **summary},
             notices=self.notices if notice is None else (*self.notices, notice),
         )
-
-
-class Fold:
-    """One thing that is learned of a clip. What it takes from frames are rows, in lists that
-    begin with the frame's number; all else that it keeps goes from one frame to the next, and
-    begins anew with every part of the clip.
-
-    name : what stages (`Stage.facts`) and other folds ask for;  needs : the folds that its
-    constructor is given; they have seen a frame, and are finished, before it
-    rows : attributes that are lists of rows, and of which kind"""
-
-    name: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]] = ()
-    rows: ClassVar[Mapping[str, type]] = {}
-
-    def __init__(self, job: AnalysisJob, *needed: Fold) -> None:
-        self.job = job
-
-    def step(self, frame: AnalysisFrame) -> None:
-        """Take the next frame."""
-
-    def finish(self, clip: Analysis) -> Analysis:
-        """The clip with what was learned."""
-        return clip
-
-    @staticmethod
-    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterable[Check]:
-        """Its estimates, from what it left in the clip. Nothing where it was not asked for."""
-        return ()

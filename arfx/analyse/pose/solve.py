@@ -8,17 +8,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from statistics import median
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob, Fold
+from arfx.analyse.job import Analysis
 from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Record
-from arfx.analyse.markers.fold import Markers
 from arfx.analyse.markers.inner_edges import AGREE_CELLS
 from arfx.analyse.params import AnalyseParams
-from arfx.analyse.pose.at_rest import BackgroundFlow, FlowSample, decide_static
+from arfx.analyse.pose.at_rest import FlowSample, decide_static
 from arfx.analyse.pose.marker_map import MarkerMap, View, map_markers
 from arfx.analyse.pose.path import world_path
 from arfx.analyse.pose.planar import (
@@ -49,7 +48,6 @@ from arfx.core.marker import Marker, MarkerSpec, anchor_marker
 from arfx.core.marker_codes import cells_per_side
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose
-from arfx.core.rect import Rect
 from arfx.core.stage import Check
 from arfx.errors import NothingToDoError
 
@@ -62,95 +60,46 @@ USUAL_PX = 2.0  # of reprojection, at most; of pictures longer than 2000 px a th
 _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
 
 
-class MarkerPose(Fold):
-    """flow : corners of the background, which tell what stands still"""
+def pose_checks(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
+    def at_most(
+        name: str, value: float | None, limit: float, action: str
+    ) -> Iterator[Check]:
+        if value is not None:
+            yield Check(name, value, limit, value <= limit, action)
 
-    name = "pose"
-    needs = ("markers",)
-    rows: ClassVar[Mapping[str, type]] = {"samples": FlowSample}
-
-    def __init__(self, job: AnalysisJob, markers: Markers) -> None:
-        super().__init__(job)
-        self.markers = markers
-        self.flow = BackgroundFlow(job.length_s)
-        self.samples = self.flow.samples
-
-    def step(self, frame: AnalysisFrame) -> None:
-        if self.job.params.static == "auto":
-            shown = self.markers.shown
-            boxes = (Rect.around(s.print.corners_px) for s in shown)  # rarely asked for
-            self.flow.step(frame.index, frame.time_s, frame.luma, boxes, bool(shown))
-
-    def finish(self, clip: Analysis) -> Analysis:
-        """Raises NothingToDoError where no frame has a pose."""
-        job, records = self.job, self.markers.records
-        found = solve(
-            records,
-            job.markers,
-            self.markers.camera,
-            job.params,
-            job.marker_map,
-            self.samples,
+    yield from at_most(
+        "reprojection median (px)",
+        summary["reprojection_px"]["smoothed"]["median"],
+        1.0,
+        "check marker size, calibration and lens mode",
+    )
+    action = "two planar poses fit almost equally: chosen by the motion of the whole clip"
+    half = sum(summary["markers_seen"].values()) // 2
+    yield from at_most("ambiguous sightings", summary["ambiguous_sightings"], half, action)
+    ratios = _ambiguities(facts)
+    if len(ratios):
+        low = float(np.percentile(ratios, 5))
+        name = "pose hypotheses: second error / first, 5th percentile"
+        yield Check(name, low, 3.0, low >= 3.0, action)
+    weak = "pose is weak: larger or more tilted marker"
+    condition = summary["pose_condition"]["median"]
+    yield from at_most("pose condition number", condition, 1e6, weak)
+    spread = [s for s in map(_deviation, facts) if s is not None]
+    if spread:
+        turn, shift = np.percentile(spread, 95, axis=0).tolist()
+        name, action = (
+            "pose standard deviation, 95th percentile",
+            "smoothed over more frames",
         )
-        if all(f.status == ABSENT for f in found.facts):
-            seen = sum(bool(r.detections) for r in records)
-            raise NothingToDoError(
-                f"markers were seen in {seen} of {len(records)} frames, but no pose fits,"
-                " or none lasts for three frames",
-                "are the marker's size and the camera calibration right, and of this clip?",
-            )
-        return replace(
-            found,
-            frame_span=clip.frame_span,
-            summary={**found.summary, **clip.summary},
-            notices=(*clip.notices, *found.notices),
-        )
-
-    @staticmethod
-    def health(facts: Sequence[FrameFacts], summary: Mapping[str, Any]) -> Iterator[Check]:
-        def at_most(
-            name: str, value: float | None, limit: float, action: str
-        ) -> Iterator[Check]:
-            if value is not None:
-                yield Check(name, value, limit, value <= limit, action)
-
+        yield from at_most(f"{name} (deg)", turn, 2.0, action)
+        yield from at_most(f"{name} (% of distance)", shift, 2.0, action)
+    if not summary["map"]["given"]:
         yield from at_most(
-            "reprojection median (px)",
-            summary["reprojection_px"]["smoothed"]["median"],
-            1.0,
-            "check marker size, calibration and lens mode",
+            "marker map condition number",
+            summary["map"].get("condition"),
+            1e6,
+            "show the markers together in more frames",
         )
-        action = (
-            "two planar poses fit almost equally: chosen by the motion of the whole clip"
-        )
-        half = sum(summary["markers_seen"].values()) // 2
-        yield from at_most(
-            "ambiguous sightings", summary["ambiguous_sightings"], half, action
-        )
-        ratios = _ambiguities(facts)
-        if len(ratios):
-            low = float(np.percentile(ratios, 5))
-            name = "pose hypotheses: second error / first, 5th percentile"
-            yield Check(name, low, 3.0, low >= 3.0, action)
-        weak = "pose is weak: larger or more tilted marker"
-        condition = summary["pose_condition"]["median"]
-        yield from at_most("pose condition number", condition, 1e6, weak)
-        spread = [s for s in map(_deviation, facts) if s is not None]
-        if spread:
-            turn, shift = np.percentile(spread, 95, axis=0).tolist()
-            name, action = (
-                "pose standard deviation, 95th percentile",
-                "smoothed over more frames",
-            )
-            yield from at_most(f"{name} (deg)", turn, 2.0, action)
-            yield from at_most(f"{name} (% of distance)", shift, 2.0, action)
-        if not summary["map"]["given"]:
-            yield from at_most(
-                "marker map condition number",
-                summary["map"].get("condition"),
-                1e6,
-                "show the markers together in more frames",
-            )
 
 
 def _deviation(f: FrameFacts) -> tuple[float, float] | None:
@@ -170,7 +119,7 @@ def _deviation(f: FrameFacts) -> tuple[float, float] | None:
     return float(np.degrees(turn)), float(divide(100 * shift, away))
 
 
-class Views:
+class Sightings:
     """All sightings with their geometry, frame by frame.
 
     common_px : (frames,) error of a frame's corners that its neighbours' have too
@@ -261,7 +210,7 @@ def _gaps(times: np.ndarray, marked: np.ndarray) -> np.ndarray:
     return np.minimum(times - at[after - 1], at[after] - times)
 
 
-def solve(
+def solve_poses(
     records: Sequence[Record],
     markers: Sequence[Marker],
     camera: Camera,
@@ -269,10 +218,12 @@ def solve(
     marker_map: Mapping[str, Pose] | None,
     flow: Sequence[FlowSample],
 ) -> Analysis:
-    """All facts of a clip in which at least one configured marker was seen."""
+    """All facts of a clip in which at least one configured marker was seen.
+
+    Raises NothingToDoError where no frame has a pose."""
     keys = [m.key for m in markers]
     times = np.array([r.time_s for r in records])
-    views = Views(records, markers, camera)
+    views = Sightings(records, markers, camera)
     shot = _shots(records)
     layout = MarkerMap(dict(marker_map)) if marker_map else map_markers(views.frames, keys)
     path = world_path(views.frames, layout.world_from_marker, keys, shot, times)
@@ -281,6 +232,13 @@ def solve(
     opacity = opacities(present, shot, times)
     told = np.where(path.measured, MEASURED, INTERPOLATED)
     status = np.where(opacity > 0, told, ABSENT).tolist()
+    if not opacity.any():
+        showing = sum(bool(r.detections) for r in records)
+        raise NothingToDoError(
+            f"markers were seen in {showing} of {len(records)} frames, but no pose fits,"
+            " or none lasts for three frames",
+            "are the marker's size and the camera calibration right, and of this clip?",
+        )
     rotation, translation = path.rotation.copy(), path.translation.copy()
     covariance = np.zeros((len(records), 6, 6))
     density = []

@@ -11,7 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.detect import Detection, Record
+from arfx.analyse.markers.search import ANY, Sighting
 from arfx.analyse.params import AnalyseParams
 from arfx.analyse.pose.at_rest import (
     BackgroundFlow,
@@ -19,11 +21,11 @@ from arfx.analyse.pose.at_rest import (
     decide_static,
     epipolar_distance,
 )
-from arfx.analyse.pose.fold import solve
 from arfx.analyse.pose.marker_map import MAX_FRAMES
 from arfx.analyse.pose.path import choose_path, move_costs
 from arfx.analyse.pose.planar import stack
 from arfx.analyse.pose.shots import dissimilarity, find_cuts, thumbnail, unlikeness
+from arfx.analyse.pose.solve import solve_poses
 from arfx.analyse.pose.visibility import (
     jitter_px,
     opacities,
@@ -53,6 +55,8 @@ ORBIT = [
     for a in T * 3
 ]
 PARAMS = AnalyseParams(static="camera")
+# a print somewhere outside of the picture
+FAR = Sighting(0, ANY, False, 0.0, Detection("far", np.full((4, 2), 9e3), 0.1, 0.6, False))
 
 
 def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
@@ -60,7 +64,7 @@ def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
         return {A: k < 25 or k > 50, B: 10 < k < 45, C: k >= 35}[m]
 
     rec = records(CAM, ORBIT, T, LAYOUT, 0.1, visible=visible)
-    a = solve(rec, [A, B, C], CAM, PARAMS, None, [])
+    a = solve_poses(rec, [A, B, C], CAM, PARAMS, None, [])
     for m, truth in LAYOUT.items():
         got = a.world_from_marker[m.key]
         assert np.linalg.norm(got.translation_m - truth.translation_m) < 2e-3
@@ -75,7 +79,7 @@ def test_unknown_layout_is_mapped_from_pairs_seen_together() -> None:
 
 def test_marker_never_seen_with_others_is_left_out_and_named() -> None:
     rec = records(CAM, ORBIT, T, LAYOUT, 0.1, visible=lambda k, m: (m is C) == (k > 30))
-    a = solve(rec, [A, B, C], CAM, PARAMS, None, [])
+    a = solve_poses(rec, [A, B, C], CAM, PARAMS, None, [])
     assert set(a.world_from_marker) == {A.key, B.key} and any(C.key in n for n in a.notices)
     assert {f.status for f in a.facts[31:]} == {"absent"}
 
@@ -94,7 +98,7 @@ def test_a_marker_seen_with_others_in_one_frame_of_a_long_clip_is_mapped() -> No
         0.1,
         visible=lambda k, m: m is not C or k == rare,
     )
-    got = solve(seen, [A, B, C], CAM, PARAMS, None, []).world_from_marker[C.key]
+    got = solve_poses(seen, [A, B, C], CAM, PARAMS, None, []).world_from_marker[C.key]
     assert np.linalg.norm(got.translation_m - LAYOUT[C].translation_m) < 5e-3
 
 
@@ -108,7 +112,7 @@ def test_given_map_is_taken_and_a_contradicting_print_is_not_used() -> None:
         ),
     )
     rec[20] = Record(20, rec[20].time_s, seen, (), False, rec[20].thumbnail)
-    a = solve(rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, [])
+    a = solve_poses(rec, [A, B, C], CAM, PARAMS, {m.key: p for m, p in LAYOUT.items()}, [])
     assert a.summary["map"]["given"] and a.summary["dropped"] == 1
     assert np.degrees(rotation_angle_rad(a.facts[20].camera_from_world, ORBIT[20])) < 0.3  # type: ignore[arg-type]
 
@@ -118,7 +122,11 @@ def test_a_camera_that_does_not_fit_the_clip_is_a_notice() -> None:
     rec = records(CAM, near, T, {A: LAYOUT[A]}, 0.1)
     squashed = replace(CAM, matrix=np.diag([1, 1.4, 1]) @ CAM.matrix)
     told = [
-        [n for n in solve(rec, [A], c, PARAMS, None, []).notices if "calibration" in n]
+        [
+            n
+            for n in solve_poses(rec, [A], c, PARAMS, None, []).notices
+            if "calibration" in n
+        ]
         for c in (CAM, squashed)
     ]
     assert told[0] == [] and len(told[1]) == 1
@@ -142,7 +150,7 @@ def test_what_corners_are_misplaced_by_is_not_averaged_away() -> None:
             rec[k] = replace(
                 rec[k], detections=(replace(rec[k].detections[0], misplaced_px=0.4),)
             )
-        facts = solve(rec, [A], CAM, PARAMS, None, []).facts
+        facts = solve_poses(rec, [A], CAM, PARAMS, None, []).facts
         return np.array([1e3 * np.sqrt(np.trace(f.pose_covariance[3:, 3:])) for f in facts])  # type: ignore[index]
 
     clear, some, many = stated_mm(0, 0), stated_mm(29, 33), stated_mm(20, 40)
@@ -326,9 +334,10 @@ def static_clip(kind: str) -> tuple[str, dict[str, float]]:
             (640, 480),
             borderMode=cv2.BORDER_REFLECT,
         )
-        flow.step(k, a, np.clip(image, 0, 255).astype(np.uint8), [], True)
-    assert flow.samples
-    return decide_static(flow.samples, poses, CAM)
+        luma = np.clip(image, 0, 255).astype(np.uint8)
+        flow.step(AnalysisFrame(k, a, luma), [FAR])
+    assert flow.background
+    return decide_static(flow.background, poses, CAM)
 
 
 @pytest.mark.parametrize("kind", ["camera", "marker", "marker, orbited", "both"])
@@ -398,7 +407,7 @@ def test_jitter_is_the_second_difference_and_skips_breaks() -> None:
     facts = [FrameFacts(k, k / 30, 0, "measured", p, p) for k, p in enumerate(place)]
     rec = records(CAM, place, T[:5], {A: Pose.identity()}, 0.0)
     facts = [
-        f.with_(markers=solve(rec, [A], CAM, PARAMS, None, []).facts[k].markers)
+        f.with_(markers=solve_poses(rec, [A], CAM, PARAMS, None, []).facts[k].markers)
         for k, f in enumerate(facts)
     ]
     moved, relative = jitter_px(facts, np.zeros((1, 3)), CAM, raw=True)
@@ -414,7 +423,7 @@ def test_jitter_is_the_second_difference_and_skips_breaks() -> None:
 
 
 def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
-    a = solve(records(CAM, ORBIT, T, LAYOUT, 0.1), [A, B, C], CAM, PARAMS, None, [])
+    a = solve_poses(records(CAM, ORBIT, T, LAYOUT, 0.1), [A, B, C], CAM, PARAMS, None, [])
     path = tmp_path / "facts.jsonl"
     write_facts(path, a.facts)
     for f, g in zip(a.facts, read_facts(path), strict=True):

@@ -7,17 +7,17 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
-from arfx.analyse.light.fold import LightOfMarkers
+from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.light.frames import Reading, _certain_bias, with_light
+from arfx.analyse.light.observe import LightReader
 from arfx.analyse.light.patches import WHITE, Patches
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.markers.detect import Detection
+from arfx.analyse.markers.search import ANY, Sighting
 from arfx.analyse.params import LightParams, parse_light
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec
@@ -36,7 +36,7 @@ AMBIENT, DIRECT = np.array([0.22, 0.23, 0.26]), np.array([0.6, 0.56, 0.5])
 
 @dataclass
 class Meter:
-    """What the fold has taken."""
+    """What the reader has taken."""
 
     readings: list[Reading] = field(default_factory=list)
     samples: list[EnvironmentSample] = field(default_factory=list)
@@ -337,10 +337,10 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
     seen = [
         Detection(KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False)
     ]
-    markers: Any = SimpleNamespace(detections=seen)
-    whole = LightOfMarkers(AnalysisJob((MARKER,), clip_camera()), markers, markers)
+    whole = LightReader(AnalysisJob((MARKER,), clip_camera()))
     for k in range(6):
-        whole.step(AnalysisFrame(k, k * 0.3, np.zeros((48, 64), np.uint8), Grey()))
+        frame = AnalysisFrame(k, k * 0.3, np.zeros((48, 64), np.uint8), Grey())
+        whole.step(frame, [Sighting(k, ANY, False, 0.0, s) for s in seen])
     assert len(whole.readings) == 6 and len(whole.samples) == 3  # looks every .5 s
 
 
