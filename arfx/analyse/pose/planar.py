@@ -21,6 +21,7 @@ from arfx.core.pose import Pose, rotation_from_rotvec, skew
 # two minima closer than this are one (a frontal marker): below any tilt noise seen
 _SAME_RAD = 5e-3
 HUBER_SIGMA = 3.0  # residuals beyond it count linearly
+_AT_ONCE = 2000  # poses that are refined in one go
 _CONVERGED = 1e-9  # change of the cost, relative to 1 + cost
 
 
@@ -36,7 +37,7 @@ class Observed(NamedTuple):
     px_per_ideal: np.ndarray
     weight: np.ndarray
 
-    def take(self, index: np.ndarray | int) -> Observed:
+    def take(self, index: np.ndarray | slice | int) -> Observed:
         return Observed(*(a[index] for a in self))
 
 
@@ -84,8 +85,16 @@ def refine_poses(
     rotation: np.ndarray, translation: np.ndarray, seen: Observed, iterations: int = 12
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Levenberg-Marquardt on every frame separately, Huber loss: (rotation, translation,
-    cost (n,)).
+    cost (n,)). Many are refined in turns: memory does not grow with them.
     """
+    if len(rotation) > _AT_ONCE:
+        turns = [slice(a, a + _AT_ONCE) for a in range(0, len(rotation), _AT_ONCE)]
+        parts = [
+            refine_poses(rotation[t], translation[t], seen.take(t), iterations)
+            for t in turns
+        ]
+        rotation, translation, cost = map(np.concatenate, zip(*parts, strict=True))
+        return rotation, translation, cost
     rotation, translation = np.array(rotation, float), np.array(translation, float)
     cost, _ = huber_cost(residuals(rotation, translation, seen), seen.weight)
     damping, settled = np.full(len(cost), 1e-4), np.zeros(len(cost), int)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,6 +41,9 @@ LEAST, MOST = 1e-10, 1e4
 _LOST, _FLAT = 5.0, 1e-3
 _BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
 _WINDOW, _CONTEXT = 24, 18  # frames
+# frames of a long shot that are smoothed at once, and beside them; what lies farther off
+# counts for what hardly moves, and there by less than its noise
+_PIECE, _BESIDE = 2000, 300
 # A window has little evidence on its own: each factor of ten away from the shot's value
 # costs this much (nats).
 _HOLD = 1.0
@@ -158,7 +162,32 @@ def smooth_poses(
     rotation, translation : start, also in frames without corners (any sensible in-between)
     seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on
     the time scale, > 0
+    A long shot is smoothed piece by piece, each with some frames more on both sides: memory
+    does not grow with its length.
     """
+    n = len(times_s)
+    borders = np.linspace(0, n, -(-n // _PIECE) + 1).astype(int)
+    pieces, noise = [], []
+    for first, end in pairwise(borders.tolist()):
+        start = max(first - _BESIDE, 0)
+        with_more = slice(start, end + _BESIDE)
+        of_frames = (rotation[with_more], translation[with_more])
+        part = seen.take(with_more), times_s[with_more]
+        *smoothed, density = _smooth_piece(*of_frames, *part, strength)
+        pieces.append([a[first - start : end - start] for a in smoothed])
+        noise.append(density)
+    turned, moved, covariance = (np.concatenate(a) for a in zip(*pieces, strict=True))
+    return turned, moved, covariance, np.median(noise, axis=0)
+
+
+def _smooth_piece(
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    seen: Observed,
+    times_s: np.ndarray,
+    strength: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """As of smooth_poses."""
     on = seen.weight > 0
     centre = seen.points_m[on].mean(0)
     dt = np.clip(np.diff(times_s), SHORTEST_STEP_S, LONGEST_STEP_S)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from arfx.analyse.job import Analysis
 from arfx.analyse.markers.detect import Record
 from arfx.analyse.params import AnalyseParams
+from arfx.analyse.pose import smooth
 from arfx.analyse.pose.planar import Observed
 from arfx.analyse.pose.smooth import LEAST, SHAKE, SIDEWAYS
 from arfx.analyse.pose.solve import solve_poses
@@ -340,3 +342,34 @@ def test_gaps_of_minutes_and_months_between_frames_leave_poses_as_true(
         and rms(turn) < 1.2 * rms(before_turn)
         and rms(shift) < 1.2 * rms(before_shift)
     )
+
+
+def test_a_long_shot_is_smoothed_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that memory does not grow with it; no seam stands out of the noise."""
+    times = np.arange(500) / 30
+    truth = [swing(a, 2.0, 1.5, 1.0) for a in times]
+    rec = records(CAM, truth, times, {M: Pose.identity()}, 0.1)
+    whole = analysed(rec).facts
+    sizes = []
+    one_piece = smooth._smooth_piece
+
+    def counted(rotation: np.ndarray, *more: Any) -> Any:
+        sizes.append(len(rotation))
+        return one_piece(rotation, *more)
+
+    monkeypatch.setattr(smooth, "_smooth_piece", counted)
+    monkeypatch.setattr(smooth, "_PIECE", 150)
+    monkeypatch.setattr(smooth, "_BESIDE", 60)
+    pieces = analysed(rec).facts
+    assert len(sizes) == 4 and max(sizes) <= 150 + 2 * 60
+    found, again, true = (
+        np.array([p.translation_m for p in poses if p is not None])
+        for poses in (
+            [f.camera_from_world for f in whole],
+            [f.camera_from_world for f in pieces],
+            truth,
+        )
+    )
+    error = rms(found - true)
+    seams = np.diff(again - found, axis=0)[[124, 249, 374]]
+    assert np.abs(seams).max() < error and rms(again - true) < 1.1 * error
