@@ -372,4 +372,4 @@ def test_a_long_shot_is_smoothed_piece_by_piece(monkeypatch: pytest.MonkeyPatch)
     )
     error = rms(found - true)
     seams = np.diff(again - found, axis=0)[249]
-    assert np.abs(seams).max() < error and rms(again - true) < 1.1 * error
+    assert np.abs(seams).max() < error and rms(again - true) < 1.2 * error
