@@ -105,7 +105,7 @@ def mean_side(quad: np.ndarray) -> float:
 
 
 class MarkerDetector:
-    """Detectors for a set of families with one set of parameters."""
+    """One detector for a set of families: squares are looked for once."""
 
     def __init__(
         self, families: Iterable[str], min_side_px: float = 9.0, inverted: bool = True
@@ -116,10 +116,12 @@ class MarkerDetector:
         self._parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
         self._parameters.detectInvertedMarker = inverted
         self._parameters.minDistanceToBorder = 1
-        self._detectors = {
-            f: cv2.aruco.ArucoDetector(dictionary(f), self._parameters)
-            for f in self.families
-        }
+        dictionaries = [dictionary(f) for f in self.families]
+        self._detector = (
+            cv2.aruco.ArucoDetector(dictionaries, self._parameters)
+            if dictionaries
+            else None
+        )
 
     def search(
         self,
@@ -137,7 +139,7 @@ class MarkerDetector:
         """
         height, width = luma.shape
         area = Rect.of(width, height) if rect is None else rect.clip(Rect.of(width, height))
-        if area.width < 8 or area.height < 8:
+        if self._detector is None or area.width < 8 or area.height < 8:
             return []
         image = luma[area.slices]
         if factor > 1:
@@ -155,18 +157,17 @@ class MarkerDetector:
         self._parameters.minMarkerPerimeterRate = (
             4 * max(self.min_side_px, min_side_px) / max(image.shape)
         )
-        out = []
+        self._detector.setDetectorParameters(self._parameters)
+        quads, ids, _, of = self._detector.detectMarkersMultiDict(image)
+        if not quads:
+            return []
         scale = np.array([area.width / image.shape[1], area.height / image.shape[0]])
-        for family, detector in self._detectors.items():
-            detector.setDetectorParameters(self._parameters)
-            quads, ids, _ = detector.detectMarkers(image)
-            for quad, number in zip(
-                quads, [] if ids is None else np.ravel(ids), strict=True
-            ):
-                px = (
-                    (np.asarray(quad, float).reshape(4, 2) + 0.5) * scale
-                    - 0.5
-                    + [area.x0, area.y0]
-                )
-                out.append(Candidate(family, int(number), px))
+        px = (np.array(quads, float).reshape(-1, 4, 2) + 0.5) * scale - 0.5
+        px += [area.x0, area.y0]
+        out = [
+            Candidate(self.families[family], number, quad)
+            for family, number, quad in zip(
+                np.ravel(of).tolist(), np.ravel(ids).tolist(), px, strict=True
+            )
+        ]
         return sorted(out, key=lambda c: (c.key, tuple(c.quad_px[0])))
