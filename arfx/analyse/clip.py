@@ -28,7 +28,8 @@ from arfx.analyse.markers.search import (
 from arfx.analyse.motion.advection import AROUND, with_advection
 from arfx.analyse.motion.flow import joined_steps
 from arfx.analyse.observe import Rows
-from arfx.analyse.pose.solve import pose_checks, solve_poses
+from arfx.analyse.pose.figures import pose_checks
+from arfx.analyse.pose.solve import solve_poses
 from arfx.analyse.pose.visibility import with_model
 from arfx.core.facts import FrameFacts
 from arfx.core.stage import Check

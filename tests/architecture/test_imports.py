@@ -44,7 +44,6 @@ LONG = {
     "arfx/analyse/light/search.py": 410,
     "arfx/analyse/light/static_frame.py": 440,
     "arfx/analyse/markers/pattern.py": 483,
-    "arfx/analyse/pose/solve.py": 576,
     "arfx/measure/tradeoff.py": 505,
     "arfx/media/cameras.py": 406,
     "arfx/media/clip.py": 444,

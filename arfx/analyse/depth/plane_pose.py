@@ -13,7 +13,7 @@ import numpy as np
 from arfx.analyse.depth.planes import facing_up, scene_planes
 from arfx.analyse.job import PLANE, PLANE_MARKER, Analysis, AnalysisJob
 from arfx.analyse.pose.at_rest import RestMotion, RestPicture, rests
-from arfx.analyse.pose.solve import figures
+from arfx.analyse.pose.figures import figures
 from arfx.core.facts import INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.pose import Pose
 from arfx.errors import NothingToDoError

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -59,6 +59,15 @@ class MarkerMap:
     rms_px: float = 0.0
     standard_deviation_m: Mapping[str, float] | None = None
     condition: float = 1.0
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "frames": self.frames,
+            "rms_px": self.rms_px,
+            "condition": self.condition if np.isfinite(self.condition) else None,
+            "unmapped": list(self.unmapped),
+            "sd_m": dict(self.standard_deviation_m or {}),
+        }
 
 
 def map_markers(frames: Sequence[Sequence[View]], keys: Sequence[str]) -> MarkerMap:

@@ -6,9 +6,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import cv2
 import numpy as np
+
+from arfx.analyse.markers.detect import Record
 
 THUMBNAIL = (32, 18)
 # 1 - correlation of thumbnails; hand-held clips stay below .1, unrelated pictures lie
@@ -77,3 +80,22 @@ def find_cuts(
             continue  # the midst of a quick move
         cuts.append(k)
     return cuts
+
+
+def shot_numbers(records: Sequence[Record]) -> np.ndarray:
+    """(n,) number of the shot that each frame belongs to."""
+    followed = [False]
+    for a, b in pairwise(records):
+        known = {s.key: s for s in a.detections}
+        # no corner moved by more than a quarter of the side: one marker, one shot
+        followed.append(
+            any(
+                ((s.corners_px - old.corners_px) ** 2).sum(1).max()
+                < (0.25 * old.side_px) ** 2
+                for s in b.detections
+                if (old := known.get(s.key)) is not None
+            )
+        )
+    thumbnails = [r.thumbnail for r in records]
+    cuts = find_cuts(unlikeness(thumbnails, 1), unlikeness(thumbnails, 2), followed)
+    return np.cumsum(np.isin(np.arange(len(records)), cuts))

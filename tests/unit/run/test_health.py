@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arfx.analyse.pose.solve import _deviation
+from arfx.analyse.pose.figures import _deviation
 from arfx.core.cube import face_directions
 from arfx.core.pixels import Pixels
 from arfx.core.stage import Check, JobView

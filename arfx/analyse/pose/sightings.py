@@ -1,0 +1,116 @@
+"""Every print that was seen with its geometry: corners, how sure they are, planar solutions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from arfx.analyse.markers.corners import shared_px
+from arfx.analyse.markers.detect import Record
+from arfx.analyse.markers.inner_edges import AGREE_CELLS
+from arfx.analyse.pose.marker_map import View
+from arfx.analyse.pose.planar import Observed, hypotheses, lens_scale, residuals, stack
+from arfx.core.camera import Camera
+from arfx.core.facts import MarkerSighting
+from arfx.core.marker import Marker, MarkerSpec
+from arfx.core.marker_codes import cells_per_side
+from arfx.core.numerics import divide
+
+# of a corner, at least, that no smoothing averages away: the print's edges, the optics
+_COMMON_PX = 0.005
+# What covers a print comes and goes. Beside a frame where it is told, what is not told may
+# be left; half of it so far away.
+_COVERS_S = 1 / 30
+_LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known better
+
+
+class Sightings:
+    """All sightings with their geometry, frame by frame.
+
+    common_px : (frames,) error of a frame's corners that its neighbours' have too
+    sigma_factor : on the predicted sigma"""
+
+    def __init__(
+        self, records: Sequence[Record], markers: Sequence[Marker], camera: Camera
+    ) -> None:
+        spec = {m.key: m for m in markers}
+        seen = [(k, s) for k, r in enumerate(records) for s in r.detections]
+        frame = np.array([k for k, _ in seen], int)
+        corners, misplaced, blur, sigma = (
+            np.array([getattr(s, name) for _, s in seen], float)
+            for name in ("corners_px", "misplaced_px", "blur_px", "sigma_px")
+        )
+        corners = corners.reshape(-1, 4, 2)
+        sigma = np.hypot(sigma, misplaced)
+        kinds = [spec[s.key] for _, s in seen]
+        cells = np.array(
+            [cells_per_side(m.family) if isinstance(m, MarkerSpec) else 1 for m in kinds]
+        )
+        points = np.array([m.corners_m for m in kinds]).reshape(-1, 4, 3)
+        ideal = camera.normalised(corners)
+        scale = lens_scale(camera, np.where(np.isfinite(ideal), ideal, 0.0))
+        shared = shared_px(corners, blur, cells)
+        rough = np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)
+        candidates = hypotheses(points, ideal, scale, rough)
+        told = np.array([i for i, c in enumerate(candidates) if c and sigma[i] < 1.0], int)
+        poses = stack([candidates[i][0].camera_from_marker for i in told])
+        every = Observed(points, ideal, scale, np.ones((len(seen), 4)))
+        keys = np.array([s.key for _, s in seen])
+        self.sigma_factor = _sigma_factor(
+            residuals(*poses, every.take(told)), sigma[told], frame[told], keys[told]
+        )
+        px = np.hypot(np.maximum(sigma * self.sigma_factor, _LEAST_SIGMA_PX), shared)
+        every = every._replace(weight=np.repeat(px[:, None] ** -2.0, 4, 1))
+        self.common_px = np.full(len(records), _COMMON_PX)
+        np.maximum.at(self.common_px, frame, shared)
+        untold = AGREE_CELLS * np.array([s.side_px for _, s in seen]) / cells
+        # of the corners' weights; with the square of misplaced_px, of what is not told
+        whole, off, hidden = (
+            np.bincount(frame, w / px**2, len(records))
+            for w in (np.ones(len(seen)), misplaced**2, untold**2)
+        )
+        gap_s = _gaps(np.array([r.time_s for r in records]), off > 0)
+        off = np.where(off > 0, off, hidden * 0.5 ** (2 * gap_s / _COVERS_S))
+        self.common_px = np.hypot(self.common_px, np.sqrt(divide(off, whole)))
+        self.frames: list[list[View]] = [[] for _ in records]
+        self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
+        for i, (k, s) in enumerate(seen):
+            solutions = tuple(h.camera_from_marker for h in candidates[i])
+            if solutions:
+                self.frames[k].append(View(s.key, every.take(i), solutions))
+            self.sightings[k].append(
+                MarkerSighting(
+                    s.key, s.corners_px, float(px[i]), candidates[i], 0, s.inverted
+                )
+            )
+
+
+def _sigma_factor(
+    misfit: np.ndarray, sigma: np.ndarray, frame: np.ndarray, keys: np.ndarray
+) -> float:
+    """Factor on the predicted sigma (n,), from how residuals (n, 4, 2) change from one
+    sighting of a marker to its next.
+
+    What stays (a bent print, an imperfect lens model) is no noise: taken for noise it
+    would let the smoother drag the object away from a picture that shakes. 8
+    coordinates minus 6 unknowns leave 2 degrees of freedom."""
+    order = np.lexsort((frame, keys))
+    a, b = order[:-1], order[1:]
+    follows = (keys[a] == keys[b]) & (frame[a] + 1 == frame[b])
+    change = ((misfit[b] - misfit[a]) ** 2).sum((1, 2))
+    chi2 = (change / (sigma[a] ** 2 + sigma[b] ** 2))[follows]
+    if len(chi2) < 5:
+        return 1.0
+    return float(
+        np.clip(np.sqrt(np.median(chi2) / 1.386), 0.5, 20.0)
+    )  # median of chi squared with two degrees
+
+
+def _gaps(times: np.ndarray, marked: np.ndarray) -> np.ndarray:
+    """(n,) s from each of times (n,), rising, to the nearest one that is marked, (n,) bool;
+    infinite where none is.
+    """
+    at = np.concatenate([[-np.inf], times[marked], [np.inf]])
+    after = np.clip(np.searchsorted(at, times), 1, None)
+    return np.minimum(times - at[after - 1], at[after] - times)
