@@ -24,7 +24,7 @@ from arfx.analyse.light.photometry import (
     UNUSABLE,
     Photometry,
     assemble,
-    fallback,
+    bright_patches,
     weighted,
 )
 from arfx.core.numerics import divide
@@ -139,7 +139,7 @@ def gain_and_bias(
     parts = []
     for grey, weight, rho in channels:
         seen = weight.any(1)
-        part = fallback(grey, weight, rho, UNUSABLE, 0)
+        part = bright_patches(grey, weight, rho, UNUSABLE, 0)
         if seen.any():
             solution = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
             one = solution.nullity < 2

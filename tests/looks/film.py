@@ -312,9 +312,11 @@ def analysed(look: Look, path: Path) -> Analysis:
     job = AnalysisJob(markers, World(asked).camera, length_s=look.frames / look.fps)
     analyser = Analyser(job, {"light"})
     with ClipReader(probe(path)) as reader:
-        for k, frame in enumerate(reader.frames()):
-            luma = np.ascontiguousarray(frame.luma())
-            analyser.step(AnalysisFrame(k, frame.time_s, luma, frame))
+        frames = [(f, np.ascontiguousarray(f.luma())) for f in reader.frames()]
+    for k, (frame, luma) in enumerate(frames):
+        following = frames[k + 1][1] if k + 1 < len(frames) else None
+        after = None if following is None else lambda luma=following: luma
+        analyser.step(AnalysisFrame(k, frame.time_s, luma, frame, after))
     return analyser.finish()
 
 

@@ -26,6 +26,9 @@ DARKEST, BRIGHTEST = (
 )  # coded luma between which a pixel says how the exposure changed
 GAMMA = 2.2  # of coded luma, about
 LEAST_CHANGE = 0.012  # of the background's logarithm: less is its noise, it rests
+OFF = 0.2  # of what the background shows, by which it is off
+# of a level's logarithm for a radian by which a print turns under lights that nobody knows
+TURN, CHROMA_TURN = 1.0, 0.3
 SCALES = (3, 8, 24)  # readings before and after, over which a change is looked for
 SURE, DOUBTED = 4.0, 10.0  # deviations that a change takes; where the background shows none
 # A codec takes one or two steps of 8-bit chroma at a key frame, 2 % of white's blue each, and
@@ -82,6 +85,7 @@ def brightness(
     variance: np.ndarray,
     stood_on: np.ndarray,
     change: np.ndarray,
+    turn: np.ndarray,
 ) -> np.ndarray:
     """(t, 3) logarithm of every frame's brightness.
 
@@ -89,17 +93,18 @@ def brightness(
     level : (k, 3) logarithms;  variance : (k,) of them, relative to each other
     stood_on : (k,) bool, of the print on which the object stands
     change : (t,) of the background against the frame before, NaN = not known
+    turn : (t,) radians by which prints turned since the frame before, under lights that are
+    not known: then a level says little about the next
     """
     exposure, offsets = common_level(frame, print_, level, variance)
-    seen = np.unique(frame)
-    index = np.searchsorted(seen, frame)
+    seen, index = np.unique(frame, return_inverse=True)
     information = np.bincount(index, 1 / variance)
-    out = _smoothed(times_s, seen, exposure, 1 / information, change)
+    out = _smoothed(times_s, seen, exposure, 1 / information, change, turn)
     if stood_on.any() and not stood_on.all():
         own, which = np.unique(frame[stood_on], return_index=True)
         beside = (level - offsets[print_] - exposure[index])[stood_on][which]
-        resting = np.zeros(len(times_s))
-        out += _smoothed(times_s, own, beside, variance[stood_on][which], resting)
+        rests = np.zeros(len(times_s))
+        out += _smoothed(times_s, own, beside, variance[stood_on][which], rests, rests)
     return out
 
 
@@ -155,6 +160,7 @@ def _smoothed(
     level: np.ndarray,
     variance: np.ndarray,
     change: np.ndarray,
+    turn: np.ndarray,
 ) -> np.ndarray:
     """(t, 3) levels of all frames out of those of `seen` (n,): level (n, 3), variance (n,)."""
     luma = level.mean(1, keepdims=True)
@@ -162,8 +168,11 @@ def _smoothed(
     size = variance / usual
     floor = min(STATED * np.sqrt(usual), MOST_STATED)
     background = np.append(np.nan, [change[a + 1 : b + 1].sum() for a, b in _pairs(seen)])
-    of_luma = _followed(times_s, seen, luma, size, floor, background)
-    of_chroma = _followed(times_s, seen, level - luma, size, floor, None)
+    turned = np.append(0, [turn[a + 1 : b + 1].sum() for a, b in _pairs(seen)])
+    of_luma = _followed(times_s, seen, luma, size, floor, background, TURN * turned)
+    of_chroma = _followed(
+        times_s, seen, level - luma, size, floor, None, CHROMA_TURN * turned
+    )
     return of_luma + of_chroma
 
 
@@ -178,6 +187,7 @@ def _followed(
     size: np.ndarray,
     floor: float,
     background: np.ndarray | None,
+    turned: np.ndarray,
 ) -> np.ndarray:
     """(t, c) of value (n, c) seen in frames `seen` with noise of relative variance `size`,
     whose deviation is `floor` at least.
@@ -191,7 +201,7 @@ def _followed(
         np.clip(size, 0.25, 1e4)[:, None] * (sigma * (CHROMA_NOISE if chroma else 1)) ** 2
     )
     drift = CHROMA_DRIFT if chroma else DRIFT
-    rest = drift * np.sqrt(np.maximum(np.diff(times_s[seen]), 1e-6))
+    rest = np.hypot(drift * np.sqrt(np.maximum(np.diff(times_s[seen]), 1e-6)), turned[1:])
     moves = np.zeros(len(seen))
     expected = np.zeros((len(seen), 1))
     if background is not None:
@@ -199,7 +209,7 @@ def _followed(
         noise_of_it = _noise(known[:, None])[:, 0]
         shows = np.abs(known) > np.maximum(LEAST_CHANGE, SURE * noise_of_it)
         expected[:, 0] = np.where(shows, known, 0.0)
-        near = np.pad(np.abs(expected[:, 0]), 1)
+        near = OFF * np.pad(np.abs(expected[:, 0]), 1)
         moves = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])
     out = _solve(value, noise, np.hypot(rest, moves[1:]), expected)
     for scale in SCALES:

@@ -31,6 +31,7 @@ from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED
 from arfx.core.light import Light, triple
+from arfx.core.numerics import divide
 
 
 class Reading(NamedTuple):
@@ -67,7 +68,9 @@ def solve_patches(
     """
     found = photometry_of(intensity, variance, albedo, clipped, most_bias=most_bias)
     other = patches.comparable(found, intensity, variance, clipped, albedo)
-    held = (found.bias - _certain_bias(found)) / albedo.max(1)
+    sigma = (found.bias_95[:, 1] - found.bias_95[:, 0]) / 3.92
+    doubt = divide(sigma**2, sigma**2 + found.bias**2)
+    held = found.bias * np.where(_certain_bias(found), 0, doubt) / albedo.max(1)
     if other is not None:
         other = replace(other, y=other.y + held)
     return replace(found, y=found.y + held), other

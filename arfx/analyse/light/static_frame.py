@@ -329,6 +329,14 @@ class StaticFrameLight:
         used, level, variance = self._levels(made)
         if not used.any():
             return {k: models[i] for k, i in zip(self.frames, of_frame, strict=True)}
+        turn = np.zeros(len(self.frames))
+        for i in range(self.print_.max() + 1):
+            rows = np.flatnonzero(self.print_ == i)
+            angle = angle_between(self.normals[rows[1:]], self.normals[rows[:-1]])
+            np.maximum.at(turn, position[rows[1:]], angle)
+        turn[np.array([model.source == "marker" for model in models])[of_frame]] = 0.0
+        bright = np.log([max(m.mean_radiance.mean(), 1e-9) for m in models])[of_frame]
+        change = self.change - np.diff(bright, prepend=bright[0])
         factors = np.exp(
             brightness(
                 self.times_s(self.frames),
@@ -337,7 +345,8 @@ class StaticFrameLight:
                 level,
                 variance,
                 self.stood_on[used],
-                self.change,
+                change,
+                turn,
             )
         )
         return {

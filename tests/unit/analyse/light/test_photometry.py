@@ -285,6 +285,19 @@ def test_highlights_on_some_patches_do_little() -> None:
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
 
 
+def test_a_highlight_over_a_glossy_print_is_no_light() -> None:
+    """It lies on ink and paper alike, in some frames; a finger on one patch is none."""
+    grey, y = clip(frames=60, noise=0.001)
+    shine = np.zeros(60)
+    shine[20:30] = np.linspace(0.02, 0.2, 10)
+    p = solve(grey + shine[:, None, None], np.full(grey.shape, 1e-6), RHO)
+    assert np.abs(p.bias - 0.02).max() < 1e-3
+    assert np.abs(p.y - y).max() < 0.01
+    grey[40, 1] += 0.1
+    covered = solve(grey, np.full(grey.shape, 1e-6), RHO)
+    assert np.abs(covered.y[40] - y[40]).max() < 0.02
+
+
 def test_shares_of_clipped_samples_are_reported() -> None:
     grey, _ = clip()
     assert solve(grey, None, RHO, clipped=np.full((40, 8), 0.05)).clipped == pytest.approx(
