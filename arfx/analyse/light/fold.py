@@ -20,7 +20,6 @@ from arfx.analyse.light import patches
 from arfx.analyse.light.brightness import background_change, small_luma
 from arfx.analyse.light.frames import Reading, with_light
 from arfx.analyse.light.hypotheses import REFUSED
-from arfx.analyse.light.samples import place_samples
 from arfx.analyse.light.seen import LOOK_PX, Look, given_everywhere, with_seen
 from arfx.analyse.light.surroundings import (
     EnvironmentSample,
@@ -88,14 +87,14 @@ class LightOfMarkers(Fold):
         self._compare_with_following(frame)
         seen = self._markers.detections
         for s in seen:
-            if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
+            box = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
+            if box.empty:
                 continue
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
-            cells, albedo, scale = patches.meter_for(self._meters[s.key], s.side_px, blur)
-            shape = (picture.rect.height, picture.rect.width)
-            points = place_samples(s.corners_px, cells, s.inverted, blur, shape, scale)
-            cells_seen = patches.reduced(picture.linear_at(points.pixels()), points, albedo)
-            self.readings.append(Reading(frame.index, s.key, cells_seen))
+            meter = patches.meter_for(self._meters[s.key], s.side_px, blur)
+            quad_px, linear = s.corners_px - [box.x0, box.y0], picture.linear(box)
+            cells = patches.read_print(linear, quad_px, meter, s.inverted, blur)
+            self.readings.append(Reading(frame.index, s.key, cells))
         if seen:
             quad, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
             for small in self._looks.due(frame.time_s, picture, SURROUNDINGS_PX):

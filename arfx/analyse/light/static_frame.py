@@ -66,16 +66,13 @@ _TEMPORAL_MODELS = {
 Lights = dict[int, Light]
 
 
-def light_from_direction(given: tuple[float, ...], size_deg: float) -> tuple[Light, bool]:
-    """(light in anchor axes, whether its brightness is stated).
-
-    given : azimuth, elevation, and perhaps R, G, B.
-    """
+def light_from_direction(given: tuple[float, ...], size_deg: float) -> Light:
+    """In anchor axes. given : azimuth, elevation, and perhaps R, G, B."""
     a, e = np.radians(given[:2])  # azimuth from x towards y, elevation above the plane
     d = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-    rgb = given[2:] if len(given) == 5 else (DIRECT,) * 3
-    lamp = DirectionalLight(triple(d), (rgb[0], rgb[1], rgb[2]), size_deg)
-    return Light((AMBIENT,) * 3, (lamp,), "given"), len(given) == 5
+    rgb = np.array(given[2:] or (DIRECT,) * 3)
+    lamp = DirectionalLight(triple(d), triple(rgb), size_deg)
+    return Light((AMBIENT,) * 3, (lamp,), "given")
 
 
 def light_from_panorama(picture: np.ndarray) -> Light:
