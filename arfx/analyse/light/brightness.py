@@ -14,6 +14,8 @@ Cost: some 10 us a reading."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
@@ -118,7 +120,7 @@ def common_level(
     index = np.unique(frame, return_inverse=True)[1]
     agrees = weight = 1 / variance
     offsets = np.zeros((print_.max() + 1, 3))
-    common = _medians(index, level, weight)
+    common = _means(index, level, weight)
     for _ in range(_PASSES):
         offsets = _means(print_, level - common[index], agrees)
         offsets -= np.average(offsets[print_], axis=0, weights=weight)
@@ -163,70 +165,68 @@ def _smoothed(
     turn: np.ndarray,
 ) -> np.ndarray:
     """(t, 3) levels of all frames out of those of `seen` (n,): level (n, 3), variance (n,)."""
-    luma = level.mean(1, keepdims=True)
     usual = float(np.median(variance))
-    size = variance / usual
-    floor = min(STATED * np.sqrt(usual), MOST_STATED)
-    background = np.append(np.nan, [change[a + 1 : b + 1].sum() for a, b in _pairs(seen)])
-    turned = np.append(0, [turn[a + 1 : b + 1].sum() for a, b in _pairs(seen)])
-    of_luma = _followed(times_s, seen, luma, size, floor, background, TURN * turned)
-    of_chroma = _followed(
-        times_s, seen, level - luma, size, floor, None, CHROMA_TURN * turned
-    )
-    return of_luma + of_chroma
+    size = np.clip(variance / usual, 0.25, 1e4)[:, None]
+    least = min(STATED * np.sqrt(usual), MOST_STATED) + LEAST_SIGMA
 
+    def between(of_frames: np.ndarray) -> np.ndarray:
+        """(n - 1,) sums from each frame that was seen to the next."""
+        return np.diff(np.cumsum(of_frames)[seen])
 
-def _pairs(seen: np.ndarray) -> list[tuple[int, int]]:
-    return list(zip(seen[:-1].tolist(), seen[1:].tolist(), strict=True))
+    unknown = np.append(True, between(np.isnan(change)) > 0)
+    shown = np.append(0, between(np.nan_to_num(change))) * ~unknown
+    clear = np.abs(shown) > np.maximum(LEAST_CHANGE, SURE * _noise(shown[:, None])[:, 0])
+    expected = np.where(clear, shown, 0.0)
+    near = np.pad(OFF * np.abs(expected), 1)
+    moves = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])
+    root_s = np.sqrt(np.diff(times_s[seen]).clip(1e-6))
+    turned = between(turn)
+
+    def borne_out(found: np.ndarray, scale: int) -> np.ndarray:
+        """(n, 1) deviations that a change of luma takes: what the background shows as well
+        takes fewer.
+        """
+        around = np.convolve(shown, np.ones(2 * scale - 1))[scale - 1 :][: len(seen)]
+        fine = unknown | (around * found[:, 0] > BORNE_OUT * found[:, 0] ** 2)
+        return np.where(fine, SURE, DOUBTED)[:, None]
+
+    def chroma_takes(_: np.ndarray, scale: int) -> np.ndarray:
+        return np.array([CHROMA_JUMP if scale == SCALES[0] else CHROMA_SURE])
+
+    luma = level.mean(1, keepdims=True)
+    rest = np.hypot(DRIFT * root_s, TURN * turned)
+    out = _followed(luma, size, least, rest, moves, expected, borne_out)
+    size, still = size * CHROMA_NOISE**2, np.zeros(len(seen))
+    rest = np.hypot(CHROMA_DRIFT * root_s, CHROMA_TURN * turned)
+    out = out + _followed(level - luma, size, least, rest, still, still, chroma_takes)
+    return np.stack([np.interp(times_s, times_s[seen], column) for column in out.T], -1)
 
 
 def _followed(
-    times_s: np.ndarray,
-    seen: np.ndarray,
     value: np.ndarray,
     size: np.ndarray,
-    floor: float,
-    background: np.ndarray | None,
-    turned: np.ndarray,
+    least: float,
+    rest: np.ndarray,
+    moves: np.ndarray,
+    expected: np.ndarray,
+    takes: Callable[[np.ndarray, int], np.ndarray],
 ) -> np.ndarray:
-    """(t, c) of value (n, c) seen in frames `seen` with noise of relative variance `size`,
-    whose deviation is `floor` at least.
+    """(n, c) of value (n, c), seen with noise of relative variance `size` (n, 1), whose
+    deviation is `least` at least: a random walk that moves where something clearly changes.
 
-    background : (n,) its change from one of these to the next, NaN = not known; None = it is
-    chroma, of which it says nothing
+    rest : (n - 1,) deviation of each step at rest;  moves : (n,) where it is known to move
+    expected : (n,) step that leads there;  takes : deviations that a change (n, c) takes
     """
-    chroma = background is None
-    sigma = np.maximum(_noise(value), floor + LEAST_SIGMA)
-    noise = (
-        np.clip(size, 0.25, 1e4)[:, None] * (sigma * (CHROMA_NOISE if chroma else 1)) ** 2
-    )
-    drift = CHROMA_DRIFT if chroma else DRIFT
-    rest = np.hypot(drift * np.sqrt(np.maximum(np.diff(times_s[seen]), 1e-6)), turned[1:])
-    moves = np.zeros(len(seen))
-    expected = np.zeros((len(seen), 1))
-    if background is not None:
-        known = np.nan_to_num(background)
-        noise_of_it = _noise(known[:, None])[:, 0]
-        shows = np.abs(known) > np.maximum(LEAST_CHANGE, SURE * noise_of_it)
-        expected[:, 0] = np.where(shows, known, 0.0)
-        near = OFF * np.pad(np.abs(expected[:, 0]), 1)
-        moves = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])
+    noise = size * np.maximum(_noise(value), least) ** 2
     out = _solve(value, noise, np.hypot(rest, moves[1:]), expected)
     for scale in SCALES:
         off = value - out
         found = _difference(off, scale)
-        sure = np.array([CHROMA_JUMP if scale == SCALES[0] else CHROMA_SURE])
-        if background is not None:
-            shown = _around(known, scale)
-            borne_out = np.isnan(background) | (
-                shown * found[:, 0] > BORNE_OUT * found[:, 0] ** 2
-            )
-            sure = np.where(borne_out, SURE, DOUBTED)[:, None]
-        deviation = 1.25 * np.sqrt(2 / scale) * np.maximum(_noise(off), floor + LEAST_SIGMA)
-        clear = (np.abs(found) > sure * deviation).any(1)
+        deviation = 1.25 * np.sqrt(2 / scale) * np.maximum(_noise(off), least)
+        clear = (np.abs(found) > takes(found, scale) * deviation).any(1)
         moves = np.maximum(moves, clear * np.abs(found).max(1) / scale)
         out = _solve(value, noise, np.hypot(rest, moves[1:]), expected)
-    return _between(times_s, times_s[seen], out)
+    return out
 
 
 def _solve(
@@ -235,33 +235,20 @@ def _solve(
     """(n, c) random walk seen with noise, from all of past and future.
 
     value, noise : (n, c), its variance;  walk : (n - 1,) deviation of each step
-    expected : (n, 1) of the step that leads there
+    expected : (n,) of the step that leads there
     """
     from scipy.linalg import solveh_banded
 
     if len(value) == 1:  # LAPACK takes no matrix of one
         return value
     tie = 1 / walk**2
-    pull = tie[:, None] * expected[1:]
+    pull = np.diff(tie * expected[1:], prepend=0, append=0)
     out = np.empty_like(value)
-    for c in range(value.shape[1]):
-        seen = 1 / noise[:, c]
-        bands = np.zeros((2, len(value)))
-        bands[0, 1:] = -tie
-        bands[1] = seen
-        bands[1, 1:] += tie
-        bands[1, :-1] += tie
-        right = value[:, c] * seen
-        right[1:] += pull[:, 0]
-        right[:-1] -= pull[:, 0]
-        out[:, c] = solveh_banded(bands, right)
+    for c, seen in enumerate(1 / noise.T):
+        sums = seen + np.append(tie, 0) + np.append(0, tie)
+        bands = np.stack([np.append(0, -tie), sums])
+        out[:, c] = solveh_banded(bands, value[:, c] * seen - pull)
     return out
-
-
-def _between(times_s: np.ndarray, seen_s: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """(t, c) linear in time between those that were seen, and held beyond."""
-    columns = [np.interp(times_s, seen_s, column) for column in value.T]
-    return np.stack(columns, -1)
 
 
 def _difference(value: np.ndarray, scale: int) -> np.ndarray:
@@ -275,14 +262,6 @@ def _difference(value: np.ndarray, scale: int) -> np.ndarray:
         inside = middle[scale:] - middle[:-scale]
         out[:] = np.pad(inside, ((scale, scale - 1), (0, 0)), mode="edge")
     return out
-
-
-def _around(value: np.ndarray, scale: int) -> np.ndarray:
-    """(n,) sums of value (n,) over fewer than `scale` before and after."""
-    total = np.append(0.0, np.cumsum(value))
-    at = np.arange(len(value))
-    after = np.minimum(at + scale, len(value))
-    return np.asarray(total[after] - total[np.maximum(at - scale + 1, 0)])
 
 
 def _noise(value: np.ndarray) -> np.ndarray:
@@ -301,18 +280,4 @@ def _means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarr
     """(groups, c) weighted means of value (k, c). group : (k,) int, all from 0 on"""
     total = np.bincount(group, weight)
     columns = [np.bincount(group, weight * column) / total for column in value.T]
-    return np.stack(columns, -1)
-
-
-def _medians(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(groups, c) weighted medians of value (k, c). group : (k,) int, all from 0 on"""
-    columns = []
-    ends = np.cumsum(np.bincount(group))
-    for column in value.T:
-        order = np.lexsort((column, group))
-        total = np.cumsum(weight[order])
-        before = np.append(0.0, total[ends[:-1] - 1])
-        half = (before + total[ends - 1]) / 2
-        at = np.minimum(np.searchsorted(total, half), ends - 1)
-        columns.append(column[order][at])
     return np.stack(columns, -1)

@@ -18,16 +18,12 @@ import numpy as np
 
 from arfx.analyse.fold import Analysis
 from arfx.analyse.light import patches
+from arfx.analyse.light.given import light_from_direction, light_from_panorama
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
 from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
 from arfx.analyse.light.shadow import edge_clue, real_shadow
-from arfx.analyse.light.static_frame import (
-    Readings,
-    StaticFrameLight,
-    light_from_direction,
-    light_from_panorama,
-)
+from arfx.analyse.light.static_frame import Readings, StaticFrameLight
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED

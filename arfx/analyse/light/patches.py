@@ -16,7 +16,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from arfx.analyse.light.photometry import LightReading, Photometry
+from arfx.analyse.light.photometry import (
+    UNKNOWN_VARIANCE,
+    LightReading,
+    Photometry,
+    bright_patches,
+    weighted,
+)
 from arfx.analyse.light.samples import CellSamples, sample_cells
 from arfx.analyse.light.shadow import clearly_shaded, light_at, quarters
 from arfx.core.marker import MarkerSpec
@@ -32,7 +38,6 @@ OUT = 3.5  # robust standard deviations beyond which a sample is no part of its 
 # exact
 OVEREXPOSED = 0.02
 FEW = 0.15  # of the readings: so many spoilt ones can be left out
-_OUT = 2.5  # deviations from the median of a reading's ink patches, beyond which one counts less
 _GAMMA = 2.2  # about the slope of the transfer function
 # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
 GRID, CHOSEN = 10, 8
@@ -267,19 +272,10 @@ def comparable(
         return None
     if few:
         return replace(p.reading, fit=p.seen & ~overexposed)
-    # by the ink alone, as if all of it were of one
-    albedo, variance = albedo[:, ~WHITE], variance[:, ~WHITE]
-    scale = divide(albedo.mean((0, 1)), albedo)
-    value, variance = (intensity[:, ~WHITE] - p.bias) * scale, variance * scale**2
-    fine = np.isfinite(value) & np.isfinite(variance) & (variance > 0)
-    middle = np.ma.median(np.ma.array(value, mask=~fine), axis=1).filled(0)
-    value, variance = np.where(fine, value, 0), np.where(fine, variance, 1)
-    off = np.abs(value - middle[:, None]) / np.sqrt(variance)
-    w = fine / variance * np.minimum(1, divide(_OUT, off, where_zero=1.0))
-    total = w.sum(1)
-    y = divide((w * value).sum(1), total * p.ink)
-    own = divide(1.0, total * p.ink**2) * p.misfit**2
-    known = p.seen & (total * p.ink > 0).all(1)
-    return LightReading(
-        np.where(known[:, None], y, p.y), np.where(known[:, None], own, p.var_y_own), known
-    )
+    # by the ink alone
+    channels, _ = weighted(intensity - p.bias, variance, albedo)
+    ink = [bright_patches(grey, w * ~WHITE, rho, "", 0) for grey, w, rho in channels]
+    y, own = (np.array(a).T for a in zip(*(part[:2] for part in ink), strict=True))
+    known = p.seen & (own < UNKNOWN_VARIANCE).all(1)
+    own = np.where(known[:, None], own * p.misfit**2, p.var_y_own)
+    return LightReading(np.where(known[:, None], y, p.y), own, known)

@@ -176,17 +176,14 @@ def weighted(
     """
     value, rho = np.asarray(intensity, float), np.asarray(albedo, float)
     rho = np.broadcast_to(rho if rho.ndim == 3 else rho[..., None], value.shape)
-    fine = np.isfinite(value) & np.isfinite(rho)
-    ignored = int((~np.isfinite(value)).any(-1).sum())
-    weight = np.ones(value.shape)
-    if variance is not None:
-        v = np.asarray(variance, float)
-        fine &= np.isfinite(v) & (v >= 0)
-        usual = float(np.median(v[fine])) if fine.any() else 1.0
-        # no patch outweighs the usual one by more than 10,000
-        weight = divide(1.0, np.maximum(v, max(1e-4 * usual, 1e-18)))
+    v = np.ones(value.shape) if variance is None else np.asarray(variance, float)
+    fine = np.isfinite(value) & np.isfinite(rho) & np.isfinite(v) & (v >= 0)
+    # no patch outweighs the usual one by more than 10,000
+    usual = float(np.median(v[fine])) if fine.any() else 1.0
+    weight = divide(1.0, np.maximum(v, max(1e-4 * usual, 1e-18)))
     arrays = np.where(fine, value, 0.0), np.where(fine, weight, 0.0), rho
     by_channel = (np.moveaxis(a, -1, 0) for a in arrays)
+    ignored = int((~np.isfinite(value)).any(-1).sum())
     return list(zip(*by_channel, strict=True)), ignored
 
 
@@ -242,12 +239,7 @@ def _solve_channel(
     w = w0
     for i in range(_PASSES):
         inverse = divide(1.0, (w * rho * rho).sum(1))
-
-        def apart(column: np.ndarray) -> np.ndarray:
-            """What is left of a column (t, p) once every y_t is eliminated."""
-            return column - rho * ((w * rho * column).sum(1) * inverse)[:, None]
-
-        of_bias = apart(np.ones(grey.shape))
+        of_bias = _apart(np.ones(grey.shape), w, rho, inverse)
         remaining = float((w * of_bias).sum())
         fraction = remaining / max(float(w.sum()), 1e-300)
         if fraction < LEAST_FRACTION:
@@ -265,32 +257,23 @@ def _solve_channel(
     from scipy.special import stdtrit
 
     # residuals are independent, or by patch, or by frame
-    influence = w * residual * of_bias / remaining
+    influence = w * residual * of_bias / remaining * (spare > 0)
     groups = np.count_nonzero((w > 0).any(0))
     by_patch = (influence.sum(0) ** 2).sum() * groups / max(groups - 1, 1)
-    together = max(by_patch, (influence.sum(1) ** 2).sum()) if spare > 0 else 0.0
-    noise = max(scale**2 / remaining, together)
+    noise = max(scale**2 / remaining, by_patch, (influence.sum(1) ** 2).sum())
     quantile = float(stdtrit(spare, 0.975)) if spare > 0 else _NORMAL_95
     half = quantile * float(np.sqrt(noise))
     root = np.sqrt(1 - min(fraction, 1.0 - 1e-16))
-    condition = float(np.sqrt((1 + root) / (1 - root)))
-    own = np.where(seen, scale**2 * inverse, UNKNOWN_VARIANCE)
-    lean = float(((w * rho).sum(1) * inverse)[seen].max())
-    deviations = 3 * np.sqrt([np.median(own[seen]), lean**2 * noise])
+    condition = min(float(np.sqrt((1 + root) / (1 - root))), MOST_CONDITION)
     level = float(np.median(np.where(usable, grey, -np.inf).max(1)[seen]))
-    bright = float(np.median(y[seen]))
-    why = ""
     if level <= 0 or half > WORST_BIAS * level:
-        dark_noise = 3 * float(np.sqrt(divide(1.0, np.median(w0[usable])))) * known
-        why = "no light" if level <= dark_noise else "albedos too alike"
-        why += (
-            f": the bias would be uncertain by {half:.2g} at a level of {max(level, 0):.2g}"
+        why = (
+            f"no light, or albedos too alike: the bias would be uncertain by {half:.2g} at a"
+            f" level of {max(level, 0):.2g}"
         )
-    elif bright < -float(np.hypot(*deviations)):
-        why = "dark cells are brighter than bright ones"
-    elif bright * float(np.abs(rho).max()) < LEAST_CONTRAST * level:
-        why = "bright and dark cells look alike"
-    if why:
+        return bright_patches(grey, w0, rho, why, unknowns, condition)
+    if np.median(y[seen]) * np.abs(rho).max() < LEAST_CONTRAST * level:
+        why = "bright and dark cells look alike, or dark ones are brighter"
         return bright_patches(grey, w0, rho, why, unknowns, condition)
     dark = rho < (rho.min(1, keepdims=True) + rho.max(1, keepdims=True)) / 2
     sigma = float(np.median(1 / np.sqrt(w0[dark & usable]))) * known
@@ -303,30 +286,37 @@ def _solve_channel(
         tolerances.steps / _NORMAL_95 * dark * slope / 255,
         tolerances.blur * dark * sigma,
     )
-    left = np.stack([of_bias, *map(apart, columns)])
+    left = np.stack([of_bias, *(_apart(column, w, rho, inverse) for column in columns)])
     normal = np.einsum("itp,tp,jtp->ij", left, w, left)
     prior = scale**2 * np.diag([0.0, 1.0, 1.0, 1.0])
-    covariance = np.linalg.pinv(normal + prior, hermitian=True)
-    off = float(covariance[0] @ (left * w * residual).sum((1, 2)))
-    beside = scale**2 * max(float(covariance[0, 0]) - 1 / remaining, 0.0)
+    covariance = np.linalg.pinv(normal + prior, hermitian=True)[0]
+    off = float(covariance @ (left * w * residual).sum((1, 2)))
+    noise += scale**2 * max(float(covariance[0]) - 1 / remaining, 0.0)
     curve = tolerances.transfer * grey * np.log(np.maximum(np.abs(grey), 1e-9))
-    bent = abs(float((w * of_bias * curve).sum())) / remaining
-    half = float(np.hypot(quantile * np.sqrt(noise + beside), bent))
+    bent = float((w * of_bias * curve).sum()) / remaining
+    half = float(np.hypot(quantile * np.sqrt(noise), bent))
     glare = _glare(residual, w0, rho, dark, scale)
     return Channel(
         np.where(seen, y - (w * rho).sum(1) * inverse * glare, 0.0),
-        own,
+        np.where(seen, scale**2 * inverse, UNKNOWN_VARIANCE),
         seen,
         float(rho[dark].mean()),
         unknowns,
         unknowns,
-        min(condition, MOST_CONDITION),
+        condition,
         "",
         True,
         b,
         (b + min(off, 0.0) - half, b + max(off, 0.0) + half),
         scale,
     )
+
+
+def _apart(
+    column: np.ndarray, w: np.ndarray, rho: np.ndarray, inverse: np.ndarray
+) -> np.ndarray:
+    """What is left of a column (t, p) once every y_t is eliminated."""
+    return column - rho * ((w * rho * column).sum(1) * inverse)[:, None]
 
 
 def _glare(
@@ -337,15 +327,12 @@ def _glare(
 
     residual, dark : (t, p);  w, rho, scale : of the solution
     """
-
-    def medians(values: np.ndarray, patches: np.ndarray) -> np.ndarray:
-        return np.ma.median(np.ma.array(values, mask=~patches), axis=1).filled(np.nan)
-
-    usable = w > 0
-    ink, paper = (
-        [medians(a, usable & patches) for a in (residual, rho)] for patches in (dark, ~dark)
+    values, usable = np.stack([residual, rho]), w > 0
+    (ink, ink_rho), (paper, paper_rho) = (
+        np.ma.median(np.ma.array(values, mask=[~part] * 2), axis=2).filled(np.nan)
+        for part in (usable & dark, usable & ~dark)
     )
-    offset = divide(ink[0] * paper[1] - paper[0] * ink[1], paper[1] - ink[1])
+    offset = divide(ink * paper_rho - paper * ink_rho, paper_rho - ink_rho)
     sure = usable.mean(1) >= MOST_SEEN
     own = scale * np.sqrt(divide(1.0, (w * dark).sum(1)))
     usual = 1.4826 * np.median(np.abs(offset[sure])) if sure.any() else 0.0

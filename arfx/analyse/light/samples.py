@@ -17,6 +17,7 @@ LEAST_STEP_PX = 1.25  # between samples: nearer ones tell next to nothing more
 BLURS = 2.5  # margin in standard deviations of the blur
 MOST_SAMPLES = 5  # per cell and axis
 CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB
+FARTHEST_PX = 3e4  # that remap reads: 16-bit numbers
 _UNIT = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 
 
@@ -47,7 +48,7 @@ def sample_cells(
     side = np.roll(quad_px, -1, 0) - quad_px
     after = np.roll(side, -1, 0)
     turns = np.sign(side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]).sum()
-    if abs(turns) != 4:
+    if abs(turns) != 4 or np.abs(quad_px).max() > FARTHEST_PX:
         return None
     turn = cv2.getPerspectiveTransform(_UNIT, np.asarray(quad_px, np.float32))
     # how the plane is stretched at the middle
