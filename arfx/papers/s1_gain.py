@@ -148,9 +148,7 @@ def gain_and_bias(
                 if one
                 else f"the system has nullity {solution.nullity}, not 1"
             )
-            part = part._replace(
-                reason=why, rank=solution.rank, condition=solution.condition
-            )
+            part = part._replace(why=why, rank=solution.rank, condition=solution.condition)
             # g' = 0: b' and x alone, of one albedo
             blank = solution.gain == 0 or abs(solution.gain) > 1e8 * np.abs(grey).max()
             if one and not blank and solution.gap > LEAST_GAP:
@@ -164,7 +162,7 @@ def gain_and_bias(
                     bias=b,
                     bias_95=(b, b),
                     determined=True,
-                    reason="",
+                    why="",
                     misfit=float(np.sqrt(spread)),
                 )
         parts.append(part._replace(unknowns=int(seen.sum()) + 2))

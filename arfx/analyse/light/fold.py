@@ -112,6 +112,14 @@ class LightOfMarkers(Fold):
         self.changes.append(BackgroundChange(frame.index + 1, change))
 
     def finish(self, clip: Analysis) -> Analysis:
+        def place_m() -> np.ndarray:
+            """(2,) middle of the object, anchor axes."""
+            if self.job.scene is None:
+                return np.zeros(2)
+            scene = self.job.scene(clip)
+            points = scene.world_from_anchor.inverse().apply(scene.model_points_m)
+            return np.asarray(points.min(0) + points.max(0))[:2] / 2
+
         return with_light(
             clip,
             self.readings,
@@ -119,6 +127,7 @@ class LightOfMarkers(Fold):
             self.job.light,
             self.job.panorama,
             changes=dict(self.changes),
+            place_m=place_m,
         )
 
     @staticmethod

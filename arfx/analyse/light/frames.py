@@ -108,11 +108,11 @@ def with_light(
     }
     place = divide(place_m(), corners_m[:, :2].max(0)) if shaded else np.zeros(2)
     rows, even = _usable(analysis, patch_readings, static_from_world, place)
-    photometry, *light = solve(
+    photometry, other = solve(
         *patches.stack([row.cells for row, _ in rows], params.ink, params.paper),
         np.min([s.darkest for s in samples], axis=0) if samples else None,
     )
-    readings = _readings(rows, even, analysis.anchor.key, photometry, light, changes)
+    readings = _readings(rows, even, analysis.anchor.key, photometry, other, changes)
     given = _given(params, panorama)
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
@@ -248,7 +248,7 @@ def _readings(
     even: np.ndarray,
     anchor: str,
     photometry: Photometry,
-    light: Sequence[LightReading | None],
+    other: LightReading | None,
     changes: Mapping[int, float],
 ) -> Readings:
     """Of the rows in which something was seen, as `_usable` gives them."""
@@ -261,7 +261,7 @@ def _readings(
         keys == anchor,
         [
             replace(reading, fit=reading.fit & even).at(used)
-            for reading in (photometry.reading, *light)
+            for reading in (photometry.reading, other)
             if reading is not None
         ],
         changes,

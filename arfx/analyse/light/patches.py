@@ -140,10 +140,10 @@ def read_print(
         return Patches(none, none, np.zeros(PATCHES, int), none[:, 0], meter.albedo)
     value = seen.value
     if meter.scale is not None:
-        at = (seen.place * len(meter.scale) - 0.5).astype(np.float32)
-        even = cv2.remap(
-            meter.scale, at, None, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
+        x, y = np.moveaxis(
+            seen.place * np.float32(len(meter.scale)) - np.float32(0.5), -1, 0
         )
+        even = cv2.remap(meter.scale, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
         k = len(even) // n
         value = value * even.reshape(n, k, n, k, 3).swapaxes(1, 2).reshape(value.shape)
     low = np.arange(n) >= n / 2

@@ -58,16 +58,15 @@ class LightReading:
 
 
 class Channel(NamedTuple):
-    """One channel of a Photometry; reason : why its bias is assumed, "" = it is not."""
+    """One channel of a Photometry; why : its bias is assumed, "" = it is not."""
 
     y: np.ndarray
     var_y_own: np.ndarray
     seen: np.ndarray
-    ink: float
     rank: int
     unknowns: int
     condition: float
-    reason: str = ""
+    why: str = ""
     determined: bool = False
     bias: float = 0.0
     bias_95: tuple[float, float] = (-_NORMAL_95 * ASSUMED_BIAS, _NORMAL_95 * ASSUMED_BIAS)
@@ -82,9 +81,9 @@ class Photometry:
     bring it below 0
     var_y_own : (t, 3) its variance without that of the bias, whose error is shared by all frames
     seen : (t,) False where nothing was usable (y 0, variance UNKNOWN_VARIANCE)
-    ink : (3,) albedo of the dark patches
     rank, unknowns : (3,) of the linear system;  condition : (3,) of its columns scaled to
-    length 1, at most 1e12;  reasons : (3,) why a channel's bias is assumed
+    length 1, at most 1e12;  why : (3,) a channel's bias is
+    assumed
     determined : (3,) False where it is;  bias : (3,);  bias_95 : (3, 2) interval, the
     tolerances included
     misfit : (3,) residuals in units of their stated deviations;  clipped : share of
@@ -94,11 +93,10 @@ class Photometry:
     y: np.ndarray
     var_y_own: np.ndarray
     seen: np.ndarray
-    ink: np.ndarray
     rank: np.ndarray
     unknowns: np.ndarray
     condition: np.ndarray
-    reasons: np.ndarray
+    why: np.ndarray
     determined: np.ndarray
     bias: np.ndarray
     bias_95: np.ndarray
@@ -115,7 +113,7 @@ class Photometry:
         if self.determined.all():
             return "two albedos, bias and light determined"
         channels = "".join(np.array([*"RGB"])[~self.determined])
-        why = "; ".join(sorted({*self.reasons[~self.determined]}))
+        why = "; ".join(sorted({*self.why[~self.determined]}))
         return f"{channels}: {why}; bias 0 assumed, light from the bright patches alone"
 
     @property
@@ -191,9 +189,14 @@ def assemble(
     parts: Sequence[Channel], clipped: np.ndarray | None, ignored: int
 ) -> Photometry:
     """A Photometry of the channels' results."""
-    y, own, seen, *others = map(np.array, zip(*parts, strict=True))
+    columns = {
+        name: np.array(column)
+        for name, column in zip(Channel._fields, zip(*parts, strict=True), strict=True)
+    }
+    columns |= {"y": columns["y"].T, "var_y_own": columns["var_y_own"].T}
+    columns["seen"] = np.asarray(columns["seen"].any(0))
     share = float(np.mean(clipped)) if clipped is not None and np.size(clipped) else 0.0
-    return Photometry(y.T, own.T, seen.any(0), *others, share, ignored)
+    return Photometry(**columns, clipped=share, ignored=ignored)
 
 
 def bright_patches(
@@ -213,8 +216,7 @@ def bright_patches(
     information = (take * rho * rho).sum(1)
     y = divide((take * rho * grey).sum(1), information)
     own = divide(1.0, information, where_zero=UNKNOWN_VARIANCE)
-    ink, unknowns = float(rho.min(initial=INK)), int(seen.sum()) + 1
-    return Channel(y, own, seen, ink, rank, unknowns, min(condition, MOST_CONDITION), why)
+    return Channel(y, own, seen, rank, int(seen.sum()) + 1, condition, why)
 
 
 def _solve_channel(
@@ -300,7 +302,6 @@ def _solve_channel(
         np.where(seen, y - (w * rho).sum(1) * inverse * glare, 0.0),
         np.where(seen, scale**2 * inverse, UNKNOWN_VARIANCE),
         seen,
-        float(rho[dark].mean()),
         unknowns,
         unknowns,
         condition,

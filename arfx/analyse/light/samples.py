@@ -52,8 +52,8 @@ def sample_cells(
         return None
     turn = cv2.getPerspectiveTransform(_UNIT, np.asarray(quad_px, np.float32))
     # how the plane is stretched at the middle
-    x, y, depth = turn @ [0.5, 0.5, 1]
-    stretch = (turn[:2, :2] - np.outer([x / depth, y / depth], turn[2, :2])) / depth / n
+    *middle, depth = turn @ [0.5, 0.5, 1]
+    stretch = (turn[:2, :2] - np.outer(middle, turn[2, :2]) / depth) / depth / n
     wide_px, cell_px = np.linalg.svd(stretch, compute_uv=False)
     margin = float(np.clip(BLURS * blur_px / max(cell_px, 1e-6), MARGIN, MOST_MARGIN))
     inner = 1 - 2 * margin
@@ -63,8 +63,8 @@ def sample_cells(
     at = cv2.perspectiveTransform(place, turn)
     clipped = ((linear <= CLIP_LOW) | (linear >= CLIP_HIGH)).any(-1)
     read = np.dstack([linear, clipped]).astype(np.float32)
-    none = (np.nan,) * 4
-    seen = cv2.remap(read, at, None, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, none)
+    x, y, outside = at[..., 0], at[..., 1], (np.nan,) * 4
+    seen = cv2.remap(read, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, outside)
     cells = seen.reshape(n, k, n, k, 4).transpose(0, 2, 1, 3, 4).reshape(n, n, k * k, 4)
     per_sample = inner**2 * wide_px * cell_px / k**2  # px^2
     nearest = (margin + inner * 0.5 / k) * cell_px

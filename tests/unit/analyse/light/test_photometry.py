@@ -39,7 +39,7 @@ def clip(
 
 
 def finite(p: Photometry) -> bool:
-    arrays = (p.y, p.var_y_own, p.bias, p.bias_95, p.ink, p.condition, p.misfit)
+    arrays = (p.y, p.var_y_own, p.bias, p.bias_95, p.condition, p.misfit)
     return all(np.isfinite(a).all() for a in arrays) and np.isfinite(p.clipped)
 
 
