@@ -27,7 +27,7 @@ from arfx.analyse.light.samples import CellSamples, sample_cells
 from arfx.analyse.light.shadow import clearly_shaded, light_at, quarters
 from arfx.core.marker import MarkerSpec
 from arfx.core.marker_codes import marker_cells
-from arfx.core.numerics import HALF_GREY, divide
+from arfx.core.numerics import HALF_GREY
 
 # black top left, top right, bottom left, bottom right, then white in the same order
 PATCHES = 8
@@ -144,27 +144,28 @@ def read_print(
             seen.place * np.float32(len(meter.scale)) - np.float32(0.5), -1, 0
         )
         even = cv2.remap(meter.scale, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-        k = len(even) // n
-        value = value * even.reshape(n, k, n, k, 3).swapaxes(1, 2).reshape(value.shape)
+        value = value * even.reshape(n, len(x) // n, n, -1, 3).swapaxes(1, 2).reshape(
+            value.shape
+        )
     low = np.arange(n) >= n / 2
     patch = np.where(cells < 0, PATCHES, 4 * cells + 2 * low[:, None] + low)
     mean, spread = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3))
     count, clipped = np.zeros(PATCHES, int), np.zeros(PATCHES)
+    usable = np.isfinite(value).all(-1) & ~seen.clipped
     for g in range(PATCHES):
-        mine, cut = value[patch == g].reshape(-1, 3), seen.clipped[patch == g].ravel()
-        finite = np.isfinite(mine).all(1)
-        clipped[g] = (finite & cut).sum() / max(finite.sum(), 1)
-        mine = mine[finite & ~cut]
+        fine, cut = usable[patch == g], seen.clipped[patch == g]
+        clipped[g] = cut.sum() / max((cut | fine).sum(), 1)
+        mine = value[patch == g][fine]
         for _ in range(2):
             mine = mine[_agreeing(mine.mean(1))]
         if len(mine) >= FEWEST:
             count[g], mean[g], spread[g] = len(mine), mine.mean(0), mine.std(0, ddof=1)
     variance = _uncertainty(mean, spread, count, clipped, seen)
-    bright = (cells == 1)[..., None] & np.isfinite(value).all(-1) & ~seen.clipped
-    light = divide(np.where(bright, value.mean(-1), 0).sum(-1), bright.sum(-1), np.nan)
+    bright = usable & (cells == 1)[..., None]
+    light = np.ma.array(value.mean(-1), mask=~bright).mean(-1).filled(np.nan)
     if meter.albedo is not None:
         albedo = np.append(meter.albedo.mean(-1), 0)[patch]
-        light = np.where(albedo < DIM, np.nan, light / albedo)
+        light = np.where(albedo < DIM, np.nan, light / np.maximum(albedo, DIM))
     shaded = light if clearly_shaded(light) else None
     return Patches(mean, variance, count, clipped, meter.albedo, shaded)
 
