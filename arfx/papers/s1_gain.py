@@ -161,7 +161,6 @@ def gain_and_bias(
                     var_y_own=np.where(seen, own, part.var_y_own),
                     bias=b,
                     bias_95=(b, b),
-                    determined=True,
                     why="",
                     misfit=float(np.sqrt(spread)),
                 )

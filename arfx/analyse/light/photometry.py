@@ -67,7 +67,6 @@ class Channel(NamedTuple):
     unknowns: int
     condition: float
     why: str = ""
-    determined: bool = False
     bias: float = 0.0
     bias_95: tuple[float, float] = (-_NORMAL_95 * ASSUMED_BIAS, _NORMAL_95 * ASSUMED_BIAS)
     misfit: float = 1.0
@@ -84,7 +83,7 @@ class Photometry:
     rank, unknowns : (3,) of the linear system;  condition : (3,) of its columns scaled to
     length 1, at most 1e12;  why : (3,) a channel's bias is
     assumed
-    determined : (3,) False where it is;  bias : (3,);  bias_95 : (3, 2) interval, the
+    bias : (3,);  bias_95 : (3, 2) interval, the
     tolerances included
     misfit : (3,) residuals in units of their stated deviations;  clipped : share of
     samples;  ignored : patches not finite
@@ -97,12 +96,16 @@ class Photometry:
     unknowns: np.ndarray
     condition: np.ndarray
     why: np.ndarray
-    determined: np.ndarray
     bias: np.ndarray
     bias_95: np.ndarray
     misfit: np.ndarray
     clipped: float
     ignored: int
+
+    @property
+    def determined(self) -> np.ndarray:
+        """(3,) False where the channel's bias is assumed."""
+        return self.why == ""
 
     @property
     def verdict(self) -> str:
@@ -258,11 +261,9 @@ def _solve_channel(
             break
     from scipy.special import stdtrit
 
-    # residuals are independent, or by patch, or by frame
-    influence = w * residual * of_bias / remaining * (spare > 0)
-    groups = np.count_nonzero((w > 0).any(0))
-    by_patch = (influence.sum(0) ** 2).sum() * groups / max(groups - 1, 1)
-    noise = max(scale**2 / remaining, by_patch, (influence.sum(1) ** 2).sum())
+    # residuals are independent, or by frame
+    influence = (w * residual * of_bias).sum(1) / remaining * (spare > 0)
+    noise = max(scale**2 / remaining, (influence**2).sum())
     quantile = float(stdtrit(spare, 0.975)) if spare > 0 else _NORMAL_95
     half = quantile * float(np.sqrt(noise))
     root = np.sqrt(1 - min(fraction, 1.0 - 1e-16))
@@ -278,25 +279,21 @@ def _solve_channel(
         why = "bright and dark cells look alike, or dark ones are brighter"
         return bright_patches(grey, w0, rho, why, unknowns, condition)
     dark = rho < (rho.min(1, keepdims=True) + rho.max(1, keepdims=True)) / 2
-    sigma = float(np.median(1 / np.sqrt(w0[dark & usable]))) * known
     ink_level = max(float(np.median(grey[dark & usable])), 0.0031)
     # of sRGB, of which all curves are near enough
-    slope = 2.4 / 1.055 * ink_level ** (1 - 1 / 2.4)
-    # each times its tolerance: as an unknown beside the bias it is 0, with deviation 1
-    columns = (
-        tolerances.ink_sigma * dark * y[:, None],
-        tolerances.steps / _NORMAL_95 * dark * slope / 255,
-        tolerances.blur * dark * sigma,
-    )
-    left = np.stack([of_bias, *(_apart(column, w, rho, inverse) for column in columns)])
-    normal = np.einsum("itp,tp,jtp->ij", left, w, left)
-    prior = scale**2 * np.diag([0.0, 1.0, 1.0, 1.0])
-    covariance = np.linalg.pinv(normal + prior, hermitian=True)[0]
+    step = tolerances.steps / 255 * 2.4 / 1.055 * ink_level ** (1 - 1 / 2.4)
+    blur = tolerances.blur * known * float(np.median(1 / np.sqrt(w0[dark & usable])))
+    # the ink's error over its tolerance: as an unknown beside the bias 0, with deviation 1
+    of_ink = _apart(tolerances.ink_sigma * dark * y[:, None], w, rho, inverse)
+    left = np.stack([of_bias, of_ink])
+    normal = np.einsum("itp,tp,jtp->ij", left, w, left) + scale**2 * np.diag([0.0, 1.0])
+    covariance = np.linalg.pinv(normal, hermitian=True)[0]
     off = float(covariance @ (left * w * residual).sum((1, 2)))
     noise += scale**2 * max(float(covariance[0]) - 1 / remaining, 0.0)
     curve = tolerances.transfer * grey * np.log(np.maximum(np.abs(grey), 1e-9))
-    bent = float((w * of_bias * curve).sum()) / remaining
-    half = float(np.hypot(quantile * np.sqrt(noise), bent))
+    bent = abs(float((w * of_bias * curve).sum())) / remaining
+    half = quantile * np.sqrt(noise) + bent
+    half = float(np.linalg.norm([half, step, _NORMAL_95 * blur]))
     glare = _glare(residual, w0, rho, dark, scale)
     return Channel(
         np.where(seen, y - (w * rho).sum(1) * inverse * glare, 0.0),
@@ -306,7 +303,6 @@ def _solve_channel(
         unknowns,
         condition,
         "",
-        True,
         b,
         (b + min(off, 0.0) - half, b + max(off, 0.0) + half),
         scale,

@@ -59,7 +59,7 @@ def scale_to(light: Light, normals: np.ndarray, radiance: np.ndarray) -> Light:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """k markers in frames. frame : (k,) its number;  normal : (k, 3) unit, STATIC axes
+    """k markers in frames, in order. frame : (k,) its number;  normal : (k, 3) unit, STATIC axes
     print_ : (k,) int, which one;  stood_on : (k,) bool, the anchor
     light : what a white surface shows there; behind it the same of one kind of cells alone
     (patches.comparable), where prints are overexposed
@@ -89,7 +89,6 @@ class StaticFrameLight:
         self.frames, self.facts, self.params = list(frames), facts, params
         self.static_from_world = static_from_world
         mine = np.flatnonzero(np.isin(readings.frame, self.frames))
-        mine = mine[np.argsort(readings.frame[mine], kind="stable")]
         self.numbers, self.normals = readings.frame[mine], readings.normal[mine]
         self.readings = [light.at(mine) for light in readings.light]
         self.reading = self.readings[0]
@@ -159,9 +158,9 @@ class StaticFrameLight:
         frames = [self.frames[i] for i in rows]
         bright = np.array([lights[k].mean_radiance.mean() for k in frames])
         relative = divide(bright, np.median(bright), where_zero=1.0).tolist()
+        times_s = self.times_s(frames).tolist()
         return [
-            {"time_s": self.facts[k].time_s, "relative": g}
-            for k, g in zip(frames, relative, strict=True)
+            {"time_s": t, "relative": g} for t, g in zip(times_s, relative, strict=True)
         ]
 
     def from_given(
