@@ -45,9 +45,8 @@ HUBER = 1.345  # deviations beyond which a print disagrees with the others, and 
 LEAST_SIGMA = 3e-4
 NOISE_OVER = 31  # readings, of which the noise is told
 # A step of luma's logarithm from one reading to the next: the light was switched. So much, and
-# so many deviations, beyond what the readings around, this many on either side, change by.
-STEP, STEP_SURE, AROUND = 0.05, 8.0, 3
-STANDS_OUT = 3.0  # times the largest of these
+# so many deviations, and but for this share what it is between what lies before and after.
+STEP, STEP_SURE, ALIKE = 0.05, 11.0, 0.4
 _PASSES = 30  # of alternating means: few prints that are seen in turn take that many
 
 
@@ -132,28 +131,17 @@ def common_level(
 
 
 def steps(times_s: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """(s,) times between readings at which luma jumps: by far more, and otherwise, than before
-    and after, and not back at once.
+    """(s,) times between readings at which luma jumps: by far more than noise, and by as much
+    as all that lies before and after differs. So neither a ramp is one, nor a frame that
+    disagrees.
 
     times_s : (n,) ascending;  level : (n, 3) logarithms of successive readings
     """
-    if len(level) < 2 * AROUND + 2:
-        return np.zeros(0)
-    jump = np.diff(level.mean(1))
-    off = np.abs(jump - np.median(_neighbours(jump), 1))
-    clear = off > max(STEP, STEP_SURE * 1.4826 * float(np.median(off)))
-    # a frame that disagrees is two in a row, and what turns past a lamp several
-    clear &= off > STANDS_OUT * _neighbours(off).max(1)
-    clear[:AROUND] = clear[-AROUND:] = False
-    at = np.flatnonzero(clear)
-    return (times_s[at] + times_s[at + 1]) / 2
-
-
-def _neighbours(value: np.ndarray) -> np.ndarray:
-    """(n, 2 AROUND) of value (n,), without itself."""
-    padded = np.pad(value, AROUND, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
-    return np.delete(windows, AROUND, axis=1)
+    luma = level.mean(1, keepdims=True)
+    jump, over = np.diff(luma[:, 0]), _difference(luma, SCALES[0])[1:, 0]
+    sure = np.maximum(STEP, STEP_SURE * _noise(luma)[1:, 0])
+    clear = (np.abs(jump) > sure) & (np.abs(over - jump) < ALIKE * np.abs(jump))
+    return (times_s[:-1] + times_s[1:])[clear] / 2
 
 
 def _smoothed(
