@@ -28,7 +28,7 @@ DARKEST, BRIGHTEST = (
 )  # coded luma between which a pixel says how the exposure changed
 GAMMA = 2.2  # of coded luma, about
 LEAST_CHANGE = 0.012  # of the background's logarithm: less is its noise, it rests
-OFF = 0.2  # of what the background shows, by which it is off
+OFF = 0.25  # of what the background shows, by which it is off
 # of a level's logarithm for a radian by which a print turns under lights that nobody knows
 TURN, CHROMA_TURN = 1.0, 0.3
 SCALES = (3, 8, 24)  # readings before and after, over which a change is looked for
