@@ -311,8 +311,9 @@ def fit_temporal_model(
     verdict = ""  # so far
     for reading in readings:
         on = reading.fit
-        if verdict == MEASURED or not on.any():
+        if verdict == MEASURED or (verdict and not on.any()):
             break
+        on = on if on.any() else np.ones_like(on)
         account, spans = fit_over_time(
             times_s[on], normals[on], reading.y[on], reading.variance[on], breaks_s, params
         )

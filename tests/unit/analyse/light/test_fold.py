@@ -255,6 +255,18 @@ def test_a_real_shadow_is_told_where_no_lamp_is_known_and_darkens_what_stands_in
     assert seen == pytest.approx([0.4, 1.0], abs=0.04)
 
 
+def test_a_shot_that_lies_in_shadow_whole_has_a_light() -> None:
+    analysis, meter = Clip().made()
+    facts = [f.with_(shot=int(f.index >= 40)) for f in analysis.facts]
+    for k in range(40, 60):
+        cells = np.repeat(np.repeat([[0.4, 1.0]], 4, 1), 8, 0)
+        meter.readings[k] = Reading(k, KEY, replace(meter.readings[k].cells, cells=cells))
+    done = with_light(
+        replace(analysis, facts=tuple(facts)), meter.readings, (), LightParams()
+    )
+    assert all(f.light is not None for f in done.facts)
+
+
 def test_nothing_that_rests_means_no_direction() -> None:
     clip = Clip()
     analysis, meter = clip.made()
