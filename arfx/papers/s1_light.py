@@ -271,7 +271,7 @@ class PrintedStaticFrameLight(StaticFrameLight):
         )
         verdict = MEASURED if middle.lights else REFUSED
         lights = {k: solution[i] for k, i in zip(self.frames, last, strict=True)}
-        return lights, self.report(verdict, "marker", peaks, middle)
+        return lights, self.report(verdict, peaks, middle)
 
 
 class PrintedLight(LightOfMarkers):

@@ -22,10 +22,7 @@ import numpy as np
 from arfx.core.numerics import divide
 
 WITNESS_PX = (64, 36)  # of the small pictures that are compared
-DARKEST, BRIGHTEST = (
-    16,
-    240,
-)  # coded luma between which a pixel says how the exposure changed
+WITHIN = 112  # of middle grey, coded: such pixels say how the exposure changed
 GAMMA = 2.2  # of coded luma, about
 LEAST_CHANGE = 0.012  # of the background's logarithm: less is its noise, it rests
 OFF = 0.25  # of what the background shows, by which it is off
@@ -70,9 +67,7 @@ def background_change(before: np.ndarray, after: np.ndarray) -> float:
     (x, y), _ = cv2.phaseCorrelate(a - a.mean(), b - b.mean(), window)
     shift = np.array([[1, 0, x], [0, 1, y]])
     moved = cv2.warpAffine(before, shift, WITNESS_PX, flags=cv2.INTER_LINEAR)
-    inside = (
-        (moved > DARKEST) & (moved < BRIGHTEST) & (after > DARKEST) & (after < BRIGHTEST)
-    )
+    inside = (np.abs(np.stack([moved, after]) - 128) < WITHIN).all(0)
     if inside.mean() < 0.1:
         return float("nan")
     return float(GAMMA * np.median(np.log(after[inside] / moved[inside])))

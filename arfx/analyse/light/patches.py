@@ -110,15 +110,17 @@ def pattern_meter(
     grey = quarters.mean(-1)
     level, rough = grey.mean(-1), ROUGH * grey.std(-1)
     chosen, albedo = np.full((4, half**2), -1, np.int8), np.zeros((PATCHES, 3))
-    scale = np.ones(quarters.shape)
-    for q, order in enumerate(np.argsort(level, axis=1, kind="stable")):
-        for white, part in enumerate((order[: half**2 // 2], order[half**2 // 2 :])):
-            score = ((2 * white - 1) * level - rough)[q, part]
-            best = part[np.argsort(-score, kind="stable")[:CHOSEN]]
-            mean = 1 / (1 / quarters[q, best]).mean((0, 1))
-            chosen[q, best] = white
-            scale[q, best] = mean / quarters[q, best]
-            albedo[PATCHES // 2 * white + q] = mean
+    scale, row = np.ones(quarters.shape), np.arange(4)[:, None]
+    for white, order in enumerate(
+        np.split(np.argsort(level, 1, "stable"), [half**2 // 2], 1)
+    ):
+        score = np.take_along_axis((2 * white - 1) * level - rough, order, 1)
+        first = np.argsort(-score, 1, "stable")[:, :CHOSEN]
+        best = np.take_along_axis(order, first, 1)
+        mean = 1 / (1 / quarters[row, best]).mean((1, 2))
+        chosen[row, best] = white
+        scale[row, best] = mean[:, None, None] / quarters[row, best]
+        albedo[4 * white : 4 * white + 4] = mean
     cells = chosen.reshape(2, 2, half, half).transpose(0, 2, 1, 3).reshape(GRID, GRID)
     over = scale.reshape(2, 2, half, half, FINE, FINE, 3).transpose(0, 2, 4, 1, 3, 5, 6)
     return Meter(cells, albedo, over.reshape(size, size, 3).astype(np.float32))

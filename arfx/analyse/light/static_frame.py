@@ -107,9 +107,9 @@ class StaticFrameLight:
         rests : a light can rest in it
         """
         if not self.lit:
-            soft, source = self._surroundings(samples)
+            soft = self._surroundings(samples)
             why = "no marker is seen well enough: too small, too flat, clipped or covered"
-            return dict.fromkeys(self.frames, soft), self.report(REFUSED, source, why, soft)
+            return dict.fromkeys(self.frames, soft), self.report(REFUSED, why, soft)
         model, spans, self.reading = fit_temporal_model(
             self.times_s(self.numbers),
             self.normals,
@@ -117,7 +117,7 @@ class StaticFrameLight:
             self._steps_s(),
             FitParams(self.params.most_lights, likely=self.params.claims == LIKELY),
         )
-        soft, source = self._surroundings(samples)
+        soft = self._surroundings(samples)
         longest = max(spans, key=lambda s: s.stop_s - s.start_s)
         claimed = [s for s in spans if s.fit.claimed]
         if rests and claimed:
@@ -133,8 +133,7 @@ class StaticFrameLight:
             verdict, why = best.fit.told(best.group)
             why += f"; {_TEMPORAL_MODELS[model]}"
             light = best.fit.light(best.group)
-            report = self.report(verdict, "marker", why, light, longest.fit.span_deg)
-            return lights, report | {
+            return lights, self.report(verdict, why, light) | {
                 "gamma": best.fit.gamma,
                 "account": model,
                 "gain": self._relative_gain(lights) if model == SHARED else None,
@@ -147,10 +146,9 @@ class StaticFrameLight:
         )
         lights = self._follow([soft])
         shaped = "soft light from the picture's surroundings, brighter from above"
-        used = shaped if source == "environment" else "ambient light alone"
+        used = shaped if soft.source == "environment" else "ambient light alone"
         middle = lights[self.lit[len(self.lit) // 2]]
-        why += f"; used instead: {used}"
-        return lights, self.report(REFUSED, source, why, middle, longest.fit.span_deg)
+        return lights, self.report(REFUSED, f"{why}; used instead: {used}", middle)
 
     def _relative_gain(self, lights: Lights) -> list[dict[str, float]]:
         """Brightness of at most MOST_GAINS frames, over its median."""
@@ -179,10 +177,10 @@ class StaticFrameLight:
             else:
                 light = scale_to(light, n, shown)
             lights = self._follow([light])
-        return lights, self.report(ASSUMED, light.source, why, light)
+        return lights, self.report(ASSUMED, why, light)
 
-    def _surroundings(self, samples: Sequence[EnvironmentSample]) -> tuple[Light, str]:
-        """(soft light of this static frame, "environment" or "ambient"): mean of all
+    def _surroundings(self, samples: Sequence[EnvironmentSample]) -> Light:
+        """Soft light of this static frame, of source "environment" or "ambient": mean of all
         samples, as bright as the markers show.
         """
         mine = [sample for sample in samples if sample.frame in set(self.frames)]
@@ -191,14 +189,14 @@ class StaticFrameLight:
         level = np.median(measured, 0) if len(n) else None
         if not mine:
             ambient = Light().ambient_rgb if level is None else triple(level)
-            return Light(ambient, (), "ambient"), "ambient"
+            return Light(ambient, (), "ambient")
         turns = [
             self.static_from_world[s.frame] @ self.facts[s.frame].pose.rotation.T
             for s in mine
         ]
         up = normalise((n if len(n) else -np.array(turns)[:, :, 2]).sum(0))
         light = soft_light(mine, turns, up, level)
-        return (matched(light, n, measured) if len(n) else light), "environment"
+        return matched(light, n, measured) if len(n) else light
 
     def _steps_s(self) -> list[float]:
         """Times at which the light steps, beside what turning prints show."""
@@ -269,14 +267,7 @@ class StaticFrameLight:
             np.maximum.at(out, at[1:], angle_between(n[1:], n[:-1]))
         return out
 
-    def report(
-        self,
-        verdict: str,
-        source: str,
-        reason: str,
-        light: Light,
-        normal_span_deg: float | None = None,
-    ) -> dict[str, Any]:
+    def report(self, verdict: str, reason: str, light: Light) -> dict[str, Any]:
         """What the summary says of a light: also what was seen, and how well it separates
         ambient light from a direction.
         """
@@ -286,9 +277,9 @@ class StaticFrameLight:
         separates = condition(rows) if len(n) >= 4 else 0.0
         document = light.to_json()
         return {
-            "source": source,
+            "source": light.source,
             "normals_seen": len(np.unique(icosphere(3).nearest(n))),
-            "normal_span_deg": span_deg(n) if normal_span_deg is None else normal_span_deg,
+            "normal_span_deg": span_deg(n),
             "rank": int(np.linalg.matrix_rank(rows, rtol=1e-2)) if len(n) else 0,
             "condition": separates if 0 < separates < 1e12 else None,
             "ambient_rgb": document["ambient_rgb"],
