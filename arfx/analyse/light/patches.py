@@ -193,13 +193,18 @@ def standing(seen: Patches, place: np.ndarray) -> Patches:
 
 def _agreeing(grey: np.ndarray) -> np.ndarray:
     """(n,) bool: which of a patch's samples are within OUT deviations of their median."""
-    if not len(grey):
-        return np.ones(0, bool)
-    off = np.abs(grey - np.median(grey))
-    return off <= OUT * max(1.4826 * np.median(off), _step(np.median(grey)) / 2)
+    middle = _median(grey)
+    off = np.abs(grey - middle)
+    return off <= OUT * max(1.4826 * _median(off), float(_step(middle)) / 2)
 
 
-def _step(level: np.ndarray) -> np.ndarray:
+def _median(values: np.ndarray) -> float:
+    """0 of none; numpy's own takes five times as long for so few."""
+    ordered, n = np.sort(values), len(values)
+    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2 if n else 0.0
+
+
+def _step(level: np.ndarray | float) -> np.ndarray:
     """An 8-bit step in linear light, at a linear level."""
     slope = _GAMMA * np.maximum(level, 0) ** (1 - 1 / _GAMMA)
     return 2 * HALF_GREY * np.maximum(1 / 12.92, slope)
