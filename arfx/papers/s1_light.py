@@ -292,6 +292,7 @@ class PrintedLight(LightOfMarkers):
             clipped: np.ndarray,
             rho: np.ndarray,
             _most_bias: np.ndarray | None,
+            _print: np.ndarray,
         ) -> tuple[Photometry, None]:
             if (
                 params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()

@@ -39,9 +39,10 @@ class Reading(NamedTuple):
     cells: patches.Patches
 
 
-# intensity, variance, clipped share and albedo of the patches, and what the darkest pixels show
+# intensity, variance, clipped share and albedo of the patches, what the darkest pixels show,
+# and which print it is
 Solve = Callable[
-    [np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None],
+    [np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None, np.ndarray],
     tuple[Photometry, LightReading | None],
 ]
 # width of an interval for one of three questions at .95 of all (Bonferroni), over the width
@@ -58,13 +59,16 @@ def solve_patches(
     clipped: np.ndarray,
     albedo: np.ndarray,
     most_bias: np.ndarray | None,
+    print_: np.ndarray,
 ) -> tuple[Photometry, LightReading | None]:
     """Bias and light out of patches, and another reading of them where prints are overexposed.
 
     A bias that is not certain is not drawn: then the bright patches' light holds what of it
     is in doubt.
     """
-    found = photometry_of(intensity, variance, albedo, clipped, most_bias=most_bias)
+    found = photometry_of(
+        intensity, variance, albedo, clipped, most_bias=most_bias, print_=print_
+    )
     other = patches.comparable(found, intensity, variance, clipped, albedo)
     sigma = np.diff(found.bias_95)[:, 0] / (2 * 1.96)
     doubt = divide(sigma**2, sigma**2 + found.bias**2)
@@ -108,11 +112,26 @@ def with_light(
     }
     place = divide(place_m(), corners_m[:, :2].max(0)) if shaded else np.zeros(2)
     rows, even = _usable(analysis, patch_readings, static_from_world, place)
+    keys = np.array([row.key for row, _ in rows], str)
+    print_ = np.unique(keys, return_inverse=True)[1].ravel()
     photometry, other = solve(
         *patches.stack([row.cells for row, _ in rows], params.ink, params.paper),
         np.min([s.darkest for s in samples], axis=0) if samples else None,
+        print_,
     )
-    readings = _readings(rows, even, analysis.anchor.key, photometry, other, changes)
+    used = photometry.seen
+    readings = Readings(
+        np.array([row.frame for row, _ in rows], int)[used],
+        np.reshape([normal for _, normal in rows], (-1, 3))[used],
+        print_[used],
+        (keys == analysis.anchor.key)[used],
+        [
+            replace(reading, fit=reading.fit & even).at(used)
+            for reading in (photometry.reading, other)
+            if reading is not None
+        ],
+        changes,
+    )
     given = _given(params, panorama)
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
@@ -241,28 +260,3 @@ def _usable(
         i for i, (row, _) in enumerate(rows) if even[i] or row.key == analysis.anchor.key
     ]
     return [rows[i] for i in kept], even[kept]
-
-
-def _readings(
-    rows: Sequence[tuple[Reading, np.ndarray]],
-    even: np.ndarray,
-    anchor: str,
-    photometry: Photometry,
-    other: LightReading | None,
-    changes: Mapping[int, float],
-) -> Readings:
-    """Of the rows in which something was seen, as `_usable` gives them."""
-    used = photometry.seen
-    keys = np.array([row.key for row, _ in rows], str)[used]
-    return Readings(
-        np.array([row.frame for row, _ in rows], int)[used],
-        np.reshape([normal for _, normal in rows], (-1, 3))[used],
-        np.unique(keys, return_inverse=True)[1].ravel(),
-        keys == anchor,
-        [
-            replace(reading, fit=reading.fit & even).at(used)
-            for reading in (photometry.reading, other)
-            if reading is not None
-        ],
-        changes,
-    )

@@ -150,15 +150,18 @@ def solve(
     clipped: np.ndarray | None = None,
     tolerances: Tolerances = USUAL,
     most_bias: np.ndarray | None = None,
+    print_: np.ndarray | None = None,
 ) -> Photometry:
     """intensity : (t, p, 3) linear, NaN = not measured;  variance : (t, p, 3) or None =
     equal and unknown
     albedo : (p,), (t, p) or (t, p, 3);  clipped : (t, p) shares, for the report
     tolerances : go into bias_95
-    most_bias : (3,) what the clip's darkest pixels show: no black level is above it"""
+    most_bias : (3,) what the clip's darkest pixels show: no black level is above it
+    print_ : (t,) int, which was seen, None = one: inks differ"""
     channels, ignored = weighted(intensity, variance, albedo)
     known = variance is not None
-    parts = [_solve_channel(*c, known, tolerances) for c in channels]
+    which = np.zeros(len(intensity), int) if print_ is None else print_
+    parts = [_solve_channel(*c, which, known, tolerances) for c in channels]
     most = np.inf if most_bias is None else most_bias
     if any(p.bias > m for p, m in zip(parts, np.broadcast_to(most, 3), strict=True)):
         parts = [  # then no channel's is the camera's
@@ -226,10 +229,11 @@ def _solve_channel(
     grey: np.ndarray,
     w0: np.ndarray,
     rho: np.ndarray,
+    print_: np.ndarray,
     known: bool,
     tolerances: Tolerances,
 ) -> Channel:
-    """Shared bias. grey, w0, rho : as of `weighted`;  known : the variances are
+    """Shared bias. grey, w0, rho : as of `weighted`;  known : the variances are;  print_ : (t,)
 
     The solution takes the stated ink and curve; the interval holds what they make of the
     bias where they are unknowns beside it, with their tolerances as prior. (Gloss and glare
@@ -294,7 +298,7 @@ def _solve_channel(
     bent = abs(float((w * of_bias * curve).sum())) / remaining
     half = quantile * np.sqrt(noise) + bent
     half = float(np.linalg.norm([half, step, _NORMAL_95 * blur]))
-    glare = _glare(residual, w0, rho, dark, scale)
+    glare = _glare(residual, w0, rho, dark, scale, print_)
     return Channel(
         np.where(seen, y - (w * rho).sum(1) * inverse * glare, 0.0),
         np.where(seen, scale**2 * inverse, UNKNOWN_VARIANCE),
@@ -317,10 +321,15 @@ def _apart(
 
 
 def _glare(
-    residual: np.ndarray, w: np.ndarray, rho: np.ndarray, dark: np.ndarray, scale: float
+    residual: np.ndarray,
+    w: np.ndarray,
+    rho: np.ndarray,
+    dark: np.ndarray,
+    scale: float,
+    print_: np.ndarray,
 ) -> np.ndarray:
     """(t,) by which most dark and most bright patches of a reading are off alike: a highlight
-    on a glossy print. Only what is far beyond the readings' usual offsets.
+    on a glossy print. Only what is far from the print's usual offset.
 
     residual, dark : (t, p);  w, rho, scale : of the solution
     """
@@ -331,6 +340,8 @@ def _glare(
     )
     offset = divide(ink * paper_rho - paper * ink_rho, paper_rho - ink_rho)
     sure = usable.mean(1) >= MOST_SEEN
+    for one in np.unique(print_[sure]):
+        offset[print_ == one] -= np.median(offset[sure & (print_ == one)])
     own = scale * np.sqrt(divide(1.0, (w * dark).sum(1)))
     usual = 1.4826 * np.median(np.abs(offset[sure])) if sure.any() else 0.0
     beyond = np.clip(np.abs(offset) - GLARE * np.hypot(own, usual), 0, None)

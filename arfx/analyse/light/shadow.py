@@ -26,9 +26,9 @@ def quarters(cells: np.ndarray) -> np.ndarray:
     """(2, 2) light on a print's quarters, rows from the top, NaN = not known. cells : (n, n)
     of bright ones, NaN = not known"""
     half = len(cells) // 2
-    parts = [np.split(row, [half], axis=1) for row in np.split(cells, [half])]
-    lights = [[part[np.isfinite(part)] for part in row] for row in parts]
-    return np.array([[np.median(a) if len(a) else np.nan for a in row] for row in lights])
+    ends = slice(None, half), slice(half, None)
+    known = [[a[np.isfinite(a)] for a in (cells[y, x] for x in ends)] for y in ends]
+    return np.array([[np.median(a) if len(a) else np.nan for a in row] for row in known])
 
 
 def clearly_shaded(cells: np.ndarray) -> bool:
@@ -62,8 +62,8 @@ def edge_clue(cells: Sequence[np.ndarray], corners_m: np.ndarray) -> dict[str, A
     """
     if not len(cells):
         return None
-    chosen = np.unique(np.linspace(0, len(cells) - 1, MOST_EDGES).astype(int))
-    towards, width = map(np.array, zip(*(_edge(cells[i]) for i in chosen), strict=True))
+    some = cells[:: len(cells) // MOST_EDGES + 1]
+    towards, width = map(np.array, zip(*map(_edge, some), strict=True))
     x, y = np.median(towards, 0)
     size = np.degrees(np.median(width) * np.ptp(corners_m) / CASTER_M)
     return {

@@ -152,8 +152,7 @@ class StaticFrameLight:
 
     def _relative_gain(self, lights: Lights) -> list[dict[str, float]]:
         """Brightness of at most MOST_GAINS frames, over its median."""
-        rows = np.unique(np.linspace(0, len(self.frames) - 1, MOST_GAINS).astype(int))
-        frames = [self.frames[i] for i in rows]
+        frames = self.frames[:: len(self.frames) // MOST_GAINS + 1]
         bright = np.array([lights[k].mean_radiance.mean() for k in frames])
         relative = divide(bright, np.median(bright), where_zero=1.0).tolist()
         times_s = self.times_s(frames).tolist()
@@ -183,7 +182,8 @@ class StaticFrameLight:
         """Soft light of this static frame, of source "environment" or "ambient": mean of all
         samples, as bright as the markers show.
         """
-        mine = [sample for sample in samples if sample.frame in set(self.frames)]
+        frames = set(self.frames)
+        mine = [sample for sample in samples if sample.frame in frames]
         shows = self.reading.y.sum(1) > 0
         n, measured = self.normals[shows], self.reading.y[shows]
         level = np.median(measured, 0) if len(n) else None

@@ -22,7 +22,7 @@ from arfx.analyse.light.patches import (
     read_print,
     stack,
 )
-from arfx.analyse.light.photometry import Photometry, solve
+from arfx.analyse.light.photometry import LightReading, Photometry, solve
 from arfx.analyse.params import LightParams
 from arfx.core.marker import PatternSpec
 from arfx.core.rect import Rect
@@ -142,14 +142,14 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
     if formula == "paper":
         kinds = {"light": FORMULAS["paper"]["light"]}
         params = kinds["light"].Params()
-    solved: list[Photometry] = []
-    kept = light_frames._readings
+    solved: list[LightReading] = []
+    kept = light_frames.Readings
 
     def readings(*a: Any) -> object:
-        solved.append(a[3])
+        solved.append(a[4][0])
         return kept(*a)
 
-    monkeypatch.setattr(light_frames, "_readings", readings)
+    monkeypatch.setattr(light_frames, "Readings", readings)
     job = AnalysisJob((PRINT,), CAM, light=params, kinds=kinds, prints={PRINT.key: PRINTED})
     analyser, back = (
         Analyser(job, {"light"}),
@@ -173,4 +173,4 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
     assert clip.summary["light"]["photometry"]["readings_used"] == len(LIGHTS)
     # a bias that is not certain, of up to .012, is in the light
     np.testing.assert_allclose(solved[0].y, LIGHTS, rtol=0.04)
-    np.testing.assert_allclose(solved[0].bias, BIAS, atol=0.003)
+    np.testing.assert_allclose(clip.summary["light"]["bias"], BIAS, atol=0.003)

@@ -293,6 +293,15 @@ def test_a_highlight_over_a_glossy_print_is_no_light() -> None:
     p = solve(grey + shine[:, None, None], np.full(grey.shape, 1e-6), RHO)
     assert np.abs(p.bias - 0.02).max() < 1e-3
     assert np.abs(p.y - y).max() < 0.01
+    two = np.arange(60) % 3 == 0
+    inks = np.where(two[:, None], np.where(WHITE, PAPER, 0.08), RHO)
+    calm = 0.4 + 0.1 * y
+    mixed = inks[..., None] * calm[:, None] + 0.02
+    off = [
+        np.abs(solve(mixed, np.full(grey.shape, 1e-6), RHO, print_=of).y / calm - 1).max()
+        for of in (two.astype(int), None)
+    ]
+    assert off[0] < 0.01 < off[1], "another print's ink is no highlight"
     grey[40, 1] += 0.1
     covered = solve(grey, np.full(grey.shape, 1e-6), RHO)
     assert np.abs(covered.y[40] - y[40]).max() < 0.02
