@@ -48,6 +48,7 @@ Solve = Callable[
 # width of an interval for one of three questions at .95 of all (Bonferroni), over the width
 # for one
 THREE_ASKED = 1.221
+UNSEEN = 0.025  # of white's light, which looks the same
 _OF_SPAN = ("verdict", "lights", "ambient_rgb", "reason")
 # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
 LEAST_FACING = 0.15
@@ -63,16 +64,17 @@ def solve_patches(
 ) -> tuple[Photometry, LightReading | None]:
     """Bias and light out of patches, and another reading of them where prints are overexposed.
 
-    A bias that is not certain is not drawn: then the bright patches' light holds what of it
-    is in doubt.
+    A bias that is not certain is not drawn: then the light holds it, so that white looks as
+    the paper does. But for what of it is beyond its doubt, by a difference that nobody sees.
     """
     found = photometry_of(
         intensity, variance, albedo, clipped, most_bias=most_bias, print_=print_
     )
     other = patches.comparable(found, intensity, variance, clipped, albedo)
     sigma = np.diff(found.bias_95)[:, 0] / (2 * 1.96)
-    doubt = divide(sigma**2, sigma**2 + found.bias**2)
-    held = found.bias * np.where(_certain_bias(found), 0, doubt) / albedo.max(1)
+    of_light, unseen = found.bias / albedo.max(1), UNSEEN * np.abs(found.y)
+    known = of_light * divide(found.bias**2, sigma**2 + found.bias**2)
+    held = np.where(_certain_bias(found), 0, of_light - np.clip(known, -unseen, unseen))
     if other is not None:
         other = replace(other, y=other.y + held)
     return replace(found, y=found.y + held), other
