@@ -71,7 +71,7 @@ def solve_patches(
         intensity, variance, albedo, clipped, most_bias=most_bias, print_=print_
     )
     other = patches.comparable(found, intensity, variance, clipped, albedo)
-    sigma = np.diff(found.bias_95)[:, 0] / (2 * 1.96)
+    sigma = np.ptp(found.bias_95, 1) / (2 * 1.96)
     of_light, unseen = found.bias / albedo.max(1), UNSEEN * np.abs(found.y)
     known = of_light * divide(found.bias**2, sigma**2 + found.bias**2)
     held = np.where(_certain_bias(found), 0, of_light - np.clip(known, -unseen, unseen))
@@ -227,10 +227,10 @@ def _certain_bias(photometry: Photometry) -> np.ndarray:
     added to what is drawn.
 
     Three channels are asked: a tint that one of them shows by chance is no haze."""
-    away = np.abs(photometry.bias_95 - photometry.bias[:, None]) * THREE_ASKED
-    low, high = photometry.bias - away[:, 0], photometry.bias + away[:, 1]
-    certain = photometry.determined.all() and ((low > 0) | (high < 0))
-    return np.where(certain, photometry.bias, 0.0)
+    bias = photometry.bias
+    low, high = bias + THREE_ASKED * (photometry.bias_95.T - bias)
+    certain = photometry.determined.all() & (low * high > 0)
+    return np.where(certain, bias, 0.0)
 
 
 def _usable(

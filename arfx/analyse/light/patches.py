@@ -283,7 +283,7 @@ def comparable(
     # by the ink alone
     channels, _ = weighted(intensity - p.bias, variance, albedo)
     ink = [bright_patches(grey, w * ~WHITE, rho, "", 0) for grey, w, rho in channels]
-    y, own = (np.array(a).T for a in zip(*(part[:2] for part in ink), strict=True))
+    y, own = np.stack([part[:2] for part in ink], -1)
     known = p.seen & (own < UNKNOWN_VARIANCE).all(1)
     own = np.where(known[:, None], own * p.misfit**2, p.var_y_own)
     return LightReading(np.where(known[:, None], y, p.y), own, known)
