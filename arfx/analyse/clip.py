@@ -9,6 +9,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from arfx.analyse.depth.plane_pose import plane_poses, with_real_planes
 from arfx.analyse.depth.scale import depth_checks, with_depth
 from arfx.analyse.job import PLANE, Analysis, AnalysisJob
@@ -94,8 +96,24 @@ def lit(
     readings = rows["readings"]
     if job.light_method is not None:
         return job.light_method(clip, readings, samples, job.light, job.panorama)
-    changes = dict(rows["changes"])
-    return with_light(clip, readings, samples, job.light, job.panorama, changes=changes)
+    return with_light(
+        clip,
+        readings,
+        samples,
+        job.light,
+        job.panorama,
+        changes=dict(rows["changes"]),
+        place_m=lambda: object_place_m(clip, job),
+    )
+
+
+def object_place_m(clip: Analysis, job: AnalysisJob) -> np.ndarray:
+    """(2,) middle of the object, anchor axes."""
+    if job.scene is None:
+        return np.zeros(2)
+    scene = job.scene(clip)
+    points = scene.world_from_anchor.inverse().apply(scene.model_points_m)
+    return np.asarray(points.min(0) + points.max(0))[:2] / 2
 
 
 def surrounded(

@@ -24,7 +24,7 @@ from arfx.analyse.light.photometry import (
     UNUSABLE,
     Photometry,
     assemble,
-    fallback,
+    bright_patches,
     weighted,
 )
 from arfx.core.numerics import divide
@@ -139,7 +139,7 @@ def gain_and_bias(
     parts = []
     for grey, weight, rho in channels:
         seen = weight.any(1)
-        part = fallback(grey, weight, rho, UNUSABLE, 0)
+        part = bright_patches(grey, weight, rho, UNUSABLE, 0)
         if seen.any():
             solution = eq6_smallest_vector(np.where(weight > 0, grey, np.nan), rho)
             one = solution.nullity < 2
@@ -148,9 +148,7 @@ def gain_and_bias(
                 if one
                 else f"the system has nullity {solution.nullity}, not 1"
             )
-            part = part._replace(
-                reason=why, rank=solution.rank, condition=solution.condition
-            )
+            part = part._replace(why=why, rank=solution.rank, condition=solution.condition)
             # g' = 0: b' and x alone, of one albedo
             blank = solution.gain == 0 or abs(solution.gain) > 1e8 * np.abs(grey).max()
             if one and not blank and solution.gap > LEAST_GAP:
@@ -163,8 +161,7 @@ def gain_and_bias(
                     var_y_own=np.where(seen, own, part.var_y_own),
                     bias=b,
                     bias_95=(b, b),
-                    determined=True,
-                    reason="",
+                    why="",
                     misfit=float(np.sqrt(spread)),
                 )
         parts.append(part._replace(unknowns=int(seen.sum()) + 2))

@@ -270,7 +270,7 @@ class PrintedStaticFrameLight(StaticFrameLight):
         )
         verdict = MEASURED if middle.lights else REFUSED
         lights = {k: solution[i] for k, i in zip(self.frames, last, strict=True)}
-        return lights, self.report(verdict, "marker", peaks, middle)
+        return lights, self.report(verdict, peaks, middle)
 
 
 class PrintedLight:
@@ -300,6 +300,7 @@ class PrintedLight:
             clipped: np.ndarray,
             rho: np.ndarray,
             _most_bias: np.ndarray | None,
+            _print: np.ndarray,
         ) -> tuple[Photometry, None]:
             if (
                 params.albedos == BRIGHTNESS and (rho == rho[:1, :, :1]).all()

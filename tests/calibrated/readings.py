@@ -57,9 +57,8 @@ def analysis(clip: Clip) -> tuple[Analysis, list[Reading]]:
                 static, k, place - [0, 0, 0.5] if clip.camera_rests else at
             )
             seen = rho[:, None] * light + _gloss(clip, n, place, k)
-            readings.append(
-                (k, key, _photographed(clip.gain[k] * seen + clip.bias, clip, codec, rng))
-            )
+            light = clip.gain[k] * seen + clip.bias
+            readings.append(Reading(k, key, _photographed(light, clip, codec, rng)))
     placed = {key: Pose(rotation, at) for key, (rotation, at) in clip.prints.items()}
     static = "camera" if clip.camera_rests else "marker"
     return (

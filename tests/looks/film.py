@@ -37,6 +37,7 @@ AMBIENT_RGB, LAMP_RGB = (0.22, 0.23, 0.25), (0.42, 0.40, 0.36)
 TURNS_DEG = (0.0, 20.0, 70.0, 160.0, -20.0, -70.0)  # of the prints: where tilted ones face
 INK, MORE_INK = 0.05, 0.15  # albedos of the two renderings
 HAND_RADIUS_M, HAND_EDGE_M = 0.045, 0.02
+OBJECT_M = 0.03  # that stands on a print
 HAND_S = (0.6, 1.4)  # while it is there
 HAND_RISE_S = 0.15
 LEFT_OF_AMBIENT = 0.8  # in a hand's shadow
@@ -253,6 +254,18 @@ def hand(look: Look) -> np.ndarray:
     )
 
 
+def taken(look: Look) -> float:
+    """Share of the lamp's light that a hand takes from an object in the middle of its print."""
+    across = np.linspace(-OBJECT_M / 2, OBJECT_M / 2, 9)
+    x, y = np.subtract(np.stack(np.meshgrid(across, across), -1), look.hand_at_m).T
+    return float(np.mean(_share(np.hypot(x, y))))
+
+
+def _share(away_m: np.ndarray) -> np.ndarray:
+    """Of the lamp's light that a hand takes, so far from its shadow's middle."""
+    return np.asarray(1 - smoothstep((away_m - HAND_RADIUS_M) / HAND_EDGE_M + 0.5))
+
+
 def shadow(look: Look) -> np.ndarray:
     """(frames, h, w) float32 0..1 of the lamp's light that the hand takes."""
     world = World(look.scene)
@@ -267,7 +280,7 @@ def shadow(look: Look) -> np.ndarray:
         d = towards @ pose.rotation.T
         at = pose.translation_m[:2] - d[..., :2] * (pose.translation_m[2] / d[..., 2:])
         away = np.linalg.norm(at - [x, y], axis=-1)
-        out[n] = there * (1 - smoothstep((away - HAND_RADIUS_M) / HAND_EDGE_M + 0.5))
+        out[n] = there * _share(away)
     return out
 
 
@@ -312,9 +325,11 @@ def analysed(look: Look, path: Path) -> Analysis:
     job = AnalysisJob(markers, World(asked).camera, length_s=look.frames / look.fps)
     analyser = Observed(job, {"light"})
     with ClipReader(probe(path)) as reader:
-        for k, frame in enumerate(reader.frames()):
-            luma = np.ascontiguousarray(frame.luma())
-            analyser.step(AnalysisFrame(k, frame.time_s, luma, frame))
+        frames = [(f, np.ascontiguousarray(f.luma())) for f in reader.frames()]
+    for k, (frame, luma) in enumerate(frames):
+        following = frames[k + 1][1] if k + 1 < len(frames) else None
+        after = None if following is None else lambda luma=following: luma
+        analyser.step(AnalysisFrame(k, frame.time_s, luma, frame, after))
     return analyser.finish()
 
 
@@ -324,10 +339,10 @@ def true_lights(look: Look, of_object: bool) -> list[Light]:
     """
     lamp = World(look.scene).lights_at(0.0)[0]
     gains = look.phone.gain(np.arange(look.frames) / look.fps)
-    taken = hand(look) if of_object and look.hand == 0 else np.zeros(look.frames)
+    share = taken(look) if of_object and look.hand == 0 else 0.0
     out = []
-    for gain, share in zip(gains, taken, strict=True):
-        soft = gain * AMBIENT_RGB * (1 - share * (1 - LEFT_OF_AMBIENT))
-        rgb = gain * lamp[3:6] * (1 - share)
+    for gain, there in zip(gains, share * hand(look), strict=True):
+        soft = gain * AMBIENT_RGB * (1 - there * (1 - LEFT_OF_AMBIENT))
+        rgb = gain * lamp[3:6] * (1 - there)
         out.append(Light(triple(soft), (DirectionalLight(triple(lamp[:3]), triple(rgb)),)))
     return out

@@ -159,6 +159,26 @@ def half_lit(s: Seen) -> Finding:
     return Finding(s.look.name, "half in shadow, not told", missed, 1 - SHADED)
 
 
+def not_half(s: Seen) -> Finding:
+    """Share of the frames under a hand that covers all of the print, as a darker room would,
+    in which a part is taken for lit.
+    """
+    told = [f.plane_shadow is not None for f in s.analysis.facts]
+    under = np.array(told)[film.hand(s.look) > 0.9]
+    return Finding(s.look.name, "dark, taken for half in shadow", float(under.mean()), 0.1)
+
+
+def edge(s: Seen) -> Finding:
+    """Degrees by which the true lamp is outside of what a shadow's edge says of its side."""
+    clue = s.analysis.summary["light"]["shadow_edge"]
+    lamp = film.true_lights(s.look, of_object=False)[0].lights[0].unit
+    true_deg = np.degrees(np.arctan2(lamp[1], lamp[0]))
+    off = 180.0
+    if clue is not None:
+        off = abs((clue["azimuth_deg"] - true_deg + 180) % 360 - 180) - clue["within_deg"]
+    return Finding(s.look.name, "lamp's side by the shadow's edge", max(off, 0.0), 0.0)
+
+
 def not_shaded(s: Seen) -> Finding:
     told = [f.plane_shadow is not None for f in s.analysis.facts]
     return Finding(s.look.name, "taken for a shadow", float(np.mean(told)), 1 - LIT)
@@ -211,9 +231,12 @@ LOOKS: tuple[tuple[Look, tuple[Measure, ...]], ...] = (
     (Look("white balance hunts, tilted", HUNTING, **TILTED), (tint, luma_flicker)),
     (Look("hand over one of six", hand=2, **SIX), (darkened,)),
     (Look("hand over one of six tilted", hand=2, **TILTED), (darkened,)),
-    (Look("hand over its own print", hand=0), (darkened,)),
+    (Look("hand over its own print", hand=0), (darkened, not_half)),
     (Look("hand over its own, of six", hand=0, **SIX), (darkened,)),
-    (Look("hand over half the print", hand=0, hand_at_m=(0.05, 0.0)), (half_lit,)),
+    (
+        Look("hand over half the print", hand=0, hand_at_m=(0.05, 0.0)),
+        (half_lit, darkened, edge),
+    ),
     (Look("print covered, 60 fps", fps=60.0, frames=90, hidden_s=(0.3, 1.2)), (fading,)),
 )
 

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+from arfx.analyse.light.given import light_from_panorama
 from arfx.analyse.light.seen import given_everywhere
-from arfx.analyse.light.static_frame import light_from_panorama
 from arfx.analyse.light.surroundings import with_environment
 from arfx.core.camera import Camera
 from arfx.core.colour import SRGB

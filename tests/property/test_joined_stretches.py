@@ -80,6 +80,9 @@ class Shown:
     def luma(self) -> np.ndarray:
         return self.image
 
+    def linear(self, rect: Rect) -> np.ndarray:
+        return self._linear[rect.slices]
+
     def linear_at(self, pixels: np.ndarray) -> np.ndarray:
         return self._linear[pixels[:, 1], pixels[:, 0]]
 

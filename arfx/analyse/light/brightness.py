@@ -14,18 +14,20 @@ Cost: some 10 us a reading."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
 from arfx.core.numerics import divide
 
 WITNESS_PX = (64, 36)  # of the small pictures that are compared
-DARKEST, BRIGHTEST = (
-    16,
-    240,
-)  # coded luma between which a pixel says how the exposure changed
+WITHIN = 112  # of middle grey, coded: such pixels say how the exposure changed
 GAMMA = 2.2  # of coded luma, about
 LEAST_CHANGE = 0.012  # of the background's logarithm: less is its noise, it rests
+OFF = 0.25  # of what the background shows, by which it is off
+# of a level's logarithm for a radian by which a print turns under lights that nobody knows
+TURN, CHROMA_TURN = 1.0, 0.3
 SCALES = (3, 8, 24)  # readings before and after, over which a change is looked for
 SURE, DOUBTED = 4.0, 10.0  # deviations that a change takes; where the background shows none
 # A codec takes one or two steps of 8-bit chroma at a key frame, 2 % of white's blue each, and
@@ -40,9 +42,8 @@ HUBER = 1.345  # deviations beyond which a print disagrees with the others, and 
 LEAST_SIGMA = 3e-4
 NOISE_OVER = 31  # readings, of which the noise is told
 # A step of luma's logarithm from one reading to the next: the light was switched. So much, and
-# so many deviations, beyond what the readings around, this many on either side, change by.
-STEP, STEP_SURE, AROUND = 0.05, 8.0, 3
-STANDS_OUT = 3.0  # times the largest of these
+# so many deviations, and but for this share what it is between what lies before and after.
+STEP, STEP_SURE, ALIKE = 0.05, 11.0, 0.4
 _PASSES = 30  # of alternating means: few prints that are seen in turn take that many
 
 
@@ -66,9 +67,7 @@ def background_change(before: np.ndarray, after: np.ndarray) -> float:
     (x, y), _ = cv2.phaseCorrelate(a - a.mean(), b - b.mean(), window)
     shift = np.array([[1, 0, x], [0, 1, y]])
     moved = cv2.warpAffine(before, shift, WITNESS_PX, flags=cv2.INTER_LINEAR)
-    inside = (
-        (moved > DARKEST) & (moved < BRIGHTEST) & (after > DARKEST) & (after < BRIGHTEST)
-    )
+    inside = (np.abs(np.stack([moved, after]) - 128) < WITHIN).all(0)
     if inside.mean() < 0.1:
         return float("nan")
     return float(GAMMA * np.median(np.log(after[inside] / moved[inside])))
@@ -82,6 +81,7 @@ def brightness(
     variance: np.ndarray,
     stood_on: np.ndarray,
     change: np.ndarray,
+    turn: np.ndarray,
 ) -> np.ndarray:
     """(t, 3) logarithm of every frame's brightness.
 
@@ -89,17 +89,18 @@ def brightness(
     level : (k, 3) logarithms;  variance : (k,) of them, relative to each other
     stood_on : (k,) bool, of the print on which the object stands
     change : (t,) of the background against the frame before, NaN = not known
+    turn : (t,) radians by which prints turned since the frame before, under lights that are
+    not known: then a level says little about the next
     """
     exposure, offsets = common_level(frame, print_, level, variance)
-    seen = np.unique(frame)
-    index = np.searchsorted(seen, frame)
+    seen, index = np.unique(frame, return_inverse=True)
     information = np.bincount(index, 1 / variance)
-    out = _smoothed(times_s, seen, exposure, 1 / information, change)
+    out = _smoothed(times_s, seen, exposure, 1 / information, change, turn)
     if stood_on.any() and not stood_on.all():
         own, which = np.unique(frame[stood_on], return_index=True)
         beside = (level - offsets[print_] - exposure[index])[stood_on][which]
-        resting = np.zeros(len(times_s))
-        out += _smoothed(times_s, own, beside, variance[stood_on][which], resting)
+        rests = np.zeros(len(times_s))
+        out += _smoothed(times_s, own, beside, variance[stood_on][which], rests, rests)
     return out
 
 
@@ -113,7 +114,7 @@ def common_level(
     index = np.unique(frame, return_inverse=True)[1]
     agrees = weight = 1 / variance
     offsets = np.zeros((print_.max() + 1, 3))
-    common = _medians(index, level, weight)
+    common = _means(index, level, weight)
     for _ in range(_PASSES):
         offsets = _means(print_, level - common[index], agrees)
         offsets -= np.average(offsets[print_], axis=0, weights=weight)
@@ -125,28 +126,17 @@ def common_level(
 
 
 def steps(times_s: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """(s,) times between readings at which luma jumps: by far more, and otherwise, than before
-    and after, and not back at once.
+    """(s,) times between readings at which luma jumps: by far more than noise, and by as much
+    as all that lies before and after differs. So neither a ramp is one, nor a frame that
+    disagrees.
 
     times_s : (n,) ascending;  level : (n, 3) logarithms of successive readings
     """
-    if len(level) < 2 * AROUND + 2:
-        return np.zeros(0)
-    jump = np.diff(level.mean(1))
-    off = np.abs(jump - np.median(_neighbours(jump), 1))
-    clear = off > max(STEP, STEP_SURE * 1.4826 * float(np.median(off)))
-    # a frame that disagrees is two in a row, and what turns past a lamp several
-    clear &= off > STANDS_OUT * _neighbours(off).max(1)
-    clear[:AROUND] = clear[-AROUND:] = False
-    at = np.flatnonzero(clear)
-    return (times_s[at] + times_s[at + 1]) / 2
-
-
-def _neighbours(value: np.ndarray) -> np.ndarray:
-    """(n, 2 AROUND) of value (n,), without itself."""
-    padded = np.pad(value, AROUND, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
-    return np.delete(windows, AROUND, axis=1)
+    luma = level.mean(1, keepdims=True)
+    jump, over = np.diff(luma[:, 0]), _difference(luma, SCALES[0])[1:, 0]
+    sure = np.maximum(STEP, STEP_SURE * _noise(luma)[1:, 0])
+    clear = (np.abs(jump) > sure) & (np.abs(over - jump) < ALIKE * np.abs(jump))
+    return (times_s[:-1] + times_s[1:])[clear] / 2
 
 
 def _smoothed(
@@ -155,68 +145,71 @@ def _smoothed(
     level: np.ndarray,
     variance: np.ndarray,
     change: np.ndarray,
+    turn: np.ndarray,
 ) -> np.ndarray:
     """(t, 3) levels of all frames out of those of `seen` (n,): level (n, 3), variance (n,)."""
-    luma = level.mean(1, keepdims=True)
     usual = float(np.median(variance))
-    size = variance / usual
-    floor = min(STATED * np.sqrt(usual), MOST_STATED)
-    background = np.append(np.nan, [change[a + 1 : b + 1].sum() for a, b in _pairs(seen)])
-    of_luma = _followed(times_s, seen, luma, size, floor, background)
-    of_chroma = _followed(times_s, seen, level - luma, size, floor, None)
-    return of_luma + of_chroma
+    size = np.clip(variance / usual, 0.25, 1e4)[:, None]
+    least = min(STATED * np.sqrt(usual), MOST_STATED) + LEAST_SIGMA
 
+    def between(of_frames: np.ndarray) -> np.ndarray:
+        """(n - 1,) sums from each frame that was seen to the next."""
+        return np.diff(np.cumsum(of_frames)[seen])
 
-def _pairs(seen: np.ndarray) -> list[tuple[int, int]]:
-    return list(zip(seen[:-1].tolist(), seen[1:].tolist(), strict=True))
+    unknown = np.append(True, between(np.isnan(change)) > 0)
+    shown = np.append(0, between(np.nan_to_num(change))) * ~unknown
+    clear = np.abs(shown) > np.maximum(LEAST_CHANGE, SURE * _noise(shown[:, None])[:, 0])
+    expected = np.where(clear, shown, 0.0)
+    near = np.pad(OFF * np.abs(expected), 1)
+    moves = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])
+    root_s = np.sqrt(np.diff(times_s[seen]).clip(1e-6))
+    turned = between(turn)
+
+    def borne_out(found: np.ndarray, scale: int) -> np.ndarray:
+        """(n, 1) deviations that a change of luma takes: what the background shows as well
+        takes fewer.
+        """
+        around = np.convolve(shown, np.ones(2 * scale - 1))[scale - 1 :][: len(seen)]
+        fine = unknown | (around * found[:, 0] > BORNE_OUT * found[:, 0] ** 2)
+        return np.where(fine, SURE, DOUBTED)[:, None]
+
+    def chroma_takes(_: np.ndarray, scale: int) -> np.ndarray:
+        return np.array([CHROMA_JUMP if scale == SCALES[0] else CHROMA_SURE])
+
+    luma = level.mean(1, keepdims=True)
+    rest = np.hypot(DRIFT * root_s, TURN * turned)
+    out = _followed(luma, size, least, rest, moves, expected, borne_out)
+    size, still = size * CHROMA_NOISE**2, np.zeros(len(seen))
+    rest = np.hypot(CHROMA_DRIFT * root_s, CHROMA_TURN * turned)
+    out = out + _followed(level - luma, size, least, rest, still, still, chroma_takes)
+    return np.stack([np.interp(times_s, times_s[seen], column) for column in out.T], -1)
 
 
 def _followed(
-    times_s: np.ndarray,
-    seen: np.ndarray,
     value: np.ndarray,
     size: np.ndarray,
-    floor: float,
-    background: np.ndarray | None,
+    least: float,
+    rest: np.ndarray,
+    moves: np.ndarray,
+    expected: np.ndarray,
+    takes: Callable[[np.ndarray, int], np.ndarray],
 ) -> np.ndarray:
-    """(t, c) of value (n, c) seen in frames `seen` with noise of relative variance `size`,
-    whose deviation is `floor` at least.
+    """(n, c) of value (n, c), seen with noise of relative variance `size` (n, 1), whose
+    deviation is `least` at least: a random walk that moves where something clearly changes.
 
-    background : (n,) its change from one of these to the next, NaN = not known; None = it is
-    chroma, of which it says nothing
+    rest : (n - 1,) deviation of each step at rest;  moves : (n,) where it is known to move
+    expected : (n,) step that leads there;  takes : deviations that a change (n, c) takes
     """
-    chroma = background is None
-    sigma = np.maximum(_noise(value), floor + LEAST_SIGMA)
-    noise = (
-        np.clip(size, 0.25, 1e4)[:, None] * (sigma * (CHROMA_NOISE if chroma else 1)) ** 2
-    )
-    drift = CHROMA_DRIFT if chroma else DRIFT
-    rest = drift * np.sqrt(np.maximum(np.diff(times_s[seen]), 1e-6))
-    moves = np.zeros(len(seen))
-    expected = np.zeros((len(seen), 1))
-    if background is not None:
-        known = np.nan_to_num(background)
-        noise_of_it = _noise(known[:, None])[:, 0]
-        shows = np.abs(known) > np.maximum(LEAST_CHANGE, SURE * noise_of_it)
-        expected[:, 0] = np.where(shows, known, 0.0)
-        near = np.pad(np.abs(expected[:, 0]), 1)
-        moves = np.maximum(np.maximum(near[:-2], near[1:-1]), near[2:])
+    noise = size * np.maximum(_noise(value), least) ** 2
     out = _solve(value, noise, np.hypot(rest, moves[1:]), expected)
     for scale in SCALES:
         off = value - out
         found = _difference(off, scale)
-        sure = np.array([CHROMA_JUMP if scale == SCALES[0] else CHROMA_SURE])
-        if background is not None:
-            shown = _around(known, scale)
-            borne_out = np.isnan(background) | (
-                shown * found[:, 0] > BORNE_OUT * found[:, 0] ** 2
-            )
-            sure = np.where(borne_out, SURE, DOUBTED)[:, None]
-        deviation = 1.25 * np.sqrt(2 / scale) * np.maximum(_noise(off), floor + LEAST_SIGMA)
-        clear = (np.abs(found) > sure * deviation).any(1)
+        deviation = 1.25 * np.sqrt(2 / scale) * np.maximum(_noise(off), least)
+        clear = (np.abs(found) > takes(found, scale) * deviation).any(1)
         moves = np.maximum(moves, clear * np.abs(found).max(1) / scale)
         out = _solve(value, noise, np.hypot(rest, moves[1:]), expected)
-    return _between(times_s, times_s[seen], out)
+    return out
 
 
 def _solve(
@@ -225,33 +218,20 @@ def _solve(
     """(n, c) random walk seen with noise, from all of past and future.
 
     value, noise : (n, c), its variance;  walk : (n - 1,) deviation of each step
-    expected : (n, 1) of the step that leads there
+    expected : (n,) of the step that leads there
     """
     from scipy.linalg import solveh_banded
 
     if len(value) == 1:  # LAPACK takes no matrix of one
         return value
     tie = 1 / walk**2
-    pull = tie[:, None] * expected[1:]
+    pull = np.diff(tie * expected[1:], prepend=0, append=0)
     out = np.empty_like(value)
-    for c in range(value.shape[1]):
-        seen = 1 / noise[:, c]
-        bands = np.zeros((2, len(value)))
-        bands[0, 1:] = -tie
-        bands[1] = seen
-        bands[1, 1:] += tie
-        bands[1, :-1] += tie
-        right = value[:, c] * seen
-        right[1:] += pull[:, 0]
-        right[:-1] -= pull[:, 0]
-        out[:, c] = solveh_banded(bands, right)
+    for c, seen in enumerate(1 / noise.T):
+        sums = seen + np.append(tie, 0) + np.append(0, tie)
+        bands = np.stack([np.append(0, -tie), sums])
+        out[:, c] = solveh_banded(bands, value[:, c] * seen - pull)
     return out
-
-
-def _between(times_s: np.ndarray, seen_s: np.ndarray, value: np.ndarray) -> np.ndarray:
-    """(t, c) linear in time between those that were seen, and held beyond."""
-    columns = [np.interp(times_s, seen_s, column) for column in value.T]
-    return np.stack(columns, -1)
 
 
 def _difference(value: np.ndarray, scale: int) -> np.ndarray:
@@ -265,14 +245,6 @@ def _difference(value: np.ndarray, scale: int) -> np.ndarray:
         inside = middle[scale:] - middle[:-scale]
         out[:] = np.pad(inside, ((scale, scale - 1), (0, 0)), mode="edge")
     return out
-
-
-def _around(value: np.ndarray, scale: int) -> np.ndarray:
-    """(n,) sums of value (n,) over fewer than `scale` before and after."""
-    total = np.append(0.0, np.cumsum(value))
-    at = np.arange(len(value))
-    after = np.minimum(at + scale, len(value))
-    return np.asarray(total[after] - total[np.maximum(at - scale + 1, 0)])
 
 
 def _noise(value: np.ndarray) -> np.ndarray:
@@ -291,18 +263,4 @@ def _means(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarr
     """(groups, c) weighted means of value (k, c). group : (k,) int, all from 0 on"""
     total = np.bincount(group, weight)
     columns = [np.bincount(group, weight * column) / total for column in value.T]
-    return np.stack(columns, -1)
-
-
-def _medians(group: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(groups, c) weighted medians of value (k, c). group : (k,) int, all from 0 on"""
-    columns = []
-    ends = np.cumsum(np.bincount(group))
-    for column in value.T:
-        order = np.lexsort((column, group))
-        total = np.cumsum(weight[order])
-        before = np.append(0.0, total[ends[:-1] - 1])
-        half = (before + total[ends - 1]) / 2
-        at = np.minimum(np.searchsorted(total, half), ends - 1)
-        columns.append(column[order][at])
     return np.stack(columns, -1)

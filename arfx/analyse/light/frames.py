@@ -18,19 +18,17 @@ import numpy as np
 
 from arfx.analyse.job import Analysis
 from arfx.analyse.light import patches
+from arfx.analyse.light.given import light_from_direction, light_from_panorama
 from arfx.analyse.light.hypotheses import LIKELY, REFUSED
 from arfx.analyse.light.photometry import LightReading, Photometry
 from arfx.analyse.light.photometry import solve as photometry_of
-from arfx.analyse.light.static_frame import (
-    Readings,
-    StaticFrameLight,
-    light_from_direction,
-    light_from_panorama,
-)
+from arfx.analyse.light.shadow import edge_clue, real_shadow
+from arfx.analyse.light.static_frame import Readings, StaticFrameLight
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.params import LightParams
 from arfx.core.facts import MEASURED
 from arfx.core.light import Light, triple
+from arfx.core.numerics import divide, normalise
 
 
 class Reading(NamedTuple):
@@ -41,14 +39,16 @@ class Reading(NamedTuple):
     cells: patches.Patches
 
 
-# intensity, variance, clipped share and albedo of the patches, and what the darkest pixels show
+# intensity, variance, clipped share and albedo of the patches, what the darkest pixels show,
+# and which print it is
 Solve = Callable[
-    [np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None],
+    [np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None, np.ndarray],
     tuple[Photometry, LightReading | None],
 ]
 # width of an interval for one of three questions at .95 of all (Bonferroni), over the width
 # for one
 THREE_ASKED = 1.221
+UNSEEN = 0.025  # of white's light, which looks the same
 _OF_SPAN = ("verdict", "lights", "ambient_rgb", "reason")
 # cosine to the line of sight: flatter views show gloss and neighbours' light, not the print
 LEAST_FACING = 0.15
@@ -60,14 +60,21 @@ def solve_patches(
     clipped: np.ndarray,
     albedo: np.ndarray,
     most_bias: np.ndarray | None,
+    print_: np.ndarray,
 ) -> tuple[Photometry, LightReading | None]:
     """Bias and light out of patches, and another reading of them where prints are overexposed.
 
-    A bias that is not certain is not drawn: then the bright patches' light holds it.
+    A bias that is not certain is not drawn: then the light holds it, so that white looks as
+    the paper does. But for what of it is beyond its doubt, by a difference that nobody sees.
     """
-    found = photometry_of(intensity, variance, albedo, clipped, most_bias=most_bias)
+    found = photometry_of(
+        intensity, variance, albedo, clipped, most_bias=most_bias, print_=print_
+    )
     other = patches.comparable(found, intensity, variance, clipped, albedo)
-    held = (found.bias - _certain_bias(found)) / albedo.max(1)
+    sigma = np.ptp(found.bias_95, 1) / (2 * 1.96)
+    of_light, unseen = found.bias / albedo.max(1), UNSEEN * np.abs(found.y)
+    known = of_light * divide(found.bias**2, sigma**2 + found.bias**2)
+    held = np.where(_certain_bias(found), 0, of_light - np.clip(known, -unseen, unseen))
     if other is not None:
         other = replace(other, y=other.y + held)
     return replace(found, y=found.y + held), other
@@ -82,79 +89,83 @@ def with_light(
     solve: Solve = solve_patches,
     static_frame_light: Callable[..., StaticFrameLight] = StaticFrameLight,
     changes: Mapping[int, float] = MappingProxyType({}),
+    place_m: Callable[[], np.ndarray] = lambda: np.zeros(2),
 ) -> Analysis:
     """The analysis with `light` and `bias_rgb` in every frame that has a pose, and what was
     found in summary["light"].
 
     panorama : (h, w, 3) linear radiance, of LightParams.environment;  solve : bias and
     light out of patches;  changes : of the background, by frame (Readings.change)
+    place_m : (2,) where the object stands, anchor axes
     """
     facts, turns = analysis.facts, analysis.static == "camera"
-    posed = {
-        k: f.camera_from_world
+    static_from_world = {
+        k: f.pose.rotation if turns else np.eye(3)
         for k, f in enumerate(facts)
         if f.camera_from_world is not None
     }
-    static_from_world = {
-        k: pose.rotation if turns else np.eye(3) for k, pose in posed.items()
-    }  # (3, 3)
-    most_bias = np.min([s.darkest for s in samples], axis=0) if samples else None
-    readings, photometry = _readings(
-        analysis, patch_readings, static_from_world, params, solve, most_bias
+    corners_m = analysis.anchor.corners_m
+    shaded = {
+        row.frame: row.cells.cells
+        for row in patch_readings
+        if row.key == analysis.anchor.key
+        and row.frame in static_from_world
+        and row.cells.cells is not None
+    }
+    place = divide(place_m(), corners_m[:, :2].max(0)) if shaded else np.zeros(2)
+    rows, even = _usable(analysis, patch_readings, static_from_world, place)
+    keys = np.array([row.key for row, _ in rows], str)
+    print_ = np.unique(keys, return_inverse=True)[1].ravel()
+    photometry, other = solve(
+        *patches.stack([row.cells for row, _ in rows], params.ink, params.paper),
+        np.min([s.darkest for s in samples], axis=0) if samples else None,
+        print_,
     )
-    readings = replace(readings, change=changes)
-    anchor = analysis.anchor
+    used = photometry.seen
+    readings = Readings(
+        np.array([row.frame for row, _ in rows], int)[used],
+        np.reshape([normal for _, normal in rows], (-1, 3))[used],
+        print_[used],
+        (keys == analysis.anchor.key)[used],
+        [
+            replace(reading, fit=reading.fit & even).at(used)
+            for reading in (photometry.reading, other)
+            if reading is not None
+        ],
+        changes,
+    )
+    given = _given(params, panorama)
     out: dict[int, Light] = {}
     reports: list[tuple[int, dict[str, Any]]] = []
     spans: list[dict[str, Any]] = []
-    known: set[int] = (
-        set()
-    )  # frames whose lamps are known: what they do not light lies in a real shadow
     # frames that share one static frame: the whole clip, or each shot where the camera's
     # axes are the static ones
-    for _, group in groupby(posed, lambda k: facts[k].shot if turns else 0):
-        shots = [*group]
-        part = static_frame_light(shots, facts, static_from_world, readings, params)
-        light, stated, why = None, False, f"environment {params.environment} given"
-        if panorama is not None:
-            light = light_from_panorama(panorama)
-        elif params.given:
-            light, stated = light_from_direction(params.given, params.size_deg)
-            why = (
-                f"light given: azimuth {params.given[0]:g}, elevation {params.given[1]:g}"
-                " degrees"
-            )
-        if light is None:
+    for _, group in groupby(static_from_world, lambda k: facts[k].shot if turns else 0):
+        frames = [*group]
+        part = static_frame_light(frames, facts, static_from_world, readings, params)
+        if given is None:
             lights, report = part.from_markers(analysis.static != "both", samples)
         else:
-            static_from_anchor = (
-                static_from_world[shots[0]] @ analysis.world_from_anchor.rotation
-            )
-            lights, report = part.from_given(light.turned(static_from_anchor), stated, why)
+            turn = static_from_world[frames[0]] @ analysis.world_from_anchor.rotation
+            lights, report = part.from_given(given[0].turned(turn), *given[1:])
         out |= lights
-        ends = {"start_s": facts[shots[0]].time_s, "end_s": facts[shots[-1]].time_s}
-        reports.append((len(shots), report))
+        ends = {"start_s": facts[frames[0]].time_s, "end_s": facts[frames[-1]].time_s}
+        reports.append((len(frames), report))
         spans += report.pop("spans", None) or [ends | {k: report[k] for k in _OF_SPAN}]
-        if report["verdict"] in (MEASURED, LIKELY):
-            known |= {k for k, one in lights.items() if one.lights}
     report = max(reports, key=lambda r: r[0])[1] if reports else {}
     bias = _certain_bias(photometry)
-    shaded = {}
-    for frame, key, cells in patch_readings:
-        if frame in known and key == anchor.key:
-            radiance = patches.quadrant_radiance(cells, bias)
-            if found := patches.real_shadow(radiance, anchor.corners_m):
-                shaded[frame] = found
     lit = list(facts)
     for k, light in out.items():
         lit[k] = facts[k].with_(
             light=light.turned(static_from_world[k].T) if turns else light,
             bias_rgb=triple(bias),
-            plane_shadow=shaded.get(k),
         )
+    for k, cells in shaded.items():
+        lit[k] = lit[k].with_(plane_shadow=real_shadow(cells - bias.mean(), corners_m))
     known_bias, p = bool(photometry.determined.all()), photometry
     summary = {
         "frames_with_real_shadow": len(shaded),
+        "shadow_edge": edge_clue([*shaded.values()], corners_m),
         "formula": params.formula,
         # it and the light are known as a product only; over time, where they change together:
         # static_frame.py
@@ -177,23 +188,38 @@ def with_light(
         **report,
         "spans": spans,
     }
-    notice = None
-    if report and report["verdict"] == REFUSED:
-        one = (
-            " or, if there is one lamp only, --set light.most_lights=1"
-            if report["rank"] == 4
-            else ""
-        )
-        notice = (
+    return analysis.adding(lit, _notice(report), light=summary)
+
+
+def _given(
+    params: LightParams, panorama: np.ndarray | None
+) -> tuple[Light, bool, str] | None:
+    """(the user's light, anchor axes; whether its brightness is stated; why), None = none."""
+    if panorama is not None:
+        why = f"environment {params.environment} given"
+        return light_from_panorama(panorama), False, why
+    if not params.given:
+        return None
+    azimuth, elevation = params.given[:2]
+    why = f"light given: azimuth {azimuth:g}, elevation {elevation:g} degrees"
+    light = light_from_direction(params.given, params.size_deg)
+    return light, len(params.given) == 5, why
+
+
+def _notice(report: Mapping[str, Any]) -> str | None:
+    verdict = report.get("verdict")
+    if verdict == REFUSED:
+        one = " or, if there is one lamp only, --set light.most_lights=1"
+        return (
             f"light: no direction is known: {report['reason']}. --light AZ,EL or"
-            f" --environment FILE gives one{one}"
+            f" --environment FILE gives one{one if report['rank'] == 4 else ''}"
         )
-    elif report and report["verdict"] == LIKELY:
-        notice = (
+    if verdict == LIKELY:
+        return (
             f"light: likely, not certain: {report['reason']}. --set light.claims=measured"
             " claims only what is certain"
         )
-    return analysis.adding(lit, notice, light=summary)
+    return None
 
 
 def _certain_bias(photometry: Photometry) -> np.ndarray:
@@ -201,56 +227,38 @@ def _certain_bias(photometry: Photometry) -> np.ndarray:
     added to what is drawn.
 
     Three channels are asked: a tint that one of them shows by chance is no haze."""
-    away = np.abs(photometry.bias_95 - photometry.bias[:, None]) * THREE_ASKED
-    low, high = photometry.bias - away[:, 0], photometry.bias + away[:, 1]
-    certain = photometry.determined.all() and ((low > 0) | (high < 0))
-    return np.where(certain, photometry.bias, 0.0)
+    bias = photometry.bias
+    low, high = bias + THREE_ASKED * (photometry.bias_95.T - bias)
+    certain = photometry.determined.all() & (low * high > 0)
+    return np.where(certain, bias, 0.0)
 
 
-def _readings(
+def _usable(
     analysis: Analysis,
     patch_readings: Sequence[Reading],
-    static_from_world: dict[int, np.ndarray],
-    params: LightParams,
-    solve: Solve,
-    most_bias: np.ndarray | None,
-) -> tuple[Readings, Photometry]:
-    """The markers' light in frames whose pose was measured, normals in STATIC axes, and how
-    it was solved.
-    """
+    static_from_world: Mapping[int, np.ndarray],
+    place: np.ndarray,
+) -> tuple[list[tuple[Reading, np.ndarray]], np.ndarray]:
+    """([reading, normal in STATIC axes], which of them show the lamps' light), of prints that
+    face the camera in frames whose pose was measured.
+
+    A print partly in a real shadow does not show the lamps' light; that on which the object
+    stands shows the object's, at its `place`. Where most are, nothing else is left."""
     rows = []
-    for frame, key, cells in patch_readings:
-        fact, marker = analysis.facts[frame], analysis.world_from_marker.get(key)
+    for row in patch_readings:
+        fact, marker = analysis.facts[row.frame], analysis.world_from_marker.get(row.key)
         if fact.status != MEASURED or fact.camera_from_world is None or marker is None:
             continue
         stands = fact.camera_from_world @ marker
-        facing = -float(stands.rotation[:, 2] @ stands.translation_m) / max(
-            float(np.linalg.norm(stands.translation_m)), 1e-9
-        )
-        if facing >= LEAST_FACING:
-            normal = static_from_world[frame] @ marker.rotation[:, 2]
-            rows.append((frame, normal, cells, key))
-    # a print partly in a real shadow does not show the lamps' light; where most prints are,
-    # nothing else is left
-    lit = [
-        row
-        for row in rows
-        if not patches.clearly_shadowed(patches.quadrant_radiance(row[2], np.zeros(3)))
+        if -stands.rotation[:, 2] @ normalise(stands.translation_m) >= LEAST_FACING:
+            normal = static_from_world[row.frame] @ marker.rotation[:, 2]
+            if row.key == analysis.anchor.key:
+                row = row._replace(cells=patches.standing(row.cells, place))
+            rows.append((row, normal))
+    even = np.array([row.cells.cells is None for row, _ in rows], bool)
+    if 2 * even.sum() <= len(rows):
+        return rows, np.ones(len(rows), bool)
+    kept = [
+        i for i, (row, _) in enumerate(rows) if even[i] or row.key == analysis.anchor.key
     ]
-    rows = lit if 2 * len(lit) > len(rows) else rows
-    seen = [row[2] for row in rows]
-    photometry, other = solve(
-        *patches.stack(seen), patches.albedos(seen, params.ink, params.paper), most_bias
-    )
-    frames, normals = (
-        np.array([r[0] for r in rows], int),
-        np.array([r[1] for r in rows]).reshape(-1, 3),
-    )
-    keys = np.array([r[3] for r in rows], dtype=object)
-    numbers = np.unique(keys.astype(str), return_inverse=True)[1].ravel()
-    stood_on = keys == analysis.anchor.key
-    used = photometry.seen
-    light = [r.at(used) for r in (photometry.reading, other) if r is not None]
-    return Readings(
-        frames[used], normals[used], numbers[used], stood_on[used], light
-    ), photometry
+    return [rows[i] for i in kept], even[kept]

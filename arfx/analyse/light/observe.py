@@ -13,7 +13,6 @@ from arfx.analyse.light import patches
 from arfx.analyse.light.brightness import background_change, small_luma
 from arfx.analyse.light.frames import Reading
 from arfx.analyse.light.hypotheses import REFUSED
-from arfx.analyse.light.samples import place_samples
 from arfx.analyse.light.seen import SNAPSHOT_PX, Snapshot
 from arfx.analyse.light.surroundings import EnvironmentSample, environment_sample
 from arfx.analyse.markers.search import Sighting, detections
@@ -72,14 +71,14 @@ class LightReader:
         self._compare_with_following(frame)
         seen = detections(shown)
         for s in seen:
-            if Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect).empty:
+            box = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
+            if box.empty:
                 continue
             blur = s.blur_px if np.isfinite(s.blur_px) else SHARP_PX
-            cells, albedo, scale = patches.meter_for(self._meters[s.key], s.side_px, blur)
-            shape = (picture.rect.height, picture.rect.width)
-            points = place_samples(s.corners_px, cells, s.inverted, blur, shape, scale)
-            cells_seen = patches.reduced(picture.linear_at(points.pixels()), points, albedo)
-            self.readings.append(Reading(frame.index, s.key, cells_seen))
+            meter = patches.meter_for(self._meters[s.key], s.side_px, blur)
+            quad_px, linear = s.corners_px - [box.x0, box.y0], picture.linear(box)
+            cells = patches.read_print(linear, quad_px, meter, s.inverted, blur)
+            self.readings.append(Reading(frame.index, s.key, cells))
         if seen:
             quad, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
             for small in self._clock.due(frame.time_s, picture, SURROUNDINGS_PX):

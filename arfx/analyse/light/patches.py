@@ -1,11 +1,9 @@
 """A print as a light meter: robust means of a marker's black and white cells, or of a
 pattern's dark and bright ones, in one frame, in linear light.
 
-Samples lie on a grid inside every cell, away from its edges, read bilinearly (pixel centres
-at integers). What biases a mean beyond its noise goes into its variance. `comparable` gives
-a fit readings of one kind where prints are partly overexposed; `real_shadow` is what lies
-on the anchor's print already, against the brightest quarter, which is taken for lit.
-Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about 2 ms for
+What biases a mean beyond its noise goes into its variance. `comparable` gives a fit readings
+of one kind where prints are partly overexposed.
+Source: Tan, Chen, Sun 2009, section 2.1; docs/methods/light.md#meter. Cost: about 1 ms for
 a marker of 270 px.
 """
 
@@ -13,29 +11,41 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from arfx.analyse.light.photometry import LightReading, Photometry
-from arfx.analyse.light.samples import PATCHES, SamplePoints, half_step, within
-from arfx.core.facts import PlaneShadow
+from arfx.analyse.light.photometry import (
+    UNKNOWN_VARIANCE,
+    LightReading,
+    Photometry,
+    bright_patches,
+    weighted,
+)
+from arfx.analyse.light.samples import CellSamples, sample_cells
+from arfx.analyse.light.shadow import clearly_shaded, light_at, quarters
 from arfx.core.marker import MarkerSpec
 from arfx.core.marker_codes import marker_cells
-from arfx.core.numerics import divide
+from arfx.core.numerics import HALF_GREY
 
-CLIP_LOW, CLIP_HIGH = 1.5e-4, 0.9955  # half an 8-bit step inside either end, sRGB
+# black top left, top right, bottom left, bottom right, then white in the same order
+PATCHES = 8
+WHITE = np.arange(PATCHES) >= PATCHES // 2
 FEWEST = 4  # samples that make a patch
+OUT = 3.5  # robust standard deviations beyond which a sample is no part of its patch
 # share of a reading's paper samples that are clipped, from which the paper says nothing
 # exact
 OVEREXPOSED = 0.02
 FEW = 0.15  # of the readings: so many spoilt ones can be left out
-_OUT = 2.5  # deviations from the median of a reading's ink patches, beyond which one counts less
-# of the brightest quarter's light; above it vignetting, a near lamp or gloss may be the
-# reason
-LEAST_LEFT = 0.7
+_GAMMA = 2.2  # about the slope of the transfer function
+# cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
+GRID, CHOSEN = 10, 8
+ROUGH = 4.0  # deviations within a cell by which it counts as less bright, or less dark
+FINE = 8  # points of the albedo map along a cell's side
+# deviations, in these points, by which the map is blurred: one meter for each
+SOFT = (0.0, 0.35, 0.7, 1.4)
+DIM = 0.2  # albedo: a quarter of a pattern whose bright cells are darker tells no shadow
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,29 +53,16 @@ class Patches:
     """One print in one frame. mean : (8, 3) linear RGB, 0 where count is 0
     variance : (8, 3) of that mean, noise and known biases;  count : (8,) samples used;
     clipped : (8,) share of all samples
-    albedo : (8, 3) linear, None = a marker's ink and paper, by `WHITE`"""
+    albedo : (8, 3) linear, None = a marker's ink and paper, by `WHITE`
+    cells : (n, n) light of the bright ones, NaN = not known, where a shadow lies on a part of
+    them; else None"""
 
     mean: np.ndarray
     variance: np.ndarray
     count: np.ndarray
     clipped: np.ndarray
     albedo: np.ndarray | None = None
-
-
-WHITE = np.arange(PATCHES) >= PATCHES // 2
-GRID, CHOSEN = (
-    10,
-    8,
-)  # cells along a pattern's side; how many of a quarter's are its bright ones, and its dark ones
-ROUGH = 4.0  # deviations within a cell by which it counts as less bright, or less dark
-FINE = 8  # points of the albedo map along a cell's side
-SOFT = (
-    0.0,
-    0.35,
-    0.7,
-    1.4,
-)  # deviations, in these points, by which the map is blurred: one meter for each
-DIM = 0.2  # albedo: a quarter of a pattern whose bright cells are darker tells no shadow
+    cells: np.ndarray | None = None
 
 
 class Meter(NamedTuple):
@@ -104,82 +101,113 @@ def pattern_meter(
     is seen to it leaves the camera's bias as it is."""
     size, half = GRID * FINE, GRID // 2
     seen = cv2.resize(picture, (size, size), interpolation=cv2.INTER_AREA)
-    seen = (
-        cv2.GaussianBlur(seen, (0, 0), soft, borderType=cv2.BORDER_REPLICATE)
-        if soft
-        else seen
-    )
+    if soft:
+        seen = cv2.GaussianBlur(seen, (0, 0), soft, borderType=cv2.BORDER_REPLICATE)
     map_ = ink + (paper - ink) * seen.astype(float)
-    split = map_.reshape(GRID, FINE, GRID, FINE, 3).transpose(
-        0, 2, 1, 3, 4
-    )  # (row, column, y, x, channel)
-    grey = split.mean(-1)
-    level, rough = grey.mean((2, 3)), ROUGH * grey.std((2, 3))
-    inverse = (1 / split).mean((2, 3))
-    chosen, albedo, scale = (
-        np.full((GRID, GRID), -1, np.int8),
-        np.zeros((PATCHES, 3)),
-        np.ones((GRID, GRID, FINE, FINE, 3)),
-    )
-    for q in range(PATCHES // 2):
-        rows, columns = (
-            slice(q // 2 * half, (q // 2 + 1) * half),
-            slice(q % 2 * half, (q % 2 + 1) * half),
-        )
-        order = np.argsort(level[rows, columns], axis=None, kind="stable")
-        for white, part, sign in (
-            (0, order[: half**2 // 2], -1),
-            (1, order[half**2 // 2 :], 1),
-        ):
-            score = (sign * level - rough)[rows, columns].ravel()[part]
-            at = np.unravel_index(
-                part[np.argsort(-score, kind="stable")[:CHOSEN]], (half, half)
-            )
-            mean = 1 / inverse[rows, columns][at].mean(0)
-            chosen[rows, columns][at], scale[rows, columns][at] = (
-                white,
-                mean / split[rows, columns][at],
-            )
-            albedo[PATCHES // 2 * white + q] = mean
-    return Meter(
-        chosen,
-        albedo,
-        scale.transpose(0, 2, 1, 3, 4).reshape(size, size, 3).astype(np.float32),
-    )
+    # by quarter and cell of it: (quarter, cell, points, channel)
+    split = map_.reshape(2, half, FINE, 2, half, FINE, 3).transpose(0, 3, 1, 4, 2, 5, 6)
+    quarters = split.reshape(4, half**2, FINE**2, 3)
+    grey = quarters.mean(-1)
+    level, rough = grey.mean(-1), ROUGH * grey.std(-1)
+    chosen, albedo = np.full((4, half**2), -1, np.int8), np.zeros((PATCHES, 3))
+    scale, row = np.ones(quarters.shape), np.arange(4)[:, None]
+    for white, order in enumerate(
+        np.split(np.argsort(level, 1, "stable"), [half**2 // 2], 1)
+    ):
+        score = np.take_along_axis((2 * white - 1) * level - rough, order, 1)
+        first = np.argsort(-score, 1, "stable")[:, :CHOSEN]
+        best = np.take_along_axis(order, first, 1)
+        mean = 1 / (1 / quarters[row, best]).mean((1, 2))
+        chosen[row, best] = white
+        scale[row, best] = mean[:, None, None] / quarters[row, best]
+        albedo[4 * white : 4 * white + 4] = mean
+    cells = chosen.reshape(2, 2, half, half).transpose(0, 2, 1, 3).reshape(GRID, GRID)
+    over = scale.reshape(2, 2, half, half, FINE, FINE, 3).transpose(0, 2, 4, 1, 3, 5, 6)
+    return Meter(cells, albedo, over.reshape(size, size, 3).astype(np.float32))
 
 
-def albedos(patches: Sequence[Patches], ink: float, paper: float) -> np.ndarray:
-    """(t, 8, 3) linear albedo of every patch."""
-    marker = np.repeat(np.where(WHITE, paper, ink)[:, None], 3, 1)
-    return np.array([marker if p.albedo is None else p.albedo for p in patches]).reshape(
-        -1, PATCHES, 3
-    )
-
-
-def reduced(
-    pixels: np.ndarray, points: SamplePoints, albedo: np.ndarray | None = None
+def read_print(
+    linear: np.ndarray,
+    quad_px: np.ndarray,
+    meter: Meter,
+    inverted: bool = False,
+    blur_px: float = 0.0,
 ) -> Patches:
-    """Patches of the samples.
-
-    pixels : (4 k, 3) float32 linear RGB at `points.pixels()`;  albedo : of the Meter
-    """
-    four = pixels.reshape(-1, 4, 3)
-    value = points.scale * np.einsum("kpc,kp->kc", four, points.weights)
-    finite = np.isfinite(four).all((1, 2))
-    clipped = finite & ((four <= CLIP_LOW) | (four >= CLIP_HIGH)).any((1, 2))
-    usable = finite & ~clipped
-    grey = value.mean(1)
-    mean, spread, used = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3)), np.zeros(PATCHES)
+    """Patches of a print. inverted : white on black;  other arguments of `sample_cells`"""
+    cells = 1 - meter.cells if inverted else meter.cells
+    n = len(cells)
+    seen = sample_cells(linear, np.asarray(quad_px, float), n, blur_px)
+    if seen is None:
+        none = np.zeros((PATCHES, 3))
+        return Patches(none, none, np.zeros(PATCHES, int), none[:, 0], meter.albedo)
+    value = seen.value
+    if meter.scale is not None:
+        x, y = np.moveaxis(
+            seen.place * np.float32(len(meter.scale)) - np.float32(0.5), -1, 0
+        )
+        even = cv2.remap(meter.scale, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        value = value * even.reshape(n, len(x) // n, n, -1, 3).swapaxes(1, 2).reshape(
+            value.shape
+        )
+    low = np.arange(n) >= n / 2
+    patch = np.where(cells < 0, PATCHES, 4 * cells + 2 * low[:, None] + low)
+    mean, spread = np.zeros((PATCHES, 3)), np.zeros((PATCHES, 3))
+    count, clipped = np.zeros(PATCHES, int), np.zeros(PATCHES)
+    usable = np.isfinite(value).all(-1) & ~seen.clipped
     for g in range(PATCHES):
-        mine = np.flatnonzero(usable & (points.group == g))
-        mine = mine[within(grey[mine])]
+        fine, cut = usable[patch == g], seen.clipped[patch == g]
+        clipped[g] = cut.sum() / max((cut | fine).sum(), 1)
+        mine = value[patch == g][fine]
+        for _ in range(2):
+            mine = mine[_agreeing(mine.mean(1))]
         if len(mine) >= FEWEST:
-            used[g] = len(mine)
-            mean[g], spread[g] = value[mine].mean(0), value[mine].std(0, ddof=1)
-    every = np.bincount(points.group, minlength=PATCHES)
-    share = np.bincount(points.group, clipped, PATCHES) / np.maximum(every, 1)
-    variance = _uncertainty(mean, spread, used, share, points)
-    return Patches(mean, variance, used.astype(int), share, albedo)
+            count[g], mean[g], spread[g] = len(mine), mine.mean(0), mine.std(0, ddof=1)
+    variance = _uncertainty(mean, spread, count, clipped, seen)
+    bright = usable & (cells == 1)[..., None]
+    light = np.ma.array(value.mean(-1), mask=~bright).mean(-1).filled(np.nan)
+    if meter.albedo is not None:
+        albedo = np.append(meter.albedo.mean(-1), 0)[patch]
+        light = np.where(albedo < DIM, np.nan, light / np.maximum(albedo, DIM))
+    shaded = light if clearly_shaded(light) else None
+    return Patches(mean, variance, count, clipped, meter.albedo, shaded)
+
+
+def standing(seen: Patches, place: np.ndarray) -> Patches:
+    """What a shaded print shows where the object stands on it: its brightest quarter, as dark
+    as that place is. place : of shadow.light_at"""
+    known = (seen.count.reshape(2, -1) > 0).all(0)
+    if seen.cells is None or not known.any():
+        return seen
+    light = np.where(known, quarters(seen.cells).ravel(), 0.0)
+    left = light_at(seen.cells, place) / light.max()
+    rows = PATCHES // 2 * WHITE + light.argmax()
+    return replace(
+        seen,
+        mean=left * seen.mean[rows],
+        variance=PATCHES / 2 * left**2 * seen.variance[rows],
+        count=seen.count[rows],
+        clipped=seen.clipped[rows],
+        albedo=None if seen.albedo is None else seen.albedo[rows],
+    )
+
+
+def _agreeing(grey: np.ndarray) -> np.ndarray:
+    """(n,) bool: which of a patch's samples are within OUT deviations of their median."""
+    middle = _median(grey)
+    off = np.abs(grey - middle)
+    return off <= OUT * max(1.4826 * _median(off), float(_step(middle)) / 2)
+
+
+def _median(values: np.ndarray) -> float:
+    """0 of none; numpy's own takes five times as long for so few."""
+    ordered, n = np.sort(values), len(values)
+    return float(ordered[(n - 1) // 2] + ordered[n // 2]) / 2 if n else 0.0
+
+
+def _step(level: np.ndarray | float) -> np.ndarray:
+    """An 8-bit step in linear light, at a linear level."""
+    slope = _GAMMA * np.maximum(level, 0) ** (1 - 1 / _GAMMA)
+    return 2 * HALF_GREY * np.maximum(1 / 12.92, slope)
 
 
 def _uncertainty(
@@ -187,7 +215,7 @@ def _uncertainty(
     spread: np.ndarray,
     used: np.ndarray,
     clipped: np.ndarray,
-    points: SamplePoints,
+    seen: CellSamples,
 ) -> np.ndarray:
     """(8, 3) variances of the means: noise, rounding, the share that is cut off, and blur
     from the other cells.
@@ -196,13 +224,13 @@ def _uncertainty(
     contrast = np.abs(mean).max(0)
     if bright.any() and dark.any():
         contrast = mean[bright].mean(0) - mean[dark].mean(0)
-    lost = np.interp(clipped, np.linspace(0, 1, 257), _cut_offs())[:, None]
-    step = 2 * half_step(mean)
+    lost = cut_off(clipped)[:, None]
+    step = _step(mean)
     # rounding's error is spread over its step, and is dithered away as the noise's
     # characteristic function says
     dithered = np.exp(-4 * np.pi**2 * np.minimum((spread / step) ** 2, 2))
-    out = spread**2 / np.maximum(used / points.shared, 1e-9)[:, None]
-    out += step**2 / 12 * dithered + (lost * spread) ** 2 + (points.leak * contrast) ** 2
+    out = spread**2 / np.maximum(used / seen.shared, 1e-9)[:, None]
+    out += step**2 / 12 * dithered + (lost * spread) ** 2 + (seen.leak * contrast) ** 2
     return np.where(used[:, None] > 0, out, 0)
 
 
@@ -220,28 +248,20 @@ def cut_off(fraction: np.ndarray) -> np.ndarray:
     return np.where(p > 0, 3 * lost, 0.0)
 
 
-@cache
-def _cut_offs() -> np.ndarray:
-    return cut_off(np.linspace(0, 1, 257))
-
-
-def stack(patches: Sequence[Patches]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8)) for photometry.solve; NaN
-    where nothing was measured.
+def stack(
+    patches: Sequence[Patches], ink: float, paper: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(intensity (t, 8, 3), variance (t, 8, 3), clipped (t, 8), albedo (t, 8, 3)) for
+    photometry.solve; NaN where nothing was measured.
     """
-    seen, clipped = (
-        np.array([getattr(p, of) for p in patches]).reshape(-1, PATCHES)
-        for of in ("count", "clipped")
-    )
-    intensity, variance = (
-        np.where(
-            seen[..., None] > 0,
-            np.array([getattr(p, of) for p in patches]).reshape(-1, PATCHES, 3),
-            np.nan,
-        )
-        for of in ("mean", "variance")
-    )
-    return intensity, variance, clipped
+    marker = np.repeat(np.where(WHITE, paper, ink)[:, None], 3, 1)
+    colours = [
+        np.where((p.count > 0)[:, None], [p.mean, p.variance], np.nan) for p in patches
+    ]
+    intensity, variance = np.reshape(colours, (-1, 2, PATCHES, 3)).swapaxes(0, 1)
+    albedos = [marker if p.albedo is None else p.albedo for p in patches]
+    clipped = np.reshape([p.clipped for p in patches], (-1, PATCHES))
+    return intensity, variance, clipped, np.reshape(albedos, intensity.shape)
 
 
 def comparable(
@@ -260,52 +280,10 @@ def comparable(
         return None
     if few:
         return replace(p.reading, fit=p.seen & ~overexposed)
-    # by the ink alone, as if all of it were of one
-    albedo, variance = albedo[:, ~WHITE], variance[:, ~WHITE]
-    scale = divide(albedo.mean((0, 1)), albedo)
-    value, variance = (intensity[:, ~WHITE] - p.bias) * scale, variance * scale**2
-    fine = np.isfinite(value) & np.isfinite(variance) & (variance > 0)
-    middle = np.ma.median(np.ma.array(value, mask=~fine), axis=1).filled(0)
-    value, variance = np.where(fine, value, 0), np.where(fine, variance, 1)
-    off = np.abs(value - middle[:, None]) / np.sqrt(variance)
-    w = fine / variance * np.minimum(1, divide(_OUT, off, where_zero=1.0))
-    total = w.sum(1)
-    y = divide((w * value).sum(1), total * p.ink)
-    own = divide(1.0, total * p.ink**2) * p.misfit**2
-    known = p.seen & (total * p.ink > 0).all(1)
-    return LightReading(
-        np.where(known[:, None], y, p.y), np.where(known[:, None], own, p.var_y_own), known
-    )
-
-
-def quadrant_radiance(patches: Patches, bias: np.ndarray) -> np.ndarray:
-    """(4,) light of paper in the print's quadrants (top left, top right, bottom left,
-    bottom right), NaN = not seen. bias : (3,) of the camera
-    """
-    light, seen = (patches.mean[WHITE] - bias).mean(-1), patches.count[WHITE] > 0
-    if patches.albedo is not None:
-        albedo = patches.albedo[WHITE].mean(-1)
-        light, seen = light / np.maximum(albedo, DIM), seen & (albedo >= DIM)
-    return np.where(seen, light, np.nan)
-
-
-def clearly_shadowed(light: np.ndarray) -> bool:
-    """Whether a quadrant is clearly darker than the brightest one; nothing is clear where
-    one was not seen. light : (4,) of `quadrant_radiance`
-    """
-    return bool(0 < light.max() >= light.min() / LEAST_LEFT)
-
-
-def real_shadow(light: np.ndarray, corners_m: np.ndarray) -> PlaneShadow | None:
-    """The real shadow on the anchor's print, None where no quarter is clearly darker.
-
-    light : (4,) of `quadrant_radiance`;  corners_m : (4, 3) of the print. Anchor axes: x
-    right, y up.
-    """
-    if not clearly_shadowed(light):
-        return None
-    top_left, top_right, bottom_left, bottom_right = np.clip(
-        divide(light, light.max()), 0, 1
-    ).tolist()
-    x, y, _ = corners_m.max(0).tolist()
-    return PlaneShadow((-x, -y, x, y), ((bottom_left, bottom_right), (top_left, top_right)))
+    # by the ink alone
+    channels, _ = weighted(intensity - p.bias, variance, albedo)
+    ink = [bright_patches(grey, w * ~WHITE, rho, "", 0) for grey, w, rho in channels]
+    y, own = np.stack([part[:2] for part in ink], -1)
+    known = p.seen & (own < UNKNOWN_VARIANCE).all(1)
+    own = np.where(known[:, None], own * p.misfit**2, p.var_y_own)
+    return LightReading(np.where(known[:, None], y, p.y), own, known)

@@ -26,9 +26,10 @@ def followed(
     change: np.ndarray | None = None,
     colour: np.ndarray | None = None,
     noise: float = NOISE,
+    turn: float = 0.0,
 ) -> np.ndarray:
     """(t, 3) of prints that all show the logarithms luma (t,) or (t, prints), plus those of
-    a colour (t, 3). The first is what the object stands on.
+    a colour (t, 3). The first is what the object stands on. turn : radians a frame
     """
     t = len(luma)
     each = np.broadcast_to(np.reshape(luma, (t, -1)), (t, prints))
@@ -39,7 +40,8 @@ def followed(
     level = level + 0.003 * RNG(2).normal(size=level.shape)
     seen = np.full(t, np.nan) if change is None else change
     ones = np.ones(t * prints)
-    return brightness(np.arange(t) / FPS, frame, print_, level, ones, print_ == 0, seen)
+    times, turns = np.arange(t) / FPS, np.full(t, turn)
+    return brightness(times, frame, print_, level, ones, print_ == 0, seen, turns)
 
 
 def test_light_that_rests_does_not_flicker() -> None:
@@ -60,6 +62,16 @@ def test_a_ramp_of_one_stop_a_second_is_followed() -> None:
     found = followed(ramp).mean(1)
     off = found - ramp
     assert np.abs(off - np.median(off)).max() < 4 * NOISE
+
+
+def test_a_print_that_turns_under_unknown_lights_is_followed() -> None:
+    slow = 0.05 * np.sin(np.arange(90) / 4)
+    still = np.zeros(90)  # the background shows nothing: the exposure rests
+    off = [
+        np.abs(followed(slow, change=still, noise=0.002, turn=turn).mean(1) - slow).max()
+        for turn in (0.0, 0.03)
+    ]
+    assert off[1] < 0.007 < off[0] / 2
 
 
 def test_a_codecs_step_of_chroma_glides() -> None:
@@ -113,10 +125,18 @@ def test_frames_without_a_reading_have_what_lies_between() -> None:
     ones, zeros = np.ones(20), np.zeros(20, int)
     level = np.zeros((20, 3))
     unknown = np.full(30, np.nan)
-    found = brightness(times, frame, zeros, level, ones, zeros == 0, unknown)
+    rests = np.zeros(30)
+    found = brightness(times, frame, zeros, level, ones, zeros == 0, unknown, rests)
     assert found.shape == (30, 3) and np.abs(found).max() < 1e-9
     one = brightness(
-        times, frame[:1], zeros[:1], level[:1] + 0.3, ones[:1], zeros[:1] == 0, unknown
+        times,
+        frame[:1],
+        zeros[:1],
+        level[:1] + 0.3,
+        ones[:1],
+        zeros[:1] == 0,
+        unknown,
+        rests,
     )
     assert one == pytest.approx(np.full((30, 3), 0.3))
 

@@ -89,7 +89,7 @@ class Clip:
                 np.full(8, 50),
                 np.zeros(8),
             )
-            meter.readings.append((k, KEY, patches))
+            meter.readings.append(Reading(k, KEY, patches))
             if k % 10 == 0:
                 cube = np.full((6, 6, 6, 3), 0.2)
                 cube[0] = 0.9  # bright to the right
@@ -197,7 +197,19 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
             0.4 * (patches.mean[[0, 2, 4, 6]] - 0.004) + 0.004
         )  # the left half
         assert key == KEY and k in range(10, 15)
-    done = with_light(analysis, meter.readings, meter.samples, LightParams())
+        cells = np.ones((8, 8))
+        cells[:, :4] = 0.4
+        meter.readings[k] = Reading(k, KEY, replace(patches, cells=cells))
+    asked = []
+
+    def place_m() -> np.ndarray:
+        asked.append(1)
+        return np.array([0.03, 0.0])  # on the lit half
+
+    done = with_light(
+        analysis, meter.readings, meter.samples, LightParams(), place_m=place_m
+    )
+    assert asked == [1]
     assert (
         done.summary["light"]["verdict"] == "measured"
         and done.summary["light"]["frames_with_real_shadow"] == 5
@@ -210,6 +222,49 @@ def test_a_real_shadow_on_the_print_is_told_to_the_stage() -> None:
         == pytest.approx(np.array([[0.4, 1], [0.4, 1]]), abs=0.02)
     )
     assert done.facts[20].plane_shadow is None
+    edge = done.summary["light"]["shadow_edge"]
+    assert edge["verdict"] == "likely" and abs(abs(edge["azimuth_deg"]) - 180) < 5
+    json.dumps(done.summary["light"], allow_nan=False)
+
+
+def test_a_real_shadow_is_told_where_no_lamp_is_known_and_darkens_what_stands_in_it() -> (
+    None
+):
+    seen = []
+    for x in (-0.04, 0.04):
+        clip = Clip(static="marker")
+        analysis, meter = clip.made()
+        for k in range(20, 40):
+            patches = meter.readings[k].cells
+            patches.mean[[0, 2, 4, 6]] *= 0.4
+            cells = np.repeat(np.repeat([[0.4, 1.0]], 4, 1), 8, 0)
+            meter.readings[k] = Reading(k, KEY, replace(patches, cells=cells))
+        done = with_light(
+            analysis,
+            meter.readings,
+            (),
+            LightParams(),
+            place_m=lambda x=x: np.array([x, 0.0]),  # type: ignore[misc]
+        )
+        assert done.summary["light"]["verdict"] == "refused"
+        assert done.summary["light"]["frames_with_real_shadow"] == 20
+        assert [f.plane_shadow is not None for f in done.facts].count(True) == 20
+        lights = [f.light for f in done.facts]
+        bright = [np.mean(li.radiance(UP)) for li in lights if li is not None]
+        seen.append(np.mean(bright[25:35]) / np.mean(bright[5:15]))
+    assert seen == pytest.approx([0.4, 1.0], abs=0.04)
+
+
+def test_a_shot_that_lies_in_shadow_whole_has_a_light() -> None:
+    analysis, meter = Clip().made()
+    facts = [f.with_(shot=int(f.index >= 40)) for f in analysis.facts]
+    for k in range(40, 60):
+        cells = np.repeat(np.repeat([[0.4, 1.0]], 4, 1), 8, 0)
+        meter.readings[k] = Reading(k, KEY, replace(meter.readings[k].cells, cells=cells))
+    done = with_light(
+        replace(analysis, facts=tuple(facts)), meter.readings, (), LightParams()
+    )
+    assert all(f.light is not None for f in done.facts)
 
 
 def test_nothing_that_rests_means_no_direction() -> None:
@@ -310,7 +365,7 @@ def test_no_reading_at_all_still_gives_a_light() -> None:
 def test_a_black_clip_is_finite() -> None:
     analysis, meter = Clip(frames=8).made()
     black = [
-        (k, key, Patches(p.mean * 0, p.variance, p.count, p.clipped + 1))
+        Reading(k, key, Patches(p.mean * 0, p.variance, p.count, p.clipped + 1))
         for k, key, p in meter.readings
     ]
     meter.readings = black

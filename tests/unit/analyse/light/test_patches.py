@@ -8,11 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from arfx.analyse.light.patches import WHITE, Patches, reduced, stack
-from arfx.analyse.light.samples import place_samples
-from arfx.analyse.markers.detect import MarkerDetector
+from arfx.analyse.light.patches import WHITE, Meter, Patches, read_print, stack, standing
+from arfx.analyse.light.shadow import edge_clue, quarters
 from arfx.core.colour import SRGB
-from arfx.core.marker_codes import marker_cells
+from arfx.core.marker_codes import dictionary, marker_cells
 
 INK, PAPER = 0.05, 0.88
 QUAD = np.array([[70.3, 52.1], [331.7, 75.4], [318.2, 329.9], [48.6, 301.5]])
@@ -26,15 +25,8 @@ def measure(
     inverted: bool = False,
     blur_px: float = 0.7,
 ) -> Patches:
-    points = place_samples(
-        np.asarray(quad, float) - origin,
-        cells,
-        inverted,
-        blur_px,
-        (linear.shape[0], linear.shape[1]),
-    )
-    x, y = points.pixels().T
-    return reduced(linear[y, x], points)
+    meter = Meter(cells.astype(np.int8))
+    return read_print(linear, np.asarray(quad, float) - origin, meter, inverted, blur_px)
 
 
 def rendered(
@@ -44,12 +36,7 @@ def rendered(
     """(h, w, 3) float32 linear: print of OpenCV's own picture of the marker, one cell of
     quiet zone, 4 x 4 samples a pixel.
     """
-    print_ = (
-        cv2.aruco.generateImageMarker(
-            MarkerDetector([family])._detectors[family].getDictionary(), number, 800
-        )
-        > 127
-    )
+    print_ = cv2.aruco.generateImageMarker(dictionary(family), number, 800) > 127
     n = len(marker_cells(family, number))
     ss = 4
     h, w = size
@@ -253,12 +240,31 @@ def test_blur_leads_away_from_the_edges() -> None:
 
 def test_stack() -> None:
     p = measure(rendered(), (0, 0), QUAD, marker_cells("36h11", 3))
-    intensity, variance, clipped = stack(
-        [p, Patches(p.mean, p.variance, 0 * p.count, p.clipped)]
-    )
-    assert (
-        np.array_equal(intensity[0], p.mean)
-        and np.isnan(intensity[1]).all()
-        and np.isnan(variance[1]).all()
-    )
+    unseen = Patches(p.mean, p.variance, 0 * p.count, p.clipped, np.full((8, 3), 0.5))
+    intensity, variance, clipped, albedo = stack([p, unseen], INK, PAPER)
+    assert np.array_equal(intensity[0], p.mean)
+    assert np.isnan(intensity[1]).all() and np.isnan(variance[1]).all()
     assert clipped.shape == (2, 8)
+    assert (albedo[0] == np.where(WHITE, PAPER, INK)[:, None]).all()
+    assert (albedo[1] == 0.5).all()
+    assert [a.shape for a in stack([], INK, PAPER)] == [(0, 8, 3)] * 2 + [(0, 8), (0, 8, 3)]
+
+
+def test_a_shadow_on_a_part_of_a_print_is_told_and_a_darker_room_is_none() -> None:
+    image = rendered()
+    half = image.copy()
+    half[:, 190:] *= 0.5
+    assert measure(image, (0, 0), QUAD, marker_cells("36h11", 3)).cells is None
+    assert measure(image / 2, (0, 0), QUAD, marker_cells("36h11", 3)).cells is None
+    seen = measure(half, (0, 0), QUAD, marker_cells("36h11", 3))
+    assert seen.cells is not None
+    (top_left, top_right), (bottom_left, bottom_right) = quarters(seen.cells)
+    assert top_right < 0.6 * top_left and bottom_right < 0.6 * bottom_left
+    for x, left in ((-0.8, 1.0), (0.0, 0.75), (0.8, 0.5)):
+        stood = standing(seen, np.array([x, 0.0]))
+        off = stood.mean[WHITE] - left * seen.mean[4]
+        assert np.abs(off).max() < 0.02
+    clue = edge_clue([seen.cells], np.array([[-0.05, 0.05, 0], [0.05, -0.05, 0]]))
+    assert clue is not None and clue["verdict"] == "likely"
+    assert abs(clue["azimuth_deg"]) < 20 and clue["size_deg"] < 20
+    assert edge_clue([], QUAD) is None

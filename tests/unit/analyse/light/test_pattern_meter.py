@@ -4,8 +4,8 @@ light and bias that they tell.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,15 +16,12 @@ from arfx.analyse.light import frames as light_frames
 from arfx.analyse.light.patches import (
     SOFT,
     Patches,
-    albedos,
     meter_for,
     pattern_meter,
-    quadrant_radiance,
-    reduced,
+    read_print,
     stack,
 )
-from arfx.analyse.light.photometry import Photometry, solve
-from arfx.analyse.light.samples import place_samples
+from arfx.analyse.light.photometry import LightReading, Photometry, solve
 from arfx.analyse.params import LightParams
 from arfx.core.marker import PatternSpec
 from arfx.core.rect import Rect
@@ -45,14 +42,10 @@ LIGHTS = 0.25 + 0.6 * np.linspace(0, 1, 9)[:, None] * np.array([1.0, 0.9, 0.7])
 def seen_under(light: np.ndarray, scale: bool = True) -> Patches:
     """The print read in a picture of it under a light (3,), with the camera's bias."""
     meter = pattern_meter(PRINTED, INK, PAPER)
-    shape = PRINTED.shape[:2]
-    points = place_samples(
-        np.array([[0, 0], [shape[1], 0], [shape[1], shape[0]], [0, shape[0]]]) - 0.5,
-        meter.cells, False, 0.0, shape, meter.scale if scale else None,
-    )  # fmt: skip
-    at = points.pixels()
-    pixels = (ALBEDO * light + BIAS)[at[:, 1], at[:, 0]].astype(np.float32)
-    return reduced(pixels, points, meter.albedo)
+    w, h = PRINTED.shape[1], PRINTED.shape[0]
+    quad = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
+    linear = (ALBEDO * light + BIAS).astype(np.float32)
+    return read_print(linear, quad, meter if scale else meter._replace(scale=None))
 
 
 def test_every_quarter_has_bright_and_dark_cells() -> None:
@@ -70,15 +63,14 @@ def test_every_quarter_has_bright_and_dark_cells() -> None:
 @pytest.mark.parametrize("formula", ["corrected", "paper"])
 def test_light_and_bias_come_out_of_its_patches(formula: str) -> None:
     patches = [seen_under(light) for light in LIGHTS]
-    grey, variance, clipped = stack(patches)
-    rho = albedos(patches, INK, PAPER)
+    grey, variance, clipped, rho = stack(patches, INK, PAPER)
     solved: Photometry
     if formula == "corrected":
         solved = solve(grey, variance, rho, clipped)
     else:
         solved = gain_and_bias(grey, albedo=rho, clipped=clipped)
     assert solved.determined.all()
-    np.testing.assert_allclose(solved.y, LIGHTS, rtol=0.01)
+    np.testing.assert_allclose(solved.y, LIGHTS, rtol=0.012)
     np.testing.assert_allclose(solved.bias, BIAS, atol=0.003)
 
 
@@ -96,9 +88,7 @@ def test_the_map_is_blurred_as_the_print_is() -> None:
     quad = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
     off = []
     for meter in (meters[0], meter_for(meters, (w + h) / 2, 0.7)):
-        points = place_samples(quad, meter.cells, False, 0.7, (h, w), meter.scale)
-        at = points.pixels()
-        p = reduced(small[at[:, 1], at[:, 0]].astype(np.float32), points, meter.albedo)
+        p = read_print(small.astype(np.float32), quad, meter, blur_px=0.7)
         assert meter.albedo is not None and (p.count > 0).all()
         off.append(np.abs(p.mean - meter.albedo)[:4].mean())
     assert off[1] < 0.7 * off[0]
@@ -110,16 +100,17 @@ def test_texture_within_a_patch_is_no_noise() -> None:
 
 
 def test_quarters_of_other_albedos_are_no_shadow() -> None:
-    p = seen_under(LIGHTS[-1])
-    assert p.albedo is not None
-    light = quadrant_radiance(p, BIAS)
-    assert np.ptp(light) < 0.03 * light.mean()
-    plain = quadrant_radiance(replace(p, albedo=None), BIAS)
-    assert np.ptp(plain) > 2 * np.ptp(light) * plain.mean() / light.mean()
-    dim = np.where(np.arange(8)[:, None] == 4, 0.1, p.albedo)
-    assert np.isnan(quadrant_radiance(replace(p, albedo=dim), BIAS)[0]), (
-        "a dark quarter tells nothing"
-    )
+    """Nor does a quarter tell any whose bright cells are dark."""
+    meter = pattern_meter(PRINTED, INK, PAPER)
+    assert meter.albedo is not None
+    half = (0.4 + 0.6 * (np.arange(PRINTED.shape[1]) < 110))[:, None]
+    assert seen_under(LIGHTS[-1]).cells is None
+    assert seen_under(half * LIGHTS[-1]).cells is not None
+    dim = np.where(np.arange(8)[:, None] == 4, 0.1, meter.albedo)
+    w, h = PRINTED.shape[1], PRINTED.shape[0]
+    quad = np.array([[0, 0], [w, 0], [w, h], [0, h]]) - 0.5
+    linear = (ALBEDO * half * LIGHTS[-1]).astype(np.float32)
+    assert read_print(linear, quad, meter._replace(albedo=dim)).cells is None
 
 
 class Picture:
@@ -127,14 +118,17 @@ class Picture:
 
     rect = Rect.of(320, 240)
 
-    def __init__(self, linear: np.ndarray) -> None:
-        self.linear = linear
+    def __init__(self, pixels: np.ndarray) -> None:
+        self.pixels = pixels.astype(np.float32)
+
+    def linear(self, rect: Rect) -> np.ndarray:
+        return self.pixels[rect.slices]
 
     def linear_at(self, pixels: np.ndarray) -> np.ndarray:
-        return self.linear[pixels[:, 1], pixels[:, 0]].astype(np.float32)
+        return self.pixels[pixels[:, 1], pixels[:, 0]]
 
     def reduced(self, width: int) -> np.ndarray:
-        return np.ascontiguousarray(self.linear[::4, ::4]).astype(np.float32)
+        return np.ascontiguousarray(self.pixels[::4, ::4])
 
 
 @pytest.mark.parametrize("formula", ["corrected", "paper"])
@@ -148,15 +142,14 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
     if formula == "paper":
         printed = FORMULAS["paper"]["light"]
         method, params = printed.with_light, printed.Params()
-    solved: list[Photometry] = []
-    kept = light_frames._readings
+    solved: list[LightReading] = []
+    kept = light_frames.Readings
 
-    def readings(*a: object) -> object:
-        out = kept(*a)  # type: ignore[arg-type]
-        solved.append(out[1])
-        return out
+    def readings(*a: Any) -> object:
+        solved.append(a[4][0])
+        return kept(*a)
 
-    monkeypatch.setattr(light_frames, "_readings", readings)
+    monkeypatch.setattr(light_frames, "Readings", readings)
     prints = {PRINT.key: PRINTED}
     job = AnalysisJob((PRINT,), CAM, light=params, light_method=method, prints=prints)
     analyser, back = (
@@ -181,4 +174,4 @@ def test_the_whole_analysis_reads_the_light_from_a_print(
     assert clip.summary["light"]["photometry"]["readings_used"] == len(LIGHTS)
     # a bias that is not certain, of up to .012, is in the light
     np.testing.assert_allclose(solved[0].y, LIGHTS, rtol=0.04)
-    np.testing.assert_allclose(solved[0].bias, BIAS, atol=0.003)
+    np.testing.assert_allclose(clip.summary["light"]["bias"], BIAS, atol=0.003)

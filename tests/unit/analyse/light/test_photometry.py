@@ -39,7 +39,7 @@ def clip(
 
 
 def finite(p: Photometry) -> bool:
-    arrays = (p.y, p.var_y_own, p.bias, p.bias_95, p.ink, p.condition, p.misfit)
+    arrays = (p.y, p.var_y_own, p.bias, p.bias_95, p.condition, p.misfit)
     return all(np.isfinite(a).all() for a in arrays) and np.isfinite(p.clipped)
 
 
@@ -283,6 +283,28 @@ def test_highlights_on_some_patches_do_little() -> None:
         np.abs(p.bias - 0.02).max() < 4e-3 and np.abs(np.array(plain) - 0.02).max() > 0.02
     )
     assert ((p.bias_95[:, 0] < 0.02) & (p.bias_95[:, 1] > 0.02)).all()
+
+
+def test_a_highlight_over_a_glossy_print_is_no_light() -> None:
+    """It lies on ink and paper alike, in some frames; a finger on one patch is none."""
+    grey, y = clip(frames=60, noise=0.001)
+    shine = np.zeros(60)
+    shine[20:30] = np.linspace(0.02, 0.2, 10)
+    p = solve(grey + shine[:, None, None], np.full(grey.shape, 1e-6), RHO)
+    assert np.abs(p.bias - 0.02).max() < 1e-3
+    assert np.abs(p.y - y).max() < 0.01
+    two = np.arange(60) % 3 == 0
+    inks = np.where(two[:, None], np.where(WHITE, PAPER, 0.08), RHO)
+    calm = 0.4 + 0.1 * y
+    mixed = inks[..., None] * calm[:, None] + 0.02
+    off = [
+        np.abs(solve(mixed, np.full(grey.shape, 1e-6), RHO, print_=of).y / calm - 1).max()
+        for of in (two.astype(int), None)
+    ]
+    assert off[0] < 0.01 < off[1], "another print's ink is no highlight"
+    grey[40, 1] += 0.1
+    covered = solve(grey, np.full(grey.shape, 1e-6), RHO)
+    assert np.abs(covered.y[40] - y[40]).max() < 0.02
 
 
 def test_shares_of_clipped_samples_are_reported() -> None:
