@@ -5,13 +5,11 @@ Markdown text.
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import re
 from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin
 
 from arfx.config.load import suggestion
 from arfx.config.sections import Length, Time, settings
@@ -73,13 +71,7 @@ def describe(name: str) -> dict[str, Any]:
             suggestion(name, [*STAGES, *sections()]),
         )
     rows = [
-        {
-            "name": s.key,
-            "type": _words(s.kinds[0]),
-            "default": _plain(s.default),
-            "text": s.text,
-            "option": " ".join(s.flags),
-        }
+        {**_row(s.key, s.kinds[0], s.default, s.text), "option": " ".join(s.flags)}
         for s in found
     ]
     return {"name": name, "about": "", "settings": rows}
@@ -121,48 +113,23 @@ def _about(kind: type) -> str:
     return inspect.cleandoc(kind.__doc__ or "")
 
 
-def _of_formulas(kinds: Mapping[str, type]) -> list[dict[str, Any]]:
+def _of_formulas(kinds: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The settings under every formula, those of the usual one first; the others say
     theirs, where it or its default is new.
     """
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     usual = next(iter(kinds.values()))
-    texts = {row["name"]: row["text"] for row in _of_dataclass(usual)}
     for formula, kind in kinds.items():
-        for row in _of_dataclass(kind):
-            default = "" if row["name"] == "formula" else repr(row["default"])
-            own = {
-                **row,
-                "text": row["text"] or texts.get(row["name"], ""),
-                "formula": formula,
-            }
-            rows.setdefault((row["name"], default), row if kind is usual else own)
+        for name, field in kind.__pydantic_fields__.items():
+            row = _row(name, field.annotation, field.default, field.description or "")
+            default = "" if name == "formula" else repr(row["default"])
+            own = row if kind is usual else {**row, "formula": formula}
+            rows.setdefault((name, default), own)
     return list(rows.values())
 
 
-def _of_dataclass(kind: type) -> list[dict[str, Any]]:
-    """The fields of a frozen dataclass with their text, which its docstring holds as `name
-    : text` or `name, other : text`.
-    """
-    fields, doc = {f.name: f for f in dataclasses.fields(kind)}, _about(kind)
-    heads = [
-        (m.span(), names)
-        for m in re.finditer(r"(?:^|;  )(\w+(?:, \w+)*) : ", doc, re.MULTILINE)
-        if set(names := m[1].split(", ")) <= set(fields)
-    ]
-    texts: dict[str, str] = {}
-    for ((_, begin), names), ((end, _), _) in pairwise([*heads, ((len(doc), 0), [])]):
-        texts |= dict.fromkeys(names, " ".join(doc[begin:end].split()))
-    hints = get_type_hints(kind)
-    return [
-        {
-            "name": n,
-            "type": _words(hints[n]),
-            "default": _plain(f.default),
-            "text": texts.get(n, ""),
-        }
-        for n, f in fields.items()
-    ]
+def _row(name: str, hint: Any, default: Any, text: str) -> dict[str, Any]:
+    return {"name": name, "type": _words(hint), "default": _plain(default), "text": text}
 
 
 def _words(hint: Any) -> str:

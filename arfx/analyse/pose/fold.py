@@ -343,7 +343,8 @@ def solve(
         np.maximum(np.einsum("nii->ni", info), 1e-30)
     )  # each parameter in units of its own precision
     condition = np.linalg.cond(info / d[:, :, None] / d[:, None])
-    static, evidence = params.static, dict[str, float]()
+    static: str = params.static
+    evidence: dict[str, float] = {}
     if static == "auto":
         poses = {
             f.index: f.camera_from_world for f in facts if f.camera_from_world is not None
