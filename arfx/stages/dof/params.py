@@ -83,15 +83,17 @@ class DofParams(Settings):
     @field_validator("focal_mm")
     @classmethod
     def _focal_mm(cls, value: float | str) -> float | str:
-        for _, focal_mm in focal_keys(value):
-            _require(0 <= focal_mm <= 1e6, focal_mm, "0 to 1000000")
+        for moment, focal_mm in focal_keys(value):
+            _require(0 <= focal_mm <= 1e6, "0 to 1000000", focal_mm, f" at {moment:g} s")
         return value
 
     @field_validator("fnumber")
     @classmethod
     def _fnumber(cls, value: float | str) -> float | str:
-        for _, fnumber in fnumber_keys(value):
-            _require(fnumber >= 1e-3, fnumber, "above 0 (0.001 or more)")
+        for moment, fnumber in fnumber_keys(value):
+            _require(
+                fnumber >= 1e-3, "above 0 (0.001 or more)", fnumber, f" at {moment:g} s"
+            )
         return value
 
     @field_validator("focus")
@@ -103,7 +105,7 @@ class DofParams(Settings):
     @field_validator("blades")
     @classmethod
     def _blades(cls, value: int) -> int:
-        _require(value not in (1, 2), value, "0 (round) or 3 to 32")
+        _require(value not in (1, 2), "0 (round) or 3 to 32", value)
         return value
 
     @model_validator(mode="after")
@@ -116,9 +118,9 @@ class DofParams(Settings):
         return self
 
 
-def _require(right: bool, value: float, what: str) -> None:
+def _require(right: bool, what: str, value: float, when: str = "") -> None:
     if not right:
-        raise ConfigError(f"must be {what}, is {value:g}")
+        raise ConfigError(f"must be {what}, is {value:g}{when}")
 
 
 def focal_keys(value: float | str) -> list[tuple[float, float]]:
@@ -164,7 +166,7 @@ def _focus(text: str) -> str | float:
             f"{text!r} is neither object, marker, a marker's id nor a length",
             "such as object, 36h11:3 or 60cm",
         ) from None
-    _require(distance > 0, distance, "a distance above 0")
+    _require(distance > 0, "a distance above 0", distance)
     return distance
 
 

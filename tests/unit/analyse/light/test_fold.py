@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from arfx.analyse.fold import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.light.fold import LightOfMarkers
@@ -348,11 +349,11 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
     ("changes", "says"),
     [
         ({"given": (10.0,)}, "azimuth"), ({"given": (10.0, 100.0)}, "elevation"),
-        ({"given": (0.0, 45.0, -1.0, 1.0, 1.0)}, "colour"), ({"ink": 0.9}, "albedos"),
+        ({"given": (0.0, 45.0, -1.0, 1.0, 1.0)}, "colour"), ({"ink": 0.9}, "below light.paper"),
     ],
 )  # fmt: skip
 def test_settings_out_of_bounds_are_named(changes: dict, says: str) -> None:
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ValidationError, match=says):
         LightParams(**changes)
 
 
