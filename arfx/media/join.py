@@ -26,7 +26,7 @@ import av
 from arfx.core import interrupt
 from arfx.core.guard import TIMES, part_name
 from arfx.core.opener import ffmpeg_url
-from arfx.errors import RenderError
+from arfx.errors import ArfxError, RenderError
 from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import create_container, open_video
 from arfx.media.frames import JUMP_S, ClipReader, read_on
@@ -108,6 +108,8 @@ def _temporary_output(part: Path, out: Path) -> Iterator[None]:
             OSError
         ):  # what went wrong first is what the user must hear
             remove_output(part)
+        if isinstance(e, ArfxError):
+            raise
         if isinstance(e, (av.error.FFmpegError, OSError, ValueError)):
             raise write_failed(out, e) from e
         raise
