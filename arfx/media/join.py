@@ -108,9 +108,8 @@ def _temporary_output(part: Path, out: Path) -> Iterator[None]:
             OSError
         ):  # what went wrong first is what the user must hear
             remove_output(part)
-        if isinstance(e, ArfxError):
-            raise
-        if isinstance(e, (av.error.FFmpegError, OSError, ValueError)):
+        system = isinstance(e, (av.error.FFmpegError, OSError, ValueError))
+        if system and not isinstance(e, ArfxError):
             raise write_failed(out, e) from e
         raise
 
