@@ -96,17 +96,14 @@ def join_chunks(
 
 @contextlib.contextmanager
 def _temporary_output(part: Path, out: Path) -> Iterator[None]:
-    """Nothing is at `part` before the body, nor after it has failed.
-
-    Raises RenderError where `out` cannot be written.
+    """Nothing is at `part` before the body, nor after it has failed; what went wrong first is
+    raised. Raises RenderError where `out` cannot be written.
     """
     try:
         remove_output(part)
         yield
     except BaseException as e:
-        with contextlib.suppress(
-            OSError
-        ):  # what went wrong first is what the user must hear
+        with contextlib.suppress(OSError):
             remove_output(part)
         system = isinstance(e, (av.error.FFmpegError, OSError, ValueError))
         if system and not isinstance(e, ArfxError):
