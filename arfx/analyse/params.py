@@ -5,11 +5,11 @@ unit and reason.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import field_validator, model_validator
+from pydantic import BeforeValidator, field_validator, model_validator
 
-from arfx.core.settings import Fraction, Settings, setting
+from arfx.core.settings import Fraction, Settings, listed, setting
 from arfx.errors import ConfigError
 
 
@@ -43,7 +43,7 @@ class LightParams(Settings):
     formula: str = setting(
         "corrected", "corrected, or paper: Tan, Chen, Sun 2009 as printed"
     )
-    given: tuple[float, ...] = setting(
+    given: Annotated[tuple[float, ...], BeforeValidator(listed)] = setting(
         (),
         "a known light: azimuth from the anchor marker's x and elevation above its plane,"
         " degrees; optionally the linear RGB that it gives a surface facing it (default: as"
@@ -77,8 +77,8 @@ class LightParams(Settings):
         direction, colour = given[:2], given[2:]
         if len(given) not in (0, 2, 5):
             raise ConfigError(
-                f"it has {len(given)} numbers",
-                "azimuth, elevation in degrees; or these and R, G, B",
+                f"a light of {len(given)} numbers",
+                "AZ,EL or AZ,EL,R,G,B: degrees and linear colour: 45,60 or 45,60,1,0.9,0.8",
             )
         for angle, most in zip(direction, (1e6, 90), strict=False):
             if abs(angle) > most:
@@ -104,17 +104,3 @@ class LightParams(Settings):
                 f"light.ink must be below light.paper, not {self.ink:g} and {self.paper:g}"
             )
         return self
-
-
-def parse_light(text: str) -> list[float]:
-    """AZ,EL or AZ,EL,R,G,B. Raises ConfigError."""
-    try:
-        values = [float(v) for v in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) not in (2, 5):
-        raise ConfigError(
-            f"--light {text!r} is not AZ,EL or AZ,EL,R,G,B",
-            "degrees and linear colour: 45,60 or 45,60,1,0.9,0.8",
-        )
-    return values

@@ -123,7 +123,7 @@ def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
     for size in ((width, height), (height, width)):
         if (sheet := _sheet(title, prints, *size)) is not None:
             return sheet
-    w, h, white = (max(p[k] for p in prints) for k in range(3))
+    w, h, white = np.max([p.size_mm for p in prints], axis=0)
     larger = [n for n, (a, b) in PAGES_MM.items() if a * b > width * height]
     raise ConfigError(
         f"{len(prints)} of {w:g} x {h:g} mm, {white:.3g} mm white around, with labels and ruler"
@@ -133,12 +133,10 @@ def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
 
 
 class _Print(NamedTuple):
-    """One marker or board. white_mm : that detectors need around it;  cells : from its upper
-    left corner;  words : under it"""
+    """One marker or board. size_mm : width, height, and the white that detectors need around
+    it;  cells : from its upper left corner;  words : under it"""
 
-    width_mm: float
-    height_mm: float
-    white_mm: float
+    size_mm: tuple[float, float, float]
     cells: list[Cells]
     words: str
 
@@ -147,7 +145,7 @@ def _marker(marker: MarkerSpec) -> _Print:
     size, bits = marker.size_m * 1000, marker_bits(marker.family, marker.id)
     module = size / len(bits)  # the least white; neighbours share nothing
     words = f"{marker}" if size >= 40 else f"{marker.key} {size:g}mm"
-    return _Print(size, size, module, [Cells(0, 0, module, bits)], words)
+    return _Print((size, size, module), [Cells(0, 0, module, bits)], words)
 
 
 def _board(spec: BoardSpec) -> _Print:
@@ -167,14 +165,14 @@ def _board(spec: BoardSpec) -> _Print:
             x, y, _ = 1000 * np.asarray(corners, float)[0]
             cells.append(Cells(x, y, spec.marker_m * 1000 / len(bits), bits))
     words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
-    return _Print(columns * square, rows * square, 0.0, cells, words)
+    return _Print((columns * square, rows * square, 0.0), cells, words)
 
 
 def _sheet(
     title: str, prints: Sequence[_Print], width: float, height: float
 ) -> Sheet | None:
     """Row by row, as many to a row as fit, with a ruler below; None where they do not fit."""
-    w, h, white = (max(p[k] for p in prints) for k in range(3))
+    w, h, white = np.max([p.size_mm for p in prints], axis=0)
     pitch_x, pitch_y = w + 2 * white, h + 2 * white + LABEL_MM
     # the white of the outermost ones may lie where the printer cannot print: it is white
     over = max(0.0, MARGIN_MM - white)
@@ -189,7 +187,7 @@ def _sheet(
     for i, p in enumerate(prints):
         row, column = divmod(i, columns)
         middle, upper = left + (column + 0.5) * pitch_x, top + row * pitch_y + white
-        x, y = middle - p.width_mm / 2, upper + (h - p.height_mm) / 2
+        x, y = middle - p.size_mm[0] / 2, upper + (h - p.size_mm[1]) / 2
         cells += [c._replace(x_mm=x + c.x_mm, y_mm=y + c.y_mm) for c in p.cells]
         texts.append(Text(middle, upper + h + white + LABEL_MM - 1, p.words))
     length = next((r for r in RULER_MM if r <= width - 2 * MARGIN_MM), RULER_MM[-1])

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 from pydantic import BeforeValidator, Field, PlainSerializer
 
 from arfx.core.marker import Marker, MarkerSpec, PatternSpec
-from arfx.core.settings import Settings, setting
+from arfx.core.settings import Settings, listed, setting
 from arfx.core.units import length_m, time_s
 
 
@@ -33,20 +33,14 @@ def _transfer(value: Any) -> str:
     return Transfer(str(value)).name
 
 
-def _listed(value: Any) -> Any:
-    """A list as it is written after an option."""
-    return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
-
-
 def _names(value: Any) -> Any:
-    names = _listed(value)
-    if isinstance(value, str):
-        names = [name for name in names if name]
-    return "auto" if names == ["auto"] and isinstance(value, str) else names
+    if not isinstance(value, str) or value == "auto":
+        return value
+    return [name for name in listed(value) if name]
 
 
 def _three(value: Any) -> Any:
-    parts = _listed(value)
+    parts = listed(value)
     if isinstance(value, str) and len(parts) != 3:
         raise ValueError(f"{value!r} is not three values, X,Y,Z with commas")
     return parts

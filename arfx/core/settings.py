@@ -40,6 +40,11 @@ def setting(
     )
 
 
+def listed(value: Any) -> Any:
+    """A list as it is written after an option."""
+    return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+
+
 def converted(settings: Settings, kind: type[Settings], **changes: Any) -> Any:
     """Settings of another formula: those that both have, and changes."""
     both = settings.__class__.model_fields.keys() & kind.model_fields.keys() - {"formula"}
