@@ -6,7 +6,7 @@ import pytest
 from arfx.core.noise import noise, noise_key
 from arfx.core.rect import Rect
 
-RECT = Rect(20, 5, 660, 485)
+RECT = Rect(-20, 5, 620, 485)
 KEY = noise_key(7, 3, "film_grain")
 
 
