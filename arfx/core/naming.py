@@ -49,6 +49,6 @@ def _fields(pattern: Path) -> set[str]:
         if m[1] not in FIELDS:
             known = "; ".join(f"{{{name}}} is {what}" for name, what in FIELDS.items())
             raise ConfigError(
-                f"-o {pattern}: {m[0]} is no field", f"{known}; {{{{ is a brace"
+                f"-o {pattern}: there is no field {m[0]}", f"{known}; {{{{ is a brace"
             )
     return {m[1] for m in found}
