@@ -173,21 +173,31 @@ def _of_other_kinds(
     mixed = len({turn for _, _, turn in kinds.values()}) > 1
     words = {}
     for (width, height, _), names in groups.items():
-        tags = ", ".join(sorted({str(kinds[n][2]) for n in names}))
+        tags = (
+            " by EXIF orientation"
+            f" {', '.join(map(str, sorted({kinds[n][2] for n in names})))}"
+            if mixed
+            else ""
+        )
         words[names[0]] = (
-            f"{_first_names(names)} {'is' if len(names) == 1 else 'are'} {width}x{height}"
-        ) + f" by EXIF orientation {tags}" * mixed
+            f"{_first_names(names)} {'is' if len(names) == 1 else 'are'}"
+            f" {width}x{height}{tags}"
+        )
+    most = max(groups.values(), key=len)
     cause = (
         "; their EXIF orientations are mixed: the camera was turned, or its tags are wrong"
-        " (then exiftool -Orientation=1 -n mends them)" * mixed
+        if mixed
+        else ""
     )
-    most = max(groups.values(), key=len)
     if 2 * len(most) <= len(kinds):
         raise InputError(
             "pictures of different sizes or orientations:"
             f" {', '.join(words.values())}{cause}",
             "a calibration belongs to one size and orientation: give those of one camera"
-            " mode, held one way",
+            " mode, held one way"
+            + (
+                " (if they are, exiftool -Orientation=1 -n mends the tags)" if mixed else ""
+            ),
         )
     usual = words.pop(most[0])
     notices.append(f"left out: {', '.join(words.values())}; {usual}{cause}")
