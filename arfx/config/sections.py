@@ -246,8 +246,7 @@ class Setting(NamedTuple):
     """A setting of a job file. kinds : its type and what that is made of;  repeated : its
     section is an array of tables;
     limits : of pydantic;  flags, metavar, help : of its option; no flags: it has none;
-    messages name the first
-    text : what it does"""
+    messages name the first"""
 
     section: str
     key: str
@@ -258,7 +257,6 @@ class Setting(NamedTuple):
     flags: list[str]
     metavar: str | None
     help: str
-    text: str
 
     @property
     def name(self) -> str:
@@ -289,7 +287,6 @@ def _settings() -> Iterator[Setting]:
                 flags,
                 option[-1] if len(option) > len(flags) else None,
                 words["help"],
-                field.description or "",
             )
 
 

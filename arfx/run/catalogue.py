@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
 from arfx.config.load import suggestion
-from arfx.config.sections import Length, Time, settings
+from arfx.config.sections import Length, Time, section_models
 from arfx.core.cost import load_prices
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.errors import ConfigError
+from arfx.papers import CORRECTED
 from arfx.plan.errors import shipped_errors
 from arfx.run.pages import render
 from arfx.run.parameters import parameters
@@ -42,16 +43,15 @@ WRITES = {
 }
 
 
+def _sections() -> dict[str, Mapping[str, Any]]:
+    """Sections of a job file that belong to no stage, with their models by formula."""
+    own = {name: {CORRECTED: model} for name, model in section_models().items()}
+    return own | {n: kinds for n, kinds in parameters().items() if n not in STAGES}
+
+
 def sections() -> list[str]:
     """Names of the sections of a job file that belong to no stage."""
-    return list(
-        dict.fromkeys(
-            [
-                *(s.section for s in settings()),
-                *(name for name in parameters() if name not in STAGES),
-            ]
-        )
-    )
+    return [*_sections()]
 
 
 def describe(name: str) -> dict[str, Any]:
@@ -60,21 +60,14 @@ def describe(name: str) -> dict[str, Any]:
     """
     if name in STAGES:
         return _stage(name)
-    if name in parameters():
-        kinds = parameters()[name]
-        about = _about(next(iter(kinds.values()))).partition("\n\n")[0]
-        return {"name": name, "about": about, "settings": _of_formulas(kinds)}
-    found = [s for s in settings() if s.section == name]
-    if not found:
+    kinds = _sections().get(name)
+    if kinds is None:
         raise ConfigError(
             f"there is no stage or section {name!r}",
             suggestion(name, [*STAGES, *sections()]),
         )
-    rows = [
-        {**_row(s.key, s.kinds[0], s.default, s.text), "option": " ".join(s.flags)}
-        for s in found
-    ]
-    return {"name": name, "about": "", "settings": rows}
+    about = _about(next(iter(kinds.values()))).partition("\n\n")[0]
+    return {"name": name, "about": about, "settings": _of_formulas(kinds)}
 
 
 def _stage(name: str) -> dict[str, Any]:
@@ -121,15 +114,22 @@ def _of_formulas(kinds: Mapping[str, Any]) -> list[dict[str, Any]]:
     usual = next(iter(kinds.values()))
     for formula, kind in kinds.items():
         for name, field in kind.__pydantic_fields__.items():
-            row = _row(name, field.annotation, field.default, field.description or "")
+            row = _row(name, field)
             default = "" if name == "formula" else repr(row["default"])
             own = row if kind is usual else {**row, "formula": formula}
             rows.setdefault((name, default), own)
     return list(rows.values())
 
 
-def _row(name: str, hint: Any, default: Any, text: str) -> dict[str, Any]:
-    return {"name": name, "type": _words(hint), "default": _plain(default), "text": text}
+def _row(name: str, field: Any) -> dict[str, Any]:
+    option = (field.json_schema_extra or {}).get("option", "").split()
+    return {
+        "name": name,
+        "type": _words(field.annotation),
+        "default": _plain(field.default),
+        "text": field.description or "",
+        "option": " ".join([w for w in option if w.startswith("-")] or option),
+    }
 
 
 def _words(hint: Any) -> str:
