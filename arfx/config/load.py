@@ -143,11 +143,16 @@ def _key_path(tree: Any, error: Any) -> KeyPath:
 
 def _message(path: KeyPath, error: Any) -> tuple[str, str]:
     """What is wrong, and what would be right."""
-    cause = error.get("ctx", {}).get("error")
-    known = isinstance(cause, ConfigError)
-    text, hint = (cause.message, cause.hint) if known else (error["msg"], "")
+    cause, value = error.get("ctx", {}).get("error"), error["input"]
+    text, hint = error["msg"].removeprefix("Value error, "), ""
+    if isinstance(cause, ConfigError):
+        text, hint = cause.message, cause.hint
+    elif error["type"] in ("model_type", "dataclass_type"):
+        text = "must be a table"
+    elif cause is None and isinstance(value, (int, float, str)):
+        text += f", is {value!r:.60}"
     place = "" if text.startswith(f"{path[0]}.") else f"{'.'.join(map(str, path))}: "
-    return place + text.removeprefix("Value error, "), hint
+    return place + text, hint
 
 
 def read_job_file(file: Path, parameters: Parameters, kind: str = "job file") -> JobFile:

@@ -345,3 +345,17 @@ def test_sections_refuse_absurd_numbers_by_name(
 ) -> None:
     with pytest.raises(ConfigError, match=rf"{section}\.{key}"):
         load(None, {section: {key: value}}, TABLE)
+
+
+def test_what_a_check_of_a_stage_refuses_is_told_beside_all_else(tmp_path: Path) -> None:
+    text = GOOD + 'blades = 2\nname = 3\nnear = 1\n[[marker]]\nspec = "x"\n'
+    with pytest.raises(ConfigError) as e:
+        load(write(tmp_path, text.replace("aperture = 4", "aperture = -1")), {}, TABLE)
+    for line, says in (
+        (17, "dof.aperture: Input should be greater than or equal to 0, is -1"),
+        (18, "dof.blades: must be 3 or more, is 2"),
+        (19, "dof.name: Input should be a valid string, is 3"),
+        (20, "stage 'dof' has no setting 'near'"),
+        (22, "marker.2.spec: marker 'x' is not FAMILY:ID:SIZE"),
+    ):
+        assert f"{says}\n  --> {tmp_path / 'job.toml'}:{line}" in str(e.value)
