@@ -193,12 +193,8 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     write_plots(result, camera.plots)
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
     d = document(result)
-    numbers = [
-        (name, value, d["standard_deviations"][name])
-        for name, value in zip(
-            result.fitted.model.parameters, result.fitted.values, strict=True
-        )
-    ]
+    known = d["standard_deviations"]
+    numbers = [*zip(known, result.fitted.values, known.values(), strict=True)]
     tilts = result.seen.tilt_deg
     say(
         render(
