@@ -34,8 +34,8 @@ class ArfxError(Exception):
         return type(self), (self.message, self.hint)
 
 
-class ConfigError(ArfxError):
-    """Usage or configuration is wrong (exit 2)."""
+class ConfigError(ArfxError, ValueError):
+    """Usage or configuration is wrong (exit 2). A ValueError: a model's validators may raise it."""
 
     exit_code = 2
 
@@ -106,13 +106,3 @@ def on_one_line(message: str) -> str:
     return " ".join(
         filter(None, map(str.strip, message.replace("\nhelp: ", "; ").splitlines()))
     )
-
-
-def require_within(section: str, settings: object, **limits: tuple[float, float]) -> None:
-    """Raises ConfigError for a setting outside its limits, which are (lowest, highest) by name."""
-    for name, (low, high) in limits.items():
-        value = getattr(settings, name)
-        if not low <= value <= high:
-            raise ConfigError(
-                f"{section}.{name} must be between {low:g} and {high:g}, is {value:g}"
-            )

@@ -25,6 +25,7 @@ from arfx.calibrate.board import (
     BoardSpec,
     charuco_board,
 )
+from arfx.core.marker import smallest_family
 from arfx.core.marker_codes import dictionary
 from arfx.core.numerics import divide
 
@@ -205,15 +206,10 @@ def _working_spec(
     gray: np.ndarray, spec: BoardSpec, family: str, highest: int
 ) -> BoardSpec | None:
     """A change of pattern, orientation or dictionary with which the board is found."""
-    own = spec.family.split("_")[0] == family.split("_")[0]
     # the smallest dictionary of the same bits that holds the ids seen and the board's own
-    enough = max(highest + 1, spec.columns * spec.rows // 2)
-    sizes = [k for k in (50, 100, 250, 1000) if k >= enough]
-    name = (
-        spec.family
-        if own
-        else (f"{family.split('_')[0]}_{sizes[0]}" if "X" in family and sizes else family)
-    )
+    own = spec.family.split("_")[0] == family.split("_")[0]
+    most = max(highest, spec.columns * spec.rows // 2 - 1)
+    name = spec.family if own else smallest_family(family, most)
     for columns, rows in ((spec.columns, spec.rows), (spec.rows, spec.columns)):
         for legacy in (spec.legacy, not spec.legacy):
             trial = replace(spec, columns=columns, rows=rows, legacy=legacy, family=name)

@@ -1,6 +1,4 @@
-"""A calibration as one JSON-able document, as extras of the camera file, and as lines for
-people.
-"""
+"""A calibration as one JSON-able document, and as extras of the camera file."""
 
 from __future__ import annotations
 
@@ -8,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from arfx.calibrate.advice import TILTED_DEG
 from arfx.calibrate.calibration import Calibration
 
 
@@ -107,33 +104,3 @@ def file_extras(result: Calibration) -> dict[str, Any]:
         "held_out_rms_px",
     )
     return {k: d[k] for k in keys} | {"views_used": len(result.fitted.views)}
-
-
-def summary(result: Calibration) -> list[str]:
-    """Lines for a terminal."""
-    fitted, tilt = result.fitted, result.seen.tilt_deg
-    pairs = zip(
-        fitted.model.parameters,
-        fitted.values,
-        result.known.standard_deviations,
-        strict=True,
-    )
-    numbers = [
-        f"{n} {v:.2f} ±{s:.2f}" if n[0] in "fc" else f"{n} {v:.4f} ±{s:.4f}"
-        for n, v, s in pairs
-    ]
-    out = [
-        f"verdict: {result.verdict.word}",
-        *(f"  - {r}" for r in result.verdict.reasons),
-        f"intrinsics: {', '.join(numbers[:4])} px",
-        f"lens model {fitted.model.name}"
-        + (f": {', '.join(numbers[4:])}" if numbers[4:] else ""),
-        (
-            f"{len(fitted.views)} views: rms {fitted.rms_px:.3f} px, held out"
-            f" {result.chosen.held_out_rms_px:.3f} px; tilt {tilt.min():.0f} to"
-            f" {tilt.max():.0f}°, {(tilt > TILTED_DEG).sum()} of {len(tilt)} views above"
-            f" {TILTED_DEG:.0f}°; {result.seen.cells:.0%} of the picture covered"
-        ),
-    ]
-    out += [f"note: {n}" for n in result.notices]
-    return [*out, f"next picture: {result.verdict.next_picture}"]

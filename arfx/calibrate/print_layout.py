@@ -118,110 +118,85 @@ def lay_out(targets: Sequence[Target], page: str = "a4") -> Sheet:
     Raises ConfigError, with the sizes, if it fits neither way.
     """
     width, height = page_mm(page)
-    make = _board_sheet if isinstance(targets[0], BoardSpec) else _marker_sheet
-    sheets = [make(targets, w, h) for w, h in ((width, height), (height, width))]
-    for sheet in sheets:
-        if isinstance(sheet, Sheet):
+    prints = [_board(t) if isinstance(t, BoardSpec) else _marker(t) for t in targets]
+    title = ", ".join(map(str, targets[:4])) + " ..." * (len(targets) > 4)
+    for size in ((width, height), (height, width)):
+        if (sheet := _sheet(title, prints, *size)) is not None:
             return sheet
+    w, h, white = np.max([p.size_mm for p in prints], axis=0)
     larger = [n for n, (a, b) in PAGES_MM.items() if a * b > width * height]
     raise ConfigError(
-        f"{sheets[0]} (and not across either)",
+        f"{len(prints)} of {w:g} x {h:g} mm, {white:.3g} mm white around, with labels and ruler"
+        f" do not fit on {width:g} x {height:g} mm, nor across",
         "print smaller or fewer" + (f", or --page {larger[0]} or larger" if larger else ""),
     )
 
 
-def _marker_sheet(targets: Sequence[Target], width: float, height: float) -> Sheet | str:
-    """Markers row by row, as many to a row as fit; or why it does not work."""
-    markers = [t for t in targets if isinstance(t, MarkerSpec)]
-    largest = max(m.size_m * 1000 for m in markers)
-    modules = min(len(marker_bits(m.family, m.id)) for m in markers)
-    # one module of white all round is the least that detectors need; neighbours share nothing
-    white = largest / modules
-    pitch_x, pitch_y = largest + 2 * white, largest + 2 * white + LABEL_MM
-    # the white of the outermost ones may lie where the printer cannot print: it is white
-    over = max(0.0, MARGIN_MM - white)
-    room_x, room_y = width - 2 * over, height - over - FOOT_MM
-    across, down = int((room_x + 1e-6) // pitch_x), int((room_y + 1e-6) // pitch_y)
-    if across * down < len(markers):
-        wanted = (
-            f"{largest:g} mm, with white margin and label {pitch_x:.0f} x {pitch_y:.0f} mm"
-        )
-        return (
-            f"{across * down} of {len(markers)} markers ({wanted}) fit on {width:g} x"
-            f" {height:g} mm"
-        )
-    columns = min(across, len(markers))
-    rows = -(-len(markers) // columns)
-    left, top = (width - columns * pitch_x) / 2, over + (room_y - rows * pitch_y) / 2
-    cells, texts = [], []
-    for i, m in enumerate(markers):
-        row, column = divmod(i, columns)
-        size, bits = m.size_m * 1000, marker_bits(m.family, m.id)
-        middle, upper = left + (column + 0.5) * pitch_x, top + row * pitch_y + white
-        corner = middle - size / 2, upper + (largest - size) / 2
-        cells.append(Cells(*corner, size / len(bits), bits))
-        words = f"{m}" if size >= 40 else f"{m.family}:{m.id} {size:g}mm"
-        texts.append(Text(middle, upper + white + largest + LABEL_MM - 1, words))
-    return _with_ruler(
-        ", ".join(map(str, markers[:4])) + (" ..." if len(markers) > 4 else ""),
-        width,
-        height,
-        cells,
-        texts,
-    )
+class _Print(NamedTuple):
+    """One marker or board. size_mm : width, height, and the white that detectors need around
+    it;  cells : from its upper left corner;  words : under it"""
+
+    size_mm: tuple[float, float, float]
+    cells: list[Cells]
+    words: str
 
 
-def _board_sheet(targets: Sequence[Target], width: float, height: float) -> Sheet | str:
-    """The board in the middle; or why it does not fit."""
-    spec = targets[0]
-    assert isinstance(spec, BoardSpec)
+def _marker(marker: MarkerSpec) -> _Print:
+    size, bits = marker.size_m * 1000, marker_bits(marker.family, marker.id)
+    module = size / len(bits)  # the least white; neighbours share nothing
+    words = f"{marker}" if size >= 40 else f"{marker.key} {size:g}mm"
+    return _Print((size, size, module), [Cells(0, 0, module, bits)], words)
+
+
+def _board(spec: BoardSpec) -> _Print:
     square = spec.square_m * 1000
     columns, rows = spec.squares
-    w, h = columns * square, rows * square
-    room_x, room_y = width - 2 * MARGIN_MM, height - MARGIN_MM - FOOT_MM - LABEL_MM
-    if w > room_x + 1e-6 or h > room_y + 1e-6:
-        return (
-            f"{spec} is {w:g} x {h:g} mm; of {width:g} x {height:g} mm {room_x:g} x"
-            f" {room_y:g} can be printed on"
-        )
-    x, y = (width - w) / 2, MARGIN_MM + (room_y - h) / 2
     # OpenCV draws the first square black, and with the legacy pattern white where the
     # number of rows is even
     first_white = spec.legacy and spec.rows % 2 == 0
     i, j = np.mgrid[0:rows, 0:columns]
-    cells = [Cells(x, y, square, (i + j) % 2 == int(first_white))]
+    cells = [Cells(0, 0, square, (i + j) % 2 == int(first_white))]
     if spec.kind == CHARUCO:
         board = charuco_board(spec)
         for number, corners in zip(
             np.ravel(board.getIds()), board.getObjPoints(), strict=True
         ):
             bits = marker_bits(spec.family, int(number))
-            corner = 1000 * np.asarray(corners, float)[0]
-            cells.append(
-                Cells(x + corner[0], y + corner[1], spec.marker_m * 1000 / len(bits), bits)
-            )
+            x, y, _ = 1000 * np.asarray(corners, float)[0]
+            cells.append(Cells(x, y, spec.marker_m * 1000 / len(bits), bits))
     words = str(spec) + (" (inner corners)" if spec.kind == CHESSBOARD else "")
-    return _with_ruler(
-        str(spec), width, height, cells, [Text(width / 2, y + h + LABEL_MM, words)]
-    )
+    return _Print((columns * square, rows * square, 0.0), cells, words)
 
 
-def _with_ruler(
-    title: str, width: float, height: float, cells: list[Cells], texts: list[Text]
-) -> Sheet:
+def _sheet(
+    title: str, prints: Sequence[_Print], width: float, height: float
+) -> Sheet | None:
+    """Row by row, as many to a row as fit, with a ruler below; None where they do not fit."""
+    w, h, white = np.max([p.size_mm for p in prints], axis=0)
+    pitch_x, pitch_y = w + 2 * white, h + 2 * white + LABEL_MM
+    # the white of the outermost ones may lie where the printer cannot print: it is white
+    over = max(0.0, MARGIN_MM - white)
+    room_x, room_y = width - 2 * over, height - over - FOOT_MM
+    across, down = int((room_x + 1e-6) // pitch_x), int((room_y + 1e-6) // pitch_y)
+    if across * down < len(prints):
+        return None
+    columns = min(across, len(prints))
+    rows = -(-len(prints) // columns)
+    left, top = (width - columns * pitch_x) / 2, over + (room_y - rows * pitch_y) / 2
+    cells, texts = [], []
+    for i, p in enumerate(prints):
+        row, column = divmod(i, columns)
+        middle, upper = left + (column + 0.5) * pitch_x, top + row * pitch_y + white
+        x, y = middle - p.size_mm[0] / 2, upper + (h - p.size_mm[1]) / 2
+        cells += [c._replace(x_mm=x + c.x_mm, y_mm=y + c.y_mm) for c in p.cells]
+        texts.append(Text(middle, upper + h + white + LABEL_MM - 1, p.words))
     length = next((r for r in RULER_MM if r <= width - 2 * MARGIN_MM), RULER_MM[-1])
     x, y = (width - length) / 2, height - MARGIN_MM
     lines = [(x, y, x + length, y)]
     ticks = np.arange(0, length + 1, 10)
     lines += [(x + t, y - (3.0 if t in (0, length) else 1.5), x + t, y) for t in ticks]
-    texts = [
-        *texts,
-        Text(
-            width / 2,
-            y - 3.5,
-            f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'",
-        ),
-    ]
+    words = f"{length:g} mm: measure this line; print at 100 %, not 'fit to page'"
+    texts.append(Text(width / 2, y - 3.5, words))
     return Sheet(title, width, height, tuple(cells), tuple(texts), tuple(lines))
 
 

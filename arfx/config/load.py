@@ -5,35 +5,27 @@ would be right, all at once.
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import os
-import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from functools import cache, lru_cache
+from collections.abc import Mapping, Sequence
+from functools import cache, lru_cache, reduce
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, ValidationError, create_model
 
 from arfx.config.gone import GONE
-from arfx.config.sections import JobConfig, kinds, settings
+from arfx.config.sections import JobConfig, kinds, section_models
 from arfx.core.marker import PatternSpec
 from arfx.core.opener import parse_toml, read_text
 from arfx.core.toml_text import KeyPath, line_of
 from arfx.errors import ConfigError, InputError
 
-Parameters = Mapping[str, Mapping[str, type]]
+Parameters = Mapping[str, Mapping[str, Any]]
 _PRESETS = (
     Path(__file__).parent / "presets",
     Path(__file__).parents[2] / "configs",
 )  # in a wheel, in the source tree
-_TYPE_TAGS = (
-    "constrained-str",
-    "function-before",
-)  # parts of pydantic's places that are no keys
-_adapter = cache(TypeAdapter)
-_LARGEST = 1e9  # of any setting of a stage: far beyond each one's own range
 
 
 class JobFile(NamedTuple):
@@ -63,8 +55,8 @@ def load(
     """Read a job.
     files : job file or several; key by key the later wins;  overrides : nested mapping from
     the command line, which wins over all
-    parameters : section name -> formula -> frozen dataclass, for every stage and for
-    "analyse"; the usual formula first
+    parameters : section name -> formula -> model of its settings, for every stage, "analyse"
+    and "light"; the usual formula first
     Raises ConfigError holding every problem found; InputError if a file cannot be read."""
     named = [files] if isinstance(files, Path) else files or ()
     read = [
@@ -73,9 +65,7 @@ def load(
     ]
     sources = tuple(dict.fromkeys(file.path for file in read))
     read.append(JobFile(Path("command line"), "", dict(overrides)))
-    merged: dict[str, Any] = {}
-    for file in read:
-        merged = merge(merged, file.document)
+    merged: dict[str, Any] = reduce(merge, (file.document for file in read), {})
     problems: list[str] = []
 
     def problem(path: KeyPath, message: str, hint: str = "") -> None:
@@ -88,70 +78,81 @@ def load(
         )
         problems.append(file.located(message, path, hint))
 
-    def unknown(path: KeyPath, owner: str, known: Iterable[str]) -> None:
-        message = f"{owner} {path[0]!r} has no setting {path[-1]!r}"
-        problem(path, message, GONE.get(path) or suggestion(str(path[-1]), known))
+    def unknown(path: KeyPath) -> None:
+        name, key = path[0], path[-1]
+        if len(path) == 1:
+            known = suggestion(str(name), model.model_fields)
+            return problem(path, f"there is no section or stage {name!r}", known)
+        formulas = parameters.get(str(name), {})
+        owner = next((f for f, kind in formulas.items() if key in _fields(kind)), None)
+        if owner is not None and path not in GONE:
+            message = f'{name}.{key} belongs to formula = "{owner}"'
+            return problem(path, message, f'{name}.formula is "{chosen[str(name)]}"')
+        kind = formulas[chosen[str(name)]] if formulas else section_models()[str(name)]
+        what = "section" if name in (*section_models(), "analyse") else "stage"
+        hint = GONE.get(path) or suggestion(str(key), _fields(kind))
+        return problem(path, f"{what} {name!r} has no setting {key!r}", hint)
 
-    def checked(kind: type, values: Mapping[str, Any], at: KeyPath = ()) -> Any:
-        """The values as this type; None after telling what is wrong with them."""
-        try:
-            return _adapter(kind).validate_python(values)
-        except ValidationError as e:
-            for error in e.errors(include_url=False):
-                path = (*at, *(p for p in error["loc"] if not _type_tag(p)))
-                known = [s.key for s in settings() if s.section == path[0]]
-                if error["type"] == "extra_forbidden" and known:
-                    unknown(path, "section", known)
-                else:
-                    message = error["msg"].removeprefix("Value error, ")
-                    problem(path, f"{'.'.join(map(str, path))}: {message}")
-        except ConfigError as e:  # of a dataclass that checks itself
-            named = [k for k in values if re.search(rf"\b{re.escape(k)}\b", e.message)]
-            problem((*at, *named[:1]), str(e))
-        return None
-
-    def chosen(name: str, formulas: Mapping[str, type]) -> Any:
-        """The settings of a stage."""
-        table = merged.get(name, {})
-        if not isinstance(table, dict):
-            return problem((name,), f"{name!r} must be a table")
-        formula = next(iter(formulas))
-        if len(formulas) > 1:
-            table = dict(table)
-            formula = table.pop("formula", formula)
-        if formula not in list(formulas):
+    chosen: dict[str, str] = {}
+    for name, formulas in parameters.items():
+        table, usual = merged.get(name), next(iter(formulas))
+        formula = table.get("formula", usual) if isinstance(table, dict) else usual
+        known = formula in list(formulas)
+        chosen[name] = formula if known else usual
+        if not known and len(formulas) > 1:
             message = f"{name}.formula {formula!r} is unknown"
-            return problem((name, "formula"), message, "one of " + ", ".join(formulas))
-        good = {}
-        for key, value in table.items():
-            path = name, key
-            owners = [f for f, kind in formulas.items() if key in _fields(kind)]
-            if formula not in owners:
-                if owners and path not in GONE:
-                    message = f'{name}.{key} belongs to formula = "{owners[0]}"'
-                    problem(path, message, f'{name}.formula is "{formula}"')
-                    continue
-                owner = "section" if name == "analyse" else "stage"
-                unknown(path, owner, _fields(formulas[formula]))
-            elif (bad := _out_of_range(value)) is not None:
-                message = f"{name}.{key}: {bad:g} is out of range"
-                problem(path, message, f"between -{_LARGEST:g} and {_LARGEST:g}")
+            problem((name, "formula"), message, "one of " + ", ".join(formulas))
+    model = _job_model(tuple((name, parameters[name][f]) for name, f in chosen.items()))
+    try:
+        job = model.model_validate(merged)
+    except ValidationError as e:
+        for error in e.errors(include_url=False):
+            path = _key_path(merged, error)
+            if error["type"] in _UNKNOWN:
+                unknown(path)
             else:
-                good[key] = value
-        # made even without settings: a dataclass may check itself
-        return checked(formulas[formula], good, (name,))
-
-    sections = {s.section for s in settings()}
-    known = [*sections, *parameters]
-    for name in (name for name in merged if name not in known):
-        problem((name,), f"there is no section or stage {name!r}", suggestion(name, known))
-    given: dict[str, Any] = {name: merged[name] for name in sections & merged.keys()}
-    given["params"] = {name: chosen(name, kinds) for name, kinds in parameters.items()}
-    job = checked(JobConfig, {**given, "sources": sources})
+                problem(path, *_message(path, error))
     if problems:
         raise ConfigError("\n\n".join(dict.fromkeys(problems)))
-    assert isinstance(job, JobConfig)
+    job._sources = sources
     return job
+
+
+_UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+@cache
+def _job_model(chosen: tuple[tuple[str, type], ...]) -> type[JobConfig]:
+    """A job whose stages have these settings."""
+    fields: Any = {name: (kind, Field(default_factory=kind)) for name, kind in chosen}
+    return create_model("Job", __base__=JobConfig, **fields)
+
+
+def _key_path(tree: Any, error: Any) -> KeyPath:
+    """Of an error of pydantic's, without the types that it tried."""
+    path = []
+    for part in error["loc"]:
+        try:
+            tree = tree[part]
+        except (LookupError, TypeError):
+            if error["type"] != "missing":
+                continue
+        path.append(part)
+    return tuple(path)
+
+
+def _message(path: KeyPath, error: Any) -> tuple[str, str]:
+    """What is wrong, and what would be right."""
+    cause, value = error.get("ctx", {}).get("error"), error["input"]
+    text, hint = error["msg"].removeprefix("Value error, "), ""
+    if isinstance(cause, ConfigError):
+        text, hint = cause.message, cause.hint
+    elif error["type"] in ("model_type", "dataclass_type"):
+        text = "must be a table"
+    elif cause is None and isinstance(value, (int, float, str)):
+        text += f", is {value!r:.60}"
+    place = "" if text.startswith(f"{path[0]}.") else f"{'.'.join(map(str, path))}: "
+    return place + text, hint
 
 
 def read_job_file(file: Path, parameters: Parameters, kind: str = "job file") -> JobFile:
@@ -168,41 +169,26 @@ def read_job_file(file: Path, parameters: Parameters, kind: str = "job file") ->
 def locate_paths(document: Mapping[str, Any], folder: Path, parameters: Parameters) -> None:
     """Paths in a job file are relative to its folder: make them so from here."""
     for section, tables in document.items():
-        keys = {s.key for s in settings() if s.section == section and _begins_path(s.kinds)}
-        for kind in parameters.get(section, {}).values():
-            keys |= _path_fields(kind)
+        models = parameters.get(section, {}).values() or [section_models().get(section)]
+        keys = {
+            k
+            for model in models
+            for k, field in _fields(model).items()
+            if _holds_path(field)
+        }
         for table in tables if isinstance(tables, list) else [tables]:
             for key in keys if isinstance(table, dict) else ():
                 if isinstance(table.get(key), str):
                     table[key] = str(folder / table[key])
 
 
-def _begins_path(types: Collection[Any]) -> bool:
-    return Path in types or PatternSpec in types
+def _fields(kind: Any) -> dict[str, Any]:
+    """Of a model of settings, by name."""
+    return getattr(kind, "__pydantic_fields__", {})
 
 
-@cache
-def _path_fields(kind: type) -> frozenset[str]:
-    return frozenset(k for k, hint in get_type_hints(kind).items() if Path in kinds(hint))
-
-
-def _type_tag(part: str | int) -> bool:
-    """Whether a part of pydantic's place of an error is a type, not a key."""
-    return isinstance(part, str) and ("[" in part or part in _TYPE_TAGS)
-
-
-def _fields(kind: type) -> set[str]:
-    """Settings that can be given. That of the formula says which class it is."""
-    return {f.name for f in dataclasses.fields(kind) if f.init}
-
-
-def _out_of_range(value: Any) -> float | None:
-    """The first number of a value that is not finite or too large for any setting."""
-    if isinstance(value, (list, tuple)):
-        return next((bad for bad in map(_out_of_range, value) if bad is not None), None)
-    if isinstance(value, (int, float)) and not abs(value) <= _LARGEST:
-        return float(value)
-    return None
+def _holds_path(field: Any) -> bool:
+    return any(kind in (Path, PatternSpec) for kind in kinds(field.annotation))
 
 
 def suggestion(name: str, known: Any) -> str:

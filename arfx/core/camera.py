@@ -193,12 +193,8 @@ class Camera(Document):
         ok = z > EPS_DEPTH_M
         xy = p[..., :2] / np.where(ok, z, 1.0)[..., None]
         ok &= xy[..., 0] ** 2 + xy[..., 1] ** 2 <= self.max_radius**2
-        if ok.all():
-            return self.distort(xy) * [self.fx, self.fy] + [self.cx, self.cy]
-        uv = self.distort(np.where(ok[..., None], xy, 0.0)) * [self.fx, self.fy] + [
-            self.cx,
-            self.cy,
-        ]
+        focal, centre = (self.fx, self.fy), (self.cx, self.cy)
+        uv = self.distort(np.where(ok[..., None], xy, 0.0)) * focal + centre
         return np.where(ok[..., None], uv, np.nan)
 
     def normalised(self, pixels: np.ndarray) -> np.ndarray:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import string
+import re
 from pathlib import Path
 
 from arfx.errors import ConfigError
 
 # field -> what it stands for; "{{" and "}}" are braces
 FIELDS = {"stem": "the clip's name without its ending", "parent": "the name of its folder"}
+_BRACES = re.compile(r"\{\{|\}\}|\{([^{}]*)\}|[{}]")
 
 
 def has_field(pattern: Path) -> bool:
     """Raises ConfigError for a field that does not exist, or a brace alone."""
-    return any(field is not None for _, field in _parts(str(pattern)))
+    return bool(_fields(pattern))
 
 
 def named(pattern: Path, source: Path, numbered: bool = False) -> Path:
@@ -25,7 +26,7 @@ def named(pattern: Path, source: Path, numbered: bool = False) -> Path:
         "stem": source.name if source.is_dir() else source.stem,
         "parent": source.parent.resolve().name,
     }
-    for field in {field for _, field in _parts(str(pattern)) if field is not None}:
+    for field in _fields(pattern):
         if values[field] in ("", ".", ".."):
             raise ConfigError(
                 f"{source}: -o {pattern} needs its {{{field}}}, which is {values[field]!r}",
@@ -42,20 +43,12 @@ def fixed_folder(pattern: Path) -> Path:
     return Path(str(pattern.parent).format())
 
 
-def _parts(text: str) -> list[tuple[str, str | None]]:
-    """(text, the field behind it or None)"""
-    known = "; ".join(f"{{{name}}} is {what}" for name, what in FIELDS.items())
-    try:
-        parts = list(string.Formatter().parse(text))
-    except ValueError:
-        raise ConfigError(
-            f"-o {text}: a brace stands alone", f"{known}; {{{{ is a brace"
-        ) from None
-    for _, field, form, conversion in parts:
-        if field is not None and (field not in FIELDS or form or conversion):
-            rest = (f"!{conversion}" if conversion else "") + (f":{form}" if form else "")
-            shown = f"{{{field}{rest}}}"
+def _fields(pattern: Path) -> set[str]:
+    found = [m for m in _BRACES.finditer(str(pattern)) if m[0] not in ("{{", "}}")]
+    for m in found:
+        if m[1] not in FIELDS:
+            known = "; ".join(f"{{{name}}} is {what}" for name, what in FIELDS.items())
             raise ConfigError(
-                f"-o {text}: there is no field {shown}", f"{known}; {{{{ is a brace"
+                f"-o {pattern}: there is no field {m[0]}", f"{known}; {{{{ is a brace"
             )
-    return [(literal, field) for literal, field, _, _ in parts]
+    return {m[1] for m in found}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -96,20 +95,14 @@ class Rect(Plain):
         """Smallest rectangle of whole pixels that holds the points, grown by `pad_px`.
         points_px : (n, 2) float, pixel centres at integers. No finite point gives EMPTY."""
         p = np.asarray(points_px, float).reshape(-1, 2)
-        finite = np.isfinite(p)
-        if not finite.all():
-            p = p[finite.all(1)]
+        p = p[np.isfinite(p).all(1)]
         if not len(p):
             return EMPTY
         limit = 1 << 24  # beyond any picture; keeps the integers small
-
-        def whole(px: float) -> int:
-            return min(max(math.floor(float(px) + 0.5), -limit), limit)
-
         # column by column: many times as fast as over the first axis of two columns
-        (x0, x1), (y0, y1) = (
-            (whole(v.min() - pad_px), whole(v.max() + pad_px)) for v in (p[:, 0], p[:, 1])
-        )
+        ends = [c.min() - pad_px for c in p.T] + [c.max() + pad_px for c in p.T]
+        whole = np.clip(np.floor(np.add(ends, 0.5)), -limit, limit).astype(int)
+        x0, y0, x1, y1 = whole.tolist()
         return Rect(x0, y0, x1 + 1, y1 + 1)
 
     @staticmethod

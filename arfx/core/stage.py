@@ -18,6 +18,7 @@ from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Settings, from_dataclass
 from arfx.errors import ArfxError, RenderError
 
 LEVELS = ("draft", "standard", "high", "reference")  # cheapest first
@@ -115,19 +116,13 @@ class JobView:
     picture: Callable[[Scene, FrameFacts, Mapping[str, str]], Layers | None]
 
 
-@dataclass(frozen=True)
-class NoParams:
-    """No settings."""
-
-
 class Stage:
     """One effect. Required: name, run. The rest has a default that fits an effect on the
     object's own pixels. One instance per job, made from `params` (what the user meant).
     `prepare` once per clip, worker and level; `run` is pure."""
 
     name: ClassVar[str]
-    # frozen dataclass; its docstring is the documentation of its fields
-    Params: ClassVar[type] = NoParams
+    Params: ClassVar[type] = Settings  # a model of them; a dataclass becomes one
     # some of LEVELS, cheapest first
     levels: ClassVar[tuple[str, ...]] = ("standard",)
 
@@ -146,6 +141,8 @@ class Stage:
         self.params: Any = self.Params() if params is None else params
 
     def __init_subclass__(cls) -> None:
+        if not issubclass(cls.Params, Settings):
+            cls.Params = from_dataclass(cls.Params)
         missing = [n for n in ("name", "run") if getattr(cls, n, None) in (None, Stage.run)]
         if missing:
             raise TypeError(f"stage {cls.__qualname__} lacks {', '.join(missing)}")

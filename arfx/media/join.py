@@ -26,7 +26,7 @@ import av
 from arfx.core import interrupt
 from arfx.core.guard import TIMES, part_name
 from arfx.core.opener import ffmpeg_url
-from arfx.errors import RenderError
+from arfx.errors import ArfxError, RenderError
 from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import create_container, open_video
 from arfx.media.frames import JUMP_S, ClipReader, read_on
@@ -96,19 +96,17 @@ def join_chunks(
 
 @contextlib.contextmanager
 def _temporary_output(part: Path, out: Path) -> Iterator[None]:
-    """Nothing is at `part` before the body, nor after it has failed.
-
-    Raises RenderError where `out` cannot be written.
+    """Nothing is at `part` before the body, nor after it has failed; what went wrong first is
+    raised. Raises RenderError where `out` cannot be written.
     """
     try:
         remove_output(part)
         yield
     except BaseException as e:
-        with contextlib.suppress(
-            OSError
-        ):  # what went wrong first is what the user must hear
+        with contextlib.suppress(OSError):
             remove_output(part)
-        if isinstance(e, (av.error.FFmpegError, OSError, ValueError)):
+        system = isinstance(e, (av.error.FFmpegError, OSError, ValueError))
+        if system and not isinstance(e, ArfxError):
             raise write_failed(out, e) from e
         raise
 

@@ -19,10 +19,10 @@ read, are left to the corrected method. Its errors: docs/methods/light.md#errata
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from arfx.analyse.params import LightParams
 from arfx.core.cube import CubeMap, face_directions
 from arfx.core.light import DirectionalLight, Light, triple
 from arfx.core.numerics import arccos, divide, normalise
-from arfx.errors import ConfigError, require_within
+from arfx.core.settings import Fraction, setting
 from arfx.papers.s1_gain import brightness, gain_and_bias
 
 CUBE = {
@@ -54,52 +54,51 @@ UNUSED = (
 )  # the paper knows nothing of them
 
 
-@dataclass(frozen=True)
 class PrintedLightParams(LightParams):
-    """albedos : known (ink and paper hold), or brightness (each patch as bright as in the first
-    picture of the print)
-    map_level : resolution of the light map, 2 to 5 (16, 8, 4, 2 degrees between directions)
-    map_blur_rad : s of the light map's update (8)
-    peak : a light stands where the map is at least this share of its largest value (I_c of (9))
-    least_light : I_c as a value, in place of the share: in units of the first picture's
-    light, or with known albedos of the
-        radiance of a white surface; 0 = the share
-    peak_apart_deg : and brighter than every other direction closer than this (epsilon of (9))
-    printed_bias : b = 1/b' as printed, of a vector of length 1, in place of b'/g'"""
-
-    ALBEDOS: ClassVar[tuple[str, ...]] = (BRIGHTNESS, "known")
-
-    formula: str = field(default="paper", init=False)
-    albedos: str = BRIGHTNESS
-    map_level: int = 3
-    map_blur_rad: float = 0.2
-    peak: float = 0.8
-    least_light: float = 0.0
-    peak_apart_deg: float = 30.0
-    printed_bias: bool = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.albedos not in self.ALBEDOS:
-            raise ConfigError(
-                f"light.albedos {self.albedos!r} is unknown",
-                f"one of {', '.join(self.ALBEDOS)}",
-            )
-        require_within(
-            "light",
-            self,
-            peak=(0, 1),
-            least_light=(0, 1e6),
-            peak_apart_deg=(1, 180),
-            map_level=(2, 5),
-            map_blur_rad=(0.01, 3),
-        )
+    formula: str = "paper"
+    albedos: Literal["brightness", "known"] = setting(
+        BRIGHTNESS,
+        "known (ink and paper hold), or brightness (each patch as bright as in the first"
+        " picture of the print)",
+    )
+    map_level: int = setting(
+        3,
+        "resolution of the light map, 2 to 5 (16, 8, 4, 2 degrees between directions)",
+        ge=2,
+        le=5,
+    )
+    map_blur_rad: float = setting(0.2, "s of the light map's update (8)", ge=0.01, le=3)
+    peak: Fraction = setting(
+        0.8,
+        "a light stands where the map is at least this share of its largest value"
+        " (I_c of (9))",
+    )
+    least_light: float = setting(
+        0.0,
+        "I_c as a value, in place of the share: in units of the first picture's light, or"
+        " with known albedos of the radiance of a white surface; 0 = the share",
+        ge=0,
+        le=1e6,
+    )
+    peak_apart_deg: float = setting(
+        30.0,
+        "and brighter than every other direction closer than this (epsilon of (9))",
+        ge=1,
+        le=180,
+    )
+    printed_bias: bool = setting(
+        False, "b = 1/b' as printed, of a vector of length 1, in place of b'/g'"
+    )
 
     @property
     def without_effect(self) -> list[str]:
         """Names of the settings that were set and change nothing here."""
         unused = (*UNUSED, *(("ink", "paper") if self.albedos == BRIGHTNESS else ()))
-        return [name for name in unused if getattr(self, name) != getattr(type(self), name)]
+        return [
+            name
+            for name in unused
+            if getattr(self, name) != type(self).model_fields[name].default
+        ]
 
 
 @dataclass(frozen=True, eq=False)

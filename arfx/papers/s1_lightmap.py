@@ -16,7 +16,6 @@ is given) the light's own soft part and its lights are in its place."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -34,11 +33,8 @@ from arfx.stages.lightmap.stage import LightmapParams
 LEAST_ROUGHNESS, SHARPEST = 0.05, 500.0
 
 
-@dataclass(frozen=True)
 class PrintedLightmapParams(LightmapParams):
-    """formula : paper"""
-
-    formula: str = field(default="paper", init=False)
+    formula: str = "paper"
 
 
 def printed_map(light_map_: CubeMap | None) -> tuple[np.ndarray, np.ndarray] | None:

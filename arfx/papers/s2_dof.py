@@ -24,13 +24,13 @@ blur. Its errors: docs/methods/dof.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from math import ceil, sqrt
 from typing import Any
 
 import cv2
 import numba
 import numpy as np
+from pydantic import field_validator
 
 from arfx.core.colour import LUMA_COEFFICIENTS, SRGB
 from arfx.core.facts import FrameFacts
@@ -39,8 +39,9 @@ from arfx.core.numerics import divide, smoothstep
 from arfx.core.parallel import parallel_rows
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Fraction, setting
 from arfx.core.stage import Demand, View
-from arfx.errors import ConfigError, require_within
+from arfx.errors import ConfigError
 from arfx.stages.dof import Dof
 from arfx.stages.dof.depth_layers import dioptre_of
 from arfx.stages.dof.layers import depth_range, object_box
@@ -54,31 +55,33 @@ _NEARER = np.float32(
 )  # what has a larger dioptre by more than this factor stands in front
 
 
-@dataclass(frozen=True)
 class PrintedDofParams(DofParams):
-    """near_m : nearest clip plane, where the blur counts fully; 0 = the nearest thing in the frame
-    far_m : farthest clip plane; 0 = the farthest thing in the frame
-    coc_mm : diameter of the largest blur circle that passes as sharp
-    border : how far the smoothed border reaches into the depth of field, and out of it, as a
-        fraction of it; 0 = a hard step
-    mean_px : side of the mean filter, odd"""
+    formula: str = "paper"
+    near_m: float = setting(
+        0.0,
+        "nearest clip plane, where the blur counts fully; 0 = the nearest thing in the frame",
+        ge=0,
+        le=1e6,
+    )
+    far_m: float = setting(
+        0.0, "farthest clip plane; 0 = the farthest thing in the frame", ge=0, le=1e6
+    )
+    coc_mm: float = setting(
+        0.035, "diameter of the largest blur circle that passes as sharp", gt=0, le=1e3
+    )
+    border: Fraction = setting(
+        0.5,
+        "how far the smoothed border reaches into the depth of field, and out of it, as a"
+        " fraction of it; 0 = a hard step",
+    )
+    mean_px: int = setting(5, "side of the mean filter, odd", ge=1, le=63)
 
-    formula: str = field(default="paper", init=False)
-    near_m: float = 0.0
-    far_m: float = 0.0
-    coc_mm: float = 0.035
-    border: float = 0.5
-    mean_px: int = 5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_within("dof", self, near_m=(0, 1e6), far_m=(0, 1e6), border=(0, 1))
-        if not 0 < self.coc_mm <= 1e3:
-            raise ConfigError(
-                f"dof.coc_mm must be above 0 and at most 1000, is {self.coc_mm:g}"
-            )
-        if self.mean_px < 1 or self.mean_px % 2 == 0 or self.mean_px > 63:
-            raise ConfigError(f"dof.mean_px must be odd, 1 to 63, is {self.mean_px}")
+    @field_validator("mean_px")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ConfigError(f"must be odd, is {value}")
+        return value
 
 
 # 3.2 Depth and blur factor of every pixel
@@ -298,11 +301,10 @@ class PrintedDof(Dof):
         return 1 / p.far_m if p.far_m > 0 else low, 1 / p.near_m if p.near_m > 0 else high
 
 
-@dataclass(frozen=True)
 class GaussianDofParams(PrintedDofParams):
-    """mean_px : side of the mean filter that has the Gaussian's standard deviation, odd"""
+    """mean_px : side of the mean filter that has the Gaussian's standard deviation"""
 
-    formula: str = field(default="gaussian", init=False)
+    formula: str = "gaussian"
 
 
 class GaussianDof(PrintedDof):

@@ -16,75 +16,50 @@ docs/methods/watercolor.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numba
 import numpy as np
 
-from arfx.core.colour import LUMA_COEFFICIENTS, SRGB
+from arfx.core.colour import SRGB
 from arfx.core.layers import Layer
 from arfx.core.noise import noise
 from arfx.core.numerics import normalise
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Fraction, setting
 from arfx.core.stage import View
-from arfx.errors import ConfigError, require_within
 from arfx.stages.dof.depth_layers import dioptre_of
 from arfx.stages.watercolor import Watercolor
 from arfx.stages.watercolor.cells import mean_colours
 from arfx.stages.watercolor.field import plane_dioptre
 from arfx.stages.watercolor.lines import ALPHA, BETA, yuv_matrix
-from arfx.stages.watercolor.params import require_tones
+from arfx.stages.watercolor.params import ToonSettings
 from arfx.stages.watercolor.sites import STEPS, Sites
 from arfx.stages.watercolor.toon import tones, toon_light
 
 LEAST = 0.05  # of a cone's size: OpenGL cuts off what is before the near clip plane
 
 
-@dataclass(frozen=True)
-class PrintedWatercolorParams:
-    """formula : paper
-    cell_px : size of a cell, px of the picture
-    m : rows of cells, 0 = as many as make cells of cell_px;  n : columns of cells, likewise
-    near_m : near clip plane of the depth buffer, whose value is the size of a cone; 0 = all cones
-        alike
-    toon : three flat tones on the virtual object
-    toon_thresholds : cosines of the angle between normal and light at which the tone changes
-    toon_factors : brightness of the three tones, brightest first
-    alpha : weight of U and V in the edges of YUV;  beta : weight of YUV in all edges
-    yuv : matrix of Y'UV: bt601, bt709
-    line_threshold : coded value from which an edge is drawn"""
-
-    formula: str = field(default="paper", init=False)
-    cell_px: float = 7.0
-    m: int = 0
-    n: int = 0
-    near_m: float = 0.1
-    toon: bool = True
-    toon_thresholds: tuple[float, float] = (0.5, 0.2)
-    toon_factors: tuple[float, float, float] = (1.0, 0.4, 0.1)
-    alpha: float = ALPHA
-    beta: float = BETA
-    yuv: str = "bt601"
-    line_threshold: float = 0.12
-
-    def __post_init__(self) -> None:
-        require_within(
-            "watercolor",
-            self,
-            cell_px=(0.5, 4096),
-            m=(0, 4096),
-            n=(0, 4096),
-            near_m=(0, 1e3),
-            alpha=(0, 1),
-            beta=(0, 1),
-            line_threshold=(0, 2),
-        )
-        if self.yuv not in LUMA_COEFFICIENTS:
-            known = ", ".join(LUMA_COEFFICIENTS)
-            raise ConfigError(f"watercolor.yuv {self.yuv!r} is unknown", f"one of {known}")
-        require_tones("watercolor", self.toon_thresholds, self.toon_factors)
+class PrintedWatercolorParams(ToonSettings):
+    formula: str = "paper"
+    m: int = setting(
+        0, "rows of cells, 0 = as many as make cells of cell_px", ge=0, le=4096
+    )
+    n: int = setting(0, "columns of cells, likewise", ge=0, le=4096)
+    near_m: float = setting(
+        0.1,
+        "near clip plane of the depth buffer, whose value is the size of a cone; 0 = all"
+        " cones alike",
+        ge=0,
+        le=1e3,
+    )
+    alpha: Fraction = setting(ALPHA, "weight of U and V in the edges of YUV")
+    beta: Fraction = setting(BETA, "weight of YUV in all edges")
+    yuv: Literal["bt601", "bt709"] = setting("bt601", "matrix of Y'UV: bt601, bt709")
+    line_threshold: float = setting(
+        0.12, "coded value from which an edge is drawn", ge=0, le=2
+    )
 
 
 # 3.1.1 Voronoi diagram

@@ -18,8 +18,8 @@ sum). Its errors: docs/methods/gi.md#errata."""
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,8 +29,8 @@ from arfx.core.light import Light
 from arfx.core.numerics import normalise
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Fraction, setting
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import ConfigError, require_within
 from arfx.papers.s4_cones import around_normals, cone_steps, cone_trace, six_cones
 from arfx.papers.s4_environment import (
     FACE_PX,
@@ -50,32 +50,24 @@ from arfx.stages.gi.reference_scene import RayScene
 from arfx.stages.light.split_sum import COSINES, ROUGHNESSES, split_sum
 from arfx.stages.viewing import direction_grid, seen_rect, viewing
 
-VOXELS = (32, 64, 128, 256)
 LIFT = 0.02  # of the distance: measured depth that is off by more does not lie on the plane
 BAND_PX = 32  # rows at once: bounds memory
 LOBES = 12  # widths of mirror cones, from those of roughness 0 to 1
 
 
-@dataclass(frozen=True)
 class PrintedGiParams(GiParams):
-    """voxels : of a side of the octree's lowest level: 32, 64, 128 or 256
-    plane_albedo : of the real plane, 0..1
-    plane_gloss : as under the corrected formula, but the planes mirror the object unless this is 0
-    plane_roughness : roughness of the plane's reflection, 0 (a mirror) to 1"""
-
-    formula: str = field(default="paper", init=False)
-    plane_gloss: float = 0.1
-    plane_roughness: float = 0.1
-    voxels: int = 128
-    plane_albedo: float = 0.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_within("gi", self, plane_albedo=(0, 1))
-        if self.voxels not in VOXELS:
-            raise ConfigError(
-                f"gi.voxels is {self.voxels}", f"one of {', '.join(map(str, VOXELS))}"
-            )
+    formula: str = "paper"
+    plane_gloss: Fraction = setting(
+        0.1,
+        "as under the corrected formula, but the planes mirror the object unless this is 0",
+    )
+    plane_roughness: Fraction = setting(
+        0.1, "roughness of the plane's reflection, 0 (a mirror) to 1"
+    )
+    voxels: Literal[32, 64, 128, 256] = setting(
+        128, "of a side of the octree's lowest level: 32, 64, 128 or 256"
+    )
+    plane_albedo: Fraction = setting(0.5, "of the real plane, 0..1")
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,24 +79,6 @@ def _range(texts: Sequence[str]) -> str:
     return low if float(low) == float(high) else f"{low}…{high}"
 
 
-def level_lines(levels: dict[str, Any]) -> list[str]:
-    """How the levels were chosen, in words: one line for the policy, one for each shot."""
-    if levels["by"] == "quality":
-        return []
-    lines = [f"levels by {levels['by']}: {levels['why']}; errors {levels['errors_from']}"]
-    shots: dict[int, list[Any]] = defaultdict(list)
-    for row in levels["chosen"]:
-        shots[row["shot"]].append(row)
-    for rows in shots.values():
-        words = (
-            f"{r['stage']} {r['level']}"
-            + (f" ({r['error']:.2f} grey levels)" if r["error"] else "")
-            for r in rows
-        )
-        lines.append(f"from frame {rows[0]['first_frame']}: {', '.join(words)}")
-    return lines
-
-
 def without_price(stages: Sequence[str]) -> tuple[str, str]:
     """In words: what is not known, and the command that measures it."""
     one = len(stages) == 1
@@ -104,24 +86,4 @@ def without_price(stages: Sequence[str]) -> tuple[str, str]:
     return (
         f"{', '.join(stages)} {'has' if one else 'have'} no price here",
         f"`{command}` measures it",
-    )
-
-
-def total_line(predicted: dict[str, Any], frames: int, unknown: Sequence[str]) -> str:
-    """The whole job's time in words. unknown : stages without a price"""
-    wall, workers = predicted["wall"], predicted["workers"]
-    if unknown:
-        return f"time of the whole job: unknown: {'; '.join(without_price(unknown))}"
-    if wall is None:
-        missing = ", ".join(name for name, p in predicted["phases"].items() if p is None)
-        return f"time of the whole job: unknown ({missing} has no price)"
-    prices = (
-        predicted["prices"]
-        if predicted["calibrated"]
-        else f"{predicted['prices']}; `arfx bench --calibrate` narrows them"
-    )
-    return (
-        f"whole job: {wall['s']:.1f} s, {wall['low_s']:.1f} to {wall['high_s']:.1f} nine"
-        f" times in ten, {frames / max(wall['s'], 1e-9):.1f} frames/s with {workers} at"
-        f" once (prices: {prices})"
     )

@@ -5,11 +5,12 @@ tracer's own open lens, in which both balls are real."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from arfx.core.settings import converted
 from arfx.measure.steps import PreparedStages
 from arfx.papers import CORRECTED, PAPER
 from arfx.reproduce.work import Clip, Settings, Shot, Work
@@ -124,12 +125,8 @@ def desk_shot(work: Work, clip: Clip, model: Mapping[str, Any]) -> Shot:
 def under(shot: Shot, formula: str, **dof: Any) -> Shot:
     """The same with depth of field under another formula, and with other settings of it."""
     now, kind = shot.job.stages["dof"].params, parameters()["dof"][formula]
-    both = {
-        f.name: getattr(now, f.name)
-        for f in fields(kind)
-        if f.init and hasattr(now, f.name)
-    }
-    stages = {**shot.job.stages, "dof": stage_of("dof", kind(**{**both, **dof}))}
+    settings = converted(now, kind, **dof)
+    stages = {**shot.job.stages, "dof": stage_of("dof", settings)}
     return replace(
         shot,
         renderer=replace(shot.renderer, prepared=PreparedStages(shot.job.scene, stages)),

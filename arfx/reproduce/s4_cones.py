@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from arfx.stages import STAGES
 from arfx.stages.gi.gloss import mirror_tangent
 from arfx.stages.gi.health import furnace_mean
 
-FURNACE = (32, 64, 128)  # voxels a side
+FURNACE: tuple[Literal[32, 64, 128], ...] = (32, 64, 128)  # voxels a side
 
 
 def cones(work: Work) -> Iterator[Row]:

@@ -131,7 +131,7 @@ def on_the_plane(work: Work) -> Iterator[Row]:
 def without_planes(shot: Shot) -> Shot:
     """The same frame with indirect light on the object alone."""
     stage = shot.job.stages["gi"]
-    weak = type(stage)(dataclasses.replace(stage.params, strength=0.0))
+    weak = type(stage)(stage.params.model_copy(update={"strength": 0.0}))
     return shot_of(
         dataclasses.replace(shot.job, stages={**shot.job.stages, "gi": weak}),
         shot.renderer.facts.index,

@@ -160,7 +160,7 @@ def check_batch(jobs: Sequence[BatchJob], kept: bool) -> None:
         check_format(job.output, OutputSettings(o.codec, o.crf, o.preset, o.pixel_format))
     prices = load_prices()
     for config in {
-        id(job.config.params): job.config for job in jobs
+        tuple(map(id, job.config.params.values())): job.config for job in jobs
     }.values():  # clips of one folder share them
         level_policy(config, make_stages(config), prices)
     _check_distinct(jobs)

@@ -5,19 +5,18 @@ Markdown text.
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import re
 from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin
 
 from arfx.config.load import suggestion
-from arfx.config.sections import Length, Time, settings
+from arfx.config.sections import Length, Time, section_models
 from arfx.core.cost import load_prices
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.errors import ConfigError
+from arfx.papers import CORRECTED
 from arfx.plan.errors import shipped_errors
 from arfx.run.pages import render
 from arfx.run.parameters import parameters
@@ -44,16 +43,15 @@ WRITES = {
 }
 
 
+def _sections() -> dict[str, Mapping[str, Any]]:
+    """Sections of a job file that belong to no stage, with their models by formula."""
+    own = {name: {CORRECTED: model} for name, model in section_models().items()}
+    return own | {n: kinds for n, kinds in parameters().items() if n not in STAGES}
+
+
 def sections() -> list[str]:
     """Names of the sections of a job file that belong to no stage."""
-    return list(
-        dict.fromkeys(
-            [
-                *(s.section for s in settings()),
-                *(name for name in parameters() if name not in STAGES),
-            ]
-        )
-    )
+    return [*_sections()]
 
 
 def describe(name: str) -> dict[str, Any]:
@@ -62,27 +60,14 @@ def describe(name: str) -> dict[str, Any]:
     """
     if name in STAGES:
         return _stage(name)
-    if name in parameters():
-        kinds = parameters()[name]
-        about = _about(next(iter(kinds.values()))).partition("\n\n")[0]
-        return {"name": name, "about": about, "settings": _of_formulas(kinds)}
-    found = [s for s in settings() if s.section == name]
-    if not found:
+    kinds = _sections().get(name)
+    if kinds is None:
         raise ConfigError(
             f"there is no stage or section {name!r}",
             suggestion(name, [*STAGES, *sections()]),
         )
-    rows = [
-        {
-            "name": s.key,
-            "type": _words(s.kinds[0]),
-            "default": _plain(s.default),
-            "text": s.text,
-            "option": " ".join(s.flags),
-        }
-        for s in found
-    ]
-    return {"name": name, "about": "", "settings": rows}
+    about = _about(next(iter(kinds.values()))).partition("\n\n")[0]
+    return {"name": name, "about": about, "settings": _of_formulas(kinds)}
 
 
 def _stage(name: str) -> dict[str, Any]:
@@ -121,48 +106,30 @@ def _about(kind: type) -> str:
     return inspect.cleandoc(kind.__doc__ or "")
 
 
-def _of_formulas(kinds: Mapping[str, type]) -> list[dict[str, Any]]:
+def _of_formulas(kinds: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The settings under every formula, those of the usual one first; the others say
     theirs, where it or its default is new.
     """
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     usual = next(iter(kinds.values()))
-    texts = {row["name"]: row["text"] for row in _of_dataclass(usual)}
     for formula, kind in kinds.items():
-        for row in _of_dataclass(kind):
-            default = "" if row["name"] == "formula" else repr(row["default"])
-            own = {
-                **row,
-                "text": row["text"] or texts.get(row["name"], ""),
-                "formula": formula,
-            }
-            rows.setdefault((row["name"], default), row if kind is usual else own)
+        for name, field in kind.__pydantic_fields__.items():
+            row = _row(name, field)
+            default = "" if name == "formula" else repr(row["default"])
+            own = row if kind is usual else {**row, "formula": formula}
+            rows.setdefault((name, default), own)
     return list(rows.values())
 
 
-def _of_dataclass(kind: type) -> list[dict[str, Any]]:
-    """The fields of a frozen dataclass with their text, which its docstring holds as `name
-    : text` or `name, other : text`.
-    """
-    fields, doc = {f.name: f for f in dataclasses.fields(kind)}, _about(kind)
-    heads = [
-        (m.span(), names)
-        for m in re.finditer(r"(?:^|;  )(\w+(?:, \w+)*) : ", doc, re.MULTILINE)
-        if set(names := m[1].split(", ")) <= set(fields)
-    ]
-    texts: dict[str, str] = {}
-    for ((_, begin), names), ((end, _), _) in pairwise([*heads, ((len(doc), 0), [])]):
-        texts |= dict.fromkeys(names, " ".join(doc[begin:end].split()))
-    hints = get_type_hints(kind)
-    return [
-        {
-            "name": n,
-            "type": _words(hints[n]),
-            "default": _plain(f.default),
-            "text": texts.get(n, ""),
-        }
-        for n, f in fields.items()
-    ]
+def _row(name: str, field: Any) -> dict[str, Any]:
+    option = (field.json_schema_extra or {}).get("option", "").split()
+    return {
+        "name": name,
+        "type": _words(field.annotation),
+        "default": _plain(field.default),
+        "text": field.description or "",
+        "option": " ".join([w for w in option if w.startswith("-")] or option),
+    }
 
 
 def _words(hint: Any) -> str:

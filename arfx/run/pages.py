@@ -15,7 +15,7 @@ import numpy as np
 
 import arfx
 from arfx.core.opener import printable
-from arfx.errors import RenderError
+from arfx.errors import RenderError, counted
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -33,7 +33,13 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.filters |= {"jpeg": jpeg, "png": png, "json": json.dumps}
+    found.filters |= {
+        "jpeg": jpeg,
+        "png": png,
+        "json": json.dumps,
+        "counted": counted,
+        "percent": percent,
+    }
     return found
 
 
@@ -63,6 +69,10 @@ def number(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{k} {number(v)}" for k, v in value.items()) or "–"
     return str(value)
+
+
+def percent(share: float, digits: int = 0) -> str:
+    return f"{share:.{digits}%}"
 
 
 def jpeg(rgb: np.ndarray, quality: int = 88) -> str:

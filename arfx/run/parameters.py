@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import fields
 from typing import Any
 
 from arfx.analyse.job import Analysis
 from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.config.load import suggestion
 from arfx.config.sections import JobConfig
+from arfx.core.settings import converted
 from arfx.core.stage import Stage
 from arfx.errors import ConfigError
 from arfx.papers import CORRECTED, FORMULAS
 from arfx.stages import ALWAYS, ON_DEPTH, STAGES, stages_with
 
 
-def parameters() -> Mapping[str, Mapping[str, type]]:
-    """Section name -> formula -> frozen dataclass, for every stage, the analysis and the
+def parameters() -> Mapping[str, Mapping[str, Any]]:
+    """Section name -> formula -> model of its settings, for every stage, the analysis and the
     light that it reads; the usual formula first."""
     printed = {
         formula: table["light"].Params
         for formula, table in FORMULAS.items()
         if "light" in table
     }
-    analysis: dict[str, dict[str, type]] = {
+    analysis: dict[str, dict[str, Any]] = {
         "analyse": {CORRECTED: AnalyseParams},
         "light": {CORRECTED: LightParams, **printed},
     }
@@ -52,12 +52,7 @@ def under_other_formula(name: str, params: Any) -> Stage | None:
     """
     for formula, stage in _classes(name).items():
         if formula != getattr(params, "formula", CORRECTED):
-            both = {
-                f.name: getattr(params, f.name)
-                for f in fields(stage.Params)
-                if f.init and hasattr(params, f.name)
-            }
-            return stage(stage.Params(**both))
+            return stage(converted(params, stage.Params))
     return None
 
 
@@ -115,7 +110,7 @@ def with_machine_settings(config: JobConfig) -> JobConfig:
     another machine mixes nothing.
     """
     settled = {name: STAGES[name].settled(config.params[name]) for name in pipeline(config)}
-    return config.model_copy(update={"params": {**config.params, **settled}})
+    return config.model_copy(update=settled)
 
 
 def quality_notices(config: JobConfig) -> list[str]:

@@ -5,7 +5,6 @@ and given back.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -60,7 +59,7 @@ def files_named(config: JobConfig) -> Iterator[tuple[str, Path]]:
     read from.
     """
     sections = [dict(s) for s in (config.input, config.model, config.pipeline)]
-    sections += [vars(p) for p in config.params.values() if dataclasses.is_dataclass(p)]
+    sections += [vars(p) for p in config.params.values()]
     for key, value in (pair for section in sections for pair in section.items()):
         if isinstance(value, Path):
             yield "model" if key == "file" else key.replace("_", " "), value

@@ -15,7 +15,6 @@ by where the object is."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numba
@@ -26,24 +25,19 @@ from arfx.core.layers import Layer
 from arfx.core.real_depth import TILE_PX
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Settings, setting
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import ConfigError
 from arfx.stages.guided import reach_px, refined, window_px
 
 
-@dataclass(frozen=True)
-class HideParams:
-    """margin : a real surface that is nearer by this fraction of its distance begins to
-    hide the object, and by twice that hides it wholly"""
-
-    margin: float = 0.03
-
-    def __post_init__(self) -> None:
-        if not 0 < self.margin <= 1:
-            raise ConfigError(
-                f"hide.margin must be above 0 and at most 1, is {self.margin}",
-                "a share of the distance: 0.03",
-            )
+class HideParams(Settings):
+    margin: float = setting(
+        0.03,
+        "a real surface that is nearer by this fraction of its distance begins to hide the"
+        " object, and by twice that hides it wholly",
+        gt=0,
+        le=1,
+    )
 
 
 class Hide(Stage):

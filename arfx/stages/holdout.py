@@ -14,7 +14,6 @@ Source: guided filter (`guided`)."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,8 +25,8 @@ from arfx.core.pixels import Pixels
 from arfx.core.pose import Pose
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Settings, setting
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import ConfigError
 from arfx.stages.guided import reach_px, refined, window_px
 from arfx.stages.light.planes import on_plane
 from arfx.stages.viewing import direction_grid, viewing
@@ -35,20 +34,15 @@ from arfx.stages.viewing import direction_grid, viewing
 _SIGMAS = 3.0  # of the depth's noise, within which a pixel lies on the plane
 
 
-@dataclass(frozen=True)
-class HoldoutParams:
-    """tolerance : a real surface takes the whole shadow if it is off the plane by at most
-    this fraction of its distance, and none if it is off by twice that. Noisy depth gets
-    more: three standard deviations, measured on the markers"""
-
-    tolerance: float = 0.01
-
-    def __post_init__(self) -> None:
-        if not 0 < self.tolerance <= 1:
-            raise ConfigError(
-                f"holdout.tolerance must be above 0 and at most 1, is {self.tolerance:g}",
-                "a share of the distance: 0.01",
-            )
+class HoldoutParams(Settings):
+    tolerance: float = setting(
+        0.01,
+        "a real surface takes the whole shadow if it is off the plane by at most this"
+        " fraction of its distance, and none if it is off by twice that. Noisy depth gets"
+        " more: three standard deviations, measured on the markers",
+        gt=0,
+        le=1,
+    )
 
 
 class Holdout(Stage):

@@ -172,10 +172,12 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     """Calibrate, write and say it; returns the document of --json. title : before lines of
     progress
     """
+    from arfx.calibrate.advice import TILTED_DEG
     from arfx.calibrate.calibration import calibrate, find_board
-    from arfx.calibrate.document import document, file_extras, summary
+    from arfx.calibrate.document import document, file_extras
     from arfx.calibrate.plots import write_plots
     from arfx.media.cameras import save_camera
+    from arfx.run.pages import render
 
     paths = camera.paths
     stills = all(p.suffix.lower() in STILLS for p in paths)
@@ -190,22 +192,29 @@ def _calibrate(camera: _Camera, spec: BoardSpec, title: str) -> dict[str, Any]:
     camera.plots[0].parent.mkdir(parents=True, exist_ok=True)
     write_plots(result, camera.plots)
     save_camera(camera.output, result.fitted.camera, **file_extras(result))
-    for line in summary(result):
-        say(line)
+    d = document(result)
+    known = d["standard_deviations"]
+    numbers = [*zip(known, result.fitted.values, known.values(), strict=True)]
+    tilts = result.seen.tilt_deg
+    say(
+        render(
+            "calibrate/summary.jinja", d=d, numbers=numbers, tilts=tilts, least=TILTED_DEG
+        )
+    )
     for notice in found.notices * quiet():
         note(notice)
     if quiet() and result.verdict.word != "good":
         note(
             f"the calibration is {result.verdict.word}: {'; '.join(result.verdict.reasons)}"
         )
-    for row in document(result)["models"]:
+    for row in d["models"]:
         detail(
             f"{'*' if row['chosen'] else ' '} {row['model']}: held out"
             f" {row['held_out_rms_px']:.4f} px {row['rejected']}"
         )
     say(f"wrote {camera.output}, {camera.plots[0]}, {camera.plots[1]}")
     plots = [str(path) for path in camera.plots]
-    return document(result) | {"output": str(camera.output), "plots": plots}
+    return d | {"output": str(camera.output), "plots": plots}
 
 
 def _one(named: str, paths: list[Path], output: Path, report: Path | None) -> _Camera:

@@ -259,37 +259,8 @@ def say_job(report: dict[str, Any]) -> None:
 
 
 def detail_job(report: dict[str, Any]) -> None:
-    given, output, timing = report["input"], report["output"], report["timing"]
-    detail(
-        f"camera: {given['camera']}{' (a guess)' if given['camera_guessed'] else ''};"
-        f" {given['width']}x{given['height']}"
-    )
-    detail(
-        f"output: {output['codec']}, {output['pixel_format']},"
-        f" {output['bytes'] / 1e6:.2f} MB"
-    )
-    for s in report["stages"]:
-        why = "".join(f"; left out in {n}: {text}" for text, n in s["reasons"].items())
-        levels = ", ".join(s["levels"]) or "no level"
-        area = f"{s['area_fraction']:.1%} of the picture"
-        detail(
-            f"stage {s['name']}: {s['frames_run']} frames, {levels}, {area},"
-            f" {s['measured_s']:.2f} s{why}"
-        )
-    light = report["light"]
-    detail(f"light: {light['verdict']}, from {light['source']}: {light['reason']}")
-    phases = ("decode", "analyse", "plan", "prepare", "render", "encode")
-    detail(
-        "seconds: "
-        + ", ".join(f"{p} {timing[f'{p}_s']:.2f}" for p in phases)
-        + f"; peak {timing['peak_rss_mb']:.0f} MB"
-    )
-    for w in report.get("workers", ()):
-        detail(
-            f"worker {w['name']} on {w['host']}: {w['frames']} frames in {w['chunks']}"
-            f" chunks, {w['seconds']:.2f} s"
-        )
-    for h in report["health"]:
-        value = f"{h['value']:.3g}" if isinstance(h["value"], float) else h["value"]
-        against = "" if h["verdict"] == "ok" else f" (limit {h['limit']}): {h['action']}"
-        detail(f"{h['verdict']}: {h['check']} {value}{against}")
+    if verbose():
+        from arfx.run.pages import render
+
+        for line in render("measure/job_detail.jinja", r=report).splitlines():
+            detail(line)

@@ -174,16 +174,9 @@ def workers(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _of_stages(given: dict[str, Any], formulas: Sequence[str]) -> Iterator[Given]:
-    if given["light"]:
-        from arfx.analyse.params import parse_light
-
-        yield ("light", "given"), parse_light(given["light"]), f"--light {given['light']}"
-    if given["environment"]:
-        yield (
-            ("light", "environment"),
-            given["environment"],
-            f"--environment {given['environment']}",
-        )
+    for option, key in (("light", "given"), ("environment", "environment")):
+        if given[option]:
+            yield ("light", key), given[option], f"--{option} {given[option]}"
     if given["formula"]:
         for name in formulas:
             yield (name, "formula"), given["formula"], f"--formula {given['formula']}"

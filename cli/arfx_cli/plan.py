@@ -36,9 +36,10 @@ def command(as_json: bool, **given: Any) -> None:
     Example:
       arfx plan clip.mp4 --camera camera.yaml --marker 36h11:3:165mm --model duck.glb --fit 15cm
     """
-    from arfx.plan.explain import level_lines, total_line
+    from arfx.plan.explain import without_price
     from arfx.run.aside import plan_document, planned_aside
     from arfx.run.model_size import size_in_words
+    from arfx.run.pages import render
 
     with Progress() as progress:
         options = run_options(given, progress)
@@ -60,15 +61,15 @@ def command(as_json: bool, **given: Any) -> None:
     for line in frame_by_frame(job.plan.frames):
         detail(line)
     say(size_in_words(document["model"]))
-    for line in level_lines(job.plan.levels):
-        say(line)
-    say(
-        total_line(
-            job.plan.predicted,
-            len(job.plan.frames),
-            [r["name"] for r in rows if r["predicted_s"] is None],
-        )
+    unpriced = [r["name"] for r in rows if r["predicted_s"] is None]
+    text = render(
+        "plan/plan_lines.jinja",
+        levels=job.plan.levels,
+        predicted=job.plan.predicted,
+        frames=len(job.plan.frames),
+        unknown="; ".join(without_price(unpriced)) if unpriced else "",
     )
+    say(text.rstrip())
 
 
 def _cells(row: dict[str, Any]) -> Sequence[str]:

@@ -164,10 +164,8 @@ def test_a_worker_without_opengl_gets_no_work_of_a_job_that_needs_it(
     running: Farm, planned: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     params = planned.inputs.config.params
-    by_opengl = replace(params["raster"], backend="pyrender")
-    config = planned.inputs.config.model_copy(
-        update={"params": {**params, "raster": by_opengl}}
-    )
+    by_opengl = params["raster"].model_copy(update={"backend": "pyrender"})
+    config = planned.inputs.config.model_copy(update={"raster": by_opengl})
     job = replace(planned, inputs=replace(planned.inputs, config=config))
     monkeypatch.setattr(start, "OPENS", "opens on a graphics card")  # as no worker says
     with (

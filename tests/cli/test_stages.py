@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 
 from arfx.config.sections import settings
@@ -31,7 +29,7 @@ def test_every_setting_is_in_the_data_with_its_text(arfx: Run) -> None:
         for name, formulas in parameters().items()
         for kind in formulas.values()
     )
-    of_stages = {(name, f.name) for name, kind in kinds for f in dataclasses.fields(kind)}
+    of_stages = {(name, key) for name, kind in kinds for key in kind.model_fields}
     assert set(found) == of_stages | {(s.section, s.key) for s in settings()}
     assert [key for key, s in found.items() if not (s["text"] and s["type"])] == []
     assert (

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import random
 from pathlib import Path
 
-from arfx.config.sections import JobConfig
+from arfx.config.sections import section_models
 from arfx.run.parameters import parameters
 from arfx.stages import ALWAYS, STAGES
 from tests.fuzz.case import NUMBERS, REFUSED, WORDS, Build, Case, process
@@ -35,9 +34,11 @@ def every() -> list[tuple[str, str]]:
         for name, formulas in parameters().items()
         for kind in formulas.values()
     )
-    out = list({(name, f.name) for name, kind in kinds for f in dataclasses.fields(kind)})
-    for section, f in JobConfig.model_fields.items():
-        out += [(section, key) for key in getattr(f.annotation, "model_fields", {})]
+    out = {
+        (name, key)
+        for name, kind in [*kinds, *section_models().items()]
+        for key in kind.model_fields
+    }
     return sorted(out)
 
 

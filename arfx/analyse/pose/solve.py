@@ -111,7 +111,8 @@ def solve_poses(
                 blur_px=float(median(blur)) if blur else None,
             )
         )
-    static, evidence = params.static, dict[str, float]()
+    static: str = params.static
+    evidence: dict[str, float] = {}
     if static == "auto":
         poses = {
             f.index: f.camera_from_world for f in facts if f.camera_from_world is not None

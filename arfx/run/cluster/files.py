@@ -73,12 +73,9 @@ def bundles(
             _bundle("input", "depth", config.input.depth, inputs.depth.files, maps)
         )
     for name in pipeline(config):
-        settings = config.params.get(name)
-        for field in (
-            dataclasses.fields(settings) if dataclasses.is_dataclass(settings) else ()
-        ):
-            if isinstance(path := getattr(settings, field.name), Path):
-                found.append(_bundle(name, field.name, path, (), maps))
+        for key, path in vars(config.params[name]).items():
+            if isinstance(path, Path):
+                found.append(_bundle(name, key, path, (), maps))
     return tuple(found)
 
 

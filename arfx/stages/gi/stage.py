@@ -15,7 +15,7 @@ plane, caustics, refraction, light that the object sends through its own transpa
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any, ClassVar
 
@@ -29,8 +29,8 @@ from arfx.core.numerics import divide, normalise
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Fraction, Settings, setting
 from arfx.core.stage import Check, Demand, JobView, Stage, View
-from arfx.errors import require_within
 from arfx.stages.gi.background import behind_object
 from arfx.stages.gi.gloss import gloss_weights, mirror_tangent
 from arfx.stages.gi.health import furnace, seams
@@ -92,22 +92,23 @@ LEVELS = {
 }
 
 
-@dataclass(frozen=True)
-class GiParams:
-    """formula : corrected, or paper: Yao, Tao, Wu 2018 as printed
-    strength : strength of the indirect light on the real planes: 0 = none, 1 = as computed
-    plane_gloss : fraction of light that the real plane reflects like a mirror, seen from
-    above: 0 = matt, .04 = varnish or glass
-    samples : paths per pixel at level reference: noise falls with their root, best at powers of two
-    """
-
-    formula: str = field(default="corrected", init=False)
-    strength: float = 1.0
-    plane_gloss: float = 0.0
-    samples: int = 64
-
-    def __post_init__(self) -> None:
-        require_within("gi", self, strength=(0, 1), plane_gloss=(0, 1), samples=(1, 65536))
+class GiParams(Settings):
+    formula: str = setting("corrected", "corrected, or paper: Yao, Tao, Wu 2018 as printed")
+    strength: Fraction = setting(
+        1.0, "strength of the indirect light on the real planes: 0 = none, 1 = as computed"
+    )
+    plane_gloss: Fraction = setting(
+        0.0,
+        "fraction of light that the real plane reflects like a mirror, seen from above: 0 ="
+        " matt, .04 = varnish or glass",
+    )
+    samples: int = setting(
+        64,
+        "paths per pixel at level reference: noise falls with their root, best at powers of"
+        " two",
+        ge=1,
+        le=65536,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
 
@@ -25,8 +25,8 @@ from arfx.core.layers import Layer, Layers, neutral, packed
 from arfx.core.pixels import Pixels
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Fraction, Settings, setting
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import require_within
 from arfx.stages.light.beams import Beam, FrameLight, frame_light
 from arfx.stages.light.bumps import share_above_surface, smooth_normal
 from arfx.stages.light.plane_lookup import PlaneTexture, PlaneView, shadow_ratio
@@ -72,20 +72,19 @@ _SHOWS_FAINTS = 1.45
 _SOFT_STEPS = 32
 
 
-@dataclass(frozen=True)
-class LightmapParams:
-    """formula : corrected, or paper: Tan, Chen, Sun 2009 as printed
-    shadow_strength : strength of the shadow on the plane: 0 = none, 1 = as computed
-    self_shadow : strength of the object's shadow on itself: 0 = none, 1 = as computed
-    plane_blocks : light from below the marker's plane does not reach the object"""
-
-    formula: str = field(default="corrected", init=False)
-    shadow_strength: float = 1.0
-    self_shadow: float = 1.0
-    plane_blocks: bool = True
-
-    def __post_init__(self) -> None:
-        require_within("lightmap", self, shadow_strength=(0, 1), self_shadow=(0, 1))
+class LightmapParams(Settings):
+    formula: str = setting(
+        "corrected", "corrected, or paper: Tan, Chen, Sun 2009 as printed"
+    )
+    shadow_strength: Fraction = setting(
+        1.0, "strength of the shadow on the plane: 0 = none, 1 = as computed"
+    )
+    self_shadow: Fraction = setting(
+        1.0, "strength of the object's shadow on itself: 0 = none, 1 = as computed"
+    )
+    plane_blocks: bool = setting(
+        True, "light from below the marker's plane does not reach the object"
+    )
 
 
 @dataclass(frozen=True, eq=False)

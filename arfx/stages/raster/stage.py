@@ -14,8 +14,7 @@ every pixel, by rays whatever the back end."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -23,31 +22,27 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Settings, setting
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import ConfigError, require_within
-from arfx.stages.raster.backends import BACKENDS, choose_backend
+from arfx.stages.raster.backends import choose_backend
 
 if TYPE_CHECKING:
     from arfx.stages.raster.renderer import Renderer
 
 
-@dataclass(frozen=True)
-class RasterParams:
-    """backend : auto (pyrender where a graphics card runs OpenGL, else rays), pyrender or rays
-    samples : in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 64; pyrender 9, 25,
-    an odd square of them); a texture gets half as many taps along a pixel's side as there are
-    samples along it"""
-
-    backend: str = "auto"
-    samples: int = 0
-
-    def __post_init__(self) -> None:
-        if self.backend not in ("auto", *BACKENDS):
-            raise ConfigError(
-                f"raster.backend {self.backend!r} is unknown",
-                "one of auto, " + ", ".join(BACKENDS),
-            )
-        require_within("raster", self, samples=(0, 256))
+class RasterParams(Settings):
+    backend: Literal["auto", "pyrender", "rays"] = setting(
+        "auto",
+        "auto (pyrender where a graphics card runs OpenGL, else rays), pyrender or rays",
+    )
+    samples: int = setting(
+        0,
+        "in a pixel that an edge crosses, 1 to 256; 0 = by level (rays 4, 64; pyrender 9, 25,"
+        " an odd square of them); a texture gets half as many taps along a pixel's side as"
+        " there are samples along it",
+        ge=0,
+        le=256,
+    )
 
 
 class Raster(Stage):
@@ -59,7 +54,7 @@ class Raster(Stage):
     @classmethod
     def settled(cls, params: RasterParams) -> RasterParams:
         """With the back end that `auto` takes here."""
-        return replace(params, backend=choose_backend(params.backend).name)
+        return params.model_copy(update={"backend": choose_backend(params.backend).name})
 
     def demand(self, facts: FrameFacts, scene: Scene, frame: Rect) -> Demand:
         rect = facts.raster_box.clip(frame)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -21,30 +20,16 @@ from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
+from arfx.core.settings import Fraction, Settings, setting
 from arfx.core.stage import Demand, Stage, View
-from arfx.errors import ConfigError
 
 
-@dataclass(frozen=True)
-class FilmGrainParams:
-    """strength : standard deviation in middle grey, in display values, 0..1
-    size_px : diameter of a grain, 0.5..16
-    monochrome : the same grain in all three channels
-    """
-
-    strength: float = 0.02
-    size_px: float = 1.6
-    monochrome: bool = True
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.strength <= 1:
-            raise ConfigError(
-                f"film_grain.strength must be between 0 and 1, is {self.strength:g}"
-            )
-        if not 0.5 <= self.size_px <= 16:
-            raise ConfigError(
-                f"film_grain.size_px must be between 0.5 and 16, is {self.size_px:g}"
-            )
+class FilmGrainParams(Settings):
+    strength: Fraction = setting(
+        0.02, "standard deviation in middle grey, in display values"
+    )
+    size_px: float = setting(1.6, "diameter of a grain", ge=0.5, le=16)
+    monochrome: bool = setting(True, "the same grain in all three channels")
 
 
 class FilmGrain(Stage):

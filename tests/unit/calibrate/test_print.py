@@ -210,8 +210,8 @@ def _streams(data: bytes) -> list[bytes]:
 @pytest.mark.parametrize(
     ("specs", "page", "says"),
     [
-        (["36h11:3:200mm"], "a4", "0 of 1 markers"),
-        (["4X4_50:0-20:60mm"], "a4", "of 21 markers"),
+        (["36h11:3:200mm"], "a4", "1 of 200 x 200 mm, 25 mm white"),
+        (["4X4_50:0-20:60mm"], "a4", "21 of 60 x 60 mm, 10 mm white"),
         (["chessboard:9x6:40mm"], "a4", "400 x 280 mm"),
         (["36h11:3:10mm"], "a9", "unknown page"),
         (["chessboard:9x6:10mm", "36h11:3:10mm"], "a4", "its own sheet"),

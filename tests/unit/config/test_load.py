@@ -3,33 +3,50 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pydantic import field_validator
 
 from arfx.config.given import parse_setting
 from arfx.config.load import load
 from arfx.config.sections import frozen, settings
+from arfx.core.settings import Settings, setting
+from arfx.core.stage import Stage
 from arfx.core.toml_text import line_of, to_toml
 from arfx.errors import ConfigError, InputError
 
 
-@dataclass(frozen=True)
-class Lens:
-    aperture: float = 2.0
-    blades: int = 6
+class Lens(Settings):
+    formula: str = "corrected"
+    aperture: float = setting(2.0, "f-number", ge=0, le=1e6)
+    blades: int = setting(6, "0 = round")
     name: str = "a"
 
-    def __post_init__(self) -> None:
-        if self.blades < 3:
-            raise ConfigError(f"dof.blades must be 3 or more, is {self.blades}")
+    @field_validator("blades")
+    @classmethod
+    def _blades(cls, value: int) -> int:
+        if value < 3:
+            raise ConfigError(f"must be 3 or more, is {value}", "three")
+        return value
+
+
+class PrintedLens(Lens):
+    formula: str = "paper"
+    near_m: float = 0.0
 
 
 @dataclass(frozen=True)
-class PrintedLens(Lens):
-    formula: str = field(default="paper", init=False)
-    near_m: float = 0.0
+class OldGrain:
+    """strength : as older plug-ins write their settings"""
+
+    strength: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.strength > 1:
+            raise ConfigError(f"grain.strength must be at most 1, is {self.strength}", "1")
 
 
 TABLE = {"dof": {"corrected": Lens, "paper": PrintedLens}}
@@ -68,12 +85,11 @@ def test_a_job_is_read_with_paths_relative_to_its_file(tmp_path: Path) -> None:
     assert job.markers[1].size_m == pytest.approx(
         0.1651
     ) and job.model.offset == pytest.approx((0.01, 0, 0.002))
-    assert job.input.end == 1.5 and job.params["dof"] == Lens(4.0)
+    assert job.input.end == 1.5 and job.params["dof"] == Lens(aperture=4.0)
 
 
 def test_every_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
-    @dataclass(frozen=True)
-    class Sky:
+    class Sky(Settings):
         picture: Path | None = None
 
     tree: dict = {"sky": {"picture": "a"}}
@@ -163,7 +179,7 @@ def test_of_several_files_the_later_wins_key_by_key(tmp_path: Path) -> None:
     assert (job.input.start, job.input.end, job.params["dof"]) == (
         1.0,
         2.0,
-        Lens(4.0, 5),
+        Lens(aperture=4.0, blades=5),
     ) and job.sources == tuple(files)
     assert (
         job.input.clip == tmp_path / "clip.mp4"
@@ -237,6 +253,32 @@ def test_the_formula_chooses_the_settings(tmp_path: Path) -> None:
             load(None, {"dof": table}, TABLE)
 
 
+def test_settings_of_an_older_plug_in_may_be_a_dataclass(tmp_path: Path) -> None:
+    class Grain(Stage):
+        name, Params = "grain", OldGrain
+
+        def run(self, view: Any, prepared: Any) -> dict:
+            return {}
+
+    table = {"grain": {"corrected": Grain.Params}}
+    file = write(tmp_path, "[grain]\nstrength = 0.25\n")
+    job = load(file, {}, table)
+    assert job.params["grain"].strength == 0.25 and frozen(job)["grain"] == {
+        "strength": 0.25
+    }
+    assert Grain().params.strength == 0.5
+    for given, says in (
+        ("strenght = 1", r"stage 'grain' has no setting 'strenght'\n.*:2\n.*'strength'"),
+        (
+            "strength = 2",
+            r"grain.strength must be at most 1, is 2.0\n.*job.toml:1\nhelp: 1",
+        ),
+        ('strength = "a"', r"grain.strength: .*valid number.*\n.*:2"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            load(write(tmp_path, f"[grain]\n{given}\n"), {}, table)
+
+
 def test_unreadable_and_invalid_files() -> None:
     with pytest.raises(InputError, match=r"none\.toml"):
         load(Path("none.toml"), {}, TABLE)
@@ -303,3 +345,17 @@ def test_sections_refuse_absurd_numbers_by_name(
 ) -> None:
     with pytest.raises(ConfigError, match=rf"{section}\.{key}"):
         load(None, {section: {key: value}}, TABLE)
+
+
+def test_what_a_check_of_a_stage_refuses_is_told_beside_all_else(tmp_path: Path) -> None:
+    text = GOOD + 'blades = 2\nname = 3\nnear = 1\n[[marker]]\nspec = "x"\n'
+    with pytest.raises(ConfigError) as e:
+        load(write(tmp_path, text.replace("aperture = 4", "aperture = -1")), {}, TABLE)
+    for line, says in (
+        (17, "dof.aperture: Input should be greater than or equal to 0, is -1"),
+        (18, "dof.blades: must be 3 or more, is 2"),
+        (19, "dof.name: Input should be a valid string, is 3"),
+        (20, "stage 'dof' has no setting 'near'"),
+        (22, "marker.2.spec: marker 'x' is not FAMILY:ID:SIZE"),
+    ):
+        assert f"{says}\n  --> {tmp_path / 'job.toml'}:{line}" in str(e.value)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -81,6 +79,9 @@ def test_a_light_that_the_plane_hides_takes_its_share_of_the_map() -> None:
     n, constant = any_normals(s), CubeMap.of(np.full((6, 4, 4, 3), 0.5))
     lobe = 0.6 * np.clip(n @ np.array(towards(0, -30)), 0, None)
     made = shaded(
-        s, surface(s, n, far(s)), replace(PRINTED, plane_blocks=True), light_map=constant
+        s,
+        surface(s, n, far(s)),
+        PRINTED.model_copy(update={"plane_blocks": True}),
+        light_map=constant,
     )
     np.testing.assert_allclose(made[..., 0], 0.87 * 0.5 * 0.2 / (0.2 + lobe), atol=1e-5)

@@ -73,7 +73,7 @@ FAINT_LAMP = (
 FOOTAGE = {"dof": {"lens": "footage", "scope": "virtual"}}
 UNKNOWN = LensFit(False, "3 edges of known distance")
 OUT_OF_FOCUS = {"dof": {"scope": "virtual", "focus": "5m", "fnumber": 1.4}}
-CLOSED = {"dof": {"fnumber": float("inf")}}
+CLOSED = {"dof": {"fnumber": "inf"}}
 
 # reason as the code writes it, numbers as #: stage, scene, facts, settings
 GIVEN = {

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -88,9 +87,7 @@ def test_a_small_object_in_a_large_picture_takes_a_third_of_the_time() -> None:
     facts = at.facts.with_(light=Light(ambient_rgb=(0.4, 0.4, 0.4), lights=(lamp,)))
     spent = {True: 0.0, False: 0.0}
     for focus, runs in (("object", 3), ("1m", 4)):
-        dof = STAGES["dof"](
-            replace(STAGES["dof"]().params, scope="virtual", fnumber=4.0, focus=focus)
-        )  # type: ignore[call-arg]
+        dof = STAGES["dof"](STAGES["dof"].Params(scope="virtual", fnumber=4.0, focus=focus))
         stages = {n: STAGES[n]() for n in ("raster", "lightmap", "composite")} | {
             "dof": dof
         }

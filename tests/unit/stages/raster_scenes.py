@@ -82,7 +82,9 @@ def render(
     rect: Rect | None = None,
 ) -> dict[Layer, np.ndarray]:
     ready = ReadyStage.of(
-        Raster(RasterParams(backend, samples)), scene, level_named(Raster.levels, level)
+        Raster(RasterParams(backend=backend, samples=samples)),
+        scene,
+        level_named(Raster.levels, level),
     )
     f = facts(scene, pose).with_(model_box=scene.camera.rect)
     return dict(ready.run(Layers(rect or scene.camera.rect), f))

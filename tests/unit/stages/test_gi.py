@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from arfx.core.camera import Camera
 from arfx.core.cube import CubeMap, SeenEnvironment
@@ -19,7 +20,7 @@ from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene import Scene
 from arfx.core.stage import ReadyStage, level_named
-from arfx.errors import ConfigError, RenderError
+from arfx.errors import RenderError
 from arfx.plan.planner import plan_frame
 from arfx.run.frame import ready_stages, run_frame
 from arfx.run.parameters import make_stages
@@ -372,7 +373,7 @@ def test_a_ball_in_an_even_white_room_shows_its_light_once(
 
 def test_settings_are_checked_and_the_demand_tells_why() -> None:
     for wrong in ({"strength": 2.0}, {"samples": 0}):
-        with pytest.raises(ConfigError):
+        with pytest.raises(ValidationError):
             GiParams(**wrong)  # type: ignore[arg-type]
     s = on(box, MATT_RED)
     f = facts(s, from_above())

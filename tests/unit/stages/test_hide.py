@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from arfx.core.layers import Layer
 from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
-from arfx.errors import ConfigError
 from arfx.stages.guided import refined
 from arfx.stages.hide import Hide, HideParams
 from tests.contract import stage_laws as laws
@@ -150,5 +150,5 @@ def test_without_depth_it_is_not_called_for() -> None:
     at = shot(width=SIZE[0], height=SIZE[1])
     demand = Hide().demand(at.facts, at.scene, at.scene.camera.rect)
     assert demand.rect.empty and "not known" in demand.reason
-    with pytest.raises(ConfigError, match=r"hide\.margin"):
+    with pytest.raises(ValidationError, match="margin"):
         HideParams(margin=0.0)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from arfx.core.layers import Layer
 from arfx.core.real_depth import RealDepth, tile_ranges
 from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage
-from arfx.errors import ConfigError
 from arfx.stages import stages_with
 from arfx.stages.holdout import Holdout, HoldoutParams, plane_dioptres
 from arfx.stages.viewing import direction_grid
@@ -135,5 +135,5 @@ def test_without_depth_no_job_has_it() -> None:
     )
     at = shot(width=SIZE[0], height=SIZE[1])
     assert "not known" in Holdout().demand(at.facts, at.scene, at.scene.camera.rect).reason
-    with pytest.raises(ConfigError, match=r"holdout\.tolerance"):
+    with pytest.raises(ValidationError, match="tolerance"):
         HoldoutParams(tolerance=0.0)

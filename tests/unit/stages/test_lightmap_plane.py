@@ -317,7 +317,7 @@ def test_two_lights_take_their_own_colours() -> None:
 def test_strength_scales_the_darkening() -> None:
     s = on_plane(box_model(), lamp(0, 45, 5.0))
     whole, half = (
-        run_stage(s, params=replace(PLANE, shadow_strength=k))[Layer.SHADOW]
+        run_stage(s, params=PLANE.model_copy(update=dict(shadow_strength=k)))[Layer.SHADOW]
         for k in (1.0, 0.5)
     )
     np.testing.assert_allclose(1 - half, (1 - whole) / 2, atol=1e-6)

@@ -90,7 +90,7 @@ def shaded(
 
     soft : as of the stage
     """
-    stage: Any = stage_of("lightmap", replace(params, shadow_strength=0.0))
+    stage: Any = stage_of("lightmap", params.model_copy(update=dict(shadow_strength=0.0)))
     stage.soft = soft
     ready = ReadyStage.of(stage, s, level_named(stage.levels, level))
     return run_stage(s, layers=layers, ready=ready, model_box=s.camera.rect, **changes)[
@@ -246,7 +246,8 @@ def test_what_is_near_its_own_shadow_on_the_plane_is_dark() -> None:
     n = any_normals(s)
     layers = surface(s, n, RADIUS_M * n + [0, 0, RADIUS_M])
     left = [
-        shaded(s, layers, replace(LightmapParams(), self_shadow=k))[..., 0] / (0.87 * 0.4)
+        shaded(s, layers, LightmapParams().model_copy(update=dict(self_shadow=k)))[..., 0]
+        / (0.87 * 0.4)
         for k in (1.0, 0.5, 0.0)
     ]
     assert (

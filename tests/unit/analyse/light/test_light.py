@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.light.frames import Reading, _certain_bias, with_light
@@ -18,13 +19,12 @@ from arfx.analyse.light.patches import WHITE, Patches
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.markers.detect import Detection
 from arfx.analyse.markers.search import ANY, Sighting
-from arfx.analyse.params import LightParams, parse_light
+from arfx.analyse.params import LightParams
 from arfx.core.facts import ABSENT, INTERPOLATED, MEASURED, FrameFacts
 from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_from_euler_deg
 from arfx.core.rect import Rect
-from arfx.errors import ConfigError
 from tests.clips import clip_camera
 
 KEY, MARKER = "36h11:3", MarkerSpec("36h11", 3, 0.1)
@@ -402,22 +402,17 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"given": (10.0,)}, "azimuth"), ({"given": (10.0, 100.0)}, "elevation"),
-        ({"given": (0.0, 45.0, -1.0, 1.0, 1.0)}, "colour"), ({"ink": 0.9}, "albedos"),
+        ({"given": (10.0,)}, "AZ,EL"), ({"given": (10.0, 100.0)}, "elevation"),
+        ({"given": (0.0, 45.0, -1.0, 1.0, 1.0)}, "colour"), ({"ink": 0.9}, "below light.paper"),
     ],
 )  # fmt: skip
 def test_settings_out_of_bounds_are_named(changes: dict, says: str) -> None:
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ValidationError, match=says):
         LightParams(**changes)
 
 
 def test_light_on_the_command_line() -> None:
-    assert parse_light("45,60") == [45, 60] and parse_light("45, 60, 1, .9, .8") == [
-        45,
-        60,
-        1,
-        0.9,
-        0.8,
-    ]
-    with pytest.raises(ConfigError, match="AZ,EL"):
-        parse_light("45")
+    assert LightParams(given="45,60").given == (45, 60)  # type: ignore[arg-type]
+    assert LightParams(given="45, 60, 1, .9, .8").given == (45, 60, 1, 0.9, 0.8)  # type: ignore[arg-type]
+    with pytest.raises(ValidationError, match="AZ,EL"):
+        LightParams(given="45")  # type: ignore[arg-type]

@@ -10,6 +10,7 @@ import pytest
 
 from arfx.analyse.light.patches import WHITE, Meter, Patches, read_print, stack, standing
 from arfx.analyse.light.shadow import edge_clue, quarters
+from arfx.analyse.markers.detect import MarkerDetector
 from arfx.core.colour import SRGB
 from arfx.core.marker_codes import dictionary, marker_cells
 

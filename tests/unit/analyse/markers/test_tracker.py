@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from arfx.analyse.job import AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.coded import CodedPrints
@@ -236,8 +237,8 @@ def test_wrong_input_is_refused() -> None:
         Observed(AnalysisJob((), CAM))
     with pytest.raises(ConfigError, match="map holds none"):
         Observed(AnalysisJob((M,), CAM, marker_map={"36h11:9": Pose.identity()}))
-    with pytest.raises(ConfigError, match="static"):
-        AnalyseParams(static="both")
+    with pytest.raises(ValidationError, match="static"):
+        AnalyseParams(static="both")  # type: ignore[arg-type]
     a = Observed(AnalysisJob((M,), CAM))
     with pytest.raises(InputError, match="uint8"):
         a.step(AnalysisFrame(0, 0.0, np.zeros((540, 960))))
