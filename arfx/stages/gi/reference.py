@@ -24,16 +24,18 @@ from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import View
+from arfx.stages.gi.incoming import incoming_light
 from arfx.stages.gi.plane_change import SAME_DEPTH
 from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.gi.reference_tracer import BOUNCES, LOBE, NUMBERS, Tracer
-from arfx.stages.light.planes import Planes, on_plane
+from arfx.stages.light.planes import Planes, on_plane, texel_positions
 from arfx.stages.light.surroundings import frame_surroundings
 
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 DARKEST = 0.002  # radiance below which a pixel is no base for a ratio
+PICTURE_TEXELS = 128  # a side, of what the picture does not show of a plane
 BATCH = 1 << 14  # pixels at once: bounds memory
 DIMENSIONS = (BOUNCES + 1) * NUMBERS
 
@@ -59,15 +61,9 @@ def trace_frame(
     rays = RayScene(scene)
     known = frame_surroundings(view.facts, scene, view.light)
     cube_from_anchor = known.axes @ scene.world_from_anchor.rotation
-    around = Surroundings(
-        view.layers,
-        visible_rect,
-        scene,
-        view.facts,
-        Environment(known.cubes(), cube_from_anchor),
-        planes,
-        rays.radius,
-    )
+    texels = texel_positions(planes, PICTURE_TEXELS)
+    incoming = incoming_light(view, visible_rect, planes, texels)
+    around = Surroundings(incoming, Environment(known.cubes(), cube_from_anchor))
     tracer = Tracer(rays, around, view.light, scene)
     anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
     pixels = Pixels(view, anchor_from_camera, tracer, sobol(samples))
