@@ -31,6 +31,7 @@ from arfx.stages.raster.record import (
     PLAIN_COLUMNS,
     SMOOTH,
     GBuffer,
+    NearestFaces,
     Rays,
     View,
     rays_through,
@@ -47,20 +48,6 @@ _CACHED_RAYS = 1 << 14  # what is known of so many stays in a processor's own ca
 _STRIP_PX, _BLOCK_RAYS = 1 << 20, 1 << 20  # at a time: bounds memory to about 200 MB
 
 
-class FacesOfFrame(Protocol):
-    """Which faces one frame's camera sees."""
-
-    def centres(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Face (h, w), -1 = none, and depth along the directions x, y (h, w) of the pixels."""
-        ...
-
-    def samples(
-        self, shape: tuple[int, int], pixels: np.ndarray, x: np.ndarray, y: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The same (n, s) along the directions x, y (n, s) near pixels (n,) of a picture."""
-        ...
-
-
 class FacesSeen(Protocol):
     """A way to find the faces that a camera sees: by rays or by OpenGL.
 
@@ -70,7 +57,7 @@ class FacesSeen(Protocol):
     offsets: np.ndarray
     any_rectangle: bool
 
-    def frame(self, view: View, rect: Rect) -> FacesOfFrame: ...
+    def frame(self, view: View, rect: Rect) -> NearestFaces: ...
 
 
 class Renderer:
@@ -130,9 +117,9 @@ class Renderer:
         view = self._view(rect, camera_from_world)
         # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
         wide = rect.pad(1)
-        frame = self.faces.frame(view, wide)
+        nearest = self.faces.frame(view, wide)
         wide_x, wide_y = (np.ascontiguousarray(a[1:-1, 1:-1]) for a in (view.x, view.y))
-        wide_face, wide_depth = frame.centres(wide_x, wide_y)
+        wide_face, wide_depth = nearest(wide_x, wide_y)
         if self.everywhere:
             edge = np.ones(rect.area, bool)
         else:
@@ -155,7 +142,7 @@ class Renderer:
             place = row + MARGIN, column + MARGIN
             x, y = (_around(a, *place, self.offsets) for a in (view.x, view.y))
             number = (row + 1) * wide.width + column + 1
-            found = frame.samples((wide.height, wide.width), number, x, y)
+            found = nearest(x, y, number)
             of_centre = [a[pixels] for a in centres]
             self._sampled(pixels, of_centre, (*found, x, y), view, out)
 

@@ -22,7 +22,7 @@ from arfx.core.camera import Camera
 from arfx.core.numerics import EPS_DEPTH_M
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
-from arfx.stages.raster.record import View
+from arfx.stages.raster.record import NearestFaces, View
 
 _SAMPLE_PX = 0.501  # samples lie this far from their pixel's centre
 # The picture of a straight edge bows by at most length^2 / 8 x the lens's curvature.
@@ -66,39 +66,28 @@ class RayFaces:
         self.offsets = lattice(samples)
         self._mesh, self._camera, self._curvature = mesh, camera, curvature
 
-    def frame(self, view: View, rect: Rect) -> RayFrame:
+    def frame(self, view: View, rect: Rect) -> NearestFaces:
         """rect : of the pixels whose faces are asked for"""
-        pixels = self._camera.project(view.points) - [rect.x0, rect.y0]
         mesh = self._mesh
-        return RayFrame(
-            Projection(
-                pixels,
-                view.points,
-                mesh.faces,
-                mesh.hidden_behind,
-                self._curvature,
-                EPS_DEPTH_M,
-            )
+        projection = Projection(
+            self._camera.project(view.points) - [rect.x0, rect.y0],
+            view.points,
+            mesh.faces,
+            mesh.hidden_behind,
+            self._curvature,
+            EPS_DEPTH_M,
         )
 
+        def nearest(
+            x: np.ndarray, y: np.ndarray, pixels: np.ndarray | None = None
+        ) -> tuple[np.ndarray, np.ndarray]:
+            if pixels is None:
+                return nearest_faces(projection, x, y)
+            slot = np.full((rect.height, rect.width), -1, np.int32)
+            slot.flat[pixels] = np.arange(len(pixels))
+            return nearest_faces_at(projection, slot, x, y)
 
-class RayFrame:
-    """One frame of RayFaces."""
-
-    def __init__(self, projection: Projection) -> None:
-        self._projection = projection
-
-    def centres(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Face, -1 = none, and depth (h, w) along the directions x, y (h, w) of the pixels."""
-        return nearest_faces(self._projection, x, y)
-
-    def samples(
-        self, shape: tuple[int, int], pixels: np.ndarray, x: np.ndarray, y: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Face and depth (n, s) along the directions x, y (n, s) near pixels (n,) of a picture."""
-        slot = np.full(shape, -1, np.int32)
-        slot.flat[pixels] = np.arange(len(pixels))
-        return nearest_faces_at(self._projection, slot, x, y)
+        return nearest
 
 
 @numba.njit(nogil=True, inline="always")
