@@ -14,7 +14,7 @@ import numpy as np
 
 from arfx.core.compiled import FAST
 from arfx.core.pose import Pose
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.rect import Rect
 from arfx.stages.viewing import GRID_PX
 
 _LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it counts as none
@@ -46,7 +46,6 @@ class PlaneView:
         turned = near.reshape(-1, 3) @ plane_from_camera.rotation.T
         self._directions = np.ascontiguousarray(turned.T).reshape(3, *near.shape[:2])
         self._eye = plane_from_camera.translation_m
-        self._from_corner = Rect(0, 0, rect.width, rect.height)
 
     def add(
         self,
@@ -63,48 +62,10 @@ class PlaneView:
         across = np.tensordot(linear, self._directions[:2], 1)
         nodes = np.stack([*across, self._directions[2]]).astype(np.float32)
         start = np.array([*(linear @ self._eye[:2] + offset), self._eye[2]], np.float32)
-        part = self._seen_part(nodes, start, texture.dark.shape[-2:])
-        if part.empty:
-            return
-        left, top = part.x0 // GRID_PX, part.y0 // GRID_PX
-        corner = part.x0 - left * GRID_PX, part.y0 - top * GRID_PX
-        right, bottom = (part.x1 - 1) // GRID_PX + 2, (part.y1 - 1) // GRID_PX + 2
-        near = np.ascontiguousarray(nodes[:, top:bottom, left:right])
-        at = part.shift(-self._corner[0], -self._corner[1]).slices_in(self._from_corner)
-        seen = np.zeros((0, 0), np.float32) if share is None else share[at]
+        seen = np.zeros((0, 0), np.float32) if share is None else share
         weights = np.asarray(weights, np.float32)
         texels = texture.dark.reshape(-1, *texture.dark.shape[-2:])
-        _add_texture(out[:, *at], corner, near, start, texels, weights, seen)
-
-    def _seen_part(
-        self, nodes: np.ndarray, start: np.ndarray, shape: tuple[int, int]
-    ) -> Rect:
-        """Pixels, from the first node, that may see a texture of that shape: whole cells of
-        the grid.
-        """
-        with np.errstate(all="ignore"):
-            distance = start[2] / -nodes[2]
-            places = nodes[:2] * distance + start[:2, None, None]
-        places[:, nodes[2] >= 0] = np.nan
-        low, high = _of_cells(np.minimum, places), _of_cells(np.maximum, places)
-        # a cell on the horizon, where not all corners meet the plane, may see anything
-        beside = (low[0] > shape[1]) | (high[0] < -1) | (low[1] > shape[0]) | (high[1] < -1)
-        meets = _of_cells(np.logical_or, nodes[2] < 0)
-        rows, columns = np.nonzero(~beside & meets)
-        if not len(rows):
-            return EMPTY
-        spans = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
-        x, y = self._corner
-        whole = Rect(x, y, x + self.rect.width, y + self.rect.height)
-        return Rect(*(GRID_PX * int(v) for v in spans)).clip(whole)
-
-
-def _of_cells(both: np.ufunc, nodes: np.ndarray) -> np.ndarray:
-    """(..., h - 1, w - 1) of the four corners of each cell. both : function of two of them;
-    nodes (..., h, w)
-    """
-    rows = both(nodes[..., :-1, :], nodes[..., 1:, :])
-    return np.asarray(both(rows[..., :-1], rows[..., 1:]))
+        _add_texture(out, self._corner, nodes, start, texels, weights, seen)
 
 
 def shadow_ratio(
