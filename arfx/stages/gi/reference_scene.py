@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.colour import SRGB
 from arfx.core.cube import look_up
 from arfx.core.numerics import divide, normalise
 from arfx.core.scene import Scene
@@ -17,11 +16,10 @@ from arfx.stages.gi.incoming import IncomingLight
 from arfx.stages.gi.plane_change import sampled
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.light.planes import ENDLESS
-from arfx.stages.light.surfels import texels_of
+from arfx.stages.light.surfels import shown_colours, texels_of
 from arfx.stages.triangles import Triangles, anchor_mesh
 
 LIFT = 1e-4  # of the object's size, by which rays start off a surface
-LINEAR = np.asarray(SRGB.decode(np.arange(256) / 255), float)  # of a colour's codes
 
 
 class Met(NamedTuple):
@@ -95,20 +93,12 @@ class RayScene:
         weights = np.stack([1 - met.u - met.v, met.u, met.v], -1)
         mesh = self._mesh
         corners, part = mesh.faces[met.triangle], mesh.part[met.triangle]
-        normal, colours, uv = (
-            np.einsum("nk,nkc->nc", weights, rows[corners])
-            for rows in (mesh.normals, mesh.colours, mesh.uv)
-        )
-        of_parts = [
-            (*m.base_colour[:3], *m.emissive, m.roughness, m.metallic, m.specular)
-            for m in mesh.materials
-        ]
-        albedo, emission, shine, specular = np.split(np.array(of_parts)[part], (3, 6, 8), 1)
-        names = "base_texture", "emissive_texture", "metallic_roughness_texture"
-        base, glow, shiny = (texels_of(mesh, name, part, uv)[:, :3] for name in names)
-        albedo *= colours[:, :3] * LINEAR[base]
-        emission *= LINEAR[glow]
-        roughness, metal = np.hsplit(shine * shiny[:, 1:] / 255, 2)
+        normal = np.einsum("nk,nkc->nc", weights, mesh.normals[corners])
+        albedo, emission, uv = shown_colours(mesh, corners, part, weights)
+        of_parts = [(m.roughness, m.metallic, m.specular) for m in mesh.materials]
+        shine, specular = np.split(np.array(of_parts)[part], [2], 1)
+        shiny = texels_of(mesh, "metallic_roughness_texture", part, uv)[:, 1:3] / 255
+        roughness, metal = np.hsplit(shine * shiny, 2)
         f0 = 0.08 * specular * (1 - metal)
         return Surface(position, normalise(normal), albedo, emission, metal, f0, roughness)
 
