@@ -118,21 +118,7 @@ class Surroundings:
         self, origins: np.ndarray, directions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """(plane (n,), -1 = none; distance (n,), inf) of the nearest plane met from its front."""
-        distances = self._distances(origins, directions)
-        return _chosen(distances, distances.argmin(1))
-
-    def plane_by_distance(
-        self, origins: np.ndarray, directions: np.ndarray, measured: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The same, of the plane that agrees best with a measured distance (n,); NaN = none."""
-        distances = self._distances(origins, directions)
-        off = np.abs(distances / measured[:, None] - 1)
-        known = np.isfinite(measured)[:, None]
-        return _chosen(distances, np.where(known, off, distances).argmin(1))
-
-    def _distances(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(n, planes) at which rays meet each plane from its front, inf = not."""
-        distances = np.full((len(origins), len(self.axes)), np.inf)
+        plane, nearest = np.full(len(origins), -1), np.full(len(origins), np.inf)
         for k, (origin, x, y, normal) in enumerate(self.axes):
             x0, y0, x1, y1 = self._bounds[k]
             start = origins - origin
@@ -141,9 +127,9 @@ class Surroundings:
             t = np.where(falls > 1e-9, divide(height, falls), 0)
             met = start + t[:, None] * directions
             u, v = met @ x, met @ y
-            within = (x0 < u) & (u < x1) & (y0 < v) & (v < y1) & (t > 0)
-            distances[within, k] = t[within]
-        return distances
+            within = (x0 < u) & (u < x1) & (y0 < v) & (v < y1) & (t > 0) & (t < nearest)
+            plane[within], nearest[within] = k, t[within]
+        return plane, nearest
 
     def picture(self, positions: np.ndarray, plane: np.ndarray) -> np.ndarray:
         """(n, 3) radiance of the planes as the picture shows them; where it does not, as it is
@@ -162,9 +148,3 @@ class Surroundings:
         """(n, 3) what a white surface gets from all around with nothing in the way: the end of a
         path."""
         return look_up(self._irradiance, normals @ self.environment.turn.T)
-
-
-def _chosen(distances: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(plane (n,), -1 where a ray does not meet it; distance (n,))."""
-    distance = np.take_along_axis(distances, plane[:, None], 1)[:, 0]
-    return np.where(np.isfinite(distance), plane, -1), distance
