@@ -120,14 +120,8 @@ def _add_texture(
     x0, y0 = corner
     cells = nodes.shape[2] - 1
     line = np.empty((3, cells + 1), np.float32)
-    across, down = (
-        np.empty(cells * GRID_PX, np.float32),
-        np.empty(cells * GRID_PX, np.float32),
-    )
-    rise = np.empty(cells * GRID_PX, np.float32)
-    texel, value = np.empty(width, np.int32), np.empty(width, np.float32)
-    flat = texture.reshape(layers, rows * columns)
-    zero, step = np.float32(0), np.float32(1.0 / GRID_PX)
+    moved = np.empty((3, cells * GRID_PX), np.float32)
+    zero, step, one = np.float32(0), np.float32(1.0 / GRID_PX), np.uintp(1)
     last_u, last_v = np.float32(columns - 1.01), np.float32(rows - 1.01)
     for j in range(height):
         cell_row, below_row = (y0 + j) // GRID_PX, np.float32((y0 + j) % GRID_PX) * step
@@ -135,53 +129,33 @@ def _add_texture(
             above, below = nodes[k, cell_row], nodes[k, cell_row + 1]
             for i in range(cells + 1):
                 line[k, i] = above[i] + below_row * (below[i] - above[i])
-        for q in range(cells):
-            left = np.uintp(q * GRID_PX)
-            u0, v0, z0 = line[0, q], line[1, q], line[2, q]
-            du, dv, dz = line[0, q + 1] - u0, line[1, q + 1] - v0, line[2, q + 1] - z0
-            for i in range(GRID_PX):
-                across[left + np.uintp(i)] = u0 + np.float32(i) * step * du
-            for i in range(GRID_PX):
-                down[left + np.uintp(i)] = v0 + np.float32(i) * step * dv
-            for i in range(GRID_PX):
-                rise[left + np.uintp(i)] = z0 + np.float32(i) * step * dz
-        u, v, z = across[x0 : x0 + width], down[x0 : x0 + width], rise[x0 : x0 + width]
+            for q in range(cells):
+                first, left = np.uintp(q * GRID_PX), line[k, q]
+                rise = line[k, q + 1] - left
+                for i in range(GRID_PX):
+                    moved[k, first + np.uintp(i)] = left + np.float32(i) * step * rise
+        u, v, z = moved[0, x0 : x0 + width], moved[1, x0:], moved[2, x0:]
         for i in range(width):
             meets = z[i] < zero
             distance = start[2] / -z[i]
-            column = min(max(start[0] + distance * u[i], zero), last_u)
-            row = min(max(start[1] + distance * v[i], zero), last_v)
+            column, row = start[0] + distance * u[i], start[1] + distance * v[i]
             u[i], v[i] = column if meets else zero, row if meets else zero
-        first, after = 0, width
-        while first < after and not (zero < u[first] < last_u and zero < v[first] < last_v):
-            first += 1
-        while first < after and not (
-            zero < u[after - 1] < last_u and zero < v[after - 1] < last_v
-        ):
-            after -= 1
-        n = after - first
-        u, v = u[first:after], v[first:after]
-        for i in range(n):
+        for i in range(width):
+            if not (zero < u[i] < last_u and zero < v[i] < last_v):
+                continue
             column, row = np.int32(u[i]), np.int32(v[i])
-            u[i] -= np.float32(column)
-            v[i] -= np.float32(row)
-            texel[i] = row * np.int32(columns) + column
-        for c in range(channels):
-            if c < layers:
-                layer = flat[c]
-                for i in range(n):
-                    a = np.uintp(texel[i])
-                    b = a + np.uintp(columns)
-                    top = layer[a] + u[i] * (layer[a + np.uintp(1)] - layer[a])
-                    bottom = layer[b] + u[i] * (layer[b + np.uintp(1)] - layer[b])
-                    value[i] = top + v[i] * (bottom - top)
-                if share.shape[0] > 0:
-                    open_share = share[j, first:after]
-                    for i in range(n):
-                        value[i] *= open_share[i]
-            to, weight = out[c, j, first:after], weights[c]
-            for i in range(n):
-                to[i] += weight * value[i]
+            across, down = u[i] - np.float32(column), v[i] - np.float32(row)
+            a, b = np.uintp(column), np.uintp(row)
+            value = zero
+            for c in range(channels):
+                if c < layers:
+                    above, below = texture[c, b], texture[c, b + one]
+                    top = above[a] + across * (above[a + one] - above[a])
+                    bottom = below[a] + across * (below[a + one] - below[a])
+                    value = top + down * (bottom - top)
+                    if share.shape[0] > 0:
+                        value *= share[j, i]
+                out[c, j, i] += weights[c] * value
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
