@@ -262,13 +262,14 @@ class Lightmap(Stage):
         def textures(
             key: Beam | tuple[float, ...],
             make: Callable[[], Iterable[PlaneTexture]],
-            *kind: str,
+            kind: str = "",
         ) -> tuple[PlaneTexture, ...]:
             """Kept by what casts the shadow, within the surface."""
-            within = partial(map, partial(within_surface, surface_m=surface_m))
-            kept: tuple[PlaneTexture, ...] = memo.get(
-                ("plane", key), lambda: tuple(within(make())), *kind
-            )
+
+            def within() -> tuple[PlaneTexture, ...]:
+                return tuple(within_surface(texture, surface_m) for texture in make())
+
+            kept: tuple[PlaneTexture, ...] = memo.get(("plane", key), within, kind)
             return kept
 
         shape, caster, level = light.shape, prepared.region.caster, PLANE_LEVELS[view.level]
