@@ -1,5 +1,6 @@
-"""Level `reference`: Monte Carlo paths (embree) through the same scenes; shares no kernel with the
-other levels.
+"""Level `reference`: Monte Carlo paths (embree) through the same scenes. It shares with the other
+levels what is known before any light travels (which plane a pixel shows, what the picture says of
+the planes, and the guess where it says nothing), and no kernel.
 
 Object pixels send paths by their material's lobes; plane pixels towards the ball around the object,
 as only paths that meet it count, as what it sends less what it hides. Every pixel gets `gi.samples`

@@ -44,7 +44,6 @@ MAX_LAYERS = 8
 REFERENCE_SAMPLES = 256
 # A ray goes on this far behind a hit, as a fraction of the depth: eight steps of float32.
 _ONWARD = np.float32(1e-6)
-_CACHED_RAYS = 1 << 14  # what is known of so many stays in a processor's own cache
 _STRIP_PX, _BLOCK_RAYS = 1 << 20, 1 << 20  # at a time: bounds memory to about 200 MB
 
 
@@ -131,9 +130,10 @@ class Renderer:
         if self.layered:  # how much of a cut-out a pixel shows, its centre does not tell
             edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (face >= 0)
         plain = np.flatnonzero((face >= 0) & ~edge)
-        for start in range(0, len(plain), _CACHED_RAYS):
-            pixels = plain[start : start + _CACHED_RAYS]
-            self._plain(pixels, face[pixels], x[pixels], y[pixels], view, out)
+        count, whole = len(plain), np.ones(len(plain), np.float32)
+        rays = rays_through(np.arange(count), face[plain], x[plain], y[plain], whole)
+        sums = self._follow(rays, count, view)
+        self._write(plain, rays.part, rays.depth, sums, view, out)
         sampled = np.flatnonzero(edge)
         step = max(_BLOCK_RAYS // len(self.offsets), 1)
         for start in range(0, len(sampled), step):
@@ -145,21 +145,6 @@ class Renderer:
             found = nearest(x, y, number)
             of_centre = [a[pixels] for a in centres]
             self._sampled(pixels, of_centre, (*found, x, y), view, out)
-
-    def _plain(
-        self,
-        pixels: np.ndarray,
-        face: np.ndarray,
-        x: np.ndarray,
-        y: np.ndarray,
-        view: View,
-        out: dict[Layer, np.ndarray],
-    ) -> None:
-        """Write pixels (n,) of `out`, each from the ray through its centre; all (n,)."""
-        count = len(pixels)
-        rays = rays_through(np.arange(count), face, x, y, np.ones(count, np.float32))
-        sums = self._follow(rays, count, view)
-        self._write(pixels, rays.part, rays.depth, sums, view, out)
 
     def _sampled(
         self,
