@@ -11,17 +11,16 @@ what is nearer on the object
 (`holdout` keeps the object's off it). Source: guided filter (`guided`), each mean weighted
 by where the object is."""
 
-# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numba
 import numpy as np
 
 from arfx.core.facts import FrameFacts
 from arfx.core.layers import Layer
+from arfx.core.numerics import divide
 from arfx.core.real_depth import TILE_PX
 from arfx.core.rect import EMPTY, Rect
 from arfx.core.scene import Scene
@@ -77,7 +76,7 @@ class Hide(Stage):
             coverage,
             view[Layer.DEPTH],
             view[Layer.REAL_DEPTH],
-            np.float32(self.params.margin),
+            self.params.margin,
         )
         valid = (coverage > 0).astype(np.float32)
         if view.level != "draft" and (visibility < 1).any():
@@ -90,19 +89,14 @@ class Hide(Stage):
         }
 
 
-@numba.njit(cache=True, nogil=True)
-def rough_mask(coverage, depth, real, margin):  # pragma: no cover - compiled
+def rough_mask(
+    coverage: np.ndarray, depth: np.ndarray, real: np.ndarray, margin: float
+) -> np.ndarray:
     """(h, w) float32: 1 = seen, 0 = hidden, by depth alone; 1 where the object is not or a
     depth is none.
 
     depth, real : (h, w) m"""
-    out = np.ones(coverage.shape, np.float32)
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            z, r = depth[y, x], real[y, x]
-            if coverage[y, x] > 0 and 0 < z < np.inf and 0 < r < np.inf:
-                nearer = (z - r) / r
-                out[y, x] = min(
-                    max(np.float32(2) - nearer / margin, np.float32(0)), np.float32(1)
-                )
-    return out
+    both = np.stack([depth, real])
+    known = ((both > 0) & np.isfinite(both)).all(0) & (coverage > 0)
+    nearer = divide(depth, real) - 1
+    return np.where(known, np.clip(2 - nearer / margin, 0, 1), 1).astype(np.float32)

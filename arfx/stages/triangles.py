@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numba
 import numpy as np
 
 from arfx.core.numerics import divide
@@ -15,7 +14,6 @@ from arfx.core.scene import Scene
 from arfx.core.scene_mesh import SceneMesh, flatten
 
 _BATCH = 1 << 19  # rays in flight: bounds memory to about 40 MB
-_SLACK = 1e-4  # of the extent, around the box outside which nothing is met
 
 
 class Triangles:
@@ -29,13 +27,6 @@ class Triangles:
 
         self._scene = rtcore_scene.EmbreeScene(robust=robust)
         self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(corners, np.float32))
-        low, high = (
-            (corners.min((0, 1)), corners.max((0, 1)))
-            if len(corners)
-            else (np.ones(3), -np.ones(3))
-        )
-        slack = _SLACK * np.abs(high - low).max()
-        self._box = np.array([low - slack, high + slack], np.float32)
 
     def first_hits(
         self, origins: np.ndarray, directions: np.ndarray
@@ -77,16 +68,12 @@ class Triangles:
             )
             return out
 
-        k, towards = len(directions), directions.astype(np.float32)
+        k = len(directions)
 
         def one(part: slice) -> np.ndarray:
-            p = points[part].astype(np.float32)
-            starts, along, number = (
-                np.empty((len(p) * k, *more), kind) for more, kind in _RAYS
-            )
-            count = _through_box(p, towards, self._box, starts, along, number)
-            seen = np.ones((len(p), k), bool)
-            seen.flat[number[:count][self.blocked(starts[:count], along[:count])]] = False
+            starts = np.repeat(points[part], k, 0)
+            along = np.tile(directions, (len(starts) // k, 1))
+            seen = ~self.blocked(starts, along).reshape(-1, k)
             if normals is None:
                 return np.asarray(seen.mean(1))
             weight = np.clip(normals[part] @ directions.T, 0, None)
@@ -95,35 +82,6 @@ class Triangles:
         step = max(_BATCH // k, 1)
         parts = [slice(a, a + step) for a in range(0, len(points), step)]
         return np.concatenate([np.zeros(0), *parallel_map(one, parts)])
-
-
-_RAYS = (((3,), np.float32), ((3,), np.float32), ((), np.int64))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _through_box(
-    points, directions, box, starts, along, number
-):  # pragma: no cover - compiled
-    """How many of the rays from points (n, 3) in directions (k, 3) pass through a box (2,
-    3): those, and their numbers, are written to the other arrays."""
-    count, k, zero, far = 0, len(directions), np.float32(0), np.float32(1e30)
-    for i in range(len(points)):
-        for j in range(k):
-            enters, leaves = zero, far
-            for c in range(3):
-                d = directions[j, c]
-                inverse = np.float32(1) / d if d != zero else far
-                a, b = (
-                    (box[0, c] - points[i, c]) * inverse,
-                    (box[1, c] - points[i, c]) * inverse,
-                )
-                enters, leaves = max(enters, min(a, b)), min(leaves, max(a, b))
-            if enters <= leaves:
-                for c in range(3):
-                    starts[count, c], along[count, c] = points[i, c], directions[j, c]
-                number[count] = i * k + j
-                count += 1
-    return count
 
 
 def anchor_mesh(scene: Scene) -> SceneMesh:

@@ -130,7 +130,7 @@ def test_a_wheel_with_compiled_code_compiles_nothing_when_installed(
     wheel: Path, tmp_path: Path
 ) -> None:
     """Of one module alone: `make wheel` takes a minute or two."""
-    made = with_compiled_code(wheel, tmp_path / "dist", "arfx.stages.hide")
+    made = with_compiled_code(wheel, tmp_path / "dist", "arfx.stages.composite")
     assert f"-cp{sys.version_info[0]}{sys.version_info[1]}-none-" in made.name
     installed, aside = tmp_path / "installed", tmp_path / "aside"
     aside.mkdir()
@@ -152,7 +152,7 @@ def refuse(*a, dir=None, **k):  # the root user may write anywhere
     return made(*a, dir=dir, **k)
 tempfile.TemporaryFile = refuse
 from arfx.run.kernels import listed_kernels
-kernels = [k for k in listed_kernels() if k.module == "arfx.stages.hide"]
+kernels = [k for k in listed_kernels() if k.module == "arfx.stages.composite"]
 assert kernels and kernels[0].function.py_func.__code__.co_filename.startswith(sys.argv[1])
 for kernel in kernels:
     kernel.load()

@@ -22,7 +22,6 @@ from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.scene_mesh import SceneMesh
-from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.record import OUTPUTS
 from arfx.stages.triangles import Triangles
 
@@ -49,7 +48,7 @@ class ReferenceRenderer:
         most: int = MOST,
         tolerance: float = TOLERANCE,
     ) -> None:
-        self.mesh, self.camera, self.lens = mesh, camera, LensTable(camera)
+        self.mesh, self.camera = mesh, camera
         self.scene = Triangles(mesh.corners_m, robust=True)
         self.offsets, self.tolerance = r2_sequence(most), tolerance
 
@@ -166,7 +165,7 @@ class ReferenceRenderer:
         """Directions (n, 3), camera z = 1, in world axes through places (n,) px, and which
         are any.
         """
-        d = self.lens.along(y, x)
+        d = self.camera.normalised(np.stack([x, y], -1))
         ok = np.isfinite(d).all(1)
         return (
             np.concatenate([np.where(ok[:, None], d, 0.0), np.ones((len(d), 1))], 1)

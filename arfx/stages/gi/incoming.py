@@ -21,10 +21,10 @@ from arfx.stages.gi.plane_change import measured
 from arfx.stages.light.environment import Environment
 from arfx.stages.light.planes import (
     Planes,
+    PlatePicture,
     bounding_ball,
     filled,
     mip_chain,
-    picture_on_planes,
 )
 from arfx.stages.light.surroundings import frame_environment, frame_surroundings
 from arfx.stages.light.transport import SKY
@@ -40,12 +40,14 @@ _NEAR_RADII = 3  # of the object: how far the plane counts for its mean
 
 @dataclass(frozen=True, eq=False)
 class IncomingLight:
-    """picture (p, side, side, 3) : radiance of the planes, filled where the frame does not
+    """shown : what the frame shows of the planes
+    picture (p, side, side, 3) : radiance of the planes, filled where the frame does not
     show them
     mean (3,) : of it near the object;  environment : with the turn from the anchor's axes
     """
 
     planes: Planes
+    shown: PlatePicture
     picture: np.ndarray
     mean: np.ndarray
     environment: Environment
@@ -82,17 +84,18 @@ def incoming_light(
     rendered);  positions : of the
     texels of the picture on the planes"""
     facts, scene, light = view.facts, view.scene, view.light
-    picture, known = picture_on_planes(
+    shown = PlatePicture(
         view[Layer.PLATE],
         view.rect,
         seen,
         scene.camera,
         view.pose @ scene.world_from_anchor,
-        positions,
-        planes.axes.astype(float),
         np.array(facts.bias_rgb, np.float32),
         measured(view.layers),
     )
+    each = zip(positions, planes.axes.astype(float), strict=True)
+    found = [shown.radiance(places, axes) for places, axes in each]
+    picture, known = (np.stack(a) for a in zip(*found, strict=True))
     turn = scene.world_from_anchor.rotation
     mean = _plane_mean(
         picture, known, positions, planes, scene, 0.4 * light.radiance(turn[:, 2])
@@ -100,7 +103,7 @@ def incoming_light(
     environment = frame_environment(facts, scene, light)
     cube_from_anchor = (environment.turn @ turn).astype(np.float32)
     environment = environment._replace(turn=cube_from_anchor)
-    return IncomingLight(planes, filled(picture, known, mean), mean, environment)
+    return IncomingLight(planes, shown, filled(picture, known, mean), mean, environment)
 
 
 def sky_radiance(facts: FrameFacts, scene: Scene, light: Light) -> np.ndarray:

@@ -75,8 +75,8 @@ def change_textures(
         for texture, share, change in parts:
             places = (texel_places(texture) @ turn.T + shift) / planes.half_m
             if texture is blank:
-                share = _sampled(share[..., None], places)[..., 0]
-            change = (share * _faded(places))[..., None] * _sampled(change, places)
+                share = sampled(share[..., None], places)[..., 0]
+            change = (share * _faded(places))[..., None] * sampled(change, places)
             textures.append(PlaneTexture(_bordered(change), texture.texel_from_m))
         out.append(textures)
     return out
@@ -96,7 +96,7 @@ def _bordered(change: np.ndarray) -> np.ndarray:
     return np.pad(inner, ((0, 0), (1, 1), (1, 1))).astype(np.float32, "C")
 
 
-def _sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
+def sampled(texels: np.ndarray, places: np.ndarray) -> np.ndarray:
     """(h, w, c) of a warped texture (side, side, c) at places (h, w, 2) in half sides from
     its middle.
     """

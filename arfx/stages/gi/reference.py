@@ -1,5 +1,6 @@
-"""Level `reference`: Monte Carlo paths (embree) through the same scenes; shares no kernel with the
-other levels.
+"""Level `reference`: Monte Carlo paths (embree) through the same scenes. It shares with the other
+levels what is known before any light travels (which plane a pixel shows, what the picture says of
+the planes, and the guess where it says nothing), and no kernel.
 
 Object pixels send paths by their material's lobes; plane pixels towards the ball around the object,
 as only paths that meet it count, as what it sends less what it hides. Every pixel gets `gi.samples`
@@ -24,16 +25,19 @@ from arfx.core.parallel import parallel_map
 from arfx.core.pose import Pose
 from arfx.core.rect import Rect
 from arfx.core.stage import View
-from arfx.stages.gi.plane_change import SAME_DEPTH
-from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes
+from arfx.stages.gi.incoming import incoming_light
+from arfx.stages.gi.plane_change import shown_planes
+from arfx.stages.gi.reference_lobes import MaterialLobes, PlaneLobes, dot
 from arfx.stages.gi.reference_scene import RayScene, Surroundings
 from arfx.stages.gi.reference_sky import Environment
 from arfx.stages.gi.reference_tracer import BOUNCES, LOBE, NUMBERS, Tracer
-from arfx.stages.light.planes import Planes, on_plane
+from arfx.stages.light.planes import Planes, texel_positions
 from arfx.stages.light.surroundings import frame_surroundings
+from arfx.stages.viewing import direction_grid
 
 LEAST_LEFT = 0.05  # of a plane's light, beside other planes
 DARKEST = 0.002  # radiance below which a pixel is no base for a ratio
+PICTURE_TEXELS = 128  # a side, of what the picture does not show of a plane
 BATCH = 1 << 14  # pixels at once: bounds memory
 DIMENSIONS = (BOUNCES + 1) * NUMBERS
 
@@ -59,18 +63,15 @@ def trace_frame(
     rays = RayScene(scene)
     known = frame_surroundings(view.facts, scene, view.light)
     cube_from_anchor = known.axes @ scene.world_from_anchor.rotation
-    around = Surroundings(
-        view.layers,
-        visible_rect,
-        scene,
-        view.facts,
-        Environment(known.cubes(), cube_from_anchor),
-        planes,
-        rays.radius,
-    )
+    texels = texel_positions(planes, PICTURE_TEXELS)
+    incoming = incoming_light(view, visible_rect, planes, texels)
+    around = Surroundings(incoming, Environment(known.cubes(), cube_from_anchor))
     tracer = Tracer(rays, around, view.light, scene)
     anchor_from_camera = (view.pose @ scene.world_from_anchor).inverse()
-    pixels = Pixels(view, anchor_from_camera, tracer, sobol(samples))
+    everywhere, grid = np.ones((rect.height, rect.width)), direction_grid(scene.camera)
+    shares = shown_planes(view.layers, grid, anchor_from_camera, planes)
+    shown = np.stack([everywhere if share is None else share for share in shares])
+    pixels = Pixels(view, anchor_from_camera, tracer, shown, sobol(samples))
     virtual, shadow = view[Layer.VIRTUAL].copy(), view[Layer.SHADOW].copy()
     wanted, matt, shiny = (mask_of(rect, part) for part in (view.out, disc, mirror))
 
@@ -128,11 +129,13 @@ def object_points(view: View, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.nd
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Of one frame. sequence (samples, DIMENSIONS) : of random numbers"""
+    """Of one frame. shown (planes, h, w) : is it what a pixel shows, 0..1
+    sequence (samples, DIMENSIONS) : of random numbers"""
 
     view: View
     anchor_from_camera: Pose
     tracer: Tracer
+    shown: np.ndarray
     sequence: np.ndarray
 
     def object_light(self, rows: Rows) -> np.ndarray:
@@ -158,24 +161,21 @@ class Pixels:
         pixels = np.stack([rows[1] + rect.x0, rows[0] + rect.y0], -1).astype(float)
         seen = self.view.scene.camera.directions(pixels)
         directions = normalise(seen @ self.anchor_from_camera.rotation.T)
-        eyes = np.broadcast_to(self.anchor_from_camera.translation_m, directions.shape)
-        out = np.zeros(directions.shape)
-        along = directions @ self.anchor_from_camera.rotation[:, 2]
-        real_m = self.view[Layer.REAL_DEPTH][rows]
-        known = np.isfinite(real_m) & (real_m > 0)
-        measured = np.where(known, real_m, np.nan) / along
-        plane, distance = around.plane_by_distance(eyes, directions, measured)
-        keep = np.flatnonzero(plane >= 0)
+        out, eye = np.zeros(directions.shape), self.anchor_from_camera.translation_m
+        shares = self.shown[:, rows[0], rows[1]]
+        share, axes = shares.max(0), around.axes[shares.argmax(0)]
+        falls = -dot(directions, axes[:, 3])
+        heights = dot(eye - axes[:, 0], axes[:, 3])
+        keep = np.flatnonzero((share > 0) & ((falls > 1e-9) & (heights > 0))[:, 0])
         if not len(keep):
             return out
         rows = rows[0][keep], rows[1][keep]
-        plane, distance, directions = plane[keep], distance[keep], directions[keep]
-        normals = around.axes[plane, 3]
-        places = eyes[keep] + distance[:, None] * directions
+        directions, normals = directions[keep], axes[keep, 3]
+        places = eye + heights[keep] / falls[keep] * directions
         start = places + tracer.rays.lift * normals
         draw = partial(tracer.light, start, tracer.plane_lobes(start, normals), True)
         total = self._mean(draw, rows) * matt[keep, None]
-        alone = tracer.plane_light[plane]
+        alone = tracer.plane_light[shares.argmax(0)[keep]]
         others = self._light_of_other_planes(start, normals, rows)
         plane_light = np.maximum(alone + others, LEAST_LEFT * alone)
         # the lamps' shadow is a share of the light that is there alone
@@ -185,8 +185,7 @@ class Pixels:
         if shiny.any():
             image = self._mirrored(start, normals, directions, gloss, rows)
             ratio += image * shiny[keep, None]
-        dioptres = 1 / (distance * along[keep])
-        out[keep] = ratio * on_plane(real_m[keep], dioptres, SAME_DEPTH)[:, None]
+        out[keep] = ratio * share[keep, None]
         return out
 
     def _mirrored(

@@ -14,7 +14,7 @@ import numpy as np
 
 from arfx.core.compiled import FAST
 from arfx.core.pose import Pose
-from arfx.core.rect import EMPTY, Rect
+from arfx.core.rect import Rect
 from arfx.stages.viewing import GRID_PX
 
 _LEAST_LIGHT = np.float32(1e-6)  # share of a plane's light under which it counts as none
@@ -46,7 +46,6 @@ class PlaneView:
         turned = near.reshape(-1, 3) @ plane_from_camera.rotation.T
         self._directions = np.ascontiguousarray(turned.T).reshape(3, *near.shape[:2])
         self._eye = plane_from_camera.translation_m
-        self._from_corner = Rect(0, 0, rect.width, rect.height)
 
     def add(
         self,
@@ -63,48 +62,10 @@ class PlaneView:
         across = np.tensordot(linear, self._directions[:2], 1)
         nodes = np.stack([*across, self._directions[2]]).astype(np.float32)
         start = np.array([*(linear @ self._eye[:2] + offset), self._eye[2]], np.float32)
-        part = self._seen_part(nodes, start, texture.dark.shape[-2:])
-        if part.empty:
-            return
-        left, top = part.x0 // GRID_PX, part.y0 // GRID_PX
-        corner = part.x0 - left * GRID_PX, part.y0 - top * GRID_PX
-        right, bottom = (part.x1 - 1) // GRID_PX + 2, (part.y1 - 1) // GRID_PX + 2
-        near = np.ascontiguousarray(nodes[:, top:bottom, left:right])
-        at = part.shift(-self._corner[0], -self._corner[1]).slices_in(self._from_corner)
-        seen = np.zeros((0, 0), np.float32) if share is None else share[at]
+        seen = np.zeros((0, 0), np.float32) if share is None else share
         weights = np.asarray(weights, np.float32)
         texels = texture.dark.reshape(-1, *texture.dark.shape[-2:])
-        _add_texture(out[:, *at], corner, near, start, texels, weights, seen)
-
-    def _seen_part(
-        self, nodes: np.ndarray, start: np.ndarray, shape: tuple[int, int]
-    ) -> Rect:
-        """Pixels, from the first node, that may see a texture of that shape: whole cells of
-        the grid.
-        """
-        with np.errstate(all="ignore"):
-            distance = start[2] / -nodes[2]
-            places = nodes[:2] * distance + start[:2, None, None]
-        places[:, nodes[2] >= 0] = np.nan
-        low, high = _of_cells(np.minimum, places), _of_cells(np.maximum, places)
-        # a cell on the horizon, where not all corners meet the plane, may see anything
-        beside = (low[0] > shape[1]) | (high[0] < -1) | (low[1] > shape[0]) | (high[1] < -1)
-        meets = _of_cells(np.logical_or, nodes[2] < 0)
-        rows, columns = np.nonzero(~beside & meets)
-        if not len(rows):
-            return EMPTY
-        spans = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
-        x, y = self._corner
-        whole = Rect(x, y, x + self.rect.width, y + self.rect.height)
-        return Rect(*(GRID_PX * int(v) for v in spans)).clip(whole)
-
-
-def _of_cells(both: np.ufunc, nodes: np.ndarray) -> np.ndarray:
-    """(..., h - 1, w - 1) of the four corners of each cell. both : function of two of them;
-    nodes (..., h, w)
-    """
-    rows = both(nodes[..., :-1, :], nodes[..., 1:, :])
-    return np.asarray(both(rows[..., :-1], rows[..., 1:]))
+        _add_texture(out, self._corner, nodes, start, texels, weights, seen)
 
 
 def shadow_ratio(
@@ -159,14 +120,8 @@ def _add_texture(
     x0, y0 = corner
     cells = nodes.shape[2] - 1
     line = np.empty((3, cells + 1), np.float32)
-    across, down = (
-        np.empty(cells * GRID_PX, np.float32),
-        np.empty(cells * GRID_PX, np.float32),
-    )
-    rise = np.empty(cells * GRID_PX, np.float32)
-    texel, value = np.empty(width, np.int32), np.empty(width, np.float32)
-    flat = texture.reshape(layers, rows * columns)
-    zero, step = np.float32(0), np.float32(1.0 / GRID_PX)
+    moved = np.empty((3, cells * GRID_PX), np.float32)
+    zero, step, one = np.float32(0), np.float32(1.0 / GRID_PX), np.uintp(1)
     last_u, last_v = np.float32(columns - 1.01), np.float32(rows - 1.01)
     for j in range(height):
         cell_row, below_row = (y0 + j) // GRID_PX, np.float32((y0 + j) % GRID_PX) * step
@@ -174,53 +129,33 @@ def _add_texture(
             above, below = nodes[k, cell_row], nodes[k, cell_row + 1]
             for i in range(cells + 1):
                 line[k, i] = above[i] + below_row * (below[i] - above[i])
-        for q in range(cells):
-            left = np.uintp(q * GRID_PX)
-            u0, v0, z0 = line[0, q], line[1, q], line[2, q]
-            du, dv, dz = line[0, q + 1] - u0, line[1, q + 1] - v0, line[2, q + 1] - z0
-            for i in range(GRID_PX):
-                across[left + np.uintp(i)] = u0 + np.float32(i) * step * du
-            for i in range(GRID_PX):
-                down[left + np.uintp(i)] = v0 + np.float32(i) * step * dv
-            for i in range(GRID_PX):
-                rise[left + np.uintp(i)] = z0 + np.float32(i) * step * dz
-        u, v, z = across[x0 : x0 + width], down[x0 : x0 + width], rise[x0 : x0 + width]
+            for q in range(cells):
+                first, left = np.uintp(q * GRID_PX), line[k, q]
+                rise = line[k, q + 1] - left
+                for i in range(GRID_PX):
+                    moved[k, first + np.uintp(i)] = left + np.float32(i) * step * rise
+        u, v, z = moved[0, x0 : x0 + width], moved[1, x0:], moved[2, x0:]
         for i in range(width):
             meets = z[i] < zero
             distance = start[2] / -z[i]
-            column = min(max(start[0] + distance * u[i], zero), last_u)
-            row = min(max(start[1] + distance * v[i], zero), last_v)
+            column, row = start[0] + distance * u[i], start[1] + distance * v[i]
             u[i], v[i] = column if meets else zero, row if meets else zero
-        first, after = 0, width
-        while first < after and not (zero < u[first] < last_u and zero < v[first] < last_v):
-            first += 1
-        while first < after and not (
-            zero < u[after - 1] < last_u and zero < v[after - 1] < last_v
-        ):
-            after -= 1
-        n = after - first
-        u, v = u[first:after], v[first:after]
-        for i in range(n):
+        for i in range(width):
+            if not (zero < u[i] < last_u and zero < v[i] < last_v):
+                continue
             column, row = np.int32(u[i]), np.int32(v[i])
-            u[i] -= np.float32(column)
-            v[i] -= np.float32(row)
-            texel[i] = row * np.int32(columns) + column
-        for c in range(channels):
-            if c < layers:
-                layer = flat[c]
-                for i in range(n):
-                    a = np.uintp(texel[i])
-                    b = a + np.uintp(columns)
-                    top = layer[a] + u[i] * (layer[a + np.uintp(1)] - layer[a])
-                    bottom = layer[b] + u[i] * (layer[b + np.uintp(1)] - layer[b])
-                    value[i] = top + v[i] * (bottom - top)
-                if share.shape[0] > 0:
-                    open_share = share[j, first:after]
-                    for i in range(n):
-                        value[i] *= open_share[i]
-            to, weight = out[c, j, first:after], weights[c]
-            for i in range(n):
-                to[i] += weight * value[i]
+            across, down = u[i] - np.float32(column), v[i] - np.float32(row)
+            a, b = np.uintp(column), np.uintp(row)
+            value = zero
+            for c in range(channels):
+                if c < layers:
+                    above, below = texture[c, b], texture[c, b + one]
+                    top = above[a] + across * (above[a + one] - above[a])
+                    bottom = below[a] + across * (below[a + one] - below[a])
+                    value = top + down * (bottom - top)
+                    if share.shape[0] > 0:
+                        value *= share[j, i]
+                out[c, j, i] += weights[c] * value
 
 
 @numba.njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")

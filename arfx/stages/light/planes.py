@@ -207,56 +207,47 @@ def texel_positions(planes: Planes, side: int) -> np.ndarray:
     return a[:, 0] + u[..., None] * a[:, 1] + v[..., None] * a[:, 2]
 
 
-def picture_on_planes(
-    plate: np.ndarray,
-    rect: Rect,
-    allowed: Rect,
-    camera: Camera,
-    camera_from_anchor: Pose,
-    positions: np.ndarray,
-    axes: np.ndarray,
-    bias: np.ndarray,
-    real: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The picture's radiance on the planes (p, side, side, 3) float32 and whether it is
-    known there (p, side, side).
+@dataclass(frozen=True, eq=False)
+class PlatePicture:
+    """A frame's picture as the radiance of the places of planes that it shows.
 
-    plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  positions :
-    of `texel_positions`
-    real : (h, w) measured depth; a pixel that shows something before a plane does not show
-    the plane
-    """
-    allowed = allowed.clip(rect)
-    eye = camera_from_anchor.inverse().translation_m
-    placed = camera_from_anchor.apply(positions)
-    seen = camera.project(placed)
-    fronts = ((eye - axes[:, 0]) * axes[:, 3]).sum(-1) > 0
-    inside = np.isfinite(seen).all(-1) & fronts[:, None, None]
-    x, y = np.where(inside, seen[..., 0], -1e6), np.where(inside, seen[..., 1], -1e6)
-    inside &= (
-        (x >= allowed.x0)
-        & (x <= allowed.x1 - 1)
-        & (y >= allowed.y0)
-        & (y <= allowed.y1 - 1)
-    )
-    if real is not None and real.size and inside.any():
-        column, row = (
-            np.rint(v[inside] - o).astype(int) for v, o in ((x, rect.x0), (y, rect.y0))
-        )
-        depth = real[np.clip(row, 0, rect.height - 1), np.clip(column, 0, rect.width - 1)]
-        inside[inside] = on_plane(depth, 1 / placed[inside][:, 2], SAME_DEPTH) == 1
-    out = np.zeros((*seen.shape[:3], 3), np.float32)
-    for k in range(len(positions)):
-        if inside[k].any():
-            out[k] = cv2.remap(
-                plate,
-                (x[k] - rect.x0).astype(np.float32),
-                (y[k] - rect.y0).astype(np.float32),
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_REPLICATE,
-            )
-    out = np.clip(out - bias, 0, None) * inside[..., None]
-    return np.asarray(out, np.float32), inside.astype(np.float32)
+    plate : (h, w, 3) over `rect`;  allowed : only these pixels are looked at;  bias (3,)
+    real : (h, w) measured depth, or none: a pixel that shows something before a plane does
+    not show the plane"""
+
+    plate: np.ndarray
+    rect: Rect
+    allowed: Rect
+    camera: Camera
+    camera_from_anchor: Pose
+    bias: np.ndarray
+    real: np.ndarray
+
+    def radiance(
+        self, places: np.ndarray, axes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(h, w, 3) float32 at places (h, w, 3) of one plane, and 1 where it is known, else
+        0, (h, w) float32. axes (4, 3) : of `Planes`"""
+        rect, allowed = self.rect, self.allowed.clip(self.rect)
+        eye = self.camera_from_anchor.inverse().translation_m
+        placed = self.camera_from_anchor.apply(places)
+        seen = self.camera.project(placed)
+        inside = np.isfinite(seen).all(-1) & ((eye - axes[0]) @ axes[3] > 0)
+        x, y = np.moveaxis(np.where(inside[..., None], seen, -1e6), -1, 0)
+        inside &= (x >= allowed.x0) & (x <= allowed.x1 - 1)
+        inside &= (y >= allowed.y0) & (y <= allowed.y1 - 1)
+        if not inside.any():
+            return np.zeros(places.shape, np.float32), inside.astype(np.float32)
+        x, y = x - rect.x0, y - rect.y0
+        if self.real.size:
+            column, row = np.rint([x[inside], y[inside]]).astype(int)
+            dioptres = 1 / placed[inside][:, 2]
+            inside[inside] = on_plane(self.real[row, column], dioptres, SAME_DEPTH) == 1
+        border = cv2.BORDER_REPLICATE
+        at = x.astype(np.float32), y.astype(np.float32)
+        out = cv2.remap(self.plate, *at, cv2.INTER_LINEAR, borderMode=border)
+        out = np.clip(out - self.bias, 0, None) * inside[..., None]
+        return np.asarray(out, np.float32), inside.astype(np.float32)
 
 
 def on_plane(real_m: np.ndarray, dioptres: np.ndarray, tolerance: float) -> np.ndarray:

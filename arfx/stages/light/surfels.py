@@ -215,20 +215,31 @@ def _colours(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(albedo, matt, emission) (n, 3) at places in faces, by their corners' weights (n, 3)."""
     mesh, part = rays.mesh, rays.part[face]
-    corners, materials = rays.faces[face], mesh.materials
-    uv = np.einsum("nk,nkc->nc", weights, mesh.uv[corners])
-    colour = np.einsum("nk,nkc->nc", weights, mesh.colours[corners])[:, :3]
-    colour *= np.array([m.base_colour[:3] for m in materials])[part]
-    colour *= SRGB.decode(texels_of(mesh, "base_texture", part, uv)[:, :3] / 255)
-    emission = np.array([m.emissive for m in materials])[part]
-    emission = emission * SRGB.decode(
-        texels_of(mesh, "emissive_texture", part, uv)[:, :3] / 255
-    )
+    colour, emission, _ = shown_colours(mesh, rays.faces[face], part, weights)
     metallic = rays.metallic[face, None]
-    specular = np.array([m.specular for m in materials])[part, None]
+    specular = np.array([m.specular for m in mesh.materials])[part, None]
     mirrored = 0.08 * specular * (1 - metallic)
     matt = colour * (1 - metallic) * (1 - mirrored)
     return matt + colour * metallic + mirrored, matt, emission
+
+
+def shown_colours(
+    mesh: SceneMesh, corners: np.ndarray, part: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(base colour (n, 3), emission (n, 3), texture coordinates (n, 4)) at places of parts
+    (n,), by their corners (n, 3) and the weights of these (n, 3)."""
+    colour, uv = (
+        np.einsum("nk,nkc->nc", weights, rows[corners])
+        for rows in (mesh.colours[:, :3], mesh.uv)
+    )
+    materials = mesh.materials
+    colour *= np.array([m.base_colour[:3] for m in materials])[part]
+    emission = np.array([m.emissive for m in materials])[part]
+    base, glow = (
+        SRGB.decode(texels_of(mesh, name, part, uv)[:, :3] / 255)
+        for name in ("base_texture", "emissive_texture")
+    )
+    return colour * base, emission * glow, uv
 
 
 def _metallic(material: Material) -> float:

@@ -13,7 +13,7 @@ Source: docs/methods/light.md#shadow, docs/methods/light.md#shading."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
@@ -163,18 +163,17 @@ class Lightmap(Stage):
         if now.rect.empty:
             return neutral(Layer.VIRTUAL, now.rect)
         surface = Surface(*(packed(now[Layer(name)]) for name in Surface._fields))
-        eye = view.pose.inverse().translation_m
         reaching = [k for k in range(len(light.beams)) if light.on_object[k] > 0]
         smooth = smooth_normal(surface.normal, now)
         even = surface._replace(normal=smooth)
-        hidden = self._visibilities(even, view, prepared, light, reaching, eye)
+        left = self._visibilities(even, view, prepared, light, reaching)
         if smooth is not surface.normal:
             turned = smooth @ light.towards[reaching].astype(np.float32).T
-            above = share_above_surface(surface.normal, smooth)
-            hidden = hidden[0] * above, hidden[1] * (np.moveaxis(turned, -1, 0) > 0)
+            left[0] *= share_above_surface(surface.normal, smooth)
+            left[1:] *= np.moveaxis(turned, -1, 0) > 0
         if not now.extent(Layer.OCCLUSION).empty:
-            hidden = np.minimum(hidden[0], now[Layer.OCCLUSION]), hidden[1]
-        return self.shaded(surface, *hidden, reaching, light, view, now)
+            left[0] = np.minimum(left[0], now[Layer.OCCLUSION])
+        return self.shaded(surface, left[0], left[1:], reaching, light, view, now)
 
     def _visibilities(
         self,
@@ -183,49 +182,33 @@ class Lightmap(Stage):
         prepared: Prepared,
         light: FrameLight,
         reaching: Sequence[int],
-        eye: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(h, w) and (k, h, w): shares of the soft light, and of the lights `reaching`,
-        that the object leaves itself.
-        """
-        seen = surface.coverage, surface.normal, surface.position
-        visibility = np.ones((len(reaching), *surface.coverage.shape), np.float32)
-        if self.params.self_shadow > 0:
-            anchor_from_world = view.scene.world_from_anchor.inverse()
-            region = prepared.region
-            for i, k in enumerate(reaching):
-                beam = light.beams[k]
-                if view.level == "reference":
-                    rays = region.rays.triangles, region.caster, beam
-                    visibility[i] = visibility_by_rays(*seen, *rays, anchor_from_world, eye)
-                    continue
-                depths = view.memo.of_light.get(
-                    ("depth", beam), partial(depth_map, region.caster, beam)
-                )
-                visibility[i] = visibility_by_map(*seen, depths, anchor_from_world)
-            if self.params.self_shadow < 1:
-                visibility = 1 + np.float32(self.params.self_shadow) * (visibility - 1)
-        return self._soft_visibility(surface, view, prepared, light), visibility
-
-    def _soft_visibility(
-        self, surface: Surface, view: View, prepared: Prepared, light: FrameLight
     ) -> np.ndarray:
-        """(h, w) share of the soft light that the object leaves itself."""
-        layers = surface.coverage, surface.normal, surface.position
-        if not self._soft_occluded:
-            return np.ones(surface.coverage.shape, np.float32)
+        """(1 + k, h, w) float32: shares of the soft light, and of the lights `reaching`, that
+        the object leaves itself."""
+        seen = surface.coverage, surface.normal, surface.position
+        region, soft = prepared.region, prepared.visibility
         anchor_from_world = view.scene.world_from_anchor.inverse()
-        region, kept, shape = prepared.region, prepared.visibility, light.shape
-        if kept is None:
-            what = region.rays, region.soft, anchor_from_world, shape
-            visible = visible_fraction_by_rays(layers, *what)
-        else:
-            nodes = view.memo.of_light.get(
-                ("object", shape), lambda: kept.under(shape), "soft"
-            )
-            visible = visible_fraction(layers, kept, nodes, anchor_from_world, shape)
-        strength = np.float32(self.params.self_shadow)
-        return visible if strength == 1 else 1 + strength * (visible - 1)
+        out = np.ones((1 + len(reaching), *surface.coverage.shape), np.float32)
+        strength, memo = np.float32(self.params.self_shadow), view.memo.of_light
+        if strength <= 0:
+            return out
+        if self._soft_occluded and soft is None:
+            plane = region.rays, region.soft
+            out[0] = visible_fraction_by_rays(seen, *plane, anchor_from_world, light.shape)
+        elif soft is not None:
+            key = "object", light.shape
+            nodes = memo.get(key, partial(soft.under, light.shape), "soft")
+            out[0] = visible_fraction(seen, soft, nodes, anchor_from_world, light.shape)
+        for visible, k in zip(out[1:], reaching, strict=True):
+            beam, caster = light.beams[k], region.caster
+            if view.level == "reference":
+                eye = view.pose.inverse().translation_m
+                rays = region.rays.triangles, caster, beam
+                visible[:] = visibility_by_rays(*seen, *rays, anchor_from_world, eye)
+            else:
+                depths = memo.get(("depth", beam), partial(depth_map, caster, beam))
+                visible[:] = visibility_by_map(*seen, depths, anchor_from_world)
+        return out if strength == 1 else 1 + strength * (out - 1)
 
     @property
     def _soft_occluded(self) -> bool:
@@ -273,15 +256,31 @@ class Lightmap(Stage):
             or strength * darkest(light, scene) <= self._shows_from
         ):
             return Pixels(view.out, neutral(Layer.SHADOW, view.out))
-        soft = self._soft_textures(view, prepared, light)
+        memo, surface_m = view.memo.of_light, scene.surface_m
+
+        def textures(
+            key: Beam | tuple[float, ...],
+            make: Callable[[], Iterable[PlaneTexture]],
+            kind: str = "",
+        ) -> tuple[PlaneTexture, ...]:
+            """Kept by what casts the shadow, within the surface."""
+
+            def within() -> tuple[PlaneTexture, ...]:
+                return tuple(within_surface(texture, surface_m) for texture in make())
+
+            kept: tuple[PlaneTexture, ...] = memo.get(("plane", key), within, kind)
+            return kept
+
+        shape, caster, level = light.shape, prepared.region.caster, PLANE_LEVELS[view.level]
+        soft = textures(shape, lambda: (p.under(shape) for p in prepared.soft), "soft")
         ambient = np.float32(self.soft) * light.ambient_fraction
         lamps: list[PlaneTexture] = []
         weights = [ambient] * len(soft)
         for beam, fraction in zip(light.beams, light.direct_fractions, strict=True):
             if beam.direction[2] > 0 and fraction.max() > 0:
-                textures = self._lamp_textures(view, prepared, beam)
-                lamps += textures
-                weights += [fraction] * len(textures)
+                make = partial(beam_textures, caster, beam, level, self.hard)
+                lamps += (found := textures(beam, make))
+                weights += [fraction] * len(found)
         real = view.facts.plane_shadow
         blocked = (
             None if real is None else plane_shadow_texture(real, light.ambient_fraction)
@@ -292,31 +291,6 @@ class Lightmap(Stage):
             seen, soft, lamps, shares, ambient, blocked, self.faint, strength
         )
         return Pixels(view.out, ratio)
-
-    def _soft_textures(
-        self, view: View, prepared: Prepared, light: FrameLight
-    ) -> tuple[PlaneTexture, ...]:
-        surface_m, shape = view.scene.surface_m, light.shape
-
-        def make() -> tuple[PlaneTexture, ...]:
-            return tuple(within_surface(p.under(shape), surface_m) for p in prepared.soft)
-
-        kept: tuple[PlaneTexture, ...] = view.memo.of_light.get(
-            ("plane", shape), make, "soft"
-        )
-        return kept
-
-    def _lamp_textures(
-        self, view: View, prepared: Prepared, beam: Beam
-    ) -> tuple[PlaneTexture, ...]:
-        surface_m, level = view.scene.surface_m, PLANE_LEVELS[view.level]
-
-        def make() -> tuple[PlaneTexture, ...]:
-            textures = beam_textures(prepared.region.caster, beam, level, self.hard)
-            return tuple(within_surface(t, surface_m) for t in textures)
-
-        kept: tuple[PlaneTexture, ...] = view.memo.of_light.get(("plane", beam), make)
-        return kept
 
     def _shadow_rect(
         self, facts: FrameFacts, scene: Scene, frame: Rect, light: FrameLight

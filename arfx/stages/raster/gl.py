@@ -21,7 +21,7 @@ from arfx.core.scene_mesh import SceneMesh
 from arfx.errors import RenderError
 from arfx.stages.raster.gl_context import discard, on_gl_thread, open_context
 from arfx.stages.raster.gl_draw import Drawing
-from arfx.stages.raster.record import View
+from arfx.stages.raster.record import NearestFaces, View
 from arfx.stages.raster.visible import depths_along
 
 NEAR_M = 1e-3
@@ -39,6 +39,21 @@ class Picture(NamedTuple):
     shift: np.ndarray
     width: int
     height: int
+
+    def looked_up(self, numbers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """int32 of `numbers` (texels,), bottom row first, along directions; -1 beyond."""
+        with np.errstate(invalid="ignore"):
+            column = np.floor(x * self.scale[0] + self.shift[0] + 0.5)
+            row = np.floor(y * self.scale[1] + self.shift[1] + 0.5)
+            inside = (column >= 0) & (column < self.width)
+            inside &= (row >= 0) & (row < self.height)
+        out = np.full(x.shape, -1, np.int32)
+        texel = (self.height - 1 - row[inside]) * self.width + column[inside]
+        out[inside] = numbers[texel.astype(np.int64)]
+        return out
+
+
+NOTHING = Picture(np.ones(2), np.zeros(2), 0, 0)
 
 
 class GlFaces:
@@ -60,15 +75,26 @@ class GlFaces:
         # the driver takes all back when the process ends
         weakref.finalize(self, discard, self.drawing.free).atexit = False
 
-    def frame(self, view: View, rect: Rect) -> GlFrame:
+    def frame(self, view: View, rect: Rect) -> NearestFaces:
         """Raises RenderError where the driver refuses."""
-        depths = view.points[:, 2]
+        depths, points, faces = view.points[:, 2], view.points, self._mesh.faces
         near, far = max(0.9 * float(depths.min()), NEAR_M), 1.1 * float(depths.max())
-        picture = self._picture(view)
-        if far <= near or picture is None:
-            return GlFrame(
-                self._mesh, view, Picture(np.ones(2), np.zeros(2), 0, 0), np.zeros(0)
-            )
+        picture = self._picture(view) if far > near else NOTHING
+        numbers = np.zeros(0, np.int32)
+        if picture.width:
+            numbers = self._drawn(view, picture, near, far)
+
+        def nearest(
+            x: np.ndarray, y: np.ndarray, pixels: np.ndarray | None = None
+        ) -> tuple[np.ndarray, np.ndarray]:
+            face = picture.looked_up(numbers, x, y)
+            depth = depths_along(points, faces, face.ravel(), x.ravel(), y.ravel())
+            return face, depth.reshape(x.shape)
+
+        return nearest
+
+    def _drawn(self, view: View, picture: Picture, near: float, far: float) -> np.ndarray:
+        """(texels,) int32 numbers of faces, -1 = none, bottom row first."""
         middle = picture.shift + 0.5
         ideal = self.context.pyrender.IntrinsicsCamera(*picture.scale, *middle, near, far)
         projection = ideal.get_projection_matrix(picture.width, picture.height)
@@ -77,14 +103,13 @@ class GlFaces:
         camera_from_mesh[:3, :3] = view.rotation
         camera_from_mesh[:3, 3] = view.points[0] - view.rotation @ self._mesh.vertices[0]
         size = picture.width, picture.height
-        numbers = _on_gl_thread(self.drawing, to_gl @ camera_from_mesh, projection, *size)
-        return GlFrame(self._mesh, view, picture, numbers)
+        return _on_gl_thread(self.drawing, to_gl @ camera_from_mesh, projection, *size)
 
-    def _picture(self, view: View) -> Picture | None:
-        """The ideal camera's; None where no direction is known."""
+    def _picture(self, view: View) -> Picture:
+        """The ideal camera's; empty where no direction is known."""
         c = self._camera
         if np.isnan(view.x).all():
-            return None
+            return NOTHING
         low = np.array([np.nanmin(view.x), np.nanmin(view.y)])
         high = np.array([np.nanmax(view.x), np.nanmax(view.y)])
         scale = np.array([c.fx, c.fy]) * self._side
@@ -99,39 +124,6 @@ class GlFaces:
         return Picture(
             scale, centre - np.floor(low * scale + centre), int(width), int(height)
         )
-
-
-class GlFrame:
-    """One frame of GlFaces. numbers : (texels,) int32, of faces, -1 = none, bottom row first"""
-
-    def __init__(
-        self, mesh: SceneMesh, view: View, picture: Picture, numbers: np.ndarray
-    ) -> None:
-        self._mesh, self._view, self._picture, self._numbers = mesh, view, picture, numbers
-
-    def centres(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As of FacesOfFrame."""
-        return self._along(x, y)
-
-    def samples(
-        self, shape: tuple[int, int], pixels: np.ndarray, x: np.ndarray, y: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """As of FacesOfFrame."""
-        return self._along(x, y)
-
-    def _along(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        scale, shift, width, height = self._picture
-        with np.errstate(invalid="ignore"):
-            column = np.floor(x * scale[0] + shift[0] + 0.5)
-            row = np.floor(y * scale[1] + shift[1] + 0.5)
-            inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        face = np.full(x.shape, -1, np.int32)
-        texel = (height - 1 - row[inside]) * width + column[inside]
-        face[inside] = self._numbers[texel.astype(np.int64)]
-        depth = depths_along(
-            self._view.points, self._mesh.faces, face.ravel(), x.ravel(), y.ravel()
-        )
-        return face, depth.reshape(x.shape)
 
 
 def _on_gl_thread(work: Callable[..., T], *args: Any) -> T:

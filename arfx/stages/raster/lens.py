@@ -68,12 +68,6 @@ class LensTable:
         x, y = np.meshgrid(columns, rows)
         return c.normalised(np.stack([x, y], -1))
 
-    def along(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """(n, 2) float64: the same at n places."""
-        if self._splines is not None:
-            return np.stack([s(rows, columns, grid=False) for s in self._splines], -1)
-        return self.camera.normalised(np.stack([columns, rows], -1))
-
     @cached_property
     def _splines(self) -> tuple | None:
         from scipy.interpolate import RectBivariateSpline

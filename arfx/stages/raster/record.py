@@ -5,6 +5,7 @@ Compiled loops take them, and are compiled again for each mix of types: dtypes a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -99,3 +100,8 @@ def rays_through(
         np.full(count, np.inf, np.float32),
         np.full(count, -1, np.int32),
     )
+
+
+# Face, -1 = none, and depth along directions x, y: (h, w) of the rectangle's pixels, or (n, s) of
+# the samples of pixels (n,), which are numbered within it.
+NearestFaces = Callable[..., tuple[np.ndarray, np.ndarray]]

@@ -31,6 +31,7 @@ from arfx.stages.raster.record import (
     PLAIN_COLUMNS,
     SMOOTH,
     GBuffer,
+    NearestFaces,
     Rays,
     View,
     rays_through,
@@ -43,22 +44,7 @@ MAX_LAYERS = 8
 REFERENCE_SAMPLES = 256
 # A ray goes on this far behind a hit, as a fraction of the depth: eight steps of float32.
 _ONWARD = np.float32(1e-6)
-_CACHED_RAYS = 1 << 14  # what is known of so many stays in a processor's own cache
 _STRIP_PX, _BLOCK_RAYS = 1 << 20, 1 << 20  # at a time: bounds memory to about 200 MB
-
-
-class FacesOfFrame(Protocol):
-    """Which faces one frame's camera sees."""
-
-    def centres(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Face (h, w), -1 = none, and depth along the directions x, y (h, w) of the pixels."""
-        ...
-
-    def samples(
-        self, shape: tuple[int, int], pixels: np.ndarray, x: np.ndarray, y: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The same (n, s) along the directions x, y (n, s) near pixels (n,) of a picture."""
-        ...
 
 
 class FacesSeen(Protocol):
@@ -70,7 +56,7 @@ class FacesSeen(Protocol):
     offsets: np.ndarray
     any_rectangle: bool
 
-    def frame(self, view: View, rect: Rect) -> FacesOfFrame: ...
+    def frame(self, view: View, rect: Rect) -> NearestFaces: ...
 
 
 class Renderer:
@@ -130,9 +116,9 @@ class Renderer:
         view = self._view(rect, camera_from_world)
         # One pixel more on each side: a pixel's neighbours do not depend on the rectangle.
         wide = rect.pad(1)
-        frame = self.faces.frame(view, wide)
+        nearest = self.faces.frame(view, wide)
         wide_x, wide_y = (np.ascontiguousarray(a[1:-1, 1:-1]) for a in (view.x, view.y))
-        wide_face, wide_depth = frame.centres(wide_x, wide_y)
+        wide_face, wide_depth = nearest(wide_x, wide_y)
         if self.everywhere:
             edge = np.ones(rect.area, bool)
         else:
@@ -144,9 +130,10 @@ class Renderer:
         if self.layered:  # how much of a cut-out a pixel shows, its centre does not tell
             edge |= (self.tables.ints[self.mesh.part[face], MODE] == CUT_OUT) & (face >= 0)
         plain = np.flatnonzero((face >= 0) & ~edge)
-        for start in range(0, len(plain), _CACHED_RAYS):
-            pixels = plain[start : start + _CACHED_RAYS]
-            self._plain(pixels, face[pixels], x[pixels], y[pixels], view, out)
+        count, whole = len(plain), np.ones(len(plain), np.float32)
+        rays = rays_through(np.arange(count), face[plain], x[plain], y[plain], whole)
+        sums = self._follow(rays, count, view)
+        self._write(plain, rays.part, rays.depth, sums, view, out)
         sampled = np.flatnonzero(edge)
         step = max(_BLOCK_RAYS // len(self.offsets), 1)
         for start in range(0, len(sampled), step):
@@ -155,24 +142,9 @@ class Renderer:
             place = row + MARGIN, column + MARGIN
             x, y = (_around(a, *place, self.offsets) for a in (view.x, view.y))
             number = (row + 1) * wide.width + column + 1
-            found = frame.samples((wide.height, wide.width), number, x, y)
+            found = nearest(x, y, number)
             of_centre = [a[pixels] for a in centres]
             self._sampled(pixels, of_centre, (*found, x, y), view, out)
-
-    def _plain(
-        self,
-        pixels: np.ndarray,
-        face: np.ndarray,
-        x: np.ndarray,
-        y: np.ndarray,
-        view: View,
-        out: dict[Layer, np.ndarray],
-    ) -> None:
-        """Write pixels (n,) of `out`, each from the ray through its centre; all (n,)."""
-        count = len(pixels)
-        rays = rays_through(np.arange(count), face, x, y, np.ones(count, np.float32))
-        sums = self._follow(rays, count, view)
-        self._write(pixels, rays.part, rays.depth, sums, view, out)
 
     def _sampled(
         self,

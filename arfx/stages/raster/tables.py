@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from arfx.core.model import BLEND, MASK, OPAQUE, TEXTURE_SLOTS, Material
+from arfx.core.model import BLEND, MASK, OPAQUE, TEXTURE_SLOTS, Material, Texture
 from arfx.core.scene_mesh import SceneMesh
-from arfx.stages.raster.textures import StackBuilder
+from arfx.stages.raster.textures import texture_stack
 
 # Columns of the materials' numbers, one row a part. Each begins a run of those of its name.
 BASE, METALLIC, EMISSION, COAT_FACTORS, SHEEN_FACTORS = 0, 4, 7, 10, 12
@@ -58,7 +58,7 @@ class SurfaceTables(NamedTuple):
 
 def surface_tables(mesh: SceneMesh) -> SurfaceTables:
     """Pyramids of all textures are made here: some 10 ns a texel."""
-    builder = StackBuilder()
+    uses: list[tuple[Texture, bool]] = []
     count = len(mesh.materials)
     ints = np.full((count, TWO_SIDED + 1), -1, np.int32)
     uv_first = np.zeros((count, len(SLOTS)), np.int32)
@@ -69,11 +69,11 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
         for slot, name in enumerate(SLOTS):
             texture = material.textures.get(name)
             if texture is not None and mesh.has_uv[part, texture.uv_set]:
-                ints[part, slot] = builder.add(texture, TEXTURE_SLOTS[name])
+                ints[part, slot] = len(uses)
+                uses.append((texture, TEXTURE_SLOTS[name]))
                 uv_first[part, slot] = 2 * texture.uv_set
                 laid[part, slot] = texture.picture_from_uv
     used = np.flatnonzero((ints[:, :MODE] >= 0).any(0))
-    stack = builder.build()
     return SurfaceTables(
         mesh.faces,
         mesh.part,
@@ -87,8 +87,7 @@ def surface_tables(mesh: SceneMesh) -> SurfaceTables:
         uv_first,
         laid,
         1 + int(used.max(initial=-1)),
-        stack.texels,
-        stack.table,
+        *texture_stack(uses),
     )
 
 

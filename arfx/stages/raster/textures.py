@@ -4,6 +4,7 @@ Each level is the mean of four texels of the level below, 16 bits a channel."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -29,57 +30,25 @@ class TextureStack(NamedTuple):
     table: np.ndarray
 
 
-class StackBuilder:
-    """Collects pictures; one that is used in several places is stored once."""
+def texture_stack(uses: Sequence[tuple[Texture, bool]]) -> TextureStack:
+    """A row of the table for each; a picture that is used in several places is stored once.
 
-    def __init__(self) -> None:
-        self._index: dict[tuple[object, ...], int] = {}
-        self._pyramids: dict[tuple[int, bool], list[int]] = {}
-        self._pictures: list[
-            tuple[np.ndarray, bool]
-        ] = []  # ids stay unique while they live
-        self._rows: list[list[int]] = []
-        self._size = 0
-
-    def add(self, texture: Texture, srgb: bool) -> int:
-        """Number of a texture. srgb : its colour is coded, alpha never is"""
-        picture = texture.picture
-        key = (id(picture), srgb, *texture.wrap, texture.nearest)
-        if key not in self._index:
-            self._index[key] = len(self._rows)
-            offsets = self._pyramid_offsets(picture, srgb)
-            height, width = picture.shape[:2]
-            wrap_u, wrap_v = (_WRAPS[way] for way in texture.wrap)
-            row = [
-                width,
-                height,
-                len(offsets),
-                wrap_u,
-                wrap_v,
-                int(texture.nearest),
-                *offsets,
-            ]
-            self._rows.append(row + [0] * (MAX_LEVELS - len(offsets)))
-        return self._index[key]
-
-    def _pyramid_offsets(self, picture: np.ndarray, srgb: bool) -> list[int]:
-        key = id(picture), srgb
-        if key not in self._pyramids:
-            self._pictures.append((picture, srgb))
-            self._pyramids[key] = []
-            for width, height in level_sizes(picture):
-                self._pyramids[key].append(self._size)
-                self._size += width * height
-        return self._pyramids[key]
-
-    def build(self) -> TextureStack:
-        """All of them."""
-        texels = np.full((max(self._size, 1), 4), FULL, np.uint16)
-        for picture, srgb in self._pictures:
-            write_pyramid(picture, srgb, texels[self._pyramids[id(picture), srgb][0] :])
-        return TextureStack(
-            texels, np.array(self._rows, np.int64).reshape(-1, OFFSETS + MAX_LEVELS)
-        )
+    uses : textures, and whether their colour is coded (sRGB); alpha never is"""
+    pictures = {(id(texture.picture), srgb): texture.picture for texture, srgb in uses}
+    sizes = {key: level_sizes(picture) for key, picture in pictures.items()}
+    areas = {key: [w * h for w, h in levels] for key, levels in sizes.items()}
+    ends = np.cumsum([sum(texels) for texels in areas.values()], dtype=np.int64)
+    starts = dict(zip(pictures, [0, *ends], strict=False))
+    texels = np.full((max(sum(ends[-1:]), 1), 4), FULL, np.uint16)
+    for (key, picture), end in zip(pictures.items(), ends, strict=True):
+        write_pyramid(picture, key[1], texels[starts[key] : end])
+    table = np.zeros((len(uses), OFFSETS + MAX_LEVELS), np.int64)
+    for row, (texture, srgb) in zip(table, uses, strict=True):
+        key = id(texture.picture), srgb
+        levels, wraps = sizes[key], (_WRAPS[way] for way in texture.wrap)
+        row[:OFFSETS] = *levels[0], len(levels), *wraps, texture.nearest
+        row[OFFSETS : OFFSETS + len(levels)] = np.cumsum([starts[key], *areas[key][:-1]])
+    return TextureStack(texels, table)
 
 
 def level_sizes(picture: np.ndarray) -> list[tuple[int, int]]:

@@ -17,7 +17,7 @@ from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, level_named
 from arfx.papers.s4_gi import PrintedGi
 from arfx.stages.gi import Gi, GiParams
-from arfx.stages.light.planes import picture_on_planes, planes_of, texel_positions
+from arfx.stages.light.planes import PlatePicture, planes_of, texel_positions
 from tests.contract.stage_laws import check_roi_law
 from tests.scenes import facts
 from tests.unit.stages.gi_scenes import (
@@ -147,22 +147,13 @@ def test_a_thing_before_the_plane_is_no_picture_of_the_plane() -> None:
     plate = np.full((CAMERA.height, CAMERA.width, 3), 0.5, np.float32)
     plate[:, : CAMERA.width // 2] = 9
     whole = Rect.of(CAMERA.width, CAMERA.height)
-    axes = planes.axes.astype(float)
-    seen, known = picture_on_planes(
-        plate,
-        whole,
-        whole,
-        CAMERA,
-        POSE,
-        places,
-        axes,
-        np.zeros(3, np.float32),
-        depth_with_a_thing(),
+    axes, nothing = planes.axes[0].astype(float), np.zeros((0, 0), np.float32)
+    shown = PlatePicture(
+        plate, whole, whole, CAMERA, POSE, np.zeros(3, np.float32), depth_with_a_thing()
     )
+    seen, known = shown.radiance(places[0], axes)
     assert known.sum() > 20 and seen[known > 0].max() < 5
-    _, all_of_it = picture_on_planes(
-        plate, whole, whole, CAMERA, POSE, places, axes, np.zeros(3, np.float32)
-    )
+    _, all_of_it = replace(shown, real=nothing).radiance(places[0], axes)
     assert known.sum() < 0.8 * all_of_it.sum()
 
 

@@ -30,7 +30,7 @@ from arfx.stages.raster import Raster, RasterParams, backend_report, choose_back
 from arfx.stages.raster import backends as backends_module
 from arfx.stages.raster.lens import LensTable
 from arfx.stages.raster.texture_filter import filtered
-from arfx.stages.raster.textures import FULL, OFFSETS, StackBuilder, write_pyramid
+from arfx.stages.raster.textures import FULL, OFFSETS, texture_stack, write_pyramid
 from arfx.stages.raster.visible import lattice
 from tests.reference.raster import ReferenceRenderer
 from tests.scenes import box_model, facts
@@ -387,13 +387,13 @@ def test_standard_is_near_the_mean_over_each_pixel() -> None:
 
 def test_a_sample_is_the_mean_over_its_texels() -> None:
     """White noise in samples of up to three texels, beside the mean over all of each."""
-    numbers, builder = np.random.default_rng(7), StackBuilder()
-    number = builder.add(Texture(numbers.integers(0, 256, (64, 64, 3), np.uint8)), False)
-    stack, nothing = builder.build(), np.zeros(2, np.float32)
+    numbers, nothing = np.random.default_rng(7), np.zeros(2, np.float32)
+    noise = Texture(numbers.integers(0, 256, (64, 64, 3), np.uint8))
+    stack = texture_stack([(noise, False)])
 
     def seen(place: np.ndarray, across: np.ndarray, down: np.ndarray) -> np.ndarray:
         sample = (tuple(np.float32(a) for a in v) for v in (place, across, down))
-        return 255 * np.array(filtered(*stack, number, *sample, 4)[:3])
+        return 255 * np.array(filtered(*stack, 0, *sample, 4)[:3])
 
     within = (np.arange(12) + 0.5) / 12 - 0.5
     off = []
@@ -499,11 +499,9 @@ def test_pyramid_averages_in_linear_light() -> None:
             ).max()
             <= 1
         )
-    stack = StackBuilder()
-    assert (
-        stack.add(Texture(checker), True) == 0 and stack.add(Texture(checker), True) == 0
-    ), "one picture is stored once"
-    assert stack.add(Texture(checker), False) == 1
+    stack = texture_stack([(Texture(checker), srgb) for srgb in (True, True, False)])
+    starts = stack.table[:, OFFSETS].tolist()
+    assert starts == [0, 0, 21] and len(stack.texels) == 42, "one picture is stored once"
 
 
 @pytest.mark.parametrize(
@@ -622,9 +620,7 @@ def test_textures_take_no_more_than_their_own_types() -> None:
     image = np.random.default_rng(0).integers(0, 256, (2048, 2048, 4), dtype=np.uint8)
     expected = SRGB.decode(image[:64, :64, :3] / 255).reshape(32, 2, 32, 2, 3).mean((1, 3))
     tracemalloc.start()
-    builder = StackBuilder()
-    builder.add(Texture(image), True)
-    stack = builder.build()
+    stack = texture_stack([(Texture(image), True)])
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 16 * image.size / 4  # texels 10.7, the picture with four channels 4
