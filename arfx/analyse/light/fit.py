@@ -17,16 +17,19 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.light.hypotheses import (
+    LEAST_LIGHT,
+    NO_CONE_DEG,
     LEAST_SHADOW,
     LIKELY,
     MEASURED,
     MOST_OFF_DEG,
     REFUSED,
     Assessment,
-    LightHypotheses,
+    Explanations,
     Params,
 )
-from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, gather, refine
+from arfx.analyse.light.model import DOME, Lights, left_over, refine, solve
+from arfx.analyse.light.search import gather
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import arccos, normalise
 
@@ -183,7 +186,6 @@ def fit(
     variance: np.ndarray | None = None,
     group: np.ndarray | None = None,
     params: Params = Params(),  # noqa: B008 - frozen
-    lit: np.ndarray | None = None,
 ) -> LightFit:
     """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);
     variance : (k, 3), of noise alone
@@ -191,10 +193,8 @@ def fit(
     directions are shared by all
     groups, amplitudes are each group's own. What is not finite is left out.
     Nothing non-finite leaves.
-    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
-    are shared by all groups too
     """
-    s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
+    s = gather(normals, irradiance, variance, group, MODEL_ERROR)
     if s is None:
         none = np.zeros((1, 3))
         return LightFit(REFUSED, "no usable observation", none, none)
@@ -218,7 +218,7 @@ def fit(
         return refused(
             f"{len(s.normals)} normals only: a direction beside ambient light takes 4"
         )
-    error, found = MODEL_ERROR, LightHypotheses(s, params)
+    error, found = MODEL_ERROR, Explanations(s, params)
     for _ in range(
         4
     ):  # what no lights explain is an error of the model, and not one that averages out
@@ -228,8 +228,8 @@ def fit(
         error = max(error, 1e-4) * float(np.sqrt(misfit))
         if error > MOST_ERROR:
             break
-        s = gather(normals, irradiance, variance, group, error, lit) or s
-        found = LightHypotheses(s, params, found)
+        s = gather(normals, irradiance, variance, group, error) or s
+        found = Explanations(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
         return refused(
@@ -237,8 +237,9 @@ def fit(
             " changed, or the surface is glossy",
         )
     model, count = found.best[found.count], found.count
-    s = model.at
-    about["gamma"] = s.gamma
+    s = found.samples
+    amplitudes = solve(found.groups, model).amplitudes
+    about["gamma"] = float(np.exp(left_over(found.groups, model, amplitudes)[1]))
     if count == 0:
         return refused(
             "the light is even: no direction stands out, or it comes from behind all"
@@ -246,9 +247,9 @@ def fit(
         )
     # directions are the exponent's, amplitudes those of the values as they came: what is
     # shown beside them has to match
-    amp = replace(model, at=found.plain).amplitudes()[0] * s.scale[:, None]  # (g, 3, q + 1)
-    domes = model.soft >= DOME
-    order = np.lexsort([-model.fractions, domes])
+    amp = solve(s.groups(), model).amplitudes[0] * s.scale[:, None]  # (g, 3, q + 1)
+    shares, domes = found.shares(model)[0], model.soft[0] >= DOME
+    order = np.lexsort([-shares, domes])
     known = [found.assess(int(i)) for i in order]
     first = known[0]
     if first.verdict == REFUSED:
@@ -256,22 +257,22 @@ def fit(
     if (
         count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED
     ):  # it is so only beside the first
-        _, cone, spread, doubt = known[1]
+        _, cone, doubt = known[1]
         sound = (
-            first.spread_deg <= MOST_BESIDE_DEG
-            and model.fractions[order[1]] >= LEAST_SHADOW
+            first.cone_deg <= MOST_BESIDE_DEG
+            and shares[order[1]] >= LEAST_SHADOW
         )
         verdict = LIKELY if sound else REFUSED
         doubt = doubt or "there may be another pair of lights"
         known[1] = Assessment(
-            verdict, max(cone, params.limit_deg), max(spread, params.limit_deg), doubt
+            verdict, max(cone, params.limit_deg), doubt
         )
     size_deg = _size_deg(found, domes)
     lights = []
-    for i, (verdict, cone, spread, doubt) in zip(order, known, strict=True):
+    for i, (verdict, cone, doubt) in zip(order, known, strict=True):
         size = 180.0 if domes[i] else size_deg
         one = FittedLight(
-            model.dirs[i],
+            model.dirs[0, i],
             amp[:, :, 1 + i],
             NO_CONE_DEG if verdict == REFUSED else cone,
             size,
@@ -279,7 +280,7 @@ def fit(
             doubt,
         )
         if verdict == LIKELY:
-            one = doubted(one, max(cone, min(spread, MOST_OFF_DEG)), spread, doubt)
+            one = doubted(one, cone, doubt)
         lights.append(one)
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
@@ -289,10 +290,10 @@ def fit(
 
 
 def doubted(
-    light: FittedLight, cone_deg: float, spread_deg: float, doubt: str
+    light: FittedLight, cone_deg: float, doubt: str
 ) -> FittedLight:
     """The light as a likely one, its disc as wide as lamps in its place may be spread."""
-    size_deg = max(light.angular_size_deg, min(spread_deg, MOST_SIZE_DEG))
+    size_deg = max(light.angular_size_deg, min(cone_deg, MOST_SIZE_DEG))
     return replace(
         light,
         confidence_deg=cone_deg,
@@ -312,14 +313,14 @@ def _words(known: Assessment) -> str:
     )
 
 
-def _size_deg(found: LightHypotheses, domes: np.ndarray) -> float:
+def _size_deg(found: Explanations, domes: np.ndarray) -> float:
     """Full angle of the lights' discs: what the data show, or else a default that they allow."""
     model = found.best[found.count]
-    tried = [np.where(domes, model.soft, np.sin(np.radians(a))) for a in _SIZES_DEG]
-    chi2 = np.array([refine(model.at, model.dirs, soft, passes=6).chi2 for soft in tried])
-    bound = (
-        found.bound() - found.best_cost[found.count] + model.chi2
-    )  # chi squared that is no worse than the best
+    n = len(_SIZES_DEG)
+    soft = np.where(domes, model.soft, np.sin(np.radians(_SIZES_DEG))[:, None])
+    tried = Lights(np.repeat(model.dirs, n, 0), soft, np.repeat(model.mix, n, 0))
+    chi2 = refine(found.groups, tried, passes=6)[1]
+    bound = found.bound()
     inside, best = (
         np.flatnonzero(chi2 <= max(bound, chi2.min())),
         2 * float(_SIZES_DEG[chi2.argmin()]),

@@ -20,9 +20,8 @@ from itertools import pairwise
 import numpy as np
 
 from arfx.analyse.light.fit import LightFit, doubted, fit
-from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
+from arfx.analyse.light.hypotheses import LIKELY, MEASURED, NO_CONE_DEG, REFUSED, Params
 from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.search import NO_CONE_DEG
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
 
@@ -82,12 +81,11 @@ def fit_over_time(
     def run(
         rows: slice,
         group: np.ndarray | None = None,
-        lit: np.ndarray | None = None,
         lights: int = 2,
     ) -> LightFit:
         p = replace(params, most_lights=min(params.most_lights, lights))
         return fit(
-            n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit
+            n[rows], E[rows], v[rows], None if group is None else group[rows], p
         )
 
     # where most frames show normals that are apart, changing light is distinguished from a
@@ -107,7 +105,7 @@ def fit_over_time(
         middle = min(max(middle, rows.start), rows.stop)
         first, off = found.lights[0], 0.0
         for half in (slice(rows.start, middle), slice(middle, rows.stop)):
-            lights = run(half, group, None, len(found.lights)).lights
+            lights = run(half, group, len(found.lights)).lights
             apart = [angle_between(li.direction, first.direction) for li in lights]
             off = max(off, float(np.degrees(min(apart, default=np.inf))))
         if off <= agree_deg:
@@ -123,7 +121,7 @@ def fit_over_time(
                 found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb
             )
         doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
-        first = doubted(first, max(first.confidence_deg, 2 * off), 2 * off, doubt)
+        first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
         return replace(
             found,
             verdict=LIKELY,
@@ -145,16 +143,6 @@ def fit_over_time(
     # the account whose refusal says most: the first that explains what was seen
     best_refusal = constant
     held: list[tuple[str, LightFit, list[Span]]] = []  # accounts that explain it
-    if (lit := switches(times, E, segments)) is not None:
-        group = _group(times, segments)
-        found = run(every, group, lit)
-        if holds(found, lit[group].astype(int)):
-            dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
-            spans = [
-                Span(a, b, found if on else dark)
-                for on, (a, b) in zip(lit, pairwise(segments), strict=True)
-            ]
-            held.append((SWITCHED, found, spans))
     for name, window_s in ((SEGMENTS, np.inf), (SHARED, LONGEST_WINDOW_S)):
         edges = window_edges(start, stop, breaks_s, window_s)
         if name == SHARED:
