@@ -248,7 +248,7 @@ def fit(
     # directions are the exponent's, amplitudes those of the values as they came: what is
     # shown beside them has to match
     amp = solve(s.groups(), model).amplitudes[0] * s.scale[:, None]  # (g, 3, q + 1)
-    shares, domes = found.shares(model)[0], model.soft[0] >= DOME
+    shares, domes = found.shares(model)[0][0], model.soft[0] >= DOME
     order = np.lexsort([-shares, domes])
     known = [found.assess(int(i)) for i in order]
     first = known[0]

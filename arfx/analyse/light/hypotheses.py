@@ -93,7 +93,7 @@ class Explanations:
         ]
         self.count = 0
         for k in range(1, most + 1):
-            sound = (self.shares(self.best[k])[0] >= LEAST_LIGHT).all()
+            sound = (self.shares(self.best[k])[0][0] >= LEAST_LIGHT).all()
             if sound and bic[k] < bic[self.count] - LEAST_EVIDENCE:
                 self.count = k
 
@@ -107,21 +107,25 @@ class Explanations:
         self.best, self.best_cost = [], []
         for lights, chi2 in found:
             # one that hardly any normal sees explains noise and no more
-            unseen = (self.shares(lights) < LEAST_LIGHT).any(1)
+            unseen = (self.shares(lights)[0] < LEAST_LIGHT).any(1)
             k = int(np.lexsort([chi2, unseen])[0])
             self.best.append(lights[k : k + 1])
             self.best_cost.append(float(chi2[k]))
 
-    def shares(self, lights: Lights) -> np.ndarray:
-        """(n, q) of each direction in all the light that was seen."""
+    def shares(self, lights: Lights) -> tuple[np.ndarray, np.ndarray]:
+        """(n, q) share of each direction's light in all that was seen; irradiance of each
+        direction."""
         amplitudes = solve(self.groups, lights).amplitudes
-        total, part = np.zeros(len(lights)), np.zeros(lights.soft.shape)
+        total, seen = np.zeros(len(lights)), np.zeros(lights.mix.shape[:2])
         for number, group in enumerate(self.groups):
-            size = amplitudes[:, number].sum(1)  # (n, m + 1)
-            strength = (size[:, None, 1:] @ lights.mix)[:, 0]
-            part += strength * (lights.columns(group.normals)[0] @ group.root**2)
-            total += size[:, 0] * (group.root**2).sum()
-        return part / np.maximum(total + part.sum(1), 1e-300)[:, None]
+            size, weight = amplitudes[:, number].sum(1), group.root**2  # (n, m + 1), (k,)
+            column = lights.mix @ lights.columns(group.normals)[0]
+            seen += size[:, 1:] * (column @ weight)
+            total += size[:, 0] * weight.sum()
+        share = seen / np.maximum(total + seen.sum(1), 1e-300)[:, None]
+        of_direction = (share[:, None] @ (lights.mix > 0))[:, 0]
+        strength = (amplitudes.sum((1, 2))[:, None, 1:] @ lights.mix)[:, 0]
+        return of_direction, strength
 
     def _parameters(self, count: int) -> int:
         return 3 * len(self.groups) * (1 + count) + 2 * count
@@ -144,31 +148,34 @@ class Explanations:
         if best.soft[0, light] >= DOME:
             return Assessment(REFUSED, NO_CONE_DEG, "it is a sky")
         direction = best.dirs[0, light]
-        slack = np.degrees(SYSTEMATIC_ERROR * self.samples.condition(direction))
-        bound, doubts = self.bound(), []
+        slack = float(np.degrees(SYSTEMATIC_ERROR * self.samples.condition(direction)))
+        bound, vector_deg, doubts = self.bound(), 0.0, []
+        least = min(LEAST_SHADOW, self.shares(best)[0][0, light] / 2)
+        middle = self.samples.normals.mean(0)
         for words, lights, chi2 in self._others(light):
             inside = lights[chi2 <= bound]
-            off, apart = self._off_deg(inside, direction)
-            farthest = float(off.max(initial=0.0))
+            shares, strength = self.shares(inside)
+            off = np.degrees(angle_between(inside.dirs, direction))
+            lamp = (inside.soft < DOME) & (shares >= least)
+            nearest = np.where(lamp, off, np.inf).min(1, initial=np.inf)
+            # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
+            farthest = np.where(np.isfinite(nearest), nearest, SKY_DEG).max(initial=0.0)
             wider = _RINGS_DEG[_RINGS_DEG > farthest + 1e-6]
             ring = float(wider[0]) if len(wider) else NO_CONE_DEG
-            doubts.append((ring, words.format(_up_to(float(apart.max(initial=0.0)), ring))))
+            apart = np.degrees(angle_between(inside.dirs[:, 0], inside.dirs[:, -1]))
+            doubts.append((ring, words.format(_up_to(apart.max(initial=0.0), ring))))
+            # what lies behind all that was seen says nothing of its vector
+            front = (inside.dirs @ middle > 0).all(1)
+            vector = (strength[:, None] @ inside.dirs)[:, 0]
+            turned = np.degrees(angle_between(vector[front], direction))
+            vector_deg = max(vector_deg, float(turned.max(initial=0.0)))
         ring, doubt = max(doubts, key=lambda d: d[0])
-        cone = min(max(ring, LEAST_CONE_DEG) + float(slack), NO_CONE_DEG)
+        cone = min(max(ring, LEAST_CONE_DEG) + slack, NO_CONE_DEG)
         if cone <= self.params.limit_deg:
             return Assessment(MEASURED, cone, "")
-        likely = self.params.likely and cone <= MOST_OFF_DEG
+        likely = self.params.likely and vector_deg + slack <= MOST_OFF_DEG
+        cone = max(min(cone, MOST_OFF_DEG), vector_deg + slack)
         return Assessment(LIKELY if likely else REFUSED, cone, doubt)
-
-    def _off_deg(self, lights: Lights, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) degrees to the nearest lamp of each set, without a lamp to where its sky is
-        brightest, and between its first two directions."""
-        off = np.degrees(angle_between(lights.dirs, direction))
-        lamp = (lights.soft < DOME) & (self.shares(lights) >= LEAST_SHADOW)
-        nearest = np.where(lamp, off, np.inf).min(1, initial=np.inf)
-        sky = np.maximum(off[:, -1], SKY_DEG)
-        apart = np.degrees(angle_between(lights.dirs[:, 0], lights.dirs[:, -1]))
-        return np.where(np.isfinite(nearest), nearest, sky), apart
 
     def _others(self, light: int) -> list[tuple[str, Lights, np.ndarray]]:
         """(words, sets of lights, their chi squared) that may explain the data as well."""
