@@ -18,11 +18,10 @@ import numpy as np
 
 from arfx.analyse.light.hypotheses import (
     LEAST_LIGHT,
-    NO_CONE_DEG,
     LEAST_SHADOW,
     LIKELY,
     MEASURED,
-    MOST_OFF_DEG,
+    NO_CONE_DEG,
     REFUSED,
     Assessment,
     Explanations,
@@ -258,15 +257,10 @@ def fit(
         count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED
     ):  # it is so only beside the first
         _, cone, doubt = known[1]
-        sound = (
-            first.cone_deg <= MOST_BESIDE_DEG
-            and shares[order[1]] >= LEAST_SHADOW
-        )
+        sound = first.cone_deg <= MOST_BESIDE_DEG and shares[order[1]] >= LEAST_SHADOW
         verdict = LIKELY if sound else REFUSED
         doubt = doubt or "there may be another pair of lights"
-        known[1] = Assessment(
-            verdict, max(cone, params.limit_deg), doubt
-        )
+        known[1] = Assessment(verdict, max(cone, params.limit_deg), doubt)
     size_deg = _size_deg(found, domes)
     lights = []
     for i, (verdict, cone, doubt) in zip(order, known, strict=True):
@@ -289,9 +283,7 @@ def fit(
     return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
 
 
-def doubted(
-    light: FittedLight, cone_deg: float, doubt: str
-) -> FittedLight:
+def doubted(light: FittedLight, cone_deg: float, doubt: str) -> FittedLight:
     """The light as a likely one, its disc as wide as lamps in its place may be spread."""
     size_deg = max(light.angular_size_deg, min(cone_deg, MOST_SIZE_DEG))
     return replace(

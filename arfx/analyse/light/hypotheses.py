@@ -9,20 +9,22 @@ and the cone is as wide as its nearest lamps are off. Source: docs/methods/light
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from dataclasses import dataclass
 
-from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.model import DOME, Group, Lights, each, left_over, refine, solve
 from arfx.analyse.light.search import Samples
+from arfx.analyse.light.sphere import DEG_8, DEG_16, DEG_32, even_directions
 from arfx.core.numerics import angle_between, normalise
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
 LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
-MOST_OFF_DEG = 60.0  # cone of a likely light: half of it still comes from where it is thought to be
+MOST_OFF_DEG = (
+    60.0  # cone of a likely light: half of it still comes from where it is thought to be
+)
 NO_CONE_DEG = 180.0
 LEAST_LIGHT = 0.015  # share of the light seen below which a light counts as none
 LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth the name
@@ -31,9 +33,7 @@ SYSTEMATIC_ERROR = 0.0005
 SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
 _SOFT = np.sin(np.radians([0.0, 10.0, 20.0, 35.0]))  # of one light's disc
 _RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lamps that pose as one
-_RINGS_DEG = np.array(
-    [0.5, 1, 1.5, 2.5, 3.5, 5, 7.5, 10, 15, 20, 30, 40, 50, 60, 75]
-)
+_RINGS_DEG = np.array([0.5, 1, 1.5, 2.5, 3.5, 5, 7.5, 10, 15, 20, 30, 40, 50, 60, 75])
 _AZIMUTHS = np.arange(8) * np.pi / 4
 _APART = np.cos(np.radians(20.0))  # starts nearer to each other lead to one minimum
 _STARTS = 12
@@ -160,7 +160,7 @@ class Explanations:
             nearest = np.where(lamp, off, np.inf).min(1, initial=np.inf)
             # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
             farthest = np.where(np.isfinite(nearest), nearest, SKY_DEG).max(initial=0.0)
-            wider = _RINGS_DEG[_RINGS_DEG > farthest + 1e-6]
+            wider = _RINGS_DEG[farthest + 1e-6 < _RINGS_DEG]
             ring = float(wider[0]) if len(wider) else NO_CONE_DEG
             apart = np.degrees(angle_between(inside.dirs[:, 0], inside.dirs[:, -1]))
             doubts.append((ring, words.format(_up_to(apart.max(initial=0.0), ring))))
@@ -193,13 +193,19 @@ class Explanations:
             full[:, 1:, p:] = np.eye(len(rest))
             return Lights(
                 np.concatenate([dirs, others], 1),
-                np.concatenate([soft, np.broadcast_to(best.soft[:, rest], (count, len(rest)))], 1),
+                np.concatenate(
+                    [soft, np.broadcast_to(best.soft[:, rest], (count, len(rest)))], 1
+                ),
                 full,
             )
 
         size = best.soft[0, light]
         out = [
-            ("another direction explains the data as well", self.minima[self.count], self.costs[self.count]),
+            (
+                "another direction explains the data as well",
+                self.minima[self.count],
+                self.costs[self.count],
+            ),
         ]
         alone = with_rest(ring[:, None], np.full((n, 1), size), np.ones((n, 1)))
         out.append(
@@ -229,9 +235,9 @@ class Explanations:
                 np.cos(np.pi / 3) * first - np.sin(np.pi / 3) * across,
                 -ring,
             ]
-            domes = joined([
-                each(np.stack([ring, d], 1), np.array([size, DOME])) for d in sky
-            ])
+            domes = joined(
+                [each(np.stack([ring, d], 1), np.array([size, DOME])) for d in sky]
+            )
             words = "ambient light that is brighter from one side may shift it"
             out.append((words, *refine(self.groups, domes, 0, _HELD_PASSES)))
             out.append((words, self.minima[2], self.costs[2]))
@@ -248,23 +254,25 @@ def _starts(groups: list[Group], most: int) -> list[Lights]:
     """By count, from a grid over the whole sphere."""
     out = [each(np.zeros((1, 0, 3)))]
     if most >= 1:
-        ones = _apart(groups, each(icosphere(3).vertices[:, None]), 4)
+        ones = _apart(groups, each(even_directions(DEG_8)[:, None]), 4)
         ones, chi2 = refine(groups, ones)
         first = ones[np.argsort(chi2)[:1]]
         large = Lights(np.repeat(first.dirs, 3, 0), _SOFT[1:, None], np.ones((3, 1, 1)))
         out.append(joined([ones, large]))
     if most >= 2:
-        coarse, fine = icosphere(1).vertices, icosphere(2).vertices
+        coarse, fine = even_directions(DEG_32), even_directions(DEG_16)
         i, j = np.triu_indices(len(coarse), 1)
         second = [np.stack([coarse[i], coarse[j]], 1)]
         d = first.dirs[0, 0]
         second.append(np.stack([np.broadcast_to(d, fine.shape), fine], 1))
         sky = np.stack([np.broadcast_to(d, coarse.shape), coarse], 1)
         out.append(
-            joined([
-                _apart(groups, each(np.concatenate(second)), _STARTS),
-                _apart(groups, each(sky, np.array([0, DOME])), 4),
-            ])
+            joined(
+                [
+                    _apart(groups, each(np.concatenate(second)), _STARTS),
+                    _apart(groups, each(sky, np.array([0, DOME])), 4),
+                ]
+            )
         )
     return out
 
@@ -286,7 +294,9 @@ def around(d: np.ndarray, radii_deg: np.ndarray) -> np.ndarray:
     """(radii x 8, 3) directions about the unit vector d."""
     across = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
     a = np.radians(radii_deg)[:, None, None]
-    side = np.cos(_AZIMUTHS)[:, None] * across + np.sin(_AZIMUTHS)[:, None] * np.cross(d, across)
+    side = np.cos(_AZIMUTHS)[:, None] * across + np.sin(_AZIMUTHS)[:, None] * np.cross(
+        d, across
+    )
     return (np.cos(a) * d + np.sin(a) * side).reshape(-1, 3)
 
 

@@ -173,9 +173,7 @@ def refine(
         there = solve(groups, trial, moved)
         better = there.chi2 < now.chi2
         gains = now.chi2 - there.chi2 > _STALLED * now.chi2
-        lights = replace(
-            lights, dirs=np.where(better[:, None, None], dirs, lights.dirs)
-        )
+        lights = replace(lights, dirs=np.where(better[:, None, None], dirs, lights.dirs))
         now = Solution(
             *(
                 np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a)

@@ -7,16 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.model import Group
+from arfx.analyse.light.sphere import DEG_4, DEG_16, nearest_cell
 from arfx.core.numerics import condition, divide
 
-FINE, COARSE = (
-    4,
-    2,
-    # levels of the cells that are averaged (4 degrees), and that share one systematic error (16
-    # degrees)
-)
+# apart: what is averaged, and what shares one systematic error
+FINE, COARSE = DEG_4, DEG_16
 _UNUSABLE = 1e11  # a variance from here on is UNKNOWN_VARIANCE of photometry.py
 _LEAST = 1e-5  # noise of a mean, of the brightest light: below it weights say nothing
 _DARK = 1e-3  # of the bright level
@@ -113,15 +109,14 @@ def gather(
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
     E, v = E / scale, (v / scale**2).mean(1)
     number = np.unique(g, return_inverse=True)[1]
-    cells = len(icosphere(FINE).vertices)
-    key, where = np.unique(number * cells + icosphere(FINE).nearest(n), return_inverse=True)
+    key, where = np.unique(number * FINE + nearest_cell(n, FINE), return_inverse=True)
     rows = np.split(np.argsort(where, kind="stable"), np.cumsum(np.bincount(where))[:-1])
     N, X, V = (
         np.array(a) for a in zip(*(_mean(n[r], E[r], v[r]) for r in rows), strict=True)
     )
-    groups = key // cells
+    groups = key // FINE
     coarse = np.unique(
-        np.stack([groups, icosphere(COARSE).nearest(N)]), axis=1, return_inverse=True
+        np.stack([groups, nearest_cell(N, COARSE)]), axis=1, return_inverse=True
     )[1].ravel()
     many, floor = np.bincount(coarse)[coarse], model_error**2
     variance_of_mean = V + many * floor + _LEAST**2
@@ -149,5 +144,3 @@ def _mean(
         scatter = float((width**2).mean()) / len(n)
     p = p / p.sum()
     return p @ n, p @ E, max(float((p * p) @ v), scatter)
-
-

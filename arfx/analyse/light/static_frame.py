@@ -19,7 +19,6 @@ from arfx.analyse.light.brightness import brightness, common_level, steps
 from arfx.analyse.light.fit import best_verdict, span_deg
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
-from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
@@ -30,6 +29,7 @@ from arfx.analyse.light.over_time import (
     fit_over_time,
 )
 from arfx.analyse.light.photometry import LightReading
+from arfx.analyse.light.sphere import DEG_8, nearest_cell
 from arfx.analyse.light.surroundings import (
     OUTSTANDING,
     EnvironmentSample,
@@ -362,7 +362,7 @@ class StaticFrameLight:
         document = light.to_json()
         return {
             "source": source,
-            "normals_seen": len(np.unique(icosphere(3).nearest(n))),
+            "normals_seen": len(np.unique(nearest_cell(n, DEG_8))),
             "normal_span_deg": span_deg(n) if normal_span_deg is None else normal_span_deg,
             "rank": int((size > 1e-2 * size.max(initial=0)).sum()),
             "condition": condition if 0 < condition < 1e12 else None,
