@@ -212,6 +212,7 @@ def fit(
     if span < LEAST_SPAN_DEG or narrow:
         return refused(
             f"one normal only, as far as poses are known: all lie within {span:.2g} degrees"
+            " (turn the print, add a cube of prints, or give `--light`)"
         )
     if len(s.normals) < 4:
         return refused(

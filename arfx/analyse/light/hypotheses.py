@@ -9,14 +9,24 @@ and the cone is as wide as its nearest lamps are off. Source: docs/methods/light
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from arfx.analyse.light.model import DOME, Group, Lights, each, left_over, refine, solve
+from arfx.analyse.light.model import (
+    DOME,
+    Group,
+    Lights,
+    each,
+    joined,
+    left_over,
+    refine,
+    solve,
+)
 from arfx.analyse.light.search import Samples
-from arfx.analyse.light.sphere import DEG_8, DEG_16, DEG_32, even_directions
+from arfx.analyse.light.sphere import DEG_32, even_directions
 from arfx.core.numerics import angle_between, normalise
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
@@ -31,12 +41,13 @@ LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth 
 # of readings and normals, slow over a clip: times the condition it turns the direction, radians
 SYSTEMATIC_ERROR = 0.0005
 SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
-_SOFT = np.sin(np.radians([0.0, 10.0, 20.0, 35.0]))  # of one light's disc
+_SOFT = np.sin(np.radians([[10.0], [20.0], [35.0]]))  # of one light's disc
 _RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lamps that pose as one
-_RINGS_DEG = np.array([0.5, 1, 1.5, 2.5, 3.5, 5, 7.5, 10, 15, 20, 30, 40, 50, 60, 75])
-_AZIMUTHS = np.arange(8) * np.pi / 4
-_APART = np.cos(np.radians(20.0))  # starts nearer to each other lead to one minimum
-_STARTS = 12
+_RINGS_DEG = np.array(
+    [0.5, 1, 1.5, 2.5, 3.5, 5, 7.5, 10, 15, 20, 30, 40, 50, 60, 75, NO_CONE_DEG, np.inf]
+)
+_AZIMUTHS = np.arange(8)[:, None] * np.pi / 4
+_TRIED, _KEPT = 40, 8  # of the pairs on the grid; of the minima
 _HELD_PASSES = 12
 
 
@@ -67,8 +78,8 @@ class Assessment(NamedTuple):
 class Explanations:
     """Of the samples, by number of lights.
 
-    groups : the samples;  minima, costs : by count, all that the search ended in;  best :
-    their best, one set of lights;  best_cost : its chi squared;  count : the chosen
+    groups : the samples;  minima : by count, what the search ended in, and its chi squared
+    best : the best of them, one set of lights;  best_cost : its chi squared;  count : the chosen
     """
 
     def __init__(
@@ -77,14 +88,15 @@ class Explanations:
         """start : of the same observations under other weights; its minima are followed"""
         self.params = params
         most = max(0, min(params.most_lights, 2))
-        self._refined(s, start.minima if start else _starts(self._groups(s), most))
+        starts = _starts(self._groups(s), most) if start is None else start._found()
+        self._refined(s, starts)
         for _ in range(2):
             amplitudes = solve(self.groups, self.best[most]).amplitudes
             calmer = s.downweighted(left_over(self.groups, self.best[most], amplitudes)[0])
             if (calmer.weight >= 0.5 * s.weight).all():
                 break
             s = calmer
-            self._refined(s, self.minima)
+            self._refined(s, self._found())
         self.samples = s
         wide = max(1.0, self.misfit(most))
         bic = [
@@ -97,15 +109,18 @@ class Explanations:
             if sound and bic[k] < bic[self.count] - LEAST_EVIDENCE:
                 self.count = k
 
+    def _found(self) -> list[Lights]:
+        return [lights for lights, _ in self.minima]
+
     def _groups(self, s: Samples) -> list[Group]:
         return s.groups(self.params.gamma_sigma)
 
     def _refined(self, s: Samples, starts: list[Lights]) -> None:
         self.samples, self.groups = s, self._groups(s)
-        found = [refine(self.groups, lights) for lights in starts]
-        self.minima, self.costs = [f[0] for f in found], [f[1] for f in found]
-        self.best, self.best_cost = [], []
-        for lights, chi2 in found:
+        self.minima = [refine(self.groups, lights) for lights in starts]
+        self.best: list[Lights] = []
+        self.best_cost: list[float] = []
+        for lights, chi2 in self.minima:
             # one that hardly any normal sees explains noise and no more
             unseen = (self.shares(lights)[0] < LEAST_LIGHT).any(1)
             k = int(np.lexsort([chi2, unseen])[0])
@@ -143,7 +158,11 @@ class Explanations:
         return float(self.best_cost[self.count] + 2 * fdtri(2, dof, 0.95) * wider)
 
     def assess(self, light: int) -> Assessment:
-        """Of one light of the chosen explanation. light : its row in best.dirs"""
+        """Of one light of the chosen explanation. light : its row in best.dirs
+
+        What looks the same has nearly the same light vector (Gershun 1939: sum of the lights'
+        rgb times directions): the shadow of the simplest explanation falls the right way under
+        all of it."""
         best = self.best[self.count]
         if best.soft[0, light] >= DOME:
             return Assessment(REFUSED, NO_CONE_DEG, "it is a sky")
@@ -157,17 +176,17 @@ class Explanations:
             shares, strength = self.shares(inside)
             off = np.degrees(angle_between(inside.dirs, direction))
             lamp = (inside.soft < DOME) & (shares >= least)
-            nearest = np.where(lamp, off, np.inf).min(1, initial=np.inf)
+            nearest = np.where(lamp, off, np.inf).min(1)
             # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
             farthest = np.where(np.isfinite(nearest), nearest, SKY_DEG).max(initial=0.0)
-            wider = _RINGS_DEG[farthest + 1e-6 < _RINGS_DEG]
-            ring = float(wider[0]) if len(wider) else NO_CONE_DEG
+            ring = float(_RINGS_DEG[np.searchsorted(_RINGS_DEG, farthest + 1e-6)])
             apart = np.degrees(angle_between(inside.dirs[:, 0], inside.dirs[:, -1]))
-            doubts.append((ring, words.format(_up_to(apart.max(initial=0.0), ring))))
+            limits = _up_to(ring, ring), _up_to(apart.max(initial=0.0), ring)
+            doubts.append((ring, words.format(*limits)))
             # what lies behind all that was seen says nothing of its vector
             front = (inside.dirs @ middle > 0).all(1)
-            vector = (strength[:, None] @ inside.dirs)[:, 0]
-            turned = np.degrees(angle_between(vector[front], direction))
+            vector = (strength[:, None] @ inside.dirs)[front, 0]
+            turned = np.degrees(angle_between(vector, direction))
             vector_deg = max(vector_deg, float(turned.max(initial=0.0)))
         ring, doubt = max(doubts, key=lambda d: d[0])
         cone = min(max(ring, LEAST_CONE_DEG) + slack, NO_CONE_DEG)
@@ -177,129 +196,79 @@ class Explanations:
         cone = max(min(cone, MOST_OFF_DEG), vector_deg + slack)
         return Assessment(LIKELY if likely else REFUSED, cone, doubt)
 
-    def _others(self, light: int) -> list[tuple[str, Lights, np.ndarray]]:
+    def _others(self, light: int) -> Iterator[tuple[str, Lights, np.ndarray]]:
         """(words, sets of lights, their chi squared) that may explain the data as well."""
         best = self.best[self.count]
-        first, rest = best.dirs[0, light], np.delete(np.arange(self.count), light)
-        ring = around(first, _RINGS_DEG)  # (n, 3)
-        n = len(ring)
-
-        def with_rest(dirs: np.ndarray, soft: np.ndarray, mix: np.ndarray) -> Lights:
-            """dirs : (n, p, 3), mix : (n, p) of what stands in place of the light"""
-            count, p = dirs.shape[:2]
-            others = np.broadcast_to(best.dirs[:, rest], (count, len(rest), 3))
-            full = np.zeros((count, 1 + len(rest), p + len(rest)))
-            full[:, 0, :p] = mix
-            full[:, 1:, p:] = np.eye(len(rest))
-            return Lights(
-                np.concatenate([dirs, others], 1),
-                np.concatenate(
-                    [soft, np.broadcast_to(best.soft[:, rest], (count, len(rest)))], 1
-                ),
-                full,
-            )
-
-        size = best.soft[0, light]
-        out = [
-            (
-                "another direction explains the data as well",
-                self.minima[self.count],
-                self.costs[self.count],
-            ),
-        ]
-        alone = with_rest(ring[:, None], np.full((n, 1), size), np.ones((n, 1)))
-        out.append(
-            ("the direction is uncertain", *refine(self.groups, alone, 0, _HELD_PASSES))
-        )
+        first, size = best.dirs[0, light], best.soft[0, light]
+        words = "another direction, {} off, explains the data as well"
+        yield words, *self.minima[self.count]
+        ring, across, sine = _around(first)
+        words = "the direction is uncertain by {}"
+        yield words, *self._in_place(light, ring[:, None], [size], np.ones((1, 1)))
         if self.params.most_lights < 2:
-            return out
-        pairs = []
-        for ratio in _RATIOS:
-            sine = np.sin(np.radians(np.repeat(_RINGS_DEG, len(_AZIMUTHS)))) / ratio
-            fine = sine < 1
-            a, s = ring[fine], sine[fine, None]
-            across = normalise(a - (a @ first)[:, None] * first)
-            b = np.sqrt(1 - s**2) * first - s * across
-            pairs.append(
-                with_rest(
-                    np.stack([a, b], 1),
-                    np.full((len(a), 2), size),
-                    np.tile([1.0, ratio], (len(a), 1)),
-                )
-            )
-        words = "two lamps {} apart would look the same to this print"
-        out.append((words, *refine(self.groups, joined(pairs), 0, _HELD_PASSES)))
+            return
+        words = "two lamps {1} apart would look the same to this print"
+        for ratio in _RATIOS:  # the two balance about the light that they replace
+            far = np.minimum(sine / ratio, 1)
+            second = np.sqrt(1 - far**2) * first - far * across
+            pair = np.stack([ring, second], 1), [size, size], np.array([[1, ratio]])
+            yield words, *self._in_place(light, *pair)
         if self.count == 1:
-            across = normalise(ring - (ring @ first)[:, None] * first)
-            sky = [
-                np.cos(np.pi / 3) * first - np.sin(np.pi / 3) * across,
-                -ring,
-            ]
-            domes = joined(
-                [each(np.stack([ring, d], 1), np.array([size, DOME])) for d in sky]
-            )
-            words = "ambient light that is brighter from one side may shift it"
-            out.append((words, *refine(self.groups, domes, 0, _HELD_PASSES)))
-            out.append((words, self.minima[2], self.costs[2]))
-        return out
+            words = "ambient light that is brighter from one side may shift it by {}"
+            yield words, *self.minima[2]
+            for second in (-ring, 0.5 * first - np.sqrt(0.75) * across):
+                sky = np.stack([ring, second], 1), [size, DOME], np.eye(2)
+                yield words, *self._in_place(light, *sky)
+
+    def _in_place(
+        self, light: int, dirs: np.ndarray, soft: Sequence[float], mix: np.ndarray
+    ) -> tuple[Lights, np.ndarray]:
+        """dirs (n, p, 3), soft (p,), mix (m, p), of what stands in place of one light, the
+        first held, all else refined; chi squared (n,)."""
+        n, (m, p) = len(dirs), mix.shape
+        best = self.best[self.count][np.zeros(n, int)]
+        rest = np.delete(np.arange(self.count), light)
+        full = np.eye(m + len(rest), p + len(rest), p - m)
+        full[:m, :p] = mix
+        lights = Lights(
+            np.concatenate([dirs, best.dirs[:, rest]], 1),
+            np.concatenate([np.tile(soft, (n, 1)), best.soft[:, rest]], 1),
+            np.tile(full, (n, 1, 1)),
+        )
+        return refine(self.groups, lights, 0, _HELD_PASSES)
 
 
-def joined(sets: list[Lights]) -> Lights:
-    return Lights(
-        *(np.concatenate([getattr(s, k) for s in sets]) for k in ("dirs", "soft", "mix"))
-    )
-
-
-def _starts(groups: list[Group], most: int) -> list[Lights]:
+def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
     """By count, from a grid over the whole sphere."""
-    out = [each(np.zeros((1, 0, 3)))]
+    out, grid = [each(np.zeros((1, 0, 3)))], even_directions(DEG_32)
     if most >= 1:
-        ones = _apart(groups, each(even_directions(DEG_8)[:, None]), 4)
-        ones, chi2 = refine(groups, ones)
-        first = ones[np.argsort(chi2)[:1]]
-        large = Lights(np.repeat(first.dirs, 3, 0), _SOFT[1:, None], np.ones((3, 1, 1)))
+        ones = _best(*refine(groups, each(grid[:, None])), _KEPT)
+        large = each(np.repeat(ones.dirs[:1], len(_SOFT), 0), _SOFT)
         out.append(joined([ones, large]))
     if most >= 2:
-        coarse, fine = even_directions(DEG_32), even_directions(DEG_16)
-        i, j = np.triu_indices(len(coarse), 1)
-        second = [np.stack([coarse[i], coarse[j]], 1)]
-        d = first.dirs[0, 0]
-        second.append(np.stack([np.broadcast_to(d, fine.shape), fine], 1))
-        sky = np.stack([np.broadcast_to(d, coarse.shape), coarse], 1)
-        out.append(
-            joined(
-                [
-                    _apart(groups, each(np.concatenate(second)), _STARTS),
-                    _apart(groups, each(sky, np.array([0, DOME])), 4),
-                ]
-            )
-        )
+        i, j = np.triu_indices(len(grid), 1)
+        pairs = each(np.stack([grid[i], grid[j]], 1))
+        pairs = _best(pairs, solve(groups, pairs).chi2, _TRIED)
+        lamp = np.broadcast_to(ones.dirs[0], grid.shape)
+        skies = each(np.stack([lamp, grid], 1), np.array([0, DOME]))
+        out.append(joined([_best(*refine(groups, k), _KEPT) for k in (pairs, skies)]))
     return out
 
 
-def _apart(groups: list[Group], lights: Lights, most: int) -> Lights:
-    """The best, none near another."""
-    chi2, chosen = solve(groups, lights).chi2, []
-    while len(chosen) < most and np.isfinite(chi2).any():
-        k = int(chi2.argmin())
-        chosen.append(k)
-        for same in (lights.dirs[k], lights.dirs[k, ::-1]):
-            near = (lights.dirs * same).sum(-1).min(-1) > _APART
-            chi2 = np.where(near, np.inf, chi2)
-        chi2[k] = np.inf
-    return lights[np.array(chosen)]
+def _best(lights: Lights, chi2: np.ndarray, count: int) -> Lights:
+    return lights[np.argsort(chi2, kind="stable")[:count]]
 
 
-def around(d: np.ndarray, radii_deg: np.ndarray) -> np.ndarray:
-    """(radii x 8, 3) directions about the unit vector d."""
-    across = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
-    a = np.radians(radii_deg)[:, None, None]
-    side = np.cos(_AZIMUTHS)[:, None] * across + np.sin(_AZIMUTHS)[:, None] * np.cross(
-        d, across
-    )
-    return (np.cos(a) * d + np.sin(a) * side).reshape(-1, 3)
+def _around(d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Directions on rings about the unit vector d: (n, 3); unit vectors across d towards each
+    (n, 3); sine of their angle from d (n, 1)."""
+    first = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
+    side = np.cos(_AZIMUTHS) * first + np.sin(_AZIMUTHS) * np.cross(d, first)
+    rings = np.radians(_RINGS_DEG[:-1])
+    across, a = np.tile(side, (len(rings), 1)), np.repeat(rings, len(side))[:, None]
+    return np.cos(a) * d + np.sin(a) * across, across, np.sin(a)
 
 
 def _up_to(degrees: float, ring_deg: float) -> str:
     more = ring_deg >= NO_CONE_DEG
-    return f"{degrees:.0f} degrees or more" if more else f"up to {degrees:.0f} degrees"
+    return f"{degrees:.0f} degrees or more" if more else f"up to {degrees:.3g} degrees"

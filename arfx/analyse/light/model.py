@@ -78,6 +78,12 @@ def each(dirs: np.ndarray, soft: np.ndarray | float = 0.0) -> Lights:
     )
 
 
+def joined(sets: Sequence[Lights]) -> Lights:
+    return Lights(
+        *(np.concatenate([getattr(s, k) for s in sets]) for k in ("dirs", "soft", "mix"))
+    )
+
+
 class Solution(NamedTuple):
     """chi2 : (n,);  amplitudes : (n, g, 3, m + 1), ambient first
     gradient : (n, p), curvature : (n, p, p), of half of chi squared by the p turns of the
@@ -114,8 +120,7 @@ def _across(dirs: np.ndarray) -> np.ndarray:
 
 def solve(groups: Sequence[Group], lights: Lights, moved: Sequence[int] = ()) -> Solution:
     """moved : numbers of the directions whose turns are asked for"""
-    n, q = lights.dirs.shape[:2]
-    m, moved = lights.mix.shape[1] + 1, list(moved)
+    n, m, moved = len(lights), lights.mix.shape[1] + 1, list(moved)
     across = _across(lights.dirs[:, moved])
     chi2 = np.full(n, sum(g.total for g in groups))
     amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * len(moved)

@@ -180,7 +180,7 @@ def fit_over_time(
     ):
         return _named(*shared)
     spans = []
-    for (a, b, piece), (_, found), ok in zip(pieces, alone, steady, strict=True):
+    for (a, b, _), (_, found), ok in zip(pieces, alone, steady, strict=True):
         if ok:
             spans.append(Span(a, b, found))
             continue
