@@ -82,6 +82,9 @@ class Explanations:
     best : the best of them, one set of lights;  best_cost : its chi squared;  count : the chosen
     """
 
+    samples: Samples
+    groups: list[Group]
+
     def __init__(
         self, s: Samples, params: Params, start: Explanations | None = None
     ) -> None:

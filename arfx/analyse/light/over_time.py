@@ -66,8 +66,14 @@ class _Observations:
     params: Params
 
     def __getitem__(self, rows: slice | np.ndarray) -> _Observations:
-        arrays = (self.times_s, self.normals, self.irradiance, self.variance, self.group)
-        return _Observations(*(a[rows] for a in arrays), self.params)
+        return replace(
+            self,
+            times_s=self.times_s[rows],
+            normals=self.normals[rows],
+            irradiance=self.irradiance[rows],
+            variance=self.variance[rows],
+            group=self.group[rows],
+        )
 
     def between(self, a_s: float, b_s: float) -> _Observations:
         """From a up to b; the last observation is in the last one."""
