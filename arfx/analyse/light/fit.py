@@ -18,7 +18,6 @@ import numpy as np
 
 from arfx.analyse.light.hypotheses import (
     LEAST_LIGHT,
-    LEAST_SHADOW,
     LIKELY,
     MEASURED,
     NO_CONE_DEG,
@@ -27,7 +26,7 @@ from arfx.analyse.light.hypotheses import (
     Explanations,
     Params,
 )
-from arfx.analyse.light.model import DOME, Lights, left_over, refine, solve
+from arfx.analyse.light.model import DOME, Lights, bent, refine, solve
 from arfx.analyse.light.search import gather
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import arccos, normalise
@@ -38,9 +37,6 @@ MODEL_ERROR, MOST_ERROR = (
 )  # of irradiance, over its bright level: at least, and beyond which the model is wrong
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
 MOST_SIZE_DEG = 30.0  # disc of a likely light: beyond, no shadow is seen
-MOST_BESIDE_DEG = (
-    60.0  # spread of a light beside which another one's direction says anything
-)
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
 NARROW_DEG, MOST_CONDITION = (
     30.0,
@@ -185,6 +181,7 @@ def fit(
     variance: np.ndarray | None = None,
     group: np.ndarray | None = None,
     params: Params = Params(),  # noqa: B008 - frozen
+    lit: np.ndarray | None = None,
 ) -> LightFit:
     """normals : (k, 3) in the frame that the lights are fixed in;  irradiance : (k, 3);
     variance : (k, 3), of noise alone
@@ -192,8 +189,10 @@ def fit(
     directions are shared by all
     groups, amplitudes are each group's own. What is not finite is left out.
     Nothing non-finite leaves.
+    lit : (g,) by the number of the group, share of the lamps that is on: then amplitudes
+    are shared by all groups too
     """
-    s = gather(normals, irradiance, variance, group, MODEL_ERROR)
+    s = gather(normals, irradiance, variance, group, MODEL_ERROR, lit)
     if s is None:
         none = np.zeros((1, 3))
         return LightFit(REFUSED, "no usable observation", none, none)
@@ -228,7 +227,7 @@ def fit(
         error = max(error, 1e-4) * float(np.sqrt(misfit))
         if error > MOST_ERROR:
             break
-        s = gather(normals, irradiance, variance, group, error) or s
+        s = gather(normals, irradiance, variance, group, error, lit) or s
         found = Explanations(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
@@ -238,8 +237,7 @@ def fit(
         )
     model, count = found.best[found.count], found.count
     s = found.samples
-    amplitudes = solve(found.groups, model).amplitudes
-    about["gamma"] = float(np.exp(left_over(found.groups, model, amplitudes)[1]))
+    about["gamma"] = float(np.exp(bent(found.groups, model)))
     if count == 0:
         return refused(
             "the light is even: no direction stands out, or it comes from behind all"
@@ -254,14 +252,6 @@ def fit(
     first = known[0]
     if first.verdict == REFUSED:
         return refused(first.doubt)
-    if (
-        count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED
-    ):  # it is so only beside the first
-        _, cone, doubt = known[1]
-        sound = first.cone_deg <= MOST_BESIDE_DEG and shares[order[1]] >= LEAST_SHADOW
-        verdict = LIKELY if sound else REFUSED
-        doubt = doubt or "there may be another pair of lights"
-        known[1] = Assessment(verdict, max(cone, params.limit_deg), doubt)
     size_deg = _size_deg(found, domes)
     lights = []
     for i, (verdict, cone, doubt) in zip(order, known, strict=True):

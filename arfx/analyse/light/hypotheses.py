@@ -21,7 +21,6 @@ from arfx.analyse.light.model import (
     Lights,
     each,
     joined,
-    left_over,
     refine,
     solve,
 )
@@ -82,25 +81,26 @@ class Explanations:
     best : the best of them, one set of lights;  best_cost : its chi squared;  count : the chosen
     """
 
-    samples: Samples
-    groups: list[Group]
-
     def __init__(
         self, s: Samples, params: Params, start: Explanations | None = None
     ) -> None:
         """start : of the same observations under other weights; its minima are followed"""
         self.params = params
         most = max(0, min(params.most_lights, 2))
-        starts = _starts(self._groups(s), most) if start is None else start._found()
-        self._refined(s, starts)
-        for _ in range(2):
-            amplitudes = solve(self.groups, self.best[most]).amplitudes
-            calmer = s.downweighted(left_over(self.groups, self.best[most], amplitudes)[0])
-            if (calmer.weight >= 0.5 * s.weight).all():
-                break
-            s = calmer
-            self._refined(s, self._found())
-        self.samples = s
+        self.samples, self.groups = s, s.groups(params.gamma_sigma)
+        if start is None:
+            starts = _starts(self.groups, most)
+        else:
+            starts = [lights for lights, _ in start.minima]
+        self.minima = [refine(self.groups, lights) for lights in starts]
+        self.best: list[Lights] = []
+        self.best_cost: list[float] = []
+        for lights, chi2 in self.minima:
+            # one that hardly any normal sees explains noise and no more
+            unseen = (self.shares(lights)[0] < LEAST_LIGHT).any(1)
+            k = int(np.lexsort([chi2, unseen])[0])
+            self.best.append(lights[k : k + 1])
+            self.best_cost.append(float(chi2[k]))
         wide = max(1.0, self.misfit(most))
         bic = [
             c / wide + self._parameters(k) * np.log(max(s.effective, 2.0))
@@ -112,24 +112,6 @@ class Explanations:
             if sound and bic[k] < bic[self.count] - LEAST_EVIDENCE:
                 self.count = k
 
-    def _found(self) -> list[Lights]:
-        return [lights for lights, _ in self.minima]
-
-    def _groups(self, s: Samples) -> list[Group]:
-        return s.groups(self.params.gamma_sigma)
-
-    def _refined(self, s: Samples, starts: list[Lights]) -> None:
-        self.samples, self.groups = s, self._groups(s)
-        self.minima = [refine(self.groups, lights) for lights in starts]
-        self.best: list[Lights] = []
-        self.best_cost: list[float] = []
-        for lights, chi2 in self.minima:
-            # one that hardly any normal sees explains noise and no more
-            unseen = (self.shares(lights)[0] < LEAST_LIGHT).any(1)
-            k = int(np.lexsort([chi2, unseen])[0])
-            self.best.append(lights[k : k + 1])
-            self.best_cost.append(float(chi2[k]))
-
     def shares(self, lights: Lights) -> tuple[np.ndarray, np.ndarray]:
         """(n, q) share of each direction's light in all that was seen; irradiance of each
         direction."""
@@ -137,7 +119,7 @@ class Explanations:
         total, seen = np.zeros(len(lights)), np.zeros(lights.mix.shape[:2])
         for number, group in enumerate(self.groups):
             size, weight = amplitudes[:, number].sum(1), group.root**2  # (n, m + 1), (k,)
-            column = lights.mix @ lights.columns(group.normals)[0]
+            column = lights.mix @ lights.columns(group)[0]
             seen += size[:, 1:] * (column @ weight)
             total += size[:, 0] * weight.sum()
         share = seen / np.maximum(total + seen.sum(1), 1e-300)[:, None]

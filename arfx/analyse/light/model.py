@@ -28,12 +28,14 @@ _STUCK = 10.0  # damping from which on a minimum counts as found
 class Group(NamedTuple):
     """Samples that share amplitudes, times the root of their weight.
 
-    normals : (k, 3);  root : (k,);  value : (3, k) by channel
+    normals : (k, 3);  root : (k,);  lit : (k,) share of the lamps that is on
+    value : (3, k) by channel
     bend : (3, k) what a logarithm of the exponent of 1 adds to value
     bend_weight : (3,) inverse of (1 / its variance + bend.bend): 0 where the exponent is 1"""
 
     normals: np.ndarray
     root: np.ndarray
+    lit: np.ndarray
     value: np.ndarray
     bend: np.ndarray
     bend_weight: np.ndarray
@@ -63,11 +65,13 @@ class Lights:
     def __len__(self) -> int:
         return len(self.dirs)
 
-    def columns(self, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What each direction gives the normals (k, 3), and its slope by n.d, both (n, q, k)."""
-        c, soft = self.dirs @ normals.T, np.maximum(self.soft, _POINT)[..., None]
+    def columns(self, group: Group) -> tuple[np.ndarray, np.ndarray]:
+        """What each direction gives k normals, and its slope by n.d, both (n, q, k)."""
+        c, soft = self.dirs @ group.normals.T, np.maximum(self.soft, _POINT)[..., None]
         low, full = np.maximum(c + soft, 0), c >= soft
-        return np.where(full, c, low**2 / (4 * soft)), np.where(full, 1, low / (2 * soft))
+        on = np.where(soft < DOME, group.lit, 1.0)
+        shade, slope = np.where(full, c, low**2 / (4 * soft)), low / (2 * soft)
+        return on * shade, on * np.where(full, 1, slope)
 
 
 def each(dirs: np.ndarray, soft: np.ndarray | float = 0.0) -> Lights:
@@ -126,7 +130,7 @@ def solve(groups: Sequence[Group], lights: Lights, moved: Sequence[int] = ()) ->
     amplitudes, p = np.empty((n, len(groups), 3, m)), 2 * len(moved)
     gradient, curvature = np.zeros((n, p)), np.zeros((n, p, p))
     for number, group in enumerate(groups):
-        shade, slope = lights.columns(group.normals)
+        shade, slope = lights.columns(group)
         turned = slope[:, moved, None] * (across @ group.normals.T)
         rows = np.concatenate(
             [
@@ -191,16 +195,11 @@ def refine(
     return lights, now.chi2
 
 
-def left_over(
-    groups: Sequence[Group], lights: Lights, amplitudes: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """(what one set of lights does not explain (k, 3), in deviations; logarithm of the values'
-    exponent)"""
-    out, exponent = [], 0.0
-    for group, size in zip(groups, amplitudes[0], strict=True):
-        shade = lights.mix[0] @ lights.columns(group.normals)[0][0]
+def bent(groups: Sequence[Group], lights: Lights) -> float:
+    """Logarithm of the values' exponent beside one set of lights."""
+    amplitudes, exponents = solve(groups, lights).amplitudes[0], []
+    for group, size in zip(groups, amplitudes, strict=True):
+        shade = lights.mix[0] @ lights.columns(group)[0][0]
         rest = group.value - (size[:, :1] + size[:, 1:] @ shade) * group.root
-        bent = group.bend_weight * (group.bend * rest).sum(1)
-        out.append(rest - bent[:, None] * group.bend)
-        exponent += float(bent.mean()) / len(groups)
-    return np.concatenate(out, 1).T, exponent
+        exponents.append((group.bend_weight * (group.bend * rest).sum(1)).mean())
+    return float(np.mean(exponents))

@@ -1,8 +1,8 @@
 """Lights that change: the simplest account of a whole clip that holds.
 
 1. constant: one fit for all;
-2. segments: the directions of the clip, colours and brightness of their own between one step
-   of the light and the next; switched, where lamps are off in some;
+2. switched: the lamps are all on or all off between one step of the light and the next; or
+   segments: the directions of the clip, colours and brightness of their own in between;
 3. shared: the same, with a factor for every frame where frames show several normals, else in
    windows of a few seconds;
 4. windows: a fit for each segment that holds alone, or for each window.
@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from arfx.analyse.light.fit import LightFit, doubted, fit
-from arfx.analyse.light.hypotheses import LIKELY, NO_CONE_DEG, REFUSED, Params
+from arfx.analyse.light.hypotheses import LIKELY, MEASURED, NO_CONE_DEG, REFUSED, Params
 from arfx.analyse.light.sphere import DEG_4, nearest_cell
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
@@ -84,9 +84,9 @@ class _Observations:
         group = np.searchsorted(edges_s, self.times_s, side="right") - 1
         return replace(self, group=np.clip(group, 0, len(edges_s) - 2))
 
-    def fit(self, lights: int = 2) -> LightFit:
+    def fit(self, lights: int = 2, lit: np.ndarray | None = None) -> LightFit:
         few = replace(self.params, most_lights=min(self.params.most_lights, lights))
-        return fit(self.normals, self.irradiance, self.variance, self.group, few)
+        return fit(self.normals, self.irradiance, self.variance, self.group, few, lit)
 
     def drift(self) -> float:
         return drift(self.times_s, self.normals, self.irradiance, self.group)
@@ -151,11 +151,14 @@ def fit_over_time(
     if seen.steady(constant):
         return CONSTANT, [Span(start, stop, constant)]
     segments = window_edges(start, stop, breaks_s, np.inf)
-    refusal, shared = constant, None  # the refusal that says most explains what was seen
+    refusal, switched = constant, _switched(seen, segments)
+    shared = switched if switched is not None and _plain(switched[1]) else None
     for name, edges in (
         (SEGMENTS, segments),
         (SHARED, window_edges(start, stop, breaks_s, LONGEST_WINDOW_S)),
     ):
+        if shared is not None:
+            break
         if name == SHARED:
             pumped = _exposure_drift_fit(seen)
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
@@ -172,9 +175,11 @@ def fit_over_time(
             found = grouped.confirmed(found, middle_s)
         if found.claimed:
             shared = name, found, _spans(found, edges, np.unique(grouped.group))
-            break
+    held = [h for h in (switched, shared) if h is not None]
+    if held:
+        shared = min(held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)))
     if shared is not None and len(shared[1].lights) == 1:
-        return _named(*shared)
+        return shared[0], shared[2]
     pieces = [(a, b, seen.between(a, b)) for a, b in pairwise(segments)]
     alone = [(piece, piece.fit()) for _, _, piece in pieces]
     steady = [f.claimed and piece.steady(f) for piece, f in alone]
@@ -184,7 +189,7 @@ def fit_over_time(
         for (piece, f), ok in zip(alone, steady, strict=True)
         if len(piece.times_s) >= _LEAST_PIECE
     ):
-        return _named(*shared)
+        return shared[0], shared[2]
     spans = []
     for (a, b, _), (_, found), ok in zip(pieces, alone, steady, strict=True):
         if ok:
@@ -209,9 +214,43 @@ def _spans(found: LightFit, edges: list[float], present: np.ndarray) -> list[Spa
     ]
 
 
-def _named(name: str, found: LightFit, spans: list[Span]) -> tuple[str, list[Span]]:
-    dark = not all(found.light(s.group).lights for s in spans)
-    return SWITCHED if name == SEGMENTS and dark else name, spans
+def _plain(found: LightFit) -> bool:
+    return found.verdict == MEASURED or len(found.lights) == 1
+
+
+def _switched(
+    seen: _Observations, segments: list[float]
+) -> tuple[str, LightFit, list[Span]] | None:
+    """The account of lamps that are all on or all off, where that holds."""
+    if (lit := switches(seen.times_s, seen.irradiance, segments)) is None:
+        return None
+    grouped = seen.grouped(segments)
+    found = grouped.fit(lit=lit)
+    by_state = replace(grouped, group=lit[grouped.group].astype(int))
+    if not found.claimed or not by_state.steady(found):
+        return None
+    dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
+    states = zip(lit, pairwise(segments), strict=True)
+    return SWITCHED, found, [Span(a, b, found if on else dark) for on, (a, b) in states]
+
+
+def switches(
+    times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]
+) -> np.ndarray | None:
+    """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where
+    steps do not go down and up in turn.
+
+    What a step does is seen from the observations, times ascending, right before and after it."""
+    light, signs = irradiance.mean(1), []
+    for edge in edges[1:-1]:
+        before, after = times_s[times_s < edge], times_s[times_s >= edge]
+        if not len(before) or not len(after):
+            return None
+        last, first = light[times_s == before[-1]], light[times_s == after[0]]
+        signs.append(np.sign(first.mean() - last.mean()))
+    if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
+        return None
+    return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
 
 
 def window_edges(

@@ -3,7 +3,7 @@ honest weights."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class Samples:
     channels' bright levels
     weight : (k,) inverse variance;  starts : (g + 1,) rows of the groups;  effective :
     number of independent values
+    lit : (k,) share of the lamps that is on, 0..1
     """
 
     normals: np.ndarray
@@ -35,6 +36,7 @@ class Samples:
     starts: np.ndarray
     scale: np.ndarray
     effective: float
+    lit: np.ndarray
 
     def groups(self, gamma_sigma: float = 0.0) -> list[Group]:
         """gamma_sigma : standard deviation of the values' exponent's logarithm"""
@@ -47,7 +49,14 @@ class Samples:
             spread = (bend**2).sum(1)
             weight = gamma_sigma**2 / (1 + gamma_sigma**2 * spread)
             out.append(
-                Group(self.normals[rows], root[rows], value * root[rows], bend, weight)
+                Group(
+                    self.normals[rows],
+                    root[rows],
+                    self.lit[rows],
+                    value * root[rows],
+                    bend,
+                    weight,
+                )
             )
         return out
 
@@ -63,16 +72,6 @@ class Samples:
         rows = np.sqrt(self.weight)[:, None] * np.column_stack([np.ones(len(n)), n])
         return condition(divide(rows, np.linalg.norm(rows, axis=0)))
 
-    def downweighted(self, residual: np.ndarray) -> Samples:
-        """Less weight (Huber) on samples whose residual (k, 3), in deviations, is beyond
-        what the others have.
-        """
-        z = np.sqrt((residual**2).mean(1))
-        width = 2.5 * max(1.0, float(np.median(z)) / 0.8)
-        return replace(
-            self, weight=self.weight * np.minimum(1, divide(width, z, where_zero=1.0))
-        )
-
 
 def gather(
     normals: np.ndarray,
@@ -80,6 +79,7 @@ def gather(
     variance: np.ndarray | None,
     group: np.ndarray | None,
     model_error: float,
+    lit: np.ndarray | None = None,
 ) -> Samples | None:
     """None where nothing is usable. normals (k, 3), irradiance (k, 3), variance (k, 3) or
     what broadcasts, group (k,) int.
@@ -87,6 +87,8 @@ def gather(
     model_error : systematic error of the irradiance relative to its bright level. It is one
     and the same within a coarse
     cell of normals, so that more observations there add nothing beyond it.
+    lit : (g,) share of the lamps that is on in each group; then all groups are one, with
+    the same light
     """
     n, E = (
         np.asarray(normals, float).reshape(-1, 3),
@@ -125,8 +127,10 @@ def gather(
         if model_error > 0
         else 3.0 * len(N)
     )
-    starts = np.searchsorted(groups, np.arange(groups.max() + 2))
-    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective)
+    starts, on = np.searchsorted(groups, np.arange(groups.max() + 2)), np.ones(len(N))
+    if lit is not None:
+        starts, on = np.array([0, len(N)]), np.asarray(lit, float)[np.unique(g)[groups]]
+    return Samples(N, X, 1 / variance_of_mean, starts, scale, effective, on)
 
 
 def _mean(
