@@ -92,7 +92,9 @@ class Explanations:
             starts = _starts(self.groups, most)
         else:
             starts = [lights for lights, _ in start.minima]
-        self.minima = [refine(self.groups, lights) for lights in starts]
+        self.minima: list[tuple[Lights, np.ndarray]] = [
+            refine(self.groups, lights) for lights in starts
+        ]
         self.best: list[Lights] = []
         self.best_cost: list[float] = []
         for lights, chi2 in self.minima:
