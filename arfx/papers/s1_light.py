@@ -29,7 +29,6 @@ import numpy as np
 from arfx.analyse.job import Analysis
 from arfx.analyse.light.frames import Reading, with_light
 from arfx.analyse.light.hypotheses import MEASURED, REFUSED
-from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.photometry import UNKNOWN_VARIANCE, Photometry
 from arfx.analyse.light.static_frame import Lights, StaticFrameLight
 from arfx.analyse.light.surroundings import EnvironmentSample
@@ -138,10 +137,18 @@ def eq7_update(M: np.ndarray, f: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
+def triangles(level: int) -> np.ndarray:
+    """(t, 3, 3) unit corners of an icosahedron's faces, cut into four `level` times."""
+    from trimesh.creation import icosphere
+
+    return np.asarray(icosphere(subdivisions=level).triangles)
+
+
+@lru_cache(maxsize=4)
 def hemisphere(level: int) -> np.ndarray:
     """(k, 3) figure 1: the middles of a hemisphere's triangles (z >= 0), each a direction
     in which a light may stand. One of them is z. Read-only."""
-    middles = icosphere(level).centres
+    middles = normalise(triangles(level).mean(1))
     n = middles @ upright(middles[-1]).T
     n = n[n[:, 2] >= 0]
     n.setflags(write=False)

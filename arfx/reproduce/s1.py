@@ -12,15 +12,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from arfx.analyse.light.icosphere import icosphere
 from arfx.core.cube import look_up
 from arfx.core.layers import Layer
 from arfx.core.light import DirectionalLight, Light, triple
-from arfx.core.numerics import angle_between, divide
+from arfx.core.numerics import angle_between, divide, normalise
 from arfx.measure.difference import level_difference
 from arfx.media.models import load_model
 from arfx.papers import CORRECTED, PAPER
-from arfx.papers.s1_light import PrintedLightParams, hemisphere, upright
+from arfx.papers.s1_light import PrintedLightParams, hemisphere, triangles, upright
 from arfx.papers.s1_lightmap import printed_map
 from arfx.reproduce import s1_equations
 from arfx.reproduce.rows import (
@@ -216,10 +215,11 @@ def drawn_hemisphere(level: int, M: np.ndarray, lights: np.ndarray) -> np.ndarra
     """(side, side, 3) R'G'B': the triangles from above, as bright as M (k, 3); those
     nearest to `lights` (l, 3) bordered red.
     """
-    sphere = icosphere(level)
-    turn = upright(sphere.centres[-1])
-    upper = (sphere.centres @ turn.T)[:, 2] >= 0
-    corners = (sphere.vertices @ turn.T)[sphere.faces[upper]][..., :2] * [1, -1]
+    faces = triangles(level)
+    middles = normalise(faces.mean(1))
+    turn = upright(middles[-1])
+    upper = (middles @ turn.T)[:, 2] >= 0
+    corners = (faces[upper] @ turn.T)[..., :2] * [1, -1]
     points = np.round((1 + 0.97 * corners) / 2 * HEMISPHERE_PX * 16).astype(
         np.int32
     )  # in 16ths of a pixel

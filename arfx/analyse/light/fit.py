@@ -17,16 +17,17 @@ from typing import Any
 import numpy as np
 
 from arfx.analyse.light.hypotheses import (
-    LEAST_SHADOW,
+    LEAST_LIGHT,
     LIKELY,
     MEASURED,
-    MOST_OFF_DEG,
+    NO_CONE_DEG,
     REFUSED,
     Assessment,
-    LightHypotheses,
+    Explanations,
     Params,
 )
-from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, gather, refine
+from arfx.analyse.light.model import DOME, Lights, bent, refine, solve
+from arfx.analyse.light.search import gather
 from arfx.core.light import DirectionalLight, Light, harmonics, triple
 from arfx.core.numerics import arccos, normalise
 
@@ -36,9 +37,6 @@ MODEL_ERROR, MOST_ERROR = (
 )  # of irradiance, over its bright level: at least, and beyond which the model is wrong
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
 MOST_SIZE_DEG = 30.0  # disc of a likely light: beyond, no shadow is seen
-MOST_BESIDE_DEG = (
-    60.0  # spread of a light beside which another one's direction says anything
-)
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
 NARROW_DEG, MOST_CONDITION = (
     30.0,
@@ -213,12 +211,13 @@ def fit(
     if span < LEAST_SPAN_DEG or narrow:
         return refused(
             f"one normal only, as far as poses are known: all lie within {span:.2g} degrees"
+            " (turn the print, add a cube of prints, or give `--light`)"
         )
     if len(s.normals) < 4:
         return refused(
             f"{len(s.normals)} normals only: a direction beside ambient light takes 4"
         )
-    error, found = MODEL_ERROR, LightHypotheses(s, params)
+    error, found = MODEL_ERROR, Explanations(s, params)
     for _ in range(
         4
     ):  # what no lights explain is an error of the model, and not one that averages out
@@ -229,7 +228,7 @@ def fit(
         if error > MOST_ERROR:
             break
         s = gather(normals, irradiance, variance, group, error, lit) or s
-        found = LightHypotheses(s, params, found)
+        found = Explanations(s, params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
         return refused(
@@ -237,8 +236,8 @@ def fit(
             " changed, or the surface is glossy",
         )
     model, count = found.best[found.count], found.count
-    s = model.at
-    about["gamma"] = s.gamma
+    s = found.samples
+    about["gamma"] = float(np.exp(bent(found.groups, model)))
     if count == 0:
         return refused(
             "the light is even: no direction stands out, or it comes from behind all"
@@ -246,32 +245,19 @@ def fit(
         )
     # directions are the exponent's, amplitudes those of the values as they came: what is
     # shown beside them has to match
-    amp = replace(model, at=found.plain).amplitudes()[0] * s.scale[:, None]  # (g, 3, q + 1)
-    domes = model.soft >= DOME
-    order = np.lexsort([-model.fractions, domes])
+    amp = solve(s.groups(), model).amplitudes[0] * s.scale[:, None]  # (g, 3, q + 1)
+    shares, domes = found.shares(model)[0][0], model.soft[0] >= DOME
+    order = np.lexsort([-shares, domes])
     known = [found.assess(int(i)) for i in order]
     first = known[0]
     if first.verdict == REFUSED:
         return refused(first.doubt)
-    if (
-        count == 2 and first.verdict == LIKELY and known[1].verdict != REFUSED
-    ):  # it is so only beside the first
-        _, cone, spread, doubt = known[1]
-        sound = (
-            first.spread_deg <= MOST_BESIDE_DEG
-            and model.fractions[order[1]] >= LEAST_SHADOW
-        )
-        verdict = LIKELY if sound else REFUSED
-        doubt = doubt or "there may be another pair of lights"
-        known[1] = Assessment(
-            verdict, max(cone, params.limit_deg), max(spread, params.limit_deg), doubt
-        )
     size_deg = _size_deg(found, domes)
     lights = []
-    for i, (verdict, cone, spread, doubt) in zip(order, known, strict=True):
+    for i, (verdict, cone, doubt) in zip(order, known, strict=True):
         size = 180.0 if domes[i] else size_deg
         one = FittedLight(
-            model.dirs[i],
+            model.dirs[0, i],
             amp[:, :, 1 + i],
             NO_CONE_DEG if verdict == REFUSED else cone,
             size,
@@ -279,7 +265,7 @@ def fit(
             doubt,
         )
         if verdict == LIKELY:
-            one = doubted(one, max(cone, min(spread, MOST_OFF_DEG)), spread, doubt)
+            one = doubted(one, cone, doubt)
         lights.append(one)
     reason = f"{count} light{'s' * (count > 1)}, {_words(first)}"
     if count == 2:
@@ -288,11 +274,9 @@ def fit(
     return LightFit(first.verdict, reason, amp[:, :, 0], seen, tuple(lights), **about)
 
 
-def doubted(
-    light: FittedLight, cone_deg: float, spread_deg: float, doubt: str
-) -> FittedLight:
+def doubted(light: FittedLight, cone_deg: float, doubt: str) -> FittedLight:
     """The light as a likely one, its disc as wide as lamps in its place may be spread."""
-    size_deg = max(light.angular_size_deg, min(spread_deg, MOST_SIZE_DEG))
+    size_deg = max(light.angular_size_deg, min(cone_deg, MOST_SIZE_DEG))
     return replace(
         light,
         confidence_deg=cone_deg,
@@ -312,14 +296,14 @@ def _words(known: Assessment) -> str:
     )
 
 
-def _size_deg(found: LightHypotheses, domes: np.ndarray) -> float:
+def _size_deg(found: Explanations, domes: np.ndarray) -> float:
     """Full angle of the lights' discs: what the data show, or else a default that they allow."""
     model = found.best[found.count]
-    tried = [np.where(domes, model.soft, np.sin(np.radians(a))) for a in _SIZES_DEG]
-    chi2 = np.array([refine(model.at, model.dirs, soft, passes=6).chi2 for soft in tried])
-    bound = (
-        found.bound() - found.best_cost[found.count] + model.chi2
-    )  # chi squared that is no worse than the best
+    n = len(_SIZES_DEG)
+    soft = np.where(domes, model.soft, np.sin(np.radians(_SIZES_DEG))[:, None])
+    tried = Lights(np.repeat(model.dirs, n, 0), soft, np.repeat(model.mix, n, 0))
+    chi2 = refine(found.groups, tried, passes=6)[1]
+    bound = found.bound()
     inside, best = (
         np.flatnonzero(chi2 <= max(bound, chi2.min())),
         2 * float(_SIZES_DEG[chi2.argmin()]),

@@ -1,23 +1,32 @@
-"""All explanations of what was seen by 0, 1 or 2 lights: the one that a criterion chooses,
-and what explains the data as well.
+"""All explanations of what was seen by 0, 1 or 2 lights: the one that a criterion chooses, and
+what explains the data as well.
 
-Beside the lights' directions one exponent of the values is free, within what a wrong
-transfer function leaves: a power of an irradiance bends it, and what bends it would else be
-taken for another light. A second light may be a dome: ambient light that is brighter from
-one side, ((n.d + 1) / 2)^2. Source: docs/methods/light.md#lamps."""
+Explanations are enumerated: directions on a grid, then the nearest minimum of the best; around
+each light of the chosen explanation rings of directions, for the light alone, for two lamps of
+one colour in its place, and for a lamp beside ambient light that is brighter from one side, all
+else refined. What is not worse than the chosen one by the 95 % bound explains the data as well,
+and the cone is as wide as its nearest lamps are off. Source: docs/methods/light.md#lamps."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from arfx.analyse.light import search
-from arfx.analyse.light.search import DOME, LEAST_LIGHT, NO_CONE_DEG, Model, Samples
-from arfx.core.numerics import angle_between, divide
+from arfx.analyse.light.model import (
+    DOME,
+    Group,
+    Lights,
+    each,
+    joined,
+    refine,
+    solve,
+)
+from arfx.analyse.light.search import Samples
+from arfx.analyse.light.sphere import DEG_32, even_directions
+from arfx.core.numerics import angle_between, normalise
 
 MEASURED, LIKELY, REFUSED = "measured", "likely", "refused"
 LEAST_CONE_DEG = 1.0  # what lamps that are near, sizes and gloss may shift it by
@@ -25,34 +34,20 @@ LEAST_EVIDENCE = 10.0  # BIC that one more light must gain
 MOST_OFF_DEG = (
     60.0  # cone of a likely light: half of it still comes from where it is thought to be
 )
+NO_CONE_DEG = 180.0
+LEAST_LIGHT = 0.015  # share of the light seen below which a light counts as none
 LEAST_SHADOW = 0.1  # share of the light from which a lamp casts a shadow worth the name
-# of readings and normals, slow over a clip: times the condition it turns the direction,
-# radians
+# of readings and normals, slow over a clip: times the condition it turns the direction, radians
 SYSTEMATIC_ERROR = 0.0005
 SKY_DEG = 30.0  # what ambient light alone that is brighter from one side widens a cone to
-_WORSE, _WORSE_BY, _MOST_MODELS = (
-    3.0,
-    50.0,
-    5,
-)  # other minima that are kept: chi squared, times the best's and more; number
-_GAMMA_STEPS = (-0.08, 0.08, -0.16, 0.16)  # of ln gamma
-# where others in its place are tried
-_RINGS_DEG = (
-    1.5,
-    2.5,
-    3.5,
-    5.0,
-    7.5,
-    10.0,
-    15.0,
-    20.0,
-    30.0,
-    40.0,
-    50.0,
-    60.0,
-    75.0,
-    NO_CONE_DEG,
+_SOFT = np.sin(np.radians([[10.0], [20.0], [35.0]]))  # of one light's disc
+_RATIOS = (1.0, 0.6, 0.35)  # of the weaker of two lamps that pose as one
+_RINGS_DEG = np.array(
+    [0.5, 1, 1.5, 2.5, 3.5, 5, 7.5, 10, 15, 20, 30, 40, 50, 60, 75, NO_CONE_DEG, np.inf]
 )
+_AZIMUTHS = np.arange(8)[:, None] * np.pi / 4
+_TRIED, _KEPT = 40, 8  # of the pairs on the grid; of the minima
+_HELD_PASSES = 12
 
 
 @dataclass(frozen=True)
@@ -70,290 +65,197 @@ class Params:
 
 
 class Assessment(NamedTuple):
-    """cone_deg : half-angle that holds the lamps, or if merely likely the light vectors, of
-    all that explains the data as well
-    spread_deg : how far lamps in its place may be;  doubt : the widest of it in words, ""
-    if measured
+    """cone_deg : half-angle that holds a lamp of everything that explains the data as well
+    doubt : the widest of it in words, "" if measured
     """
 
     verdict: str
     cone_deg: float
-    spread_deg: float
     doubt: str
 
 
-class LightHypotheses:
-    """All models of 0 to 2 lights under all exponents; cost = chi squared + the exponent's prior.
+class Explanations:
+    """Of the samples, by number of lights.
 
-    best, best_cost : by number of lights;  count : the number that the criterion chose;
-    plain : samples as they came
+    groups : the samples;  minima : by count, what the search ended in, and its chi squared
+    best : the best of them, one set of lights;  best_cost : its chi squared;  count : the chosen
     """
 
     def __init__(
-        self, s: Samples, params: Params, start: LightHypotheses | None = None
+        self, s: Samples, params: Params, start: Explanations | None = None
     ) -> None:
-        """start : of the same observations under other weights; its minima are followed,
-        none is searched again.
-        """
-        self.params, most = params, max(0, min(params.most_lights, 2))
-        if start is not None:
-            found = self._follow(s, start.plain_models, 0.0)
+        """start : of the same observations under other weights; its minima are followed"""
+        self.params = params
+        most = max(0, min(params.most_lights, 2))
+        self.samples, self.groups = s, s.groups(params.gamma_sigma)
+        if start is None:
+            starts = _starts(self.groups, most)
         else:
-            found = [search.minima(s, 0)]
-            if most >= 1:
-                ones = search.minima(s, 1)
-                large = [
-                    search.refine(s, ones[0].dirs, float(np.sin(np.radians(a))))
-                    for a in search.SOFT_DEG
-                ]
-                found.append(self._ranked([*ones, *large]))
-            if most >= 2:
-                found.append(
-                    self._ranked(
-                        [*search.minima(s, 2, ones[0]), *search.search_dome(s, ones)]
-                    )
-                )
-        for _ in range(2):
-            calmer = s.downweighted(found[most][0].amplitudes()[1])
-            if (calmer.weight >= 0.5 * s.weight).all():
-                break
-            s = calmer
-            found = self._follow(s, found, 0.0)
-        self.plain_models: list[list[Model]] = found
-        self.plain, self.groups, self.effective = s, s.groups, s.effective
-        curve = {0.0: found}
-        if params.gamma_sigma > 0:
-            curve |= {step: self._follow(s, found, step) for step in _GAMMA_STEPS}
-            for count in range(most + 1):  # where the costs of three steps have their least
-                at = _lowest(
-                    {k: self._prior(k) + m[count][0].chi2 for k, m in curve.items()}
-                )
-                if min(abs(at - k) for k in curve) > 0.01:
-                    curve[at] = self._follow(s, found, at)
-        self.nodes = [
-            (self._prior(k), m) for k, m in curve.items()
-        ]  # (prior's cost, models by count)
-        self.best: list[Model] = []
+            starts = [lights for lights, _ in start.minima]
+        self.minima: list[tuple[Lights, np.ndarray]] = [
+            refine(self.groups, lights) for lights in starts
+        ]
+        self.best: list[Lights] = []
         self.best_cost: list[float] = []
-        for count in range(most + 1):
-            costs = [prior + models[count][0].chi2 for prior, models in self.nodes]
-            self.best.append(self.nodes[int(np.argmin(costs))][1][count][0])
-            self.best_cost.append(min(costs))
-        wide = max(
-            1.0, self.best_cost[most] / max(self.effective - self._parameters(most), 1.0)
-        )
+        for lights, chi2 in self.minima:
+            # one that hardly any normal sees explains noise and no more
+            unseen = (self.shares(lights)[0] < LEAST_LIGHT).any(1)
+            k = int(np.lexsort([chi2, unseen])[0])
+            self.best.append(lights[k : k + 1])
+            self.best_cost.append(float(chi2[k]))
+        wide = max(1.0, self.misfit(most))
         bic = [
-            c / wide + self._parameters(k) * np.log(max(self.effective, 2.0))
+            c / wide + self._parameters(k) * np.log(max(s.effective, 2.0))
             for k, c in enumerate(self.best_cost)
         ]
         self.count = 0
         for k in range(1, most + 1):
-            sound = (self.best[k].fractions >= LEAST_LIGHT).all()
+            sound = (self.shares(self.best[k])[0][0] >= LEAST_LIGHT).all()
             if sound and bic[k] < bic[self.count] - LEAST_EVIDENCE:
                 self.count = k
 
-    def _ranked(self, models: list[Model]) -> list[Model]:
-        """Best first; last those with a light that hardly any normal sees, which explains
-        noise and no more. None far worse.
-        """
-        ranked = sorted(
-            models, key=lambda m: (bool((m.fractions < LEAST_LIGHT).any()), m.chi2)
-        )
-        limit = _WORSE * ranked[0].chi2 + _WORSE_BY
-        return [m for i, m in enumerate(ranked[:_MOST_MODELS]) if i == 0 or m.chi2 <= limit]
-
-    def _follow(
-        self, s: Samples, found: list[list[Model]], step: float
-    ) -> list[list[Model]]:
-        t = s.without_gamma(float(np.exp(step)))
-        return [
-            self._ranked(
-                [
-                    search.refine(t, m.dirs, m.soft, None, 15, search.FOLLOWED_GAIN)
-                    for m in models
-                ]
-            )
-            for models in found
-        ]
-
-    def _prior(self, step: float) -> float:
-        return (step / self.params.gamma_sigma) ** 2 if step else 0.0
+    def shares(self, lights: Lights) -> tuple[np.ndarray, np.ndarray]:
+        """(n, q) share of each direction's light in all that was seen; irradiance of each
+        direction."""
+        amplitudes = solve(self.groups, lights).amplitudes
+        total, seen = np.zeros(len(lights)), np.zeros(lights.mix.shape[:2])
+        for number, group in enumerate(self.groups):
+            size, weight = amplitudes[:, number].sum(1), group.root**2  # (n, m + 1), (k,)
+            column = lights.mix @ lights.columns(group)[0]
+            seen += size[:, 1:] * (column @ weight)
+            total += size[:, 0] * weight.sum()
+        share = seen / np.maximum(total + seen.sum(1), 1e-300)[:, None]
+        of_direction = (share[:, None] @ (lights.mix > 0))[:, 0]
+        strength = (amplitudes.sum((1, 2))[:, None, 1:] @ lights.mix)[:, 0]
+        return of_direction, strength
 
     def _parameters(self, count: int) -> int:
-        return 3 * self.groups * (1 + count) + 2 * count
+        return 3 * len(self.groups) * (1 + count) + 2 * count
 
     def misfit(self, count: int) -> float:
-        return float(
-            self.best_cost[count] / max(self.effective - self._parameters(count), 1.0)
-        )
+        left = max(self.samples.effective - self._parameters(count), 1.0)
+        return self.best_cost[count] / left
 
     def bound(self) -> float:
-        """Cost up to which another explanation is no worse, at 95 % for two parameters."""
+        """Chi squared up to which another explanation is no worse, at 95 % for two parameters."""
         from scipy.special import fdtri
 
-        dof = max(self.effective - self._parameters(self.count), 1.0)
+        dof = max(self.samples.effective - self._parameters(self.count), 1.0)
         wider = max(1.0, self.misfit(self.count))
         return float(self.best_cost[self.count] + 2 * fdtri(2, dof, 0.95) * wider)
 
-    def cone(self, light: int) -> float:
-        """Of one light of the chosen model, degrees, over all exponents that are within the
-        bound.
-        """
-        out = 0.0
-        for bound, models in self._within():
-            model = models[self.count][0]
-            if model.chi2 <= bound:
-                off = self._off_deg(model, light)
-                near = int(off.argmin())
-                beyond = search.cone_deg(model, near, bound)
-                out = max(out, min(float(off[near]) + beyond, NO_CONE_DEG))
-        return out
-
-    def _within(self) -> Iterator[tuple[float, list[list[Model]]]]:
-        """(chi squared that is no worse, models by count) of each exponent."""
-        bound = self.bound()
-        for prior, models in self.nodes:
-            yield bound - prior, models
-
-    def _off_deg(self, model: Model, light: int) -> np.ndarray:
-        """(q,) of the model's lights from one of the chosen model's; a dome's is inf."""
-        off = angle_between(model.dirs, self.best[self.count].dirs[light])
-        return np.where(model.soft < DOME, np.degrees(off), np.inf)
-
     def assess(self, light: int) -> Assessment:
-        """Of one light of the chosen model. light : its row in best.dirs
+        """Of one light of the chosen explanation. light : its row in best.dirs
 
-        What looks the same has nearly the same light vector (Gershun 1939: sum of the
-        lights' rgb times directions): the shadow of the simplest explanation falls the
-        right way under all of it, and is as sharp as the lamp is known."""
+        What looks the same has nearly the same light vector (Gershun 1939: sum of the lights'
+        rgb times directions): the shadow of the simplest explanation falls the right way under
+        all of it."""
         best = self.best[self.count]
-        if best.soft[light] >= DOME:
-            return Assessment(REFUSED, NO_CONE_DEG, NO_CONE_DEG, "it is a sky")
-        cone, off = max(self.cone(light), LEAST_CONE_DEG), self._farthest_minimum(light)
-        slack = float(np.degrees(SYSTEMATIC_ERROR * best.at.condition(best.dirs[light])))
-        uncertain = min(cone + slack, NO_CONE_DEG)
-        doubts = [
-            (uncertain, f"the direction is uncertain by {uncertain:.3g} degrees"),
-            (off, f"another direction, {off:.0f} degrees off, explains the data as well"),
-        ]
-        vector = off
-        if max(cone, off) <= MOST_OFF_DEG and self.params.most_lights >= 2:
-            ring, apart = self._farthest_pair(light)
-            doubts.append(
-                (
-                    ring,
-                    (
-                        f"two lamps {_up_to(apart, ring)} apart would look the same to this"
-                        " print"
-                    ),
-                )
-            )
-            if self.count == 1:
-                ring, words, sky_vector = self._sky()
-                doubts.append((ring, words))
-                vector = max(off, sky_vector)
-        spread, doubt = max(doubts, key=lambda d: d[0])
-        if spread <= self.params.limit_deg:
-            return Assessment(MEASURED, spread, spread, "")
-        if self.count == 2:  # one that is hardly a light is what the model lacks
-            weak = best.fractions.min() < LEAST_SHADOW
-            vector = max(
-                off, spread if weak else search.vector_off_deg(best, best.dirs[light])
-            )
-        cone = min(float(np.hypot(cone, vector)) + slack, NO_CONE_DEG)
-        return Assessment(
-            LIKELY if self.params.likely and cone <= MOST_OFF_DEG else REFUSED,
-            cone,
-            spread,
-            doubt,
+        if best.soft[0, light] >= DOME:
+            return Assessment(REFUSED, NO_CONE_DEG, "it is a sky")
+        direction = best.dirs[0, light]
+        slack = float(np.degrees(SYSTEMATIC_ERROR * self.samples.condition(direction)))
+        bound, vector_deg, doubts = self.bound(), 0.0, []
+        least = min(LEAST_SHADOW, self.shares(best)[0][0, light] / 2)
+        middle = self.samples.normals.mean(0)
+        for words, lights, chi2 in self._others(light):
+            inside = lights[chi2 <= bound]
+            shares, strength = self.shares(inside)
+            off = np.degrees(angle_between(inside.dirs, direction))
+            lamp = (inside.soft < DOME) & (shares >= least)
+            nearest = np.where(lamp, off, np.inf).min(1)
+            # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
+            farthest = np.where(np.isfinite(nearest), nearest, SKY_DEG).max(initial=0.0)
+            ring = float(_RINGS_DEG[np.searchsorted(_RINGS_DEG, farthest + 1e-6)])
+            apart = np.degrees(angle_between(inside.dirs[:, 0], inside.dirs[:, -1]))
+            limits = _up_to(ring, ring), _up_to(apart.max(initial=0.0), ring)
+            doubts.append((ring, words.format(*limits)))
+            # what lies behind all that was seen says nothing of its vector
+            front = (inside.dirs @ middle > 0).all(1)
+            vector = (strength[:, None] @ inside.dirs)[front, 0]
+            turned = np.degrees(angle_between(vector, direction))
+            vector_deg = max(vector_deg, float(turned.max(initial=0.0)))
+        ring, doubt = max(doubts, key=lambda d: d[0])
+        cone = min(max(ring, LEAST_CONE_DEG) + slack, NO_CONE_DEG)
+        if cone <= self.params.limit_deg:
+            return Assessment(MEASURED, cone, "")
+        likely = self.params.likely and vector_deg + slack <= MOST_OFF_DEG
+        cone = max(min(cone, MOST_OFF_DEG), vector_deg + slack)
+        return Assessment(LIKELY if likely else REFUSED, cone, doubt)
+
+    def _others(self, light: int) -> Iterator[tuple[str, Lights, np.ndarray]]:
+        """(words, sets of lights, their chi squared) that may explain the data as well."""
+        best = self.best[self.count]
+        first, size = best.dirs[0, light], best.soft[0, light]
+        words = "another direction, {} off, explains the data as well"
+        yield words, *self.minima[self.count]
+        ring, across, sine = _around(first)
+        words = "the direction is uncertain by {}"
+        yield words, *self._in_place(light, ring[:, None], [size], np.ones((1, 1)))
+        if self.params.most_lights < 2:
+            return
+        words = "two lamps {1} apart would look the same to this print"
+        for ratio in _RATIOS:  # the two balance about the light that they replace
+            far = np.minimum(sine / ratio, 1)
+            second = np.sqrt(1 - far**2) * first - far * across
+            pair = np.stack([ring, second], 1), [size, size], np.array([[1, ratio]])
+            yield words, *self._in_place(light, *pair)
+        if self.count == 1:
+            words = "ambient light that is brighter from one side may shift it by {}"
+            yield words, *self.minima[2]
+            for second in (-ring, 0.5 * first - np.sqrt(0.75) * across):
+                sky = np.stack([ring, second], 1), [size, DOME], np.eye(2)
+                yield words, *self._in_place(light, *sky)
+
+    def _in_place(
+        self, light: int, dirs: np.ndarray, soft: Sequence[float], mix: np.ndarray
+    ) -> tuple[Lights, np.ndarray]:
+        """dirs (n, p, 3), soft (p,), mix (m, p), of what stands in place of one light, the
+        first held, all else refined; chi squared (n,)."""
+        n, (m, p) = len(dirs), mix.shape
+        best = self.best[self.count][np.zeros(n, int)]
+        rest = np.delete(np.arange(self.count), light)
+        full = np.eye(m + len(rest), p + len(rest), p - m)
+        full[:m, :p] = mix
+        lights = Lights(
+            np.concatenate([dirs, best.dirs[:, rest]], 1),
+            np.concatenate([np.tile(soft, (n, 1)), best.soft[:, rest]], 1),
+            np.tile(full, (n, 1, 1)),
         )
+        return refine(self.groups, lights, 0, _HELD_PASSES)
 
-    def _two_lights(self) -> Iterator[tuple[Samples, float]]:
-        """(samples, chi squared that is no worse) of the exponents under which two free
-        lights may do in place of one.
-        """
-        for bound, models in self._within():
-            if self.count == 2 or min(m.chi2 for m in models[2]) <= bound:
-                yield models[self.count][0].at, bound
 
-    def _farthest_pair(self, light: int) -> tuple[float, float]:
-        """(ring beyond the farthest on which two lamps in its place explain the data as
-        well, degrees between them)
-        """
-        out, apart = 0.0, 0.0
-        for s, bound in self._two_lights():
-            for beyond, ring in pairwise(_RINGS_DEG[::-1]):
-                if beyond <= out:
-                    break
-                chi2, between = search.two_in_place(
-                    self.best[self.count], s, light, ring, bound
-                )
-                if chi2 <= bound:
-                    out, apart = beyond, between
-                    break
-        return out, apart
+def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
+    """By count, from a grid over the whole sphere."""
+    out, grid = [each(np.zeros((1, 0, 3)))], even_directions(DEG_32)
+    if most >= 1:
+        ones = _best(*refine(groups, each(grid[:, None])), _KEPT)
+        large = each(np.repeat(ones.dirs[:1], len(_SOFT), 0), _SOFT)
+        out.append(joined([ones, large]))
+    if most >= 2:
+        i, j = np.triu_indices(len(grid), 1)
+        pairs = each(np.stack([grid[i], grid[j]], 1))
+        pairs = _best(pairs, solve(groups, pairs).chi2, _TRIED)
+        lamp = np.broadcast_to(ones.dirs[0], grid.shape)
+        skies = each(np.stack([lamp, grid], 1), np.array([0, DOME]))
+        out.append(joined([_best(*refine(groups, k), _KEPT) for k in (pairs, skies)]))
+    return out
 
-    def _sky(self) -> tuple[float, str, float]:
-        """(degrees, words, degrees of the light vector) of ambient light that is brighter
-        from one side, beside the lamp or in its place."""
-        best, ring, shift, sky, vector = self.best[1], 0.0, 0.0, 0.0, 0.0
-        for s, bound in self._two_lights():
-            for radius, beyond in pairwise(_RINGS_DEG):
-                for m in search.domes_beside(best, s, radius, bound):
-                    sky = max(sky, beyond)
-                    if (
-                        m.dirs[1] @ s.normals.mean(0) > 0
-                    ):  # what lies behind all that was seen says nothing of its vector
-                        vector = max(vector, search.vector_off_deg(m, best.dirs[0]))
-                    if m.fractions[0] >= LEAST_SHADOW and beyond > ring:
-                        ring, shift = beyond, radius
-        if (
-            ring < min(sky, SKY_DEG)
-        ):  # what casts no shadow is nowhere, but its middle is where the lamp is thought to be
-            words = (
-                "ambient light that is brighter from one side, without a lamp, would look"
-                " the same"
-            )
-            return min(sky, SKY_DEG), words, vector
-        return (
-            ring,
-            (
-                "ambient light that is brighter from one side may shift it by"
-                f" {_up_to(shift, ring)}"
-            ),
-            vector,
-        )
 
-    def _farthest_minimum(self, light: int) -> float:
-        """Degrees from the light to the farthest minimum that is no worse."""
-        return max(
-            (
-                min(float(self._off_deg(m, light).min()), NO_CONE_DEG)
-                for bound, models in self._within()
-                for m in models[self.count]
-                if m.chi2 <= bound
-            ),
-            default=0.0,
-        )
+def _best(lights: Lights, chi2: np.ndarray, count: int) -> Lights:
+    return lights[np.argsort(chi2, kind="stable")[:count]]
+
+
+def _around(d: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Directions on rings about the unit vector d: (n, 3); unit vectors across d towards each
+    (n, 3); sine of their angle from d (n, 1)."""
+    first = normalise(np.cross(d, np.eye(3)[np.abs(d).argmin()]))
+    side = np.cos(_AZIMUTHS) * first + np.sin(_AZIMUTHS) * np.cross(d, first)
+    rings = np.radians(_RINGS_DEG[:-1])
+    across, a = np.tile(side, (len(rings), 1)), np.repeat(rings, len(side))[:, None]
+    return np.cos(a) * d + np.sin(a) * across, across, np.sin(a)
 
 
 def _up_to(degrees: float, ring_deg: float) -> str:
-    return (
-        f"{degrees:.0f} degrees or more"
-        if ring_deg >= NO_CONE_DEG
-        else f"up to {degrees:.0f} degrees"
-    )
-
-
-def _lowest(cost: dict[float, float]) -> float:
-    """Minimum of the parabola through the lowest of evenly spaced costs and its neighbours,
-    kept between these.
-    """
-    steps, costs = np.array(sorted(cost.items())).T
-    i = int(costs.argmin())
-    if i in (0, len(steps) - 1):
-        return float(steps[i])
-    a, b, c = costs[i - 1 : i + 2]
-    return float(
-        steps[i] + (steps[i + 1] - steps[i]) * divide(0.5 * (a - c), a - 2 * b + c)
-    )
+    more = ring_deg >= NO_CONE_DEG
+    return f"{degrees:.0f} degrees or more" if more else f"up to {degrees:.3g} degrees"

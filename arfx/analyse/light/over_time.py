@@ -1,12 +1,11 @@
 """Lights that change: the simplest account of a whole clip that holds.
 
 1. constant: one fit for all;
-2. switched: the lamps are all on or all off between one step of the light and the next;
-3. segments: the directions of the clip, colours and brightness of their own between one
-   step and the next;
-4. shared: the same, with a factor for every frame where frames show several normals, else
-   in windows of a few seconds;
-5. windows: a fit for each segment that holds alone, or for each window.
+2. switched: the lamps are all on or all off between one step of the light and the next; or
+   segments: the directions of the clip, colours and brightness of their own in between;
+3. shared: the same, with a factor for every frame where frames show several normals, else in
+   windows of a few seconds;
+4. windows: a fit for each segment that holds alone, or for each window.
 The next one is tried where the one before does not explain the observations, or only with a
 second light. A light that is refused for another reason stays refused: cut into pieces, its
 evidence only gets less. Source: docs/methods/light.md#time."""
@@ -20,15 +19,11 @@ from itertools import pairwise
 import numpy as np
 
 from arfx.analyse.light.fit import LightFit, doubted, fit
-from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
-from arfx.analyse.light.icosphere import icosphere
-from arfx.analyse.light.search import NO_CONE_DEG
+from arfx.analyse.light.hypotheses import LIKELY, MEASURED, NO_CONE_DEG, REFUSED, Params
+from arfx.analyse.light.sphere import DEG_4, nearest_cell
 from arfx.core.light import harmonics
 from arfx.core.numerics import angle_between, divide
 
-_APART_DEG = 10.0
-# between the halves of a clip whose brightness wanders while one normal is seen at a time
-_AGREE_DEG = 3.0
 CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = (
     "constant",
     "switched",
@@ -36,17 +31,16 @@ CONSTANT, SWITCHED, SEGMENTS, SHARED, WINDOWS = (
     "shared",
     "windows",
 )
+# between the halves of a clip whose brightness wanders while one normal is seen at a time
+_AGREE_DEG = 3.0
 _GOOD_ERROR = 0.006  # model error up to which an account holds
-_MOST_DRIFT = (
-    0.02  # of the level, `drift`: an account under which normals change more does not hold
-)
-_CELL_LEVEL = 4  # 4 degrees: within, normals count as one
-_WINDOW_S = 0.25
+_MOST_DRIFT = 0.02  # of the level: an account under which normals change more does not hold
+_DRIFT_S = 0.25
 LONGEST_WINDOW_S = 2.0  # changing light is treated as constant for so long at most
 _LEAST_PIECE = 8  # observations of a segment whose light can be asked for
-_LEAST_FRAMES = 0.8  # share of the frames that show normals apart
 # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
-_APART = 0.97
+_APART, _SOMEWHAT_APART = 0.97, np.cos(np.radians(5.0))
+_LEAST_FRAMES = 0.8  # share of the frames that show normals apart
 _PASSES = 60
 
 
@@ -58,6 +52,78 @@ class Span:
     stop_s: float
     fit: LightFit
     group: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Observations:
+    """times_s : (k,) ascending;  normals, irradiance, variance : (k, 3);  group : (k,) int"""
+
+    times_s: np.ndarray
+    normals: np.ndarray
+    irradiance: np.ndarray
+    variance: np.ndarray
+    group: np.ndarray
+    params: Params
+
+    def __getitem__(self, rows: slice | np.ndarray) -> _Observations:
+        return replace(
+            self,
+            times_s=self.times_s[rows],
+            normals=self.normals[rows],
+            irradiance=self.irradiance[rows],
+            variance=self.variance[rows],
+            group=self.group[rows],
+        )
+
+    def between(self, a_s: float, b_s: float) -> _Observations:
+        """From a up to b; the last observation is in the last one."""
+        end = b_s if b_s < self.times_s[-1] else np.inf
+        return self[slice(*np.searchsorted(self.times_s, [a_s, end]).tolist())]
+
+    def grouped(self, edges_s: list[float]) -> _Observations:
+        group = np.searchsorted(edges_s, self.times_s, side="right") - 1
+        return replace(self, group=np.clip(group, 0, len(edges_s) - 2))
+
+    def fit(self, lights: int = 2, lit: np.ndarray | None = None) -> LightFit:
+        few = replace(self.params, most_lights=min(self.params.most_lights, lights))
+        return fit(self.normals, self.irradiance, self.variance, self.group, few, lit)
+
+    def drift(self) -> float:
+        return drift(self.times_s, self.normals, self.irradiance, self.group)
+
+    def steady(self, found: LightFit) -> bool:
+        return found.model_error <= _GOOD_ERROR and self.drift() <= _MOST_DRIFT
+
+    def confirmed(self, found: LightFit, middle_s: float) -> LightFit:
+        """With its first light's cone widened to what the halves up to and from a time say:
+        beyond what frames with one normal each allow likely, beyond the limit refused."""
+        if not found.claimed:
+            return found
+        limit_deg = self.params.limit_deg
+        apart = np.mean(_mean_lengths(self.times_s, self.normals) < _SOMEWHAT_APART) > 0.5
+        agree_deg = limit_deg if apart else min(limit_deg, _AGREE_DEG)
+        first, off = found.lights[0], 0.0
+        for half in (self.times_s <= middle_s, self.times_s > middle_s):
+            lights = self[half].fit(len(found.lights)).lights
+            angles = [angle_between(li.direction, first.direction) for li in lights]
+            off = max(off, float(np.degrees(min(angles, default=np.inf))))
+        likely = self.params.likely and found.model_error <= _GOOD_ERROR
+        if off <= agree_deg:
+            first = replace(first, confidence_deg=max(first.confidence_deg, off))
+            return replace(found, lights=(first, *found.lights[1:]))
+        if off > (limit_deg if likely else agree_deg):
+            why = (
+                "the light or the exposure changes, and no two parts of the clip agree on a"
+                " direction"
+            )
+            return replace(
+                found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb
+            )
+        doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
+        first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
+        reason = f"{found.reason}; {doubt}"
+        lights = (first, *found.lights[1:])
+        return replace(found, verdict=LIKELY, reason=reason, lights=lights)
 
 
 def fit_over_time(
@@ -75,147 +141,97 @@ def fit_over_time(
     variance : (k, 3) as in fit.fit, finite
     breaks_s : times at which the light steps (brightness.steps); no span crosses one
     """
-    order = np.argsort(times_s, kind="stable")  # what lies between two times is a slice
-    times, n, E, v = (a[order] for a in (times_s, normals, irradiance, variance))
-    start, stop, every = float(times[0]), float(times[-1]), slice(0, len(times))
-
-    def run(
-        rows: slice,
-        group: np.ndarray | None = None,
-        lit: np.ndarray | None = None,
-        lights: int = 2,
-    ) -> LightFit:
-        p = replace(params, most_lights=min(params.most_lights, lights))
-        return fit(
-            n[rows], E[rows], v[rows], None if group is None else group[rows], p, lit
-        )
-
-    # where most frames show normals that are apart, changing light is distinguished from a
-    # changing direction
-    several = np.mean(_mean_lengths(times, n) < np.cos(np.radians(_APART_DEG / 2))) > 0.5
-    agree_deg = params.limit_deg if several else min(params.limit_deg, _AGREE_DEG)
-
-    def confirmed(
-        found: LightFit, rows: slice, middle_s: float, group: np.ndarray | None = None
-    ) -> LightFit:
-        """With its first light's cone widened to what the halves say, up to and from a
-        time: beyond agree_deg likely, beyond the limit refused.
-        """
-        if not found.claimed:
-            return found
-        middle = int(np.searchsorted(times, middle_s, side="right"))
-        middle = min(max(middle, rows.start), rows.stop)
-        first, off = found.lights[0], 0.0
-        for half in (slice(rows.start, middle), slice(middle, rows.stop)):
-            lights = run(half, group, None, len(found.lights)).lights
-            apart = [angle_between(li.direction, first.direction) for li in lights]
-            off = max(off, float(np.degrees(min(apart, default=np.inf))))
-        if off <= agree_deg:
-            first = replace(first, confidence_deg=max(first.confidence_deg, off))
-            return replace(found, lights=(first, *found.lights[1:]))
-        likely = params.likely and found.model_error <= _GOOD_ERROR
-        if off > (params.limit_deg if likely else agree_deg):
-            why = (
-                "the light or the exposure changes, and no two parts of the clip agree on a"
-                " direction"
-            )
-            return replace(
-                found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb
-            )
-        doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
-        first = doubted(first, max(first.confidence_deg, 2 * off), 2 * off, doubt)
-        return replace(
-            found,
-            verdict=LIKELY,
-            reason=f"{found.reason}; {doubt}",
-            lights=(first, *found.lights[1:]),
-        )
-
-    def holds(
-        found: LightFit, group: np.ndarray | None = None, rows: slice = every
-    ) -> bool:
-        if not found.claimed or found.model_error > _GOOD_ERROR:
-            return False
-        return drift(times[rows], n[rows], E[rows], group) <= _MOST_DRIFT
-
-    constant = run(every)
-    if constant.model_error <= _GOOD_ERROR and drift(times, n, E) <= _MOST_DRIFT:
+    order = np.argsort(times_s, kind="stable")
+    seen = _Observations(
+        times_s, normals, irradiance, variance, np.zeros(len(times_s), int), params
+    )[order]
+    start, stop = float(seen.times_s[0]), float(seen.times_s[-1])
+    middle_s = (start + stop) / 2
+    constant = seen.fit()
+    if seen.steady(constant):
         return CONSTANT, [Span(start, stop, constant)]
     segments = window_edges(start, stop, breaks_s, np.inf)
-    # the account whose refusal says most: the first that explains what was seen
-    best_refusal = constant
-    held: list[tuple[str, LightFit, list[Span]]] = []  # accounts that explain it
-    if (lit := switches(times, E, segments)) is not None:
-        group = _group(times, segments)
-        found = run(every, group, lit)
-        if holds(found, lit[group].astype(int)):
-            dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
-            spans = [
-                Span(a, b, found if on else dark)
-                for on, (a, b) in zip(lit, pairwise(segments), strict=True)
-            ]
-            held.append((SWITCHED, found, spans))
-    for name, window_s in ((SEGMENTS, np.inf), (SHARED, LONGEST_WINDOW_S)):
-        edges = window_edges(start, stop, breaks_s, window_s)
+    refusal, switched = constant, _switched(seen, segments)
+    shared = switched if switched is not None and _plain(switched[1]) else None
+    for name, edges in (
+        (SEGMENTS, segments),
+        (SHARED, window_edges(start, stop, breaks_s, LONGEST_WINDOW_S)),
+    ):
+        if shared is not None:
+            break
         if name == SHARED:
-            if held:
-                continue
-            pumped = _exposure_drift_fit(times, n, E, v, params)
+            pumped = _exposure_drift_fit(seen)
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
                 return SHARED, [Span(start, stop, pumped)]
-        elif len(edges) < 3 or any(
-            f.verdict == MEASURED or len(f.lights) == 1 for _, f, _ in held
-        ):
+        elif len(edges) < 3:
             continue
-        group = _group(times, edges)
-        found = run(every, group)
-        if found.model_error <= _GOOD_ERROR < best_refusal.model_error:
-            best_refusal = found
-        if holds(found, group):
-            if name == SHARED:
-                found = confirmed(found, every, (start + stop) / 2, group)
-            if found.claimed:
-                present = np.unique(group)  # the groups that fit numbers
-                spans = [
-                    Span(a, b, found, int(np.abs(present - g).argmin()))
-                    for g, (a, b) in enumerate(pairwise(edges))
-                ]
-                held.append((name, found, spans))
-    name, best, spans = min(
-        held,
-        key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)),
-        default=(WINDOWS, None, []),
-    )
-    if best is not None and len(best.lights) == 1:
-        return name, spans
-
-    def between(a: float, b: float) -> slice:
-        """From a up to b; the last observation is in the last one."""
-        return slice(*np.searchsorted(times, [a, b] if b < stop else [a, np.inf]).tolist())
-
-    pieces = [between(a, b) for a, b in pairwise(segments)]
-    alone = [run(rows) for rows in pieces]
-    steady = [holds(f, None, rows) for f, rows in zip(alone, pieces, strict=True)]
-    if best is not None and not all(
+        grouped = seen.grouped(edges)
+        found = grouped.fit()
+        if found.model_error <= _GOOD_ERROR < refusal.model_error:
+            refusal = found
+        if not found.claimed or not grouped.steady(found):
+            continue
+        if name == SHARED:
+            found = grouped.confirmed(found, middle_s)
+        if found.claimed:
+            shared = name, found, _spans(found, edges, np.unique(grouped.group))
+    held = [h for h in (switched, shared) if h is not None]
+    if held:
+        shared = min(held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)))
+    if shared is not None and len(shared[1].lights) == 1:
+        return shared[0], shared[2]
+    pieces = [(a, b, seen.between(a, b)) for a, b in pairwise(segments)]
+    alone = [(piece, piece.fit()) for _, _, piece in pieces]
+    steady = [f.claimed and piece.steady(f) for piece, f in alone]
+    # one light of its own in each segment, or two for all: the former is simpler
+    if shared is not None and not all(
         ok and len(f.lights) == 1
-        for f, rows, ok in zip(alone, pieces, steady, strict=True)
-        if rows.stop - rows.start >= _LEAST_PIECE
+        for (piece, f), ok in zip(alone, steady, strict=True)
+        if len(piece.times_s) >= _LEAST_PIECE
     ):
-        return name, spans
-    spans = []  # one light of its own in each segment, or two for all: the former is simpler
-    for (a, b), found, ok in zip(pairwise(segments), alone, steady, strict=True):
+        return shared[0], shared[2]
+    spans = []
+    for (a, b, _), (_, found), ok in zip(pieces, alone, steady, strict=True):
         if ok:
             spans.append(Span(a, b, found))
             continue
         for c, d in pairwise(window_edges(a, b, (), LONGEST_WINDOW_S)):
-            inside = between(c, d)
-            spans.append(Span(c, d, confirmed(run(inside), inside, (c + d) / 2)))
+            part = seen.between(c, d)
+            spans.append(Span(c, d, part.confirmed(part.fit(), (c + d) / 2)))
     if any(s.fit.claimed for s in spans):
         return WINDOWS, spans
-    last = confirmed(constant, every, (start + stop) / 2)
-    if not last.claimed and not best_refusal.claimed:
-        last = replace(last, reason=best_refusal.reason)
+    last = seen.confirmed(constant, middle_s)
+    if not last.claimed and not refusal.claimed:
+        last = replace(last, reason=refusal.reason)
     return CONSTANT, [Span(start, stop, last)]
+
+
+def _spans(found: LightFit, edges: list[float], present: np.ndarray) -> list[Span]:
+    """present : (g,) ascending, the windows that the fit's groups are"""
+    return [
+        Span(a, b, found, int(np.abs(present - g).argmin()))
+        for g, (a, b) in enumerate(pairwise(edges))
+    ]
+
+
+def _plain(found: LightFit) -> bool:
+    return found.verdict == MEASURED or len(found.lights) == 1
+
+
+def _switched(
+    seen: _Observations, segments: list[float]
+) -> tuple[str, LightFit, list[Span]] | None:
+    """The account of lamps that are all on or all off, where that holds."""
+    if (lit := switches(seen.times_s, seen.irradiance, segments)) is None:
+        return None
+    grouped = seen.grouped(segments)
+    found = grouped.fit(lit=lit)
+    by_state = replace(grouped, group=lit[grouped.group].astype(int))
+    if not found.claimed or not by_state.steady(found):
+        return None
+    dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
+    states = zip(lit, pairwise(segments), strict=True)
+    return SWITCHED, found, [Span(a, b, found if on else dark) for on, (a, b) in states]
 
 
 def switches(
@@ -225,17 +241,13 @@ def switches(
     steps do not go down and up in turn.
 
     What a step does is seen from the observations, times ascending, right before and after it."""
-    light, t = irradiance.mean(1), times_s
-    signs = []
+    light, signs = irradiance.mean(1), []
     for edge in edges[1:-1]:
-        at = int(np.searchsorted(t, edge))
-        if not 0 < at < len(t):
+        before, after = times_s[times_s < edge], times_s[times_s >= edge]
+        if not len(before) or not len(after):
             return None
-        signs.append(
-            np.sign(
-                light[at:][t[at:] == t[at]].mean() - light[:at][t[:at] == t[at - 1]].mean()
-            )
-        )
+        last, first = light[times_s == before[-1]], light[times_s == after[0]]
+        signs.append(np.sign(first.mean() - last.mean()))
     if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
         return None
     return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
@@ -251,7 +263,7 @@ def window_edges(
     out = [start_s]
     for a, b in pairwise([start_s, *inside, stop_s]):
         pieces = max(1, int(np.ceil((b - a) / max(window_s, 1e-6) - 1e-9)))
-        out += [a + (b - a) * (i + 1) / pieces for i in range(pieces)]
+        out += np.linspace(a, b, pieces + 1)[1:].tolist()
     return out
 
 
@@ -263,29 +275,30 @@ def _mean_lengths(times: np.ndarray, n: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.add.reduceat(n, first) / count[:, None], axis=1)
 
 
-def _group(times: np.ndarray, edges: list[float]) -> np.ndarray:
-    return np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
-
-
-def _exposure_drift_fit(
-    times: np.ndarray, n: np.ndarray, E: np.ndarray, v: np.ndarray, params: Params
-) -> LightFit | None:
+def _exposure_drift_fit(seen: _Observations) -> LightFit | None:
     """The light under one factor per frame (`gains`); None where that is not to be had,
     does not hold, or is refused.
 
     A second light is left soft: what the factors are off by looks like one."""
-    if (g := gains(times, n, E)) is None:
+    n, E = seen.normals, seen.irradiance
+    if (g := gains(seen.times_s, n, E)) is None:
         return None
-    frame = np.unique(times, return_inverse=True)[1]
+    frame = np.unique(seen.times_s, return_inverse=True)[1]
     # harmonics bend where a lamp sets: the factors once more, from the lights themselves
-    for p in (replace(params, gamma_sigma=0.0), params):
-        found = fit(n, E / g[:, None], v / g[:, None] ** 2, None, p)
+    for sigma in (0.0, seen.params.gamma_sigma):
+        even = replace(
+            seen,
+            irradiance=E / g[:, None],
+            variance=seen.variance / g[:, None] ** 2,
+            params=replace(seen.params, gamma_sigma=sigma),
+        )
+        found = even.fit()
         if not found.claimed:
             return None
         g = matched(frame, found.irradiance(n).mean(1), E.mean(1))[frame]
         if not (g > 1e-3).all():
             return None
-    if drift(times, n, E / g[:, None]) > _MOST_DRIFT:
+    if drift(seen.times_s, n, E / g[:, None]) > _MOST_DRIFT:
         return None
     soft = (
         replace(li, confidence_deg=NO_CONE_DEG, verdict=REFUSED) for li in found.lights[1:]
@@ -309,22 +322,14 @@ def drift(
     level = float(np.percentile(light, 90)) if len(light) else 0.0
     if level <= 0:
         return 0.0
-    H = harmonics(normals)
-    off = (
-        light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]
-    ) / level  # slope within a cell taken out
-    g = np.zeros(len(light), int) if group is None else np.asarray(group)
-    cell = np.unique(
-        g * len(icosphere(_CELL_LEVEL).vertices) + icosphere(_CELL_LEVEL).nearest(normals),
-        return_inverse=True,
-    )[1]
+    H = harmonics(normals)  # slope within a cell taken out
+    off = (light - H @ np.linalg.lstsq(H, light, rcond=1e-6)[0]) / level
+    group = np.zeros(len(light), int) if group is None else group
+    cell = np.unique(group * DEG_4 + nearest_cell(normals, DEG_4), return_inverse=True)[1]
     count = np.bincount(cell)
     off = off - (np.bincount(cell, off) / count)[cell]
-    repeated = count[cell] > 1
-    window = np.unique(
-        np.floor((times_s - times_s.min()) / _WINDOW_S), return_inverse=True
-    )[1]
-    many = np.bincount(window, repeated)
+    window = np.floor((times_s - times_s.min()) / _DRIFT_S).astype(int)
+    many = np.bincount(window, count[cell] > 1)
     mean = divide(np.bincount(window, off), many)
     return float(np.sqrt(divide((many * mean**2).sum(), many.sum())))
 
@@ -343,8 +348,7 @@ def gains(
     light, H = np.asarray(irradiance, float).mean(1), harmonics(normals)
     g = np.ones(frame.max() + 1)
     for _ in range(_PASSES):
-        rows = g[frame, None] * H
-        model = H @ np.linalg.lstsq(rows, light, rcond=1e-6)[0]
+        model = H @ np.linalg.lstsq(g[frame, None] * H, light, rcond=1e-6)[0]
         last, g = g, matched(frame, model, light)
         if np.abs(g - last).max() < 1e-5:
             break

@@ -14,7 +14,6 @@ from arfx.analyse.light.brightness import brightness, common_level, steps
 from arfx.analyse.light.fit import best_verdict, span_deg
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED
 from arfx.analyse.light.hypotheses import Params as FitParams
-from arfx.analyse.light.icosphere import icosphere
 from arfx.analyse.light.over_time import (
     CONSTANT,
     SEGMENTS,
@@ -25,6 +24,7 @@ from arfx.analyse.light.over_time import (
     fit_over_time,
 )
 from arfx.analyse.light.photometry import LightReading
+from arfx.analyse.light.sphere import DEG_8, nearest_cell
 from arfx.analyse.light.surroundings import EnvironmentSample, matched, soft_light
 from arfx.analyse.params import LightParams
 from arfx.core.facts import FrameFacts
@@ -278,7 +278,7 @@ class StaticFrameLight:
         document = light.to_json()
         return {
             "source": light.source,
-            "normals_seen": len(np.unique(icosphere(3).nearest(n))),
+            "normals_seen": len(np.unique(nearest_cell(n, DEG_8))),
             "normal_span_deg": span_deg(n),
             "rank": int(np.linalg.matrix_rank(rows, rtol=1e-2)) if len(n) else 0,
             "condition": separates if 0 < separates < 1e12 else None,

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from arfx.analyse.light.icosphere import icosphere
+from arfx.analyse.light.sphere import DEG_8, nearest_cell
 from arfx.core.cube import CubeMap, face_directions, look_up, solid_angles
 from arfx.core.facts import FrameFacts
 from arfx.core.light import DIFFUSE, Light, harmonics
@@ -256,7 +256,7 @@ def matched(light: Light, normals: np.ndarray, shown: np.ndarray) -> Light:
     normals : (k, 3) unit, STATIC axes;  shown : (k, 3). Ridge regression of what is missing
     on the harmonics: one normal moves
     the whole light, many shape it. Never below 0 where it was measured to be above."""
-    cell = icosphere(3).nearest(normals)
+    cell = nearest_cell(normals, DEG_8)
     rows, where = np.unique(cell, return_inverse=True)
     count = np.bincount(where, minlength=len(rows))
     n = normalise(np.stack([np.bincount(where, normals[:, i]) for i in range(3)], -1))

@@ -118,6 +118,7 @@ def test_too_few_normals_are_refused_in_words(normals: np.ndarray, says: str) ->
     assert (
         found.verdict == REFUSED
         and says in found.reason
+        and ("give `--light`" in found.reason) == (says == "one normal")
         and not found.lights
         and finite(found)
     )
@@ -165,7 +166,7 @@ def test_who_knows_that_there_is_one_lamp_needs_less() -> None:
     faces = np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0], [-1, 0, 0]])
     n, d = np.repeat(faces, 20, 0), at(-20, 48)
     light = seen(n, (d, 1.0)) * (1 + 0.003 * np.random.default_rng(2).normal(size=(80, 3)))
-    assert fit(n, light).verdict == REFUSED
+    assert fit(n, light).verdict != MEASURED
     one = fit(n, light, None, None, Params(most_lights=1))
     assert (
         one.verdict == MEASURED

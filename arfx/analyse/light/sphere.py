@@ -1,0 +1,42 @@
+"""Directions in even steps over the whole sphere."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from arfx.core.numerics import normalise
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+# how many stand about so far apart
+DEG_32, DEG_16, DEG_8, DEG_4 = 42, 162, 642, 2562
+
+
+@lru_cache(maxsize=8)
+def even_directions(count: int) -> np.ndarray:
+    """(count, 3) unit vectors on a Fibonacci spiral. Read-only.
+
+    Source: Gonzalez 2010, Measurement of areas on a sphere using Fibonacci lattices."""
+    k = np.arange(count) + 0.5
+    z, azimuth = 1 - 2 * k / count, k * np.pi * (3 - np.sqrt(5))
+    across = np.stack([np.cos(azimuth), np.sin(azimuth)], -1) * np.sqrt(1 - z * z)[:, None]
+    out = np.column_stack([across, z])
+    out.setflags(write=False)
+    return out
+
+
+@lru_cache(maxsize=8)
+def _tree(count: int) -> cKDTree:
+    from scipy.spatial import cKDTree
+
+    return cKDTree(even_directions(count))
+
+
+def nearest_cell(directions: np.ndarray, count: int) -> np.ndarray:
+    """(...) which of `even_directions(count)` is nearest to (..., 3), of any finite length
+    above 0."""
+    return np.asarray(_tree(count).query(normalise(np.asarray(directions, float)))[1])
