@@ -47,7 +47,7 @@ _RINGS_DEG = np.array(
 )
 _AZIMUTHS = np.arange(8)[:, None] * np.pi / 4
 _TRIED, _KEPT = 40, 8  # of the pairs on the grid; of the minima
-_HELD_PASSES = 12
+_HELD_PASSES, _ROUGH_PASSES = 12, 8
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
     """By count, from a grid over the whole sphere."""
     out, grid = [each(np.zeros((1, 0, 3)))], even_directions(DEG_32)
     if most >= 1:
-        ones = _best(*refine(groups, each(grid[:, None])), _KEPT)
+        ones = _best(*refine(groups, each(grid[:, None]), None, _ROUGH_PASSES), _KEPT)
         large = each(np.repeat(ones.dirs[:1], len(_SOFT), 0), _SOFT)
         out.append(joined([ones, large]))
     if most >= 2:
@@ -238,7 +238,14 @@ def _starts(groups: Sequence[Group], most: int) -> list[Lights]:
         pairs = _best(pairs, solve(groups, pairs).chi2, _TRIED)
         lamp = np.broadcast_to(ones.dirs[0], grid.shape)
         skies = each(np.stack([lamp, grid], 1), np.array([0, DOME]))
-        out.append(joined([_best(*refine(groups, k), _KEPT) for k in (pairs, skies)]))
+        out.append(
+            joined(
+                [
+                    _best(*refine(groups, k, None, _ROUGH_PASSES), _KEPT)
+                    for k in (pairs, skies)
+                ]
+            )
+        )
     return out
 
 
