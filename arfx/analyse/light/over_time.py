@@ -37,6 +37,7 @@ _GOOD_ERROR = 0.006  # model error up to which an account holds
 _MOST_DRIFT = 0.02  # of the level: an account under which normals change more does not hold
 _DRIFT_S = 0.25
 LONGEST_WINDOW_S = 2.0  # changing light is treated as constant for so long at most
+_MOST_WINDOWS = 10_000  # between two steps
 _LEAST_PIECE = 8  # observations of a segment whose light can be asked for
 # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
 _APART, _SOMEWHAT_APART = 0.97, np.cos(np.radians(5.0))
@@ -257,12 +258,12 @@ def window_edges(
     start_s: float, stop_s: float, breaks_s: Sequence[float], window_s: float
 ) -> list[float]:
     """Ascending times from start to stop: every break inside, and even cuts between that
-    are at most window_s apart.
+    are at most window_s apart, or farther where there would be more than _MOST_WINDOWS.
     """
     inside = sorted({float(b) for b in breaks_s if np.isfinite(b) and start_s < b < stop_s})
     out = [start_s]
     for a, b in pairwise([start_s, *inside, stop_s]):
-        pieces = max(1, int(np.ceil((b - a) / max(window_s, 1e-6) - 1e-9)))
+        pieces = max(1, int(min(np.ceil((b - a) / window_s - 1e-9), _MOST_WINDOWS)))
         out += np.linspace(a, b, pieces + 1)[1:].tolist()
     return out
 
@@ -328,7 +329,10 @@ def drift(
     cell = np.unique(group * DEG_4 + nearest_cell(normals, DEG_4), return_inverse=True)[1]
     count = np.bincount(cell)
     off = off - (np.bincount(cell, off) / count)[cell]
-    window = np.floor((times_s - times_s.min()) / _DRIFT_S).astype(int)
+    # numbered without holes: a clip may stand still for years
+    window = np.unique(np.floor((times_s - times_s.min()) / _DRIFT_S), return_inverse=True)[
+        1
+    ]
     many = np.bincount(window, count[cell] > 1)
     mean = divide(np.bincount(window, off), many)
     return float(np.sqrt(divide((many * mean**2).sum(), many.sum())))

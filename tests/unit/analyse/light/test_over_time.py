@@ -17,6 +17,7 @@ from arfx.analyse.light.over_time import (
     fit_over_time,
     gains,
     matched,
+    window_edges,
 )
 from arfx.analyse.light.static_frame import span_report, used_spans
 from arfx.core.light import harmonics
@@ -99,6 +100,13 @@ def test_light_that_rests_does_not_drift_and_light_that_changes_does() -> None:
         drift(times, n, light * step[:, None], (times < 1.2).astype(int)) < 1e-9
     )  # each on its own side
     assert drift(times, n, 0 * light) == 0.0
+
+
+def test_a_clip_with_gaps_of_years_takes_no_more_memory() -> None:
+    times, normals, irradiance = board(np.ones(FRAMES))
+    late = np.where(times > TIMES[20], times + 1e9, times)
+    assert 0 <= drift(late, normals, irradiance) < 0.02
+    assert len(window_edges(0.0, 1e9, [5.0], 2.0)) < 50_000
 
 
 def test_one_normal_seen_once_says_nothing_of_drift() -> None:
