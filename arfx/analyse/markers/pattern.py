@@ -318,11 +318,6 @@ def homography_of(quad: np.ndarray) -> np.ndarray:
     return cv2.getPerspectiveTransform(_CORNERS.astype(np.float32), quad.astype(np.float32))
 
 
-def unit_corners(ideal_from_unit: np.ndarray) -> np.ndarray:
-    """(4, 2) where the corners of the unit square are."""
-    return _mapped(ideal_from_unit, _CORNERS)
-
-
 def coded_luma(linear: np.ndarray, ink: float, paper: float) -> np.ndarray:
     """(h, w) uint8 luma of a print, as a clip holds it: of its picture (h, w, 3), linear,
     in ink and paper of these albedos.
