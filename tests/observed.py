@@ -8,7 +8,7 @@ from typing import Any
 from arfx.analyse.clip import analyse
 from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.markers.search import MarkerSearch
-from arfx.analyse.observe import Observation, Rows, add_rows
+from arfx.analyse.observe import ClipRows, Observation
 from arfx.analyse.tables import Tables
 
 
@@ -17,23 +17,31 @@ class Observed:
 
     def __init__(self, job: AnalysisJob, wanted: Collection[str] = ()) -> None:
         self.job, self.wanted = job, wanted
-        self._observation = Observation(job, wanted)
-        self.rows: Rows = self._observation.rows
+        self.observation = Observation(job, wanted)
+        self._before: list[tuple[Tables, int]] = []
 
     @property
     def search(self) -> MarkerSearch:
-        found = self._observation._search
+        found = self.observation._search
         assert found is not None
         return found
 
     def step(self, frame: AnalysisFrame) -> None:
-        self._observation.step(frame)
+        self.observation.step(frame)
 
     def tables(self) -> Tables:
-        return self._observation.tables()
+        return self.observation.tables()
 
     def add(self, tables: Tables, shift: int = 0) -> None:
-        add_rows(self.rows, tables, shift)
+        self._before.append((tables, shift))
+
+    @property
+    def rows(self) -> ClipRows:
+        """Of the parts that were added, and behind them of the frames."""
+        rows = ClipRows()
+        for tables, shift in (*self._before, (self.tables(), 0)):
+            rows.add(tables, shift)
+        return rows
 
     def finish(self, *span: Any) -> Analysis:
         return analyse(self.rows, self.job, self.wanted, *span)

@@ -4,7 +4,6 @@ Cost: about .5 ms per frame. Source: docs/methods/."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -29,7 +28,7 @@ from arfx.analyse.markers.search import (
 )
 from arfx.analyse.motion.advection import AROUND, with_advection
 from arfx.analyse.motion.flow import joined_steps
-from arfx.analyse.observe import Rows
+from arfx.analyse.observe import ClipRows
 from arfx.analyse.pose.figures import pose_checks
 from arfx.analyse.pose.solve import solve_poses
 from arfx.analyse.pose.visibility import with_model
@@ -38,7 +37,7 @@ from arfx.core.stage import Check
 
 
 def analyse(
-    rows: Rows,
+    rows: ClipRows,
     job: AnalysisJob,
     wanted: Collection[str] = (),
     frame_span: tuple[list[float], int, bool] = ([], 0, True),
@@ -47,7 +46,7 @@ def analyse(
     name, beside the poses;  frame_span : as of Analysis
 
     Raises NothingToDoError where nothing was seen to stand on."""
-    rows, clip = defaultdict(list, rows), Analysis(frame_span=frame_span)
+    clip = Analysis(frame_span=frame_span)
     on_plane = job.anchor == PLANE
     if on_plane:
         clip = plane_poses(clip, job, rows["rest_pictures"], rows["rest_motions"])
@@ -72,7 +71,7 @@ def analyse(
     return clip
 
 
-def marker_poses(clip: Analysis, rows: Rows, job: AnalysisJob) -> Analysis:
+def marker_poses(clip: Analysis, rows: ClipRows, job: AnalysisJob) -> Analysis:
     """The camera's path over the markers.
 
     Raises NothingToDoError if no configured marker was ever seen, saying what was."""
@@ -90,7 +89,7 @@ def marker_poses(clip: Analysis, rows: Rows, job: AnalysisJob) -> Analysis:
 
 
 def lit(
-    clip: Analysis, rows: Rows, samples: Sequence[EnvironmentSample], job: AnalysisJob
+    clip: Analysis, rows: ClipRows, samples: Sequence[EnvironmentSample], job: AnalysisJob
 ) -> Analysis:
     """Every frame's light: read on the prints, guessed from the surroundings, or given."""
     readings = rows["readings"]
@@ -141,7 +140,7 @@ def surrounded(
     return replace(clip.adding(facts), environment_maps=maps)
 
 
-def moved(clip: Analysis, rows: Rows, job: AnalysisJob) -> Analysis:
+def moved(clip: Analysis, rows: ClipRows, job: AnalysisJob) -> Analysis:
     """How the background moves, for what is to lie still on it."""
     pictures = rows["key_pictures"]
     camera = job.camera.scaled_to(pictures[0].width, pictures[0].height)

@@ -17,7 +17,6 @@ from arfx.analyse.motion.flow import BackgroundMotion
 from arfx.analyse.pose.at_rest import BackgroundFlow, RestCheck
 from arfx.analyse.tables import Tables, by_columns, rows_of
 
-Rows = dict[str, list[Any]]  # by table
 KINDS: dict[str, type] = {
     table: kind
     for observer in (
@@ -68,18 +67,32 @@ class Observation:
         for observer in self._others:
             observer.step(frame, shown)
 
-    @property
-    def rows(self) -> Rows:
-        """Of all frames so far."""
-        every: list[Any] = [o for o in (self._search, *self._others) if o is not None]
-        return {table: getattr(o, table) for o in every for table in o.tables}
-
     def tables(self) -> Tables:
-        """The rows by columns, as files keep them."""
-        return {table: by_columns(rows, KINDS[table]) for table, rows in self.rows.items()}
+        """The rows of all frames so far by columns, as files keep them."""
+        every: list[Any] = [o for o in (self._search, *self._others) if o is not None]
+        return {
+            table: by_columns(getattr(observer, table), kind)
+            for observer in every
+            for table, kind in observer.tables.items()
+        }
 
 
-def add_rows(rows: Rows, tables: Tables, shift: int = 0) -> None:
-    """Add what the next part of the clip showed. shift : to be added to its frames' numbers"""
-    for table in tables.keys() & KINDS.keys():
-        rows.setdefault(table, []).extend(rows_of(tables[table], KINDS[table], shift))
+class ClipRows:
+    """Rows of all parts of a clip, by table. They are kept by columns, which take a fraction
+    of the rows' memory, and made when they are asked for."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[Tables, int]] = []
+
+    def add(self, tables: Tables, shift: int = 0) -> None:
+        """Add what the next part showed. shift : to be added to its frames' numbers"""
+        self._parts.append((tables, shift))
+
+    def __getitem__(self, table: str) -> list[Any]:
+        kind = KINDS[table]
+        return [
+            row
+            for tables, shift in self._parts
+            if table in tables
+            for row in rows_of(tables[table], kind, shift)
+        ]

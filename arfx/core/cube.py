@@ -141,7 +141,7 @@ def spread(faces: np.ndarray, reach_deg: float) -> np.ndarray:
     ).reshape(faces.shape)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SeenEnvironment(Document):
     """What the clip saw of the surroundings about one frame, between two of the scene's
     `environment_maps`.
@@ -155,7 +155,7 @@ class SeenEnvironment(Document):
     axes: tuple[float, ...] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class CubeMap(Document):
     """A cube of radiance, as facts hold one. size : texels along a face's side;  data :
     text of float16, see `faces`

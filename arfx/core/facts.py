@@ -7,11 +7,12 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from arfx.core.advection import AdvectionField
-from arfx.core.codec import Array, Document
+from arfx.core.codec import Array, Document, Unbounded
 from arfx.core.cube import CubeMap, SeenEnvironment
 from arfx.core.guard import atomic_write
 from arfx.core.lens import LensFit
@@ -24,46 +25,26 @@ from arfx.errors import InputError
 MEASURED, INTERPOLATED, ABSENT = "measured", "interpolated", "absent"
 _FORMAT, _VERSION = (
     "arfx-facts",
-    3,
+    4,
 )  # of a facts file: JSON lines, a header and then one line per frame
 
 
-@dataclass(frozen=True)
-class Hypothesis(Document):
-    """One planar pose solution of one marker. reprojection_px : rms over its four corners."""
-
-    camera_from_marker: Pose
-    reprojection_px: float
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class MarkerSighting(Document):
     """One configured marker seen in one frame.
     key : "36h11:3";  corners_px : (4, 2) refined, order of MarkerSpec.corners_m
-    sigma_px : standard deviation of a corner coordinate;  hypotheses : best first, one or
-    two (IPPE)
-    chosen : index of the hypothesis that the whole clip supports;  inverted : white on black print
-    """
+    sigma_px : standard deviation of a corner coordinate;  ambiguity : error of the other
+    planar pose over that of the better one, inf with one alone, below 3 to 4: danger
+    inverted : white on black print"""
 
     key: str
     corners_px: Array
     sigma_px: float
-    hypotheses: tuple[Hypothesis, ...] = ()
-    chosen: int = 0
+    ambiguity: Unbounded = float("inf")
     inverted: bool = False
 
-    @property
-    def ambiguity(self) -> float:
-        """Ratio of the second solution's error to the first's, >= 1; inf with one solution.
-        Below 3-4: danger.
-        """
-        if len(self.hypotheses) < 2:
-            return float("inf")
-        a, b = (h.reprojection_px for h in self.hypotheses[:2])
-        return b / a if a > 0 else float("inf")
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class PlaneShadow(Document):
     """Where a real shadow lies on the anchor's plane already, as seen where the surface is
     known (the white of the marker).
@@ -77,7 +58,7 @@ class PlaneShadow(Document):
     ratio: tuple[tuple[float, ...], ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class FrameFacts(Document):
     """One frame: everything a stage may know about the clip beside the pixels. What was not
     measured is None.
@@ -156,7 +137,7 @@ def write_facts(path: Path | str, facts: Sequence[FrameFacts]) -> None:
     path = Path(path)
     header = {"format": _FORMAT, "version": _VERSION, "frames": len(facts)}
     with atomic_write(path) as part, part.open("w", encoding="utf-8") as f:
-        for line in (header, *(x.to_json() for x in facts)):
+        for line in chain([header], (frame.to_json() for frame in facts)):
             f.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
 
 

@@ -15,7 +15,7 @@ from arfx.core.numerics import normalise
 DIFFUSE = np.repeat([1.0, 2.0 / 3.0, 1.0 / 4.0], [1, 3, 5])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class DirectionalLight(Document):
     """direction : unit, WORLD frame, towards the light;  rgb : irradiance on a surface that
     faces it, such that a
@@ -33,7 +33,7 @@ class DirectionalLight(Document):
         return normalise(np.asarray(self.direction, float))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Light(Document):
     """ambient_rgb : radiance of a white diffuse surface without any directional light, mean
     over its normals

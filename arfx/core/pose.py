@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -44,7 +43,7 @@ def rotation_from_euler_deg(x: float, y: float, z: float) -> np.ndarray:
     return np.asarray(Rotation.from_euler("xyz", (x, y, z), degrees=True).as_matrix())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Pose(Plain):
     """A rigid transform: p_dest = rotation @ p_source + translation_m.
     rotation : (3, 3) float64, orthonormal, det +1
@@ -72,7 +71,7 @@ class Pose(Plain):
         """Points (..., 3) of the source in destination coordinates."""
         return np.asarray(points, float) @ self.rotation.T + self.translation_m
 
-    @cached_property
+    @property
     def rotvec(self) -> np.ndarray:
         return rotvec_from_rotation(self.rotation)
 

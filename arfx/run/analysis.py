@@ -14,7 +14,7 @@ from typing import Any
 
 from arfx.analyse.clip import analyse
 from arfx.analyse.job import Analysis, AnalysisJob
-from arfx.analyse.observe import Rows, add_rows
+from arfx.analyse.observe import ClipRows
 from arfx.analyse.tables import Tables, from_bytes, rows_of, to_bytes
 from arfx.core.waiting import Progress
 from arfx.media.clip import ClipInfo
@@ -121,7 +121,7 @@ class _Pass:
         stretches = context.stretches
         self.context, self.stretches = context, stretches
         self.folder, self.key, self.log = folder, key, log
-        self.rows: Rows = {}
+        self.rows = ClipRows()
         self.pts, self.keys = list[int](), list[int]()
         self.before, self.ended, self.truncated = stretches.before, False, ""
         self.seconds: Any = Counter()
@@ -202,7 +202,7 @@ class _Pass:
             start = time.perf_counter()
             tables, name, own_s = self._tables(part)
             first = len(self.pts)
-            add_rows(self.rows, tables, first - part.first)
+            self.rows.add(tables, first - part.first)
             frames = rows_of(tables[FRAMES], StretchFrame, first)
             self.keys += [f.frame for f in frames if f.key]
             self.pts += [f.pts for f in frames]

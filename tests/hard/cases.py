@@ -27,7 +27,7 @@ _GI, _DOF, _PAINT = (
     "tests/unit/stages/test_dof.py",
     "tests/unit/stages/test_watercolor_stage.py",
 )
-_POSE = "tests/property/test_pose_hypotheses.py"
+_POSE = "tests/property/test_planar_poses.py"
 
 CASES: tuple[Case, ...] = (
     Case("no marker at all", "exit 4, what was tried and what is there",

@@ -13,7 +13,7 @@ import numpy as np
 from arfx.analyse.lens import lens_from_blur
 from arfx.analyse.light.fit import REFUSED, fit
 from arfx.analyse.light.photometry import EXACT, MEASURED, solve
-from arfx.analyse.pose.planar import Observed, hypotheses, information
+from arfx.analyse.pose.planar import Observed, information
 from arfx.core.marker import MarkerSpec
 from arfx.core.numerics import angle_between, normalise
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
@@ -30,6 +30,7 @@ from tests.hard.sweeps import (
     informed,
     least_sigma,
 )
+from tests.planar import planar
 
 # --- bias of the camera, as two albedos become one
 # ---------------------------------------------------------------------------
@@ -158,15 +159,11 @@ def _marker_pose(
             _CORNER_SIGMA_PX / _FOCAL_PX, (4, 2)
         )
         scale = np.broadcast_to(_FOCAL_PX * np.eye(2), (1, 4, 2, 2))
-        (found,) = hypotheses(
-            [_CORNERS_M], ideal[None], scale, np.array([_CORNER_SIGMA_PX])
-        )
+        found = planar(_CORNERS_M, ideal, scale[0], _CORNER_SIGMA_PX)
         if not found:
             return None
-        off = [
-            rotation_angle_rad(h.camera_from_marker, Pose(turn, np.zeros(3))) for h in found
-        ]
-        best = found[int(np.argmin(off))].camera_from_marker
+        off = [rotation_angle_rad(pose, Pose(turn, np.zeros(3))) for pose, _ in found]
+        best, _ = found[int(np.argmin(off))]
         observed = Observed(
             _CORNERS_M[None], ideal[None], scale, np.full((1, 4), _CORNER_SIGMA_PX**-2)
         )

@@ -14,12 +14,13 @@ import numpy as np
 
 from arfx.analyse.markers.corners import linear_table, refine_corners, shared_px
 from arfx.analyse.markers.detect import MarkerDetector
-from arfx.analyse.pose.planar import Observed, hypotheses, information
+from arfx.analyse.pose.planar import Observed, information
 from arfx.core.colour import SRGB
 from arfx.core.marker import MarkerSpec
 from arfx.core.marker_codes import cells_per_side, dictionary
 from arfx.core.pose import Pose, rotation_angle_rad, rotation_from_rotvec
 from tests.hard.sweeps import ANSWER, CAMERA, EITHER, REFUSAL, Answer, Data, Expected, Sweep
+from tests.planar import planar
 
 _FAMILY, _SIDE_M = "36h11", 0.1
 _CORNERS_M = MarkerSpec(_FAMILY, 0, _SIDE_M).corners_m
@@ -108,14 +109,11 @@ def _pose(view_at: Callable[[float], View]) -> Callable[[float, str, Data], Answ
             refined.sigma_px, shared_px(refined.corners_px, refined.blur_px, cells)
         )
         scale = np.broadcast_to(_FOCAL_PX * np.eye(2), (1, 4, 2, 2))
-        (both,) = hypotheses([_CORNERS_M], ideal, scale, sigma)
+        both = planar(_CORNERS_M, ideal[0], scale[0], float(sigma[0]))
         if not both:
             return None
-        off = [
-            rotation_angle_rad(h.camera_from_marker, Pose(view.turn, np.zeros(3)))
-            for h in both
-        ]
-        best = both[int(np.argmin(off))].camera_from_marker
+        off = [rotation_angle_rad(pose, Pose(view.turn, np.zeros(3))) for pose, _ in both]
+        best, _ = both[int(np.argmin(off))]
         observed = Observed(
             _CORNERS_M[None], ideal, scale, np.repeat(sigma[:, None] ** -2.0, 4, 1)
         )

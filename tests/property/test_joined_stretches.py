@@ -4,7 +4,6 @@ of them is lost."""
 from __future__ import annotations
 
 import copy
-from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
@@ -24,7 +23,7 @@ from arfx.analyse.motion import flow
 from arfx.analyse.motion.flow import joined_steps
 from arfx.analyse.observe import KINDS
 from arfx.analyse.pose.at_rest import rests
-from arfx.analyse.tables import Tables, from_bytes, to_bytes
+from arfx.analyse.tables import from_bytes, to_bytes
 from arfx.core.marker import MarkerSpec, PatternSpec
 from arfx.core.rect import Rect
 from tests.exact import identical
@@ -148,10 +147,6 @@ def stretch(first: int, end: int, number: int = 0) -> Made:
     return every
 
 
-def tables(every: Made) -> dict[str, Tables]:
-    return {name: observed.tables() for name, observed in every.items()}
-
-
 def joined(numbered: bool = True, cuts: tuple[int, ...] = CUTS) -> Made:
     """The clip by its stretches. numbered : their frames know their numbers in the clip"""
     whole = made()
@@ -198,8 +193,8 @@ def test_the_clip_gives_every_table_rows(uncut: Made) -> None:
     given = {
         table
         for observed in uncut.values()
-        for table, rows in observed.rows.items()
-        if rows
+        for table in observed.tables()
+        if observed.rows[table]
     }
     assert given == {*KINDS}
 
@@ -207,9 +202,12 @@ def test_the_clip_gives_every_table_rows(uncut: Made) -> None:
 def test_rows_come_back_from_a_file_as_they_were(uncut: Made) -> None:
     for observed, again in zip(uncut.values(), made().values(), strict=True):
         again.add(from_bytes(to_bytes(observed.tables())))
-        for table, rows in observed.rows.items():
-            one, other = ([*map(values, part)] for part in (rows, again.rows[table]))
-            assert one and identical(one, other), table
+        kept, observation = again.rows, observed.observation
+        for observer in filter(None, (observation._search, *observation._others)):
+            for table in observer.tables:
+                rows = getattr(observer, table), kept[table]
+                one, other = ([*map(values, part)] for part in rows)
+                assert one and identical(one, other), table
 
 
 def values(row: Any) -> Any:
@@ -270,7 +268,7 @@ def test_poses_of_coded_prints_do_not_depend_on_where_a_clip_is_cut() -> None:
             for k in range(a, b):
                 part.step(shown(k, k))
             whole.add(part.tables())
-        clips.append(marker_poses(Analysis(), defaultdict(list, whole.rows), job))
+        clips.append(marker_poses(Analysis(), whole.rows, job))
     before, after = clips
     assert [(f.status, f.shot) for f in before.facts] == [
         (f.status, f.shot) for f in after.facts
@@ -282,9 +280,11 @@ def test_poses_of_coded_prints_do_not_depend_on_where_a_clip_is_cut() -> None:
 
 
 def test_frames_are_numbered_where_they_come_to_lie() -> None:
-    numbered, again = (tables(joined(n, (0, 11, 15))) for n in (True, False))
-    assert len(numbered["markers"]["readings"]["frame"])
+    numbered, again = (joined(n, (0, 11, 15)) for n in (True, False))
+    assert numbered["markers"].rows["readings"]
     for name in ("markers", "plane"):
-        for table in again[name]:
-            if table != "others":  # other dictionaries are looked for by number
-                assert identical(again[name][table], numbered[name][table]), (name, table)
+        for table in KINDS.keys() - {"others"}:  # dictionaries are looked for by number
+            one, other = (
+                [*map(values, clip[name].rows[table])] for clip in (numbered, again)
+            )
+            assert identical(one, other), (name, table)

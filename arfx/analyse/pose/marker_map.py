@@ -6,22 +6,22 @@ world = the axes of the first configured marker that was seen. Source: docs/meth
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from arfx.analyse.pose.planar import (
     Observed,
+    PlanarPoses,
     apply_step,
     huber_cost,
     jacobian,
     refine_poses,
     residuals,
     rms_px,
-    stack,
 )
 from arfx.core.numerics import condition
 from arfx.core.pose import Pose, skew
@@ -30,19 +30,29 @@ from arfx.core.pose import Pose, skew
 MAX_FRAMES = 200
 _FEW = 10  # frames of a marker that none of these shows
 _VOTERS, _JUDGES = 40, 60
-T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class View:
-    """One marker in one frame, as the mapping needs it.
-
-    seen : without the axis of frames;  solutions : its planar poses, best first.
+class Prints(NamedTuple):
+    """s sightings of prints. frame, marker : (s,) their numbers;  seen : their corners, in the
+    axes of each;  poses : camera_from_marker
     """
 
-    key: str
+    frame: np.ndarray
+    marker: np.ndarray
     seen: Observed
-    solutions: tuple[Pose, ...]
+    poses: PlanarPoses
+
+    def in_frames(self, frames: np.ndarray) -> Prints:
+        """What a table of rows (n, m), -1 = none, holds: m markers in n frames."""
+        frame, marker = np.nonzero(frames >= 0)
+        rows = frames[frame, marker]
+        return Prints(frame, marker, self.seen.take(rows), self.poses.take(rows))
+
+    def by_frame(self, frames: int, markers: int) -> np.ndarray:
+        """(frames, markers) row of each marker in each frame, -1 = it is not seen."""
+        out = np.full((frames, markers), -1)
+        out[self.frame, self.marker] = np.arange(len(self.frame))
+        return out
 
 
 @dataclass(frozen=True)
@@ -70,111 +80,115 @@ class MarkerMap:
         }
 
 
-def map_markers(frames: Sequence[Sequence[View]], keys: Sequence[str]) -> MarkerMap:
-    """frames : the markers of each frame;  keys : configured order."""
-    present = [k for k in keys if any(v.key == k for views in frames for v in views)]
+def map_markers(prints: Prints, frames: int, keys: Sequence[str]) -> MarkerMap:
+    """frames : how many;  keys : of the markers, configured order."""
+    present = np.unique(prints.marker).tolist()
     if not present:
         return MarkerMap({})
-    together = [f for f in ({v.key: v for v in views} for views in frames) if len(f) > 1]
-    start = _spanning_tree(together, present)
-    unmapped = tuple(k for k in present if k not in start)
+    rows = prints.by_frame(frames, len(keys))
+    together = rows[(rows >= 0).sum(1) > 1]
+    start = _spanning_tree(prints, together, present)
+    unmapped = tuple(keys[k] for k in present if k not in start)
+    together = together[:, [*start]]
     if len(start) == 1:
-        return MarkerMap(start, unmapped)
-    shared = [f for f in together if sum(k in start for k in f) > 1]
+        return MarkerMap({keys[present[0]]: Pose.identity()}, unmapped)
+    shared = together[(together >= 0).sum(1) > 1]
     chosen = _evenly(shared, MAX_FRAMES)
-    for key in start:
-        if not any(key in f for f in chosen):
-            chosen += _evenly([f for f in shared if key in f], _FEW)
-    return _adjust([[*f.values()] for f in chosen], start, unmapped)
+    for column in range(len(start)):
+        if not (chosen[:, column] >= 0).any():
+            more = _evenly(shared[shared[:, column] >= 0], _FEW)
+            chosen = np.concatenate([chosen, more])
+    poses = {keys[k]: pose for k, pose in start.items()}
+    return _adjust(prints.in_frames(chosen), len(chosen), poses, unmapped)
 
 
-def _evenly(items: Sequence[T], most: int) -> list[T]:
+def _evenly(items: np.ndarray, most: int) -> np.ndarray:
     at = np.linspace(0, len(items) - 1, most).round().astype(int)
-    return [items[k] for k in np.unique(at)]
+    return items[np.unique(at)]
 
 
-def _spanning_tree(together: list[dict[str, View]], present: list[str]) -> dict[str, Pose]:
-    """Grow the map from the first marker along the pairs that agree best."""
+def _spanning_tree(
+    prints: Prints, together: np.ndarray, present: Sequence[int]
+) -> dict[int, Pose]:
+    """Grow the map from the first marker along the pairs that agree best. together : (n, m)
+    rows of `prints` in frames that show several"""
 
     @cache
-    def edge(a: str, b: str) -> tuple[float, Pose]:
-        return _relative_pose([f for f in together if a in f and b in f], a, b)
+    def edge(a: int, b: int) -> tuple[float, Pose]:
+        pairs = together[:, [a, b]]
+        return _relative_pose(prints, pairs[(pairs >= 0).all(1)])
 
     out = {present[0]: Pose.identity()}
     while True:
         ends = ((edge(a, b)[0], a, b) for a in out for b in present if b not in out)
-        misfit, a, b = min(ends, default=(np.inf, "", ""))
+        misfit, a, b = min(ends, default=(np.inf, 0, 0))
         if misfit == np.inf:
             return out
         out[b] = out[a] @ edge(a, b)[1]
 
 
-def _relative_pose(frames: list[dict[str, View]], a: str, b: str) -> tuple[float, Pose]:
+def _relative_pose(prints: Prints, pairs: np.ndarray) -> tuple[float, Pose]:
     """(misfit, pose of b in a): the candidate under which b's corners fit best in the other
-    frames, medians of px.
+    frames, medians of px. pairs : (n, 2) rows of a and b
 
     The misfit is divided by the root of the number of frames, so that a pair often seen
     together is preferred."""
-    if not frames:
+    if not len(pairs):
         return np.inf, Pose.identity()
-    candidates = [
-        pa.inverse() @ pb
-        for f in _evenly(frames, _VOTERS)
-        for pa in f[a].solutions
-        for pb in f[b].solutions
-    ]
+    a, b = map(prints.poses.take, _evenly(pairs, _VOTERS).T)
+    a_from_camera = np.swapaxes(a.rotation, -1, -2)[:, :, None]
+    apart = b.translation[:, None] - a.translation[:, :, None]
+    known = a.known[:, :, None] & b.known[:, None]
+    turn = (a_from_camera @ b.rotation[:, None])[known]
+    shift = (a_from_camera @ apart[..., None])[known][..., 0]
     # every solution of a, in every frame, with every candidate
-    judges = _evenly(frames, _JUDGES)
-    count = np.array([len(f[a].solutions) for f in judges])
-    rotation, translation = stack([p for f in judges for p in f[a].solutions])
-    turn, shift = stack(candidates)
-    moved = (rotation[:, None] @ shift[..., None])[..., 0] + translation[:, None]
-    seen = observe([[f[b]] for f in judges], {b: Pose.identity()}, [b])
-    seen = seen.take(np.repeat(np.arange(len(judges)), count * len(candidates)))
-    turned = (rotation[:, None] @ turn).reshape(-1, 3, 3)
+    judges = _evenly(pairs, _JUDGES)
+    a, seen = prints.poses.take(judges[:, 0]), prints.seen.take(judges[:, 1])
+    turned = (a.rotation[:, :, None] @ turn).reshape(-1, 3, 3)
+    moved = (a.rotation[:, :, None] @ shift[..., None])[..., 0] + a.translation[:, :, None]
+    seen = seen.take(np.repeat(np.arange(len(judges)), 2 * len(turn)))
     missed = rms_px(residuals(turned, moved.reshape(-1, 3), seen), seen.weight)
-    error = np.minimum.reduceat(
-        missed.reshape(-1, len(candidates)), np.cumsum(count) - count
-    )
-    typical = np.median(error, axis=0)
+    missed = missed.reshape(len(judges), 2, len(turn))
+    missed[~a.known] = np.inf
+    typical = np.median(missed.min(1), axis=0)
     best = int(typical.argmin())
-    return float(typical[best] / np.sqrt(len(frames))), candidates[best]
+    return float(typical[best] / np.sqrt(len(pairs))), Pose(turn[best], shift[best])
 
 
 def camera_poses(
-    views: Iterable[View], world_from_marker: Mapping[str, Pose]
-) -> list[Pose]:
-    """camera_from_world by each planar solution of each mapped marker."""
-    return [
-        p @ world_from_marker[v.key].inverse()
-        for v in views
-        if v.key in world_from_marker
-        for p in v.solutions
-    ]
+    prints: Prints, rows: np.ndarray, layout: Sequence[Pose]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """camera_from_world by each planar pose of some prints: rotation (k, 3, 3), translation
+    (k, 3), and whose it is (k,). layout : world_from_marker of every marker"""
+    turn, shift = (part[prints.marker[rows], None] for part in arrays(layout))
+    poses = prints.poses.take(rows)
+    rotation = poses.rotation @ np.swapaxes(turn, -1, -2)
+    translation = poses.translation - (rotation @ shift[..., None])[..., 0]
+    known = poses.known
+    return rotation[known], translation[known], rows[np.nonzero(known)[0]]
 
 
 def _adjust(
-    frames: list[list[View]], start: dict[str, Pose], unmapped: tuple[str, ...]
+    prints: Prints, n: int, start: Mapping[str, Pose], unmapped: tuple[str, ...]
 ) -> MarkerMap:
     """Gauss-Newton. What a frame's own pose explains of its corners is projected out (QR);
-    the rest is for the map."""
+    the rest is for the map. prints : in n frames;  start : of the markers, in their order"""
     from scipy.linalg import block_diag
 
-    keys = list(start)
-    n, m = len(frames), len(keys)
-    corners_m = {v.key: v.seen.points_m for views in frames for v in views}
-    local = np.stack([corners_m.get(k, np.zeros((4, 3))) for k in keys])
-    seen = observe(frames, start, keys)
-    first = []
-    for k, views in enumerate(
-        frames
-    ):  # from the planar solution that fits all its markers best
-        candidates = camera_poses(views, start)
-        one = seen.take(np.full(len(candidates), k))
-        misfit, _ = huber_cost(residuals(*stack(candidates), one), one.weight)
-        first.append(candidates[int(misfit.argmin())])
-    rotation, translation, _ = refine_poses(*stack(first), seen)
-    map_r, map_t = stack([*start.values()])
+    keys, layout = list(start), list(start.values())
+    m = len(keys)
+    local = np.zeros((m, 4, 3))
+    local[prints.marker] = prints.seen.points_m
+    seen = observe(prints, n, layout)
+    # from the planar solution that fits all its markers best
+    rotation, translation, row = camera_poses(prints, np.arange(len(prints.frame)), layout)
+    frame = prints.frame[row]
+    one = seen.take(frame)
+    misfit, _ = huber_cost(residuals(rotation, translation, one), one.weight)
+    order = np.lexsort((misfit, frame))
+    first = order[np.unique(frame[order], return_index=True)[1]]
+    rotation, translation, _ = refine_poses(rotation[first], translation[first], seen)
+    map_r, map_t = arrays(layout)
     cost = np.inf
     for _ in range(30):
         world = (local @ np.swapaxes(map_r, 1, 2) + map_t[:, None]).reshape(1, -1, 3)
@@ -215,19 +229,21 @@ def _adjust(
     return MarkerMap(poses, unmapped, n, rms, spread, condition(reduced))
 
 
-def observe(
-    frames: Sequence[Iterable[View]],
-    world_from_marker: Mapping[str, Pose],
-    keys: Sequence[str],
-) -> Observed:
-    """The corners of these markers, four places per key."""
-    n, m = len(frames), max(len(keys), 1)
-    out = Observed(*(np.zeros((n, m, 4, *s)) for s in ((3,), (2,), (2, 2), ())))
-    for k, views in enumerate(frames):
-        for v in views:
-            if v.key in keys:
-                at = k, keys.index(v.key)
-                for whole, one in zip(out, v.seen, strict=True):
-                    whole[at] = one
-                out.points_m[at] = world_from_marker[v.key].apply(v.seen.points_m)
+def arrays(poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (n, 3, 3), translation (n, 3)."""
+    return np.array([p.rotation for p in poses]), np.array([p.translation_m for p in poses])
+
+
+def observe(prints: Prints, n: int, layout: Sequence[Pose]) -> Observed:
+    """The corners of n frames in world axes, four places for each marker.
+
+    layout : world_from_marker of every marker"""
+    place, m = (prints.frame, prints.marker), max(len(layout), 1)
+    out = Observed(*(np.zeros((n, m, *a.shape[1:])) for a in prints.seen))
+    for whole, one in zip(out, prints.seen, strict=True):
+        whole[place] = one
+    if len(prints.frame):
+        turn, shift = (part[prints.marker] for part in arrays(layout))
+        world = prints.seen.points_m @ np.swapaxes(turn, 1, 2) + shift[:, None]
+        out.points_m[place] = world
     return Observed(*(a.reshape(n, 4 * m, *a.shape[3:]) for a in out))

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import pairwise
 
 import numpy as np
 
-from arfx.analyse.pose.marker_map import View, camera_poses, observe
-from arfx.analyse.pose.planar import Observed, refine_poses, residuals, stack
+from arfx.analyse.pose.marker_map import Prints, camera_poses, observe
+from arfx.analyse.pose.planar import Observed, refine_poses, residuals
 from arfx.core.numerics import divide
 from arfx.core.pose import Pose, rotvec_from_rotation
 
@@ -93,25 +93,32 @@ class WorldPath:
 
 
 def world_path(
-    frames: Sequence[Sequence[View]],
+    prints: Prints,
     world_from_marker: Mapping[str, Pose],
     keys: Sequence[str],
     shot: np.ndarray,
     times_s: np.ndarray,
 ) -> WorldPath:
-    """frames : markers of each frame;  shot : number of each frame's shot: no path runs
-    across a cut.
+    """keys : of the markers, by number;  shot : number of each frame's shot: no path runs
+    across a cut;  times_s : of each frame
     """
-    seen = observe(frames, world_from_marker, [k for k in keys if k in world_from_marker])
-    n = len(frames)
+    n = len(times_s)
+    mapped = [k for k, key in enumerate(keys) if key in world_from_marker]
+    layout = [world_from_marker[keys[k]] for k in mapped]
+    prints = prints.in_frames(prints.by_frame(n, len(keys))[:, mapped])
+    seen = observe(prints, n, layout)
     rotation, translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
-    largest = [sorted(views, key=_extent)[::-1] for views in frames]
-    starts = [camera_poses(views[:_STARTS], world_from_marker) for views in largest]
-    index = np.repeat(np.arange(n), [*map(len, starts)])
-    measured = np.bincount(index, minlength=n) > 0
+    measured = np.bincount(prints.frame, minlength=n) > 0
     if not measured.any():
         return WorldPath(rotation, translation, measured, seen)
-    r, t, cost = refine_poses(*stack(list(chain(*starts))), seen.take(index))
+    # the largest of each frame first
+    rows = np.lexsort((-np.ptp(prints.seen.ideal, 1).prod(1), prints.frame))
+    frame = prints.frame[rows]
+    ends = np.searchsorted(frame, np.arange(n + 1))
+    starts = rows[np.arange(len(rows)) - ends[frame] < _STARTS]
+    r, t, row = camera_poses(prints, starts, layout)
+    index = prints.frame[row]
+    r, t, cost = refine_poses(r, t, seen.take(index))
     cost = np.where(t[:, 2] > 0, cost, 1e9)
     path = choose_path(r, t, cost, index, times_s, shot)
     rotation[measured], translation[measured] = r[path], t[path]
@@ -127,21 +134,17 @@ def world_path(
     missed = (_misses(rotation, translation, seen) > 1).any(1) & (there.sum(1) > 1)
     again, dropped = np.flatnonzero(missed), 0
     for k in again:
-        one = stack(camera_poses(largest[k], world_from_marker))
+        r, t, row = camera_poses(prints, rows[ends[k] : ends[k + 1]], layout)
         # a single marker says less about its neighbours than all together: three times the gate
-        agree = _misses(*one, seen.take(np.full(len(one[0]), k))) <= 3
+        agree = _misses(r, t, seen.take(np.full(len(row), k))) <= 3
         best = (agree & there[k]).sum(1).argmax()
-        rotation[k], translation[k] = one[0][best], one[1][best]
+        rotation[k], translation[k] = r[best], t[best]
         seen.weight[k] *= agree[best].repeat(4)
         dropped += int((there[k] & ~agree[best]).sum())
     rotation[again], translation[again], _ = refine_poses(
         rotation[again], translation[again], seen.take(again)
     )
     return WorldPath(rotation, translation, measured, seen, flips, dropped)
-
-
-def _extent(v: View) -> float:
-    return float(np.ptp(v.seen.ideal, 0).prod())
 
 
 def _misses(rotation: np.ndarray, translation: np.ndarray, seen: Observed) -> np.ndarray:

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 
 from arfx.core.camera import Camera
-from arfx.core.facts import Hypothesis
 from arfx.core.numerics import EPS_DEPTH_M, divide, normalise
-from arfx.core.pose import Pose, rotation_from_rotvec, skew
+from arfx.core.pose import rotation_from_rotvec, skew
 
 # two minima closer than this are one (a frontal marker): below any tilt noise seen
 _SAME_RAD = 5e-3
@@ -39,6 +38,23 @@ class Observed(NamedTuple):
 
     def take(self, index: np.ndarray | slice | int) -> Observed:
         return Observed(*(a[index] for a in self))
+
+
+class PlanarPoses(NamedTuple):
+    """Both poses of n prints, best first. rotation : (n, 2, 3, 3);  translation : (n, 2, 3);
+    error_px : (n, 2) rms over the four corners, infinite where there is none"""
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    error_px: np.ndarray
+
+    def take(self, index: np.ndarray) -> PlanarPoses:
+        return PlanarPoses(*(a[index] for a in self))
+
+    @property
+    def known(self) -> np.ndarray:
+        """(n, 2) bool"""
+        return np.isfinite(self.error_px)
 
 
 def lens_scale(camera: Camera, ideal: np.ndarray) -> np.ndarray:
@@ -158,13 +174,6 @@ def rms_px(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.sqrt(total / np.maximum(on.sum(-1), 1))
 
 
-def stack(poses: list[Pose]) -> tuple[np.ndarray, np.ndarray]:
-    """Poses as arrays (n, 3, 3), (n, 3)."""
-    if not poses:
-        return np.zeros((0, 3, 3)), np.zeros((0, 3))
-    return np.stack([p.rotation for p in poses]), np.stack([p.translation_m for p in poses])
-
-
 def both_poses(corners_m: np.ndarray, ideal: np.ndarray) -> np.ndarray:
     """(k, 2, 3) rotation vector and translation of IPPE's one or two solutions, best first,
     wherever they lie; k = 0 for corners that no direction leads to.
@@ -215,17 +224,20 @@ def _mirrored(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     return mirror @ rotation @ np.diag([1.0, 1.0, -1.0])
 
 
-def hypotheses(
+def planar_poses(
     corners_m: np.ndarray,
     ideal: np.ndarray,
     px_per_ideal: np.ndarray,
     sigma_px: np.ndarray,
-) -> list[tuple[Hypothesis, ...]]:
-    """Refined hypotheses of n sightings, best first; none where no direction leads to a corner.
+) -> PlanarPoses:
+    """Of n sightings, refined; none where no direction leads to a corner.
 
     corners_m : (n, 4, 3);  ideal : (n, 4, 2);  px_per_ideal : (n, 4, 2, 2);  sigma_px : (n,)
     """
-    out: list[tuple[Hypothesis, ...]] = [()] * len(corners_m)
+    n = len(ideal)
+    out = PlanarPoses(
+        np.tile(np.eye(3), (n, 2, 1, 1)), np.zeros((n, 2, 3)), np.full((n, 2), np.inf)
+    )
     at = np.flatnonzero(np.isfinite(ideal).all((1, 2)))
     if not len(at):
         return out
@@ -270,10 +282,10 @@ def hypotheses(
     away = ((rotation[order] - rotation[best[owner[order]]]) ** 2).sum((1, 2))
     order = order[away > apart]
     other[owner[order]] = order
-    for k, pair in zip(at.tolist(), np.stack([best, other], 1).tolist(), strict=True):
-        out[k] = tuple(
-            Hypothesis(Pose(rotation[i], translation[i]), float(error[i]))
-            for i in pair
-            if i >= 0
-        )
+    chosen = np.stack([best, other], 1)
+    known = chosen >= 0
+    for whole, values in zip(out, (rotation, translation, error), strict=True):
+        part = whole[at]
+        part[known] = values[chosen[known]]
+        whole[at] = part
     return out

@@ -9,8 +9,8 @@ import numpy as np
 from arfx.analyse.markers.corners import shared_px
 from arfx.analyse.markers.detect import Record
 from arfx.analyse.markers.inner_edges import AGREE_CELLS
-from arfx.analyse.pose.marker_map import View
-from arfx.analyse.pose.planar import Observed, hypotheses, lens_scale, residuals, stack
+from arfx.analyse.pose.marker_map import Prints
+from arfx.analyse.pose.planar import Observed, lens_scale, planar_poses, residuals
 from arfx.core.camera import Camera
 from arfx.core.facts import MarkerSighting
 from arfx.core.marker import Marker, MarkerSpec
@@ -26,8 +26,9 @@ _LEAST_SIGMA_PX = 0.015  # no corner of a real print in a real picture is known 
 
 
 class Sightings:
-    """All sightings with their geometry, frame by frame.
+    """All sightings with their geometry.
 
+    prints : those that have a planar pose;  facts : of each frame
     common_px : (frames,) error of a frame's corners that its neighbours' have too
     sigma_factor : on the predicted sigma"""
 
@@ -35,6 +36,7 @@ class Sightings:
         self, records: Sequence[Record], markers: Sequence[Marker], camera: Camera
     ) -> None:
         spec = {m.key: m for m in markers}
+        number = {key: k for k, key in enumerate(spec)}
         seen = [(k, s) for k, r in enumerate(records) for s in r.detections]
         frame = np.array([k for k, _ in seen], int)
         corners, misplaced, blur, sigma = (
@@ -52,13 +54,14 @@ class Sightings:
         scale = lens_scale(camera, np.where(np.isfinite(ideal), ideal, 0.0))
         shared = shared_px(corners, blur, cells)
         rough = np.hypot(np.maximum(sigma, _LEAST_SIGMA_PX), shared)
-        candidates = hypotheses(points, ideal, scale, rough)
-        told = np.array([i for i, c in enumerate(candidates) if c and sigma[i] < 1.0], int)
-        poses = stack([candidates[i][0].camera_from_marker for i in told])
+        poses = planar_poses(points, ideal, scale, rough)
+        known = poses.known[:, 0]
+        sure = known & (sigma < 1.0)
         every = Observed(points, ideal, scale, np.ones((len(seen), 4)))
-        keys = np.array([s.key for _, s in seen])
+        marker = np.array([number[s.key] for _, s in seen], int)
+        best = poses.rotation[sure, 0], poses.translation[sure, 0]
         self.sigma_factor = _sigma_factor(
-            residuals(*poses, every.take(told)), sigma[told], frame[told], keys[told]
+            residuals(*best, every.take(sure)), sigma[sure], frame[sure], marker[sure]
         )
         px = np.hypot(np.maximum(sigma * self.sigma_factor, _LEAST_SIGMA_PX), shared)
         every = every._replace(weight=np.repeat(px[:, None] ** -2.0, 4, 1))
@@ -73,21 +76,24 @@ class Sightings:
         gap_s = _gaps(np.array([r.time_s for r in records]), off > 0)
         off = np.where(off > 0, off, hidden * 0.5 ** (2 * gap_s / _COVERS_S))
         self.common_px = np.hypot(self.common_px, np.sqrt(divide(off, whole)))
-        self.frames: list[list[View]] = [[] for _ in records]
-        self.sightings: list[list[MarkerSighting]] = [[] for _ in records]
-        for i, (k, s) in enumerate(seen):
-            solutions = tuple(h.camera_from_marker for h in candidates[i])
-            if solutions:
-                self.frames[k].append(View(s.key, every.take(i), solutions))
-            self.sightings[k].append(
-                MarkerSighting(
-                    s.key, s.corners_px, float(px[i]), candidates[i], 0, s.inverted
-                )
+        self.prints = Prints(
+            frame[known], marker[known], every.take(known), poses.take(known)
+        )
+        first, second = poses.error_px.T
+        ratio = np.full(len(seen), np.inf)
+        both = poses.known[:, 1]
+        ratio[both] = divide(second[both], first[both], where_zero=np.inf)
+        self.facts: list[list[MarkerSighting]] = [[] for _ in records]
+        for (k, s), sigma_px, ambiguity in zip(
+            seen, px.tolist(), ratio.tolist(), strict=True
+        ):
+            self.facts[k].append(
+                MarkerSighting(s.key, s.corners_px, sigma_px, ambiguity, s.inverted)
             )
 
 
 def _sigma_factor(
-    misfit: np.ndarray, sigma: np.ndarray, frame: np.ndarray, keys: np.ndarray
+    misfit: np.ndarray, sigma: np.ndarray, frame: np.ndarray, marker: np.ndarray
 ) -> float:
     """Factor on the predicted sigma (n,), from how residuals (n, 4, 2) change from one
     sighting of a marker to its next.
@@ -95,9 +101,9 @@ def _sigma_factor(
     What stays (a bent print, an imperfect lens model) is no noise: taken for noise it
     would let the smoother drag the object away from a picture that shakes. 8
     coordinates minus 6 unknowns leave 2 degrees of freedom."""
-    order = np.lexsort((frame, keys))
+    order = np.lexsort((frame, marker))
     a, b = order[:-1], order[1:]
-    follows = (keys[a] == keys[b]) & (frame[a] + 1 == frame[b])
+    follows = (marker[a] == marker[b]) & (frame[a] + 1 == frame[b])
     change = ((misfit[b] - misfit[a]) ** 2).sum((1, 2))
     chi2 = (change / (sigma[a] ** 2 + sigma[b] ** 2))[follows]
     if len(chi2) < 5:

@@ -1,10 +1,9 @@
-"""The camera's path over the markers: hypotheses, marker map, path, gaps, smoothing. Solved
+"""The camera's path over the markers: planar poses, marker map, path, gaps, smoothing. Solved
 when the clip's end is known."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from statistics import median
 from typing import NamedTuple
@@ -33,7 +32,6 @@ from arfx.core.facts import (
     INTERPOLATED,
     MEASURED,
     FrameFacts,
-    MarkerSighting,
 )
 from arfx.core.marker import Marker, anchor_marker
 from arfx.core.pose import Pose
@@ -68,9 +66,11 @@ def solve_poses(
     sightings = Sightings(records, markers, camera)
     shot = shot_numbers(records)
     layout = (
-        MarkerMap(dict(marker_map)) if marker_map else map_markers(sightings.frames, keys)
+        MarkerMap(dict(marker_map))
+        if marker_map
+        else map_markers(sightings.prints, len(records), keys)
     )
-    path = world_path(sightings.frames, layout.world_from_marker, keys, shot, times)
+    path = world_path(sightings.prints, layout.world_from_marker, keys, shot, times)
     every = visible_intervals(path.measured, shot, times, params.max_gap_s)
     present = without_flickers(every, path.measured, shot)
     opacity = opacities(present, shot, times)
@@ -103,10 +103,7 @@ def solve_poses(
                 smooth.covariance[k] if here else None,
                 float(smooth_px[k]) if on[k] else None,
                 float(opacity[k]),
-                tuple(
-                    _with_choice(m, layout.world_from_marker, raw)
-                    for m in sightings.sightings[k]
-                ),
+                tuple(sightings.facts[k]),
                 r.whole,
                 blur_px=float(median(blur)) if blur else None,
             )
@@ -240,15 +237,3 @@ def _notices(
         ),
     )
     return tuple(words for told, words in notices if told)
-
-
-def _with_choice(
-    m: MarkerSighting, world_from_marker: Mapping[str, Pose], raw: Pose | None
-) -> MarkerSighting:
-    if raw is None or m.key not in world_from_marker or not m.hypotheses:
-        return m
-    want = (raw @ world_from_marker[m.key]).rotation
-    away = [
-        float(((want - h.camera_from_marker.rotation) ** 2).sum()) for h in m.hypotheses
-    ]
-    return replace(m, chosen=int(np.argmin(away)))

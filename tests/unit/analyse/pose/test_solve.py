@@ -21,9 +21,8 @@ from arfx.analyse.pose.at_rest import (
     decide_static,
     epipolar_distance,
 )
-from arfx.analyse.pose.marker_map import MAX_FRAMES
+from arfx.analyse.pose.marker_map import MAX_FRAMES, arrays
 from arfx.analyse.pose.path import choose_path, move_costs
-from arfx.analyse.pose.planar import stack
 from arfx.analyse.pose.shots import dissimilarity, find_cuts, thumbnail, unlikeness
 from arfx.analyse.pose.solve import solve_poses
 from arfx.analyse.pose.visibility import (
@@ -173,7 +172,7 @@ def chosen(
     """Which of each frame's poses, all frames of one shot."""
     count = [*map(len, poses)]
     index = np.repeat(np.arange(len(poses)), count)
-    flat = stack([p for frame in poses for p in frame])
+    flat = arrays([p for frame in poses for p in frame])
     shot = np.zeros(len(poses))
     path = choose_path(*flat, np.concatenate(costs), index, np.array(times_s), shot)
     return [i - sum(count[:k]) for k, i in enumerate(path)]
@@ -440,7 +439,7 @@ def test_facts_file_round_trip_and_refusals(tmp_path: Path) -> None:
     path.write_text("\n".join([rows[0], rows[1][:40]]))
     with pytest.raises(InputError, match=":2: not a frame"):
         read_facts(path)
-    for other in ("{}", rows[0].replace('"version":3', '"version":2')):
+    for other in ("{}", rows[0].replace('"version":4', '"version":3')):
         path.write_text("\n".join([other, *rows[1:]]))
-        with pytest.raises(InputError, match="no facts file of version 3"):
+        with pytest.raises(InputError, match="no facts file of version 4"):
             read_facts(path)

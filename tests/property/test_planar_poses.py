@@ -11,7 +11,6 @@ from arfx.analyse.pose.planar import (
     Observed,
     apply_step,
     both_poses,
-    hypotheses,
     information,
     jacobian,
     lens_scale,
@@ -21,6 +20,7 @@ from arfx.analyse.pose.planar import (
 from arfx.core.camera import Camera
 from arfx.core.marker import MarkerSpec
 from arfx.core.pose import Pose, rotation_angle_rad
+from tests.planar import planar
 from tests.unit.analyse.synthetic import camera, tilted
 
 M = MarkerSpec("36h11", 0, 0.1)
@@ -46,7 +46,7 @@ def seen(pose: Pose, cam: Camera) -> tuple[np.ndarray, np.ndarray]:
 @example(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 @example(0.0, 0.9375, 0.0, 0.0, 0.0, 4.0)  # turned about an axis of its own
 @example(0.0, -1.0, 0.0, -0.25, 0.125, 3.0)  # the same, where IPPE knows one of two alone
-def test_truth_is_among_the_hypotheses(
+def test_truth_is_among_the_planar_poses(
     a: float, b: float, c: float, x: float, y: float, z: float
 ) -> None:
     pose = (
@@ -58,27 +58,22 @@ def test_truth_is_among_the_hypotheses(
     if facing > -0.15:  # seen from behind or along its plane
         return
     ideal, scale = seen(pose, LENS)
-    found = hypotheses([M.corners_m], ideal[None], scale[None], np.array([0.1]))[0]
-    assert 1 <= len(found) <= 2 and found[0].reprojection_px <= found[-1].reprojection_px
-    best = min(found, key=lambda h: rotation_angle_rad(h.camera_from_marker, pose))
-    assert (
-        rotation_angle_rad(best.camera_from_marker, pose) < 2e-3
-        and best.reprojection_px < 1e-3
-    )
-    np.testing.assert_allclose(
-        best.camera_from_marker.translation_m, pose.translation_m, atol=1e-4 * z
-    )
+    found = planar(M.corners_m, ideal, scale, 0.1)
+    assert 1 <= len(found) <= 2 and found[0][1] <= found[-1][1]
+    best, error_px = min(found, key=lambda one: rotation_angle_rad(one[0], pose))
+    assert rotation_angle_rad(best, pose) < 2e-3 and error_px < 1e-3
+    np.testing.assert_allclose(best.translation_m, pose.translation_m, atol=1e-4 * z)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-10, 1e-7, 1e-4, 1e-2, -1e-2, -1e-4])
 def test_nearly_frontal_views_give_finite_poses(tilt: float) -> None:
     pose = tilted([tilt, tilt / 2, 0], [0, 0, 2.0])
     ideal, scale = seen(pose, camera())
-    found = hypotheses([M.corners_m], ideal[None], scale[None], np.array([0.1]))[0]
+    found = planar(M.corners_m, ideal, scale, 0.1)
     assert found
-    for h in found:
-        assert np.isfinite(h.camera_from_marker.matrix).all() and h.reprojection_px < 0.05
-        assert rotation_angle_rad(h.camera_from_marker, pose) < 0.05
+    for one, error_px in found:
+        assert np.isfinite(one.matrix).all() and error_px < 0.05
+        assert rotation_angle_rad(one, pose) < 0.05
 
 
 def test_corners_that_no_direction_leads_to_give_no_pose() -> None:
