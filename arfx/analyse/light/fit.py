@@ -35,6 +35,7 @@ MODEL_ERROR, MOST_ERROR = (
     0.002,
     0.03,
 )  # of irradiance, over its bright level: at least, and beyond which the model is wrong
+MOST_GROUPS = 30  # of which directions are found; each has amplitudes of its own
 DEFAULT_SIZE_DEG = 5.0  # of a light whose disc the data do not show: a lamp indoors
 MOST_SIZE_DEG = 30.0  # disc of a likely light: beyond, no shadow is seen
 LEAST_SPAN_DEG = 3.0  # of the normals: less is one normal
@@ -48,7 +49,7 @@ _COSINE, _DOME = (
     np.pi * np.repeat(of_degree, (1, 3, 5))
     for of_degree in ([1, 2 / 3, 1 / 4], [4 / 3, 2 / 3, 2 / 15])
 )
-_AT_ONCE = 1000  # normals, about, that are held against all others: bounds memory
+_HELD = 500  # normals, at most, that are held against all others
 _SIZES_DEG = np.array([0.0, 2.5, 5, 7.5, 10, 15, 20, 30])  # half-angles
 
 
@@ -164,8 +165,10 @@ class LightFit:
 
 def span_deg(normals: np.ndarray) -> float:
     """Widest angle between unit normals (k, 3)."""
-    few = normals[:: max(1, len(normals) // _AT_ONCE)]
-    return float(np.degrees(arccos((few @ normals.T).min(initial=1.0))))
+    few = normals[:: len(normals) // _HELD + 1]
+    return float(
+        np.degrees(arccos(min((float((normals @ n).min()) for n in few), default=1.0)))
+    )
 
 
 def best_verdict(fits: Iterable[LightFit]) -> str:
@@ -217,7 +220,7 @@ def fit(
         return refused(
             f"{len(s.normals)} normals only: a direction beside ambient light takes 4"
         )
-    error, found = MODEL_ERROR, Explanations(s, params)
+    error, found = MODEL_ERROR, Explanations(s.some_groups(MOST_GROUPS), params)
     for _ in range(
         4
     ):  # what no lights explain is an error of the model, and not one that averages out
@@ -228,7 +231,7 @@ def fit(
         if error > MOST_ERROR:
             break
         s = gather(normals, irradiance, variance, group, error, lit) or s
-        found = Explanations(s, params, found)
+        found = Explanations(s.some_groups(MOST_GROUPS), params, found)
     about["model_error"] = error
     if error > MOST_ERROR:
         return refused(
@@ -236,7 +239,6 @@ def fit(
             " changed, or the surface is glossy",
         )
     model, count = found.best[found.count], found.count
-    s = found.samples
     about["gamma"] = float(np.exp(bent(found.groups, model)))
     if count == 0:
         return refused(

@@ -37,7 +37,6 @@ _GOOD_ERROR = 0.006  # model error up to which an account holds
 _MOST_DRIFT = 0.02  # of the level: an account under which normals change more does not hold
 _DRIFT_S = 0.25
 LONGEST_WINDOW_S = 2.0  # changing light is treated as constant for so long at most
-_MOST_WINDOWS = 10_000  # between two steps
 _LEAST_PIECE = 8  # observations of a segment whose light can be asked for
 # length of a frame's mean normal, below which its normals are apart: 28 degrees between two
 _APART, _SOMEWHAT_APART = 0.97, np.cos(np.radians(5.0))
@@ -76,14 +75,17 @@ class _Observations:
             group=self.group[rows],
         )
 
-    def between(self, a_s: float, b_s: float) -> _Observations:
-        """From a up to b; the last observation is in the last one."""
-        end = b_s if b_s < self.times_s[-1] else np.inf
-        return self[slice(*np.searchsorted(self.times_s, [a_s, end]).tolist())]
+    @property
+    def ends_s(self) -> tuple[float, float]:
+        return float(self.times_s[0]), float(self.times_s[-1])
 
-    def grouped(self, edges_s: list[float]) -> _Observations:
-        group = np.searchsorted(edges_s, self.times_s, side="right") - 1
-        return replace(self, group=np.clip(group, 0, len(edges_s) - 2))
+    def pieces(self, starts: Sequence[int]) -> list[_Observations]:
+        """starts : of `window_starts`"""
+        return [self[a:b] for a, b in pairwise([*starts, len(self.times_s)])]
+
+    def grouped(self, starts: Sequence[int]) -> _Observations:
+        sizes = np.diff([*starts, len(self.times_s)])
+        return replace(self, group=np.repeat(np.arange(len(sizes)), sizes))
 
     def fit(self, lights: int = 2, lit: np.ndarray | None = None) -> LightFit:
         few = replace(self.params, most_lights=min(self.params.most_lights, lights))
@@ -95,16 +97,22 @@ class _Observations:
     def steady(self, found: LightFit) -> bool:
         return found.model_error <= _GOOD_ERROR and self.drift() <= _MOST_DRIFT
 
-    def confirmed(self, found: LightFit, middle_s: float) -> LightFit:
-        """With its first light's cone widened to what the halves up to and from a time say:
-        beyond what frames with one normal each allow likely, beyond the limit refused."""
+    def confirmed(self, found: LightFit) -> LightFit:
+        """With its first light's cone widened to what the first and the last half say: beyond
+        what frames with one normal each allow likely, beyond the limit refused.
+
+        What prints of one frame show beside each other does not change with the exposure:
+        where frames show several normals, lights that do not explain it are none."""
         if not found.claimed:
             return found
         limit_deg = self.params.limit_deg
         apart = np.mean(_mean_lengths(self.times_s, self.normals) < _SOMEWHAT_APART) > 0.5
+        if apart and found.model_error > _GOOD_ERROR:
+            return _refused(found, "prints beside each other do not show one light")
         agree_deg = limit_deg if apart else min(limit_deg, _AGREE_DEG)
         first, off = found.lights[0], 0.0
-        for half in (self.times_s <= middle_s, self.times_s > middle_s):
+        early = self.times_s <= np.median(self.times_s)
+        for half in (early, ~early):
             lights = self[half].fit(len(found.lights)).lights
             angles = [angle_between(li.direction, first.direction) for li in lights]
             off = max(off, float(np.degrees(min(angles, default=np.inf))))
@@ -117,14 +125,18 @@ class _Observations:
                 "the light or the exposure changes, and no two parts of the clip agree on a"
                 " direction"
             )
-            return replace(
-                found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb
-            )
+            return _refused(found, why)
         doubt = f"its direction differs by {off:.0f} degrees between parts of the clip"
         first = doubted(first, max(first.confidence_deg, 2 * off), doubt)
         reason = f"{found.reason}; {doubt}"
         lights = (first, *found.lights[1:])
         return replace(found, verdict=LIKELY, reason=reason, lights=lights)
+
+
+def _refused(found: LightFit, why: str) -> LightFit:
+    return replace(
+        found, verdict=REFUSED, reason=why, lights=(), ambient_rgb=found.seen_rgb
+    )
 
 
 def fit_over_time(
@@ -146,73 +158,78 @@ def fit_over_time(
     seen = _Observations(
         times_s, normals, irradiance, variance, np.zeros(len(times_s), int), params
     )[order]
-    start, stop = float(seen.times_s[0]), float(seen.times_s[-1])
-    middle_s = (start + stop) / 2
     constant = seen.fit()
     if seen.steady(constant):
-        return CONSTANT, [Span(start, stop, constant)]
-    segments = window_edges(start, stop, breaks_s, np.inf)
+        return CONSTANT, [Span(*seen.ends_s, constant)]
+    segments = window_starts(seen.times_s, breaks_s)
     refusal, switched = constant, _switched(seen, segments)
     shared = switched if switched is not None and _plain(switched[1]) else None
-    for name, edges in (
+    for name, starts in (
         (SEGMENTS, segments),
-        (SHARED, window_edges(start, stop, breaks_s, LONGEST_WINDOW_S)),
+        (SHARED, window_starts(seen.times_s, breaks_s, LONGEST_WINDOW_S)),
     ):
         if shared is not None:
             break
         if name == SHARED:
             pumped = _exposure_drift_fit(seen)
             if pumped is not None and pumped.model_error <= _GOOD_ERROR:
-                return SHARED, [Span(start, stop, pumped)]
-        elif len(edges) < 3:
+                return SHARED, [Span(*seen.ends_s, pumped)]
+        elif len(starts) < 2:
             continue
-        grouped = seen.grouped(edges)
+        grouped = seen.grouped(starts)
         found = grouped.fit()
         if found.model_error <= _GOOD_ERROR < refusal.model_error:
             refusal = found
         if not found.claimed or not grouped.steady(found):
             continue
         if name == SHARED:
-            found = grouped.confirmed(found, middle_s)
+            found = grouped.confirmed(found)
         if found.claimed:
-            shared = name, found, _spans(found, edges, np.unique(grouped.group))
+            fits = [(found, group) for group in range(len(starts))]
+            shared = name, found, _spans(seen, starts, fits)
     held = [h for h in (switched, shared) if h is not None]
     if held:
         shared = min(held, key=lambda h: (h[1].verdict != MEASURED, len(h[1].lights)))
     if shared is not None and len(shared[1].lights) == 1:
         return shared[0], shared[2]
-    pieces = [(a, b, seen.between(a, b)) for a, b in pairwise(segments)]
-    alone = [(piece, piece.fit()) for _, _, piece in pieces]
-    steady = [f.claimed and piece.steady(f) for piece, f in alone]
+    alone = [(piece, piece.fit()) for piece in seen.pieces(segments)]
+    large = [len(piece.times_s) >= _LEAST_PIECE for piece, _ in alone]
+    holds = [
+        enough and found.claimed and piece.steady(found)
+        for enough, (piece, found) in zip(large, alone, strict=True)
+    ]
     # one light of its own in each segment, or two for all: the former is simpler
-    if shared is not None and not all(
-        ok and len(f.lights) == 1
-        for (piece, f), ok in zip(alone, steady, strict=True)
-        if len(piece.times_s) >= _LEAST_PIECE
-    ):
+    single = [
+        ok and len(found.lights) == 1
+        for enough, ok, (_, found) in zip(large, holds, alone, strict=True)
+        if enough
+    ]
+    if shared is not None and not all(single):
         return shared[0], shared[2]
-    spans = []
-    for (a, b, _), (_, found), ok in zip(pieces, alone, steady, strict=True):
+    windows: dict[int, LightFit] = {}
+    for start, (piece, found), ok in zip(segments, alone, holds, strict=True):
         if ok:
-            spans.append(Span(a, b, found))
+            windows[start] = found
             continue
-        for c, d in pairwise(window_edges(a, b, (), LONGEST_WINDOW_S)):
-            part = seen.between(c, d)
-            spans.append(Span(c, d, part.confirmed(part.fit(), (c + d) / 2)))
-    if any(s.fit.claimed for s in spans):
-        return WINDOWS, spans
-    last = seen.confirmed(constant, middle_s)
+        inner = window_starts(piece.times_s, (), LONGEST_WINDOW_S)
+        for first, part in zip(inner, piece.pieces(inner), strict=True):
+            windows[start + first] = part.confirmed(part.fit())
+    if any(found.claimed for found in windows.values()):
+        fits = [(found, 0) for found in windows.values()]
+        return WINDOWS, _spans(seen, [*windows], fits)
+    last = seen.confirmed(constant)
     if not last.claimed and not refusal.claimed:
         last = replace(last, reason=refusal.reason)
-    return CONSTANT, [Span(start, stop, last)]
+    return CONSTANT, [Span(*seen.ends_s, last)]
 
 
-def _spans(found: LightFit, edges: list[float], present: np.ndarray) -> list[Span]:
-    """present : (g,) ascending, the windows that the fit's groups are"""
-    return [
-        Span(a, b, found, int(np.abs(present - g).argmin()))
-        for g, (a, b) in enumerate(pairwise(edges))
-    ]
+def _spans(
+    seen: _Observations, starts: Sequence[int], fits: Sequence[tuple[LightFit, int]]
+) -> list[Span]:
+    """The windows that begin at these observations, each with its fit and group."""
+    edges = [*seen.times_s[[*starts]].tolist(), seen.ends_s[1]]
+    rows = zip(pairwise(edges), fits, strict=True)
+    return [Span(a, b, found, group) for (a, b), (found, group) in rows]
 
 
 def _plain(found: LightFit) -> bool:
@@ -220,7 +237,7 @@ def _plain(found: LightFit) -> bool:
 
 
 def _switched(
-    seen: _Observations, segments: list[float]
+    seen: _Observations, segments: Sequence[int]
 ) -> tuple[str, LightFit, list[Span]] | None:
     """The account of lamps that are all on or all off, where that holds."""
     if (lit := switches(seen.times_s, seen.irradiance, segments)) is None:
@@ -231,41 +248,44 @@ def _switched(
     if not found.claimed or not by_state.steady(found):
         return None
     dark = replace(found, lights=tuple(li for li in found.lights if li.dome))
-    states = zip(lit, pairwise(segments), strict=True)
-    return SWITCHED, found, [Span(a, b, found if on else dark) for on, (a, b) in states]
+    states = [(found if on else dark, 0) for on in lit]
+    return SWITCHED, found, _spans(seen, segments, states)
 
 
 def switches(
-    times_s: np.ndarray, irradiance: np.ndarray, edges: Sequence[float]
+    times_s: np.ndarray, irradiance: np.ndarray, starts: Sequence[int]
 ) -> np.ndarray | None:
-    """(g,) 1 where the lamps are on, 0 where off, between the edges (g + 1,); None where
-    steps do not go down and up in turn.
+    """(g,) 1 where the lamps are on, 0 where off, in the segments that begin at these
+    observations; None where steps do not go down and up in turn.
 
     What a step does is seen from the observations, times ascending, right before and after it."""
     light, signs = irradiance.mean(1), []
-    for edge in edges[1:-1]:
-        before, after = times_s[times_s < edge], times_s[times_s >= edge]
-        if not len(before) or not len(after):
-            return None
-        last, first = light[times_s == before[-1]], light[times_s == after[0]]
+    for start in starts[1:]:
+        last = light[:start][times_s[:start] == times_s[start - 1]]
+        first = light[start:][times_s[start:] == times_s[start]]
         signs.append(np.sign(first.mean() - last.mean()))
     if not signs or not all(signs) or any(a == b for a, b in pairwise(signs)):
         return None
     return np.array([signs[0] < 0, *(s > 0 for s in signs)], float)
 
 
-def window_edges(
-    start_s: float, stop_s: float, breaks_s: Sequence[float], window_s: float
-) -> list[float]:
-    """Ascending times from start to stop: every break inside, and even cuts between that
-    are at most window_s apart, or farther where there would be more than _MOST_WINDOWS.
-    """
-    inside = sorted({float(b) for b in breaks_s if np.isfinite(b) and start_s < b < stop_s})
-    out = [start_s]
-    for a, b in pairwise([start_s, *inside, stop_s]):
-        pieces = max(1, int(min(np.ceil((b - a) / window_s - 1e-9), _MOST_WINDOWS)))
-        out += np.linspace(a, b, pieces + 1)[1:].tolist()
-    return out
+def window_starts(
+    times_s: np.ndarray, breaks_s: Sequence[float], window_s: float = np.inf
+) -> list[int]:
+    """Which observations, times ascending, begin a window: the first after each break, and
+    between breaks those of even windows of at most window_s. None is empty: a clip may stand
+    still for years."""
+    n = len(times_s)
+    begins = np.searchsorted(times_s, [b for b in breaks_s if np.isfinite(b)])
+    begins = np.unique(np.append(0, begins[begins < n]))
+    starts = []
+    for a, b in pairwise([*begins.tolist(), n]):
+        since_s = times_s[a:b] - times_s[a]
+        pieces = max(np.ceil(since_s[-1] / window_s - 1e-9), 1)
+        width_s = max(since_s[-1] / pieces, 1e-9)
+        number = np.minimum(np.floor(since_s / width_s + 1e-9), pieces - 1)
+        starts += (a + np.unique(number, return_index=True)[1]).tolist()
+    return starts
 
 
 def _mean_lengths(times: np.ndarray, n: np.ndarray) -> np.ndarray:

@@ -217,7 +217,8 @@ class StaticFrameLight:
         made : (k, 3) of a model
         """
         y = self.reading.y
-        used = (made > LEAST_SEEN * np.percentile(y.max(1), 90)).all(1)
+        least = max(LEAST_SEEN * float(np.percentile(y.max(1), 90)), 1e-9)
+        used = np.asarray((made > least).all(1))
         made, variance = made[used], self.reading.variance[used]
         factor = np.clip(divide(y[used], made), LEAST_FACTOR, MOST_FACTOR)
         relative = (variance / made**2).mean(1) + MODEL_ERROR**2
@@ -233,8 +234,11 @@ class StaticFrameLight:
         """
         of_frame = np.zeros(len(self.frames), int) if of_frame is None else of_frame
         row = np.searchsorted(self.frames, self.numbers)
-        every = np.stack([model.radiance(self.normals) for model in models])
-        used, level, variance = self._levels(every[of_frame[row], np.arange(len(row))])
+        shown = np.zeros(self.normals.shape)
+        for i in np.unique(of_frame[row]):
+            mine = of_frame[row] == i
+            shown[mine] = models[i].radiance(self.normals[mine])
+        used, level, variance = self._levels(shown)
         if not used.any():
             return {k: models[i] for k, i in zip(self.frames, of_frame, strict=True)}
         # what the model does not change already

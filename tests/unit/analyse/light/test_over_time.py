@@ -12,16 +12,17 @@ from arfx.analyse.light.fit import FittedLight, LightFit
 from arfx.analyse.light.hypotheses import LIKELY, MEASURED, REFUSED, Params
 from arfx.analyse.light.over_time import (
     SHARED,
+    WINDOWS,
     Span,
     drift,
     fit_over_time,
     gains,
     matched,
-    window_edges,
+    window_starts,
 )
 from arfx.analyse.light.static_frame import span_report, used_spans
 from arfx.core.light import harmonics
-from arfx.core.numerics import normalise
+from arfx.core.numerics import angle_between, normalise
 
 LAMP = normalise(np.array([0.5, -0.3, 0.8]))
 FRAMES = 40
@@ -106,7 +107,17 @@ def test_a_clip_with_gaps_of_years_takes_no_more_memory() -> None:
     times, normals, irradiance = board(np.ones(FRAMES))
     late = np.where(times > TIMES[20], times + 1e9, times)
     assert 0 <= drift(late, normals, irradiance) < 0.02
-    assert len(window_edges(0.0, 1e9, [5.0], 2.0)) < 50_000
+    assert len(window_starts(late, [5.0, 1e8], 0.2)) == len(window_starts(times, [], 0.2))
+
+
+def test_windows_are_even_between_breaks_and_never_empty() -> None:
+    times = np.append(np.arange(50) / 10, 1e6 + np.arange(5) / 10)
+    starts = window_starts(times, [2.0, np.inf, -1.0, 2.05], 1.0)
+    assert starts == sorted(set(starts)) and starts[0] == 0
+    assert {20, 21, 50} <= {*starts}
+    held = [np.ptp(part) for part in np.split(times, starts[1:])]
+    assert max(held) <= 1.0 and all(len(part) for part in np.split(times, starts[1:]))
+    assert window_starts(times[:1], [0.0], 1.0) == [0]
 
 
 def test_one_normal_seen_once_says_nothing_of_drift() -> None:
@@ -183,6 +194,40 @@ def test_halves_may_differ_more_where_frames_show_several_normals(
         and found.lights[0].confidence_deg == pytest.approx(4.0)
     )
     assert told(20.0, TILTS, monkeypatch)[1].verdict == REFUSED
+
+
+def rocked(times: np.ndarray, stops: float = 0.06) -> tuple[np.ndarray, np.ndarray]:
+    """(normals, irradiance) of one print that is rocked in light whose exposure drifts."""
+    tilt, turn = 0.8 * np.sin(2 * np.pi * times / 2.3), 2 * np.pi * times / 9
+    n = np.stack(
+        [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], -1
+    )
+    gain = 2 ** (stops * np.sin(2 * np.pi * times / 17))
+    light = gain * (0.15 + 0.6 * np.clip(n @ LAMP, 0, None))
+    noise = 1 + 0.002 * np.random.default_rng(1).normal(size=(len(times), 3))
+    return n, light[:, None] * noise
+
+
+@pytest.mark.parametrize("late_s", [60.0, 3600.0, 86400.0])
+def test_frames_long_after_the_clip_take_nothing_from_its_light(late_s: float) -> None:
+    times = np.append(np.arange(0, 20, 1 / 6), late_s + np.arange(3) / 6)
+    n, light = rocked(times)
+    variance = np.full(light.shape, 1e-6)
+    account, spans = fit_over_time(times, n, light, variance, (), Params(most_lights=1))
+    assert account == SHARED and len(spans) < 15
+    first = spans[0].fit.lights[0]
+    assert np.degrees(angle_between(first.direction, LAMP)) < first.confidence_deg < 10
+
+
+def test_two_frames_of_a_board_claim_no_light() -> None:
+    """Three normals that hardly turn fit any light."""
+    times, n, light = board(np.ones(FRAMES))
+    early = times < TIMES[2]
+    other = normalise(np.array([-0.6, 0.3, 0.7]))
+    light[early] = 0.3 + 0.4 * np.clip(n[early] @ other, 0, None)[:, None]
+    account, spans = fit_over_time(times, n, light, np.full(light.shape, 1e-6), [TIMES[2]])
+    assert account == WINDOWS
+    assert [s.fit.claimed for s in spans] == [False, True]
 
 
 def test_a_span_that_is_refused_takes_the_light_around_it_only_where_that_agrees() -> None:
