@@ -15,7 +15,7 @@ from arfx.analyse.depth.scale import depth_checks, with_depth
 from arfx.analyse.job import PLANE, Analysis, AnalysisJob
 from arfx.analyse.lens import with_lens
 from arfx.analyse.light.frames import with_light
-from arfx.analyse.light.observe import light_checks, plane_samples
+from arfx.analyse.light.observe import environment_samples, light_checks
 from arfx.analyse.light.seen import Snapshot, given_everywhere, with_seen
 from arfx.analyse.light.surroundings import EnvironmentSample, with_environment
 from arfx.analyse.markers.search import (
@@ -50,14 +50,14 @@ def analyse(
     on_plane = job.anchor == PLANE
     if on_plane:
         clip = plane_poses(clip, job, rows["rest_pictures"], rows["rest_motions"])
-        samples = plane_samples(rows["snapshots"], clip, job.camera)
     else:
         clip = marker_poses(clip, rows, job)
-        samples = rows["samples"]
     if {"light", "environment"} & {*wanted}:
+        snapshots = rows["snapshots"]
+        samples = environment_samples(snapshots, clip, job.camera)
         clip = lit(clip, rows, samples, job)
-    if "environment" in wanted:
-        clip = surrounded(clip, rows["snapshots"], samples, job)
+        if "environment" in wanted:
+            clip = surrounded(clip, snapshots, samples, job)
     if "flow" in wanted:
         clip = moved(clip, rows, job)
     if "lens" in wanted and not on_plane:

@@ -98,7 +98,7 @@ class AnalysisJob:
     light_method : (clip, readings, samples, settings, panorama) -> clip with light, in place of
     the corrected method
     prints : pictures of the markers that are patterns, by key, (h, w, 3) linear
-    length_s : about how long all frames last: what is kept of some of them is spread over that
+    frames : about how many the clip has: what is kept of some of them is spread over all
     """
 
     markers: tuple[Marker, ...]
@@ -115,7 +115,7 @@ class AnalysisJob:
     progress: Callable[[str, int, int | None], None] = lambda *_: None
     light_method: Callable[..., Analysis] | None = None
     prints: Mapping[str, np.ndarray] = field(default_factory=dict)
-    length_s: float = 0.0
+    frames: int = 0
 
 
 @dataclass(frozen=True)

@@ -51,11 +51,11 @@ class Observation:
         if on_plane and job.poses is None:
             self._others.append(RestCheck())
         if not on_plane and job.params.static == "auto":
-            self._others.append(BackgroundFlow(job.length_s))
+            self._others.append(BackgroundFlow(job.frames))
         if not on_plane and {"light", "environment"} & {*wanted}:
             self._others.append(LightReader(job))
-        if "environment" in wanted or (on_plane and "light" in wanted):
-            self._others.append(SnapshotTaker(job.length_s))
+        if {"light", "environment"} & {*wanted}:
+            self._others.append(SnapshotTaker(job.frames))
         if "flow" in wanted:
             self._others.append(BackgroundMotion())
         if not on_plane and "lens" in wanted:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import pydantic.dataclasses
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
@@ -22,6 +22,14 @@ class Settings(BaseModel):
         allow_inf_nan=False,
         defer_build=True,
     )
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_flag_for_a_number(cls, value: Any, field: ValidationInfo) -> Any:
+        kind = cls.model_fields[str(field.field_name)].annotation
+        if isinstance(value, bool) and kind in (int, float):
+            raise ValueError(f"must be a number, is {str(value).lower()}")
+        return value
 
 
 def setting(
@@ -53,5 +61,5 @@ def converted(settings: Settings, kind: type[Settings], **changes: Any) -> Any:
 
 def from_dataclass(kind: type) -> Any:
     """Settings that a plug-in states as a frozen dataclass: read in the same way, without texts."""
-    config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+    config = ConfigDict(extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False)
     return pydantic.dataclasses.dataclass(frozen=True, config=config)(kind)

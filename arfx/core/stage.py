@@ -193,7 +193,7 @@ class Stage:
 
 
 @contextlib.contextmanager
-def blamed(stage: Stage, when: str) -> Iterator[None]:
+def blamed(stage: Stage | type[Stage], when: str) -> Iterator[None]:
     """What a plug-in raises in the body, arfx's errors apart, becomes a RenderError that
     names it.
     """

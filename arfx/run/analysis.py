@@ -93,7 +93,7 @@ def analyse_clip(
         times = reader.times()
 
     def joined(stretches: Stretches, run: Run) -> AnalysisPass:
-        clip = replace(job, length_s=stretches.length_s)
+        clip = replace(job, frames=stretches.frames)
         context = Context(clip, wanted, span, stretches)
         done = _Pass(context, progress, folder, key, log)
         return done.done(run, [] if times is None else times.pts)
@@ -241,7 +241,7 @@ class _Pass:
             self.key,
             sorted(self.context.wanted),
             part.to_json(),
-            self.stretches.length_s,
+            self.stretches.frames,
         )
         path: Path = self.folder.stretches / f"{part.first:06d}-{part.last:06d}.{name}"
         return path

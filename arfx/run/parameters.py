@@ -10,7 +10,7 @@ from arfx.analyse.params import AnalyseParams, LightParams
 from arfx.config.load import suggestion
 from arfx.config.sections import JobConfig
 from arfx.core.settings import converted
-from arfx.core.stage import Stage
+from arfx.core.stage import Stage, blamed
 from arfx.errors import ConfigError
 from arfx.papers import CORRECTED, FORMULAS
 from arfx.stages import ALWAYS, ON_DEPTH, STAGES, stages_with
@@ -43,7 +43,10 @@ def _classes(name: str) -> dict[str, type[Stage]]:
 
 def stage_of(name: str, params: Any) -> Stage:
     """The stage with these settings, under their formula."""
-    return _classes(name).get(getattr(params, "formula", CORRECTED), STAGES[name])(params)
+    formula = getattr(params, "formula", CORRECTED)
+    kind = _classes(name).get(formula, STAGES[name])
+    with blamed(kind, "while it is made"):
+        return kind(params)
 
 
 def under_other_formula(name: str, params: Any) -> Stage | None:

@@ -88,14 +88,13 @@ class Stretch(Document):
 class Stretches(Document):
     """How a clip is cut. before : frames of the clip before the first one;  truncated : why
     it ends early, or None
-    length_s : of all;  seeks : whether workers can begin anywhere, or only decode from the
+    seeks : whether workers can begin anywhere, or only decode from the
     clip's start
     careful : in one thread (`ClipReader`)"""
 
     parts: tuple[Stretch, ...]
     before: int
     truncated: str | None
-    length_s: float
     seeks: bool
     careful: bool
 
@@ -134,8 +133,7 @@ def cut(span: Span, times: FrameTimes | None) -> Stretches:
     if len(parts) > 1:
         with ClipReader(span.info, threads=1) as reader:
             seeks = reader.seeks_to(times.pts[borders[len(borders) // 2]])
-    length_s = float((times.pts[stop - 1] - times.pts[first]) * span.info.time_base)
-    return Stretches(tuple(parts), first, times.truncated, length_s, seeks, False)
+    return Stretches(tuple(parts), first, times.truncated, seeks, False)
 
 
 def whole(span: Span) -> Stretches:
@@ -150,7 +148,6 @@ def whole(span: Span) -> Stretches:
         (Stretch(0, max(known - 1, 0), None, None),),
         0,
         None,
-        info.duration_s or 0.0,
         False,
         True,
     )
@@ -229,7 +226,7 @@ def _context(folder: JobFolder, paths: Paths) -> Context:
             None if config.input.poses is None else CameraPath(config.input.poses, (), None)
         ),  # that there are some
         prints=kept.prints,
-        length_s=kept.stretches.length_s,
+        frames=kept.stretches.frames,
     )
     return Context(
         job,

@@ -104,13 +104,16 @@ def _loaded(name: str, point: EntryPoint) -> Any:
     try:
         with contextlib.redirect_stdout(sys.stderr):  # standard output is for results
             stage = point.load()
+            right = isinstance(stage, type) and issubclass(stage, Stage)
+            if right:
+                stage.Params()  # every setting has a default
     except (Exception, SystemExit) as e:  # whatever another's module raises
         raise ConfigError(
             f"stage {name!r} of {_distribution(point)} cannot be loaded:"
             f" {type(e).__name__}: {e}",
             "uninstall it, or install a version that fits this arfx",
         ) from e
-    if not (isinstance(stage, type) and issubclass(stage, Stage) and stage.name == name):
+    if not right or stage.name != name:
         raise ConfigError(
             f"{point.value} of {_distribution(point)} is not a Stage named {name!r}",
             "uninstall it",

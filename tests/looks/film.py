@@ -322,7 +322,7 @@ def analysed(look: Look, path: Path) -> Analysis:
     """The clip's analysis up to the light, as a job does it."""
     asked = look.scene
     markers = tuple(m.spec for m in asked.marker)
-    job = AnalysisJob(markers, World(asked).camera, length_s=look.frames / look.fps)
+    job = AnalysisJob(markers, World(asked).camera, frames=look.frames)
     analyser = Observed(job, {"light"})
     with ClipReader(probe(path)) as reader:
         frames = [(f, np.ascontiguousarray(f.luma())) for f in reader.frames()]

@@ -123,13 +123,12 @@ def quick_search() -> Iterator[None]:
 
 def made() -> Made:
     """What jobs observe, with everything that can be asked for."""
-    length_s = FRAMES * STEP_S
-    more: dict[str, Any] = {"prints": {PRINT.key: PRINTED}, "length_s": length_s}
+    more: dict[str, Any] = {"prints": {PRINT.key: PRINTED}, "frames": FRAMES}
     return {
         "markers": Observed(
             AnalysisJob((M, PRINT), CAM.scaled_to(960, 540), **more), WANTED
         ),
-        "plane": Observed(AnalysisJob((), CAM, anchor=PLANE, length_s=length_s), WANTED),
+        "plane": Observed(AnalysisJob((), CAM, anchor=PLANE, frames=FRAMES), WANTED),
     }
 
 
@@ -259,7 +258,7 @@ def test_what_stretches_learned_is_what_the_clip_shows(
 
 
 def test_poses_of_coded_prints_do_not_depend_on_where_a_clip_is_cut() -> None:
-    job = AnalysisJob((M,), CAM.scaled_to(960, 540), length_s=FRAMES * STEP_S)
+    job = AnalysisJob((M,), CAM.scaled_to(960, 540), frames=FRAMES)
     clips = []
     for cuts in ((0, FRAMES), CUTS):
         whole = Observed(job)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from arfx.analyse.even_frames import EvenFrames
 from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob, Picture
 from arfx.analyse.light import patches
 from arfx.analyse.light.brightness import background_change, small_luma
@@ -22,9 +23,8 @@ from arfx.core.rect import Rect
 from arfx.core.stage import Check
 
 DARK_ACROSS = 64  # pixels of a row, about, of which the darkest are taken
-SURROUNDINGS_S = 0.5  # between two looks at the surroundings
-SURROUNDINGS_PX = 96  # width of the picture that is looked at
-MOST_SNAPSHOTS = 240  # about: in a clip that would give more the interval is longer
+SURROUNDINGS_S = 0.5  # between two small pictures of the surroundings, at least
+MOST_SNAPSHOTS = 240  # of a clip, about
 SHARP_PX = 0.7  # blur assumed where it could not be measured
 _AROUND_PX = 2
 
@@ -38,12 +38,10 @@ class BackgroundChange(NamedTuple):
 
 
 class LightReader:
-    """Reads the prints' cells and the picture's surroundings, and how the background's light
-    changes from frame to frame."""
+    """Reads the prints' cells, and how the background's light changes from frame to frame."""
 
     tables: ClassVar[Mapping[str, type]] = {
         "readings": Reading,
-        "samples": EnvironmentSample,
         "changes": BackgroundChange,
     }
 
@@ -59,18 +57,15 @@ class LightReader:
                 patches.pattern_meter(print_, ink, paper, soft) for soft in patches.SOFT
             ]
         self.readings: list[Reading] = []
-        self.samples: list[EnvironmentSample] = []
         self.changes: list[BackgroundChange] = []
         self._small: np.ndarray | None = None
-        self._clock = SnapshotClock(job.length_s)
 
     def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
         picture = frame.picture
         if picture is None:
             return
         self._compare_with_following(frame)
-        seen = detections(shown)
-        for s in seen:
+        for s in detections(shown):
             box = Rect.around(s.corners_px, _AROUND_PX).clip(picture.rect)
             if box.empty:
                 continue
@@ -79,13 +74,6 @@ class LightReader:
             quad_px, linear = s.corners_px - [box.x0, box.y0], picture.linear(box)
             cells = patches.read_print(linear, quad_px, meter, s.inverted, blur)
             self.readings.append(Reading(frame.index, s.key, cells))
-        if seen:
-            quad, width = max(seen, key=lambda s: s.side_px).corners_px, picture.rect.width
-            for small in self._clock.due(frame.time_s, picture, SURROUNDINGS_PX):
-                dark = darkest(picture)
-                self.samples.append(
-                    environment_sample(frame.index, small, quad, width, dark)
-                )
 
     def _compare_with_following(self, frame: AnalysisFrame) -> None:
         if frame.following is None:
@@ -107,54 +95,38 @@ def darkest(picture: Picture) -> np.ndarray:
     return np.percentile(picture.linear_at(pixels), 1, axis=0).astype(float)
 
 
-class SnapshotClock:
-    """At which frames a small picture is taken, evenly over the clip. length_s : of all frames"""
-
-    def __init__(self, length_s: float = 0.0) -> None:
-        self._next_s: float | None = None
-        self._interval_s = max(SURROUNDINGS_S, length_s / MOST_SNAPSHOTS)
-
-    def due(self, time_s: float, picture: Picture, width: int) -> list[np.ndarray]:
-        """The frame, made so wide at most, where it is time for one; else nothing."""
-        if self._next_s is None:  # at once, unless not every stretch has one
-            self._next_s = time_s
-            if self._interval_s > SURROUNDINGS_S:
-                self._next_s = self._interval_s * np.ceil(time_s / self._interval_s)
-        if time_s < self._next_s:
-            return []
-        self._next_s = time_s + self._interval_s
-        small = picture.reduced(width)
-        return [small] if min(small.shape[:2]) >= 3 else []
-
-
 class SnapshotTaker:
-    """Keeps small pictures, in linear light."""
+    """Keeps small pictures, in linear light. frames : of the clip, about"""
 
     tables: ClassVar[Mapping[str, type]] = {"snapshots": Snapshot}
 
-    def __init__(self, length_s: float) -> None:
+    def __init__(self, frames: int) -> None:
         self.snapshots: list[Snapshot] = []
-        self._clock = SnapshotClock(length_s)
+        self._even = EvenFrames(frames, MOST_SNAPSHOTS, SURROUNDINGS_S)
 
     def step(self, frame: AnalysisFrame, _: Sequence[Sighting] = ()) -> None:
-        if frame.picture is not None:
-            for small in self._clock.due(frame.time_s, frame.picture, SNAPSHOT_PX):
-                self.snapshots.append(Snapshot(frame.index, small.astype(np.float16)))
+        picture = frame.picture
+        if picture is None or not self._even.due(frame.index, frame.time_s):
+            return
+        small = picture.reduced(SNAPSHOT_PX)
+        if min(small.shape[:2]) >= 3:
+            row = Snapshot(frame.index, small.astype(np.float16), darkest(picture))
+            self.snapshots.append(row)
 
 
-def plane_samples(
+def environment_samples(
     snapshots: Sequence[Snapshot], clip: Analysis, camera: Camera
 ) -> list[EnvironmentSample]:
-    """The surroundings of an object that stands on a plane without a print."""
+    """What small pictures show of the surroundings of the object's place."""
     out = []
-    for k, small in snapshots:
+    for k, small, dark in snapshots:
         pose = clip.facts[k].camera_from_world
         if pose is None:
             continue
         quad = camera.project(pose.apply(clip.anchor.corners_m))
         if np.isfinite(quad).all():
             picture = small.astype(np.float32)
-            out.append(environment_sample(k, picture, quad, camera.width))
+            out.append(environment_sample(k, picture, quad, camera.width, dark))
     return out
 
 

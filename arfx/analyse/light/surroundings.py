@@ -18,7 +18,7 @@ ms a frame at SIZE 16.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -145,7 +145,7 @@ class EnvironmentSample:
     frame: int
     cube: np.ndarray
     plane: np.ndarray
-    darkest: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
+    darkest: np.ndarray
 
 
 def environment_sample(
@@ -153,7 +153,7 @@ def environment_sample(
     picture: np.ndarray,
     quad: np.ndarray,
     width: int,
-    darkest: np.ndarray | None = None,
+    darkest: np.ndarray,
 ) -> EnvironmentSample:
     """picture : (h, w, 3) linear, at least 3 x 3, of the whole frame, made smaller;  quad :
     (4, 2) a marker's corners in the frame's pixels;  width : of the frame;  darkest : of
@@ -178,7 +178,7 @@ def environment_sample(
         frame,
         cube_from_picture(small, FACE_PX),
         np.clip(np.median(beside, 0), 0, None),
-        np.full(3, np.inf) if darkest is None else darkest,
+        darkest,
     )
 
 

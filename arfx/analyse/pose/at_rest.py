@@ -16,6 +16,7 @@ from typing import ClassVar, NamedTuple
 import cv2
 import numpy as np
 
+from arfx.analyse.even_frames import EvenFrames
 from arfx.analyse.job import AnalysisFrame
 from arfx.analyse.markers.search import Sighting
 from arfx.analyse.markers.texture import follow as follow_points
@@ -119,23 +120,22 @@ class FlowSample:
 
 
 class BackgroundFlow:
-    """Follows corners of the background. length_s : of all frames"""
+    """Follows corners of the background. frames : of the clip, about"""
 
     tables: ClassVar[Mapping[str, type]] = {"background": FlowSample}
 
-    def __init__(self, length_s: float = 0.0) -> None:
+    def __init__(self, frames: int) -> None:
         self.background: list[FlowSample] = []
         self._before: tuple[int, Snapshot] | None = None
         self._time_s = -np.inf
-        self._stride = max(int(np.ceil(length_s / INTERVAL_S / MAX_SAMPLES)), 1)
+        self._even = EvenFrames(frames, MAX_SAMPLES, 0.0)
 
     def step(self, frame: AnalysisFrame, shown: Sequence[Sighting]) -> None:
         time_s = frame.time_s
-        since = time_s - self._time_s
-        if since < INTERVAL_S:
+        if time_s - self._time_s < INTERVAL_S:
             return
-        before = self._before if since < 3 * INTERVAL_S else None
-        first = bool(shown) and int(time_s / INTERVAL_S) % self._stride == 0
+        before = self._before
+        first = bool(shown) and self._even.due(frame.index, time_s)
         self._before, self._time_s = None, time_s if shown else -np.inf
         if not first and before is None:
             return

@@ -9,7 +9,7 @@ Source: docs/methods/pose.md#smoothing."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -42,8 +42,9 @@ _LOST, _FLAT = 5.0, 1e-3
 _BLOCK, _BLOCKS = 160, 3  # frames of a long shot from which its own value is taken
 _WINDOW, _CONTEXT = 24, 18  # frames
 # frames of a long shot that are smoothed at once, and beside them; what lies farther off
-# counts for what hardly moves, and there by less than its noise
-_PIECE, _BESIDE = 2000, 300
+# counts for what hardly moves, and there by less than its noise. About so many on each side
+# of the border fade from one piece to the next.
+_PIECE, _BESIDE, _FADE = 2000, 300, 150
 # A window has little evidence on its own: each factor of ten away from the shot's value
 # costs this much (nats).
 _HOLD = 1.0
@@ -60,6 +61,8 @@ PASSES = 4  # linearisations between two estimates of the motion's noise
 _STIFF = np.array(
     [1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-6, LEAST]
 )  # start of the second attempt: hardly any motion but sideways
+# covariance where nothing is seen: a radian, a metre
+_UNKNOWN = np.eye(6)
 _UNSURE_RAD = (
     0.005  # typical error of a raw tilt above which a frame may lie in a wrong valley
 )
@@ -163,21 +166,51 @@ def smooth_poses(
     seen : corners, weight 0 where none;  times_s : (n,) increasing;  strength : factor on
     the time scale, > 0
     A long shot is smoothed piece by piece, each with some frames more on both sides: memory
-    does not grow with its length.
+    does not grow with its length. A piece in which nothing is seen stays as it is.
     """
     n = len(times_s)
     borders = np.linspace(0, n, -(-n // _PIECE) + 1).astype(int)
-    pieces, noise = [], []
+    start_poses = rotation, translation, np.broadcast_to(_UNKNOWN, (n, 6, 6))
+    out = [a.copy() for a in start_poses]
+    noise = []
     for first, end in pairwise(borders.tolist()):
         start = max(first - _BESIDE, 0)
-        with_more = slice(start, end + _BESIDE)
-        of_frames = (rotation[with_more], translation[with_more])
-        part = seen.take(with_more), times_s[with_more]
-        *smoothed, density = _smooth_piece(*of_frames, *part, strength)
-        pieces.append([a[first - start : end - start] for a in smoothed])
-        noise.append(density)
-    turned, moved, covariance = (np.concatenate(a) for a in zip(*pieces, strict=True))
-    return turned, moved, covariance, np.median(noise, axis=0)
+        around = slice(start, end + _BESIDE)
+        part = seen.take(around)
+        piece = [a[around] for a in start_poses]
+        if part.weight.any():
+            poses = rotation[around], translation[around]
+            *piece, density = _smooth_piece(*poses, part, times_s[around], strength)
+            noise.append(density)
+        whole = slice(first + _FADE if first else 0, min(end + _FADE, n))
+        for every, own in zip(out, piece, strict=True):
+            every[whole] = own[_since(whole, start)]
+        if first:
+            fade = slice(first - _FADE, first + _FADE)
+            later = [own[_since(fade, start)] for own in piece]
+            for every, mixed in zip(
+                out, _faded([a[fade] for a in out], later), strict=True
+            ):
+                every[fade] = mixed
+    return *out, np.median(noise, axis=0)
+
+
+def _since(frames: slice, start: int) -> slice:
+    return slice(frames.start - start, frames.stop - start)
+
+
+def _faded(
+    before: Sequence[np.ndarray], after: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotations, translations and covariances of k frames that go over from some to others."""
+    (rotation, translation, covariance), (turned, moved, covariance_after) = before, after
+    share = ((np.arange(len(moved)) + 0.5) / len(moved))[:, None]
+    turn = rotvec_from_rotation(turned @ np.swapaxes(rotation, 1, 2))
+    return (
+        rotation_from_rotvec(share * turn) @ rotation,
+        translation + share * (moved - translation),
+        covariance + share[..., None] * (covariance_after - covariance),
+    )
 
 
 def _smooth_piece(

@@ -13,7 +13,7 @@ from pydantic import field_validator
 from arfx.config.given import parse_setting
 from arfx.config.load import load
 from arfx.config.sections import frozen, settings
-from arfx.core.settings import Settings, setting
+from arfx.core.settings import Settings, from_dataclass, setting
 from arfx.core.stage import Stage
 from arfx.core.toml_text import line_of, to_toml
 from arfx.errors import ConfigError, InputError
@@ -359,3 +359,16 @@ def test_what_a_check_of_a_stage_refuses_is_told_beside_all_else(tmp_path: Path)
         (22, "marker.2.spec: marker 'x' is not FAMILY:ID:SIZE"),
     ):
         assert f"{says}\n  --> {tmp_path / 'job.toml'}:{line}" in str(e.value)
+
+
+@pytest.mark.parametrize("key", ["aperture", "blades"])
+def test_a_flag_is_no_number(key: str) -> None:
+    with pytest.raises(ConfigError, match=rf"dof\.{key}: must be a number, is true"):
+        load(None, {"dof": {key: True}}, TABLE)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_settings_of_a_dataclass_are_finite(value: float) -> None:
+    table = {"grain": {"corrected": from_dataclass(OldGrain)}}
+    with pytest.raises(ConfigError, match=r"grain\.strength: .*finite"):
+        load(None, {"grain": {"strength": value}}, table)

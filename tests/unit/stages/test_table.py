@@ -19,6 +19,7 @@ from arfx.core.rect import Rect
 from arfx.core.stage import ReadyStage, Stage, View
 from arfx.errors import ConfigError, RenderError
 from arfx.plan.planner import plan_frame
+from arfx.run import parameters
 from arfx.run.folder import code_digest
 from arfx.run.frame import run_frame
 from arfx.stages import Table
@@ -32,6 +33,19 @@ from arfx.core.stage import Stage
 
 class Effect(Stage):
     name = "{name}"
+
+    def run(self, view, prepared):
+        return {{}}
+"""
+NEEDS = """
+from arfx.core.settings import Settings
+from arfx.core.stage import Stage
+
+class Needed(Settings):
+    must: int
+
+class Effect(Stage):
+    name, Params = "mist", Needed
 
     def run(self, view, prepared):
         return {{}}
@@ -116,6 +130,10 @@ def test_a_built_in_name_is_taken(install: Install) -> None:
             r"'mist' of one 1\.2 cannot be loaded: SystemExit: 0",
         ),
         ({"cls": "Other"}, r"'mist' of one 1\.2 cannot be loaded: AttributeError"),
+        (
+            {"source": NEEDS},
+            r"'mist' of one 1\.2 cannot be loaded: ValidationError: .*\n.*must",
+        ),
     ],
 )
 def test_what_is_wrong_with_one_is_said_in_one_message(
@@ -191,3 +209,15 @@ def test_a_plug_in_whose_demand_is_no_demand_is_named(
     said = r"'plug' of one 1\.2 fails when frame 7 is planned: .*its demand is a Rect"
     with pytest.raises(RenderError, match=said):
         plan_frame([Plug()], {"plug": "standard"}, facts, SimpleNamespace(), rect)
+
+
+def test_a_plug_in_that_cannot_be_made_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any) -> None:
+        raise ZeroDivisionError("by 0")
+
+    monkeypatch.setattr(Plug, "__init__", fails)
+    monkeypatch.setattr(parameters, "_classes", lambda name: {"corrected": Plug})
+    monkeypatch.setattr(parameters, "STAGES", {"plug": Plug})
+    said = r"'plug' of one 1\.2 fails while it is made: ZeroDivisionError: by 0"
+    with pytest.raises(RenderError, match=said):
+        parameters.stage_of("plug", None)

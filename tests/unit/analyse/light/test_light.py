@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from arfx.analyse.job import Analysis, AnalysisFrame, AnalysisJob
 from arfx.analyse.light.frames import Reading, _certain_bias, with_light
-from arfx.analyse.light.observe import LightReader
+from arfx.analyse.light.observe import LightReader, SnapshotTaker
 from arfx.analyse.light.patches import WHITE, Patches
 from arfx.analyse.light.surroundings import EnvironmentSample
 from arfx.analyse.markers.detect import Detection
@@ -93,7 +93,9 @@ class Clip:
             if k % 10 == 0:
                 cube = np.full((6, 6, 6, 3), 0.2)
                 cube[0] = 0.9  # bright to the right
-                meter.samples.append(EnvironmentSample(k, cube, np.full(3, 0.3)))
+                meter.samples.append(
+                    EnvironmentSample(k, cube, np.full(3, 0.3), np.full(3, np.inf))
+                )
         return (
             Analysis(tuple(facts), {KEY: Pose.identity()}, self.static, anchor=MARKER),
             meter,
@@ -392,11 +394,12 @@ def test_the_meter_reads_every_frame_and_looks_around_now_and_then() -> None:
     seen = [
         Detection(KEY, np.array([[8.0, 8], [40, 9], [39, 41], [7, 40]]), 0.1, 0.6, False)
     ]
-    whole = LightReader(AnalysisJob((MARKER,), clip_camera()))
+    whole, taker = LightReader(AnalysisJob((MARKER,), clip_camera())), SnapshotTaker(6)
     for k in range(6):
         frame = AnalysisFrame(k, k * 0.3, np.zeros((48, 64), np.uint8), Grey())
         whole.step(frame, [Sighting(k, ANY, False, 0.0, s) for s in seen])
-    assert len(whole.readings) == 6 and len(whole.samples) == 3  # looks every .5 s
+        taker.step(frame)
+    assert len(whole.readings) == 6 and len(taker.snapshots) == 3  # looks every .5 s
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ def test_the_papers_fold_has_a_seam_and_the_corrected_one_none() -> None:
     assert largest_step(cube_from_picture(picture, 12)) < 0.16
     assert np.abs(cube_from_picture(GREY) - [0.2, 0.4, 0.6]).max() < 1e-6
     quad = np.array([[100.0, 80], [140, 80], [140, 120], [100, 120]])
-    kept = environment_sample(0, picture, quad, 240).cube
+    kept = environment_sample(0, picture, quad, 240, np.zeros(3)).cube
     assert largest_step(kept) < 0.3 and kept.shape == (6, 6, 6, 3)
 
 
@@ -160,7 +160,7 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     d = face_directions(8)
     room = np.stack([1 + d[..., 0], 1 + d[..., 1], 1 + 0 * d[..., 2]], -1)
     samples = [
-        EnvironmentSample(k, turned(room, p.rotation.T), np.zeros(3))
+        EnvironmentSample(k, turned(room, p.rotation.T), np.zeros(3), np.zeros(3))
         for k, p in enumerate(poses)
     ]
     made = with_environment(facts, samples, False, None, np.eye(3))
@@ -172,7 +172,7 @@ def test_every_frame_of_a_shot_has_one_environment_fixed_in_the_room() -> None:
     # a camera that stands still sees the same while the marker turns: other axes every
     # frame, one room
     still = with_environment(
-        facts, [EnvironmentSample(0, room, np.zeros(3))], True, None, np.eye(3)
+        facts, [EnvironmentSample(0, room, np.zeros(3), np.zeros(3))], True, None, np.eye(3)
     )
     assert still[2].environment is not None and still[2].environment.axes is not None
     room_at_rest = turned(
@@ -214,7 +214,7 @@ def test_soft_light_of_a_grey_room_has_a_form_and_no_direction(
 ) -> None:
     turn, up, shown = looking(pitch), np.array(plane_up), np.array([0.6, 0.5, 0.4])
     sample = EnvironmentSample(
-        0, cube_from_picture(np.full((90, 120, 3), 0.4), 6), np.full(3, 0.25)
+        0, cube_from_picture(np.full((90, 120, 3), 0.4), 6), np.full(3, 0.25), np.zeros(3)
     )
     light = soft_light([sample], [turn], up, shown)
     assert not light.lights

@@ -360,6 +360,7 @@ def test_a_long_shot_is_smoothed_piece_by_piece(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(smooth, "_smooth_piece", counted)
     monkeypatch.setattr(smooth, "_PIECE", 250)
     monkeypatch.setattr(smooth, "_BESIDE", 100)
+    monkeypatch.setattr(smooth, "_FADE", 50)
     pieces = analysed(rec).facts
     assert sizes == [350, 350]
     found, again, true = (
@@ -373,3 +374,23 @@ def test_a_long_shot_is_smoothed_piece_by_piece(monkeypatch: pytest.MonkeyPatch)
     error = rms(found - true)
     seams = np.diff(again - found, axis=0)[249]
     assert np.abs(seams).max() < error and rms(again - true) < 1.2 * error
+
+
+def test_a_gap_longer_than_a_piece_is_bridged(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, frames in (("_PIECE", 200), ("_BESIDE", 60), ("_FADE", 30)):
+        monkeypatch.setattr(smooth, name, frames)
+    n = 1000
+    points = np.tile(M.corners_m, (n, 1, 1))
+    turn = np.tile(np.diag([1.0, -1, -1]), (n, 1, 1))
+    shift = np.tile([0, 0, 0.5], (n, 1))
+    ideal = points[..., :2] * [1, -1] / 0.5
+    weight = np.full((n, 4), 100.0)
+    weight[100:900] = 0
+    seen = Observed(points, ideal, np.tile(800 * np.eye(2), (n, 4, 1, 1)), weight)
+    times = np.arange(n) / 30
+    rotation, translation, covariance, _ = smooth.smooth_poses(turn, shift, seen, times)
+    np.testing.assert_allclose(translation, shift, atol=1e-6)
+    np.testing.assert_allclose(rotation, turn, atol=1e-6)
+    spread = np.sqrt(covariance[:, 0, 0])
+    assert spread[500] == pytest.approx(1.0) and spread[50] < 0.01
+    assert np.abs(np.diff(spread)).max() < 0.1, "it is known less and less"

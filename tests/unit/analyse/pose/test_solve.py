@@ -299,7 +299,7 @@ def test_presence_and_fades() -> None:
 def static_clip(kind: str) -> tuple[str, dict[str, float]]:
     """A textured wall and a marker before it; kind says what stands still."""
     wall, wall_m = background(900, 700, 3) * 255, 1.25 if kind == "marker, orbited" else 2.0
-    poses, flow = {}, BackgroundFlow()
+    poses, flow = {}, BackgroundFlow(30)
     h0 = np.array(
         [[900 / 2.4, 0, 450], [0, 900 / 2.4, 350], [0, 0, 1.0]]
     )  # metres on the wall to texture px
