@@ -120,7 +120,7 @@ class LightFit:
         """Whether the direction of a light is known, surely or likely."""
         return self.verdict != REFUSED
 
-    def told(self, group: int = 0) -> tuple[str, str]:
+    def verdict_of(self, group: int = 0) -> tuple[str, str]:
         """(verdict, reason) of one group: of the light that gives most there."""
         on = [li for li in self.lights if self._is_on(li, group)]
         if not self.claimed or not on or on[0] is self.lights[0]:

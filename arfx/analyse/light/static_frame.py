@@ -123,14 +123,17 @@ class StaticFrameLight:
         if rests and claimed:
             best = max(
                 claimed,
-                key=lambda s: (s.fit.told(s.group)[0] != REFUSED, s.stop_s - s.start_s),
+                key=lambda s: (
+                    s.fit.verdict_of(s.group)[0] != REFUSED,
+                    s.stop_s - s.start_s,
+                ),
             )
             use = used_spans(spans)
             starts = [s.start_s for s in spans[1:]]
             of_frame = use[np.searchsorted(starts, self.times_s(self.frames), side="right")]
             models = [soft, *(s.fit.light(s.group) for s in spans)]
             lights = self._follow(models, of_frame + 1)
-            verdict, why = best.fit.told(best.group)
+            verdict, why = best.fit.verdict_of(best.group)
             why += f"; {_TEMPORAL_MODELS[model]}"
             light = best.fit.light(best.group)
             return lights, self.report(verdict, why, light) | {
@@ -345,7 +348,7 @@ def span_report(span: Span, used: bool) -> dict[str, Any]:
 
     used : whether some direction is used in it
     """
-    verdict, why = span.fit.told(span.group)
+    verdict, why = span.fit.verdict_of(span.group)
     if not span.fit.claimed:
         why += "; used instead: " + (
             "the light before and after it" if used else "soft light"

@@ -165,7 +165,7 @@ def decide_static(
     posed = [
         s for s in samples if {s.index, s.index + s.frames} <= camera_from_world.keys()
     ]
-    told = []
+    shares = []
     for s in posed:
         from_, to = camera.normalised(np.stack([s.here, s.there]))
         a, b = camera_from_world[s.index], camera_from_world[s.index + s.frames]
@@ -175,12 +175,12 @@ def decide_static(
         )
         along = (missed < 2 * still + DRIFT * way).mean()
         moved = camera.project(np.stack([a.translation_m, b.translation_m]))
-        told.append(((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0))))
-    rest, along, moves = np.array(told).reshape(-1, 3).T
+        shares.append(((way < still).mean(), along, np.linalg.norm(np.diff(moved, axis=0))))
+    rest, along, moves = np.array(shares).reshape(-1, 3).T
     evidence = {
-        "samples": float(len(told)),
-        "at_rest": float(rest.mean()) if told else 0.0,
-        "with_marker": float(along.mean()) if told else 0.0,
+        "samples": float(len(shares)),
+        "at_rest": float(rest.mean()) if shares else 0.0,
+        "with_marker": float(along.mean()) if shares else 0.0,
         "marker_moves_px": float(np.nanmedian(moves)) if np.isfinite(moves).any() else 0.0,
     }
     otherwise = "marker" if evidence["with_marker"] > 0.6 else "both"

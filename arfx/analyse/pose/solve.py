@@ -74,8 +74,8 @@ def solve_poses(
     every = visible_intervals(path.measured, shot, times, params.max_gap_s)
     present = without_flickers(every, path.measured, shot)
     opacity = opacities(present, shot, times)
-    told = np.where(path.measured, MEASURED, INTERPOLATED)
-    status = np.where(opacity > 0, told, ABSENT).tolist()
+    known = np.where(path.measured, MEASURED, INTERPOLATED)
+    status = np.where(opacity > 0, known, ABSENT).tolist()
     if not opacity.any():
         showing = sum(bool(r.detections) for r in records)
         raise NothingToDoError(
@@ -236,4 +236,4 @@ def _notices(
             " right?",
         ),
     )
-    return tuple(words for told, words in notices if told)
+    return tuple(words for applies, words in notices if applies)

@@ -418,7 +418,7 @@ def test_both_halves_of_a_print_turned_while_a_lamp_is_switched_are_claimed(
     account, spans = fit_over_time(t, n, light, np.full((72, 3), 2e-6), found)
     assert account == (SWITCHED if left == 0 else SEGMENTS) and len(spans) == 2
     assert spans[0].stop_s == pytest.approx(t[36]) and all(
-        s.fit.told(s.group)[0] != REFUSED for s in spans
+        s.fit.verdict_of(s.group)[0] != REFUSED for s in spans
     )
     rgb = [sum(li.rgb[0] for li in s.fit.light(s.group).lights) for s in spans]
     assert rgb[0] == pytest.approx(0.5, rel=0.1) and rgb[1] == pytest.approx(

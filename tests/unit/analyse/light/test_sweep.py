@@ -43,7 +43,7 @@ class Tally:
     plain: int = 0
     plain_measured: int = 0
 
-    def told(self) -> str:
+    def verdict_of(self) -> str:
         known = f"plain {self.plain_measured} of {self.plain}"
         out = [
             f"measured {len(self.direction_deg)} of {self.scenes}, false {len(self.false)},"
@@ -308,23 +308,23 @@ UNKNOWN = (
 @pytest.mark.parametrize("kind", KNOWN)
 def test_what_can_be_known_is_measured_well(kind: str) -> None:
     got = run(kind, True, max(1, SCENES // (4 if "board" in kind else 1)))
-    assert not got.false, got.told()
+    assert not got.false, got.verdict_of()
     assert (
         np.median(got.direction_deg) <= 2 and np.percentile(got.direction_deg, 90) <= 5
-    ), got.told()
-    assert got.plain_measured >= 0.9 * got.plain, got.told()
+    ), got.verdict_of()
+    assert got.plain_measured >= 0.9 * got.plain, got.verdict_of()
     if got.irradiance:
-        assert np.median(got.irradiance) <= 0.02, got.told()
+        assert np.median(got.irradiance) <= 0.02, got.verdict_of()
     if kind in ("hand", "hand, own model"):  # of another ink, paper and curve, too
-        assert np.mean(got.bias_held) >= 0.95, got.told()
+        assert np.mean(got.bias_held) >= 0.95, got.verdict_of()
     if kind == "hand, own model":
-        assert np.percentile(got.bias_grey, 90) <= 1, got.told()
+        assert np.percentile(got.bias_grey, 90) <= 1, got.verdict_of()
 
 
 @pytest.mark.parametrize("kind", UNKNOWN)
 def test_what_cannot_be_known_is_refused(kind: str) -> None:
     got = run(kind, False, max(SCENES // 4, 1))
-    assert not got.false, got.told()
+    assert not got.false, got.verdict_of()
 
 
 @pytest.mark.parametrize("kind", ["two lights", "exposure switched", "one of two switched"])
@@ -332,5 +332,5 @@ def test_hard_ones_are_right_or_refused(kind: str) -> None:
     """Two lights 60 degrees apart: one of the two, never their middle."""
     got = run(kind, True, max(SCENES // 4, 1))
     assert not got.false and (not got.direction_deg or np.max(got.direction_deg) < 10), (
-        got.told()
+        got.verdict_of()
     )
