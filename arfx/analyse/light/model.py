@@ -167,7 +167,11 @@ def refine(
     moved = [i for i in range(lights.dirs.shape[1]) if i != held]
     now = solve(groups, lights, moved)
     damping, p = np.full(len(lights), 1e-3), 2 * len(moved)
-    for _ in range(passes if p and len(lights) else 0):
+    dirs, chi2 = lights.dirs.copy(), now.chi2.copy()
+    moving = np.arange(len(lights))
+    for _ in range(passes if p else 0):
+        if not len(moving):
+            break
         diagonal = np.einsum("nii->ni", now.curvature)
         added = damping[:, None] * diagonal + 1e-9 * diagonal.max(1, keepdims=True) + 1e-12
         step = np.linalg.solve(
@@ -175,24 +179,23 @@ def refine(
         )
         long = np.linalg.norm(step, axis=1, keepdims=True)
         step = step * np.minimum(1, divide(_LONGEST_STEP, long, where_zero=1.0))
-        dirs = lights.dirs.copy()
-        turn = (step.reshape(len(lights), -1, 2, 1) * now.across).sum(2)
-        dirs[:, moved] = normalise(dirs[:, moved] + turn)
-        trial = replace(lights, dirs=dirs)
+        turn = (step.reshape(len(moving), -1, 2, 1) * now.across).sum(2)
+        trial = replace(lights[moving], dirs=dirs[moving])
+        trial.dirs[:, moved] = normalise(trial.dirs[:, moved] + turn)
         there = solve(groups, trial, moved)
         better = there.chi2 < now.chi2
         gains = now.chi2 - there.chi2 > _STALLED * now.chi2
-        lights = replace(lights, dirs=np.where(better[:, None, None], dirs, lights.dirs))
+        dirs[moving[better]], chi2[moving[better]] = trial.dirs[better], there.chi2[better]
+        damping = np.where(better, damping / 5, damping * 6).clip(1e-9, 1e9)
+        on = gains | ~better & (damping < _STUCK)
         now = Solution(
             *(
-                np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a)
+                np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a)[on]
                 for a, b in zip(now, there, strict=True)
             )
         )
-        damping = np.where(better, damping / 5, damping * 6).clip(1e-9, 1e9)
-        if not (gains | ~better & (damping < _STUCK)).any():
-            break
-    return lights, now.chi2
+        moving, damping = moving[on], damping[on]
+    return replace(lights, dirs=dirs), chi2
 
 
 def bent(groups: Sequence[Group], lights: Lights) -> float:
