@@ -104,16 +104,21 @@ def non_negative(G: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least x.G.x - 2 x.h over x >= 0, and the inverse of G over what is above 0: the best of
     all subsets. G : (..., m, m);  h : (..., m)"""
     m = h.shape[-1]
-    used = np.array(list(product((False, True), repeat=m)))  # (s, m)
+    G = G + np.eye(m) * (_RIDGE * np.einsum("...ii->...i", G) + 1e-30)[..., None, :]
+    inverse = np.linalg.inv(G)
+    x = (inverse @ h[..., None])[..., 0]
+    below = (x < 0).any(-1)
+    if not below.any():
+        return x, inverse
+    G, h = G[below], h[below]
+    used = np.array(list(product((False, True), repeat=m))[:-1])  # (s, m)
     block = used[:, :, None] & used[:, None, :]
-    ridge = np.eye(m) * (_RIDGE * np.einsum("...ii->...i", G) + 1e-30)[..., None, :]
-    own = np.where(block, (G + ridge)[..., None, :, :], np.eye(m))
-    inverse = np.linalg.inv(own) * block
-    x = (inverse @ h[..., None, :, None])[..., 0]
-    gain = np.where((x >= 0).all(-1), (x * h[..., None, :]).sum(-1), 0.0)
-    best = gain.argmax(-1)[..., None, None]
-    pick = np.take_along_axis
-    return pick(x, best, -2)[..., 0, :], pick(inverse, best[..., None], -3)[..., 0, :, :]
+    own = np.linalg.inv(np.where(block, G[:, None], np.eye(m))) * block
+    trials = (own @ h[:, None, :, None])[..., 0]
+    gain = np.where((trials >= 0).all(-1), (trials * h[:, None]).sum(-1), 0.0)
+    best = np.arange(len(h)), gain.argmax(-1)
+    x[below], inverse[below] = trials[best], own[best]
+    return x, inverse
 
 
 def _across(dirs: np.ndarray) -> np.ndarray:
