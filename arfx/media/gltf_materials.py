@@ -13,8 +13,8 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.media.gltf import Buffers
+from arfx.media.model_files import ModelFile
 from arfx.media.model_materials import check_material, resized, unit
-from arfx.media.model_parts import ModelFile
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
@@ -58,13 +58,10 @@ _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 class GltfMaterials:
     """The materials of a file, each made where it is first asked for."""
 
-    def __init__(self, file: ModelFile, buffers: Buffers) -> None:
-        self._header, self._textures = file.header, file.textures
-        self._buffers, self._notices = buffers, file.notices
+    def __init__(self, file: ModelFile, header: dict[str, Any], buffers: Buffers) -> None:
+        self._file, self._header, self._buffers = file, header, buffers
         self.of = cache(self._material)
-        primitives = [
-            p for mesh in file.header.get("meshes", []) for p in mesh["primitives"]
-        ]
+        primitives = [p for mesh in header.get("meshes", []) for p in mesh["primitives"]]
         self._coloured = {
             p.get("material") for p in primitives if "COLOR_0" in p["attributes"]
         }
@@ -106,11 +103,13 @@ class GltfMaterials:
             material = replace(material, emissive_texture=None)
         if "KHR_materials_unlit" in extensions:
             material = self._unlit(material, number)
-        return check_material(material, self._textures.path)
+        return check_material(material, self._file.path)
 
     def _specular(self, given: dict[str, Any], ior: float) -> float:
         if not given.keys().isdisjoint(_TINTS):
-            self._notices.append("left out textures and tints of KHR_materials_specular")
+            self._file.notices.append(
+                "left out textures and tints of KHR_materials_specular"
+            )
         f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
         return float(given.get("specularFactor", 1)) * f0 / 0.08
 
@@ -120,7 +119,7 @@ class GltfMaterials:
             text = (
                 f"material {material.name} is unlit with colours by vertex: it is shown lit"
             )
-            self._notices.append(text)
+            self._file.notices.append(text)
             return material
         red, green, blue, alpha = material.base_colour
         return replace(
@@ -179,7 +178,9 @@ class GltfMaterials:
         uv_set = change.get("texCoord", slot.get("texCoord", 0))
         picture = self._picture(texture)
         if uv_set not in (0, 1):
-            self._notices.append("left out a texture laid by a third set of coordinates")
+            self._file.notices.append(
+                "left out a texture laid by a third set of coordinates"
+            )
             return None
         if picture is None:
             return None
@@ -200,7 +201,7 @@ class GltfMaterials:
             return None
         image, of = self._header["images"][number], self._buffers
         view = image.get("bufferView")
-        return self._textures.read(
+        return self._file.picture(
             number, lambda: of.file(image["uri"]) if view is None else of.view(view)
         )
 
