@@ -12,7 +12,6 @@ import importlib
 import io
 import re
 import struct
-import threading
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -40,7 +39,6 @@ _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
 _DEPTH_CHANNELS = (b"Z", b"V", b"Y", b"R")
 _HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
-_pillow_lock = threading.Lock()
 
 
 def write_png(path: Path, rgb: np.ndarray) -> None:
@@ -318,13 +316,9 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
         ]
     from PIL import Image
 
-    with _pillow_lock:
-        given = Image.MAX_IMAGE_PIXELS
-        Image.MAX_IMAGE_PIXELS = None  # MAX_PIXELS holds, of which it would warn
-        try:
-            with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
-                return [picture.size]
-        except Image.UnidentifiedImageError:
-            return []
-        finally:
-            Image.MAX_IMAGE_PIXELS = given
+    Image.MAX_IMAGE_PIXELS = None  # our own limits hold, of which it would warn
+    try:
+        with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
+            return [picture.size]
+    except Image.UnidentifiedImageError:
+        return []

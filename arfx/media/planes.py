@@ -166,8 +166,9 @@ class Orientation:
 
     def coded(self, upright: np.ndarray) -> np.ndarray:
         """The inverse of `upright`, also a view."""
-        v = upright[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1]
-        return v.swapaxes(0, 1) if self.transpose else v
+        if not self.transpose:
+            return self.upright(upright)
+        return Orientation(True, self.flip_y, self.flip_x).upright(upright)
 
     def coded_rect(self, rect: Rect, width: int, height: int) -> Rect:
         """Where an upright rectangle lies among the coded pixels.
