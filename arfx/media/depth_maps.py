@@ -25,7 +25,7 @@ from arfx.core.opener import folder_entries, is_folder, read_bytes, regular
 from arfx.errors import InputError
 from arfx.media.clip import match_by_time, match_in_order, spacing_s
 from arfx.media.codecs import check_size, open_video
-from arfx.media.images import check_tiff, decode_picture, read_exr
+from arfx.media.images import check_tiff, decode_picture
 
 TIFF = (".tif", ".tiff")
 VIDEO = (".mkv", ".nut", ".avi", ".mov", ".mp4")
@@ -225,11 +225,7 @@ class DepthMaps:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
         width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
         """
-        stored = (
-            _stored(self.files[number])
-            if self.frames is None
-            else _depth_kind(self.frames.stored(number), self.name(number))
-        )
+        stored = self._stored(number)
         h, w = stored.shape
         if abs(w * height / (h * width) - 1) > _ASPECT:
             hint = "maps as the clip is shown, of its size or the same aspect ratio"
@@ -245,6 +241,21 @@ class DepthMaps:
             if stored.dtype.kind == "u":
                 good &= stored < np.iinfo(stored.dtype).max
         return np.where(good, metres, np.float32(0))
+
+    def _stored(self, number: int) -> np.ndarray:
+        """(h, w) uint16 or float32."""
+        if self.frames is None:
+            raw = decode_picture(self.files[number], "depth map", cv2.IMREAD_UNCHANGED)
+        else:
+            raw = self.frames.stored(number)
+        if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
+            channels = 1 if raw.ndim == 2 else raw.shape[2]
+            kind = f"{raw.dtype} with {channels} channel{'s' if raw.ndim > 2 else ''}"
+            raise InputError(
+                f"depth map {self.name(number)} holds {kind}, not depth",
+                "one channel of 16 bits: a PNG or PGM as RGB-D cameras give",
+            )
+        return raw
 
     def digest(self, number: int) -> str:
         """Of a map's file, or of its values."""
@@ -306,28 +317,6 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
         (int(n), "") if n else (-1, text)
         for n, text in re.findall(r"(\d+)|(\D+)", path.stem)
     ], path.name
-
-
-def _stored(path: Path) -> np.ndarray:
-    """(h, w) as stored: uint16 or float32."""
-    if path.suffix.lower() == ".exr":
-        picture = read_exr(path, "depth map")
-        return np.ascontiguousarray(picture if picture.ndim == 2 else picture[..., 0])
-    return _depth_kind(decode_picture(path, "depth map", cv2.IMREAD_UNCHANGED), str(path))
-
-
-def _depth_kind(raw: np.ndarray, name: str) -> np.ndarray:
-    """The same, if it is one channel of 16 bits or float32. Raises InputError."""
-    if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
-        kind = (
-            f"{raw.dtype} with {1 if raw.ndim == 2 else raw.shape[2]}"
-            f" channel{'s' if raw.ndim > 2 else ''}"
-        )
-        raise InputError(
-            f"depth map {name} holds {kind}, not depth",
-            "one channel of 16 bits: a PNG or PGM as RGB-D cameras give",
-        )
-    return raw
 
 
 def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:
