@@ -85,6 +85,8 @@ class GltfMaterials:
         emissive = _colour(given.get("emissiveFactor", (0, 0, 0)), strength)
         if not any(emissive):
             fields["emissive_texture"] = None
+        if fields["clearcoat_normal_texture"] is not None:
+            self._file.notices.append("left out bumps of clear coat: it lies evenly")
         material = Material(
             name=f"{given.get('name', 'material')} {number}",
             emissive=emissive,

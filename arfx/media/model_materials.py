@@ -1,8 +1,7 @@
-"""What all model files share of materials: numbers in range, what is not drawn."""
+"""What all model files share of materials: colours, numbers in range."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +11,6 @@ from arfx.core.model import Material
 from arfx.errors import InputError
 
 _BRIGHTEST = 1e6  # emission, where white paper in full light is 1
-# The one list of what is read of a material and not drawn: words for the notice, and who has it.
-NOT_DRAWN: tuple[tuple[str, Callable[[Material], bool]], ...] = (
-    ("occlusion maps", lambda m: m.occlusion_texture is not None),
-    ("clear coat", lambda m: m.clearcoat > 0),
-    ("sheen of cloth", lambda m: any(m.sheen_colour)),
-)
-
-
-def not_drawn(materials: Iterable[Material]) -> list[str]:
-    """Words for what the materials of a model hold and no renderer draws."""
-    given = list(materials)
-    return [text for text, has in NOT_DRAWN if any(map(has, given))]
 
 
 def plain_material(has_colours: bool, double_sided: bool) -> Material:

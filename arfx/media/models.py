@@ -16,7 +16,6 @@ from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
 from arfx.media.gltf_parts import GltfScene
 from arfx.media.model_files import ModelFile
-from arfx.media.model_materials import not_drawn
 from arfx.media.model_parts import FileMesh, part_of
 from arfx.media.obj_files import ObjScene
 from arfx.media.trimesh_models import TrimeshScene
@@ -115,7 +114,6 @@ def _read(file: ModelFile) -> list[Part]:
         file.notices.append(f"{dropped} faces without area left out")
     if skipped:
         file.notices.append(f"{skipped} sets of points or lines left out")
-    file.notices += [f"left out {what}" for what in not_drawn(p.material for p in parts)]
     return parts
 
 
