@@ -30,9 +30,9 @@ from arfx.errors import RenderError
 from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import create_container, open_video
 from arfx.media.frames import JUMP_S, ClipReader, read_on
-from arfx.media.output import OutputPlan, set_tags
+from arfx.media.output import OutputPlan
 from arfx.media.photos import write_photo
-from arfx.media.writer import failures, remove_output
+from arfx.media.writer import failures, remove_output, set_tags
 
 _MAX_TIMESCALE = (1 << 31) - 1
 _MUXER_OWN = {

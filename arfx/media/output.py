@@ -76,16 +76,6 @@ class OutputPlan(Document):
         return self.container == ""
 
 
-def set_tags(context: Any, plan: OutputPlan, info: ClipInfo) -> None:
-    """What a video stream says of its colours, fields and pixels' shape."""
-    context.colorspace, context.color_range = plan.matrix_tag, plan.range_tag
-    context.color_trc, context.color_primaries = plan.transfer_tag, plan.primaries_tag
-    if info.fields:
-        context.field_order = info.field_order
-    if info.sample_aspect is not None:
-        context.sample_aspect_ratio = info.sample_aspect
-
-
 def plan_output(
     info: ClipInfo, path: Path, settings: OutputSettings | None = None
 ) -> OutputPlan:

@@ -23,7 +23,7 @@ from arfx.media.clip import ClipInfo
 from arfx.media.codecs import CODECS, create_container, open_encoder
 from arfx.media.frame import SWS_MATRIX, Frame
 from arfx.media.images import write_exr, write_failed, write_png
-from arfx.media.output import OutputPlan, set_tags
+from arfx.media.output import OutputPlan
 from arfx.media.planes import repacked
 
 _DEEPEST_REORDER = 16  # H.264 and H.265 allow at most 16 frames of reordering
@@ -190,6 +190,16 @@ class _Video:
 
     def close(self) -> None:
         self._container.close()
+
+
+def set_tags(context: Any, plan: OutputPlan, info: ClipInfo) -> None:
+    """What a video stream says of its colours, fields and pixels' shape."""
+    context.colorspace, context.color_range = plan.matrix_tag, plan.range_tag
+    context.color_trc, context.color_primaries = plan.transfer_tag, plan.primaries_tag
+    if info.fields:
+        context.field_order = info.field_order
+    if info.sample_aspect is not None:
+        context.sample_aspect_ratio = info.sample_aspect
 
 
 @contextlib.contextmanager
