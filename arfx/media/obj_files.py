@@ -18,7 +18,7 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import Material
 from arfx.errors import InputError
-from arfx.media.model_files import ModelFile
+from arfx.media.model_files import MAX_FACES, ModelFile
 from arfx.media.model_materials import plain_material, unit_colours
 from arfx.media.model_parts import FileMesh
 from arfx.media.mtl_files import mtl_material
@@ -49,17 +49,23 @@ class ObjScene:
         rows: dict[str, list[str]] = {"v": [], "vt": [], "vn": [], "mtllib": []}
         self._faces: dict[str, list[str]] = {}
         faces = self._faces.setdefault("", [])
+        count = 0
         text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
         for line in io.StringIO(text, newline=None):
             kind, _, rest = line.strip().partition(" ")
             if kind == "f":
+                count += 1
+                file.check_faces(count)
                 faces.append(rest)
             elif kind in rows:
                 rows[kind].append(rest)
+                if len(rows[kind]) > 3 * MAX_FACES:
+                    raise file.damaged(
+                        f"it holds more than {3 * MAX_FACES} lines of {kind}"
+                    )
             elif kind == "usemtl":
                 faces = self._faces.setdefault(_key(rest), [])
                 file.check_parts(len(self._faces) - 1)
-        file.check_faces(sum(map(len, self._faces.values())))
         self._materials = self._read_materials(rows["mtllib"])
         places = _table(rows["v"], 6)
         # By what FileMesh calls them, and their number's place in a corner.
@@ -137,9 +143,14 @@ def _key(name: str) -> str:
 def _table(rows: list[str], columns: int) -> np.ndarray:
     """(n + 1, columns) of numbers, NaN where there is none, and in the last row: to numbers
     less one, it is what 0 stands for, and what negative ones are counted from."""
-    lacking = ("nan",) * columns
-    words = [(*row.partition("#")[0].split(), *lacking)[:columns] for row in (*rows, "")]
-    return np.array(words, float)
+    out = np.full((len(rows) + 1, columns), np.nan)
+    try:
+        given = np.loadtxt(rows, ndmin=2) if rows else out[:-1]
+    except ValueError:  # not all rows have as many
+        words = [[*row.partition("#")[0].split(), *["nan"] * columns] for row in rows]
+        given = np.array([row[:columns] for row in words], float)
+    out[:-1, : given.shape[1]] = given[:, :columns]
+    return out
 
 
 def _linear(display: np.ndarray) -> np.ndarray:
