@@ -89,14 +89,13 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
     """OpenCV, ROS, WPILib, PhotonVision: the same things under different names."""
     flat = _flat(document)
     matrix = _numbers(_first(flat, MATRIX_NAMES), where, "the camera matrix")
-    if matrix is None and flat.keys() >= set(FOCAL_NAMES):
+    if not matrix.size and flat.keys() >= set(FOCAL_NAMES):
         middle = [(side - 1) / 2 for side in _size(flat, where)]
         centre = [flat.get(n, m) for n, m in zip(CENTRE_NAMES, middle, strict=True)]
-        four = _numbers(
-            [*map(flat.get, FOCAL_NAMES), *centre], where, "the list fx, fy, cx, cy"
-        )
-        matrix = None if four is None else _matrix(*four)
-    if matrix is None:
+        focal = [flat[n] for n in FOCAL_NAMES]
+        fx, fy, cx, cy = _numbers([*focal, *centre], where, "the list fx, fy, cx, cy")
+        matrix = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1])
+    if not matrix.size:
         keys = ", ".join(map(str, list(document)[:8])) or "nothing"
         raise InputError(
             f"camera file {where} holds no camera matrix (its keys: {keys})",
@@ -104,41 +103,32 @@ def _from_names(document: Mapping[str, Any], where: str) -> Camera:
         )
     if matrix.size != 9:
         raise _error(where, f"the camera matrix has {matrix.size} numbers", "9, row by row")
-    found = _numbers(_first(flat, DISTORTION_NAMES), where, "the distortion coefficients")
-    distortion = np.zeros(0) if found is None else found
+    given = _first(flat, DISTORTION_NAMES)
+    distortion = _numbers(given, where, "the distortion coefficients")
     word = str(_first(flat, MODEL_NAMES) or "")
     # OpenCV's calibration sample marks a fisheye calibration with `fisheye_model: 1`
     fisheye = word.lower() in FISHEYE_WORDS or str(flat.get("fisheyemodel", 0)) == "1"
     if not fisheye and word and word.lower() not in BROWN_WORDS.split():
-        raise _error(
-            where,
-            f"lens model {word!r} is not supported",
-            "plumb_bob, rational_polynomial, equidistant",
-        )
-    if not fisheye and 0 < distortion.size < 4:  # "k1" or "k1, k2": the rest is zero
-        distortion = np.append(distortion, np.zeros(4 - distortion.size))
-    if fisheye and distortion.size > 4 and not np.any(distortion[4:]):
+        what = f"lens model {word!r} is not supported"
+        raise _error(where, what, "plumb_bob, rational_polynomial, equidistant")
+    if fisheye and not distortion[4:].any():
         distortion = distortion[:4]
-    camera = Camera(
-        *_size(flat, where),
-        matrix.reshape(3, 3),
-        distortion,
-        FISHEYE if fisheye else BROWN,
-        where,
-    )
+    if not fisheye and 0 < distortion.size < 4:  # "k1" or "k1, k2": the rest is zero
+        distortion = np.append(distortion, np.zeros(4))[:4]
+    model = FISHEYE if fisheye else BROWN
+    camera = Camera(*_size(flat, where), matrix.reshape(3, 3), distortion, model, where)
     _check(camera)
     return camera
 
 
 def _names_of_kalibr(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Source: Kalibr wiki, "Yaml formats" and "Supported models"."""
-    k = _numbers(entry["intrinsics"], where, "intrinsics")
-    if k is None or k.size != 4:
+    four = _numbers(entry["intrinsics"], where, "intrinsics")
+    if four.size != 4:
         raise _error(where, "pinhole intrinsics are 4 numbers", "fx, fy, cx, cy")
     lens = str(entry.get("distortion_model", "none"))
     projection = str(entry.get("camera_model", "pinhole"))
-    return {
-        "k": _matrix(*k),
+    return dict(zip((*FOCAL_NAMES, *CENTRE_NAMES), four, strict=True)) | {
         "d": entry.get("distortion_coeffs"),
         "model": lens if projection == "pinhole" else f"{projection}-{lens}",
         "size": entry.get("resolution"),
@@ -146,24 +136,23 @@ def _names_of_kalibr(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def _names_of_colmap(row: list[str], where: str) -> dict[str, Any]:
-    name, fisheye = row[1], row[1].endswith("FISHEYE")
+    name = row[1]
     names = COLMAP_MODELS.get(name, "").split()
     values = _numbers(row[4:], where, f"camera {row[0]}")
-    if values is None or name in COLMAP_LEFT_OUT or not names:
+    if name in COLMAP_LEFT_OUT or not names:
         able = ", ".join(n for n in COLMAP_MODELS if n not in COLMAP_LEFT_OUT)
         raise _error(where, f"COLMAP model {name} has no OpenCV equivalent", able)
-    if values.size != len(names):
-        what = f"{name} has {values.size} parameters"
+    if len(values) != len(names):
+        what = f"{name} has {len(values)} parameters"
         raise _error(where, what, f"{len(names)}: {' '.join(names)}")
     p = dict(zip(names, values, strict=True))
+    focal = {n: p.get(n, p.get("f")) for n in FOCAL_NAMES}
+    centre = {n: p[n] - COLMAP_CENTRE_PX for n in CENTRE_NAMES}
+    fisheye = name.endswith("FISHEYE")
     order = ("k1 k2 k3 k4" if fisheye else "k1 k2 p1 p2 k3 k4 k5 k6").split()
-    fx, fy = (p.get(n, p.get("f")) for n in ("fx", "fy"))
-    return {
-        "k": _matrix(fx, fy, p["cx"] - COLMAP_CENTRE_PX, p["cy"] - COLMAP_CENTRE_PX),
-        "d": [p.get(n, 0.0) for n in order[: 8 if "k6" in p else 4]],
-        "model": "fisheye" if fisheye else "opencv",
-        "size": row[2:4],
-    }
+    lens = [p.get(n, 0.0) for n in order[: 8 if "k6" in p else 4]]
+    model = "fisheye" if fisheye else "opencv"
+    return focal | centre | {"d": lens, "model": model, "size": row[2:4]}
 
 
 def _choose(cameras: Mapping[str, Any], chosen: str, where: str) -> Any:
@@ -180,12 +169,11 @@ def _choose(cameras: Mapping[str, Any], chosen: str, where: str) -> Any:
 
 def _size(flat: Mapping[str, Any], where: str) -> tuple[int, int]:
     stated = _first(flat, SIZE_NAMES)
-    width, height = _first(flat, WIDTH_NAMES), _first(flat, HEIGHT_NAMES)
     if isinstance(stated, Mapping):
-        width, height = stated.get("width"), stated.get("height")
-    elif isinstance(stated, list) and len(stated) == 2:
-        width, height = stated
-    if width is None or height is None:
+        stated = [stated.get("width"), stated.get("height")]
+    if not isinstance(stated, list) or len(stated) != 2:
+        stated = [_first(flat, names) for names in (WIDTH_NAMES, HEIGHT_NAMES)]
+    if None in stated:
         hint = (
             'add it: "image_width": 1920, "image_height": 1080 (YAML: without the quotation'
             " marks)"
@@ -196,15 +184,10 @@ def _size(flat: Mapping[str, Any], where: str) -> tuple[int, int]:
             f"camera file {where} does not state the picture size that it was made for",
             hint,
         )
-    values = _numbers([width, height], where, "the picture size")
-    if (
-        values is None
-        or not np.isfinite(values).all()
-        or np.any(values != np.round(values))
-    ):
-        raise _error(
-            where, f"picture size {width} x {height}", "two whole numbers of pixels"
-        )
+    values = _numbers(stated, where, "the picture size")
+    if not np.isfinite(values).all() or (values != np.round(values)).any():
+        what = "picture size {} x {}".format(*stated)
+        raise _error(where, what, "two whole numbers of pixels")
     return int(values[0]), int(values[1])
 
 
@@ -216,20 +199,18 @@ def _first(flat: Mapping[str, Any], names: Sequence[str]) -> Any:
     return next((flat[n] for n in names if flat.get(n) is not None), None)
 
 
-def _numbers(value: Any, where: str, what: str) -> np.ndarray | None:
-    """(n,) float64 of nested lists, or of a {rows, cols, data} matrix; None for None. Keeps
-    NaN for Camera to refuse.
-    """
+def _numbers(value: Any, where: str, what: str) -> np.ndarray:
+    """(n,) float64 of nested lists, or of a {rows, cols, data} matrix; none of None. Keeps
+    NaN for Camera to refuse."""
     if isinstance(value, Mapping):
         value = value.get("data")
-    if value is None:
-        return None
     try:
-        flat = [_number(v) for v in np.asarray(value, object).ravel()]
+        flat = [
+            _number(v) for v in np.ravel(np.array([] if value is None else value, object))
+        ]
     except (TypeError, ValueError, OverflowError):
-        raise _error(
-            where, f"{what} is not a list of numbers", "numbers, row by row"
-        ) from None
+        what = f"{what} is not a list of numbers"
+        raise _error(where, what, "numbers, row by row") from None
     return np.array(flat, float)
 
 
@@ -240,10 +221,6 @@ def _number(value: Any) -> float:
     if isinstance(value, str):
         value = value.strip().lower().replace(".nan", "nan").replace(".inf", "inf")
     return float(value)
-
-
-def _matrix(fx: Any, fy: Any, cx: Any, cy: Any) -> np.ndarray:
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], float)
 
 
 def save_camera(path: str | Path, camera: Camera, **extras: Any) -> None:

@@ -73,8 +73,8 @@ class ClipInfo(Document):
     """A clip's properties. width, height : upright px;  coded_* : as stored;  rotation_deg
     : counter-clockwise turn to upright.
 
-    full_range, matrix : as used; matrix_stated is False when the stream names none (bt709
-    from 720 lines up, else bt601)
+    full_range, matrix : as used; where the stream names none, bt709 from 720 lines up, else
+    bt601
     *_tag : the stream's own values (ITU-T H.273), written back;  pixel_format : as decoded;
     start_pts : of the first frame
     frame_count_stated : what the file says, often nothing;  duration_of_video : duration_s
@@ -97,7 +97,6 @@ class ClipInfo(Document):
     matrix: str
     full_range: bool
     time_base: Fraction
-    matrix_stated: bool = True
     matrix_tag: int = UNSPECIFIED
     range_tag: int = 0
     transfer_tag: int = UNSPECIFIED
@@ -271,7 +270,6 @@ def _info(
     notices += hdr.left_out(beside)
     transfer = hdr.TRANSFERS.get(trc, transfer)
     matrix = _MATRIX.get(space)
-    stated = matrix is not None
     if matrix is None:
         matrix = "bt709" if first.height >= 720 else "bt601"
         if layout.kind == "yuv":
@@ -284,7 +282,6 @@ def _info(
     range_tag = int(first.color_range) or int(ctx.color_range)
     full = range_tag == 2 or first.format.name.startswith("yuvj") or layout.kind == "rgb"
     full = full or (layout.kind == "gray" and range_tag == 0)
-    stated = stated and (layout.kind != "rgb" or space in (0, UNSPECIFIED))
     turn = _display_matrix(first, beside)
     orientation, exact = orientation_of(turn)
     if not exact:
@@ -338,7 +335,6 @@ def _info(
         matrix,
         full,
         Fraction(stream.time_base),
-        stated,
         space,
         range_tag,
         trc,

@@ -28,33 +28,8 @@ os.environ.setdefault(
 # (concat, hls, dash, sdp, image2, …) open other files and addresses, so that formats are
 # listed which hold their streams themselves.
 CONTAINERS = (
-    "mov",
-    "matroska",
-    "webm",
-    "avi",
-    "mpegts",
-    "mpeg",
-    "flv",
-    "ogg",
-    "asf",
-    "nut",
-    "ivf",
-    "mxf",
-    "gxf",
-    "dv",
-    "wtv",
-    "yuv4mpegpipe",
-    "gif",
-    "apng",
-    "wav",
-    "h264",
-    "hevc",
-    "vvc",
-    "av1",
-    "obu",
-    "mpegvideo",
-    "m4v",
-    "mjpeg",
+    "mov,matroska,webm,avi,mpegts,mpeg,flv,ogg,asf,nut,ivf,mxf,gxf,dv,wtv,yuv4mpegpipe,gif,"
+    "apng,wav,h264,hevc,vvc,av1,obu,mpegvideo,m4v,mjpeg"
 )
 # Endings of files in a folder that are taken for clips; what such a file is, its content decides
 CLIP_SUFFIXES = frozenset(
@@ -90,7 +65,7 @@ CLIP_SUFFIXES = frozenset(
         ".hevc",
     )
 )
-_OPTIONS = {"format_whitelist": ",".join(CONTAINERS), "protocol_whitelist": "file"}
+_OPTIONS = {"format_whitelist": CONTAINERS, "protocol_whitelist": "file"}
 MAX_SIDE = 8192  # of a frame: a picture of this square in linear light takes 800 MB
 _PICTURES = (
     b"\x89PNG",

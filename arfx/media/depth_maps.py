@@ -16,29 +16,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 
 from arfx.core.numerics import divide
 from arfx.core.opener import folder_entries, is_folder, read_bytes, regular
 from arfx.errors import InputError
-from arfx.media.clip import match_by_time, match_in_order, spacing_s
-from arfx.media.codecs import check_size, open_video
-from arfx.media.images import check_tiff, decode_picture, read_exr
+from arfx.media.clip import ClipInfo, match_by_time, match_in_order, probe, spacing_s
+from arfx.media.frame import Frame
+from arfx.media.frames import ClipReader
+from arfx.media.images import check_tiff, decode_picture
+from arfx.media.planes import planes_of
 
 TIFF = (".tif", ".tiff")
 VIDEO = (".mkv", ".nut", ".avi", ".mov", ".mp4")
-_GREY = (
-    "gray16le",
-    "gray16be",
-    "gray14le",
-    "gray12le",
-    "gray10le",
-    "grayf32le",
-    "grayf32be",
-)
-_FORWARD = 30  # maps that are rather decoded on the way than sought past
 SUFFIXES = (".png", ".pgm", ".exr", *TIFF)
 _KINDS = "16-bit PNG or PGM, TIFF, EXR"
 _STEPS_A_METRE = 1000.0  # of integers, where the job does not say otherwise: millimetres
@@ -54,23 +45,18 @@ _FAINT = 1e-6  # a mask smoothed to less than this carries nothing: the nearest 
 
 
 class _Reading(threading.local):
-    """What a thread has open: the container, its frames to come, the number of the next one
-    and the map before it.
-    """
+    """Of each thread: the last map and its number, and the frames behind it."""
 
-    container: av.container.InputContainer | None = None
-    frames: Iterator[av.VideoFrame] = iter(())
-    next = 0
-    last: np.ndarray | None = None
+    number = -2
+    stored = np.zeros((0, 0), np.uint16)
+    frames: Iterator[Frame] = iter(())
 
 
 @dataclass(frozen=True, eq=False)
 class DepthVideo:
-    """pts : of every frame, in order;  times_s : of them after the first;  reading : one
-    for each thread
-    """
+    """pts : of every frame, in order;  times_s : of them after the first"""
 
-    path: Path
+    info: ClipInfo
     pts: tuple[int, ...]
     times_s: tuple[float, ...]
     reading: _Reading
@@ -80,38 +66,19 @@ class DepthVideo:
         return len(self.pts)
 
     def stored(self, number: int) -> np.ndarray:
-        """(h, w) uint16 or float32. Raises InputError where the frame cannot be decoded."""
-        at = self.reading
-        if at.last is not None and at.next == number + 1:
-            return at.last
-        try:
-            if at.container is None:
-                at.container, at.next = open_video(self.path, "depth"), -_FORWARD
-            if not at.next <= number < at.next + _FORWARD:
-                stream = at.container.streams.video[0]
-                at.container.seek(self.pts[number], stream=stream, backward=True)
-                at.frames, at.last = at.container.decode(stream), None
-            for frame in at.frames:
-                if frame.pts is None or frame.pts < self.pts[number]:
-                    continue
-                if frame.pts > self.pts[number]:
-                    break
-                picture = frame.to_ndarray()
-                at.next, at.last = (
-                    number + 1,
-                    np.asarray(
-                        picture, np.float32 if picture.dtype.kind == "f" else np.uint16
-                    ),
-                )
-                return at.last
-        except av.FFmpegError as e:
-            raise InputError(
-                f"depth {self.path}: map {number} cannot be decoded: {e.strerror}"
-            ) from None
-        raise InputError(
-            f"depth {self.path}: map {number} cannot be decoded where it was listed",
-            "the file is damaged",
-        )
+        """(h, w) uint16. Raises InputError where the frame cannot be decoded."""
+        last = self.reading
+        if number == last.number:
+            return last.stored
+        if number != last.number + 1:
+            last.frames = ClipReader(self.info, threads=1).frames(self.pts[number])
+        last.number, frame = -2, next(last.frames, None)
+        if frame is None or frame.pts != self.pts[number]:
+            what = f"map {number} cannot be decoded where it was listed"
+            raise InputError(f"depth {self.info.path}: {what}", "the file is damaged")
+        samples = planes_of(frame.picture, frame.format.layout)[0]
+        last.number, last.stored = number, samples[:, : frame.format.width]
+        return last.stored
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,28 +110,17 @@ def open_frames(path: Path) -> DepthVideo | DepthPages:
                 f"depth {path} cannot be read as a TIFF", "16-bit or float pages"
             )
         return DepthPages(path, count)
-    try:
-        with open_video(path, "depth") as container:
-            if not container.streams.video:
-                raise InputError(
-                    f"depth {path} holds no video", "one stream of 16-bit grey: FFV1 gray16"
-                )
-            stream = container.streams.video[0]
-            kind = stream.codec_context.pix_fmt
-            if kind not in _GREY:
-                hint = "grey of 16 bits or float: FFV1 gray16 in .mkv"
-                raise InputError(f"depth {path} holds {kind} pictures, not depth", hint)
-            check_size(
-                stream.codec_context.width, stream.codec_context.height, path, "depth"
-            )
-            base = stream.time_base
-            listed = sorted({p.pts for p in container.demux(stream) if p.pts is not None})
-    except av.FFmpegError as e:
-        raise InputError(f"depth {path} cannot be read as a video: {e.strerror}") from None
-    if not listed or base is None:
-        raise InputError(f"depth {path} holds no frame with a time")
-    times = tuple(float((pts - listed[0]) * base) for pts in listed)
-    return DepthVideo(path, tuple(listed), times, _Reading())
+    info = probe(path)
+    if not re.fullmatch(r"gray1\d[lb]e", info.pixel_format):
+        hint = "grey of 16 bits: FFV1 gray16 in .mkv"
+        raise InputError(
+            f"depth {path} holds {info.pixel_format} pictures, not depth", hint
+        )
+    with ClipReader(info, threads=1) as reader:
+        times = reader.times()
+        pts = [frame.pts for frame in reader.frames()] if times is None else times.pts
+    seconds = tuple(float((t - pts[0]) * info.time_base) for t in pts)
+    return DepthVideo(info, tuple(pts), seconds, _Reading())
 
 
 @dataclass(frozen=True)
@@ -225,11 +181,7 @@ class DepthMaps:
         """(h, w) float32 metres of a map at its own size; nothing measured = 0.
         width, height : of the clip. Raises InputError: unreadable, of another kind or shape.
         """
-        stored = (
-            _stored(self.files[number])
-            if self.frames is None
-            else _depth_kind(self.frames.stored(number), self.name(number))
-        )
+        stored = self._stored(number)
         h, w = stored.shape
         if abs(w * height / (h * width) - 1) > _ASPECT:
             hint = "maps as the clip is shown, of its size or the same aspect ratio"
@@ -245,6 +197,21 @@ class DepthMaps:
             if stored.dtype.kind == "u":
                 good &= stored < np.iinfo(stored.dtype).max
         return np.where(good, metres, np.float32(0))
+
+    def _stored(self, number: int) -> np.ndarray:
+        """(h, w) uint16 or float32."""
+        if self.frames is None:
+            raw = decode_picture(self.files[number], "depth map", cv2.IMREAD_UNCHANGED)
+        else:
+            raw = self.frames.stored(number)
+        if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
+            channels = 1 if raw.ndim == 2 else raw.shape[2]
+            kind = f"{raw.dtype} with {channels} channel{'s' if raw.ndim > 2 else ''}"
+            raise InputError(
+                f"depth map {self.name(number)} holds {kind}, not depth",
+                "one channel of 16 bits: a PNG or PGM as RGB-D cameras give",
+            )
+        return raw
 
     def digest(self, number: int) -> str:
         """Of a map's file, or of its values."""
@@ -306,28 +273,6 @@ def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
         (int(n), "") if n else (-1, text)
         for n, text in re.findall(r"(\d+)|(\D+)", path.stem)
     ], path.name
-
-
-def _stored(path: Path) -> np.ndarray:
-    """(h, w) as stored: uint16 or float32."""
-    if path.suffix.lower() == ".exr":
-        picture = read_exr(path, "depth map")
-        return np.ascontiguousarray(picture if picture.ndim == 2 else picture[..., 0])
-    return _depth_kind(decode_picture(path, "depth map", cv2.IMREAD_UNCHANGED), str(path))
-
-
-def _depth_kind(raw: np.ndarray, name: str) -> np.ndarray:
-    """The same, if it is one channel of 16 bits or float32. Raises InputError."""
-    if raw.ndim != 2 or raw.dtype not in (np.uint16, np.float32):
-        kind = (
-            f"{raw.dtype} with {1 if raw.ndim == 2 else raw.shape[2]}"
-            f" channel{'s' if raw.ndim > 2 else ''}"
-        )
-        raise InputError(
-            f"depth map {name} holds {kind}, not depth",
-            "one channel of 16 bits: a PNG or PGM as RGB-D cameras give",
-        )
-    return raw
 
 
 def fill_holes(depth_m: np.ndarray, guide: np.ndarray) -> np.ndarray:

@@ -6,18 +6,14 @@ from __future__ import annotations
 import base64
 import json
 import struct
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from arfx.core.opener import parse_json
+from arfx.core.opener import as_text, parse_json
 from arfx.errors import InputError
-from arfx.media.model_files import MAX_FACES
-from arfx.media.model_parts import ModelFile
+from arfx.media.model_files import MAX_FACES, ModelFile
 
-_LISTS: tuple[str, ...] = ("accessors", "animations", "bufferViews", "buffers", "images")
-_LISTS += ("materials", "meshes", "nodes", "samplers", "scenes", "skins", "textures")
 # What is done with each extension: "" = read, else what will be missing where it is only used.
 # Those that are not in the table, or not read, must not be in extensionsRequired.
 _EXTENSIONS = {
@@ -57,38 +53,32 @@ _SHAPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 
-def gltf_header(data: bytes, kind: str, path: Path) -> dict[str, Any]:
-    """The JSON of a .glb or .gltf, {} for other kinds. Raises InputError."""
-    if kind not in ("glb", "gltf"):
-        return {}
-    text = data
-    if kind == "glb":
+def read_header(file: ModelFile) -> dict[str, Any]:
+    """The JSON of a .glb or .gltf. The file gets notices of what is left out.
+
+    Raises InputError: of no glTF 2, or an extension that is required is not read; what Python
+    raises where it does not fit together."""
+    data = file.data
+    if file.kind == "glb":
         if len(data) < 20 or data[:4] != b"glTF":
-            raise _damaged(path, "it does not begin as a GLB file")
-        text = data[20 : 20 + struct.unpack("<I", data[12:16])[0]]
+            raise file.damaged("it does not begin as a GLB file")
+        data = data[20 : 20 + struct.unpack("<I", data[12:16])[0]]
     try:
-        header = parse_json(text)
-    except UnicodeDecodeError:
-        raise _damaged(path, "its JSON is not UTF-8") from None
+        header = parse_json(as_text(data, file.path, "the JSON of model"))
     except json.JSONDecodeError as e:
-        raise _damaged(
-            path, f"its JSON breaks off or is wrong at line {e.lineno}, column {e.colno}"
-        ) from None
+        what = f"its JSON breaks off or is wrong at line {e.lineno}, column {e.colno}"
+        raise file.damaged(what) from None
     except ValueError as e:
-        raise _damaged(path, f"its JSON: {e}") from None
+        raise file.damaged(f"its JSON: {e}") from None
     if not isinstance(header, dict):
-        raise _damaged(path, "its JSON is no object")
-    _check_version(header, path)
-    for name in _LISTS:
-        rows = header.get(name, [])
-        if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-            raise _damaged(path, f"{name} is no list of objects")
-    return header
-
-
-def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
-    """Notices of what is left out. Raises InputError: an extension that is required is not read."""
-    left_out = _check_extensions(header, path)
+        raise file.damaged("its JSON is no object")
+    version = json.dumps(header.get("asset", {}).get("version") or "2.0").strip('"')[:20]
+    if not version.startswith("2."):
+        hint = (
+            "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
+        )
+        raise InputError(f"model {file.path} is glTF {version}, glTF 2.0 is read", hint)
+    _check_extensions(header, file)
     at_rest = [
         f"{len(header[key])} {what}{'s' if len(header[key]) > 1 else ''}"
         for key, what in (("animations", "animation"), ("skins", "skin"))
@@ -96,59 +86,34 @@ def check_gltf(header: dict[str, Any], path: Path) -> list[str]:
     ]
     if any("targets" in p for m in header.get("meshes", []) for p in m["primitives"]):
         at_rest.append("morph targets")
-    notices = []
     if at_rest:
         what = " and ".join(at_rest)
-        notices.append(f"{what} left out: it is shown as it stands at rest")
-    return notices + [f"left out {what}" for what in left_out]
+        file.notices.append(f"{what} left out: it is shown as it stands at rest")
+    return header
 
 
-def _check_version(header: dict[str, Any], path: Path) -> None:
-    asset = header.get("asset", {})
-    if not isinstance(asset, dict):
-        raise _damaged(path, "its asset is no object")
-    version = json.dumps(asset.get("version", "2.0") or "of no version").strip('"')[:20]
-    if not version.startswith("2."):
-        hint = (
-            "export it again as glTF 2.0; Blender and `npx gltf-pipeline -i OLD -o NEW` do"
-        )
-        raise InputError(f"model {path} is glTF {version}, glTF 2.0 is read", hint)
+def _check_extensions(header: dict[str, Any], file: ModelFile) -> None:
+    """Notices of what extensions that are used leave out.
 
-
-def _check_extensions(header: dict[str, Any], path: Path) -> list[str]:
-    """What extensions that are used leave out.
-
-    Raises InputError: one that is required is not read.
-    """
-    keys = ("extensionsRequired", "extensionsUsed")
-    required, used = ([name[:80] for name in header.get(key, [])] for key in keys)
-    for name in required:
+    Raises InputError: one that is required is not read."""
+    for name in header.get("extensionsRequired", []):
         if _EXTENSIONS.get(name) != "":
-            how = (
-                f": {_CONVERT} {_CONVERTERS[name]} {path.name} NEW.glb"
-                if name in _CONVERTERS
-                else ""
-            )
+            hint = "export it without"
+            if name in _CONVERTERS:
+                hint += f": {_CONVERT} {_CONVERTERS[name]} {file.path.name} NEW.glb"
             raise InputError(
-                f"model {path} requires {name}, which is not read",
-                f"export it without{how}",
+                f"model {file.path} requires {name[:80]}, which is not read", hint
             )
-    texts = {name: _EXTENSIONS.get(name, "an extension that is not read") for name in used}
-    return [f"{text} ({name})" for name, text in texts.items() if text]
-
-
-def _damaged(path: Path, what: str) -> InputError:
-    return InputError(
-        f"cannot read model {path}: {what}", "the file is damaged or not what its name says"
-    )
+    for name in header.get("extensionsUsed", []):
+        if text := _EXTENSIONS.get(name, "an extension that is not read"):
+            file.notices.append(f"left out {text} ({name[:80]})")
 
 
 class Buffers:
     """All buffers of a file, read at once. Raises InputError: one is missing or cut short."""
 
-    def __init__(self, file: ModelFile) -> None:
-        folder, header = file.folder, file.header
-        self._folder = folder
+    def __init__(self, file: ModelFile, header: dict[str, Any]) -> None:
+        self._file = file
         self._accessors = header.get("accessors", [])
         self._views = header.get("bufferViews", [])
         chunk = _binary_chunk(file.data) if file.kind == "glb" else b""
@@ -157,20 +122,18 @@ class Buffers:
             content = self.file(buffer["uri"]) if "uri" in buffer else chunk
             size = buffer.get("byteLength", 0)
             if len(content) < size:
-                raise _damaged(
-                    folder.path, f"a buffer holds {len(content)} of {size} bytes"
-                )
+                raise file.damaged(f"a buffer holds {len(content)} of {size} bytes")
             self._contents.append(content)
-        for number, view in enumerate(self._views):
+        for view in self._views:
             end = view.get("byteOffset", 0) + view["byteLength"]
             if end > len(self._contents[view["buffer"]]):
-                raise _damaged(folder.path, f"view {number} ends beyond its buffer")
+                raise file.damaged("a view ends beyond its buffer")
 
     def file(self, uri: str) -> bytes:
         """A file beside the model, or what is written in the address itself. Raises InputError."""
         if uri.startswith("data:"):
             return base64.b64decode(uri.partition(",")[2])
-        return self._folder.read(uri)
+        return self._file.read(uri)
 
     def view(self, number: int) -> bytes:
         """The bytes of a view."""
@@ -182,7 +145,7 @@ class Buffers:
         """Of the rows of an accessor. Raises InputError: more than three a face."""
         count = self._accessors[number]["count"]
         if not 0 <= count <= 3 * MAX_FACES:
-            raise _damaged(self._folder.path, f"accessor {number} counts {count}")
+            raise self._file.damaged(f"accessor {number} counts {count}")
         return int(count)
 
     def array(self, number: int, columns: int | None = None) -> np.ndarray:
@@ -192,8 +155,7 @@ class Buffers:
         accessor, count = self._accessors[number], self.count(number)
         found = _SHAPES[accessor["type"]]
         if columns not in (None, found):
-            what = f"accessor {number} is of type {accessor['type']}"
-            raise _damaged(self._folder.path, what)
+            raise self._file.damaged(f"accessor {number} is of type {accessor['type']}")
         out = np.zeros((count, found), _KINDS[accessor["componentType"]])
         if "bufferView" in accessor:
             out[:] = self._values(accessor, count, found)

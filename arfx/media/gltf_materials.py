@@ -13,44 +13,40 @@ import numpy as np
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, MASK, MIRROR, OPAQUE, REPEAT, Material, Texture
 from arfx.media.gltf import Buffers
+from arfx.media.model_files import ModelFile
 from arfx.media.model_materials import check_material, resized, unit
-from arfx.media.model_parts import ModelFile
 
 _WRAPS = {33071: CLAMP, 33648: MIRROR}
 _NEAREST = 9728
 _ROWS = 256  # of a picture, worked on at a time
 _DIELECTRIC = 0.04  # reflected by what is no metal
-_TRANSFORM, _WEBP = "KHR_texture_transform", "EXT_texture_webp"
-_PBR, _IOR = "pbrMetallicRoughness", "KHR_materials_ior"
-_COAT, _SHEEN = "KHR_materials_clearcoat", "KHR_materials_sheen"
-_SPECULAR, _GLOW = "KHR_materials_specular", "KHR_materials_emissive_strength"
-_GLOSSY = "KHR_materials_pbrSpecularGlossiness"
-# Fields of Material: what of a glTF material holds them ("" is itself), and their key there.
+_COAT = "extensions/KHR_materials_clearcoat/clearcoat"
+_SHEEN = "extensions/KHR_materials_sheen/sheen"
+# Fields of Material, and where a glTF material holds them.
 _TEXTURES = {
-    "base_texture": (_PBR, "baseColorTexture"),
-    "metallic_roughness_texture": (_PBR, "metallicRoughnessTexture"),
-    "emissive_texture": ("", "emissiveTexture"),
-    "normal_texture": ("", "normalTexture"),
-    "occlusion_texture": ("", "occlusionTexture"),
-    "clearcoat_texture": (_COAT, "clearcoatTexture"),
-    "clearcoat_roughness_texture": (_COAT, "clearcoatRoughnessTexture"),
-    "clearcoat_normal_texture": (_COAT, "clearcoatNormalTexture"),
-    "sheen_colour_texture": (_SHEEN, "sheenColorTexture"),
-    "sheen_roughness_texture": (_SHEEN, "sheenRoughnessTexture"),
+    "base_texture": "pbrMetallicRoughness/baseColorTexture",
+    "metallic_roughness_texture": "pbrMetallicRoughness/metallicRoughnessTexture",
+    "emissive_texture": "emissiveTexture",
+    "normal_texture": "normalTexture",
+    "occlusion_texture": "occlusionTexture",
+    "clearcoat_texture": f"{_COAT}Texture",
+    "clearcoat_roughness_texture": f"{_COAT}RoughnessTexture",
+    "clearcoat_normal_texture": f"{_COAT}NormalTexture",
+    "sheen_colour_texture": f"{_SHEEN}ColorTexture",
+    "sheen_roughness_texture": f"{_SHEEN}RoughnessTexture",
 }
 # With the default; 0 to 1.
 _FACTORS = {
-    "metallic": (_PBR, "metallicFactor", 1.0),
-    "roughness": (_PBR, "roughnessFactor", 1.0),
-    "clearcoat": (_COAT, "clearcoatFactor", 0.0),
-    "clearcoat_roughness": (_COAT, "clearcoatRoughnessFactor", 0.0),
-    "sheen_roughness": (_SHEEN, "sheenRoughnessFactor", 0.0),
+    "metallic": ("pbrMetallicRoughness/metallicFactor", 1.0),
+    "roughness": ("pbrMetallicRoughness/roughnessFactor", 1.0),
+    "clearcoat": (f"{_COAT}Factor", 0.0),
+    "clearcoat_roughness": (f"{_COAT}RoughnessFactor", 0.0),
+    "sheen_roughness": (f"{_SHEEN}RoughnessFactor", 0.0),
 }
-# With the key in the texture.
-_OF_TEXTURES = {
-    "normal_scale": ("", "normalTexture", "scale"),
-    "occlusion_strength": ("", "occlusionTexture", "strength"),
-    "clearcoat_normal_scale": (_COAT, "clearcoatNormalTexture", "scale"),
+_SCALES = {
+    "normal_scale": "normalTexture/scale",
+    "occlusion_strength": "occlusionTexture/strength",
+    "clearcoat_normal_scale": f"{_COAT}NormalTexture/scale",
 }
 _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 
@@ -58,13 +54,10 @@ _TINTS = ("specularTexture", "specularColorTexture", "specularColorFactor")
 class GltfMaterials:
     """The materials of a file, each made where it is first asked for."""
 
-    def __init__(self, file: ModelFile, buffers: Buffers) -> None:
-        self._header, self._textures = file.header, file.textures
-        self._buffers, self._notices = buffers, file.notices
+    def __init__(self, file: ModelFile, header: dict[str, Any], buffers: Buffers) -> None:
+        self._file, self._header, self._buffers = file, header, buffers
         self.of = cache(self._material)
-        primitives = [
-            p for mesh in file.header.get("meshes", []) for p in mesh["primitives"]
-        ]
+        primitives = [p for mesh in header.get("meshes", []) for p in mesh["primitives"]]
         self._coloured = {
             p.get("material") for p in primitives if "COLOR_0" in p["attributes"]
         }
@@ -73,44 +66,48 @@ class GltfMaterials:
         """Raises InputError: a texture is too large or damaged, a number out of range."""
         given = self._header["materials"][number]
         extensions = given.get("extensions", {})
-        owners = {"": given, _PBR: given.get(_PBR, {})}
-        for name in (_COAT, _SHEEN, _SPECULAR, _IOR, _GLOW):
-            owners[name] = extensions.get(name, {})
         mode = str(given.get("alphaMode", OPAQUE)).upper()
-        red, green, blue, alpha = map(
-            float, owners[_PBR].get("baseColorFactor", (1, 1, 1, 1))
-        )
+        base = _stated(given, "pbrMetallicRoughness/baseColorFactor", (1, 1, 1, 1))
+        red, green, blue, alpha = map(float, base)
         fields: dict[str, Any] = {"base_colour": (red, green, blue, alpha)}
-        for name, (owner, key) in _TEXTURES.items():
-            fields[name] = self._texture(owners[owner], key)
-        for name, (owner, key, default) in _FACTORS.items():
-            fields[name] = unit(owners[owner].get(key, default))
-        for name, (owner, texture, key) in _OF_TEXTURES.items():
-            fields[name] = float(owners[owner].get(texture, {}).get(key, 1))
-        if _GLOSSY in extensions:
-            fields |= self._glossy(extensions[_GLOSSY])
+        for name, path in _TEXTURES.items():
+            fields[name] = self._texture(_stated(given, path))
+        for name, (path, default) in _FACTORS.items():
+            fields[name] = unit(_stated(given, path, default))
+        for name, path in _SCALES.items():
+            fields[name] = float(_stated(given, path, 1))
+        glossy = extensions.get("KHR_materials_pbrSpecularGlossiness")
+        if glossy is not None:
+            fields |= self._glossy(glossy)
+        strength = _stated(
+            extensions, "KHR_materials_emissive_strength/emissiveStrength", 1
+        )
+        emissive = _colour(given.get("emissiveFactor", (0, 0, 0)), strength)
+        if not any(emissive):
+            fields["emissive_texture"] = None
+        if fields["clearcoat_normal_texture"] is not None:
+            self._file.notices.append("left out bumps of clear coat: it lies evenly")
         material = Material(
             name=f"{given.get('name', 'material')} {number}",
-            emissive=_colour(
-                given.get("emissiveFactor", (0, 0, 0)),
-                owners[_GLOW].get("emissiveStrength", 1),
-            ),
-            specular=self._specular(owners[_SPECULAR], float(owners[_IOR].get("ior", 1.5))),
-            sheen_colour=_colour(owners[_SHEEN].get("sheenColorFactor", (0, 0, 0))),
+            emissive=emissive,
+            specular=self._specular(extensions),
+            sheen_colour=_colour(_stated(given, f"{_SHEEN}ColorFactor", (0, 0, 0))),
             alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
             alpha_cutoff=float(given.get("alphaCutoff", 0.5)),
             double_sided=bool(given.get("doubleSided", False)),
             **fields,
         )
-        if not any(material.emissive):
-            material = replace(material, emissive_texture=None)
         if "KHR_materials_unlit" in extensions:
             material = self._unlit(material, number)
-        return check_material(material, self._textures.path)
+        return check_material(material, self._file.path)
 
-    def _specular(self, given: dict[str, Any], ior: float) -> float:
+    def _specular(self, extensions: dict[str, Any]) -> float:
+        given = extensions.get("KHR_materials_specular", {})
         if not given.keys().isdisjoint(_TINTS):
-            self._notices.append("left out textures and tints of KHR_materials_specular")
+            self._file.notices.append(
+                "left out textures and tints of KHR_materials_specular"
+            )
+        ior = float(_stated(extensions, "KHR_materials_ior/ior", 1.5))
         f0 = ((ior - 1.0) / (ior + 1.0)) ** 2 if ior > 0 else _DIELECTRIC
         return float(given.get("specularFactor", 1)) * f0 / 0.08
 
@@ -120,7 +117,7 @@ class GltfMaterials:
             text = (
                 f"material {material.name} is unlit with colours by vertex: it is shown lit"
             )
-            self._notices.append(text)
+            self._file.notices.append(text)
             return material
         red, green, blue, alpha = material.base_colour
         return replace(
@@ -140,8 +137,8 @@ class GltfMaterials:
         diffuse = np.array(given.get("diffuseFactor", [1.0] * 4), np.float32)
         specular = given.get("specularFactor", [1.0] * 3)
         shine = np.array([*specular, given.get("glossinessFactor", 1.0)], np.float32)
-        matt_texture = self._texture(given, "diffuseTexture")
-        shine_texture = self._texture(given, "specularGlossinessTexture")
+        matt_texture = self._texture(given.get("diffuseTexture"))
+        shine_texture = self._texture(given.get("specularGlossinessTexture"))
         laid, rough_laid = matt_texture or shine_texture, shine_texture or matt_texture
         if laid is None or rough_laid is None:
             (red, green, blue), metallic = _metallic(diffuse, shine)
@@ -170,16 +167,17 @@ class GltfMaterials:
             "metallic_roughness_texture": replace(rough_laid, picture=rough),
         }
 
-    def _texture(self, owner: dict[str, Any], key: str) -> Texture | None:
-        if key not in owner:
+    def _texture(self, slot: dict[str, Any] | None) -> Texture | None:
+        if slot is None:
             return None
-        slot = owner[key]
-        change = slot.get("extensions", {}).get(_TRANSFORM, {})
+        change = _stated(slot, "extensions/KHR_texture_transform", {})
         texture = self._header["textures"][slot["index"]]
         uv_set = change.get("texCoord", slot.get("texCoord", 0))
         picture = self._picture(texture)
         if uv_set not in (0, 1):
-            self._notices.append("left out a texture laid by a third set of coordinates")
+            self._file.notices.append(
+                "left out a texture laid by a third set of coordinates"
+            )
             return None
         if picture is None:
             return None
@@ -195,14 +193,22 @@ class GltfMaterials:
 
     def _picture(self, texture: dict[str, Any]) -> np.ndarray | None:
         """The texture's picture; None: there is none, or it cannot be read, which others tell."""
-        number = texture.get("extensions", {}).get(_WEBP, texture).get("source")
+        webp = _stated(texture, "extensions/EXT_texture_webp", texture)
+        number = webp.get("source")
         if number is None:
             return None
         image, of = self._header["images"][number], self._buffers
         view = image.get("bufferView")
-        return self._textures.read(
+        return self._file.picture(
             number, lambda: of.file(image["uri"]) if view is None else of.view(view)
         )
+
+
+def _stated(tree: dict[str, Any], path: str, default: Any = None) -> Any:
+    *way, last = path.split("/")
+    for key in way:
+        tree = tree.get(key, {})
+    return tree.get(last, default)
 
 
 def _picture_from_uv(change: dict[str, Any]) -> np.ndarray:

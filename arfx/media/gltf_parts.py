@@ -12,11 +12,11 @@ from arfx.core.model import Material
 from arfx.core.numerics import normalise
 from arfx.core.pose import rotation_from_quaternion
 from arfx.errors import InputError
-from arfx.media.gltf import Buffers, shares
+from arfx.media.gltf import Buffers, read_header
 from arfx.media.gltf_materials import GltfMaterials
-from arfx.media.model_files import check_faces, check_parts
-from arfx.media.model_materials import plain_material
-from arfx.media.model_parts import FileMesh, ModelFile
+from arfx.media.model_files import ModelFile
+from arfx.media.model_materials import plain_material, unit_colours
+from arfx.media.model_parts import FileMesh
 
 _TRIANGLES, _STRIP = 4, 5
 _ROWS = {
@@ -36,13 +36,13 @@ class GltfScene:
     Raises InputError: limits, what is missing or does not fit together."""
 
     def __init__(self, file: ModelFile) -> None:
-        self._path, self._notices = file.folder.path, file.notices
-        self._nodes = file.header.get("nodes", [])
-        self._meshes = file.header.get("meshes", [])
-        self._scenes = file.header.get("scenes", [])
-        self._shown = file.header.get("scene", 0)
-        self._buffers = Buffers(file)
-        self._materials = GltfMaterials(file, self._buffers)
+        self._file, header = file, read_header(file)
+        self._nodes = header.get("nodes", [])
+        self._meshes = header.get("meshes", [])
+        self._scenes = header.get("scenes", [])
+        self._shown = header.get("scene", 0)
+        self._buffers = Buffers(file, header)
+        self._materials = GltfMaterials(file, header, self._buffers)
 
     def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
         """Each set of triangles, (4, 4) its place in the model, its material.
@@ -50,7 +50,7 @@ class GltfScene:
         For points and lines there is None in place of triangles."""
         placed = list(self._placed())
         faces_of = {number: self._face_count(number) for number, _ in placed}
-        check_faces(sum(faces_of[number] for number, _ in placed), self._path)
+        self._file.check_faces(sum(faces_of[number] for number, _ in placed))
         meshes = {number: list(self._triangles_of(number)) for number in faces_of}
         for number, model_from_mesh in placed:
             for mesh, material in meshes[number]:
@@ -64,7 +64,9 @@ class GltfScene:
             number, model_from_parent = waiting.pop()
             if number in seen:
                 what = f"node {number} is below itself or below two others"
-                raise InputError(f"model {self._path}: {what}", "nodes must form a tree")
+                raise InputError(
+                    f"model {self._file.path}: {what}", "nodes must form a tree"
+                )
             seen.add(number)
             node = self._nodes[number]
             extensions = node.get("extensions", {})
@@ -74,7 +76,7 @@ class GltfScene:
             if "mesh" in node:
                 for node_from_mesh in self._copies(extensions):
                     count += 1
-                    check_parts(count, self._path)
+                    self._file.check_parts(count)
                     yield node["mesh"], model_from_node @ node_from_mesh
             waiting += [(child, model_from_node) for child in node.get("children", [])]
 
@@ -96,7 +98,7 @@ class GltfScene:
             return [number for number in range(len(self._nodes)) if number not in below]
         if len(self._scenes) > 1:
             what = f"{len(self._scenes)} scenes, number {self._shown} is shown (from 0 on)"
-            self._notices.append(what)
+            self._file.notices.append(what)
         return list(self._scenes[self._shown].get("nodes", []))
 
     def _copies(self, extensions: dict[str, Any]) -> Iterator[np.ndarray]:
@@ -128,7 +130,7 @@ class GltfScene:
             if "indices" in primitive:
                 corners = read(primitive["indices"], 1)[:, 0].astype(np.int64)
             if "COLOR_0" in given:
-                rows["colours"] = _colours(read(given["COLOR_0"]))
+                rows["colours"] = unit_colours(read(given["COLOR_0"]))
             if "material" in primitive:
                 material = self._materials.of(primitive["material"])
             else:
@@ -146,16 +148,6 @@ def _parent_from_node(node: dict[str, Any]) -> np.ndarray:
     out[:3, :3] = rotation_from_quaternion(np.roll(turn, 1)) * scale
     out[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
     return out
-
-
-def _colours(given: np.ndarray) -> np.ndarray:
-    """(n, 4) of red, green, blue and maybe alpha; what is no number leaves the factor alone."""
-    values = shares(given).astype(float)
-    whole = np.ones((len(values), 4))
-    whole[:, : values.shape[1]] = np.clip(
-        np.where(np.isfinite(values), values, 1.0), 0.0, 1.0
-    )
-    return whole
 
 
 def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:

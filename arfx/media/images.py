@@ -12,7 +12,6 @@ import importlib
 import io
 import re
 import struct
-import threading
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -37,10 +36,10 @@ PRINT_PX = 1024
 _PILLOW = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")
 HEIF = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_EXR = b"v/1\x01"
 _WINDOWS = (b"dataWindow", b"displayWindow")  # FFmpeg makes a picture of the second
 _DEPTH_CHANNELS = (b"Z", b"V", b"Y", b"R")
 _HDR = re.compile(rb"\n\s*\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n")
-_pillow_lock = threading.Lock()
 
 
 def write_png(path: Path, rgb: np.ndarray) -> None:
@@ -78,17 +77,7 @@ def load_image(path: Path) -> np.ndarray:
     Raises InputError: missing, or not an image."""
     import cv2
 
-    path = Path(path)
-    if path.suffix.lower() == ".exr":
-        a = read_exr(path, "image")
-        return (
-            np.repeat(a[..., None], 3, -1)
-            if a.ndim == 2
-            else np.ascontiguousarray(a[..., :3])
-        )
-    raw = decode_picture(
-        path, "image", cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
-    )
+    raw = decode_picture(Path(path), "image", cv2.IMREAD_UNCHANGED)
     rgb = np.repeat(raw[..., None], 3, -1) if raw.ndim == 2 else raw[..., 2::-1]
     if rgb.dtype.kind == "f":
         return np.ascontiguousarray(rgb, np.float32)
@@ -115,19 +104,19 @@ def load_print(path: Path) -> tuple[np.ndarray, float]:
     return linear, h / w
 
 
-def read_exr(path: Path, kind: str) -> np.ndarray:
-    """(h, w[, channels]) float32 as stored. Raises InputError."""
-    data = read_bytes(path, kind)
-    check_pixels(data, path, kind)
+def _decode_exr(data: bytes, path: Path, kind: str) -> np.ndarray:
+    """(h, w) or (h, w, 3), blue first, float32 as stored; of a depth map the channel that holds
+    it. Raises InputError."""
     try:
         if kind == "depth map":
             data = _one_channel(data, path, kind)
         with av.open(io.BytesIO(data), "r", format="exr_pipe") as c:
-            return np.asarray(next(c.decode(video=0)).to_ndarray())
+            picture = np.asarray(next(c.decode(video=0)).to_ndarray())
     except (av.error.FFmpegError, StopIteration, IndexError, struct.error, ValueError) as e:
         raise InputError(
             f"{kind} {path} cannot be read as an EXR image: it is damaged, or cut short"
         ) from e
+    return picture if picture.ndim == 2 else picture[..., 2::-1]
 
 
 def _exr_header(data: bytes) -> list[tuple[bytes, int, int]]:
@@ -194,7 +183,9 @@ def decode_picture(path: Path, kind: str, flags: int) -> np.ndarray:
     data = read_bytes(path, kind)
     if data[4:8] == b"ftyp" and data[8:12] in HEIF:
         return _decode_heif(data, path, kind, flags)
-    check_pixels(data, path, kind)
+    _check_size(lambda: _sizes(data), path, kind)
+    if data.startswith(_EXR) and flags == cv2.IMREAD_UNCHANGED:
+        return _decode_exr(data, path, kind)
     try:
         raw: np.ndarray | None = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
@@ -253,13 +244,10 @@ def exif_turn(path: Path) -> int:
         return 1
 
 
-def check_pixels(data: bytes, path: Path, kind: str) -> None:
-    """Raises InputError: of no known format, or with more pixels than MAX_PIXELS[kind]."""
-    _check_size(lambda: _sizes(data), path, kind)
-
-
 def check_tiff(path: Path, kind: str) -> None:
-    """The same of every page of a TIFF that is too large to be read whole."""
+    """Of every page of a TIFF that is too large to be read whole.
+
+    Raises InputError: damaged, or with more pixels than MAX_PIXELS[kind]."""
     _check_size(lambda: _tiff_sizes(path), path, kind)
 
 
@@ -307,7 +295,7 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
     if data.startswith(b"#?"):
         found = _HDR.search(data[:65536])
         return [(int(found[2]), int(found[1]))] if found else []
-    if data.startswith(b"v/1\x01"):
+    if data.startswith(_EXR):
         windows = [
             struct.unpack_from("<4i", data, at)
             for name, at, _ in _exr_header(data)
@@ -318,13 +306,9 @@ def _sizes(data: bytes) -> Sequence[tuple[int, int]]:
         ]
     from PIL import Image
 
-    with _pillow_lock:
-        given = Image.MAX_IMAGE_PIXELS
-        Image.MAX_IMAGE_PIXELS = None  # MAX_PIXELS holds, of which it would warn
-        try:
-            with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
-                return [picture.size]
-        except Image.UnidentifiedImageError:
-            return []
-        finally:
-            Image.MAX_IMAGE_PIXELS = given
+    Image.MAX_IMAGE_PIXELS = None  # our own limits hold, of which it would warn
+    try:
+        with Image.open(io.BytesIO(data), formats=_PILLOW) as picture:
+            return [picture.size]
+    except Image.UnidentifiedImageError:
+        return []

@@ -26,14 +26,13 @@ import av
 from arfx.core import interrupt
 from arfx.core.guard import TIMES, part_name
 from arfx.core.opener import ffmpeg_url
-from arfx.errors import ArfxError, RenderError
+from arfx.errors import RenderError
 from arfx.media.clip import PHOTO, ClipInfo
 from arfx.media.codecs import create_container, open_video
 from arfx.media.frames import JUMP_S, ClipReader, read_on
-from arfx.media.images import write_failed
 from arfx.media.output import OutputPlan
 from arfx.media.photos import write_photo
-from arfx.media.writer import remove_output
+from arfx.media.writer import failures, remove_output, set_tags
 
 _MAX_TIMESCALE = (1 << 31) - 1
 _MUXER_OWN = {
@@ -79,7 +78,8 @@ def join_chunks(
         _join_folders(chunks, len(pts), out, part or part_name(out.absolute().parent), made)
         return 0
     part = part or part_name(out)
-    with _temporary_output(part, out):
+    with failures(out, lambda: remove_output(part)):
+        remove_output(part)
         left_out = 0
         if plan.container == PHOTO:
             write_photo(part, chunks[0], info.path, out.suffix.lower())
@@ -92,23 +92,6 @@ def join_chunks(
         with interrupt.committing():
             part.replace(out)
     return left_out
-
-
-@contextlib.contextmanager
-def _temporary_output(part: Path, out: Path) -> Iterator[None]:
-    """Nothing is at `part` before the body, nor after it has failed; what went wrong first is
-    raised. Raises RenderError where `out` cannot be written.
-    """
-    try:
-        remove_output(part)
-        yield
-    except BaseException as e:
-        with contextlib.suppress(OSError):
-            remove_output(part)
-        system = isinstance(e, (av.error.FFmpegError, OSError, ValueError))
-        if system and not isinstance(e, ArfxError):
-            raise write_failed(out, e) from e
-        raise
 
 
 def _packets_of(chunk: Path) -> Any:
@@ -263,14 +246,9 @@ def _add_video(
 ) -> Any:
     stream = _add_stream(out, template, source, info.time_base)
     ctx = stream.codec_context
-    ctx.colorspace, ctx.color_range = plan.matrix_tag, plan.range_tag
-    ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
+    set_tags(ctx, plan, info)
     if info.fps:
         ctx.framerate = Fraction(info.fps).limit_denominator(1001)
-    if info.fields:
-        ctx.field_order = info.field_order
-    if info.sample_aspect is not None:
-        ctx.sample_aspect_ratio = info.sample_aspect
     if plan.codec == "h265" and plan.container in ("mp4", "mov"):
         ctx.codec_tag = (  # the tag that all players know; parameter sets are in the header
             "hvc1"
@@ -359,7 +337,8 @@ def _join_folders(
     folder appears at once.
     """
     folder = out.absolute().parent
-    with _temporary_output(part, out):
+    with failures(out, lambda: remove_output(part)):
+        remove_output(part)
         part.mkdir(parents=True)
         times = []
         for chunk in chunks:

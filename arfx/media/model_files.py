@@ -1,8 +1,5 @@
-"""The files that a model is made of: only from its own folder, of bounded size, every picture of
-a known kind.
-
-trimesh is given bytes and asks here for whatever they name: buffers, MTL files, textures.
-"""
+"""A model's file and those that it names: only from its own folder, of bounded size, every
+picture of a known kind."""
 
 from __future__ import annotations
 
@@ -11,9 +8,12 @@ import io
 import os
 import re
 import unicodedata
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
+
+import numpy as np
 
 from arfx.core.opener import read_bytes
 from arfx.errors import InputError
@@ -22,70 +22,116 @@ from arfx.errors import InputError
 MAX_FACES = 5_000_000
 # Mesh instances: each is a part with a transform of its own, a hundred parts take a second.
 MAX_PARTS = 10_000
-_FACES_OF = {
-    "ply": rb"\belement\s+face\s+(\d+)",
-    "off": rb"OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d+)",
-}
+# Texels of a model together: 20 bytes each while it is drawn, 2 GB
+MAX_TEXELS = 8192**2 + 2 * 4096**2
+# An 8k texture takes seconds and a gigabyte in software OpenGL; beyond it drivers refuse.
+MAX_TEXTURE_PX = 8192
 # What Pillow may open: left to itself it also takes formats for which it starts other
 # programs (EPS: Ghostscript).
 PICTURES = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TIFF", "TGA", "PPM", "DDS")
 
 
-class ModelFolder:
-    """Answers trimesh as one of its resolvers.
+class ModelFile:
+    """A file while it is read.
 
-    files : all that was read;  left_out : by name, why it was not;  refused : why pictures
-    could not be opened.
-    """
+    data : all of it;  kind : its format, as "glb"
+    files : all that was read;  notices : of what is left out or repaired"""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.file_name = path.name  # OBJ: the name of a mesh that has none
-        self.folder = path.absolute().parent.resolve()
-        self.files: list[Path] = [path]
-        self.left_out: dict[str, str] = {}
-        self.refused: list[str] = []
-        self.memory: dict[
-            str, bytes
-        ] = {}  # by name, what was made from the file and is in none
+    def __init__(self, path: Path, data: bytes, kind: str) -> None:
+        self.path, self.data, self.kind = path, data, kind
+        self.files = [path]
+        self.notices: list[str] = []
+        self._folder = path.absolute().parent.resolve()
         self._names: dict[Path, dict[str, str]] = {}
+        self._pictures: dict[Any, np.ndarray | None] = {}
+        self._texels = 0
 
-    def get(self, name: str) -> bytes:
-        """A picture, for trimesh, which itself would open any kind; or what is in the memory.
+    def damaged(self, what: str) -> InputError:
+        """The error to raise."""
+        hint = "the file is damaged or not what its name says"
+        return InputError(f"cannot read model {self.path}: {what}", hint)
 
-        Raises InputError.
-        """
-        if name in self.memory:
-            return self.memory[name]
-        data = self.read(name)
-        if self.picture(data) is None:
-            raise InputError(f"model {self.path} refers to {name}, which is no picture")
-        return data
+    def check_faces(self, count: int) -> None:
+        """Raises InputError."""
+        if count > MAX_FACES:
+            hint = f"at most {MAX_FACES}: simplify it first"
+            raise InputError(f"model {self.path} has {count} faces", hint)
 
-    __getitem__ = get
+    def check_parts(self, count: int) -> None:
+        """Raises InputError."""
+        if count > MAX_PARTS:
+            hint = f"at most {MAX_PARTS}: join them first"
+            raise InputError(f"model {self.path} has {count} parts or materials", hint)
 
-    def picture(self, content: bytes) -> Any:
+    def picture(
+        self, name: Any, content: Callable[[], bytes] | None = None
+    ) -> np.ndarray | None:
+        """(h, w, 4) uint8, decoded once; None: it is not there or no picture, which is in
+        `notices`.
+
+        name : in the model, of a file beside it where no content is given
+        Raises InputError: too large, damaged."""
+        if name not in self._pictures:
+            image = None
+            with contextlib.suppress(InputError):
+                image = self._opened(content() if content else self.read(name))
+            self._pictures[name] = self.texels(image)
+        return self._pictures[name]
+
+    def texels(self, image: Any) -> np.ndarray | None:
+        """(h, w, 4) uint8 of a picture of Pillow, which is closed; None for None.
+
+        Raises InputError: too large, damaged."""
+        if image is None:
+            return None
+        self._check_size(*image.size)
+        try:
+            with image:
+                return np.asarray(_in_8_bits(image).convert("RGBA"))
+        except (OSError, ValueError, SyntaxError) as e:  # Pillow decodes late
+            what = "a texture is damaged or cut short"
+            raise InputError(f"model {self.path}: {what}", "export it again") from e
+
+    def _opened(self, content: bytes) -> Any:
         """Pillow's picture of one of PICTURES; None: it is none of these, or damaged."""
         from PIL import Image
 
         try:
             return Image.open(io.BytesIO(content), formats=PICTURES)
-        except Exception as e:  # whatever its header holds
-            unknown = isinstance(e, Image.UnidentifiedImageError)
-            kinds = "not a picture of the kinds that are read: " + ", ".join(PICTURES)
-            self.refused.append(kinds if unknown else "a picture's header is damaged")
-            return None
+        except Image.UnidentifiedImageError:
+            why = "not pictures of the kinds that are read: " + ", ".join(PICTURES)
+        except Exception:  # whatever its header holds
+            why = "a picture's header is damaged"
+        self.notices.append(f"textures left out: {why}")
+        return None
+
+    def _check_size(self, width: int, height: int) -> None:
+        if max(width, height) > MAX_TEXTURE_PX:
+            hint = f"at most {MAX_TEXTURE_PX} px a side: scale it down"
+            raise InputError(f"model {self.path}: a texture is {width}x{height} px", hint)
+        self._texels += width * height
+        if self._texels > MAX_TEXELS:
+            what = f"its textures hold more than {MAX_TEXELS / 1e6:.0f} megapixels"
+            raise InputError(f"model {self.path}: {what}", "scale them down")
+
+    def get(self, name: str) -> bytes:
+        """A picture, for trimesh, which itself would open any kind. Raises InputError."""
+        data = self.read(name)
+        if self._opened(data) is None:
+            raise InputError(f"model {self.path} refers to {name}, which is no picture")
+        return data
+
+    __getitem__ = get
 
     def read(self, name: str) -> bytes:
-        """The file that a model calls `name`.
+        """The file that the model calls `name`.
 
-        Raises InputError: not in the folder, not a regular file, too large.
-        """
+        Raises InputError: not in the folder, not a regular file, too large; a notice tells."""
         try:
             found = self.find(name)
             data = read_bytes(found, "model part")
         except InputError as e:
-            self.left_out[name] = e.message
+            self.notices.append(f"left out {e.message}")
             raise InputError(f"model {self.path} refers to {e.message}", e.hint) from None
         if found not in self.files:
             self.files.append(found)
@@ -98,75 +144,51 @@ class ModelFolder:
         name = name.strip()
         plain = name.strip("\"'")
         bare = re.split(r"[/\\]", unquote(plain))[-1]
-        candidates = dict.fromkeys(
-            (name, plain, unquote(plain), plain.replace("\\", "/"), bare)
-        )
         outside = False
-        for candidate in candidates:
+        for candidate in (name, plain, unquote(plain), plain.replace("\\", "/"), bare):
             with contextlib.suppress(OSError, ValueError):  # too long, a NUL in it
-                place = Path(os.path.normpath(self.folder / candidate))
-                if not place.is_relative_to(
-                    self.folder
-                ):  # not even looked for: the system may ask another machine (//host/x)
+                place = Path(os.path.normpath(self._folder / candidate))
+                if not place.is_relative_to(self._folder):
+                    # not even looked for: the system may ask another machine (//host/x)
                     outside = True
-                elif (
-                    real := self._alike(place).resolve()
-                ).exists() and real != self.folder:
-                    if real.is_relative_to(self.folder):
-                        return real
+                    continue
+                found = self._alike(place).resolve()
+                if found.exists() and found != self._folder:
+                    if found.is_relative_to(self._folder):
+                        return found
                     outside = True
         shown = name if len(name) < 200 else f"{name[:200]}…"
         if outside:
-            raise InputError(
-                f"{shown}, which lies outside its folder {self.folder}",
-                "put it into the model's folder",
-            )
+            what = f"{shown}, which lies outside its folder {self._folder}"
+            raise InputError(what, "put it into the model's folder")
         raise InputError(
-            f"{shown}, which is not in its folder {self.folder}", "put it there"
+            f"{shown}, which is not in its folder {self._folder}", "put it there"
         )
 
     def _alike(self, place: Path) -> Path:
         """The same path; under the names that are on the disk, where they differ in case or
-        in how umlauts are written.
-        """
-        at = self.folder
-        for part in place.relative_to(self.folder).parts:
-            if at not in self._names:
-                on_disk = (
-                    sorted(os.listdir(at))  # noqa: PTH208
-                    if at.resolve().is_relative_to(self.folder) and at.is_dir()
-                    else []
-                )
-                self._names[at] = {_folded(n): n for n in on_disk} | {n: n for n in on_disk}
-            at /= self._names[at].get(part) or self._names[at].get(_folded(part), part)
-        return at
+        in how umlauts are written."""
+        path = self._folder
+        for name in place.relative_to(path).parts:
+            if path not in self._names:
+                inside = path.resolve().is_relative_to(self._folder) and path.is_dir()
+                on_disk = sorted(os.listdir(path)) if inside else []  # noqa: PTH208
+                self._names[path] = {_folded(n): n for n in on_disk} | {
+                    n: n for n in on_disk
+                }
+            names = self._names[path]
+            path /= names.get(name) or names.get(_folded(name), name)
+        return path
 
 
 def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
-def check_faces(count: int, path: Path) -> None:
-    """Raises InputError."""
-    if count > MAX_FACES:
-        raise InputError(
-            f"model {path} has {count} faces", f"at most {MAX_FACES}: simplify it first"
-        )
+def _in_8_bits(image: Any) -> Any:
+    """Pillow cuts 16-bit greys off at 255 where they should be scaled."""
+    from PIL import Image
 
-
-def check_parts(count: int, path: Path) -> None:
-    """Raises InputError."""
-    if count > MAX_PARTS:
-        raise InputError(
-            f"model {path} has {count} parts or materials",
-            f"at most {MAX_PARTS}: join them first",
-        )
-
-
-def stated_faces(data: bytes, kind: str) -> int:
-    """As the file's beginning says; counted where it says nothing."""
-    if kind == "stl":
-        declared = int.from_bytes(data[80:84], "little")
-        return declared if len(data) >= 84 + 50 * declared else data.count(b"endfacet")
-    found = re.search(_FACES_OF[kind], data[:65536]) if kind in _FACES_OF else None
-    return int(found[1][:18]) if found else 0
+    if not image.mode.startswith("I"):
+        return image
+    return Image.fromarray(np.clip(np.asarray(image) >> 8, 0, 255).astype(np.uint8))

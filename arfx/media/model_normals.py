@@ -58,13 +58,8 @@ def smooth_by_angle(
         first = np.full(count, 3 * m)
         np.minimum.at(first, group, np.arange(3 * m))
         normals[lost] = normal[first[lost] // 3]
-    old = faces.ravel()
-    if split:
-        new_faces, source, of_group = split_corners(faces, group)
-        return new_faces, source, normals[of_group]
-    source = np.empty(count, int)
-    source[group] = old
-    return group.reshape(m, 3), source, normals
+    new_faces, first, of_group = split_corners(faces if split else place, group)
+    return new_faces, faces.ravel()[first], normals[of_group]
 
 
 def corner_groups(
@@ -77,29 +72,24 @@ def corner_groups(
     joined : of the two faces of edges (e,), and whether they run along it in opposite ways (e,),
         tells (e,) across which edges their corners belong together
     Returns how many groups there are, and (3 m,) the group of each corner."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
+    from trimesh.graph import connected_component_labels
 
-    m = len(place)
-    corner = np.arange(3 * m).reshape(m, 3)
-    # Every edge with the corner at its lower and at its higher place; sorted, equal ones meet.
-    start, end = place.ravel(), np.roll(place, -1, 1).ravel()
-    start_corner, end_corner = corner.ravel(), np.roll(corner, -1, 1).ravel()
-    swap = start > end
-    low_corner = np.where(swap, end_corner, start_corner)
-    high_corner = np.where(swap, start_corner, end_corner)
-    edge = np.stack([np.minimum(start, end), np.maximum(start, end)], 1)
+    # Every edge by the corner that it starts from, and that where it ends; sorted, equal ones meet.
+    start = np.arange(place.size)
+    end = np.roll(start.reshape(-1, 3), -1, 1).ravel()
+    places = place.ravel()
+    edge = np.sort(np.stack([places, places[end]], 1), 1)
     order = np.lexsort(edge.T[::-1])
     same = (edge[order[1:]] == edge[order[:-1]]).all(1)
     a, b = order[:-1][same], order[1:][same]
-    together = joined(a // 3, b // 3, swap[a] != swap[b])
-    a, b = a[together], b[together]
-    rows = np.concatenate([low_corner[a], high_corner[a]])
-    columns = np.concatenate([low_corner[b], high_corner[b]])
-    links = np.ones(len(rows), bool)
-    graph = coo_matrix((links, (rows, columns)), shape=(3 * m, 3 * m))
-    count, group = connected_components(graph, directed=False)
-    return int(count), group
+    opposite = places[a] != places[b]
+    together = joined(a // 3, b // 3, opposite)
+    a, b, opposite = a[together], b[together], opposite[together]
+    first = np.stack([a, np.where(opposite, end[b], b)], 1)
+    second = np.stack([end[a], np.where(opposite, b, end[b])], 1)
+    links = np.concatenate([first, second])
+    group = connected_component_labels(links, node_count=place.size)
+    return int(group.max()) + 1, group
 
 
 def sums_by_group(vectors: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
@@ -115,11 +105,10 @@ def split_corners(
     """Vertices of which each belongs to one group of corners alone.
 
     faces : (m, 3) int;  group : (3 m,) int
-    Returns faces (m, 3) over new vertices, and of each the old vertex and the group, (k,) both.
+    Returns faces (m, 3) over new vertices, and of each the first corner (k,) and the group (k,).
     """
-    old = faces.ravel()
-    first, new = same_rows(np.stack([group, old], 1))
-    return new.reshape(-1, 3), old[first], group[first]
+    first, new = same_rows(np.stack([group, faces.ravel()], 1))
+    return new.reshape(-1, 3), first, group[first]
 
 
 def with_tangents(part: Part) -> Part:
@@ -134,7 +123,8 @@ def with_tangents(part: Part) -> Part:
         return part
     tangents = corner_tangents(part.vertices, part.faces, part.normals, uv)
     first, group = same_rows(tangents)
-    faces, source, of_group = split_corners(part.faces, group)
+    faces, corner, of_group = split_corners(part.faces, group)
+    source = part.faces.ravel()[corner]
     names = ("vertices", "normals", "uv", "second_uv", "colours")
     given = {name: getattr(part, name) for name in names}
     rows = {name: values[source] for name, values in given.items() if values is not None}

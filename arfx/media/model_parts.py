@@ -5,35 +5,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from arfx.core.model import Material, Part
 from arfx.core.numerics import normalise
 from arfx.errors import InputError
-from arfx.media.model_files import ModelFolder
-from arfx.media.model_materials import Textures
 from arfx.media.model_normals import smooth_by_angle, with_tangents
 
 # Squared double area below which a triangle has no plane, as a fraction of the model's extent to
 # the fourth power: float32 coordinates are exact to 6e-8 of the extent, a height below is rounding.
 _DEGENERATE = (6e-8) ** 4
-
-
-@dataclass(frozen=True, eq=False)
-class ModelFile:
-    """A file while it is read.
-
-    data : all of it;  kind : its format, as "glb";  header : the JSON of glTF, else {}
-    folder : gives the files beside it;  notices : gets what is left out or repaired"""
-
-    data: bytes
-    kind: str
-    header: dict[str, Any]
-    folder: ModelFolder
-    textures: Textures
-    notices: list[str]
 
 
 @dataclass(frozen=True, eq=False)

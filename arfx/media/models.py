@@ -1,12 +1,11 @@
 """Virtual models from files: geometry with normals, materials and textures in arfx's own terms.
 
-glTF/GLB is read by gltf_parts.py; OBJ with MTL, PLY, STL, OFF and DAE through trimesh. Errors say
-what is wrong with the file and how many vertices or faces it concerns; what was repaired is in
-`Model.notices`. Leaves out: skins, animation, morph targets, lines and points."""
+glTF/GLB is read by gltf_parts.py; OBJ with MTL by obj_files.py; PLY, STL, OFF and DAE through
+trimesh. Errors say what is wrong with the file and how many vertices or faces it concerns; what was
+repaired is in `Model.notices`. Leaves out: skins, animation, morph targets, lines and points."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -15,11 +14,10 @@ import numpy as np
 from arfx.core.model import Material, Model, Part
 from arfx.core.opener import read_bytes
 from arfx.errors import ArfxError, ConfigError, InputError
-from arfx.media.gltf import check_gltf, gltf_header
 from arfx.media.gltf_parts import GltfScene
-from arfx.media.model_files import ModelFolder, check_faces, check_parts, stated_faces
-from arfx.media.model_materials import Textures, not_drawn
-from arfx.media.model_parts import FileMesh, ModelFile, part_of
+from arfx.media.model_files import ModelFile
+from arfx.media.model_parts import FileMesh, part_of
+from arfx.media.obj_files import ObjScene
 from arfx.media.trimesh_models import TrimeshScene
 
 # Formats that are read, with their up axis: glTF says y (section 3.4), COLLADA and OBJ exporters
@@ -31,7 +29,7 @@ _BEGINNINGS = {b"glTF": "glb", b"ply\n": "ply", b"ply\r": "ply"}
 # Beyond this float32 coordinates, which renderers use, step by more than a thousandth of a unit
 # times extent.
 MAX_EXTENT = 1e9
-_MOST_TOLD = 10  # files that are missing, by name
+_MOST_NOTICES = 20
 
 
 def load_model(path: Path | str | None, up: str | None = None) -> Model:
@@ -52,32 +50,26 @@ def load_model(path: Path | str | None, up: str | None = None) -> Model:
     data = read_bytes(path, "model")
     if not data:
         raise InputError(f"model file {path} is empty")
-    kind = _kind(path, data)
-    header = gltf_header(data, kind, path)
-    check_faces(stated_faces(data, kind), path)
-    folder = ModelFolder(path)
-    # its warnings come back as our own messages
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    file = ModelFile(path, data, _kind(path, data))
     try:
         with np.errstate(all="ignore"):
-            notices = check_gltf(header, path)
-            parts = _read(ModelFile(data, kind, header, folder, Textures(folder), notices))
+            parts = _read(file)
     except ArfxError:
         raise
     except Exception as e:  # parsers raise whatever they stumble over
-        what = "what it holds does not fit together"
-        hint = "the file is damaged or not what its name says"
-        if kind == "dae" and isinstance(e, ImportError):
-            what, hint = (
-                "the package pycollada is not installed",
-                "convert it to GLB or OBJ",
-            )
-        raise InputError(f"cannot read model {path}: {what}", hint) from e
+        if file.kind == "dae" and isinstance(e, ImportError):
+            what = f"cannot read model {path}: the package pycollada is not installed"
+            raise InputError(what, "convert it to GLB or OBJ") from e
+        raise file.damaged("what it holds does not fit together") from e
     if not parts:
         hint = "a mesh with triangles is needed; points and lines cannot be rendered"
         raise InputError(f"model {path} has no faces", hint)
-    told = tuple(f"model {path.name}: {what}" for what in dict.fromkeys(notices))
-    model = Model(tuple(parts), up or _UP[kind], str(path), told, tuple(folder.files))
+    notices = [f"model {path.name}: {what}" for what in dict.fromkeys(file.notices)]
+    if (more := len(notices) - _MOST_NOTICES) > 0:
+        notices[_MOST_NOTICES:] = [f"model {path.name}: {more} more notices"]
+    model = Model(
+        tuple(parts), up or _UP[file.kind], str(path), tuple(notices), tuple(file.files)
+    )
     _check_extent(model)
     return model
 
@@ -97,34 +89,13 @@ def _kind(path: Path, data: bytes) -> str:
 
 
 def _read(file: ModelFile) -> list[Part]:
-    named = 0
-    notices, left_out, refused = file.notices, file.folder.left_out, file.folder.refused
-    if file.header:
-        parts = _parts(GltfScene(file), file)
+    scene: Iterable[tuple[FileMesh | None, np.ndarray, Material]]
+    if file.kind in ("glb", "gltf"):
+        scene = GltfScene(file)
+    elif file.kind == "obj":
+        scene = ObjScene(file)
     else:
         scene = TrimeshScene(file)
-        named = scene.textures_named
-        parts = _parts(scene, file)
-    file.textures.close()
-    drawn = int(any(p.material.base_texture is not None for p in parts))
-    if named > 1 or (named > drawn and not (refused or left_out)):
-        what = f"{named - drawn} of its textures left out: one, with coordinates, is shown"
-        notices.append(what)
-    missing = list(left_out.values())
-    notices += [f"left out {why}" for why in missing[:_MOST_TOLD]]
-    if len(missing) > _MOST_TOLD:
-        notices.append(f"left out {len(missing) - _MOST_TOLD} more files")
-    if refused:
-        notices.append(f"{len(refused)} textures left out: {refused[0]}")
-    notices += [f"left out {what}" for what in not_drawn(p.material for p in parts)]
-    return parts
-
-
-def _parts(
-    scene: Iterable[tuple[FileMesh | None, np.ndarray, Material]],
-    file: ModelFile,
-) -> list[Part]:
-    path, notices = file.folder.path, file.notices
     parts: list[Part] = []
     dropped = skipped = faces = count = 0
     for mesh, model_from_mesh, material in scene:
@@ -133,16 +104,16 @@ def _parts(
             continue
         count += 1
         faces += len(mesh.faces)
-        check_parts(count, path)
-        check_faces(faces, path)
-        part, lost = part_of(mesh, model_from_mesh, material, path)
+        file.check_parts(count)
+        file.check_faces(faces)
+        part, lost = part_of(mesh, model_from_mesh, material, file.path)
         dropped += lost
         if part is not None:
             parts.append(part)
     if dropped:
-        notices.append(f"{dropped} faces without area left out")
+        file.notices.append(f"{dropped} faces without area left out")
     if skipped:
-        notices.append(f"{skipped} sets of points or lines left out")
+        file.notices.append(f"{skipped} sets of points or lines left out")
     return parts
 
 

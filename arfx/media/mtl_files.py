@@ -15,14 +15,8 @@ import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.model import BLEND, CLAMP, OPAQUE, REPEAT, Material, Texture
-from arfx.media.model_files import ModelFolder
-from arfx.media.model_materials import (
-    Textures,
-    check_material,
-    check_numbers,
-    resized,
-    unit,
-)
+from arfx.media.model_files import ModelFile
+from arfx.media.model_materials import check_material, check_numbers, resized, unit
 
 # Options of maps and how many values they take at most; those that are read, or change nothing.
 _OPTIONS = dict.fromkeys(
@@ -36,63 +30,67 @@ _GREY = 0.4  # display colour of a material that states neither Kd nor a map
 _SHEEN_ROUGHNESS = 0.5  # MTL has none
 
 
-class MtlMaterials:
-    """Makes the materials of an OBJ's MTL files. lost : gets what is left out, where it shows"""
+def mtl_material(
+    file: ModelFile,
+    name: str,
+    lines: Iterable[str],
+    left_out: dict[str, None],
+) -> Material:
+    """Of the lines below `newmtl`. left_out : gets what is, as keys
 
-    def __init__(self, folder: ModelFolder, textures: Textures) -> None:
-        self.folder, self.textures = folder, textures
-        self.lost: dict[str, None] = {}
-
-    def material(self, name: str, lines: Iterable[str]) -> Material:
-        """Of the lines below `newmtl`.
-
-        Raises InputError: numbers out of range, a texture too large or damaged."""
-        m = _Statements(self, name, lines)
-        base, _ = m.texture("map_kd")
-        glow, _ = m.texture("map_ke")
-        rough, _ = m.texture("map_pr")
-        metal, _ = m.texture("map_pm")
-        normal, scale = m.normal_texture()
-        display = m.colour("kd", _GREY if base is None else 1.0)
-        red, green, blue = SRGB.decode(np.clip(display, 0, 1))
-        alpha = unit(m.number("d", 1.0))
-        shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
-        metallic, roughness = m.number("pm", 0.0), m.number("pr", shine**0.25)
-        sheen = unit(m.number("ps", 0.0))
-        emissive = m.colour("ke", 0.0 if glow is None else 1.0)
-        material = Material(
-            name=name,
-            base_colour=(float(red), float(green), float(blue), alpha),
-            base_texture=base,
-            metallic=1.0 if metal is not None else unit(metallic),
-            roughness=1.0 if rough is not None else unit(max(roughness, 0.05)),
-            metallic_roughness_texture=_joined(rough, metal),
-            emissive=(emissive[0], emissive[1], emissive[2]),
-            emissive_texture=glow,
-            alpha_mode=BLEND if alpha < 1.0 else OPAQUE,
-            double_sided=True,  # nobody promises an OBJ's winding
-            normal_texture=normal,
-            normal_scale=scale,
-            clearcoat=unit(m.number("pc", 0.0)),
-            clearcoat_roughness=unit(m.number("pcr", 0.0)),
-            sheen_colour=(sheen, sheen, sheen),
-            sheen_roughness=_SHEEN_ROUGHNESS,
-        )
-        return check_material(material, self.textures.path)
+    Raises InputError: numbers out of range, a texture too large or damaged."""
+    m = _Statements(file, name, lines, left_out)
+    base, _ = m.texture("map_kd")
+    glow, _ = m.texture("map_ke")
+    rough, _ = m.texture("map_pr")
+    metal, _ = m.texture("map_pm")
+    normal, scale = m.normal_texture()
+    display = m.colour("kd", _GREY if base is None else 1.0)
+    red, green, blue = SRGB.decode(np.clip(display, 0, 1))
+    alpha = unit(m.number("d", 1.0))
+    shine = 2.0 / (max(m.number("ns", 0.0), 0.0) + 2.0)
+    metallic, roughness = m.number("pm", 0.0), m.number("pr", shine**0.25)
+    sheen = unit(m.number("ps", 0.0))
+    emissive = m.colour("ke", 0.0 if glow is None else 1.0)
+    material = Material(
+        name=name,
+        base_colour=(float(red), float(green), float(blue), alpha),
+        base_texture=base,
+        metallic=1.0 if metal is not None else unit(metallic),
+        roughness=1.0 if rough is not None else unit(max(roughness, 0.05)),
+        metallic_roughness_texture=_joined(rough, metal),
+        emissive=(emissive[0], emissive[1], emissive[2]),
+        emissive_texture=glow,
+        alpha_mode=BLEND if alpha < 1.0 else OPAQUE,
+        double_sided=True,  # nobody promises an OBJ's winding
+        normal_texture=normal,
+        normal_scale=scale,
+        clearcoat=unit(m.number("pc", 0.0)),
+        clearcoat_roughness=unit(m.number("pcr", 0.0)),
+        sheen_colour=(sheen, sheen, sheen),
+        sheen_roughness=_SHEEN_ROUGHNESS,
+    )
+    return check_material(material, file.path)
 
 
 class _Statements:
     """What one material states, the last of each kind."""
 
-    def __init__(self, made_by: MtlMaterials, name: str, lines: Iterable[str]) -> None:
-        self._made_by, self._name = made_by, name
+    def __init__(
+        self,
+        file: ModelFile,
+        name: str,
+        lines: Iterable[str],
+        left_out: dict[str, None],
+    ) -> None:
+        self._file, self._name, self._left_out = file, name, left_out
         rows = (row for line in lines if len(row := line.split(None, 1)) == 2)
         self._rows = {key.lower(): (key, value.strip()) for key, value in rows}
         base = self._rows.get("map_kd", ("", ""))[1]
         for key, (written, value) in self._rows.items():
             unread = key.startswith(_OTHER_MAPS) and key not in _MAPS
             if unread and not (key == "map_ka" and value == base):
-                made_by.lost[written] = None
+                left_out[written] = None
 
     def numbers(self, key: str) -> list[float]:
         """[] where it is not stated, or no number. Raises InputError: out of range."""
@@ -100,8 +98,8 @@ class _Statements:
         value = value.split("#")[0].strip().removeprefix("-halo").strip()
         out = numbers(value.split())
         if value and not out:
-            self._made_by.lost[f"{written} {value[:40]}"] = None
-        check_numbers(self._name, out, self._made_by.textures.path)
+            self._left_out[f"{written} {value[:40]}"] = None
+        check_numbers(self._name, out, self._file.path)
         return out
 
     def number(self, key: str, default: float) -> float:
@@ -116,7 +114,7 @@ class _Statements:
         key = next((k for k in ("norm", "map_bump", "bump") if k in self._rows), "norm")
         texture, scale = self.texture(key)
         if texture is not None and (np.ptp(texture.picture[..., :3], axis=-1) == 0).all():
-            self._made_by.lost[f"grey heights of {self._rows[key][0]}"] = None
+            self._left_out[f"grey heights of {self._rows[key][0]}"] = None
             return None, 1.0
         return texture, scale
 
@@ -126,9 +124,8 @@ class _Statements:
         options, name = _options(value)
         for option, words in options.items():
             if option not in _READ and words[:1] != ["off"]:
-                self._made_by.lost[f"{option} of {written}"] = None
-        by = self._made_by
-        picture = by.textures.read(name, lambda: by.folder.read(name)) if name else None
+                self._left_out[f"{option} of {written}"] = None
+        picture = self._file.picture(name) if name else None
         if picture is None:
             return None, 1.0
         scale, offset = [1.0, 1.0], [0.0, 0.0]

@@ -1,43 +1,30 @@
-"""OBJ as people have it, made into what trimesh reads; its materials and colours are read here.
+"""OBJ as people have it: any encoding, several lists of materials, faces of any number of
+corners, colours of vertices behind their place.
 
-trimesh takes one `mtllib`, no options of maps, drops colours of vertices beside texture
-coordinates, and is silent about what it does not find."""
+Numbers of corners count from 1, negative ones from the last one of the file back."""
 
 from __future__ import annotations
 
 import codecs
 import contextlib
+import io
 import itertools
 import re
 import unicodedata
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 
 from arfx.core.colour import SRGB
 from arfx.core.model import Material
 from arfx.errors import InputError
-from arfx.media.model_files import ModelFolder, check_faces, check_parts
-from arfx.media.model_parts import ModelFile
-from arfx.media.mtl_files import MtlMaterials
+from arfx.media.model_files import MAX_FACES, ModelFile
+from arfx.media.model_materials import plain_material, unit_colours
+from arfx.media.model_parts import FileMesh
+from arfx.media.mtl_files import mtl_material
 
-_LIST = "materials made by arfx.mtl"  # the list that trimesh is given
 _MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _FILE = re.compile(r'"([^"]+)"|(\S.*?\.mtl(?=\s|$)|\S+)', re.IGNORECASE)
-_VERTEX = re.compile(r"\nv ([^\n]*)")
-
-
-@dataclass(frozen=True, eq=False)
-class ObjFile:
-    """text : for trimesh, all materials in one list, in the folder's memory;  materials : by name
-    vertices : (n, 3) and colours : (n, 4) linear, where vertices have colours: then the first
-        coordinate of trimesh's vertices is their number; else None"""
-
-    text: bytes
-    materials: dict[str, Material]
-    vertices: np.ndarray | None = None
-    colours: np.ndarray | None = None
 
 
 def decoded(data: bytes) -> str:
@@ -52,57 +39,100 @@ def decoded(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def read_obj(file: ModelFile) -> ObjFile:
-    """Raises InputError: more faces or parts than can be handled; see also MtlMaterials."""
-    folder, notices = file.folder, file.notices
-    text = "\n" + decoded(file.data).replace("\r\n", "\n").replace("\r", "\n")
-    text = text.replace("\\\n", " ").replace("\t", " ")
-    if "\n " in text:
-        text = re.sub(r"\n +", "\n", text)
-    check_faces(text.count("\nf "), folder.path)
-    used = dict.fromkeys(map(_key, re.findall(r"\nusemtl +(.*)", text)))
-    check_parts(len(used), folder.path)
-    lists = re.findall(r"\nmtllib +(.*)", text)
-    files = dict.fromkeys(name for line in lists for name in _files(line, folder))
-    lines, missing = _lines_of_materials(used, files, folder)
-    if missing and not folder.left_out:
-        names = ", ".join(name[:60] for name in missing[:5]) + (
-            ", …" if len(missing) > 5 else ""
-        )
-        notices.append(f"no MTL file describes {len(missing)} of its materials: {names}")
-    made = MtlMaterials(folder, file.textures)
-    materials = {name: made.material(name, rows) for name, rows in lines.items()}
-    if made.lost:
-        notices.append(f"left out of its materials: {', '.join(made.lost)}")
-    folder.memory[_LIST] = "\n".join(f"newmtl {name}" for name in materials).encode()
-    first, *others = text.split("\nusemtl ")
-    parts = (other.partition("\n") for other in others)
-    text = first + "".join(f"\nusemtl {_key(name)}\n{rest}" for name, _, rest in parts)
-    text, vertices, colours = _with_colours(text, notices)
-    return ObjFile(f"mtllib {_LIST}\n{text}".encode(), materials, vertices, colours)
+class ObjScene:
+    """The faces of a file by material. Nobody promises an OBJ's winding: both sides are shown.
 
+    Raises InputError: more faces or parts than can be handled; ValueError, IndexError: damage."""
 
-def _with_colours(
-    text: str,
-    notices: list[str],
-) -> tuple[str, np.ndarray | None, np.ndarray | None]:
-    """The text, every vertex replaced by its number if they have colours; vertices and colours as
-    of ObjFile."""
-    first = _VERTEX.search(text)
-    columns = len(first[1].split()) if first else 0
-    if columns < 6:
-        return text, None, None
-    lines = _VERTEX.findall(text)
-    with contextlib.suppress(ValueError):
-        values = np.array(" ".join(lines).split(), float).reshape(len(lines), columns)
-        shown = values[:, 3:6] / (255.0 if values[:, 3:6].max() > 1.0 else 1.0)
-        shown = np.clip(np.where(np.isfinite(shown), shown, 1.0), 0.0, 1.0)
-        colours = np.column_stack([SRGB.decode(shown), np.ones(len(lines))])
-        number = itertools.count()
-        text = _VERTEX.sub(lambda _: f"\nv {next(number)} 0 0", text)
-        return text, values[:, :3], colours
-    notices.append("colours of vertices left out: not all have them")
-    return text, None, None
+    def __init__(self, file: ModelFile) -> None:
+        self._file = file
+        rows: dict[str, list[str]] = {"v": [], "vt": [], "vn": [], "mtllib": []}
+        self._faces: dict[str, list[str]] = {}
+        faces = self._faces.setdefault("", [])
+        count = 0
+        text = re.sub(r"\\\r?\n", " ", decoded(file.data)).replace("\t", " ")
+        for line in io.StringIO(text, newline=None):
+            kind, _, rest = line.strip().partition(" ")
+            if kind == "f":
+                count += 1
+                file.check_faces(count)
+                faces.append(rest)
+            elif kind in rows:
+                rows[kind].append(rest)
+                if len(rows[kind]) > 3 * MAX_FACES:
+                    raise file.damaged(
+                        f"it holds more than {3 * MAX_FACES} lines of {kind}"
+                    )
+            elif kind == "usemtl":
+                faces = self._faces.setdefault(_key(rest), [])
+                file.check_parts(len(self._faces) - 1)
+        self._materials = self._read_materials(rows["mtllib"])
+        places = _table(rows["v"], 6)
+        # By what FileMesh calls them, and their number's place in a corner.
+        self._tables = {
+            ("vertices", 0): places[:, :3],
+            ("uv", 1): _table(rows["vt"], 2) * (1, -1) + (0, 1),  # v counts from the bottom
+            ("normals", 2): _table(rows["vn"], 3),
+        }
+        coloured = np.isfinite(places[:-1, 5])
+        if coloured.any() and coloured.all():
+            self._tables["colours", 0] = _linear(places[:, 3:])
+        elif coloured.any():
+            file.notices.append("colours of vertices left out: not all have them")
+
+    def __iter__(self) -> Iterator[tuple[FileMesh, np.ndarray, Material]]:
+        """Of each material its triangles, (4, 4) their place in the model, and the material."""
+        plain = plain_material(("colours", 0) in self._tables, double_sided=True)
+        for name, lines in self._faces.items():
+            if not lines:
+                continue
+            faces, corners = _triangles(lines)
+            rows = {
+                kind: table[corners[:, column] - 1]
+                for (kind, column), table in self._tables.items()
+                if len(table) > 1
+            }
+            yield FileMesh(faces, rows), np.eye(4), self._materials.get(name, plain)
+
+    def _read_materials(self, lists: list[str]) -> dict[str, Material]:
+        """Those that are used and described."""
+        stated: dict[str, list[str]] = {}
+        lost = False
+        for file in dict.fromkeys(name for line in lists for name in self._names(line)):
+            try:
+                text = decoded(self._file.read(file)).replace("\\\n", " ")
+            except InputError:  # a notice tells
+                lost = True
+                continue
+            for block in re.split(r"(?mi)^\s*newmtl\b", text)[1:]:
+                name, *lines = block.splitlines()
+                stated.setdefault(_key(name), lines)
+        stated = {name.casefold(): stated[name] for name in reversed(stated)} | stated
+        found: dict[str, Material] = {}
+        missing: list[str] = []
+        left_out: dict[str, None] = {}
+        for name in list(self._faces)[1:]:
+            described = stated.get(name, stated.get(name.casefold()))
+            if described is None:
+                missing.append(name[:60])
+            else:
+                found[name] = mtl_material(self._file, name, described, left_out)
+        if missing and not lost:
+            names = ", ".join([*missing[:5], "…"][: len(missing)])
+            what = f"no MTL file describes {len(missing)} of its materials: {names}"
+            self._file.notices.append(what)
+        if left_out:
+            self._file.notices.append(f"left out of its materials: {', '.join(left_out)}")
+        return found
+
+    def _names(self, line: str) -> list[str]:
+        """Of a line of mtllib: one name with blanks, or several."""
+        several = [quoted or plain for quoted, plain in _FILE.findall(line)]
+        if len(several) > 1:
+            with contextlib.suppress(InputError):
+                self._file.find(line)
+                return [line]
+        return several
 
 
 def _key(name: str) -> str:
@@ -110,31 +140,37 @@ def _key(name: str) -> str:
     return " ".join(unicodedata.normalize("NFC", name).strip().strip("\"'").split())
 
 
-def _lines_of_materials(
-    used: Collection[str],
-    files: Iterable[str],
-    folder: ModelFolder,
-) -> tuple[dict[str, list[str]], list[str]]:
-    """Lines of the materials that are used, by name, and those of which there are none."""
-    exact: dict[str, list[str]] = {}
-    alike: dict[str, list[str]] = {}  # but for their case
-    for file in files:
-        with contextlib.suppress(InputError):  # it is in folder.left_out
-            text = decoded(folder.read(file)).replace("\\\n", " ")
-            for block in re.split(r"(?mi)^\s*newmtl\b", text)[1:]:
-                name, *lines = block.splitlines()
-                exact.setdefault(_key(name), lines)
-                alike.setdefault(_key(name).casefold(), lines)
-    known = {name: name.casefold() for name in used if name.casefold() in alike}
-    lines_of = {name: exact.get(name, alike[folded]) for name, folded in known.items()}
-    return lines_of, [name for name in used if name not in known]
+def _table(rows: list[str], columns: int) -> np.ndarray:
+    """(n + 1, columns) of numbers, NaN where there is none, and in the last row: to numbers
+    less one, it is what 0 stands for, and what negative ones are counted from."""
+    out = np.full((len(rows) + 1, columns), np.nan)
+    try:
+        given = np.loadtxt(rows, ndmin=2) if rows else out[:-1]
+    except ValueError:  # not all rows have as many
+        words = [[*row.partition("#")[0].split(), *["nan"] * columns] for row in rows]
+        given = np.array([row[:columns] for row in words], float)
+    out[:-1, : given.shape[1]] = given[:, :columns]
+    return out
 
 
-def _files(names: str, folder: ModelFolder) -> list[str]:
-    """Of a line of mtllib: one name with blanks, or several."""
-    several = [quoted or plain for quoted, plain in _FILE.findall(names)]
-    if len(several) > 1:
-        with contextlib.suppress(InputError):
-            folder.find(names)
-            return [names]
-    return several
+def _linear(display: np.ndarray) -> np.ndarray:
+    """(n, 4) of display colours (n, 3): up to 1, or to 255."""
+    out = unit_colours(display / (255.0 if np.nanmax(display) > 1.0 else 1.0))
+    out[:, :3] = SRGB.decode(out[:, :3])
+    return out
+
+
+def _triangles(lines: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Faces as fans: (m, 3) numbers of corners, and of these (k, 3) what the file counts by:
+    place, texture coordinates, normal; 0 = none."""
+    faces = [line.partition("#")[0].split() for line in lines]
+    words = list(itertools.chain.from_iterable(faces))
+    number = {word: k for k, word in enumerate(dict.fromkeys(words))}
+    around = np.array([number[word] for word in words], int)
+    sizes = np.array([len(face) for face in faces])
+    each = np.maximum(sizes - 2, 0)  # triangles of a face
+    first = np.repeat(np.cumsum(sizes) - sizes, each)
+    second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(each) - each, each)
+    filled = (word.rstrip("/").replace("//", "/0/") for word in number)
+    corners = np.array([(*word.split("/"), "0", "0")[:3] for word in filled], int)
+    return around[np.stack([first, second, second + 1], 1)], corners.reshape(-1, 3)

@@ -16,6 +16,8 @@ from typing import Any
 
 import av
 import numpy as np
+from av.codec.codec import find_best_pix_fmt_of_list
+from av.video.format import names as video_formats  # type: ignore[attr-defined]
 
 from arfx.core.colour import SRGB, Transfer
 from arfx.core.rect import Rect
@@ -84,30 +86,16 @@ def layout_named(name: str) -> PixelLayout | None:
 @cache
 def working_layout(name: str) -> tuple[PixelLayout, str]:
     """The working format for a decoded format, and a notice ("" when the planes are used as
-    they are). The choice keeps bit depth (8, 10, 12 or 16) and subsampling."""
+    they are): that which loses least, as FFmpeg reckons it."""
     if layout := layout_named(name):
         return layout, ""
-    f = av.VideoFormat(name, 16, 16)
-    bits = max(c.bits for c in f.components)
-    depth = next((d for d in (8, 10, 12, 16) if bits <= d), 16)
-    tail = "" if depth == 8 else f"{depth}le"
-    colours = [c for c in f.components if not c.is_alpha]
-    if f.is_rgb or f.has_palette:
-        target = f"gbrp{tail}"
-    elif len(colours) == 1 or name.startswith("mono"):
-        target = f"gray{tail}"
-    else:
-        sub = (
-            round(np.log2(16 / f.chroma_width(16))),
-            round(np.log2(16 / f.chroma_height(16))),
-        )
-        target = f"yuv{_NAME_OF.get(sub, '444')}p{tail}"
-    layout = layout_named(target)
-    assert layout is not None
-    lost = (
-        " (its transparency is left out)" if any(c.is_alpha for c in f.components) else ""
-    )
-    return layout, f"pixel format {name} is repacked to {target}{lost}"
+    known = {f.name: f for n in video_formats if (f := layout_named(n)) and not f.alpha}
+    plain = [n for n, f in known.items() if n == f.plain_name]
+    best, _ = find_best_pix_fmt_of_list(plain, name)
+    assert best is not None
+    alpha = any(c.is_alpha for c in av.VideoFormat(name, 16, 16).components)
+    lost = " (its transparency is left out)" if alpha else ""
+    return known[best.name], f"pixel format {name} is repacked to {best.name}{lost}"
 
 
 def planes_of(picture: av.VideoFrame, layout: PixelLayout) -> list[np.ndarray]:
@@ -178,8 +166,9 @@ class Orientation:
 
     def coded(self, upright: np.ndarray) -> np.ndarray:
         """The inverse of `upright`, also a view."""
-        v = upright[:: -1 if self.flip_y else 1, :: -1 if self.flip_x else 1]
-        return v.swapaxes(0, 1) if self.transpose else v
+        if not self.transpose:
+            return self.upright(upright)
+        return Orientation(True, self.flip_y, self.flip_x).upright(upright)
 
     def coded_rect(self, rect: Rect, width: int, height: int) -> Rect:
         """Where an upright rectangle lies among the coded pixels.

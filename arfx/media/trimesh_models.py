@@ -1,9 +1,10 @@
-"""OBJ, PLY, STL, OFF and DAE through trimesh: its meshes as FileMesh, its materials in arfx's
+"""PLY, STL, OFF and DAE through trimesh: its meshes as FileMesh, its materials in arfx's
 terms."""
 
 from __future__ import annotations
 
 import io
+import logging
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -11,11 +12,17 @@ from typing import Any
 import numpy as np
 
 from arfx.core.colour import SRGB
-from arfx.core.model import BLEND, MASK, OPAQUE, Material
-from arfx.media.model_files import check_parts
-from arfx.media.model_materials import check_material, plain_material, unit
-from arfx.media.model_parts import FileMesh, ModelFile
-from arfx.media.obj_files import ObjFile, decoded, read_obj
+from arfx.core.model import BLEND, MASK, OPAQUE, Material, Texture
+from arfx.media.model_files import ModelFile
+from arfx.media.model_materials import check_material, plain_material, unit, unit_colours
+from arfx.media.model_parts import FileMesh
+from arfx.media.obj_files import decoded
+
+_FACES_OF = {
+    "ply": rb"\belement\s+face\s+(\d+)",
+    "off": rb"OFF\s+(?:#[^\n]*\s+)*\d+\s+(\d+)",
+}
+_PLY_UV = re.compile(r"(\nproperty\s.*\s)(texture_u|texture_v|texcoord|[uvst])\s*(?=\n)")
 
 
 class TrimeshScene:
@@ -26,158 +33,119 @@ class TrimeshScene:
     def __init__(self, file: ModelFile) -> None:
         import trimesh
 
-        self._textures, self._notices = file.textures, file.notices
+        logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # we say it ourselves
+        file.check_faces(_stated_faces(file.data, file.kind))
+        self._file = file
         self._materials: dict[int, tuple[Any, Material]] = {}  # both: ids stay unique
-        self._obj = read_obj(file) if file.kind == "obj" else ObjFile(file.data, {})
-        data = self._obj.text
-        self.textures_named = 0
-        if file.kind == "ply":
-            head, end, body = data.partition(b"end_header")
-            named = re.findall(rb"\ncomment\s+TextureFile\s", head, re.IGNORECASE)
-            self.textures_named = len(named)
-            data = decoded(head).encode() + end + body
+        self._texture: Texture | None = None  # of a PLY
         self._scene = trimesh.load_scene(
-            io.BytesIO(data),
+            io.BytesIO(self._ply() if file.kind == "ply" else file.data),
             file_type=file.kind,
-            resolver=file.folder,  # type: ignore[arg-type]
+            resolver=file,  # type: ignore[arg-type]
             process=False,
         )
-        check_parts(len(self._scene.graph.nodes_geometry), file.folder.path)
+        file.check_parts(len(self._scene.graph.nodes_geometry))
 
     def __iter__(self) -> Iterator[tuple[FileMesh | None, np.ndarray, Material]]:
         """Each set of triangles, (4, 4) its place in the model, and its material; None for points
         and lines."""
-        covered = 0
         for node in self._scene.graph.nodes_geometry:
             model_from_mesh, name = self._scene.graph[node]
             mesh = self._scene.geometry[name]
             if not hasattr(mesh, "faces"):
                 yield None, np.eye(4), Material()
                 continue
-            given = self._mesh(mesh)
+            given = _mesh(mesh)
             has_colours = "colours" in given.rows or given.face_colours is not None
-            material = self._material(mesh, has_colours)
-            if material.base_texture is not None and "_ply_raw" in mesh.metadata:
-                # both show the same surface
-                covered += given.rows.pop("colours", None) is not None
+            material = self._material(mesh.visual, has_colours)
             yield given, np.asarray(model_from_mesh, float), material
-        if covered:
-            self._notices.append("its colours by vertex are left out: its texture is shown")
 
-    def _mesh(self, mesh: Any) -> FileMesh:
-        rows = {"vertices": np.asarray(mesh.vertices, float)}
-        # trimesh would make normals up on access; only the file's own are wanted
-        if "vertex_normals" in mesh._cache:
-            rows["normals"] = np.array(mesh.vertex_normals, float)
-        uv = getattr(mesh.visual, "uv", None)
-        if uv is not None:
-            # trimesh counts v from the bottom
-            rows["uv"] = np.array(uv, float)[:, :2] * (1, -1) + (0, 1)
-        colours, face_colours = _colours(mesh)
-        if self._obj.vertices is not None and self._obj.colours is not None:
-            number = rows["vertices"][:, 0].astype(int)
-            rows["vertices"], colours = (
-                self._obj.vertices[number],
-                self._obj.colours[number],
+    def _ply(self) -> bytes:
+        """The file, without what trimesh would not read: other text than UTF-8, and, where no
+        texture is shown, texture coordinates, which make it drop colours."""
+        start, end, body = self._file.data.partition(b"end_header")
+        head = decoded(start)
+        named = re.findall(r"(?i)\ncomment\s+TextureFile\s+(.*)", head)
+        read = [p for name in named[:1] if (p := self._file.picture(name)) is not None]
+        if read and _PLY_UV.search(head):
+            self._texture = Texture(read[0])
+            if re.search(r"\nproperty\s.*\sred\s", head):
+                what = "its colours by vertex are left out: its texture is shown"
+                self._file.notices.append(what)
+        else:
+            head = _PLY_UV.sub(r"\1left_out_\2", head)
+        told = int(self._texture is not None or (bool(named) and not read))
+        if len(named) > told:
+            what = f"{len(named) - told} of its textures left out: one, with coordinates, is shown"
+            self._file.notices.append(what)
+        head = re.sub(r"(?i)\ncomment\s.*", "", head)
+        return head.encode() + end + body
+
+    def _material(self, visual: Any, has_colours: bool) -> Material:
+        given: Any = getattr(visual, "material", None)
+        if self._texture is not None:
+            white = (1.0, 1.0, 1.0, 1.0)
+            return Material(
+                "default", white, self._texture, roughness=1.0, double_sided=True
             )
-        if colours is not None:
-            rows["colours"] = colours
-        return FileMesh(np.asarray(mesh.faces), rows, face_colours)
-
-    def _material(self, mesh: Any, has_colours: bool) -> Material:
-        given: Any = getattr(mesh.visual, "material", None)
-        name, image = getattr(given, "name", None), getattr(given, "image", None)
-        if name in self._obj.materials:
-            return self._obj.materials[name]
-        if given is None or id(given) not in self._materials:
-            material = plain_material(has_colours, double_sided=True)
-            if type(given).__name__ == "PBRMaterial":
-                material = check_material(self._of_collada(given), self._textures.path)
-            elif image is not None and image.format:  # else trimesh's own grey
-                material = Material(
-                    base_colour=(1.0, 1.0, 1.0, 1.0),
-                    base_texture=self._textures.texture(image),
-                    roughness=1.0,
-                    double_sided=True,
-                )
+        if type(given).__name__ != "PBRMaterial":  # else trimesh's own grey
+            return plain_material(has_colours, double_sided=True)
+        if id(given) not in self._materials:
+            material = check_material(self._of_collada(given), self._file.path)
             self._materials[id(given)] = given, material
         return self._materials[id(given)][1]
 
     def _of_collada(self, given: Any) -> Material:
         mode = str(given.alphaMode or OPAQUE).upper()
-        factor = np.ravel(
-            [255] * 4 if given.baseColorFactor is None else given.baseColorFactor
-        )
-        red, green, blue, alpha = (float(c) for c in factor / 255.0)
-        glow = (
-            (0.0, 0.0, 0.0)
-            if given.emissiveFactor is None
-            else np.ravel(given.emissiveFactor)
-        )
+        factor = 255 if given.baseColorFactor is None else given.baseColorFactor
+        red, green, blue, alpha = (float(c) for c in np.resize(factor, 4) / 255.0)
+        glow = [0.0] * 3 if given.emissiveFactor is None else np.ravel(given.emissiveFactor)
         metallic, roughness = given.metallicFactor, given.roughnessFactor
         return Material(
             name=str(given.name or "default"),
             base_colour=(red, green, blue, alpha),
-            base_texture=self._textures.texture(given.baseColorTexture),
+            base_texture=self._laid(given.baseColorTexture),
             metallic=1.0 if metallic is None else unit(metallic),
             roughness=1.0 if roughness is None else unit(roughness),
             emissive=(float(glow[0]), float(glow[1]), float(glow[2])),
-            emissive_texture=(
-                self._textures.texture(given.emissiveTexture) if any(glow) else None
-            ),
+            emissive_texture=self._laid(given.emissiveTexture) if any(glow) else None,
             alpha_mode=mode if mode in (OPAQUE, MASK, BLEND) else OPAQUE,
             double_sided=bool(given.doubleSided),
         )
 
+    def _laid(self, image: Any) -> Texture | None:
+        """By the first texture coordinates as they are."""
+        picture = self._file.texels(image)
+        return None if picture is None else Texture(picture)
 
-def _colours(mesh: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Linear RGBA (n, 4) by vertex, or (m, 4) by face, or neither: files hold display colours
-    (sRGB)."""
+
+def _stated_faces(data: bytes, kind: str) -> int:
+    """As the file's beginning says; counted where it says nothing."""
+    if kind == "stl":
+        declared = int.from_bytes(data[80:84], "little")
+        return declared if len(data) >= 84 + 50 * declared else data.count(b"endfacet")
+    found = re.search(_FACES_OF[kind], data[:65536]) if kind in _FACES_OF else None
+    return int(found[1][:18]) if found else 0
+
+
+def _mesh(mesh: Any) -> FileMesh:
+    rows = {"vertices": np.asarray(mesh.vertices, float)}
+    # trimesh would make normals up on access; only the file's own are wanted
+    if "vertex_normals" in mesh._cache:
+        rows["normals"] = np.array(mesh.vertex_normals, float)
     visual = mesh.visual
+    uv = getattr(visual, "uv", None)
+    if uv is not None:
+        # trimesh counts v from the bottom
+        rows["uv"] = np.array(uv, float)[:, :2] * (1, -1) + (0, 1)
     if visual.kind == "vertex":
-        return _linear(np.asarray(visual.vertex_colors)), None
-    if visual.kind == "face":
-        return None, _linear(np.asarray(visual.face_colors))
-    if "_ply_raw" in mesh.metadata:
-        return _ply_colours(mesh)
-    return None, None
+        rows["colours"] = _linear(visual.vertex_colors)
+    by_face = _linear(visual.face_colors) if visual.kind == "face" else None
+    return FileMesh(np.asarray(mesh.faces), rows, by_face)
 
 
-def _ply_colours(mesh: Any) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """As `_colours`, of a PLY file with texture coordinates: trimesh reads its colours, and drops
-    them."""
-    from trimesh.geometry import triangulate_quads
-
-    elements = mesh.metadata["_ply_raw"]
-    colours = {}
-    for name in ("vertex", "face"):
-        properties = elements[name]["properties"]
-        channels = [c for c in ("red", "green", "blue", "alpha") if c in properties]
-        if len(channels) > 2:
-            columns = [elements[name]["data"][c] for c in channels]
-            colours[name] = _linear(np.column_stack(columns))
-    if "vertex" not in colours:
-        by_face = colours.get("face", np.zeros((0, 4)))
-        return None, by_face if len(by_face) == len(mesh.faces) else None
-    data = elements["face"]["data"]
-    names = ("vertex_index", "vertex_indices")
-    index = next(name for name in elements["face"]["properties"] if name in names)
-    given = triangulate_quads(
-        data[index]["f1"] if isinstance(data, np.ndarray) else data[index]
-    )
-    # trimesh parts vertices, and leaves the order of the faces
-    source = np.zeros(len(mesh.vertices), int)
-    source[mesh.faces.ravel()] = given.ravel()
-    return colours["vertex"][source], None
-
-
-def _linear(raw: np.ndarray) -> np.ndarray:
-    """(n, 4) of display colours (n, 3 or 4); what is no number leaves the factor alone."""
-    largest = np.iinfo(raw.dtype).max if raw.dtype.kind in "ui" else 1.0
-    values = raw.astype(float) / largest
-    out = np.ones((len(values), 4))
-    out[:, : values.shape[1]] = np.clip(
-        np.where(np.isfinite(values), values, 1.0), 0.0, 1.0
-    )
+def _linear(display: Any) -> np.ndarray:
+    """(n, 4) of display colours (sRGB), (n, 3 or 4)."""
+    out = unit_colours(np.asarray(display))
     out[:, :3] = SRGB.decode(out[:, :3])
     return out

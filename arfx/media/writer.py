@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from av.codec.context import Flags
 
 from arfx.core.guard import TIMES
-from arfx.errors import RenderError
+from arfx.errors import ArfxError, RenderError
 from arfx.media.clip import ClipInfo
 from arfx.media.codecs import CODECS, create_container, open_encoder
 from arfx.media.frame import SWS_MATRIX, Frame
@@ -44,100 +45,119 @@ class ChunkWriter:
     def __init__(self, plan: OutputPlan, info: ClipInfo, path: Path) -> None:
         self.plan, self.info, self.path = plan, info, Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
-        self._container: Any = None
-        self._stream: Any = None
-        self._fields: Any = None  # marks pictures as interlaced
+        self._file: _Images | _Video | None = None
         self._last: int | None = None
-        self._shown: list[int] = []
-        self._shift = 0
-        self._muxed = 0
-        self._times: list[tuple[int, float]] = []
 
     def __enter__(self) -> ChunkWriter:
-        try:
+        with failures(self.path, self._abandon):
             remove_output(self.part)
-            if self.plan.is_sequence:
-                self.part.mkdir(parents=True)
-            else:
-                self._open()
-        except (av.error.FFmpegError, OSError, ValueError) as e:
-            self._abandon()
-            raise write_failed(self.path, e) from e
+            kind = _Images if self.plan.is_sequence else _Video
+            self._file = kind(self.plan, self.info, self.part)
         return self
-
-    def _open(self) -> None:
-        plan, info = self.plan, self.info
-        kind = {".nut": "nut", ".mkv": "matroska"}[chunk_suffix(plan)]
-        options = {
-            "fflags": "+bitexact",
-            "avoid_negative_ts": "disabled",
-        }  # no random identifiers: same frames, same bytes
-        self._container = create_container(self.part, kind, container_options=options)
-        fields = (
-            {"x264-params": f"{info.fields}=1"}
-            if info.fields and plan.codec == "h264"
-            else {}
-        )
-        rate = Fraction(info.fps or 25).limit_denominator(1001)
-        s = self._container.add_stream(
-            CODECS[plan.codec].encoder, rate=rate, options=fields | dict(plan.options)
-        )
-        ctx = s.codec_context
-        s.width, s.height = info.coded_width, info.coded_height
-        s.pix_fmt = (
-            "bgr0"
-            if plan.codec == "ffv1" and plan.pixel_format == "gbrp"
-            else plan.pixel_format
-        )
-        s.time_base = ctx.time_base = info.time_base
-        ctx.thread_count, ctx.thread_type = (
-            plan.encoder_threads,
-            "FRAME",
-        )  # slice threads cost x264 half its speed
-        ctx.colorspace, ctx.color_range = plan.matrix_tag, plan.range_tag
-        ctx.color_trc, ctx.color_primaries = plan.transfer_tag, plan.primaries_tag
-        if info.fields:
-            ctx.flags |= Flags.interlaced_dct | Flags.interlaced_me
-            ctx.field_order = info.field_order
-            self._fields = av.filter.Graph()
-            source = self._fields.add_buffer(
-                width=s.width, height=s.height, format=s.pix_fmt, time_base=info.time_base
-            )
-            self._fields.link_nodes(
-                source,
-                self._fields.add("setfield", info.fields),
-                self._fields.add("buffersink"),
-            ).configure()
-        if info.sample_aspect is not None:
-            ctx.sample_aspect_ratio = info.sample_aspect
-        open_encoder(ctx)
-        self._stream = s
 
     def write(self, frame: Frame) -> None:
         """Encodes one frame; frames must come in order of presentation."""
         if self._last is not None and frame.pts <= self._last:
-            raise RenderError(
-                f"frame {frame.index}: its time {frame.pts} does not follow {self._last}"
-            )
+            what = f"its time {frame.pts} does not follow {self._last}"
+            raise RenderError(f"frame {frame.index}: {what}")
         self._last = frame.pts
-        if self.plan.is_sequence:
-            self._write_image(frame)
+        assert self._file is not None
+        with failures(self.path, self._abandon):
+            self._file.write(frame)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is not None:
+            self._abandon()
             return
+        with failures(self.path, self._abandon):
+            if self._last is None or self._file is None:
+                raise RenderError(f"{self.path}: a chunk without frames")
+            self._file.finish()
+            remove_output(self.path)
+            self.part.replace(self.path)
+
+    def _abandon(self) -> None:
+        if self._file is not None:
+            with contextlib.suppress(av.error.FFmpegError, OSError):
+                self._file.close()
+        remove_output(self.part)
+
+
+class _Images:
+    """A folder with an image of each frame, and their times."""
+
+    def __init__(self, plan: OutputPlan, info: ClipInfo, folder: Path) -> None:
+        self._plan, self._folder = plan, folder
+        self._times: list[str] = []
+        folder.mkdir(parents=True)
+
+    def write(self, frame: Frame) -> None:
+        path = self._folder / (Path(self._plan.path).name % frame.index)
+        linear = frame.linear(frame.rect)
+        if self._plan.codec == "exr":
+            write_exr(path, linear)
+        else:
+            kind = np.uint8 if self._plan.pixel_format == "rgb24" else np.uint16
+            coded = np.clip(frame.format.transfer.encode(linear), 0, 1)
+            write_png(path, np.rint(coded * np.iinfo(kind).max).astype(kind))
+        self._times.append(f"{frame.index} {frame.time_s:.9f}\n")
+
+    def finish(self) -> None:
+        (self._folder / TIMES).write_text("".join(self._times))
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class _Video:
+    """An encoder, and the container of its packets."""
+
+    def __init__(self, plan: OutputPlan, info: ClipInfo, path: Path) -> None:
+        self._plan = plan
+        codec = CODECS[plan.codec]
+        # no random identifiers: same frames, same bytes
+        options = {"fflags": "+bitexact", "avoid_negative_ts": "disabled"}
+        kind = {".nut": "nut", ".mkv": "matroska"}[codec.chunk]
+        self._container = create_container(path, kind, container_options=options)
+        settings = dict(plan.options)
+        if info.fields and plan.codec == "h264":
+            settings = {"x264-params": f"{info.fields}=1"} | settings
+        rate = Fraction(info.fps or 25).limit_denominator(1001)
+        s = self._container.add_stream(codec.encoder, rate=rate, options=settings)
+        ctx = s.codec_context
+        s.width, s.height = info.coded_width, info.coded_height
+        packed = plan.codec == "ffv1" and plan.pixel_format == "gbrp"
+        s.pix_fmt = "bgr0" if packed else plan.pixel_format
+        s.time_base = ctx.time_base = info.time_base
+        # slice threads cost x264 half its speed
+        ctx.thread_count, ctx.thread_type = plan.encoder_threads, "FRAME"
+        set_tags(ctx, plan, info)
+        self._fields: Any = None  # marks pictures as interlaced
+        if info.fields:
+            ctx.flags |= Flags.interlaced_dct | Flags.interlaced_me
+            self._fields = graph = av.filter.Graph()
+            source = graph.add_buffer(
+                width=s.width, height=s.height, format=s.pix_fmt, time_base=info.time_base
+            )
+            field, sink = graph.add("setfield", info.fields), graph.add("buffersink")
+            graph.link_nodes(source, field, sink).configure()
+        open_encoder(ctx)
+        self._stream = s
+        self._shown: list[int] = []
+        self._shift = self._muxed = 0
+
+    def write(self, frame: Frame) -> None:
         picture = self._stored(frame)
         if not self._shown:
-            self._shift = max(
-                -frame.pts, 0
-            )  # no chunk container holds times below 0; joining only needs their order
+            # no chunk container holds times below 0; joining only needs their order
+            self._shift = max(-frame.pts, 0)
         self._shown.append(frame.pts + self._shift)
-        picture.pts, picture.time_base = self._shown[-1], self.info.time_base
+        picture.pts, picture.time_base = self._shown[-1], frame.format.time_base
         if self._fields is not None:
             self._fields.vpush(picture)
             picture = self._fields.vpull()
         picture.pict_type = 0  # the source's I/P/B would be forced on the encoder
-        try:
-            self._mux(self._stream.encode(picture))
-        except (av.error.FFmpegError, OSError, ValueError) as e:
-            raise write_failed(self.path, e) from e
+        self._mux(self._stream.encode(picture))
 
     def _mux(self, packets: list[av.Packet]) -> None:
         """Writes packets with decode times of our own: x265 leaves those of chunks shorter
@@ -153,7 +173,7 @@ class ChunkWriter:
         """The frame's picture in the encoder's pixel format: the same planes where the
         formats agree.
         """
-        f, plan = frame.format, self.plan
+        f, plan = frame.format, self._plan
         return repacked(
             frame.picture,
             self._stream.pix_fmt,
@@ -164,56 +184,37 @@ class ChunkWriter:
             interpolation="BICUBIC",
         )
 
-    def _write_image(self, frame: Frame) -> None:
-        path, linear = (
-            self.part / (Path(self.plan.path).name % frame.index),
-            frame.linear(frame.rect),
-        )
-        if self.plan.codec == "exr":
-            write_exr(path, linear)
-        else:
-            kind = np.uint8 if self.plan.pixel_format == "rgb24" else np.uint16
-            write_png(
-                path,
-                np.rint(
-                    np.clip(frame.format.transfer.encode(linear), 0, 1) * np.iinfo(kind).max
-                ).astype(kind),
-            )
-        self._times.append((frame.index, frame.time_s))
+    def finish(self) -> None:
+        self._mux(self._stream.encode(None))
+        self.close()
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None:
-            self._abandon()
-            return
-        try:
-            if self._last is None:
-                raise RenderError(f"{self.path}: a chunk without frames")
-            if self.plan.is_sequence:
-                lines = [f"{i} {t:.9f}\n" for i, t in self._times]
-                (self.part / TIMES).write_text("".join(lines))
-            else:
-                self._mux(self._stream.encode(None))
-                self._close()
-            remove_output(self.path)
-            self.part.replace(self.path)
-        except (av.error.FFmpegError, OSError) as e:
-            self._abandon()
-            raise write_failed(self.path, e) from e
-        except BaseException:
-            self._abandon()
-            raise
+    def close(self) -> None:
+        self._container.close()
 
-    def _close(self) -> None:
-        if self._container is not None:
-            container, self._container = self._container, None
-            container.close()
 
-    def _abandon(self) -> None:
-        with contextlib.suppress(
-            av.error.FFmpegError, OSError
-        ):  # thrown away; the first error is reported
-            self._close()
-        remove_output(self.part)
+def set_tags(context: Any, plan: OutputPlan, info: ClipInfo) -> None:
+    """What a video stream says of its colours, fields and pixels' shape."""
+    context.colorspace, context.color_range = plan.matrix_tag, plan.range_tag
+    context.color_trc, context.color_primaries = plan.transfer_tag, plan.primaries_tag
+    if info.fields:
+        context.field_order = info.field_order
+    if info.sample_aspect is not None:
+        context.sample_aspect_ratio = info.sample_aspect
+
+
+@contextlib.contextmanager
+def failures(path: Path, undo: Callable[[], None]) -> Iterator[None]:
+    """After what went wrong in the body, `undo`; it is raised: a RenderError where the system or
+    FFmpeg cannot write `path`."""
+    try:
+        yield
+    except BaseException as e:
+        with contextlib.suppress(OSError):
+            undo()
+        system = isinstance(e, (av.error.FFmpegError, OSError, ValueError))
+        if system and not isinstance(e, ArfxError):
+            raise write_failed(path, e) from e
+        raise
 
 
 def remove_output(path: Path) -> None:

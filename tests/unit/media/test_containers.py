@@ -97,7 +97,7 @@ def test_formats_that_open_other_files_are_not_listed() -> None:
         "vobsub",
         "tty",
         "webm_dash_manifest",
-    } & set(CONTAINERS)
+    } & set(CONTAINERS.split(","))
 
 
 @pytest.mark.parametrize(

@@ -100,14 +100,17 @@ def test_required_extension_that_is_not_read_is_an_error(tmp_path, name, way_out
     assert way_out in e.value.hint
 
 
-def test_used_extension_and_what_is_not_drawn_are_told(tmp_path):
+def test_used_extension_that_is_not_read_and_what_is_not_drawn_are_told(tmp_path):
     w = square()
     w.tree["extensionsUsed"] = [
         "KHR_materials_transmission",
         "KHR_materials_ior",
         "XYZ_new",
     ]
-    coat = {"KHR_materials_clearcoat": {"clearcoatFactor": 0.5}}
+    bumps = w.texture(CORNERS)
+    coat = {
+        "KHR_materials_clearcoat": {"clearcoatFactor": 0.5, "clearcoatNormalTexture": bumps}
+    }
     w.tree["materials"] = [
         {
             "normalTexture": w.texture(CORNERS),
@@ -118,8 +121,8 @@ def test_used_extension_and_what_is_not_drawn_are_told(tmp_path):
     w.tree["meshes"][0]["primitives"][0]["material"] = 0
     text = " ".join(w.load(tmp_path).notices)
     assert all(t in text for t in ("transmission", "XYZ_new"))
-    assert all(t in text for t in ("occlusion maps", "clear coat"))
-    assert "normal maps" not in text
+    assert "bumps of clear coat" in text
+    assert "occlusion" not in text and "normal maps" not in text
     assert "KHR_materials_ior" not in text
 
 

@@ -352,7 +352,7 @@ def test_a_picture_that_materials_share_is_decoded_once_and_all_are_counted(
     ]
     a, b, c = (p.material.base_texture for p in load_model(gltf(tmp_path, tree)).parts)
     assert a.picture is b.picture and a.picture is not c.picture
-    monkeypatch.setattr("arfx.media.model_materials.MAX_TEXELS", 5000)
+    monkeypatch.setattr("arfx.media.model_files.MAX_TEXELS", 5000)
     with pytest.raises(InputError, match="textures hold more"):
         load_model(tmp_path / "a.gltf")
 
