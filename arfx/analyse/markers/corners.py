@@ -104,7 +104,7 @@ def refine_corners(
     The result depends on the image around the quads only, never on how they were found."""
     start = np.array(quads_px, float).reshape(-1, 4, 2)
     n = len(start)
-    cell = _cell_px(start, np.reshape(cells, n))
+    cell = cell_px(start, np.reshape(cells, n))
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
     bend = _bend(start, camera)
@@ -146,7 +146,7 @@ def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) ->
             side[..., 0] * y - side[..., 1] * x
         )  # rows of pixels along (x, y): 1 / |(x, y)| apart
         shared += 1.0 / ((x * x + y * y) * (1.0 + (crossed / 1.2) ** 4) ** 2)
-    cell, blur = _cell_px(corners_px, cells), np.asarray(blur_px)[:, None]
+    cell, blur = cell_px(corners_px, cells), np.asarray(blur_px)[:, None]
     window = np.clip(WINDOW_FRACTION * np.clip(0.6 * cell, *HALF_PX), *WINDOW_PX)
     step = np.minimum(
         np.interp(blur, _STEP_BLUR_PX, _STEP_PX) * (WINDOW_PX[1] / window) ** 2,
@@ -160,7 +160,7 @@ def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) ->
     )
 
 
-def _cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """(n, 4) px from each side of quads (n, 4, 2) to the next line of cells; cells : (n,)
     along a side.
     """
@@ -171,7 +171,7 @@ def _cell_px(quad: np.ndarray, cells: np.ndarray) -> np.ndarray:
     deep = divide(2 * area[:, None], length + opposite) * np.minimum(
         divide(length, opposite, where_zero=1.0), 1.0
     )
-    return np.asarray(deep / np.asarray(cells, float)[:, None])
+    return np.asarray(deep / np.reshape(cells, (-1, 1)))
 
 
 def _clear(
