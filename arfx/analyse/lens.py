@@ -58,7 +58,9 @@ def side_blurs(
     luma : (h, w) uint8;  corners_px : (4, 2) clockwise in the picture;  table : (256,)
     coded luma to linear light, 0..255
     """
-    half = np.minimum(_HALF_CELLS * cell_px(corners_px[None], cells)[0], _MOST_HALF_PX)
+    half = np.minimum(
+        _HALF_CELLS * cell_px(corners_px[None], np.array([cells]))[0], _MOST_HALF_PX
+    )
     steps = 2 * int(half.max() / _STEP_PX) + 1
     light = Light(luma, table, corners_px, 2 * half.max())
     corners = corners_px[None] @ [1, 1j]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -165,42 +166,17 @@ def _connected(grid: np.ndarray, there: np.ndarray) -> np.ndarray:
     return grid[mask & (size >= PART * size.max())[part]]
 
 
-@dataclass(frozen=True, eq=False)
-class PlaneMask:
-    """Cells of a plane, its own axes.
+class Seen(NamedTuple):
+    """What was seen of a plane, its own axes. extent_m (4,) : x0, y0, x1, y1
+    middle_m (2,) : the place nearest the mean that is well inside: as far from the rim as 60 %
+    of what any place is"""
 
-    mask (rows, columns) bool : what was seen;  low_m (2,) : x, y of the first cell's corner
-    """
-
-    mask: np.ndarray
-    low_m: np.ndarray
-    cell_m: float
-
-    @property
-    def area_m2(self) -> float:
-        return float(self.mask.sum() * self.cell_m**2)
-
-    @property
-    def extent_m(self) -> np.ndarray:
-        """(4,) x0, y0, x1, y1"""
-        at = np.argwhere(self.mask)[:, ::-1]
-        return np.tile(self.low_m, 2) + self.cell_m * np.append(at.min(0), at.max(0) + 1)
-
-    @property
-    def middle_m(self) -> np.ndarray:
-        """(2,) the place nearest the cells' mean that is well inside: as far from the rim
-        as 60 % of what any place is.
-        """
-        room = cv2.distanceTransform(np.pad(self.mask, 1).astype(np.uint8), cv2.DIST_L2, 5)[
-            1:-1, 1:-1
-        ]
-        inside = np.argwhere(room >= 0.6 * room.max())
-        seen = np.argwhere(self.mask)
-        at = inside[((inside - seen.mean(0)) ** 2).sum(1).argmin()]
-        return np.asarray(self.low_m + (at[::-1] + 0.5) * self.cell_m)
+    area_m2: float
+    extent_m: np.ndarray
+    middle_m: np.ndarray
 
 
-def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
+def seen_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> Seen:
     """positions_m (n, 2) : points moved onto the plane, its axes;  spacing_m (n,) :
     distance of neighbouring points there
     """
@@ -214,8 +190,17 @@ def mask_of(positions_m: np.ndarray, spacing_m: np.ndarray) -> PlaneMask:
     count[y, x] = 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pad - 1, 2 * pad - 1))
     mask = cv2.morphologyEx(count, cv2.MORPH_CLOSE, disc)
-    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM) > 0.5
-    return PlaneMask(smooth if smooth.any() else mask > 0, low - pad * cell, cell)
+    smooth = (cv2.GaussianBlur(mask.astype(np.float32), (0, 0), _RIM) > 0.5).astype(
+        np.uint8
+    )
+    mask = smooth if smooth.any() else mask
+    room = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    cells, inside = (np.argwhere(c)[:, ::-1] for c in (mask, room >= 0.6 * room.max()))
+    middle = inside[((inside - cells.mean(0)) ** 2).sum(1).argmin()] + 0.5
+    extent = np.append(cells.min(0), cells.max(0) + 1)
+    first = low - pad * cell
+    area = len(cells) * cell**2
+    return Seen(area, np.tile(first, 2) + cell * extent, first + cell * middle)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +228,7 @@ class ScenePlane:
         x = normalise(self.right - (self.right @ self.normal) * self.normal)
         axes = np.stack([x, np.cross(self.normal, x), self.normal], 1)
         positions = self.points @ axes
-        seen = mask_of(positions[:, :2], self.spacing_m)
+        seen = seen_of(positions[:, :2], self.spacing_m)
         height, middle = self.offset_m, seen.middle_m
         pose = Pose(axes, axes @ np.array([middle[0], middle[1], height]))
         residual_mm = 1e3 * float(np.sqrt(((positions[:, 2] - height) ** 2).mean()))
@@ -302,20 +287,19 @@ def _join(planes: list[ScenePlane], new: ScenePlane) -> None:
     """Add `new`, or make it part of one that is already there."""
     for k, old in enumerate(planes):
         near = SAME_M + SAME_NOISES * max(old.noise_m, new.noise_m)
-        gap = max(
-            abs(float(a.points.mean(0) @ b.normal) - b.offset_m)
-            for a, b in ((new, old), (old, new))
-        )
+        apart = old.points.mean(0) - new.points.mean(0)
+        gap = max(abs(apart @ old.normal), abs(apart @ new.normal))
         if old.normal @ new.normal > np.cos(np.radians(SAME_DEG)) and gap < near:
-            points, spacing, cut = (
-                np.concatenate([getattr(p, name) for p in (old, new)])
-                for name in ("points", "spacing_m", "cut")
+            share = len(old.points) / (len(old.points) + len(new.points))
+            planes[k] = ScenePlane(
+                normalise(share * old.normal + (1 - share) * new.normal),
+                np.concatenate([old.points, new.points]),
+                np.concatenate([old.spacing_m, new.spacing_m]),
+                np.concatenate([old.cut, new.cut]),
+                old.right,
+                share * old.noise_m + (1 - share) * new.noise_m,
+                old.frames + new.frames,
             )
-            fraction = len(old.points) / len(points)
-            normal = normalise(fraction * old.normal + (1 - fraction) * new.normal)
-            noise_m = fraction * old.noise_m + (1 - fraction) * new.noise_m
-            frames = old.frames + new.frames
-            planes[k] = ScenePlane(normal, points, spacing, cut, old.right, noise_m, frames)
             return
     planes.append(new)
 
