@@ -101,15 +101,8 @@ def _sampled(a: np.ndarray, places: np.ndarray, nodes: np.ndarray) -> np.ndarray
     from scipy.interpolate import RegularGridInterpolator
 
     axes = nodes[:, 0, 1], nodes[0, :, 0]
-    return np.stack(
-        [
-            RegularGridInterpolator(axes, one, bounds_error=False, fill_value=None)(
-                places[..., ::-1]
-            )
-            for one in np.moveaxis(a, -1, 0)
-        ],
-        -1,
-    )
+    read = RegularGridInterpolator(axes, a, bounds_error=False, fill_value=None)
+    return read(places[..., ::-1])
 
 
 def _with_pose(
@@ -164,7 +157,5 @@ def determinants(field: np.ndarray) -> np.ndarray:
     many px of the thing lie in one of the picture.
     """
     right, down = np.diff(field, axis=1), np.diff(field, axis=0)
-    sides = (right[:-1], down[:, :-1]), (right[1:], down[:, 1:])
-    return np.stack([a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0] for a, b in sides]) / (
-        GRID_PX**2
-    )
+    upper, lower = (right[:-1], down[:, :-1]), (right[1:], down[:, 1:])
+    return np.linalg.det(np.moveaxis(np.array([upper, lower]), 1, -2)) / GRID_PX**2
