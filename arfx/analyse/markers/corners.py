@@ -103,30 +103,32 @@ def refine_corners(
     the bend of the sides
     The result depends on the image around the quads only, never on how they were found."""
     start = np.array(quads_px, float).reshape(-1, 4, 2)
-    n = len(start)
-    cell = cell_px(start, np.reshape(cells, n))
+    sensible = (np.abs(start) < MOST_PX).all((1, 2)) & (min(luma.shape) > 1)
+    near = np.where(sensible[:, None, None], start, 0.0)
+    cell = cell_px(near, cells)
     half = np.clip(0.6 * cell, *HALF_PX)
     reach = np.clip(0.6 * cell, half, REACH_PX)
-    bend = _bend(start, camera)
-    quad, sigma, refined = start.copy(), np.ones(n), np.zeros(n, bool)
-    blur, skew, inverted = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, bool)
-    sensible = (np.abs(start) < MOST_PX).all((1, 2)) & (min(luma.shape) > 1)
-    far = sensible & (reach > half).any(1)
-    for rows, reaches in ((sensible, (half, half)), (far, (reach, half, half))):
-        rows = np.flatnonzero(rows & ~refined)
-        if not len(rows):
-            continue
-        here = [r[rows] for r in reaches]
-        edges = find_edges(luma, table, start[rows], bend[rows], half[rows], here)
-        ok = _clear(start[rows], edges, half[rows], here[0])
-        inverted[rows] = edges.inverted
-        rows, edges = rows[ok], edges[ok]
-        refined[rows], quad[rows], blur[rows] = True, edges.quad, edges.blur
-        skew[rows] = edges.skew
-        # a corner is where two lines meet, each known at its end to about twice the error of
-        # its mean
-        sigma[rows] = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)
-    return Corners(quad, sigma, blur, inverted, refined, skew)
+    bend = _bend(near, camera)
+    edges = find_edges(luma, table, near, bend, half, (half, half))
+    ok = _clear(near, edges, half, half)
+    far = ~ok & sensible & (reach > half).any(1)
+    if far.any():
+        here, least, most = near[far], half[far], reach[far]
+        again = find_edges(luma, table, here, bend[far], least, (most, least, least))
+        for every, those in zip(edges, again, strict=True):
+            every[far] = those
+        ok[far] = _clear(here, again, least, most)
+    # a corner is where two lines meet, each known at its end to about twice the error of its
+    # mean
+    sigma = np.maximum(2.0 * edges.spread / np.sqrt(SAMPLES), 0.01)
+    return Corners(
+        np.where(ok[:, None, None], edges.quad, start),
+        np.where(ok, sigma, 1.0),
+        np.where(ok, edges.blur, np.nan),
+        edges.inverted,
+        ok,
+        np.where(ok, edges.skew, np.nan),
+    )
 
 
 def shared_px(corners_px: np.ndarray, blur_px: np.ndarray, cells: np.ndarray) -> np.ndarray:

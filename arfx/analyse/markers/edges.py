@@ -10,7 +10,7 @@ Source: docs/methods/pose.md#corners."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -46,8 +46,7 @@ WINDOW_FRACTION = 0.4  # of what is looked at to one side, between those two
 _REMAP_STEPS = 32  # OpenCV reads between pixels at so many places per px
 
 
-@dataclass(frozen=True, eq=False)
-class Edges:
+class Edges(NamedTuple):
     """Of n quads. quad : (n, 4, 2) px, the lines' corners; not finite where two are parallel
 
     gain : (n,) light of 255 that falls across the faintest side;  spread : (n,) px along a
@@ -60,9 +59,6 @@ class Edges:
     blur: np.ndarray
     skew: np.ndarray
     inverted: np.ndarray
-
-    def __getitem__(self, rows: np.ndarray) -> Edges:
-        return Edges(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 def find_edges(
@@ -154,9 +150,9 @@ def profiles(
     exact = np.round(wanted * _REMAP_STEPS) / _REMAP_STEPS
     along = along + ((exact - wanted) * inwards.conj()).real
     exact[~np.isfinite(exact)] = 0  # of a quad of which nothing will come
-    exact = exact.reshape(len(lights), -1, steps)
-    light = np.stack([one.sampled(at) for one, at in zip(lights, exact, strict=True)])
-    light = light.reshape(along.shape)
+    exact = exact.reshape(len(lights), 4 * SAMPLES, steps)
+    seen = [one.sampled(at) for one, at in zip(lights, exact, strict=True)]
+    light = np.reshape(seen, along.shape)
     return light[..., :-1] - light[..., 1:], (along[..., :-1] + along[..., 1:]) / 2
 
 

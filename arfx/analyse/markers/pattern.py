@@ -41,23 +41,14 @@ SHARE = 0.3  # of the corners in view that must agree
 _FAINT = 0.02
 _POINTS, _MARGIN_PX = 160, 7
 _REACH = 3  # further halvings of the images for a homography that is only about right
-_BLURRED, _SHARED = (
-    2,
-    2.0,
-)  # levels coarser; factor on the deviation there: neighbouring corners err alike under blur
+# levels coarser; factor on the deviation there: neighbouring corners err alike under blur
+_BLURRED, _SHARED = 2, 2.0
 _RETURN_PX, _AGREE_PX = 0.7, 2.0  # there and back; and to a homography at first
 _CORNERS = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])  # order of MarkerSpec.corners_m
 _SCALES = (0.7, 0.35, 0.18)  # of the picture whose features are matched
-_TURNS = (
-    180,
-    120,
-    90,
-    72,
-)  # degrees: prints are square, or logos of up to six-fold symmetry; 270 is 90 seen from the other
-_AGREEING, _SAME = (
-    0.5,
-    0.7,
-)  # share of corners; correlation of the even pictures: 0.66 where half of a print tells its turn
+# degrees: prints are square, or logos of up to six-fold symmetry; 270 is 90 seen from the other
+_TURNS = (180, 120, 90, 72)
+_SAME = 0.7  # share of corners: .5 where half of a print tells its turn
 _STEP = 1e-4  # of a homography's numbers, for its derivative
 _WORN = 4.0  # deviations at which a point counts half
 _ALIKE = 1.5  # corners whose windows overlap err alike: factor on the deviation of a fit
@@ -187,18 +178,7 @@ def check_turned(name: str, luma: np.ndarray) -> None:
         m = cv2.getRotationMatrix2D(((w - 1) / 2, (h - 1) / 2), degrees, 1)
         turned = cv2.warpAffine(luma, m, (w, h), borderMode=cv2.BORDER_REPLICATE)
         there = picture.align(turned, camera, ideal_from_unit)
-        if there is None or there.share < _AGREEING:
-            continue
-        seen = _cut_out(
-            turned,
-            camera,
-            there.ideal_from_unit @ picture.levels[0].unit_from_level,
-            (w, h),
-        )
-        if (
-            np.corrcoef(picture.levels[0].even.ravel(), even_contrast(seen).ravel())[0, 1]
-            >= _SAME
-        ):
+        if there is not None and there.share >= _SAME:
             raise ConfigError(
                 f"pattern {name} looks the same when it is turned by {degrees} degrees: its"
                 " pose would be a guess",
