@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from arfx.analyse.markers.texture import even_contrast, follow
-from arfx.core.camera import Camera
+from arfx.core.camera import FISHEYE, Camera
 from arfx.core.colour import SRGB
 from arfx.core.numerics import divide
 from arfx.core.rect import Rect
@@ -53,7 +53,6 @@ _STEP = 1e-4  # of a homography's numbers, for its derivative
 _WORN = 4.0  # deviations at which a point counts half
 _ALIKE = 1.5  # corners whose windows overlap err alike: factor on the deviation of a fit
 _LEAST_PX = 1e-4  # of residuals: no corner is followed better
-_NODE_PX = 8  # between points for which lens distortion is computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +289,8 @@ def _cut_out(
     """The frame as the picture is seen: (h, w) uint8 of size (w, h)."""
     w, h = size
     corners = _pixels(camera, ideal_from_level, _CORNERS * [w, h] - 0.5)
+    if not plausible(corners):
+        return np.zeros((h, w), np.uint8)
     side = float(np.linalg.norm(corners - np.roll(corners, -1, 0), axis=1).max())
     k = max(int(side / max(size)), 1)  # the frame may be finer than the finest level
     part = Rect.around(corners, 2.0 * k).clip(Rect.of(luma.shape[1], luma.shape[0]))
@@ -298,15 +299,13 @@ def _cut_out(
         return np.zeros((h, w), np.uint8)
     luma = luma[part.y0 : part.y0 + rows * k, part.x0 : part.x0 + columns * k]
     luma = cv2.resize(luma, (columns, rows), interpolation=cv2.INTER_AREA)
-    nodes = [(np.arange(-1, n // _NODE_PX + 2) + 0.5) * _NODE_PX - 0.5 for n in size]
-    grid = np.stack(np.meshgrid(*nodes), -1)
-    at = _pixels(camera, ideal_from_level, grid.reshape(-1, 2)).reshape(grid.shape)
-    at = np.where(np.isfinite(at), (at - [part.x0, part.y0] + 0.5) / k - 0.5, -1e4).astype(
-        np.float32
-    )
-    many = (grid.shape[1] * _NODE_PX, grid.shape[0] * _NODE_PX)
-    full = cv2.resize(at, many, interpolation=cv2.INTER_LINEAR)
-    x, y = cv2.split(full[_NODE_PX : _NODE_PX + h, _NODE_PX : _NODE_PX + w])
+    own = camera.matrix.copy()
+    own[:2, :2] /= k
+    own[:2, 2] = (own[:2, 2] - [part.x0, part.y0] + 0.5) / k - 0.5
+    fisheye = camera.model == FISHEYE
+    maps = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    level_from_ideal = np.linalg.inv(ideal_from_level)
+    x, y = maps(own, camera.distortion, level_from_ideal, np.eye(3), size, cv2.CV_32FC1)
     return cv2.remap(luma, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
